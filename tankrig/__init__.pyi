@@ -1,0 +1,12 @@
+from .errors import CacheError as CacheError
+from .errors import DeviceError as DeviceError
+from .errors import ImageError as ImageError
+from .errors import SceneError as SceneError
+from .errors import SequenceError as SequenceError
+from .errors import StoreError as StoreError
+from .errors import TankrigError as TankrigError
+from .image.predict import predict as predict
+from .image.prediction import Prediction as Prediction
+from .scene.description import Medium as Medium
+from .scene.description import Scene as Scene
+from .scene.loading import load_scene as load_scene

@@ -1,0 +1,159 @@
+"""What the experiment asks of a projector, a camera and a doser; real and simulated drivers answer alike.
+
+Times are nanoseconds of the monotonic clock (`time.monotonic_ns`). Every call that waits has a timeout and raises a
+`DeviceError` that names the device; `close` may be called any number of times.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.pattern import Pattern
+
+
+@dataclass(frozen=True)
+class Flip:
+    """A pattern has gone on the output.
+
+    Parameters
+    ----------
+    settled_ns
+        When the frame was swapped onto the output.
+    bound_ns
+        From when on all light in the tank is this pattern's: swap, 99th percentile of the latency, one period.
+        A frame belongs to the pattern only if its exposure began after this.
+    pattern_hash
+        `Pattern.hash` of what is shown.
+    """
+
+    settled_ns: int
+    bound_ns: int
+    pattern_hash: str
+
+
+@runtime_checkable
+class Projector(Protocol):
+    """Shows patterns through the wall x = 0."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) a pattern must have."""
+
+    def show(self, pattern: Pattern) -> Flip:
+        """Put `pattern` on the output and return when it is there."""
+
+    def close(self) -> None:
+        """Go dark and let go of the output."""
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """What can be set on a camera; `configure` returns them as read back."""
+
+    exposure_ms: float
+    gain: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One exposure.
+
+    Parameters
+    ----------
+    pixels
+        (rows, columns) uint8 or uint16 counts at the camera's native bit depth; row 0 is y = −Ly/2, column 0 is x = 0.
+        Never a view of a buffer that the driver reuses.
+    exposure_start_ns
+        Monotonic time at which the exposure began.
+    device_ns
+        The device's own clock at the same moment.
+    host_ns
+        Monotonic time at which the frame had arrived.
+    sequence
+        Counts the camera's frames; a jump is a gap.
+    """
+
+    pixels: NDArray[np.uint8] | NDArray[np.uint16]
+    exposure_start_ns: int
+    device_ns: int
+    host_ns: int
+    sequence: int
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """Looks down on the tank. One owner at a time."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of a frame."""
+
+    @property
+    def saturation(self) -> int:
+        """The count at which pixels saturate."""
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply `settings` and return them as read back from the device."""
+
+    def capture(self, after_ns: int, timeout_s: float) -> Frame:
+        """First frame whose exposure began after `after_ns`."""
+
+    def close(self) -> None:
+        """Stop streaming and let go of the device; wakes a capture that waits."""
+
+
+class Delivered(NamedTuple):
+    """Ink delivered since the device's zero: best value and hard bounds, µl."""
+
+    volume_ul: float
+    low_ul: float
+    high_ul: float
+
+
+@runtime_checkable
+class Doser(Protocol):
+    """Delivers ink into the tank.
+
+    States that need a person are latched: after `stop` nothing moves until `clear_stop`; when what was delivered is
+    not known, nothing moves until `resolve`.
+    """
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a stop is latched."""
+
+    @property
+    def unknown(self) -> bool:
+        """Whether the delivered volume is unknown and latched."""
+
+    def dose_to(self, total_ul: float) -> Delivered:
+        """Deliver until the total since the device's zero is `total_ul` (absolute: never 'add again'); waits."""
+
+    def delivered(self) -> Delivered:
+        """What has been delivered, with hard bounds."""
+
+    def stop(self) -> None:
+        """Stop at once, from any thread, without waiting for a reader; latched until `clear_stop`."""
+
+    def clear_stop(self) -> None:
+        """Let the doser move again; does not move it."""
+
+    def resolve(self, volume_ul: float) -> None:
+        """A person says what was delivered in all; ends the unknown state."""
+
+    def close(self) -> None:
+        """Stop and let go of the port."""

@@ -1,0 +1,1 @@
+"""From images to scattering coefficients with error bars."""

@@ -1,0 +1,1 @@
+"""From a scene to the camera's image: the models of light scattering."""

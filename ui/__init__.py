@@ -1,0 +1,1 @@
+"""How a person uses tankrig: the command line and the window."""
