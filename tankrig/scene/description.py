@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, SupportsFloat
 
 from tankrig.errors import SceneError
 
@@ -18,9 +18,26 @@ def _require(condition: bool, message: str) -> None:
         raise SceneError(message)
 
 
-def _finite(name: str, *values: float) -> None:
-    for value in values:
-        _require(math.isfinite(value), f"{name} = {value!r} is not a finite number; give a finite one")
+def _finite(name: str, given: object) -> float:
+    value = float(given) if isinstance(given, SupportsFloat) else math.nan
+    _require(math.isfinite(value), f"{name} = {given!r} is not a finite number; give a finite one")
+    return value
+
+
+def _number(owner: object, name: str) -> float:
+    """Make a field a finite float, in place."""
+    value = _finite(name, getattr(owner, name))
+    object.__setattr__(owner, name, value)  # the only way to set a field of a frozen dataclass
+    return value
+
+
+def _numbers(owner: object, name: str, count: int) -> tuple[float, ...]:
+    """Make a field a tuple of `count` finite floats, in place."""
+    given = tuple(getattr(owner, name))
+    _require(len(given) == count, f"{name} = {list(given)} has {len(given)} numbers; give {count}")
+    values = tuple(_finite(f"{name}[{index}]", value) for index, value in enumerate(given))
+    object.__setattr__(owner, name, values)
+    return values
 
 
 @dataclass(frozen=True)
@@ -43,14 +60,12 @@ class Tank:
     refractive_index: float = 1.33
 
     def __post_init__(self) -> None:
-        _finite("size_mm", *self.size_mm)
         _require(
-            min(self.size_mm) > 0.0,
+            min(_numbers(self, "size_mm", 3)) > 0.0,
             f"size_mm = {list(self.size_mm)} has a side that is not positive; give three lengths in mm",
         )
-        _finite("refractive_index", self.refractive_index)
         _require(
-            1.0 <= self.refractive_index <= 3.0,
+            1.0 <= _number(self, "refractive_index") <= 3.0,
             f"refractive_index = {self.refractive_index} is outside 1…3; water has 1.33",
         )
         _require(
@@ -81,11 +96,12 @@ class Medium:
 
     def __post_init__(self) -> None:
         for name in ("sigma_a", "sigma_s"):
-            value = getattr(self, name)
-            _finite(name, value)
+            value = _number(self, name)
             _require(value >= 0.0, f"{name} = {value} is negative; give a coefficient in 1/mm that is zero or more")
-        _finite("g", self.g)
-        _require(-1.0 < self.g < 1.0, f"g = {self.g} is outside −1 < g < 1; give the mean cosine of one scattering")
+        _require(
+            -1.0 < _number(self, "g") < 1.0,
+            f"g = {self.g} is outside −1 < g < 1; give the mean cosine of one scattering",
+        )
 
     @property
     def sigma_t(self) -> float:
@@ -117,11 +133,11 @@ class Beam:
 
     def __post_init__(self) -> None:
         for name in ("y_mm", "z_mm"):
-            low, high = getattr(self, name)
-            _finite(name, low, high)
+            low, high = _numbers(self, name, 2)
             _require(low < high, f"{name} = [{low}, {high}] has no width; give [low, high] with low < high")
-        _finite("irradiance", self.irradiance)
-        _require(self.irradiance >= 0.0, f"irradiance = {self.irradiance} is negative; give W/mm², zero or more")
+        _require(
+            _number(self, "irradiance") >= 0.0, f"irradiance = {self.irradiance} is negative; give W/mm², zero or more"
+        )
 
     @property
     def power(self) -> float:
@@ -152,16 +168,16 @@ class Projector:
         _require(
             self.kind in ("collimated", "pinhole"), f'kind = "{self.kind}" is unknown; use "collimated" or "pinhole"'
         )
-        _require(len(self.beams) > 0, "beams is empty; give at least one beam")
+        object.__setattr__(self, "beams", tuple(self.beams))
+        _require(len(self.beams) > 0, "beams = [] lights nothing; give at least one beam")
         if self.kind == "pinhole":
             _require(
                 self.position_mm is not None, "position_mm is missing; a pinhole projector needs [x, y, z] with x < 0"
             )
-            assert self.position_mm is not None
-            _finite("position_mm", *self.position_mm)
+            position = _numbers(self, "position_mm", 3)
             _require(
-                self.position_mm[0] < 0.0,
-                f"position_mm = {list(self.position_mm)} is inside the wall x = 0; give x < 0",
+                position[0] < 0.0,
+                f"position_mm = {list(position)} is not outside the wall x = 0; give x < 0",
             )
 
 
@@ -192,18 +208,20 @@ class Camera:
             self.kind in ("orthographic", "pinhole"),
             f'kind = "{self.kind}" is unknown; use "orthographic" or "pinhole"',
         )
+        object.__setattr__(self, "shape", tuple(self.shape))
         _require(
-            min(self.shape) >= 1 and max(self.shape) <= 16384,
+            len(self.shape) == 2 and min(self.shape) >= 1 and max(self.shape) <= 16384,
             f"shape = {list(self.shape)} is no picture; give [rows, columns] between 1 and 16384",
         )
-        _finite("pixel_mm", self.pixel_mm)
-        _require(self.pixel_mm > 0.0, f"pixel_mm = {self.pixel_mm} is not positive; give the side of a pixel in mm")
+        _require(
+            _number(self, "pixel_mm") > 0.0,
+            f"pixel_mm = {self.pixel_mm} is not positive; give the side of a pixel in mm",
+        )
         if self.kind == "pinhole":
             _require(
                 self.position_mm is not None, "position_mm is missing; a pinhole camera needs [x, y, z] above the water"
             )
-            assert self.position_mm is not None
-            _finite("position_mm", *self.position_mm)
+            _numbers(self, "position_mm", 3)
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,23 @@ import os
 import tomllib
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 from tankrig.errors import SceneError
-from tankrig.scene.description import Scene
+from tankrig.scene.description import Beam, Scene
+
+MAY_BE_ABSENT = {"refractive_index", "position_mm"}
+"""Keys that a file need not have; those that a scene needs after all (a pinhole's position) the scene asks for."""
+
+ADVICE = {
+    "float_type": "is not a number; give one, without quotes",
+    "int_type": "is not a whole number; give one, without quotes",
+    "int_from_float": "is not a whole number; give one",
+    "tuple_type": "is not an array; put it in brackets: [ … ]",
+    "too_long": "has too many entries; remove those beyond the last",
+    "dataclass_type": "is not a table; give its keys and values",
+}
+"""What to say about each kind of wrong value (pydantic's name of it)."""
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
@@ -35,6 +48,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     >>> text = '''
     ... [tank]
     ... size_mm = [240.0, 160.0, 120.0]
+    ... surface = "matched"
     ... [medium]
     ... sigma_a = 0.0002
     ... sigma_s = 0.0198
@@ -55,14 +69,14 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     """
     file = Path(path)
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
+        table = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise SceneError(
             f"{file}: cannot be read ({error.strerror or error}); give the path of a scene file"
         ) from error
     except UnicodeDecodeError as error:
         raise SceneError(f"{file}: is not text, so not a scene file; give a TOML file") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, a nest of thousands of arrays
         raise SceneError(f"{file}: is not TOML ({error}); mend that line") from error
     return replace(scene_from_table(table, str(file)), source=str(file))
 
@@ -77,8 +91,7 @@ def scene_from_table(table: dict[str, Any], name: str) -> Scene:
     """
     from pydantic import TypeAdapter, ValidationError
 
-    if "source" in table:  # a field of Scene that no file may set
-        raise SceneError(f'{name}: key "source" is unknown; remove it')
+    _check_keys(table, Scene, "", name)
     try:
         # As JSON, where strict validation still lets arrays become tuples and tables become dataclasses.
         return TypeAdapter(Scene).validate_json(json.dumps(table, default=str))
@@ -86,38 +99,45 @@ def scene_from_table(table: dict[str, Any], name: str) -> Scene:
         raise SceneError(f"{name}: {_sentence(error.errors()[0])}") from error
 
 
+def _check_keys(table: dict[str, Any], kind: type, place: str, name: str) -> None:
+    """Refuse unknown keys, then missing ones, before any value is looked at: a misspelt key is both."""
+    known = {item.name: item.type for item in fields(kind) if item.name != "source"}
+    for key in table:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=1)
+            advice = f'did you mean "{near[0]}"?' if near else f"remove it (known here: {', '.join(known)})"
+            raise SceneError(f'{name}: key "{place}{key}" is unknown; {advice}')
+    for key, inner in known.items():
+        if key not in table:
+            if key not in MAY_BE_ABSENT:
+                raise SceneError(f'{name}: key "{place}{key}" is missing; add it (docs/scene.md shows how)')
+        elif isinstance(inner, type) and is_dataclass(inner) and isinstance(table[key], dict):
+            _check_keys(table[key], inner, f"{place}{key}.", name)
+        elif key == "beams" and isinstance(table[key], list):
+            for index, beam in enumerate(table[key]):
+                if isinstance(beam, dict):
+                    _check_keys(beam, Beam, f"{place}{key}[{index}].", name)
+
+
 def _sentence(problem: Any) -> str:
     """One of pydantic's error records in the words of a scene file."""
-    place = [part for part in problem["loc"] if part not in ("function-after",)]
-    key = _dotted(place)
-    kind, message, value = problem["type"], problem["msg"], problem["input"]
+    place, kind, value = list(problem["loc"]), problem["type"], problem["input"]
     if kind == "value_error":  # raised by a dataclass's own check; names its key already
-        text = str(problem["ctx"]["error"])
-        return f"{key}.{text}" if key else text
-    if kind in ("missing", "missing_argument"):
-        return f'key "{key}" is missing; add it'
-    if kind in ("unexpected_keyword_argument", "extra_forbidden"):
-        near = difflib.get_close_matches(str(place[-1]), _known_keys(place[:-1]), n=1)
-        return f'key "{key}" is unknown; ' + (f'did you mean "{near[0]}"?' if near else "remove it")
-    message = message.replace("Input should", "should").replace("a valid tuple", "an array").replace("a valid ", "a ")
-    return f"{key} = {_shown(value)} {message[0].lower()}{message[1:]}"
+        return f"{_dotted(place)}.{problem['ctx']['error']}".lstrip(".")
+    if kind == "missing":  # an array that is too short; pydantic places the absent element
+        return f"{_dotted(place[:-1])} = {_shown(value)} has too few entries; add the missing ones"
+    if kind == "literal_error":
+        advice = "is unknown; use " + str(problem["ctx"]["expected"]).replace("'", '"')
+    else:
+        advice = ADVICE.get(kind, f"is refused: {problem['msg']}")
+    return f"{_dotted(place)} = {_shown(value)} {advice}"
 
 
 def _dotted(place: list[Any]) -> str:
-    text = ""
-    for part in place:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
-    return text
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
 
 
 def _shown(value: Any) -> str:
-    text = repr(list(value) if isinstance(value, tuple) else value)
+    """A value as TOML would write it."""
+    text: str = json.dumps(value, default=str, ensure_ascii=False)
     return text if len(text) <= 60 else text[:57] + "…"
-
-
-def _known_keys(place: list[Any]) -> list[str]:
-    """Keys of the table at `place`, found by walking the dataclasses."""
-    kind: Any = Scene
-    for part in place:
-        kind = get_args(kind)[0] if isinstance(part, int) else get_type_hints(kind).get(part, kind)
-    return [item.name for item in fields(kind) if item.name != "source"] if is_dataclass(kind) else []
