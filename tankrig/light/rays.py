@@ -1,0 +1,135 @@
+"""Straight rays in the tank: where light travels before its first scattering, and along which lines the camera looks.
+
+Every model that follows uncollided light or camera rays exactly is built on these three functions; the geometry they
+read is a tuple of numbers, so that compiled kernels can take it.
+"""
+
+import math
+from typing import NamedTuple
+
+from tankrig.compiled import kernel
+from tankrig.scene import Scene
+from tankrig.scene.optics import reflectance
+
+
+class Geometry(NamedTuple):
+    """Tank, projector and camera as numbers for kernels; lengths in mm, z up, light enters at x = 0."""
+
+    length: float
+    """Lx."""
+    half_width: float
+    """Ly/2."""
+    height: float
+    """Lz, the water level."""
+    index: float
+    """Refractive index that the surface shows; 1 when matched."""
+    light_pinhole: bool
+    light_x: float
+    light_y: float
+    light_z: float
+    camera_pinhole: bool
+    camera_x: float
+    camera_y: float
+    camera_z: float
+
+
+def geometry_of(scene: Scene) -> Geometry:
+    """Numbers of a scene's tank, projector and camera.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.5), light, Camera("orthographic", (80, 120), 2.0))
+    >>> geometry_of(scene).half_width
+    80.0
+    """
+    length, width, height = scene.tank.size_mm
+    light, camera = scene.projector, scene.camera
+    return Geometry(
+        length,
+        width / 2,
+        height,
+        scene.tank.surface_index,
+        light.kind == "pinhole",
+        *(light.position_mm or (-1.0, 0.0, 0.0)),
+        camera.kind == "pinhole",
+        *(camera.position_mm or (0.0, 0.0, height + 1.0)),
+    )
+
+
+@kernel
+def sight_line(geometry: Geometry, x: float, y: float) -> tuple[float, float, float, float]:
+    """Direction of travel in the water of the light that leaves (x, y, Lz) towards the camera, and what gets out.
+
+    Returns
+    -------
+    vx, vy, vz, transmission
+        Unit vector pointing up, and radiance in air per radiance just below the surface, (1 − F)/n².
+    """
+    if not geometry.camera_pinhole:
+        return 0.0, 0.0, 1.0, (1.0 - reflectance(1.0, 1.0 / geometry.index)) / geometry.index**2
+    dx, dy, dz = geometry.camera_x - x, geometry.camera_y - y, geometry.camera_z - geometry.height
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    transmission = (1.0 - reflectance(dz / distance, 1.0 / geometry.index)) / geometry.index**2
+    vx, vy = dx / (distance * geometry.index), dy / (distance * geometry.index)  # Snell: n sin θ is kept
+    return vx, vy, math.sqrt(1.0 - vx * vx - vy * vy), transmission
+
+
+@kernel
+def light_ray(geometry: Geometry, y0: float, z0: float) -> tuple[float, float, float]:
+    """Unit direction in which light enters at (0, y0, z0)."""
+    if not geometry.light_pinhole:
+        return 1.0, 0.0, 0.0
+    dx, dy, dz = -geometry.light_x, y0 - geometry.light_y, z0 - geometry.light_z
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    return dx / distance, dy / distance, dz / distance
+
+
+@kernel
+def path_inside(
+    geometry: Geometry, x: float, y: float, z: float, dx: float, dy: float, dz: float
+) -> tuple[float, float]:
+    """Distances (enter, leave) along a straight line through the tank's box; leave ≤ enter when it misses.
+
+    `enter` is not below 0: the line starts at (x, y, z).
+    """
+    enter, leave = 0.0, 1e30
+    for low, high, position, slope in (
+        (0.0, geometry.length, x, dx),
+        (-geometry.half_width, geometry.half_width, y, dy),
+        (0.0, geometry.height, z, dz),
+    ):
+        if abs(slope) < 1e-14:
+            if position < low - 1e-9 or position > high + 1e-9:
+                leave = -1.0
+            continue
+        first, last = (low - position) / slope, (high - position) / slope
+        enter = max(enter, min(first, last))
+        leave = min(leave, max(first, last))
+    return enter, leave
+
+
+@kernel
+def sighting_row(geometry: Geometry, x: float, y0: float, z0: float) -> float:
+    """The y at which the line of sight through (x, y, Lz) meets the light ray that enters at (0, y0, z0), both extended.
+
+    Found by secant steps on the lines' triple product; for straight lines of sight it is linear in y or nearly so.
+    """
+    ux, uy, uz = light_ray(geometry, y0, z0)
+    before, now = y0, y0 + 1.0
+    miss_before = _miss(geometry, x, before, y0, z0, ux, uy, uz)
+    for _ in range(8):
+        miss_now = _miss(geometry, x, now, y0, z0, ux, uy, uz)
+        if abs(miss_now - miss_before) < 1e-13:
+            break
+        before, miss_before, now = now, miss_now, now - miss_now * (now - before) / (miss_now - miss_before)
+    return now
+
+
+@kernel
+def _miss(geometry: Geometry, x: float, y: float, y0: float, z0: float, ux: float, uy: float, uz: float) -> float:
+    """Triple product (C − A)·(u × v) of a line of sight and a light ray: zero when they meet."""
+    vx, vy, vz, _ = sight_line(geometry, x, y)
+    wy, wz = y - y0, geometry.height - z0
+    return x * (uy * vz - uz * vy) + wy * (uz * vx - ux * vz) + wz * (ux * vy - uy * vx)
