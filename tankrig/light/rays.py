@@ -21,7 +21,7 @@ class Geometry(NamedTuple):
     """Ly/2."""
     height: float
     """Lz, the water level."""
-    index: float
+    refractive_index: float
     """Refractive index that the surface shows; 1 when matched."""
     light_pinhole: bool
     light_x: float
@@ -68,11 +68,14 @@ def sight_line(geometry: Geometry, x: float, y: float) -> tuple[float, float, fl
         Unit vector pointing up, and radiance in air per radiance just below the surface, (1 − F)/n².
     """
     if not geometry.camera_pinhole:
-        return 0.0, 0.0, 1.0, (1.0 - reflectance(1.0, 1.0 / geometry.index)) / geometry.index**2
+        return 0.0, 0.0, 1.0, (1.0 - reflectance(1.0, 1.0 / geometry.refractive_index)) / geometry.refractive_index**2
     dx, dy, dz = geometry.camera_x - x, geometry.camera_y - y, geometry.camera_z - geometry.height
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-    transmission = (1.0 - reflectance(dz / distance, 1.0 / geometry.index)) / geometry.index**2
-    vx, vy = dx / (distance * geometry.index), dy / (distance * geometry.index)  # Snell: n sin θ is kept
+    transmission = (1.0 - reflectance(dz / distance, 1.0 / geometry.refractive_index)) / geometry.refractive_index**2
+    vx, vy = (
+        dx / (distance * geometry.refractive_index),
+        dy / (distance * geometry.refractive_index),
+    )  # Snell: n sin θ is kept
     return vx, vy, math.sqrt(1.0 - vx * vx - vy * vy), transmission
 
 
@@ -112,7 +115,7 @@ def path_inside(
 
 @kernel
 def sighting_row(geometry: Geometry, x: float, y0: float, z0: float) -> float:
-    """The y at which the line of sight through (x, y, Lz) meets the light ray that enters at (0, y0, z0), both extended.
+    """The y at which the line of sight through (x, y, Lz) meets the light ray from (0, y0, z0), both extended.
 
     Found by secant steps on the lines' triple product; for straight lines of sight it is linear in y or nearly so.
     """

@@ -16,15 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.rays import Geometry, geometry_of, path_inside, sighting_row, sight_line
+from tankrig.light.rays import Geometry, geometry_of, path_inside, sight_line, sighting_row
 from tankrig.scene import Scene
 from tankrig.scene.phase import henyey_greenstein
 
 Rule = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Nodes and weights of a quadrature on [−1, 1]."""
 
-KINKED_CUTS = 16
-"""Parts a pixel is cut into along x where the far or near wall cuts the lit part of its lines of sight."""
+KINKED_PARTS = 12
+"""Parts a pixel is cut into along x where the near or far wall cuts the lit part of its lines of sight."""
+SLANTED_PARTS = 5
+"""The same where an edge of the beam runs from one row of pixels into the next."""
 
 
 def single_scattering(scene: Scene) -> NDArray[np.float64]:
@@ -54,7 +56,7 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
     if medium.sigma_s == 0.0:
         return image
     geometry = geometry_of(scene)
-    rules = [np.polynomial.legendre.leggauss(count) for count in (4, 2, 4)]  # along x, along y, along the line of sight
+    rules = [np.polynomial.legendre.leggauss(count) for count in (2, 2, 4)]  # along x, along y, along the line of sight
     for beam in scene.projector.beams:
         _add_beam(
             image, geometry, camera.pixel_mm, medium.sigma_t, medium.sigma_s * beam.irradiance, medium.g,
@@ -87,7 +89,7 @@ def _add_beam(
         x_left = column * pixel_mm
         if x_left >= geometry.length:
             break
-        parts = _cuts_along_x(geometry, x_left, pixel_mm, edges, sigma_t)
+        parts = _parts_along_x(geometry, x_left, pixel_mm, edges, sigma_t)
         for part in range(parts):
             for i in range(x_nodes.size):
                 x = x_left + pixel_mm * (part + 0.5 + 0.5 * x_nodes[i]) / parts
@@ -96,8 +98,8 @@ def _add_beam(
                 for k in range(4):
                     corners[k] = sighting_row(geometry, x, edges[k // 2], edges[2 + k % 2])
                 corners.sort()
-                top = max(0, int(math.floor((corners[0] - y_first) / pixel_mm)))
-                bottom = min(rows - 1, int(math.floor((corners[3] - y_first) / pixel_mm)))
+                top = max(0, math.floor((corners[0] - y_first) / pixel_mm))
+                bottom = min(rows - 1, math.floor((corners[3] - y_first) / pixel_mm))
                 for row in range(top, bottom + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
@@ -117,10 +119,10 @@ def _add_beam(
 
 
 @kernel
-def _cuts_along_x(
+def _parts_along_x(
     geometry: Geometry, x_left: float, pixel_mm: float, edges: tuple[float, float, float, float], sigma_t: float
 ) -> int:
-    """How many parts of a pixel to integrate separately along x: more where a wall cuts the lit part, or when dense."""
+    """How many parts of a column of pixels to integrate separately along x: more where the image has kinks, or dense."""
     parts = 1 + int(sigma_t * pixel_mm)
     near, far = 1e30, -1e30
     middle = 0.5 * (edges[0] + edges[1])
@@ -129,9 +131,14 @@ def _cuts_along_x(
         vx, _, vz, _ = sight_line(geometry, x, middle)
         lit = x - vx / vz * (geometry.height - edges[2 + k % 2])
         near, far = min(near, lit), max(far, lit)
+        left = sighting_row(geometry, x_left, edges[k // 2], edges[2 + k % 2])
+        right = sighting_row(geometry, x_left + pixel_mm, edges[k // 2], edges[2 + k % 2])
+        shift = geometry.half_width / pixel_mm
+        if math.floor(left / pixel_mm + shift) != math.floor(right / pixel_mm + shift):
+            parts = max(parts, SLANTED_PARTS)
     inside = near > 1e-9 and far < geometry.length - 1e-9
     straight = far - near <= pixel_mm * (1.0 + 1e-9)  # looking straight down, a wall is a pixel's edge or outside
-    return parts if inside or straight else max(parts, KINKED_CUTS)
+    return parts if inside or straight else max(parts, KINKED_PARTS)
 
 
 @kernel
