@@ -75,7 +75,7 @@ def sight_line(geometry: Geometry, x: float, y: float) -> tuple[float, float, fl
     vx, vy = (
         dx / (distance * geometry.refractive_index),
         dy / (distance * geometry.refractive_index),
-    )  # Snell: n sin θ is kept
+    )
     return vx, vy, math.sqrt(1.0 - vx * vx - vy * vy), transmission
 
 

@@ -122,7 +122,7 @@ def _add_beam(
 def _parts_along_x(
     geometry: Geometry, x_left: float, pixel_mm: float, edges: tuple[float, float, float, float], sigma_t: float
 ) -> int:
-    """How many parts of a column of pixels to integrate separately along x: more where the image has kinks, or dense."""
+    """How many parts of a column of pixels to integrate separately along x: more where there are kinks, or dense."""
     parts = 1 + int(sigma_t * pixel_mm)
     near, far = 1e30, -1e30
     middle = 0.5 * (edges[0] + edges[1])
