@@ -25,9 +25,17 @@ class DeviceError(TankrigError, RuntimeError):
     """A device that did not do, or cannot be shown to have done, what it was asked."""
 
 
+class UndecidedError(DeviceError):
+    """A doser of which only a person can say what it has delivered; nothing moves until then (exit code 3)."""
+
+
 class StoreError(TankrigError, OSError):
     """A run folder that cannot be written, or that is not what it should be."""
 
 
 class CacheError(TankrigError, OSError):
     """A prepared model that cannot be stored or read back."""
+
+
+class DecisionError(TankrigError):
+    """Only a person can say how to go on; the message asks the question and names the ways to answer."""

@@ -1,0 +1,55 @@
+"""A prediction as a file: NumPy's .npz with the array names of the reference images."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tankrig.files import whole_file
+from tankrig.image.prediction import Prediction
+from tankrig.scene import Scene
+
+ARRAY_NAMES: Mapping[int | str, str] = {
+    1: "order1",
+    2: "order2",
+    3: "order3",
+    "4-20": "order4_20",
+    ">20": "order_gt20",
+}
+"""By class of orders of scattering."""
+
+
+def write_prediction(path: Path, prediction: Prediction, scene: Scene, about: Mapping[str, Any]) -> None:
+    """Write a prediction so that `tankrig fit` and NumPy read it; the file is there whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The .npz file. Arrays, (rows, columns), W/mm²/sr: `total`; `order1` … `order_gt20` and `stderr` where the
+        prediction has them. `x_mm`, `y_mm`: pixel centres. `metadata`: JSON text.
+    prediction, scene
+        What was predicted, and of what.
+    about
+        More to note in the metadata; plain numbers and text.
+
+    Raises
+    ------
+    StoreError
+        When the file cannot be written.
+    """
+    rows, columns = prediction.image.shape
+    pixel_mm = scene.camera.pixel_mm
+    arrays = {
+        "total": prediction.image,
+        **{ARRAY_NAMES[order]: image for order, image in prediction.orders.items()},
+        "x_mm": (np.arange(columns) + 0.5) * pixel_mm,
+        "y_mm": (np.arange(rows) + 0.5) * pixel_mm - scene.tank.size_mm[1] / 2,
+        "metadata": np.array(json.dumps({"model": prediction.model, **about, "scene": asdict(scene)})),
+    }
+    if prediction.stderr is not None:
+        arrays["stderr"] = prediction.stderr
+    with whole_file(path) as unfinished:
+        np.savez_compressed(unfinished, allow_pickle=False, **arrays)

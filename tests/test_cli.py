@@ -1,0 +1,176 @@
+"""The command line: what it writes, and that whatever goes wrong is one sentence and the right exit status."""
+
+import errno
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+
+import tankrig
+from tankrig.errors import DecisionError
+from ui.cli import COMMANDS, main
+
+SCENE = Path(__file__).parent / "data" / "reference" / "pub02.toml"
+
+
+def one_sentence(capsys: pytest.CaptureFixture[str]) -> str:
+    """What stands on stderr, which must be one line, with nothing on stdout."""
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("tankrig: ")
+    assert captured.err.endswith("\n")
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"Example: tankrig {name}" in text
+    assert re.search(r"\n  \S.*\.\n", text), "says in a sentence what it does"
+
+
+def test_help_lists_the_commands_and_version_is_the_installed_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for name in COMMANDS:
+        assert re.search(rf"^  {name} +\w", text, re.MULTILINE)
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"tankrig \d+\.\d+\.\d+\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["predcit"], "No such command 'predcit'"),
+        (["predict"], "Missing argument 'SCENE'; see tankrig predict --help"),
+        (["predict", "nowhere.toml"], "nowhere.toml: cannot be read (No such file or directory); give"),
+        (["predict", "{scene}", "--toleranse", "0.1"], "No such option '--toleranse'"),
+        (["predict", "{scene}", "--tolerance", "0"], "'--tolerance': 0.0 is not in the range"),
+        (["predict", "{scene}", "--tolerance", "nan"], "nan"),
+        (["predict", "{scene}", "--max-order", "0"], "'--max-order': 0 is not in the range"),
+        (["predict", "{scene}", "--model", "singel"], "singel"),
+        (["predict", "{scene}", "--out", "{file}/below"], "{file} is not a folder; give another place"),
+        (["predict", "{wrong}"], "wrong.toml: medium.g = 2.0 is outside"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_bad_input_is_one_sentence_status_2_and_nothing_written(
+    arguments: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    places = {"scene": SCENE, "file": tmp_path / "a_file", "wrong": tmp_path / "wrong.toml"}
+    places["file"].touch()
+    places["wrong"].write_text(re.sub(r"g = .*", "g = 2", SCENE.read_text()))
+    before = sorted(tmp_path.rglob("*"))
+    assert main([argument.format(**places) for argument in arguments]) == 2
+    assert said.format(**places) in one_sentence(capsys)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def failing_with(error: BaseException) -> Callable[..., None]:
+    """Stand-in for `tankrig.predict` that raises `error`."""
+
+    def fail(*_: object) -> None:
+        raise error
+
+    return fail
+
+
+def disk_full() -> tankrig.StoreError:
+    """What writing to a full disk raises."""
+    error = tankrig.StoreError("the disk is full; make room")
+    error.__cause__ = OSError(errno.ENOSPC, "No space left on device")
+    return error
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "said"),
+    [
+        (tankrig.SceneError("a scene; mend it"), 2, "a scene; mend it"),
+        (tankrig.ImageError("an image; mend it"), 2, "an image; mend it"),
+        (tankrig.SequenceError("a sequence; mend it"), 2, "a sequence; mend it"),
+        (tankrig.StoreError("a folder; give another"), 2, "a folder; give another"),
+        (tankrig.CacheError("a folder; give another"), 2, "a folder; give another"),
+        (disk_full(), 1, "the disk is full; make room"),
+        (tankrig.DeviceError("the pump says nothing; look"), 1, "the pump says nothing; look"),
+        (DecisionError("was the dose given? say --delivered-ul"), 3, "was the dose given? say --delivered-ul"),
+        (click.Abort(), 1, "stopped on request"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",
+)
+def test_each_error_has_its_exit_status(
+    error: BaseException,
+    status: int,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(tankrig, "predict", failing_with(error))
+    assert main(["predict", str(SCENE), "--out", str(tmp_path / "out")]) == status
+    assert one_sentence(capsys) == f"tankrig: {said}\n"
+    assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_ends_with_a_word_and_nothing_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(tankrig, "predict", failing_with(KeyboardInterrupt()))
+    assert main(["predict", str(SCENE), "--out", str(tmp_path / "out")]) == 1
+    assert "stopped on request" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unexpected_error_says_where_its_traceback_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr(tankrig, "predict", failing_with(ZeroDivisionError("of no meaning")))
+    assert main(["predict", str(SCENE), "--out", str(tmp_path / "out")]) == 1
+    sentence = one_sentence(capsys)
+    assert "failed unexpectedly (ZeroDivisionError: of no meaning)" in sentence
+    (kept,) = tmp_path.glob("tankrig-*.txt")
+    assert str(kept) in sentence
+    assert "Traceback (most recent call last)" in kept.read_text()
+
+    monkeypatch.setenv("TANKRIG_DEBUG", "1")
+    with pytest.raises(ZeroDivisionError):
+        main(["predict", str(SCENE), "--out", str(tmp_path / "out")])
+
+
+def test_predict_writes_arrays_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["predict", str(SCENE), "--model", "single", "--out", str(tmp_path / "new" / "folder")]) == 0
+    told = capsys.readouterr()
+    assert "model    single" in told.out
+    folder = tmp_path / "new" / "folder"
+    assert sorted(file.name for file in folder.iterdir()) == ["pub02.npz", "pub02.png"]
+    assert (folder / "pub02.png").read_bytes().startswith(b"\x89PNG")
+    with np.load(folder / "pub02.npz") as data, np.load(SCENE.with_suffix(".npz")) as reference:
+        np.testing.assert_allclose(data["total"], reference["order1"], rtol=0.01, atol=1e-3 * reference["order1"].max())
+        np.testing.assert_allclose(data["x_mm"], reference["x_mm"])
+        np.testing.assert_allclose(data["y_mm"], reference["y_mm"])
+        metadata = json.loads(str(data["metadata"]))
+    assert metadata["model"] == "single"
+    assert metadata["scene"]["medium"] == {"sigma_a": 0.0002, "sigma_s": 0.0018, "g": 0.0}
+
+
+def test_predict_with_json_prints_one_line_of_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "image.npz"
+    assert main(["predict", str(SCENE), "--model", "single", "--out", str(file), "--json"]) == 0
+    line = capsys.readouterr().out
+    assert line.count("\n") == 1
+    record = json.loads(line)
+    assert record["arrays"] == str(file)
+    with np.load(file) as data:
+        assert record["peak"] == pytest.approx(float(data["total"].max()))

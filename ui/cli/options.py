@@ -1,0 +1,40 @@
+"""Options that several commands share, so that they are spelt and explained the same everywhere."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+rig_option = click.option(
+    "--rig",
+    type=click.Path(path_type=Path),
+    envvar="TANKRIG_RIG",
+    metavar="FILE",
+    help="Rig file (TOML) that names the devices; default: $TANKRIG_RIG, else the simulated rig.",
+)
+
+scene_option = click.option(
+    "--scene",
+    "scene_file",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="FILE",
+    help="Scene file (TOML) of what the image shows.",
+)
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one line of JSON instead of text.")
+
+
+def out_option(default: str | None, what: str) -> Callable[[Command], Command]:
+    """`--out PATH`, with what is written there in the words of the command's help."""
+    return click.option(
+        "--out",
+        type=click.Path(path_type=Path),
+        default=default,
+        show_default=default is not None,
+        metavar="PATH",
+        help=what,
+    )

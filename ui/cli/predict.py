@@ -1,0 +1,100 @@
+"""`tankrig predict`: from a scene file to the image its camera would see."""
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ui.cli.options import json_option, out_option
+
+if TYPE_CHECKING:
+    from tankrig.image.prediction import Prediction
+    from tankrig.scene import Scene
+
+
+@click.command(epilog="Example: tankrig predict scene.toml --tolerance 0.005 --out predicted")
+@click.argument("scene_file", metavar="SCENE", type=click.Path(path_type=Path))
+@click.option(
+    "--model", metavar="NAME", help="single, convolution, tank, diffuse or montecarlo; default: the cheapest."
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0.0, 1.0, min_open=True),
+    default=0.01,
+    show_default=True,
+    help="Relative L2 error to aim for.",
+)
+@click.option("--max-order", type=click.IntRange(min=1), help="Sum orders of scattering 1 … N only.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the random numbers, where the model uses any.")
+@out_option("out", "Folder for SCENE's .npz and .png, or the .npz itself.")
+@json_option
+def predict(
+    scene_file: Path, model: str | None, tolerance: float, max_order: int | None, seed: int, out: Path, as_json: bool
+) -> None:
+    """Predict the image that the camera of SCENE sees; write it, and a picture of it in false colour."""
+    from rich.console import Console
+
+    import tankrig
+    from tankrig.files import require_writable
+    from tankrig.image.prediction_file import write_prediction
+
+    scene = tankrig.load_scene(scene_file)
+    arrays = out if out.suffix == ".npz" else out / f"{scene_file.stem}.npz"
+    picture = arrays.with_suffix(".png")
+    require_writable(arrays.parent)
+    with Console(stderr=True).status("predicting"):
+        started = time.perf_counter()
+        prediction = tankrig.predict(scene, model, tolerance, max_order, seed)
+        seconds = round(time.perf_counter() - started, 4)
+    asked = {"tolerance": tolerance, "max_order": max_order, "seed": seed, "seconds": seconds}
+    write_prediction(arrays, prediction, scene, asked)
+    _write_picture(picture, prediction, scene)
+    if as_json:
+        click.echo(json.dumps({**_figures(prediction), **asked, "arrays": str(arrays), "picture": str(picture)}))
+        return
+    _tell(prediction, seconds)
+    click.echo(f"written  {arrays}\n         {picture}")
+
+
+def _shares(prediction: "Prediction") -> dict[str, float]:
+    """Of the image's light, by class of orders."""
+    total = float(prediction.image.sum()) or 1.0
+    return {str(order): float(image.sum()) / total for order, image in prediction.orders.items()}
+
+
+def _figures(prediction: "Prediction") -> dict[str, object]:
+    return {
+        "model": prediction.model,
+        "mean": float(prediction.image.mean()),
+        "peak": float(prediction.image.max()),
+        "shares": _shares(prediction),
+        "skipped": [{"what": part.what, "bound": part.bound} for part in prediction.skipped],
+    }
+
+
+def _tell(prediction: "Prediction", seconds: float) -> None:
+    click.echo(f"model    {prediction.model}, {seconds:.2f} s")
+    click.echo(f"image    mean {prediction.image.mean():.4g}, peak {prediction.image.max():.4g} W/mm²/sr")
+    if prediction.orders:
+        click.echo("orders   " + ", ".join(f"{order}: {share:.1%}" for order, share in _shares(prediction).items()))
+    for part in prediction.skipped:
+        click.echo(f"skipped  {part.what} (changes the image by at most {part.bound:.2g})")
+
+
+def _write_picture(path: Path, prediction: "Prediction", scene: "Scene") -> None:
+    from matplotlib.figure import Figure
+
+    from tankrig.files import whole_file
+
+    rows, columns = prediction.image.shape
+    left, low = 0.0, -scene.tank.size_mm[1] / 2
+    extent = (left, left + columns * scene.camera.pixel_mm, low, low + rows * scene.camera.pixel_mm)
+    figure = Figure(figsize=(7.0, 7.0 * rows / columns * 0.8 + 0.8), layout="constrained")
+    axes = figure.subplots()
+    shown = axes.imshow(prediction.image, origin="lower", extent=extent, cmap="jet", vmin=0.0)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", title=f"{path.stem}: {prediction.model}")
+    figure.colorbar(shown, label="radiance (W/mm²/sr)")
+    with whole_file(path) as unfinished:
+        figure.savefig(unfinished, dpi=150)
