@@ -5,8 +5,13 @@ from .errors import SceneError as SceneError
 from .errors import SequenceError as SequenceError
 from .errors import StoreError as StoreError
 from .errors import TankrigError as TankrigError
+from .errors import UndecidedError as UndecidedError
+from .estimation.estimate import Estimate as Estimate
+from .estimation.estimate import estimate as estimate
 from .image.predict import predict as predict
 from .image.prediction import Prediction as Prediction
+from .run.reading import Run as Run
+from .run.reading import open_run as open_run
 from .scene.description import Medium as Medium
 from .scene.description import Scene as Scene
 from .scene.loading import load_scene as load_scene

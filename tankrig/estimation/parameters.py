@@ -1,0 +1,57 @@
+"""The coordinates a fit moves in: log σs, logit ϖ and atanh g, in which every allowed medium is an ordinary point."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.scene import Medium
+
+Vector = NDArray[np.float64]
+
+NAMES = ("sigma_a", "sigma_s", "g")
+"""Coefficients in the order of every covariance and derivative."""
+
+MEAN_FREE_PATHS = (1e-3, 100.0)
+"""Range of σs, in scatterings along the tank's longest side, that a fit searches."""
+ALBEDO = (0.01, 1.0 - 1e-6)
+ASYMMETRY = (-0.95, 0.98)
+
+
+def to_coordinates(medium: Medium) -> Vector:
+    """(log σs, logit ϖ, atanh g) of a medium that scatters and absorbs.
+
+    Examples
+    --------
+    >>> medium = to_medium(to_coordinates(Medium(0.001, 0.02, -0.3)))
+    >>> round(medium.sigma_a, 12), round(medium.sigma_s, 12), round(medium.g, 12)
+    (0.001, 0.02, -0.3)
+    """
+    return np.array([math.log(medium.sigma_s), math.log(medium.sigma_s / medium.sigma_a), math.atanh(medium.g)])
+
+
+def to_medium(coordinates: Vector) -> Medium:
+    """Medium at (log σs, logit ϖ, atanh g); logit ϖ = log(σs/σa)."""
+    scattering, logit, asymmetry = (float(value) for value in coordinates)
+    sigma_s = math.exp(scattering)
+    return Medium(sigma_a=sigma_s * math.exp(-logit), sigma_s=sigma_s, g=math.tanh(asymmetry))
+
+
+def slopes(medium: Medium) -> NDArray[np.float64]:
+    """∂(σa, σs, g)/∂(log σs, logit ϖ, atanh g), shape (3, 3)."""
+    return np.array(
+        [
+            [medium.sigma_a, -medium.sigma_a, 0.0],
+            [medium.sigma_s, 0.0, 0.0],
+            [0.0, 0.0, (1.0 - medium.g) * (1.0 + medium.g)],
+        ]
+    )
+
+
+def search_box(length_mm: float) -> tuple[Vector, Vector]:
+    """Lowest and highest coordinates that a fit in a tank of this length visits."""
+    edges = [
+        [math.log(MEAN_FREE_PATHS[k] / length_mm), math.log(ALBEDO[k] / (1.0 - ALBEDO[k])), math.atanh(ASYMMETRY[k])]
+        for k in (0, 1)
+    ]
+    return np.array(edges[0]), np.array(edges[1])

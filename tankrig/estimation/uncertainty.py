@@ -1,0 +1,119 @@
+"""How well a fit knows its coefficients: camera noise, the model's own error, and what the data leave open.
+
+The fitted coefficients respond to an error ε of the image as δθ = A ε, A = (J W Jᵀ + P)⁻¹ J W, where J are the image's
+derivatives less what gain and offset can imitate, W the weights, and P a weak prior (standard deviations of ten times
+σt for σa and σs, 1 for g) that keeps undetermined directions finite. Their covariance is then
+
+    A ⟨noise²⟩ Aᵀ + A ⟨model error²⟩ Aᵀ + F⁻¹ P F⁻¹,        F = J W Jᵀ + P.
+
+The model's error is taken to be random, in proportion to the image's own brightness, of the relative L2 size that the
+model states (or that the residual shows, where that is more), and smooth: one third of its power at each of the
+correlation lengths 1/32, 1/8 and 1/2 of the tank's length. White errors of that size would average out over thousands
+of pixels, which errors of a model don't; intervals that leave it out are fiction.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.scene import Medium
+
+Array = NDArray[np.float64]
+
+CORRELATION_LENGTHS = (1.0 / 32.0, 1.0 / 8.0, 1.0 / 2.0)
+"""Of the model's error, as shares of the tank's length."""
+
+DETERMINED = 0.2
+"""Relative standard deviation of a coefficient up to which it counts as determined."""
+DETERMINED_G = 0.1
+"""The same for g, absolute."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """What a fit responds to, on the (rows, columns) grid, 0 where a pixel isn't used.
+
+    Parameters
+    ----------
+    changes
+        (3, n) weighted derivatives by σa, σs, g of the used pixels, less what gain and offset imitate.
+    weight
+        (n,) weights, 1 over the standard deviation that the fit assumed.
+    used
+        (rows, columns), n of them True.
+    """
+
+    changes: Array
+    weight: Array
+    used: NDArray[np.bool_]
+
+
+def covariance(
+    sensitivity: Sensitivity, medium: Medium, noise: Array, error: Array, pixel_mm: float, length_mm: float
+) -> Array:
+    """Covariance of (σa, σs, g), shape (3, 3).
+
+    Parameters
+    ----------
+    sensitivity
+        Of the fit.
+    medium
+        Where the fit ended.
+    noise
+        Standard deviation of the camera's noise, (rows, columns).
+    error
+        Standard deviation of the model's error, (rows, columns), in image units.
+    pixel_mm, length_mm
+        Side of a pixel; longest side of the tank.
+    """
+    scale = np.array([10.0 * medium.sigma_t, 10.0 * medium.sigma_t, 1.0])
+    changes = sensitivity.changes * scale[:, None]
+    inverse = np.linalg.inv(changes @ changes.T + np.eye(3))
+    response = (inverse @ changes) * sensitivity.weight
+    by_noise = response * noise[sensitivity.used]
+    total = by_noise @ by_noise.T + inverse @ inverse
+    grid = np.zeros((3, *sensitivity.used.shape))
+    grid[:, sensitivity.used] = response * error[sensitivity.used]
+    for share in CORRELATION_LENGTHS:
+        total += _smooth_products(grid, share * length_mm / pixel_mm) / len(CORRELATION_LENGTHS)
+    spread: Array = total * np.outer(scale, scale)
+    return 0.5 * (spread + spread.T)
+
+
+def _smooth_products(grid: Array, length: float) -> Array:
+    """Σ_ij a_i K_ij b_j for all pairs of (3, rows, columns), K a Gaussian correlation of `length` pixels."""
+    rows, columns = grid.shape[1:]
+    along_y, along_x = _correlation(rows, length), _correlation(columns, length)
+    smoothed = along_y @ grid @ along_x
+    products: Array = np.einsum("aij,bij->ab", grid, smoothed)
+    return products
+
+
+def _correlation(count: int, length: float) -> Array:
+    at = np.arange(count)
+    matrix: Array = np.exp(-0.5 * ((at[:, None] - at) / length) ** 2)
+    return matrix
+
+
+def identifiable(medium: Medium, spread: Array) -> dict[str, bool]:
+    """Which of σa, σs, g the data determine: σs and σa to `DETERMINED` of themselves, g to `DETERMINED_G`."""
+    sd = np.sqrt(np.diag(spread))
+    return {
+        "sigma_a": bool(sd[0] <= DETERMINED * medium.sigma_a),
+        "sigma_s": bool(sd[1] <= DETERMINED * medium.sigma_s),
+        "g": bool(sd[2] <= DETERMINED_G),
+    }
+
+
+def reduced_scattering(medium: Medium, spread: Array) -> tuple[float, float]:
+    """σs(1 − g) and its standard deviation: what thick media tell even where σs and g are lost."""
+    slope = np.array([0.0, 1.0 - medium.g, -medium.sigma_s])
+    return medium.sigma_s * (1.0 - medium.g), math.sqrt(float(slope @ spread @ slope))
+
+
+def extinction(medium: Medium, spread: Array) -> tuple[float, float]:
+    """σt = σa + σs and its standard deviation: what thin media tell even where σa and σs are lost."""
+    slope = np.array([1.0, 1.0, 0.0])
+    return medium.sigma_t, math.sqrt(float(slope @ spread @ slope))

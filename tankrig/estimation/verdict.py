@@ -1,0 +1,104 @@
+"""What a person should know about a fit, in plain sentences."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.parameters import NAMES, search_box, to_coordinates
+from tankrig.estimation.uncertainty import DETERMINED, extinction, reduced_scattering
+from tankrig.scene import Medium
+
+SYMBOLS = {"sigma_a": "σa", "sigma_s": "σs", "g": "g"}
+
+
+def what_is_determined(medium: Medium, spread: NDArray[np.float64], known: Mapping[str, bool], length_mm: float) -> str:
+    """One or two sentences: which coefficients the data determine and, where not all, which combination they do."""
+    yes = [SYMBOLS[name] for name in NAMES if known[name]]
+    no = [SYMBOLS[name] for name in NAMES if not known[name]]
+    edge = _at_edge(medium, length_mm)
+    if not no:
+        return f"σa, σs and g are all determined.{edge}"
+    text = f"{_listed(yes)} {'is' if len(yes) == 1 else 'are'} determined, {_listed(no)} not" if yes else (
+        "The image determines neither σa nor σs nor g"
+    )  # fmt: skip
+    combinations = [
+        f"{name} = {value:.4g} ± {sd:.2g} /mm"
+        for name, (value, sd), wanted in (
+            ("σs(1−g)", reduced_scattering(medium, spread), not (known["sigma_s"] and known["g"])),
+            ("σt = σa+σs", extinction(medium, spread), not known["sigma_s"]),
+        )
+        if wanted and sd <= DETERMINED * value
+    ]
+    if combinations:
+        text += f"; {_listed(combinations)} {'is' if len(combinations) == 1 else 'are'} determined all the same"
+    bound = medium.sigma_a + 2.0 * math.sqrt(float(spread[0, 0]))
+    if yes and not known["sigma_a"]:
+        text += f"; σa is below {bound:.2g} /mm"
+    return f"{text}.{edge}"
+
+
+def what_is_left(rmse: float, noise: float, structure: float, stated: float, noise_known: bool) -> str:
+    """A sentence about the residual.
+
+    Parameters
+    ----------
+    rmse, noise
+        RMS of the residual and of the camera's noise, image units.
+    structure
+        What the residual holds beyond noise, as a share of the image (relative L2).
+    stated
+        The model's own error, likewise.
+    noise_known
+        Whether the noise was given.
+    """
+    source = "the noise" if noise_known else "the noise seen from pixel to pixel"
+    if structure == 0.0:
+        return f"The residual (RMSE {rmse:.3g}) is explained by {source} ({noise:.3g})."
+    if structure <= stated:
+        return (
+            f"Beyond {source}, the residual holds {_percent(structure)} of the image, "
+            f"within the model's own error of {_percent(stated)}."
+        )
+    return (
+        f"The residual holds structure of {_percent(structure)} of the image that neither {source} nor the model's own "
+        f"error of {_percent(stated)} explains: the model does not hold here as described (uneven ink, a misaligned "
+        "beam, another phase function, a wrong gain or offset), and the intervals are widened by it."
+    )
+
+
+def what_was_left_out(saturated: int, share_left_out: float, model: str) -> str:
+    """Sentences about saturated pixels and about light that the model does not describe; empty when there are none."""
+    sentences = []
+    if saturated:
+        sentences.append(
+            f"{saturated} pixels at the highest value were taken for saturated and left out; shorten the exposure."
+        )
+    if share_left_out > 0.1:
+        sentences.append(
+            f'The "{model}" model says that it leaves out up to {_percent(share_left_out)} of the light: '
+            "the coefficients are those that make it fit, not the liquid's."
+        )
+    return " ".join(sentences)
+
+
+def _at_edge(medium: Medium, length_mm: float) -> str:
+    low, high = search_box(length_mm)
+    at = to_coordinates(medium)
+    sentences = []
+    if at[1] >= high[1] - 0.5:
+        sentences.append(" σa is not distinguishable from zero.")
+    if at[1] <= low[1] + 0.01 or at[0] <= low[0] + 0.01 or at[0] >= high[0] - 0.01:
+        sentences.append(" The fit ended at the edge of the range of σs or albedo that it searches: don't trust it.")
+    if not low[2] + 1e-3 < at[2] < high[2] - 1e-3:
+        sentences.append(f" g ended at the edge of the range searched, {medium.g:.2f}: don't trust it.")
+    return "".join(sentences)
+
+
+def _listed(parts: list[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
