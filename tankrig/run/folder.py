@@ -1,0 +1,218 @@
+"""What a run's folder looks like: a Zarr group with frames, patterns and settings, and the journal beside it."""
+
+import asyncio
+import contextlib
+import errno
+import json
+import shutil
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike
+from zarr.codecs import BloscCodec
+from zarr.storage import LocalStore
+
+from tankrig.errors import StoreError
+from tankrig.pattern import Pattern
+from tankrig.run import disk
+from tankrig.run.journal import Event, whole_lines
+
+FORMAT = 1
+"""Version of the folder's layout; a program refuses layouts newer than its own."""
+
+JOURNAL = "journal.jsonl"
+
+_MARK = "tankrig"
+"""Attribute of the group that makes it a run."""
+
+_REMEDIES = {
+    errno.ENOSPC: "free some space on that disk and try again",
+    errno.EDQUOT: "free some of your quota and try again",
+    errno.EROFS: "give a folder that can be written with --out",
+    errno.EACCES: "give a folder that can be written with --out",
+    errno.EPERM: "give a folder that can be written with --out",
+}
+
+
+@contextlib.contextmanager
+def storing(path: Path, tried: str) -> Iterator[None]:
+    """Turn an error of the operating system into a sentence about the run at `path`."""
+    try:
+        yield
+    except StoreError:
+        raise
+    except OSError as error:
+        remedy = _REMEDIES.get(error.errno or 0, "check the disk and the path and try again")
+        raise StoreError(f"{path}: could not {tried} ({error.strerror or error}); {remedy}") from error
+
+
+class DurableStore(LocalStore):  # type: ignore[misc]
+    """A Zarr store whose files are on the disk when `set` returns; it hides the journal from Zarr."""
+
+    async def set(self, key: str, value: Any) -> None:
+        """Keep `value` under `key`."""
+        await asyncio.to_thread(self.set_sync, key, value)
+
+    async def set_if_not_exists(self, key: str, value: Any) -> None:
+        """Keep `value` unless `key` is taken."""
+        if not (self.root / key).exists():
+            await self.set(key, value)
+
+    def set_sync(self, key: str, value: Any) -> None:
+        """Chunks are written in place, for the journal says which of them count; metadata is replaced as a whole."""
+        path = self.root / key
+        if not path.parent.is_dir():
+            disk.make_folder(path.parent)
+            disk.sync_folder(path.parent.parent)
+        keep = disk.replace if path.name == "zarr.json" else disk.write
+        keep(path, value.as_buffer_like())
+
+    async def list_dir(self, prefix: str) -> AsyncIterator[str]:
+        """Names in a folder of the store."""
+        async for name in super().list_dir(prefix):
+            if name != JOURNAL:
+                yield name
+
+
+def create_run(
+    path: Path,
+    frame_shape: tuple[int, int],
+    dtype: DTypeLike,
+    planned_frames: int,
+    settings: Mapping[str, Any],
+    patterns: Sequence[Pattern] = (),
+) -> None:
+    """Make the folder of a new run; it appears under its name complete, or not at all.
+
+    Parameters
+    ----------
+    path
+        Of the folder, which must not exist.
+    frame_shape
+        (rows, columns) of a frame.
+    dtype
+        uint8 or uint16.
+    planned_frames
+        How many frames to lay out; the array grows when more come and is trimmed when the run ends.
+    settings
+        What the run was made with, as JSON.
+    patterns
+        The pictures that will be projected, so that the run can be read without what drew them.
+
+    Raises
+    ------
+    StoreError
+        When the folder exists or cannot be written.
+    """
+    import zarr
+
+    if path.exists():
+        raise StoreError(f"{path}: exists already; give another folder with --out, or resume it with --resume")
+    fresh = path.with_name(f".{path.name}.new")
+    with storing(path, "make the run's folder"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(fresh, ignore_errors=True)
+        disk.make_folder(fresh)
+        mark = {"format": FORMAT, "version": version("tankrig"), "settings": dict(settings)}
+        group = zarr.create_group(DurableStore(fresh), attributes={_MARK: mark})
+        _create_array(group, "frames", (max(planned_frames, 1), *frame_shape), dtype, ("frame", "y", "x"))
+        if patterns:
+            pictures = np.stack([pattern.pixels for pattern in patterns])
+            array = _create_array(group, "patterns", pictures.shape, np.uint8, ("pattern", "row", "column"))
+            array[:] = pictures
+            array.attrs.update(names=[p.name for p in patterns], hashes=[p.hash for p in patterns])
+            disk.sync_folder(fresh / "patterns")
+        _consolidate(fresh)
+        disk.write(fresh / JOURNAL, b"")
+        disk.sync_folder(fresh)
+        disk.rename(fresh, path)
+
+
+def _create_array(group: Any, name: str, shape: tuple[int, ...], dtype: DTypeLike, dimensions: tuple[str, ...]) -> Any:
+    """One chunk per picture, all in one folder; pictures that are all zero are written like any other."""
+    return group.create_array(
+        name,
+        shape=shape,
+        chunks=(1, *shape[1:]),
+        dtype=np.dtype(dtype).name,
+        compressors=BloscCodec(cname="lz4", clevel=1, shuffle="bitshuffle"),
+        dimension_names=dimensions,
+        chunk_key_encoding={"name": "default", "separator": "."},
+        fill_value=0,
+        config={"write_empty_chunks": True},
+    )
+
+
+def frames_for_writing(path: Path) -> Any:
+    """The Zarr array of the run's frames, every write to it durable."""
+    import zarr
+
+    array = zarr.open_array(DurableStore(path), path="frames", mode="r+")
+    return array.with_config({"write_empty_chunks": True})  # given to `open_array`, it is ignored: dark frames vanish
+
+
+def resize_frames(path: Path, array: Any, count: int) -> None:
+    """Make room for `count` frames, or trim to that many."""
+    array.resize((count, *array.shape[1:]))
+    disk.sync_folder(path / "frames")
+    _consolidate(path)
+
+
+def _consolidate(path: Path) -> None:
+    """Repeat the arrays' metadata in the group's, where xarray looks for it."""
+    table = _load_json(path / "zarr.json")
+    arrays = {file.parent.name: _load_json(file) for file in sorted(path.glob("*/zarr.json"))}
+    table["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": arrays}
+    disk.replace(path / "zarr.json", json.dumps(table, indent=2).encode())
+
+
+def _load_json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """What the run at `path` was made with.
+
+    Raises
+    ------
+    StoreError
+        When `path` is no run, or one of a newer tankrig.
+    """
+    not_a_run = f"{path}: is not a run; give a folder that tankrig has recorded"
+    try:
+        mark = _load_json(path / "zarr.json")["attributes"][_MARK]
+        layout, settings = mark["format"], mark["settings"]
+    except FileNotFoundError as error:
+        missing = f"{path}: does not exist; give the folder of a run"
+        raise StoreError(not_a_run if path.exists() else missing) from error
+    except (KeyError, TypeError, ValueError, NotADirectoryError) as error:
+        raise StoreError(not_a_run) from error
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+    if layout > FORMAT:
+        raise StoreError(
+            f"{path}: was recorded by tankrig {mark.get('version', '?')} in layout {layout}, and this program reads "
+            f"layouts up to {FORMAT}; update tankrig"
+        )
+    return dict(settings)
+
+
+def read_journal(path: Path) -> tuple[list[Event], int, int]:
+    """Whole events of the run at `path`, the bytes they take, and the bytes that the journal has.
+
+    Raises
+    ------
+    StoreError
+        When the journal cannot be read.
+    """
+    try:
+        data = (path / JOURNAL).read_bytes()
+    except OSError as error:
+        raise StoreError(
+            f"{path}: its {JOURNAL} cannot be read ({error.strerror}), so the run cannot be opened; restore that file"
+        ) from error
+    lines = list(whole_lines(data))
+    return [event for event, _ in lines], lines[-1][1] if lines else 0, len(data)

@@ -1,0 +1,165 @@
+"""Reading a run: what was acknowledged, and nothing else."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tankrig.errors import StoreError
+from tankrig.pattern import Pattern
+from tankrig.run.folder import read_journal, read_settings
+from tankrig.run.journal import Event
+from tankrig.run.writer import Pixels
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recorded run, finished or not.
+
+    Parameters
+    ----------
+    path
+        Its folder.
+    settings
+        What it was made with.
+    journal
+        Its events, in order.
+    """
+
+    path: Path
+    settings: Mapping[str, Any] = field(repr=False)
+    journal: tuple[Event, ...] = field(repr=False)
+
+    def events(self, *kinds: str) -> tuple[Event, ...]:
+        """The events of these kinds, in order."""
+        return tuple(event for event in self.journal if event.kind in kinds)
+
+    @property
+    def fits(self) -> tuple[Event, ...]:
+        """What was fitted while the run went on."""
+        return self.events("fit")
+
+    @property
+    def end(self) -> Event | None:
+        """How the run ended; None while it goes on or when it was cut off."""
+        return self.journal[-1] if self.journal and self.journal[-1].kind == "end" else None
+
+    @cached_property
+    def patterns(self) -> dict[str, Pattern]:
+        """The pictures that were to be projected, by hash."""
+        import zarr
+
+        if not (self.path / "patterns").is_dir():
+            return {}
+        array = zarr.open_array(self.path / "patterns", mode="r")
+        names, hashes = array.attrs["names"], array.attrs["hashes"]
+        return {key: Pattern(name, array[i]) for i, (name, key) in enumerate(zip(names, hashes, strict=True))}
+
+    @cached_property
+    def frames(self) -> "xarray.DataArray":
+        """The acknowledged frames.
+
+        (frame, y, x) uint8 or uint16 counts, read from disk as they are used; with the coordinates `step`, `pattern`
+        (name), `pattern_hash`, `exposure_start_ns`, `utc`, and `delivered_ul`, the ink that the run had put into the
+        tank, with its bounds `delivered_low_ul` and `delivered_high_ul`.
+        """
+        import xarray
+
+        array = xarray.open_zarr(self.path, drop_variables="patterns")["frames"]
+        rows = [_Row(event, dose) for event, dose in _with_dose(self.journal) if event.kind == "frame"]
+        array = array.isel(frame=[row.event["index"] for row in rows])
+        names = {key: pattern.name for key, pattern in self.patterns.items()}
+        columns: dict[str, Any] = {
+            "step": np.array([row.event["step"] for row in rows], int),
+            "pattern": np.array([names.get(row.event["pattern_hash"], "") for row in rows], object),
+            "pattern_hash": np.array([row.event["pattern_hash"] for row in rows], object),
+            "exposure_start_ns": np.array([row.event["exposure_start_ns"] for row in rows], np.int64),
+            "utc": np.array([row.event.moment.utc.split("+")[0] for row in rows], "datetime64[us]").astype(
+                "datetime64[ns]"
+            ),
+        }
+        for name in ("delivered_ul", "delivered_low_ul", "delivered_high_ul"):
+            columns[name] = np.array([row.dose.get(name, 0.0) for row in rows], float)
+        labelled: xarray.DataArray = array.assign_coords({name: ("frame", values) for name, values in columns.items()})
+        return labelled
+
+
+@dataclass(frozen=True)
+class _Row:
+    event: Event
+    dose: Mapping[str, Any]
+
+
+def _with_dose(journal: tuple[Event, ...]) -> list[tuple[Event, Mapping[str, Any]]]:
+    """Each event with the last dose that was done before it."""
+    dose: Mapping[str, Any] = {}
+    rows = []
+    for event in journal:
+        if event.kind == "dose_done":
+            dose = event.fields
+        rows.append((event, dose))
+    return rows
+
+
+def open_run(path: str | os.PathLike[str]) -> Run:
+    """Open a run that was recorded, is being recorded, or was cut off.
+
+    Parameters
+    ----------
+    path
+        The run's folder.
+
+    Returns
+    -------
+    Run
+        With `frames`, `journal`, `settings` and `fits`.
+
+    Raises
+    ------
+    StoreError
+        When the folder is not a run, cannot be read, or comes from a newer tankrig.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from tankrig.run.folder import create_run
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     create_run(Path(folder, "run"), (4, 6), "uint16", 3, {"name": "nothing yet"})
+    ...     run = open_run(Path(folder, "run"))
+    ...     run.settings["name"], run.frames.shape
+    ('nothing yet', (0, 4, 6))
+    """
+    folder = Path(path)
+    settings = read_settings(folder)
+    journal, _, _ = read_journal(folder)
+    return Run(folder, settings, tuple(journal))
+
+
+def raw_frame(path: Path, index: int) -> Pixels:
+    """The pixels of frame `index` as they lie on disk.
+
+    Raises
+    ------
+    StoreError
+        When they cannot be read.
+    """
+    import zarr
+
+    try:
+        array = zarr.open_array(path / "frames", mode="r")
+        if not (path / "frames" / f"c.{index}.0.0").is_file():
+            raise StoreError(f"{path}: frame {index} is missing; restore it from a copy of the run")
+        pixels: Pixels = array[index]
+    except (OSError, RuntimeError, ValueError) as error:
+        raise StoreError(
+            f"{path}: frame {index} cannot be read ({error}); restore it from a copy of the run"
+        ) from error
+    return pixels

@@ -1,0 +1,232 @@
+"""The thread that puts a run on disk: frames and events go in, and come back out once they are safe."""
+
+import fcntl
+import hashlib
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.devices import Frame
+from tankrig.errors import StoreError
+from tankrig.run import disk
+from tankrig.run.folder import JOURNAL, frames_for_writing, read_journal, read_settings, resize_frames, storing
+from tankrig.run.journal import Event, Kind, Moment
+
+Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+Announce = Callable[[Event, Pixels | None], object]
+
+_QUEUE_BYTES = 64 * 2**20
+_FRAMES_PER_COMMIT = 8
+_TIMEOUT_S = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    event: Event
+    pixels: Pixels | None = None
+
+
+class RunWriter:
+    """Records into the run at `path`, one owner at a time; several threads may put.
+
+    A frame or an event is *acknowledged* when `announce` is called with it: chunk, folder, journal line, each synced.
+    What is put keeps its order. When the disk is slower than the experiment, putting waits; nothing is dropped.
+
+    Parameters
+    ----------
+    path
+        A run's folder, new or interrupted; a torn end of its journal is set aside.
+    announce
+        Called in the writer's thread with each acknowledged event, and the pixels of a frame; must not wait.
+
+    Raises
+    ------
+    StoreError
+        When the folder is no run, is being recorded by another program, or cannot be written. An error of the disk
+        while recording is raised by the next call.
+    """
+
+    def __init__(self, path: Path, announce: Announce | None = None) -> None:
+        read_settings(path)
+        self.path = path
+        self._announce = announce or (lambda *_: None)
+        with storing(path, "open it for recording"):
+            self._lock = lock_journal(path)
+            try:
+                self.events, good, size = read_journal(path)
+                if good < size:
+                    set_torn_end_aside(path, good)
+                self._frames = frames_for_writing(path)
+            except BaseException:
+                os.close(self._lock)
+                raise
+        self._seq = len(self.events)
+        self._index = sum(event.kind == "frame" for event in self.events)
+        frame_bytes = int(np.prod(self._frames.shape[1:])) * self._frames.dtype.itemsize
+        self._room = max(2, _QUEUE_BYTES // frame_bytes)
+        self._waiting: deque[_Entry] = deque()
+        self._change = threading.Condition()
+        self._busy = False
+        self._closing = False
+        self._error: Exception | None = None
+        self._hasher = ThreadPoolExecutor(1, "run-hasher")
+        self._thread = threading.Thread(target=self._work, name="run-writer", daemon=True)
+        self._thread.start()
+
+    def put(self, kind: Kind, /, **fields: Any) -> None:
+        """Record an event; returns before it is acknowledged."""
+        self._put(kind, fields, None)
+
+    def put_frame(self, frame: Frame, step: int, pattern_hash: str, **fields: Any) -> None:
+        """Record a frame; returns before it is acknowledged, and waits where the disk lags behind."""
+        if frame.pixels.shape != self._frames.shape[1:] or frame.pixels.dtype != self._frames.dtype:
+            raise StoreError(
+                f"{self.path}: a frame of {frame.pixels.shape} {frame.pixels.dtype} does not fit the run's "
+                f"{self._frames.shape[1:]} {self._frames.dtype}; keep the camera's format during a run"
+            )
+        times = {"exposure_start_ns": frame.exposure_start_ns, "device_ns": frame.device_ns, "host_ns": frame.host_ns}
+        facts = {"step": step, "pattern_hash": pattern_hash, **times, "sequence": frame.sequence, **fields}
+        self._put("frame", facts, frame.pixels)
+
+    def _put(self, kind: str, fields: Mapping[str, Any], pixels: Pixels | None) -> None:
+        moment = Moment.now()
+        with self._change:
+            room = self._change.wait_for(lambda: self._error or len(self._waiting) < self._room, _TIMEOUT_S)
+            self._raise_error()
+            if not room:
+                raise StoreError(
+                    f"{self.path}: the disk has taken nothing for {_TIMEOUT_S:g} s; check it, then resume the run"
+                )
+            if pixels is not None:
+                fields = {"index": self._index, **fields}
+            event = Event(self._seq, kind, moment, fields)
+            event.line()  # what JSON cannot say is the caller's mistake, and must not stop the writer
+            self._seq += 1
+            self._index += pixels is not None
+            self._waiting.append(_Entry(event, pixels))
+            self._change.notify_all()
+
+    def flush(self) -> None:
+        """Wait until all that was put is acknowledged."""
+        with self._change:
+            done = self._change.wait_for(lambda: self._error or not (self._waiting or self._busy), _TIMEOUT_S)
+            self._raise_error()
+            if not done:
+                raise StoreError(
+                    f"{self.path}: the disk has confirmed nothing for {_TIMEOUT_S:g} s; check it, then resume the run"
+                )
+
+    def finish(self, **fields: Any) -> None:
+        """Trim the array to the frames there are and record the end of the run."""
+        self.flush()
+        with storing(self.path, "trim the finished run"):
+            resize_frames(self.path, self._frames, self._index)
+        self.put("end", **fields)
+        self.flush()
+
+    def close(self) -> None:
+        """Put what is waiting on disk and let go of the run; may be called any number of times."""
+        with self._change:
+            self._closing = True
+            self._change.notify_all()
+        self._thread.join(_TIMEOUT_S)
+        self._hasher.shutdown(wait=False)
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            raise StoreError(str(self._error)) from self._error
+
+    def _work(self) -> None:
+        while batch := self._next_batch():
+            try:
+                with storing(self.path, "record a frame" if any(e.pixels is not None for e in batch) else "record"):
+                    batch = self._commit(batch)
+            except Exception as error:  # whatever it was, whoever puts next has to know
+                with self._change:
+                    self._error = error
+                    self._waiting.clear()
+                    self._change.notify_all()
+                return
+            for entry in batch:
+                self._announce(entry.event, entry.pixels)
+            with self._change:
+                self._busy = False
+                self._change.notify_all()
+
+    def _next_batch(self) -> list[_Entry]:
+        """Wait for entries and take up to a commit's worth; none when closing."""
+        with self._change:
+            self._change.wait_for(lambda: self._waiting or self._closing)
+            batch: list[_Entry] = []
+            frames = 0
+            while self._waiting and frames < _FRAMES_PER_COMMIT:
+                batch.append(self._waiting.popleft())
+                frames += batch[-1].pixels is not None
+            self._busy = bool(batch)
+            self._change.notify_all()
+            return batch
+
+    def _commit(self, batch: list[_Entry]) -> list[_Entry]:
+        """Chunks, their folder, then the journal's lines: no line speaks of a frame that is not there."""
+        frames = [entry.pixels for entry in batch if entry.pixels is not None]
+        if frames:
+            digests = self._hasher.map(digest, frames)
+            first = next(entry.event["index"] for entry in batch if entry.pixels is not None)
+            end = first + len(frames)
+            if end > self._frames.shape[0]:
+                resize_frames(self.path, self._frames, end)
+            self._frames[first:end] = np.stack(frames)
+            disk.sync_folder(self.path / "frames")
+            batch = [entry if entry.pixels is None else _signed(entry, next(digests)) for entry in batch]
+        disk.append(self.path / JOURNAL, b"".join(entry.event.line() for entry in batch))
+        return batch
+
+
+def digest(pixels: Pixels) -> str:
+    """SHA-256 of the raw pixels, row by row, little-endian."""
+    return hashlib.sha256(np.ascontiguousarray(pixels).data).hexdigest()
+
+
+def _signed(entry: _Entry, digest: str) -> _Entry:
+    event = entry.event
+    return _Entry(replace(event, fields={**event.fields, "sha256": digest}), entry.pixels)
+
+
+def lock_journal(path: Path) -> int:
+    """Take the journal for this program; the lock ends with the program, however that ends."""
+    handle = os.open(path / JOURNAL, os.O_RDWR)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(handle)
+        raise StoreError(f"{path}: another program is recording into it; let that end first") from error
+    return handle
+
+
+def set_torn_end_aside(path: Path, good: int) -> int:
+    """Cut the journal to its `good` bytes and keep the rest in a file beside it; the bytes set aside."""
+    torn = (path / JOURNAL).read_bytes()[good:]
+    aside = path / f"{JOURNAL}.torn"
+    disk.write(aside, (aside.read_bytes() if aside.exists() else b"") + torn)
+    disk.truncate(path / JOURNAL, good)
+    return len(torn)
