@@ -1,0 +1,98 @@
+"""The image of order 2, put together from tables of J."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.light.double.average import average_rows
+from tankrig.light.double.table import Table, fill_table, shift_invariant
+from tankrig.light.rays import Geometry, geometry_of
+from tankrig.scene import Beam, Scene
+
+Array = NDArray[np.float64]
+
+WIDEST_MM = 12.0
+"""Widest part of a beam over which J's slow change with y₀ is taken as linear."""
+
+
+def double_scattering(scene: Scene, nodes: int = 5) -> Array:
+    """Image of the light scattered exactly twice, W/mm²/sr.
+
+    Parameters
+    ----------
+    scene
+        Any scene; both projectors, both cameras, matched or Fresnel surface.
+    nodes
+        Of the Gauss–Legendre rule in every panel; 5 keeps the error below about 0.1 % of order 2.
+
+    Returns
+    -------
+    (rows, columns) array
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.0), light, Camera("orthographic", (80, 120), 2.0))
+    >>> image = double_scattering(scene)
+    >>> bool(np.allclose(image, image[::-1], rtol=1e-6))  # as symmetric as the beam
+    True
+    """
+    medium, camera = scene.medium, scene.camera
+    image = np.zeros(camera.shape)
+    if medium.sigma_s == 0.0:
+        return image
+    geometry = geometry_of(scene)
+    finest = min(camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
+    rule = np.polynomial.legendre.leggauss(nodes)
+    for z_mm in sorted({beam.z_mm for beam in scene.projector.beams}):
+        beams = [beam for beam in scene.projector.beams if beam.z_mm == z_mm]
+        for mirrored in (False, True) if geometry.refractive_index > 1.0 else (False,):
+            table, z0_weights = fill_table(scene, geometry, z_mm, mirrored, finest, rule)
+            rows = np.zeros((camera.shape[0], table.x_mm.size))
+            for beam in beams:
+                _add_beam(rows, scene, geometry, beam, table, z0_weights)
+            image += rows @ _columns(table.x_mm, camera.shape[1], camera.pixel_mm, geometry.length).T
+    return image
+
+
+def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, z0_weights: Array) -> None:
+    """Add one beam, cut into parts narrow enough where J is not shift-invariant."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    low, high = beam.y_mm
+    parts = 1 if shift_invariant(scene) else math.ceil((high - low) / WIDEST_MM)
+    edges = np.linspace(low, high, parts + 1)
+    for part in range(parts):
+        average_rows(
+            rows, geometry, scene.camera.pixel_mm, scene.medium.sigma_t, edges[part], edges[part + 1],
+            beam.irradiance * scene.medium.sigma_s**2, table.x_mm, table.fractions, table.values,
+            _lagrange(table.y0_mm, 0.5 * (edges[part] + edges[part + 1])), table.z0_mm, z0_weights, nodes, weights,
+        )  # fmt: skip
+
+
+def _lagrange(nodes: Array, at: float) -> Array:
+    """Weights of the polynomial through all `nodes` at one place."""
+    weights = np.ones(nodes.size)
+    for k in range(nodes.size):
+        others = np.delete(nodes, k)
+        weights[k] = np.prod((at - others) / (nodes[k] - others))
+    return weights
+
+
+def _columns(x: Array, columns: int, pixel_mm: float, length: float) -> Array:
+    """(columns, nx) weights that average the cubic interpolant through nodes `x` over each column of pixels."""
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    result = np.zeros((columns, x.size))
+    for column in range(columns):
+        left, right = column * pixel_mm, min((column + 1) * pixel_mm, length)
+        if left >= length:
+            break
+        cuts = np.concatenate(([left], x[(x > left) & (x < right)], [right]))
+        for start, end in zip(cuts[:-1], cuts[1:], strict=True):
+            for node, weight in zip(nodes, weights, strict=True):
+                at = 0.5 * (start + end) + 0.5 * (end - start) * node
+                k = int(np.clip(np.searchsorted(x, at) - 2, 0, x.size - 4))
+                share = 0.5 * weight * (end - start) / pixel_mm
+                result[column, k : k + 4] += share * _lagrange(x[k : k + 4], at)
+    return result

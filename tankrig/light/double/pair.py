@@ -1,0 +1,174 @@
+"""Light that goes from a thin ray of the projector to a line of sight by two scatterings: one pair of lines.
+
+For a light ray A(s) = A₀ + s u and a line of sight C(t), t measured down from the surface,
+
+    J = ∫∫ ds dt exp(−σt (s + r + t)) p(u·r̂) p(r̂·v) / r²,   r = C(t) − A(s).
+
+Every millimetre of radius around r = 0 counts equally, so J is integrated in the variables in which 1/r² is gone:
+h = d tan α along the light ray (h the way from first collision to the foot of C on the ray, d its distance), and
+t − t₀ = (d₀/sin γ) sinh τ along the line of sight (d₀ the lines' closest distance, γ their angle).
+What is left is smooth but for the lobes of p about u and v, about which the panels of the quadrature are graded.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.compiled import kernel
+from tankrig.light.rays import Geometry, light_ray, path_inside, sight_line
+from tankrig.scene.optics import reflectance
+from tankrig.scene.phase import henyey_greenstein
+
+PANEL = 2.5
+"""Width in τ of one panel of the outer quadrature."""
+
+GRAZING = -0.5 * math.pi + 0.15
+"""Below this α the way back along the ray is many times d, and the attenuation changes fast."""
+
+MOST_CUTS = 24
+
+
+@kernel
+def pair_radiance(
+    geometry: Geometry,
+    sigma_t: float,
+    g: float,
+    x: float,
+    y: float,
+    y0: float,
+    z0: float,
+    mirrored: bool,
+    nodes: NDArray[np.float64],
+    weights: NDArray[np.float64],
+) -> float:
+    """J of the module's heading times the surface's transmission, in 1/sr² (multiply by σs² and the ray's power).
+
+    Parameters
+    ----------
+    geometry
+        Numbers of the scene.
+    sigma_t, g
+        Extinction in 1/mm and asymmetry.
+    x, y
+        Where the line of sight leaves the surface, mm.
+    y0, z0
+        Where the light ray enters at x = 0, mm.
+    mirrored
+        Whether the light is reflected at the surface between its two scatterings (Fresnel); then the line of sight is
+        unfolded above z = Lz, and R(ξ) multiplies.
+    nodes, weights
+        Gauss–Legendre rule on [−1, 1] used in every panel.
+    """
+    ux, uy, uz = light_ray(geometry, y0, z0)
+    vx, vy, vz, transmission = sight_line(geometry, x, y)
+    _, s_max = path_inside(geometry, 0.0, y0, z0, ux, uy, uz)
+    _, t_max = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
+    if s_max <= 0.0 or t_max <= 0.0:
+        return 0.0
+    flip = -1.0 if mirrored else 1.0
+    wx, wy, wz = -vx, -vy, -vz * flip  # how C moves with t
+    ax, ay, az = vx, vy, vz * flip  # direction in which the light must leave, unfolded
+    bx, by, bz = x, y - y0, geometry.height - z0
+    along = wx * ux + wy * uy + wz * uz
+    px, py, pz = wx - along * ux, wy - along * uy, wz - along * uz
+    sine2 = px * px + py * py + pz * pz
+    foot0 = bx * ux + by * uy + bz * uz
+    qx, qy, qz = bx - foot0 * ux, by - foot0 * uy, bz - foot0 * uz
+    if sine2 < 1e-12:
+        return 0.0  # looking along the light: no camera above the water does
+    t0 = -(qx * px + qy * py + qz * pz) / sine2
+    sine = math.sqrt(sine2)
+    nx, ny, nz = qx + t0 * px, qy + t0 * py, qz + t0 * pz
+    closest = max(math.sqrt(nx * nx + ny * ny + nz * nz), 1e-9)
+    cos_out = ux * ax + uy * ay + uz * az
+    tau_low, tau_high = math.asinh(-t0 * sine / closest), math.asinh((t_max - t0) * sine / closest)
+    cuts = np.empty(MOST_CUTS)
+    total = 0.0
+    for side in range(2):
+        start = tau_low if side == 0 else max(0.0, tau_low)
+        end = min(0.0, tau_high) if side == 0 else tau_high
+        if end <= start:
+            continue
+        panels = 1 + int((end - start) / PANEL)
+        half = 0.5 * (end - start) / panels
+        for panel in range(panels):
+            for i in range(nodes.size):
+                tau = start + half * (2 * panel + 1.0 + nodes[i])
+                t = t0 + closest / sine * math.sinh(tau)
+                distance = closest * math.cosh(tau)
+                foot = foot0 + along * t
+                # Unit vector from the light ray to C, perpendicular to the ray.
+                dx, dy, dz = (qx + t * px) / distance, (qy + t * py) / distance, (qz + t * pz) / distance
+                lobe = dx * ax + dy * ay + dz * az
+                count = _cuts(cuts, foot - s_max, foot, distance, g, cos_out, lobe)
+                if mirrored:
+                    count = _cut_at_critical_angle(cuts, count, geometry.refractive_index, uz, dz)
+                inner = 0.0
+                for k in range(count - 1):
+                    middle, width = 0.5 * (cuts[k] + cuts[k + 1]), 0.5 * (cuts[k + 1] - cuts[k])
+                    for j in range(nodes.size):
+                        alpha = middle + width * nodes[j]
+                        s, c = math.sin(alpha), math.cos(alpha)
+                        value = henyey_greenstein(s, g) * henyey_greenstein(s * cos_out + c * lobe, g)
+                        value *= math.exp(-sigma_t * distance * c / (1.0 + s))  # sec α − tan α = cos α/(1 + sin α)
+                        if mirrored:
+                            value *= reflectance(abs(s * uz + c * dz), geometry.refractive_index)
+                        inner += width * weights[j] * value
+                total += half * weights[i] * inner * math.exp(-sigma_t * (foot + t))
+    return transmission * total / sine
+
+
+@kernel
+def _cuts(
+    cuts: NDArray[np.float64], low: float, high: float, distance: float, g: float, cos_out: float, lobe: float
+) -> int:
+    """Fill `cuts` with ascending ends of panels in α between atan(low/d) and atan(high/d); return how many."""
+    first, last = math.atan2(low, distance), math.atan2(high, distance)
+    cuts[0], cuts[1] = first, last
+    count = 2
+    peak = math.atan2(cos_out, lobe) if lobe >= 0.0 else math.atan2(-cos_out, -lobe)
+    if first < peak < last:
+        cuts[count] = peak
+        count += 1
+    if first < GRAZING < last:
+        cuts[count] = GRAZING
+        count += 1
+    width = 1.0 - abs(g)
+    if width < 0.7:
+        forward = 0.5 * math.pi if g > 0.0 else -0.5 * math.pi
+        reach = width
+        while reach < 1.4:
+            at = forward - math.copysign(reach, g)
+            if first < at < last:
+                cuts[count] = at
+                count += 1
+            reach *= 3.0
+        if g * lobe > 0.0:
+            largest = math.sqrt(cos_out * cos_out + lobe * lobe)
+            reach = math.sqrt(width * width + 2.0 * max(0.0, 1.0 - largest))
+            while reach < 1.4:
+                for at in (peak - reach, peak + reach):
+                    if first < at < last and count < MOST_CUTS - 3:
+                        cuts[count] = at
+                        count += 1
+                reach *= 3.0
+    cuts[:count].sort()
+    return count
+
+
+@kernel
+def _cut_at_critical_angle(cuts: NDArray[np.float64], count: int, index: float, uz: float, dz: float) -> int:
+    """Add to `cuts` the α at which reflection becomes total, where R(ξ) has a kink."""
+    largest = math.sqrt(uz * uz + dz * dz)
+    critical = math.sqrt(1.0 - 1.0 / (index * index))
+    if critical >= largest:
+        return count
+    centre, reach = math.atan2(uz, dz), math.acos(critical / largest)
+    first, last = cuts[0], cuts[count - 1]
+    for at in (centre - reach, centre + reach):
+        if first < at < last:
+            cuts[count] = at
+            count += 1
+    cuts[:count].sort()
+    return count

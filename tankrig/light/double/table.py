@@ -1,0 +1,177 @@
+"""Table of J between rays of the projector and lines of sight, from which every beam and pixel is put together.
+
+J depends on where the line of sight leaves the surface, x and y, and on the light ray, y₀ and z₀. It is singular like
+−ln|δ| where the line meets the ray, δ = y − y_c(x; y₀, z₀) its distance from there, and smooth in all else; so nodes are
+geometric in δ on both sides of the crossing, graded towards the walls in x, and few in y₀ and z₀.
+"""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.compiled import kernel
+from tankrig.light.double.pair import pair_radiance
+from tankrig.light.rays import Geometry, sight_line, sighting_row
+from tankrig.scene import Scene
+
+Array = NDArray[np.float64]
+
+RATIO = 1.45
+"""Ratio of successive nodes in δ."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """J at its nodes.
+
+    Parameters
+    ----------
+    x_mm
+        (nx,) where lines of sight leave the surface.
+    fractions
+        (nk,) |δ| as a share of the distance from the crossing to the side wall.
+    y0_mm, z0_mm
+        (ny,), (nz,) where light rays enter.
+    values
+        (nz, ny, 2, nx, nk): J·exp(σt·|δ|)·exp(σt·x); the third axis is the side of the crossing, y below or above it.
+    """
+
+    x_mm: Array
+    fractions: Array
+    y0_mm: Array
+    z0_mm: Array
+    values: Array
+
+
+def shift_invariant(scene: Scene) -> bool:
+    """Whether light and sight run straight, so that only y − y₀ matters."""
+    return scene.projector.kind == "collimated" and scene.camera.kind == "orthographic"
+
+
+def fill_table(
+    scene: Scene,
+    geometry: Geometry,
+    z_mm: tuple[float, float],
+    mirrored: bool,
+    finest_mm: float,
+    rule: tuple[Array, Array],
+) -> tuple[Table, Array]:
+    """Compute J for beams of one height.
+
+    Parameters
+    ----------
+    scene, geometry
+        What to compute it for.
+    z_mm
+        Lower and upper edge of the beams on the plane x = 0.
+    mirrored
+        By way of the water surface.
+    finest_mm
+        Length below which the image need not be resolved.
+    rule
+        Gauss–Legendre nodes and weights for every panel.
+
+    Returns
+    -------
+    table, weights
+        `weights` (nz,) integrate over z₀, mm.
+    """
+    length, _, height = scene.tank.size_mm
+    low, high = z_mm
+    sigma_t = scene.medium.sigma_t
+    count = 2 + math.ceil((high - low) * max(sigma_t / 3.0, 4.0 / height)) if high - low > 5.0 else 2
+    nodes, weights = np.polynomial.legendre.leggauss(min(count, 40))
+    z0 = 0.5 * (low + high) + 0.5 * (high - low) * nodes
+    x = _x_nodes(geometry, low, high, finest_mm)
+    width = 2.0 * geometry.half_width
+    decades = math.log(width / (0.02 * finest_mm))
+    fractions = np.exp(np.linspace(-decades, 0.0, 1 + math.ceil(decades / math.log(RATIO))))
+    if shift_invariant(scene):
+        y0 = np.zeros(1)
+    else:
+        edges = [edge for beam in scene.projector.beams for edge in beam.y_mm]
+        spread = max(edges) - min(edges)
+        cosines = np.cos(
+            np.pi * (np.arange(3 + math.ceil(4 * spread / width)) + 0.5) / (3 + math.ceil(4 * spread / width))
+        )
+        y0 = 0.5 * (max(edges) + min(edges)) + 0.5 * spread * cosines
+    values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
+    fill = _fill_shifted if shift_invariant(scene) else _fill
+    with ThreadPoolExecutor(2) as pool:
+        parts = [
+            pool.submit(fill, values, geometry, sigma_t, scene.medium.g, x, fractions, y0, z0, mirrored, *rule, part)
+            for part in range(2)
+        ]
+        for part in parts:
+            part.result()
+    return Table(x, fractions, y0, z0, values), 0.5 * (high - low) * weights
+
+
+def _x_nodes(geometry: Geometry, low: float, high: float, finest_mm: float) -> Array:
+    """Nodes in x, graded towards the walls and towards where lines of sight meet the beam at the walls."""
+    special = [0.0, geometry.length]
+    for wall in (0.0, geometry.length):
+        for z in (low, high):
+            special.append(_seen_from_above(geometry, wall, z))
+    places = np.array([place for place in special if 0.0 <= place <= geometry.length])
+    x, nodes = 0.0, [0.0]
+    largest = geometry.length / 28.0
+    while x < geometry.length:
+        gap = np.abs(places - x)
+        ahead = places[places > x + 1e-9]
+        step = min(max(0.4 * gap.min(), 0.25 * finest_mm), largest)
+        if ahead.size:
+            step = min(step, max(ahead[0] - x, 0.25 * finest_mm) if ahead[0] - x < 1.3 * step else 0.6 * (ahead[0] - x))
+        x = min(x + max(step, 0.2 * finest_mm), geometry.length)
+        nodes.append(x)
+    return np.array(nodes)
+
+
+def _seen_from_above(geometry: Geometry, x: float, z: float) -> float:
+    """The x on the surface through which the camera sees the point (x, 0, z)."""
+    seen = x
+    for _ in range(20):
+        vx, _, vz, _ = sight_line(geometry, seen, 0.0)
+        seen = x + vx / vz * (geometry.height - z)
+    return float(seen)
+
+
+@kernel
+def _fill_shifted(
+    values: Array, geometry: Geometry, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array, z0: Array,
+    mirrored: bool, nodes: Array, weights: Array, part: int,
+) -> None:  # fmt: skip
+    """Every second x, where only y − y₀ matters: both lines are put symmetrically about y = 0, inside the tank."""
+    for i in range(part, x.size, 2):
+        for j in range(z0.size):
+            for k in range(fractions.size):
+                delta = 2.0 * geometry.half_width * fractions[k]
+                value = pair_radiance(
+                    geometry, sigma_t, g, x[i], 0.5 * delta, -0.5 * delta, z0[j], mirrored, nodes, weights
+                )
+                value *= math.exp(sigma_t * (x[i] + delta))
+                values[j, 0, 0, i, k] = value
+                values[j, 0, 1, i, k] = value
+
+
+@kernel
+def _fill(
+    values: Array, geometry: Geometry, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array, z0: Array,
+    mirrored: bool, nodes: Array, weights: Array, part: int,
+) -> None:  # fmt: skip
+    """Every second x, with nodes between the crossing and either side wall."""
+    for i in range(part, x.size, 2):
+        for j in range(z0.size):
+            for m in range(y0.size):
+                crossing = sighting_row(geometry, x[i], y0[m], z0[j])
+                for side in range(2):
+                    span = geometry.half_width - crossing if side == 1 else geometry.half_width + crossing
+                    for k in range(fractions.size):
+                        delta = max(span, 1e-6) * fractions[k]
+                        y = crossing + delta if side == 1 else crossing - delta
+                        y = min(max(y, -geometry.half_width), geometry.half_width)
+                        value = pair_radiance(geometry, sigma_t, g, x[i], y, y0[m], z0[j], mirrored, nodes, weights)
+                        values[j, m, side, i, k] = value * math.exp(sigma_t * (x[i] + delta))
