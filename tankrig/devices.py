@@ -133,6 +133,14 @@ class Doser(Protocol):
         """For messages."""
 
     @property
+    def identity(self) -> str:
+        """Which doser this is, the same wherever it is plugged in: kind and serial number."""
+
+    @property
+    def increment_ul(self) -> float:
+        """Smallest volume it can deliver, µl."""
+
+    @property
     def stopped(self) -> bool:
         """Whether a stop is latched."""
 
@@ -141,7 +149,7 @@ class Doser(Protocol):
         """Whether the delivered volume is unknown and latched."""
 
     def dose_to(self, total_ul: float) -> Delivered:
-        """Deliver until the total since the device's zero is `total_ul` (absolute: never 'add again'); waits."""
+        """Deliver until the total since the device's zero is `total_ul` (absolute: never 'add again'), never beyond."""
 
     def delivered(self) -> Delivered:
         """What has been delivered, with hard bounds."""

@@ -1,0 +1,109 @@
+"""Run the rig doser's emulator: `python -m drivers.rig_doser.emulator --link PATH --state FILE`."""
+
+import argparse
+import contextlib
+import json
+import selectors
+import socket
+import sys
+import threading
+from pathlib import Path
+
+from .board import Board
+from .memory import Commissioning, StateFile
+
+_EPILOG = """\
+Control: connect to the socket and write one JSON object per line; each is answered by one, with the truth.
+  {"faults": {"lose": 0.01, "stall_after": 100}}   set faults (all of them: firmware_notes/rig_doser.md)
+  {"do": "reset"}                                  or unplug, plug, forget, quit
+  {}                                               ask only
+"""
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m drivers.rig_doser.emulator",
+        description="The rig's own doser on a pseudo-terminal: real in every way but the motor.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    new = Commissioning()
+    add = parser.add_argument
+    add("--link", type=Path, required=True, help="symbolic link to make to the device")
+    add("--state", type=Path, required=True, help="file that is the board's memory and the truth; made if missing")
+    add("--control", type=Path, help="socket for faults at run time")
+    add("--rate", type=float, default=2000.0, help="highest speed, steps/s (default 2000)")
+    add("--acceleration", type=float, default=8000.0, help="steps/s² (default 8000)")
+    add("--time-scale", type=float, default=1.0, help="all times are multiplied by this (default 1)")
+    add("--seed", type=int, default=0, help="of the faults (default 0)")
+    add("--linger-s", type=float, default=0.0, help="quit when no one has had the device open for so long; 0: never")
+    add("--serial", default=new.serial, help="commissioning of a new state file (8 characters)")
+    add("--dose-cap", type=int, default=new.dose_cap, help="commissioning: most steps in one dose")
+    add("--life-cap", type=int, default=new.life_cap, help="commissioning: most steps ever")
+    args = parser.parse_args()
+    if len(args.serial.encode()) != 8 or not args.serial.isalnum() or not args.serial.isascii():
+        parser.error(f"--serial {args.serial}: a serial number has 8 letters and digits")
+    return args
+
+
+def _serve(board: Board, control: Path) -> None:
+    """Answer the control socket until the board quits."""
+    control.unlink(missing_ok=True)
+    with socket.socket(socket.AF_UNIX) as server, selectors.DefaultSelector() as selector:
+        server.bind(str(control))
+        server.listen()
+        selector.register(server, selectors.EVENT_READ)
+        while not board.quitting:
+            for key, _ in selector.select(0.05):
+                if key.fileobj is server:
+                    connection, _ = server.accept()
+                    selector.register(connection, selectors.EVENT_READ, connection.makefile("rw"))
+                elif line := key.data.readline():
+                    key.data.write(json.dumps(_answer(board, line)) + "\n")
+                    key.data.flush()
+                else:
+                    selector.unregister(key.fileobj)
+                    key.data.close()
+    control.unlink(missing_ok=True)
+
+
+def _answer(board: Board, line: str) -> dict[str, object]:
+    try:
+        return board.command(json.loads(line))
+    except (ValueError, TypeError, AttributeError) as error:
+        return {"error": str(error)}
+
+
+def main() -> int:
+    """Run until told to quit, or until nobody has wanted the device for long enough."""
+    args = _arguments()
+    try:
+        state = StateFile(args.state, Commissioning(args.serial, args.dose_cap, args.life_cap))
+    except BlockingIOError:
+        sys.stderr.write(f"{args.state}: another emulator runs on this state file\n")
+        return 2
+    board = Board(
+        state,
+        args.link,
+        rate=args.rate,
+        acceleration=args.acceleration,
+        time_scale=args.time_scale,
+        seed=args.seed,
+    )
+    control = threading.Thread(target=_serve, args=(board, args.control)) if args.control else None
+    if control:
+        control.start()
+    with contextlib.suppress(KeyboardInterrupt):
+        while not board.quitting:
+            board.live()
+            board.quitting |= 0 < args.linger_s < board.idle_s
+    board.quitting = True
+    board.run()
+    if control:
+        control.join()
+    state.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

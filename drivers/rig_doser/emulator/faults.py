@@ -1,0 +1,65 @@
+"""Faults of the line and of the board, drawn from one seed."""
+
+import random
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What goes wrong from now on; meanings as on the protocol page."""
+
+    lose: float = 0.0
+    corrupt: float = 0.0
+    duplicate: float = 0.0
+    delay_ms: float = 0.0
+    mute: bool = False
+    deaf: bool = False
+    junk: bool = False
+    stranger: bool = False
+    stall_after: int | None = None
+    reset_after: int | None = None
+    unplug_after: int | None = None
+
+
+class Gremlin:
+    """Carries the faults out."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self.faults = Faults()
+        self._steps = 0
+
+    def set(self, changes: dict[str, object]) -> None:
+        """Change some of the faults; step counts run from now."""
+        self.faults = replace(self.faults, **changes)  # type: ignore[arg-type]
+        self._steps = 0
+
+    def on_line(self, data: bytes) -> bytes:
+        """What arrives of `data`."""
+        if not (self.faults.lose or self.faults.corrupt):
+            return data
+        kept = bytearray(byte for byte in data if self._random.random() >= self.faults.lose)
+        for i in range(len(kept)):
+            if self._random.random() < self.faults.corrupt:
+                kept[i] ^= 1 << self._random.randrange(8)
+        return bytes(kept)
+
+    def twice(self) -> bool:
+        """Whether this request arrives twice."""
+        return self._random.random() < self.faults.duplicate
+
+    def junk(self) -> bytes:
+        """What a boot loader may leave on the line."""
+        return self._random.randbytes(self._random.randrange(1, 40))
+
+    def on_step(self) -> str | None:
+        """What befalls this step: 'stall', 'reset', 'unplug' or nothing."""
+        self._steps += 1
+        faults = self.faults
+        if faults.reset_after is not None and self._steps > faults.reset_after:
+            self.faults = replace(faults, reset_after=None)
+            return "reset"
+        if faults.unplug_after is not None and self._steps > faults.unplug_after:
+            self.faults = replace(faults, unplug_after=None)
+            return "unplug"
+        return "stall" if faults.stall_after is not None and self._steps > faults.stall_after else None

@@ -1,0 +1,179 @@
+"""What runs on the doser's board: commands, limits, latches, watchdog, and a count written before each step."""
+
+import string
+from collections.abc import Callable
+
+from .frames import Request, framed
+from .memory import LOST, MEMORY, MOVING, REACHED, RESET, STALL, STOP, STOPPED, UNSURE, WATCHDOG, Record, StateFile
+from .motor import Move
+
+PROTOCOL = 1
+WATCHDOG_S = 1.5
+ENCODER_STEPS = 16
+
+(E_UNKNOWN, E_MALFORMED, E_BUSY, E_STOPPED, E_UNSURE, E_OLD, E_REUSED, E_BEHIND, E_DOSE_CAP, E_LIFE_CAP, E_NEW_STOP) = (
+    range(1, 12)
+)
+_ARGUMENTS = {"I": (), "S": (), "D": (8, 8), "C": (4,), "Z": (8,)}
+
+
+class Firmware:
+    """The board from one boot to the next.
+
+    Parameters
+    ----------
+    state
+        Its FRAM.
+    rate, acceleration
+        Of the motor, steps/s and steps/s².
+    pulse
+        Called for each step pulse after it has been counted. Returns whether the shaft turned; raises to end the
+        board's life there.
+    """
+
+    def __init__(self, state: StateFile, rate: float, acceleration: float, pulse: Callable[[], bool]) -> None:
+        self._state = state
+        self._rate, self._acceleration, self._pulse = rate, acceleration, pulse
+        self._move: Move | None = None
+        self._made = self._turned = 0
+        self._fed_s = 0.0
+        self.record = self._boot()
+
+    def _boot(self) -> Record:
+        record = self._state.load()
+        if record is None:
+            life = self._state.commissioning.life_cap
+            record = Record(count=LOST, doubt=LOST, life=life, flags=STOPPED | UNSURE, reason=MEMORY)
+        record.boots = record.boots + 1 & 0xFFFF
+        if record.flags & MOVING:
+            record.flags = record.flags & ~MOVING | STOPPED
+            record.reason = RESET
+            record.doubt = min(record.doubt + 1, record.count)
+        self._state.save(record)
+        return record
+
+    @property
+    def moving(self) -> bool:
+        """Whether the motor runs."""
+        return self._move is not None
+
+    def banner(self) -> bytes:
+        """What it says after boot."""
+        return framed(f"!TANKRIG-DOSER {PROTOCOL:02X} {self._state.commissioning.serial} {self.record.boots:04X}")
+
+    def advance(self, now_s: float) -> None:
+        """Let the motor and the watchdog run until `now_s`."""
+        deadline_s = self._fed_s + WATCHDOG_S
+        while (move := self._move) and self._made < move.made(min(now_s, deadline_s)):
+            self._step(move)
+        if self._move and now_s > deadline_s:
+            self._rest(WATCHDOG)
+
+    def _step(self, move: Move) -> None:
+        self.record.count += 1
+        self.record.life += 1
+        self._state.save(self.record)
+        self._made += 1
+        self._turned += self._pulse()
+        arrived = self._made == move.steps
+        if (arrived or self._made % ENCODER_STEPS == 0) and self._turned < self._made:
+            self.record.doubt += self._made - self._turned
+            self._rest(STALL)
+        elif arrived:
+            self._rest(REACHED)
+
+    def _rest(self, reason: int) -> None:
+        self._move = None
+        self.record.flags &= ~MOVING
+        self.record.reason = reason
+        if reason != REACHED:
+            self.record.flags |= STOPPED
+        if reason == STALL:
+            self.record.flags |= UNSURE
+        self._state.save(self.record)
+
+    def stop(self, now_s: float) -> None:
+        """The stop byte."""
+        self.advance(now_s)
+        self.record.stops = self.record.stops + 1 & 0xFFFF
+        self.record.flags |= STOPPED
+        if self._move:
+            self._rest(STOP)
+        self._state.save(self.record)
+
+    def answer(self, request: Request, now_s: float) -> bytes:
+        """Carry out a request and answer it."""
+        self.advance(now_s)
+        self._fed_s = now_s
+        widths = _ARGUMENTS.get(request.command)
+        if widths is None:
+            return self._error(request, E_UNKNOWN)
+        text = request.arguments
+        if len(text) != sum(widths) or not set(text) <= set(string.digits + "ABCDEF"):
+            return self._error(request, E_MALFORMED)
+        values = [int(text[8 * i : 8 * i + width], 16) for i, width in enumerate(widths)]
+        if request.command == "I":
+            return framed(f"<{request.sequence}I{self._identity()}")
+        error = self._carry_out(request.command, values, now_s)
+        return self._error(request, error) if error else framed(f"<{request.sequence}S{self._status()}")
+
+    def _carry_out(self, command: str, values: list[int], now_s: float) -> int | None:
+        if command == "D":
+            return self._dose(now_s, *values)
+        if command == "C":
+            return self._clear(*values)
+        return self._resolve(*values) if command == "Z" else None
+
+    def _dose(self, now_s: float, dose_id: int, target: int) -> int | None:
+        record = self.record
+        if dose_id == record.dose_id:
+            return None if target == record.target else E_REUSED
+        steps = target - record.count
+        refusals = {
+            E_BUSY: self.moving,
+            E_STOPPED: record.flags & STOPPED,
+            E_UNSURE: record.flags & UNSURE,
+            E_OLD: dose_id < record.dose_id,
+            E_BEHIND: steps < 0,
+            E_DOSE_CAP: steps > self._state.commissioning.dose_cap,
+            E_LIFE_CAP: record.life + steps > self._state.commissioning.life_cap,
+        }
+        if refused := next((code for code, holds in refusals.items() if holds), None):
+            return refused
+        record.dose_id, record.target = dose_id, target
+        if steps:
+            record.flags |= MOVING
+            self._move = Move(now_s, steps, self._rate, self._acceleration)
+            self._made = self._turned = 0
+        else:
+            record.reason = REACHED
+        self._state.save(record)
+        return None
+
+    def _clear(self, stops: int) -> int | None:
+        if stops != self.record.stops:
+            return E_NEW_STOP
+        self.record.flags &= ~STOPPED
+        self._state.save(self.record)
+        return None
+
+    def _resolve(self, count: int) -> int | None:
+        if self.moving:
+            return E_BUSY
+        self.record.count, self.record.doubt = count, 0
+        self.record.flags &= ~UNSURE
+        self._state.save(self.record)
+        return None
+
+    def _identity(self) -> str:
+        c = self._state.commissioning
+        speed_and_watchdog = f"{round(self._rate):04X}{round(WATCHDOG_S * 1e3):04X}"
+        return f"{PROTOCOL:02X}{c.serial}{c.dose_cap:08X}{c.life_cap:08X}{speed_and_watchdog}"
+
+    def _status(self) -> str:
+        r = self.record
+        numbers = f"{r.dose_id:08X}{r.target:08X}{r.count:08X}{r.doubt:08X}{r.life:08X}"
+        return f"{r.flags:02X}{r.reason:02X}{numbers}{r.boots:04X}{r.stops:04X}"
+
+    def _error(self, request: Request, code: int) -> bytes:
+        return framed(f"<{request.sequence}E{code:02X}")

@@ -1,0 +1,144 @@
+"""The serial line to the rig's own doser: one request and its reply at a time, and stop bytes at any time."""
+
+import contextlib
+import errno
+import termios
+import threading
+import time
+
+import serial
+
+from tankrig.errors import DeviceError
+
+from . import wire
+
+BAUD = 115200
+BANNER_S = 3.0
+REPLY_S = 0.3
+READ_S = 0.02
+_LOST = (serial.SerialException, OSError, termios.error, TypeError)
+
+
+class NoReplyError(DeviceError):
+    """The line is there, the doser says nothing."""
+
+
+class LineLostError(DeviceError):
+    """The line is gone."""
+
+
+class Line:
+    """An open serial port with a doser on it.
+
+    Parameters
+    ----------
+    port
+        Its path.
+    name
+        Of the doser, for messages.
+    time_scale
+        All waits are multiplied by this.
+
+    Raises
+    ------
+    DeviceError
+        If the port cannot be opened.
+    """
+
+    def __init__(self, port: str, name: str, time_scale: float = 1.0) -> None:
+        self._name, self._scale = name, time_scale
+        self._asking = threading.Lock()
+        self._life = threading.Lock()
+        self._sequence = 0
+        self._received = b""
+        self._lost = False
+        try:
+            self._port = serial.Serial(
+                port, BAUD, timeout=READ_S * time_scale, write_timeout=REPLY_S * time_scale, exclusive=True
+            )
+        except (OSError, termios.error) as error:
+            raise DeviceError(f"{name}: cannot open {port}: {_why(error)}") from error
+
+    def wait_for_banner(self) -> wire.Banner | None:
+        """The board's banner, or None if it does not come in time (a board that DTR does not reset)."""
+        with self._asking:
+            deadline = time.monotonic() + BANNER_S * self._scale
+            while (line := self._line(deadline)) is not None:
+                if found := wire.banner(line):
+                    return found
+        return None
+
+    def ask(self, command: str, *arguments: tuple[int, int]) -> wire.Reply:
+        """Send one request and wait for its reply; a late reply to an earlier one is not taken for it.
+
+        Raises
+        ------
+        NoReplyError
+            If no whole reply comes in time.
+        LineLostError
+            If the port is gone.
+        """
+        with self._asking:
+            self._sequence = self._sequence + 1 & 0xFF
+            try:
+                self._port.reset_input_buffer()
+                self._port.write(wire.request(self._sequence, command, *arguments))
+            except serial.SerialTimeoutException as error:
+                raise NoReplyError(f"{self._name}: takes no more bytes; check the cable and reset it") from error
+            except _LOST as error:
+                raise self._line_lost() from error
+            self._received = b""
+            deadline = time.monotonic() + REPLY_S * self._scale
+            while (line := self._line(deadline)) is not None:
+                answer = wire.reply(line)
+                if answer and answer[0] == self._sequence:
+                    return answer[1]
+        wait_ms = 1e3 * REPLY_S * self._scale
+        raise NoReplyError(f"{self._name}: no reply within {wait_ms:.0f} ms; check the cable and the board's power")
+
+    def stop(self) -> None:
+        """Put stop bytes on the wire now, whatever another thread reads or writes; never raises."""
+        with self._life:
+            if not self._lost:
+                try:
+                    self._port.write(wire.STOP)
+                except serial.SerialTimeoutException:
+                    return
+                except _LOST:
+                    self._lost = True
+
+    def close(self) -> None:
+        """Let go of the port."""
+        with self._life:
+            self._lost = True
+        with self._asking:
+            with contextlib.suppress(*_LOST):
+                self._port.reset_output_buffer()
+            self._port.close()
+
+    def _line(self, deadline: float) -> bytes | None:
+        """The next line, without its end; None once `deadline` (monotonic, s) has passed."""
+        while b"\n" not in self._received:
+            if time.monotonic() >= deadline:
+                return None
+            try:
+                self._received += self._port.read(max(1, self._port.in_waiting))
+            except _LOST as error:
+                raise self._line_lost() from error
+        line, _, self._received = self._received.partition(b"\n")
+        return line
+
+    def _line_lost(self) -> LineLostError:
+        self._lost = True
+        return LineLostError(f"{self._name}: the serial line is gone; plug it in and open it again")
+
+
+def _why(error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return "another program has it open; end that program first"
+    if number == errno.ENOENT:
+        return "there is no such port; is it plugged in? (`tankrig devices` lists the ports)"
+    if number in (errno.EACCES, errno.EPERM):
+        return "no permission; add yourself to the group that owns it (dialout) and log in anew"
+    return f"{error}; is it a serial port?"
