@@ -1,0 +1,317 @@
+"""The kinds of patterns that a sequence can name, as data that draws itself for a projector."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.errors import SequenceError
+from tankrig.pattern.pattern import Pattern
+from tankrig.pattern.wall import Wall
+from tankrig.scene.description import CLOSED, Interval
+
+Axis = Literal["columns", "rows"]
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise SequenceError(message)
+
+
+class PatternKind(Protocol):
+    """A pattern before it is drawn; a frozen dataclass whose first field `kind` is its name in files."""
+
+    @property
+    def kind(self) -> str:
+        """Its name in sequence files."""
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """(rows, columns) pixels for the projector that lights `wall`."""
+
+
+def draw(kind: PatternKind, wall: Wall, name: str = "") -> Pattern:
+    """Draw a pattern for the projector that lights `wall`.
+
+    Parameters
+    ----------
+    kind
+        What to draw.
+    wall
+        The projector's shape, and where its pixels fall.
+    name
+        What to call it; the kind's name where empty.
+
+    Raises
+    ------
+    SequenceError
+        When it cannot be drawn with this projector.
+
+    Examples
+    --------
+    >>> wall = Wall(shape=(60, 80), y_mm=(-80.0, 80.0), z_mm=(0.0, 120.0))
+    >>> [beam.y_mm for beam in wall.beams(draw(Rays(y_mm=(-40.0, 0.0, 40.0), width_mm=4.0, z_mm=(58.0, 62.0)), wall))]
+    [(-42.0, -38.0), (-2.0, 2.0), (38.0, 42.0)]
+    """
+    return Pattern(name or kind.kind, np.ascontiguousarray(kind.draw(wall), dtype=np.uint8))
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What all kinds share: closed to unknown keys when read from a file, and a level to check where there is one."""
+
+    __pydantic_config__: ClassVar = CLOSED
+
+    def __post_init__(self) -> None:
+        level = getattr(self, "level", 255)
+        _require(1 <= level <= 255, f"level = {level} is outside 1…255; give the brightness of lit pixels")
+
+
+@dataclass(frozen=True)
+class Dark(_Kind):
+    """No light at all."""
+
+    kind: Literal["dark"] = "dark"
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        return np.zeros(wall.shape, np.uint8)
+
+
+@dataclass(frozen=True)
+class Full(_Kind):
+    """Every pixel lit."""
+
+    kind: Literal["full"] = "full"
+    level: int = 255
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        return np.full(wall.shape, self.level, np.uint8)
+
+
+@dataclass(frozen=True)
+class Sheet(_Kind):
+    """One rectangle of light; flat and wide, a sheet."""
+
+    y_mm: Interval
+    z_mm: Interval
+    kind: Literal["sheet"] = "sheet"
+    level: int = 255
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        return _lit(_inside(wall, "y", *self.y_mm), _inside(wall, "z", *self.z_mm), self.level)
+
+
+@dataclass(frozen=True)
+class Rays(_Kind):
+    """Thin beams side by side.
+
+    Parameters
+    ----------
+    y_mm
+        Their centres.
+    width_mm
+        Of each along y.
+    z_mm
+        (low, high) of all.
+    """
+
+    y_mm: tuple[float, ...]
+    z_mm: Interval
+    width_mm: float = 4.0
+    kind: Literal["rays"] = "rays"
+    level: int = 255
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        _require(len(self.y_mm) > 0, "y_mm is empty; give the centre of each ray")
+        half = self.width_mm / 2
+        across = np.any([_inside(wall, "y", centre - half, centre + half) for centre in self.y_mm], axis=0)
+        return _lit(across, _inside(wall, "z", *self.z_mm), self.level)
+
+
+@dataclass(frozen=True)
+class Stripes(_Kind):
+    """Light that is switched on and off along y, one stripe centred on y = 0.
+
+    Parameters
+    ----------
+    period_mm
+        From stripe to stripe.
+    duty
+        Lit part of the period.
+    y_mm, z_mm
+        (low, high) of the striped area; the whole wall where left out. Only whole stripes are drawn.
+    """
+
+    period_mm: float
+    duty: float = 0.5
+    y_mm: Interval | None = None
+    z_mm: Interval | None = None
+    kind: Literal["stripes"] = "stripes"
+    level: int = 255
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        _require(self.period_mm > 0.0, f"period_mm = {self.period_mm} is not positive; give a length in mm")
+        _require(0.0 < self.duty < 1.0, f"duty = {self.duty} is outside 0 < duty < 1; give the lit part of a period")
+        low, high = self.y_mm or sorted(wall.y_mm)
+        half = self.duty * self.period_mm / 2
+        first, last = np.ceil((low + half) / self.period_mm), np.floor((high - half) / self.period_mm)
+        _require(first <= last, f"period_mm = {self.period_mm}: no whole stripe fits into y_mm = [{low}, {high}]")
+        _require(
+            min(half * 2, self.period_mm - half * 2) >= wall.pixel_mm[1],
+            f"period_mm = {self.period_mm} is finer than the projector's pixels, {wall.pixel_mm[1]:.3g} mm; raise it",
+        )
+        centres = self.period_mm * np.arange(first, last + 1)
+        across = np.any([_inside(wall, "y", centre - half, centre + half) for centre in centres], axis=0)
+        return _lit(across, _inside(wall, "z", *(self.z_mm or wall.z_mm)), self.level)
+
+
+@dataclass(frozen=True)
+class GrayCode(_Kind):
+    """One bit of the binary-reflected Gray code of the column's or the row's number; bit 0 is the coarsest."""
+
+    bit: int
+    axis: Axis = "columns"
+    inverse: bool = False
+    kind: Literal["gray-code"] = "gray-code"
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        count = wall.shape[1 if self.axis == "columns" else 0]
+        bits = gray_code_bits(count)
+        _require(0 <= self.bit < bits, f"bit = {self.bit} is outside 0…{bits - 1}, which {count} {self.axis} need")
+        number = np.arange(count)
+        lit = ((number ^ (number >> 1)) >> (bits - 1 - self.bit) & 1).astype(bool)
+        return _along(self.axis, np.where(lit ^ self.inverse, 255, 0), wall)
+
+
+@dataclass(frozen=True)
+class PhaseShift(_Kind):
+    """A sine along one axis, shifted by `step` of `steps` parts of its period."""
+
+    period_px: float
+    step: int
+    steps: int = 4
+    axis: Axis = "columns"
+    kind: Literal["phase-shift"] = "phase-shift"
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        _require(self.period_px >= 2.0, f"period_px = {self.period_px} is finer than the pixels; give 2 or more")
+        _require(0 <= self.step < self.steps, f"step = {self.step} is outside 0…{self.steps - 1}")
+        count = wall.shape[1 if self.axis == "columns" else 0]
+        phase = 2 * np.pi * (np.arange(count) / self.period_px - self.step / self.steps)
+        return _along(self.axis, np.round(127.5 * (1 + np.cos(phase))), wall)
+
+
+@dataclass(frozen=True)
+class Checker(_Kind):
+    """A checkerboard; fine ones separate what was scattered once from what was scattered often."""
+
+    cell_px: int
+    inverse: bool = False
+    kind: Literal["checker"] = "checker"
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        _require(self.cell_px >= 1, f"cell_px = {self.cell_px} is no cell; give 1 or more")
+        row, column = np.indices(wall.shape) // self.cell_px
+        return np.where((row + column + self.inverse) % 2 == 0, 255, 0).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Hadamard(_Kind):
+    """One of the size² two-dimensional Hadamard patterns of size × size cells, in natural order.
+
+    Cell (r, c) of pattern `index` = i·size + j is lit where (−1)^(popcount(i & r) + popcount(j & c)) = 1.
+    """
+
+    index: int
+    size: int = 16
+    inverse: bool = False
+    kind: Literal["hadamard"] = "hadamard"
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        size = self.size
+        _require(
+            size >= 2 and size & (size - 1) == 0 and size <= min(wall.shape),
+            f"size = {size} is no power of two that the projector's {min(wall.shape)} rows can show",
+        )
+        _require(0 <= self.index < size**2, f"index = {self.index} is outside 0…{size**2 - 1}")
+        i, j = divmod(self.index, size)
+        row, column = (np.arange(count) * size // count for count in wall.shape)
+        odd = (np.bitwise_count(i & row)[:, None] + np.bitwise_count(j & column)) % 2 == 1
+        return np.where(odd ^ self.inverse, 0, 255).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class ImageFile(_Kind):
+    """An 8-bit grey picture in the projector's shape, from a file; a path relative to the sequence's folder."""
+
+    path: str
+    kind: Literal["image"] = "image"
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        import cv2
+
+        _require(Path(self.path).is_file(), f"{self.path}: does not exist; give the path of a picture")
+        picture = cv2.imread(self.path, cv2.IMREAD_UNCHANGED)
+        if picture is None:
+            raise SequenceError(f"{self.path}: is not a picture that can be read; give an 8-bit grey PNG")
+        _require(
+            picture.dtype == np.uint8 and picture.shape == wall.shape,
+            f"{self.path}: has shape {list(picture.shape)} and type {picture.dtype}; "
+            f"give 8-bit grey pixels in the projector's shape {list(wall.shape)}",
+        )
+        return np.asarray(picture, np.uint8)
+
+
+KINDS = (Dark, Full, Sheet, Rays, Stripes, GrayCode, PhaseShift, Checker, Hadamard, ImageFile)
+"""All kinds, in the order in which a person meets them."""
+
+AnyKind = Dark | Full | Sheet | Rays | Stripes | GrayCode | PhaseShift | Checker | Hadamard | ImageFile
+
+
+def gray_code_bits(count: int) -> int:
+    """How many bits number `count` columns or rows."""
+    return max(1, (count - 1).bit_length())
+
+
+def gray_code_series(wall: Wall) -> tuple[GrayCode, ...]:
+    """All patterns that number the projector's columns and rows, each followed by its inverse."""
+    axes: tuple[tuple[Axis, int], ...] = (("columns", wall.shape[1]), ("rows", wall.shape[0]))
+    return tuple(
+        GrayCode(bit, axis, inverse)
+        for axis, count in axes
+        for bit in range(gray_code_bits(count))
+        for inverse in (False, True)
+    )
+
+
+def _inside(wall: Wall, name: Literal["y", "z"], low: float, high: float) -> NDArray[np.bool_]:
+    """Which columns (y) or rows (z) have their centre in [low, high]."""
+    centres = wall.y_centres_mm if name == "y" else wall.z_centres_mm
+    inside: NDArray[np.bool_] = (centres >= low) & (centres <= high)
+    edges = sorted(wall.y_mm if name == "y" else wall.z_mm)
+    _require(
+        bool(inside.any()),
+        f"{name}_mm = [{low:g}, {high:g}] lights no pixel: the projector reaches {name} = {edges[0]:g}…{edges[1]:g} mm "
+        f"in pixels of {wall.pixel_mm[name == 'y']:.3g} mm; move or widen it",
+    )
+    return inside
+
+
+def _lit(columns: NDArray[np.bool_], rows: NDArray[np.bool_], level: int) -> NDArray[np.uint8]:
+    return (np.outer(rows, columns) * level).astype(np.uint8)
+
+
+def _along(axis: Axis, levels: NDArray[np.generic], wall: Wall) -> NDArray[np.uint8]:
+    line = levels.astype(np.uint8)
+    return np.broadcast_to(line if axis == "columns" else line[:, None], wall.shape).copy()
