@@ -35,7 +35,3 @@ class StoreError(TankrigError, OSError):
 
 class CacheError(TankrigError, OSError):
     """A prepared model that cannot be stored or read back."""
-
-
-class DecisionError(TankrigError):
-    """Only a person can say how to go on; the message asks the question and names the ways to answer."""

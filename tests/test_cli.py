@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import tankrig
-from tankrig.errors import DecisionError
 from ui.cli import COMMANDS, main
 
 SCENE = Path(__file__).parent / "data" / "reference" / "pub02.toml"
@@ -103,7 +102,7 @@ def disk_full() -> tankrig.StoreError:
         (tankrig.CacheError("a folder; give another"), 2, "a folder; give another"),
         (disk_full(), 1, "the disk is full; make room"),
         (tankrig.DeviceError("the pump says nothing; look"), 1, "the pump says nothing; look"),
-        (DecisionError("was the dose given? say --delivered-ul"), 3, "was the dose given? say --delivered-ul"),
+        (tankrig.UndecidedError("was the dose given? say --delivered-ul"), 3, "was the dose given? say --delivered-ul"),
         (click.Abort(), 1, "stopped on request"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",

@@ -84,17 +84,18 @@ def _tell(prediction: "Prediction", seconds: float) -> None:
 
 
 def _write_picture(path: Path, prediction: "Prediction", scene: "Scene") -> None:
+    import matplotlib as mpl
     from matplotlib.figure import Figure
 
+    from tankrig.figures.tank_image import FALSE_COLOUR, STYLE, brightness, draw
     from tankrig.files import whole_file
 
     rows, columns = prediction.image.shape
-    left, low = 0.0, -scene.tank.size_mm[1] / 2
-    extent = (left, left + columns * scene.camera.pixel_mm, low, low + rows * scene.camera.pixel_mm)
-    figure = Figure(figsize=(7.0, 7.0 * rows / columns * 0.8 + 0.8), layout="constrained")
-    axes = figure.subplots()
-    shown = axes.imshow(prediction.image, origin="lower", extent=extent, cmap="jet", vmin=0.0)
-    axes.set(xlabel="x (mm)", ylabel="y (mm)", title=f"{path.stem}: {prediction.model}")
-    figure.colorbar(shown, label="radiance (W/mm²/sr)")
-    with whole_file(path) as unfinished:
+    with mpl.rc_context(STYLE), whole_file(path) as unfinished:
+        figure = Figure(figsize=(7.0, min(5.6 * rows / columns, 20.0) + 0.8), layout="constrained")
+        axes = figure.subplots()
+        scale = brightness(prediction.image)
+        shown = draw(axes, prediction.image, scene, FALSE_COLOUR, scale, f"{path.stem} ({prediction.model})")
+        axes.set(xlabel="x (mm)", ylabel="y (mm)")
+        figure.colorbar(shown, label="radiance (W/mm²/sr)")
         figure.savefig(unfinished, dpi=150)
