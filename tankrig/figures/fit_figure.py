@@ -1,0 +1,175 @@
+"""The picture of a fit: observation, reconstruction by scattering order, residuals, and single scattering beside it."""
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tankrig.estimation.estimate import Estimate
+from tankrig.estimation.reconstruction import Reconstruction
+from tankrig.figures.tank_image import (
+    FALSE_COLOUR,
+    GREY,
+    RESIDUAL_COLOUR,
+    STYLE,
+    Image,
+    add_bar,
+    brightness,
+    draw,
+    label_outer,
+    pixel_centres,
+    signed,
+)
+from tankrig.files import whole_file
+from tankrig.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Normalize
+
+OBSERVED, FULL, SINGLE = "#222222", "#0072b2", "#d55e00"
+"""Colours of curves, which colour-blind readers tell apart too."""
+PROFILE_X_MM = 40.0
+"""Where the profile across the light is taken."""
+
+
+def write_fit_figure(
+    path: Path, scene: Scene, estimate: Estimate, rebuilt: Sequence[Reconstruction], single: Estimate | None
+) -> None:
+    """Draw a fit and write it as a picture; the file is there whole or not at all.
+
+    Every image is in percent of the observation's peak, all but the residuals on one square-root colour scale.
+
+    Parameters
+    ----------
+    path
+        Of the picture (.png, .pdf or .svg).
+    scene
+        Of the observation.
+    estimate
+        The fit.
+    rebuilt
+        Its reconstructions by order, see `by_order`.
+    single
+        Fit of the single-scattering model to the same image; None where that is what `estimate` is.
+
+    Raises
+    ------
+    StoreError
+        When the file cannot be written.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    observed = estimate.image + estimate.residual
+    percent = 100.0 / float(np.nanmax(observed))
+    columns = [f"{kind}{index}" for kind in ("image", "residual") for index in range(4)]
+    names = [["grey", "colour", "text", "text"], columns[:4], columns[4:]]
+    if single is not None:
+        names.append(["single", "single residual", "along", "across"])
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(15.0, 2.95 * len(names)), layout="constrained")
+        axes: dict[str, Axes] = figure.subplot_mosaic(names)  # type: ignore[arg-type]
+        scale = brightness(percent * observed)
+        draw(axes["grey"], percent * observed, scene, GREY, scale, "Observed")
+        draw(axes["colour"], percent * observed, scene, FALSE_COLOUR, scale, "Observed, in false colour")
+        label_outer([[axes["grey"], axes["colour"]]])
+        _write_text(axes["text"], estimate)
+        grid = [[axes[name] for name in row] for row in (columns[:4], columns[4:])]
+        reach = draw_reconstructions(grid, scene, rebuilt, observed, estimate.noise)
+        if single is not None:
+            _draw_single([axes[name] for name in names[-1]], scene, observed, estimate, single, reach)
+        with whole_file(path) as unfinished:
+            figure.savefig(unfinished, dpi=120)
+
+
+def draw_reconstructions(
+    grid: Sequence[Sequence["Axes"]], scene: Scene, rebuilt: Sequence[Reconstruction], observed: Image, noise: float
+) -> "Normalize":
+    """Reconstructions on the observation's colour scale above their residuals on one scale (the paper's Figs. 6, 7).
+
+    Parameters
+    ----------
+    grid
+        Two rows of axes, at least as many columns as reconstructions.
+    scene
+        Of the observation.
+    rebuilt
+        See `by_order`.
+    observed, noise
+        The observation and the standard deviation of its noise, image units.
+
+    Returns
+    -------
+    The residuals' scale, percent of the observed peak.
+    """
+    percent = 100.0 / float(np.nanmax(observed))
+    scale = brightness(percent * observed)
+    reach = signed(percent * rebuilt[0].residual, percent * noise)
+    for column, one in enumerate(rebuilt):
+        which = {"1": "order 1", "all": "all orders"}.get(one.orders, f"orders {one.orders}")
+        title = f"{which.capitalize()}: RMSE {percent * one.rmse:.3g} %"
+        top = draw(grid[0][column], percent * one.image, scene, FALSE_COLOUR, scale, title)
+        bottom = draw(grid[1][column], percent * one.residual, scene, RESIDUAL_COLOUR, reach, f"Observed − {which}")
+    shown = [row[: len(rebuilt)] for row in grid]
+    for unused in [one for row in grid for one in row[len(rebuilt) :]]:
+        unused.axis("off")
+    label_outer(shown)
+    add_bar(grid[0], top)
+    add_bar(grid[1], bottom, residual=True)
+    return reach
+
+
+def _write_text(axes: "Axes", estimate: Estimate) -> None:
+    axes.axis("off")
+    medium, sd = estimate.medium, np.sqrt(np.diag(estimate.covariance))
+    lines = [
+        f"$\\sigma_a$ = {medium.sigma_a:.4g} ± {sd[0]:.1g} /mm",
+        f"$\\sigma_s$ = {medium.sigma_s:.4g} ± {sd[1]:.1g} /mm",
+        f"$g$  = {medium.g:.4g} ± {sd[2]:.1g}",
+    ]
+    axes.text(0.02, 1.02, "\n".join(lines), va="top", fontsize=14, linespacing=1.5, transform=axes.transAxes)
+    about = (
+        f"{estimate.model} model\ngain {estimate.gain:.4g}\noffset {estimate.offset:.3g}\nnoise {estimate.noise:.3g}"
+    )
+    axes.text(0.6, 1.0, about, va="top", fontsize=10, linespacing=1.6, color="#444444", transform=axes.transAxes)
+    verdict = "\n".join(textwrap.wrap(estimate.verdict, 92))
+    axes.text(0.02, 0.5, verdict, va="top", fontsize=10, linespacing=1.4, color="#444444", transform=axes.transAxes)
+
+
+def _draw_single(
+    axes: Sequence["Axes"], scene: Scene, observed: Image, estimate: Estimate, single: Estimate, reach: "Normalize"
+) -> None:
+    """Best fit of single scattering alone, and where it fails: along the light and across it."""
+    image, residual, along, across = axes
+    percent = 100.0 / float(np.nanmax(observed))
+    ratio = single.medium.sigma_s / estimate.medium.sigma_s
+    title = f"Single scattering alone: RMSE {percent * single.rmse:.3g} %"
+    draw(image, percent * single.image, scene, FALSE_COLOUR, brightness(percent * observed), title)
+    title = f"Observed − it; its $\\sigma_s$ is {ratio:.3g} × the fit's"
+    draw(residual, percent * single.residual, scene, RESIDUAL_COLOUR, reach, title)
+    label_outer([[image, residual]])
+    x, y = pixel_centres(scene, (observed.shape[0], observed.shape[1]))
+    row = int(np.nanargmax(np.nansum(observed, axis=1)))
+    column = int(np.argmin(np.abs(x - PROFILE_X_MM)))
+    curves = [percent * one for one in (observed, estimate.image, single.image)]
+    _draw_curves(along, x, [one[row] for one in curves])
+    along.set(xlabel="x (mm)", title=f"% of peak along the light, y = {y[row]:g} mm")
+    _draw_curves(across, y, [one[:, column] for one in curves])
+    across.set(xlabel="y (mm)", title=f"% of peak across it, x = {x[column]:g} mm")
+    along.legend()
+
+
+def _draw_curves(axes: "Axes", at: Image, curves: Sequence[Image]) -> None:
+    observed, full, single = curves
+    axes.plot(at, observed, ".", color=OBSERVED, markersize=3.5, label="observed")
+    axes.plot(at, full, color=FULL, linewidth=1.4, label="full fit")
+    axes.plot(at, single, color=SINGLE, linewidth=1.2, linestyle="--", label="single-scattering fit")
+    axes.set_yscale("log")
+    bright = np.concatenate([observed, full])
+    positive = bright[bright > 0.0]
+    axes.set_ylim(max(0.4 * float(np.percentile(positive, 1)), 0.001), 1.6 * float(np.nanmax(bright)))
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.spines[["top", "right"]].set_visible(False)

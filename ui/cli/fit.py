@@ -1,0 +1,203 @@
+"""`tankrig fit`: from an image of the tank to the coefficients of the liquid in it."""
+
+import json
+import math
+import time
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ui.cli.options import json_option, out_option, scene_option
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tankrig.estimation.estimate import Estimate
+    from tankrig.estimation.reconstruction import Reconstruction
+
+LEVEL = 0.95
+"""Of the intervals that are printed."""
+
+
+class FreeOrNumber(click.ParamType[Any]):
+    """The word "free", or a finite number."""
+
+    name = "free|NUMBER"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Text to "free" or float."""
+        if value == "free" or isinstance(value, float):
+            return value
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            self.fail(f'{value!r} is neither "free" nor a finite number', param, ctx)
+        return number
+
+
+@click.command(epilog="Example: tankrig fit tank.png --scene scene.toml --scale 2e-8 --gain 1 --out fitted")
+@click.argument("image_file", metavar="IMAGE", type=click.Path(path_type=Path))
+@scene_option
+@click.option("--array", metavar="NAME", help='Which array of an .npz; default: the only image, or "total".')
+@click.option("--scale", type=float, default=1.0, show_default=True, help="Radiance per count, W/mm²/sr.")
+@click.option(
+    "--gain", type=FreeOrNumber(), default="free", show_default=True, help="Image per radiance, after --scale."
+)
+@click.option("--offset", type=FreeOrNumber(), default="free", show_default=True, help="Added to it, after --scale.")
+@click.option("--noise", type=float, help="Standard deviation of a pixel, after --scale; default: seen in the image.")
+@click.option(
+    "--model", default="tank", show_default=True, metavar="NAME", help="tank, single, convolution, diffuse, montecarlo."
+)
+@click.option("--max-order", type=click.IntRange(min=1), help="Fit orders of scattering 1 … N only.")
+@out_option("out", "Folder for the picture (.png), the numbers (.json) and the images (.npz).")
+@json_option
+def fit(
+    image_file: Path,
+    scene_file: Path,
+    array: str | None,
+    scale: float,
+    gain: Any,
+    offset: Any,
+    noise: float | None,
+    model: str,
+    max_order: int | None,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Fit σa, σs and g to IMAGE, a picture of the lit tank.
+
+    IMAGE is .npz, .npy, or a 16-bit or floating-point .png or .tif whose pixels are those of the scene's camera.
+    Prints the coefficients with intervals, a verdict, and how well 1, 3, 20 and all orders of scattering rebuild the
+    image; writes a picture of that beside the observation.
+    """
+    from rich.console import Console
+
+    import tankrig
+    from tankrig.estimation.estimate import FINE
+    from tankrig.estimation.reconstruction import by_order
+    from tankrig.files import require_writable
+    from tankrig.image.reading import read_image
+
+    scene = tankrig.load_scene(scene_file)
+    image = read_image(image_file, array, scale)
+    require_writable(out)
+    asked: dict[str, Any] = {"gain": gain, "offset": offset, "noise": noise}
+    with Console(stderr=True).status("reading") as status:
+        started = time.perf_counter()
+        try:
+            fitted = tankrig.estimate(
+                image, scene, **asked, model=model, max_order=max_order, progress=lambda what: status.update(what)
+            )
+        except tankrig.ImageError as error:
+            raise tankrig.ImageError(f"{image_file}: {error}") from error
+        seconds = time.perf_counter() - started
+        prediction = tankrig.predict(replace(scene, medium=fitted.medium), model, FINE, max_order)
+        rebuilt = by_order(fitted, prediction)
+        status.update("comparing with single scattering")
+        single = tankrig.estimate(image, scene, **asked, model="single") if model != "single" else None
+        status.update("drawing")
+        stem = out / f"{image_file.stem}-fit"
+        numbers = {
+            "image": str(image_file),
+            "scene": str(scene_file),
+            **asked,
+            **_numbers(fitted, rebuilt, single),
+            "seconds": round(seconds, 2),
+            "picture": f"{stem}.png",
+            "arrays": f"{stem}.npz",
+        }
+        _write(stem, numbers, scene, fitted, rebuilt, single)
+    if as_json:
+        click.echo(json.dumps(numbers, ensure_ascii=False))
+    else:
+        _tell(fitted, rebuilt, single, seconds)
+        click.echo(f"written  {stem}.png, .json, .npz")
+
+
+def _numbers(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Estimate | None") -> dict[str, Any]:
+    numbers = {
+        "model": fitted.model,
+        "medium": asdict(fitted.medium),
+        "standard_deviation": {
+            name: math.sqrt(fitted.covariance[k, k]) for k, name in enumerate(("sigma_a", "sigma_s", "g"))
+        },
+        "covariance": fitted.covariance.tolist(),
+        "interval": {"level": LEVEL, **fitted.interval(LEVEL)},
+        "identifiable": fitted.identifiable,
+        "gain": fitted.gain,
+        "offset": fitted.offset,
+        "noise": fitted.noise,
+        "model_error": fitted.model_error,
+        "rmse": fitted.rmse,
+        "rmse_by_order": {one.orders: one.rmse for one in rebuilt},
+        "verdict": fitted.verdict,
+    }
+    if single is not None:
+        numbers["single"] = {"medium": asdict(single.medium), "rmse": single.rmse, "verdict": single.verdict}
+    return numbers
+
+
+def _write(
+    stem: Path,
+    numbers: dict[str, Any],
+    scene: Any,
+    fitted: "Estimate",
+    rebuilt: "Sequence[Reconstruction]",
+    single: "Estimate | None",
+) -> None:
+    """Picture, numbers and images: all of them or none."""
+    import numpy as np
+
+    from tankrig.figures.fit_figure import write_fit_figure
+    from tankrig.files import whole_file
+
+    with ExitStack() as files:
+        picture, text, arrays = (
+            files.enter_context(whole_file(stem.with_name(stem.name + suffix))) for suffix in (".png", ".json", ".npz")
+        )
+        write_fit_figure(picture, scene, fitted, rebuilt, single)
+        text.write_text(json.dumps(numbers, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
+        images = {f"orders_{one.orders.replace('–', '_')}": one.image for one in rebuilt}
+        np.savez_compressed(arrays, allow_pickle=False, fitted=fitted.image, residual=fitted.residual, **images)
+
+
+def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Estimate | None", seconds: float) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in ("", "fitted", "±", f"{LEVEL:.0%} interval", "", "determined"):
+        table.add_column(heading, justify="left" if heading in ("", "determined") else "right")
+    for k, (name, (low, high)) in enumerate(fitted.interval(LEVEL).items()):
+        sd = math.sqrt(fitted.covariance[k, k])
+        value = getattr(fitted.medium, name)
+        unit = "" if name == "g" else "/mm"
+        shown = [_rounded(one, sd) for one in (value, sd, low, high)]
+        known = "yes" if fitted.identifiable[name] else "no"
+        table.add_row(name, shown[0], shown[1], f"{shown[2]} … {shown[3]}", unit, known)
+    console = Console()
+    console.print(table)
+    console.print(f"\n{fitted.verdict}\n", highlight=False)
+    by_order = ",  ".join(f"{one.orders}: {one.rmse:.3g}" for one in rebuilt)
+    console.print(
+        f"model    {fitted.model}, {seconds:.1f} s; gain {fitted.gain:.5g}, offset {fitted.offset:.3g}", highlight=False
+    )
+    console.print(f"RMSE     orders {by_order}", highlight=False)
+    if single is not None:
+        ratio = single.medium.sigma_s / fitted.medium.sigma_s
+        console.print(
+            f"         single scattering alone, fitted: {single.rmse:.3g}, with sigma_s {ratio:.3g} × the above",
+            highlight=False,
+        )
+
+
+def _rounded(value: float, sd: float) -> str:
+    """A value to two digits of its standard deviation."""
+    if not math.isfinite(value) or sd <= 0.0:
+        return f"{value:.4g}"
+    return f"{value:.{max(0, 1 - math.floor(math.log10(sd)))}f}"
