@@ -4,12 +4,14 @@ import argparse
 import contextlib
 import json
 import selectors
+import signal
 import socket
 import sys
 import threading
 from pathlib import Path
 
 from .board import Board
+from .faults import Faults
 from .memory import Commissioning, StateFile
 
 _EPILOG = """\
@@ -18,6 +20,15 @@ Control: connect to the socket and write one JSON object per line; each is answe
   {"do": "reset"}                                  or unplug, plug, forget, quit
   {}                                               ask only
 """
+
+
+def _faults(text: str) -> dict[str, object]:
+    faults: dict[str, object] = json.loads(text)
+    try:
+        Faults(**faults)  # type: ignore[arg-type]
+    except TypeError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return faults
 
 
 def _arguments() -> argparse.Namespace:
@@ -35,6 +46,7 @@ def _arguments() -> argparse.Namespace:
     add("--rate", type=float, default=2000.0, help="highest speed, steps/s (default 2000)")
     add("--acceleration", type=float, default=8000.0, help="steps/s² (default 8000)")
     add("--time-scale", type=float, default=1.0, help="all times are multiplied by this (default 1)")
+    add("--faults", type=_faults, default={}, help="JSON object of the faults in force from the start")
     add("--seed", type=int, default=0, help="of the faults (default 0)")
     add("--linger-s", type=float, default=0.0, help="quit when no one has had the device open for so long; 0: never")
     add("--serial", default=new.serial, help="commissioning of a new state file (8 characters)")
@@ -90,15 +102,17 @@ def main() -> int:
         time_scale=args.time_scale,
         seed=args.seed,
     )
+    signal.signal(signal.SIGTERM, lambda *_: board.quit())
+    board.command({"faults": args.faults})
     control = threading.Thread(target=_serve, args=(board, args.control)) if args.control else None
     if control:
         control.start()
     with contextlib.suppress(KeyboardInterrupt):
         while not board.quitting:
             board.live()
-            board.quitting |= 0 < args.linger_s < board.idle_s
-    board.quitting = True
-    board.run()
+            if 0 < args.linger_s < board.idle_s:
+                board.quit()
+    board.unplug()
     if control:
         control.join()
     state.close()

@@ -75,6 +75,14 @@ class Board:
         """Live until `quit`."""
         while not self.quitting:
             self.live()
+        self.unplug()
+
+    def quit(self) -> None:
+        """Let `run` end soon."""
+        self.quitting = True
+
+    def unplug(self) -> None:
+        """Pull the cable."""
         with self._turn:
             self._unplug()
 

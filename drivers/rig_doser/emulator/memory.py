@@ -150,3 +150,15 @@ def read_truth(path: Path) -> Truth:
     """What the doser with this state file has really delivered, also while its process runs."""
     with path.open("rb") as file:
         return Truth(*struct.unpack("@QQ", file.read(16)))
+
+
+def state_in_use(path: Path) -> bool:
+    """Whether an emulator runs on this state file."""
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return False
+    except BlockingIOError:
+        return True
+    return False
