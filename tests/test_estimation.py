@@ -1,0 +1,228 @@
+"""Estimates: right coefficients, errors that mean what they say, and no confident wrong number."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import tankrig
+from tankrig.errors import ImageError
+from tankrig.estimation.estimate import Estimate, fit_models
+from tankrig.estimation.observation import observe
+from tankrig.estimation.projection import Scaling
+from tankrig.image.prediction import Prediction, Skipped
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tankrig.scene.phase import phase_function
+
+SCENE = Scene(
+    Tank(),
+    Medium(0.01, 0.01, 0.0),
+    Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),)),
+    Camera("orthographic", (40, 60), 4.0),
+)
+THIN, MEDIUM, THICK = Medium(0.0004, 0.004, 0.8), Medium(0.001, 0.02, 0.8), Medium(0.001, 0.1, 0.8)
+BACKWARD = Medium(0.002, 0.02, -0.2)
+KNOWN, FREE = Scaling(1.0, 0.0), Scaling(None, None)
+
+
+def tank_like(medium: Medium) -> Prediction:
+    """A beam, a glow about it that widens, and a diffuse halo: what a tank does to light, in closed form."""
+    x = np.arange(60) * 4.0 + 2.0
+    y = (np.arange(40) * 4.0 - 78.0)[:, None]
+    transport = medium.sigma_s * (1.0 - medium.g)
+    beam = medium.sigma_s * phase_function(np.array(0.0), medium.g) * np.exp(-medium.sigma_t * (x + 60.0))
+    width = 4.0 + 8.0 * transport * x
+    glow = np.exp(-(medium.sigma_a + 0.5 * transport) * (x + 60.0) - 0.5 * (y / width) ** 2)
+    reach = np.sqrt(3.0 * medium.sigma_a * (medium.sigma_a + transport))
+    halo = np.exp(-60.0 * reach - np.hypot(x, y) * (reach + 1.0 / (60.0 + 1.0 / transport)))
+    image = beam * (np.abs(y) < 3.0) + 10.0 * (medium.g * medium.sigma_s) ** 2 * glow / width + 0.3 * transport * halo
+    return Prediction(image, "tank-like")
+
+
+def noisy(medium: Medium, share: float = 0.002, seed: int = 0) -> tuple[NDArray[np.float64], float]:
+    image = tank_like(medium).image
+    noise = share * float(image.max())
+    return image + np.random.default_rng(seed).normal(0.0, noise, image.shape), noise
+
+
+def fit(
+    image: NDArray[np.float64], scaling: Scaling, noise: float | None = None, model=tank_like, mask=None
+) -> Estimate:
+    return fit_models(observe(image, (40, 60), noise, mask), SCENE, scaling, model, model, lambda _: None)
+
+
+def off_in_sd(estimate: Estimate, truth: Medium) -> NDArray[np.float64]:
+    found, true = (np.array([one.sigma_a, one.sigma_s, one.g]) for one in (estimate.medium, truth))
+    return (found - true) / np.sqrt(np.diag(estimate.covariance))
+
+
+@pytest.mark.parametrize("scaling", [KNOWN, FREE], ids=["gain known", "gain free"])
+@pytest.mark.parametrize("truth", [THIN, MEDIUM, THICK, BACKWARD], ids=["thin", "medium", "thick", "backward"])
+def test_finds_the_coefficients_of_any_density(truth: Medium, scaling: Scaling) -> None:
+    """A wrong basin, a search that stops early or a wrong Jacobian would give wrong coefficients somewhere."""
+    image, noise = noisy(truth)
+    factor, dark = (1.0, 0.0) if scaling is KNOWN else (3.0e4, 7.0)
+    found = fit(factor * image + dark, scaling, factor * noise)
+    assert np.abs(off_in_sd(found, truth)).max() < 4.0
+    assert found.medium.sigma_s == pytest.approx(truth.sigma_s, rel=0.05)
+    assert found.medium.g == pytest.approx(truth.g, abs=0.05)
+    assert found.gain == pytest.approx(factor, rel=0.1)
+    assert found.rmse == pytest.approx(factor * noise, rel=0.05)
+
+
+@pytest.mark.parametrize("scaling", [KNOWN, FREE], ids=["gain known", "gain free"])
+def test_errors_are_the_scatter_of_repeated_measurements(scaling: Scaling) -> None:
+    """Intervals that are too narrow promise what a repeated measurement would not keep; too wide ones waste ink."""
+    draws = [fit(*_swapped(noisy(MEDIUM, seed=seed), scaling)) for seed in range(60)]
+    off = np.array([off_in_sd(one, MEDIUM) for one in draws])
+    assert (np.abs(off.std(axis=0) - 1.0) < 0.3).all()
+    assert (np.abs(off.mean(axis=0)) < 0.45).all()
+    inside = [low <= MEDIUM.sigma_s <= high for low, high in (one.interval(0.95)["sigma_s"] for one in draws)]
+    assert np.mean(inside) >= 0.85
+
+
+def _swapped(
+    measured: tuple[NDArray[np.float64], float], scaling: Scaling
+) -> tuple[NDArray[np.float64], Scaling, float]:
+    return measured[0], scaling, measured[1]
+
+
+def test_free_gain_costs_knowledge_of_absorption() -> None:
+    """A covariance that forgot that gain was fitted too would promise σa as if it were known."""
+    image, noise = noisy(THICK)
+    known, free = (np.sqrt(fit(image, scaling, noise).covariance[0, 0]) for scaling in (KNOWN, FREE))
+    assert free > 2.0 * known
+
+
+def test_model_error_widens_the_intervals() -> None:
+    """With little camera noise the model's own error is what limits an estimate; leaving it out is fiction."""
+    image, noise = noisy(MEDIUM, 0.0005)
+
+    def unsure(medium: Medium) -> Prediction:
+        return replace(tank_like(medium), skipped=(Skipped("fine print", 0.01),))
+
+    exact, honest = fit(image, KNOWN, noise), fit(image, KNOWN, noise, unsure)
+    assert honest.model_error == pytest.approx(0.01)
+    assert (np.diag(honest.covariance) > 9.0 * np.diag(exact.covariance)).all()
+
+
+def test_structure_in_the_residual_is_said_and_counted() -> None:
+    """Uneven ink fits no model: an estimate that ignored the pattern it leaves would be confidently wrong."""
+    image, noise = noisy(MEDIUM)
+    uneven = image * (1.0 + 0.05 * np.sin(np.arange(60) / 5.0))
+    clean, dirty = fit(image, KNOWN, noise), fit(uneven, KNOWN, noise)
+    assert "structure" in dirty.verdict
+    assert "structure" not in clean.verdict
+    assert np.sqrt(dirty.covariance[1, 1]) > 3.0 * np.sqrt(clean.covariance[1, 1])
+    assert np.abs(off_in_sd(dirty, MEDIUM)).max() < 4.0
+
+
+def test_noise_is_found_where_it_is_not_given() -> None:
+    """Without it nobody could fit a photograph whose noise they don't know and get error bars."""
+    image, noise = noisy(MEDIUM)
+    assert fit(image, KNOWN).noise == pytest.approx(noise, rel=0.1)
+
+
+def test_noise_free_images_fit_to_the_last_digits() -> None:
+    """A prediction given back to the fit must return its own medium."""
+    found = fit(tank_like(MEDIUM).image, KNOWN)
+    assert found.medium.sigma_s == pytest.approx(MEDIUM.sigma_s, rel=1e-3)
+    assert found.medium.g == pytest.approx(MEDIUM.g, abs=1e-3)
+
+
+def test_masked_pixels_do_not_count() -> None:
+    """A bubble or a dead pixel that was masked must not move the answer, NaN or not."""
+    image, noise = noisy(MEDIUM)
+    mask = np.zeros(image.shape, bool)
+    mask[10:16, 20:30] = True
+    broken = np.where(mask, np.nan, image)
+    shining = np.where(mask, 50.0 * image.max(), image)
+    first, second = (fit(one, KNOWN, noise, mask=mask) for one in (broken, shining))
+    assert first.medium == second.medium
+    assert np.abs(off_in_sd(first, MEDIUM)).max() < 4.0
+    assert np.isnan(first.residual[mask]).all()
+
+
+def test_saturated_pixels_are_left_out_and_said() -> None:
+    """Clipped pixels look like weaker light: fitted as they stand they bias σs."""
+    image, noise = noisy(THICK)
+    clipped = np.minimum(image, 0.5 * image.max())
+    found = fit(clipped, KNOWN, noise)
+    assert "saturated" in found.verdict
+    assert np.abs(off_in_sd(found, THICK)).max() < 4.0
+
+
+def test_intervals_stay_in_the_allowed_range() -> None:
+    """A lower limit below zero, or g beyond one, is no interval of a coefficient."""
+    image, noise = noisy(Medium(1e-5, 0.02, 0.8), 0.2)
+    for low, high in fit(image, FREE, noise).interval(0.9999).values():
+        assert low < high
+    interval = fit(image, FREE, noise).interval(0.9999)
+    assert interval["sigma_a"][0] == 0.0
+    assert -1.0 <= interval["g"][0] <= interval["g"][1] <= 1.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_images_of_nothing_never_give_a_confident_number(seed: int) -> None:
+    """Noise, one hot pixel, a gradient the wrong way: an error in words or a verdict of not determined, never NaN."""
+    random = np.random.default_rng(seed)
+    hot = np.zeros((40, 60))
+    hot[20, 30] = 1.0
+    image = [
+        random.random((40, 60)),
+        hot,
+        np.tile(np.linspace(0.0, 1.0, 60), (40, 1)),
+        random.normal(5.0, 1.0, (40, 60)),
+    ]
+    try:
+        found = fit(image[seed], FREE)
+    except ImageError:
+        return
+    assert np.isfinite(found.covariance).all()
+    assert not all(found.identifiable.values()) or "don't trust" in found.verdict or "structure" in found.verdict
+
+
+GOOD = np.ones((40, 60)) + np.eye(40, 60)
+
+
+@pytest.mark.parametrize(
+    ("image", "options", "words"),
+    [
+        (np.ones((60, 40)), {}, "shape"),
+        (np.zeros((40, 60)), {}, "dark"),
+        (-GOOD, {}, "dark"),
+        (np.ones((40, 60)), {}, "every pixel"),
+        (np.where(GOOD > 1.0, np.nan, GOOD), {}, "NaN"),
+        (np.where(GOOD > 1.0, np.inf, GOOD), {}, "infinite"),
+        (GOOD - 1.5, {}, "below zero"),
+        (GOOD * 1j, {}, "real numbers"),
+        (np.array([["a"]]), {}, "real numbers"),
+        (GOOD, {"noise": -1.0}, "positive"),
+        (GOOD, {"noise": np.ones((3, 3))}, "noise has shape"),
+        (GOOD, {"noise": np.nan}, "positive"),
+        (GOOD, {"mask": np.ones((3, 3), bool)}, "mask"),
+        (GOOD, {"mask": np.ones((40, 60), bool)}, "masked"),
+        (GOOD, {"gain": "fre"}, "gain"),
+        (GOOD, {"gain": 0.0}, "gain"),
+        (GOOD, {"offset": np.inf}, "offset"),
+    ],
+)
+def test_bad_input_is_refused_in_one_sentence(image: NDArray[np.float64], options: dict, words: str) -> None:
+    """Anything else would be a traceback, or a number fitted to nonsense."""
+    with pytest.raises(ImageError, match=words) as caught:
+        tankrig.estimate(image, SCENE, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_search_is_economical() -> None:
+    """A forward model costs up to a second: a fit of hundreds of evaluations would take minutes."""
+    asked = []
+
+    def counted(medium: Medium) -> Prediction:
+        asked.append(medium)
+        return tank_like(medium)
+
+    image, noise = noisy(MEDIUM)
+    fit(image, FREE, noise, counted)
+    assert len(asked) < 130
