@@ -74,7 +74,7 @@ def test_finds_the_coefficients_of_any_density(truth: Medium, scaling: Scaling) 
 @pytest.mark.parametrize("scaling", [KNOWN, FREE], ids=["gain known", "gain free"])
 def test_errors_are_the_scatter_of_repeated_measurements(scaling: Scaling) -> None:
     """Intervals that are too narrow promise what a repeated measurement would not keep; too wide ones waste ink."""
-    draws = [fit(*_swapped(noisy(MEDIUM, seed=seed), scaling)) for seed in range(60)]
+    draws = [fit(*_swapped(noisy(MEDIUM, seed=seed), scaling)) for seed in range(40)]
     off = np.array([off_in_sd(one, MEDIUM) for one in draws])
     assert (np.abs(off.std(axis=0) - 1.0) < 0.3).all()
     assert (np.abs(off.mean(axis=0)) < 0.45).all()
