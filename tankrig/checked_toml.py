@@ -1,0 +1,144 @@
+"""TOML files into checked dataclasses, with one sentence for whatever is wrong."""
+
+import difflib
+import json
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from tankrig.errors import TankrigError
+
+T = TypeVar("T")
+
+_ADVICE = {
+    "float_type": "is not a number; give one, without quotes",
+    "int_type": "is not a whole number; give one, without quotes",
+    "int_from_float": "is not a whole number; give one",
+    "string_type": "is not text; put it in quotes",
+    "bool_type": "is neither true nor false; give one of them, without quotes",
+    "tuple_type": "is not an array; put it in brackets: [ … ]",
+    "too_long": "has too many entries; remove those beyond the last",
+    "dataclass_type": "is not a table; give its keys and values",
+    "model_type": "is not a table; give its keys and values",
+    "dict_type": "is not a table; give its keys and values",
+}
+_UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden")
+
+
+def read_toml(path: Path, what: str, error: type[TankrigError]) -> dict[str, Any]:
+    """Parse a TOML file.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    what
+        What the file should be, for messages: "a sequence file".
+    error
+        What to raise when it cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as cause:
+        raise error(f"{path}: cannot be read ({cause.strerror or cause}); give the path of {what}") from cause
+    except UnicodeDecodeError as cause:
+        raise error(f"{path}: is not text, so not {what}; give a TOML file") from cause
+    except (ValueError, RecursionError) as cause:
+        raise error(f"{path}: is not TOML ({cause}); mend that line") from cause
+
+
+def checked(kind: type[T], table: dict[str, Any], name: str, error: type[TankrigError]) -> T:
+    """Make a `kind` of a parsed file.
+
+    Parameters
+    ----------
+    kind
+        A dataclass or model that forbids extra keys.
+    table
+        What the file holds.
+    name
+        Of the file; stands first in every message.
+    error
+        What to raise, in one sentence, about the first unknown key or, with none, the first wrong value.
+
+    Examples
+    --------
+    >>> from tankrig.errors import SceneError
+    >>> from tankrig.scene import Medium
+    >>> checked(Medium, {"sigma_a": 0.1, "sigma_s": 0.2, "g": 0}, "medium.toml", SceneError)
+    Medium(sigma_a=0.1, sigma_s=0.2, g=0.0)
+    >>> checked(Medium, {"sigma_a": 0.1, "sigma": 0.2, "g": 0}, "medium.toml", SceneError)
+    Traceback (most recent call last):
+    tankrig.errors.SceneError: medium.toml: key "sigma" is unknown; did you mean "sigma_s"?
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    adapter = TypeAdapter(kind)
+    try:
+        # As JSON, where strict validation still lets arrays become tuples and tables become dataclasses.
+        return adapter.validate_json(json.dumps(table, default=str))
+    except ValidationError as cause:
+        problems = sorted(cause.errors(), key=lambda problem: problem["type"] not in _UNKNOWN)
+        raise error(f"{name}: {_sentence(problems[0], adapter.json_schema())}") from cause
+
+
+def _sentence(problem: Any, schema: dict[str, Any]) -> str:
+    """One of pydantic's error records in words."""
+    kind, value = problem["type"], problem["input"]
+    place, known = _walk(list(problem["loc"]), schema)
+    if kind == "value_error":  # raised by a dataclass's own check; names its key already
+        return f"{place}{'.' if place else ''}{problem['ctx']['error']}"
+    if kind in _UNKNOWN:
+        return f'key "{place}" is unknown; {_near(place.rpartition(".")[2], known)}'
+    if kind in ("missing", "missing_argument"):
+        return f'key "{place}" is missing; add it'
+    if kind == "union_tag_not_found":
+        return f"{place} has no key {problem['ctx']['discriminator']}; add it to say what it is"
+    if kind == "union_tag_invalid":
+        tags = [tag.strip("' ") for tag in problem["ctx"]["expected_tags"].split(",")]
+        key = problem["ctx"]["discriminator"].strip("'")
+        return f'{place}.{key} = "{problem["ctx"]["tag"]}" is unknown; {_near(problem["ctx"]["tag"], tags)}'
+    if kind == "literal_error":
+        advice = "is unknown; use " + str(problem["ctx"]["expected"]).replace("'", '"')
+    else:
+        advice = _ADVICE.get(kind, f"is refused: {problem['msg']}")
+    return f"{place} = {_shown(value)} {advice}"
+
+
+def _near(word: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(word, known, n=1)
+    return f'did you mean "{close[0]}"?' if close else f"known here: {', '.join(known)}"
+
+
+def _walk(loc: list[Any], schema: dict[str, Any]) -> tuple[str, list[str]]:
+    """Where in the file a problem is, in TOML's words, and the keys that are known beside it.
+
+    Pydantic's place also names the chosen kind of a table that can be of several kinds; that is no key of the file.
+    """
+    place, known, node = "", list(schema.get("properties", ())), _resolved(schema, schema)
+    for part in loc:
+        kinds = node.get("discriminator", {}).get("mapping", {})
+        if part in kinds:
+            node = _resolved({"$ref": kinds[part]}, schema)
+            continue
+        known = list(node.get("properties", known))
+        place += f"[{part}]" if isinstance(part, int) else f".{part}" if place else str(part)
+        inner = node.get("items") if isinstance(part, int) else node.get("properties", {}).get(part)
+        node = _resolved(inner or node.get("additionalProperties") or {}, schema)
+    return place, known
+
+
+def _resolved(node: Any, schema: dict[str, Any]) -> dict[str, Any]:
+    if not isinstance(node, dict):
+        return {}
+    if "$ref" in node:
+        return _resolved(schema["$defs"][node["$ref"].rpartition("/")[2]], schema)
+    for choice in node.get("anyOf", ()):  # a key that may be absent
+        if choice.get("type") != "null":
+            return _resolved(choice, schema)
+    return node
+
+
+def _shown(value: Any) -> str:
+    text: str = json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= 60 else text[:57] + "…"

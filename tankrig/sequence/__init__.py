@@ -1,0 +1,5 @@
+"""Sequences: experiments as data, from TOML or from Python."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

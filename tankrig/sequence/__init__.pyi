@@ -1,0 +1,13 @@
+from .dry_run import DryRun as DryRun
+from .dry_run import Pace as Pace
+from .dry_run import dry_run as dry_run
+from .loading import load_sequence as load_sequence
+from .sequence import Sequence as Sequence
+from .steps import Capture as Capture
+from .steps import Dose as Dose
+from .steps import Mix as Mix
+from .steps import Note as Note
+from .steps import Repeat as Repeat
+from .steps import Series as Series
+from .steps import Task as Task
+from .steps import Wait as Wait

@@ -1,0 +1,138 @@
+"""What a sequence will take, and whether the rig allows it, before anything moves."""
+
+from dataclasses import dataclass
+
+from tankrig.devices import Delivered
+from tankrig.dosing import DoseLimits
+from tankrig.errors import SequenceError
+from tankrig.scene.description import CLOSED
+from tankrig.sequence.sequence import Sequence
+from tankrig.sequence.steps import Action, Capture, Dose, Mix, Wait
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast a rig is, for estimates of time only.
+
+    Parameters
+    ----------
+    flip_s
+        From one pattern to the next.
+    dose_ul_per_s
+        Of the doser.
+    mixing_s
+        Until ink has mixed.
+    """
+
+    __pydantic_config__ = CLOSED
+    flip_s: float = 0.05
+    dose_ul_per_s: float = 20.0
+    mixing_s: float = 20.0
+
+    def __post_init__(self) -> None:
+        if not (self.flip_s >= 0.0 and self.dose_ul_per_s > 0.0 and self.mixing_s >= 0.0):
+            raise SequenceError("pace has a value below zero; give what the rig needs, in s and µl/s")
+
+    def seconds(self, action: Action, sequence: Sequence, tank_ul: float) -> float:
+        """What one action takes when the tank holds `tank_ul`."""
+        match action:
+            case Dose(total_ul):
+                return max(0.0, total_ul - tank_ul) / self.dose_ul_per_s
+            case Mix():
+                return max(self.mixing_s, action.at_least_s)
+            case Capture():
+                # A frame counts when its exposure began after the flip, so one under way is waited out.
+                return self.flip_s + (action.frames + 1) * sequence.camera_settings(action).exposure_ms / 1000
+            case Wait(seconds):
+                return seconds
+            case _:
+                return 0.0
+
+
+@dataclass(frozen=True)
+class PlannedStep:
+    """One line of a dry run."""
+
+    label: str
+    seconds: float
+    ink_ul: float
+    frames: int
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """What a sequence will take.
+
+    Parameters
+    ----------
+    steps
+        Its actions, in order.
+    disk_bytes
+        Of its frames, uncompressed.
+    """
+
+    steps: tuple[PlannedStep, ...]
+    disk_bytes: int
+
+    @property
+    def seconds(self) -> float:
+        """How long it will take."""
+        return sum(step.seconds for step in self.steps)
+
+    @property
+    def ink_ul(self) -> float:
+        """How much ink it will dose."""
+        return sum(step.ink_ul for step in self.steps)
+
+    @property
+    def frames(self) -> int:
+        """How many frames it will record."""
+        return sum(step.frames for step in self.steps)
+
+
+def dry_run(
+    sequence: Sequence,
+    limits: DoseLimits,
+    pace: Pace,
+    frame_bytes: int,
+    tank: Delivered = Delivered(0.0, 0.0, 0.0),  # noqa: B008 - a tuple, which nobody can change
+    run_used_ul: float = 0.0,
+) -> DryRun:
+    """Go through a sequence without moving anything.
+
+    Parameters
+    ----------
+    sequence
+        What to go through.
+    limits
+        Budgets that its doses must keep.
+    pace
+        How fast the rig is.
+    frame_bytes
+        Size of one frame.
+    tank
+        What the tank holds now.
+    run_used_ul
+        What the run has dosed already, when it is resumed.
+
+    Raises
+    ------
+    SequenceError
+        Naming the first dose that the budgets forbid.
+    """
+    steps = []
+    for task in sequence.tasks:
+        action, ink_ul = task.action, 0.0
+        seconds = pace.seconds(action, sequence, tank.volume_ul)
+        if isinstance(action, Dose) and action.total_ul != tank.volume_ul:
+            ink_ul = action.total_ul - tank.volume_ul
+            if ink_ul < 0.0:
+                raise SequenceError(
+                    f"{task.label}: the tank holds {tank.volume_ul:g} µl already; fill it anew and start a new ledger"
+                )
+            if refusal := limits.refusal(action.total_ul, tank, run_used_ul):
+                raise SequenceError(f"{task.label}: {refusal}")
+            run_used_ul += ink_ul
+            tank = Delivered(action.total_ul, action.total_ul, action.total_ul)
+        steps.append(PlannedStep(task.label, seconds, ink_ul, action.frames if isinstance(action, Capture) else 0))
+    return DryRun(tuple(steps), sequence.frames * frame_bytes)

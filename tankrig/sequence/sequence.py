@@ -1,0 +1,123 @@
+"""A sequence: an experiment as data."""
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Annotated
+
+from pydantic import Field
+
+from tankrig.devices import CameraSettings
+from tankrig.errors import SequenceError
+from tankrig.pattern import Pattern
+from tankrig.pattern.kinds import AnyKind, Dark, Full, draw
+from tankrig.pattern.wall import Wall
+from tankrig.scene.description import CLOSED
+from tankrig.sequence.steps import Capture, Dose, Mix, Step, Task, written_out
+
+_ALWAYS: dict[str, AnyKind] = {"dark": Dark(), "full": Full()}
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """An experiment as data, checked as far as it can be without a rig.
+
+    Parameters
+    ----------
+    name
+        For people.
+    steps
+        What to do, in order.
+    patterns
+        What `Capture` and `Mix` can name, besides "dark" and "full".
+    exposure_ms, gain
+        Of the camera, where a step does not say otherwise.
+
+    Raises
+    ------
+    SequenceError
+        When a step names a pattern that is not there, or a dose takes ink out.
+
+    Examples
+    --------
+    >>> from tankrig.pattern.kinds import Sheet
+    >>> from tankrig.sequence import Series
+    >>> sequence = Sequence(
+    ...     "dilution",
+    ...     steps=(Series((0.0, 50.0), (Mix(), Capture("sheet", frames=2))),),
+    ...     patterns={"sheet": Sheet((-60.0, 60.0), (58.0, 62.0))},
+    ... )
+    >>> len(sequence.tasks), sequence.frames
+    (6, 4)
+    """
+
+    __pydantic_config__ = CLOSED
+    name: str
+    steps: tuple[Step, ...]
+    patterns: Mapping[str, Annotated[AnyKind, Field(discriminator="kind")]] = field(default_factory=dict)
+    exposure_ms: float = 20.0
+    gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        for key in ("exposure_ms", "gain"):
+            if not 0.0 < getattr(self, key) < float("inf"):
+                raise SequenceError(f"{key} = {getattr(self, key)} is not positive; give a positive number")
+        if not self.tasks:
+            raise SequenceError("steps is empty; give at least one step")
+        total_ul = 0.0
+        for task in self.tasks:
+            if isinstance(task.action, Capture | Mix):
+                self._require_pattern(task, task.action.pattern)
+            if isinstance(task.action, Dose):
+                if task.action.total_ul < total_ul:
+                    raise SequenceError(
+                        f"{task.label}: the tank holds {total_ul:g} µl by then, and a dose cannot take ink out; "
+                        f"let totals rise"
+                    )
+                total_ul = task.action.total_ul
+
+    def _require_pattern(self, task: Task, name: str) -> None:
+        known = [*_ALWAYS, *self.patterns]
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            advice = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
+            raise SequenceError(f'{task.label}: pattern "{name}" is unknown; {advice}')
+
+    @cached_property
+    def tasks(self) -> tuple[Task, ...]:
+        """The steps, written out."""
+        return tuple(written_out(self.steps))
+
+    @property
+    def frames(self) -> int:
+        """How many frames it records."""
+        return sum(task.action.frames for task in self.tasks if isinstance(task.action, Capture))
+
+    @property
+    def ink_ul(self) -> float:
+        """What the tank holds when it is done."""
+        return max((task.action.total_ul for task in self.tasks if isinstance(task.action, Dose)), default=0.0)
+
+    def camera_settings(self, capture: Capture | Mix) -> CameraSettings:
+        """For one step."""
+        exposure_ms = getattr(capture, "exposure_ms", None) or self.exposure_ms
+        return CameraSettings(exposure_ms, getattr(capture, "gain", None) or self.gain)
+
+    def drawn(self, wall: Wall) -> dict[str, Pattern]:
+        """The patterns that its steps use, by name, for the projector that lights `wall`.
+
+        Raises
+        ------
+        SequenceError
+            When one cannot be drawn with this projector.
+        """
+        kinds = _ALWAYS | dict(self.patterns)
+        used = [task.action.pattern for task in self.tasks if isinstance(task.action, Capture | Mix)]
+        patterns = {}
+        for name in dict.fromkeys([*used, "dark"]):
+            try:
+                patterns[name] = draw(kinds[name], wall, name)
+            except SequenceError as error:
+                raise SequenceError(f"patterns.{name}: {error}") from error
+        return patterns

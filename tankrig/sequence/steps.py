@@ -1,0 +1,206 @@
+"""What a sequence is made of: frozen steps, the same from a file and from Python."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from tankrig.errors import SequenceError
+from tankrig.scene.description import CLOSED
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise SequenceError(message)
+
+
+@dataclass(frozen=True)
+class Dose:
+    """Dose ink until the tank holds `total_ul` in all since it was filled."""
+
+    __pydantic_config__ = CLOSED
+    total_ul: float
+    do: Literal["dose"] = "dose"
+
+    def __post_init__(self) -> None:
+        _require(0.0 <= self.total_ul < float("inf"), f"total_ul = {self.total_ul} is no volume; give zero or more µl")
+
+
+@dataclass(frozen=True)
+class Mix:
+    """Wait until pictures of the tank say that the ink has mixed.
+
+    Parameters
+    ----------
+    pattern
+        What to light the tank with meanwhile.
+    tolerance
+        Mixed when what is still to change is below this part of the picture (root mean square).
+    every_s
+        From picture to picture; they are looked at, not recorded.
+    at_least_s
+        Look for this long at least: ink that has not reached the light yet changes nothing.
+    timeout_s
+        Give up after this time.
+    """
+
+    __pydantic_config__ = CLOSED
+    pattern: str = "full"
+    tolerance: float = 0.01
+    every_s: float = 0.25
+    at_least_s: float = 3.0
+    timeout_s: float = 300.0
+    do: Literal["mix"] = "mix"
+
+    def __post_init__(self) -> None:
+        _require(0.0 < self.tolerance < 1.0, f"tolerance = {self.tolerance} is outside 0…1; give a part of the picture")
+        _require(self.every_s >= 0.0, f"every_s = {self.every_s} is negative; give seconds")
+        _require(
+            0.0 <= self.at_least_s < self.timeout_s < float("inf"),
+            f"at_least_s = {self.at_least_s}, timeout_s = {self.timeout_s} leaves no time to look; "
+            f"give a timeout that is longer",
+        )
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Show a pattern and record frames of it.
+
+    Parameters
+    ----------
+    pattern
+        One of the sequence's, or "dark" or "full".
+    frames
+        How many.
+    exposure_ms, gain
+        Where they differ from the sequence's.
+    """
+
+    __pydantic_config__ = CLOSED
+    pattern: str
+    frames: int = 1
+    exposure_ms: float | None = None
+    gain: float | None = None
+    do: Literal["capture"] = "capture"
+
+    def __post_init__(self) -> None:
+        _require(self.frames >= 1, f"frames = {self.frames} records nothing; give 1 or more")
+        for name in ("exposure_ms", "gain"):
+            value = getattr(self, name)
+            _require(value is None or value > 0.0, f"{name} = {value} is not positive; give a positive number")
+
+
+@dataclass(frozen=True)
+class Wait:
+    """Do nothing for a while."""
+
+    __pydantic_config__ = CLOSED
+    seconds: float
+    do: Literal["wait"] = "wait"
+
+    def __post_init__(self) -> None:
+        _require(0.0 <= self.seconds < float("inf"), f"seconds = {self.seconds} is no time; give zero or more")
+
+
+@dataclass(frozen=True)
+class Note:
+    """Write something into the journal."""
+
+    __pydantic_config__ = CLOSED
+    text: str
+    do: Literal["note"] = "note"
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """Do the steps several times."""
+
+    __pydantic_config__ = CLOSED
+    times: int
+    steps: "tuple[Step, ...]"
+    do: Literal["repeat"] = "repeat"
+
+    def __post_init__(self) -> None:
+        _require(self.times >= 1, f"times = {self.times} does nothing; give 1 or more")
+        _require(len(self.steps) > 0, "steps is empty; give what to repeat")
+
+
+@dataclass(frozen=True)
+class Series:
+    """Dose to one total after the other, and do the steps at each.
+
+    Parameters
+    ----------
+    total_ul
+        Ink in the tank since it was filled, rising; 0 for clear water.
+    steps
+        What to do at each.
+    """
+
+    __pydantic_config__ = CLOSED
+    total_ul: tuple[float, ...]
+    steps: "tuple[Step, ...]"
+    do: Literal["series"] = "series"
+
+    def __post_init__(self) -> None:
+        _require(len(self.total_ul) > 0, "total_ul is empty; give the ink in the tank at each dose")
+        _require(len(self.steps) > 0, "steps is empty; give what to do at each dose")
+
+
+Action = Dose | Mix | Capture | Wait | Note
+"""What the runner does."""
+
+Step = Annotated[Dose | Mix | Capture | Wait | Note | Repeat | Series, Field(discriminator="do")]
+"""What a sequence is written in."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One action of a sequence that has been written out, and where in the sequence it stands."""
+
+    action: Action
+    place: str = ""
+
+    @property
+    def label(self) -> str:
+        """The task in words.
+
+        >>> Task(Capture("sheet", frames=2), "dose 3 of 5, ").label
+        'dose 3 of 5, capture sheet × 2'
+        """
+        match self.action:
+            case Dose(total_ul):
+                what = f"dose to {total_ul:g} µl"
+            case Mix():
+                what = "wait until mixed"
+            case Capture(pattern, frames):
+                what = f"capture {pattern}" + (f" × {frames}" if frames > 1 else "")
+            case Wait(seconds):
+                what = f"wait {seconds:g} s"
+            case Note(text):
+                what = f"note: {text}"
+        return self.place + what
+
+
+def written_out(steps: tuple[Step, ...], place: str = "") -> Iterator[Task]:
+    """The actions of nested steps, one after the other.
+
+    Examples
+    --------
+    >>> steps = (Series((0.0, 50.0), (Mix(), Capture("sheet"))),)
+    >>> [task.label for task in written_out(steps)][3:]
+    ['dose 2 of 2, dose to 50 µl', 'dose 2 of 2, wait until mixed', 'dose 2 of 2, capture sheet']
+    """
+    for step in steps:
+        match step:
+            case Repeat(times, inner):
+                for time in range(times):
+                    yield from written_out(inner, f"{place}time {time + 1} of {times}, ")
+            case Series(totals, inner):
+                for number, total_ul in enumerate(totals):
+                    here = f"{place}dose {number + 1} of {len(totals)}, "
+                    yield Task(Dose(total_ul), here)
+                    yield from written_out(inner, here)
+            case _:
+                yield Task(step, place)
