@@ -89,15 +89,17 @@ def _sentence(problem: Any, schema: dict[str, Any]) -> str:
     if kind == "value_error":  # raised by a dataclass's own check; names its key already
         return f"{place}{'.' if place else ''}{problem['ctx']['error']}"
     if kind in _UNKNOWN:
-        return f'key "{place}" is unknown; {_near(place.rpartition(".")[2], known)}'
+        return f'key "{place}" is unknown; {_near(place.rpartition(".")[2], known, "remove it")}'
     if kind in ("missing", "missing_argument"):
+        if place.endswith("]"):  # an array that is too short; pydantic places the absent entry
+            return f"{place.rpartition('[')[0]} = {_shown(value)} has too few entries; add the missing ones"
         return f'key "{place}" is missing; add it'
     if kind == "union_tag_not_found":
         return f"{place} has no key {problem['ctx']['discriminator']}; add it to say what it is"
     if kind == "union_tag_invalid":
         tags = [tag.strip("' ") for tag in problem["ctx"]["expected_tags"].split(",")]
-        key = problem["ctx"]["discriminator"].strip("'")
-        return f'{place}.{key} = "{problem["ctx"]["tag"]}" is unknown; {_near(problem["ctx"]["tag"], tags)}'
+        key, tag = problem["ctx"]["discriminator"].strip("'"), problem["ctx"]["tag"]
+        return f'{place}.{key} = "{tag}" is unknown; {_near(tag, tags, "use one of " + ", ".join(tags))}'
     if kind == "literal_error":
         advice = "is unknown; use " + str(problem["ctx"]["expected"]).replace("'", '"')
     else:
@@ -105,9 +107,9 @@ def _sentence(problem: Any, schema: dict[str, Any]) -> str:
     return f"{place} = {_shown(value)} {advice}"
 
 
-def _near(word: str, known: list[str]) -> str:
+def _near(word: str, known: list[str], otherwise: str) -> str:
     close = difflib.get_close_matches(word, known, n=1)
-    return f'did you mean "{close[0]}"?' if close else f"known here: {', '.join(known)}"
+    return f'did you mean "{close[0]}"?' if close else otherwise
 
 
 def _walk(loc: list[Any], schema: dict[str, Any]) -> tuple[str, list[str]]:
