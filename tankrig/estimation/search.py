@@ -18,8 +18,8 @@ Linearise = Callable[[Vector], tuple[Vector, NDArray[np.float64]]]
 
 LONGEST_STEP = np.array([1.0, 2.0, 0.5])
 """In log σs, logit ϖ, atanh g: further than this no linearisation is trusted."""
-HOPELESS = 1e6
-"""Damping beyond which steps are too short to matter."""
+MOST_REFUSED = 3
+"""Steps in a row that may fail with a Jacobian just computed, each ten times shorter: what is left is roughness."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def minimise(
     """
     at = np.clip(start, *box)
     value, jacobian = linearise(at)
-    fresh, damping = True, 1e-2
+    fresh, damping, refused = True, 1e-2, 0
     for _ in range(most_steps):
         if _promise(value, jacobian, _step(value, jacobian, 0.0, at, box)) < enough:
             if fresh:
@@ -76,15 +76,15 @@ def minimise(
         new = residual(at + step)
         if float(new @ new) < float(value @ value):
             jacobian = jacobian + np.outer(new - value - jacobian @ step, step) / float(step @ step)
-            at, value, fresh = at + step, new, False
+            at, value, fresh, refused = at + step, new, False, 0
             damping = max(damping / 5.0, 1e-6)
         elif not fresh:
             value, jacobian = linearise(at)
             fresh = True
-        elif damping > HOPELESS:
+        elif refused == MOST_REFUSED:
             break
         else:
-            damping *= 10.0
+            damping, refused = 10.0 * damping, refused + 1
     return Optimum(at, 0.5 * float(value @ value))
 
 
