@@ -1,0 +1,9 @@
+"""The paper's light-field convolution: the tank's light and camera rays in a medium without walls.
+
+spectrum (the kernel per wave vector) → kernel (in space) → convolution (with the lit volume, along the camera's rays)
+→ model (images by order).
+"""
+
+from tankrig.light.lightfield.model import lightfield_orders
+
+__all__ = ["lightfield_orders"]
