@@ -1,6 +1,7 @@
 """`tankrig predict`: from a scene file to the image its camera would see."""
 
 import json
+import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -70,7 +71,10 @@ def _figures(prediction: "Prediction") -> dict[str, object]:
         "mean": float(prediction.image.mean()),
         "peak": float(prediction.image.max()),
         "shares": _shares(prediction),
-        "skipped": [{"what": part.what, "bound": part.bound} for part in prediction.skipped],
+        "skipped": [
+            {"what": part.what, "bound": part.bound if math.isfinite(part.bound) else None}  # JSON knows no infinity
+            for part in prediction.skipped
+        ],
     }
 
 
@@ -80,7 +84,8 @@ def _tell(prediction: "Prediction", seconds: float) -> None:
     if prediction.orders:
         click.echo("orders   " + ", ".join(f"{order}: {share:.1%}" for order, share in _shares(prediction).items()))
     for part in prediction.skipped:
-        click.echo(f"skipped  {part.what} (changes the image by at most {part.bound:.2g})")
+        effect = f"changes the image by at most {part.bound:.2g}" if math.isfinite(part.bound) else "effect unknown"
+        click.echo(f"skipped  {part.what} ({effect})")
 
 
 def _write_picture(path: Path, prediction: "Prediction", scene: "Scene") -> None:
