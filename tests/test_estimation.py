@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 import tankrig
 from tankrig.errors import ImageError
 from tankrig.estimation.estimate import Estimate, fit_models
+from tankrig.estimation.models import Models
 from tankrig.estimation.observation import observe
 from tankrig.estimation.projection import Scaling
 from tankrig.image.prediction import Prediction, Skipped
@@ -49,7 +50,7 @@ def noisy(medium: Medium, share: float = 0.002, seed: int = 0) -> tuple[NDArray[
 def fit(
     image: NDArray[np.float64], scaling: Scaling, noise: float | None = None, model=tank_like, mask=None
 ) -> Estimate:
-    return fit_models(observe(image, (40, 60), noise, mask), SCENE, scaling, model, model, lambda _: None)
+    return fit_models(observe(image, (40, 60), noise, mask), SCENE, scaling, Models(model, model), lambda _: None)
 
 
 def off_in_sd(estimate: Estimate, truth: Medium) -> NDArray[np.float64]:

@@ -10,24 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
 from tankrig.estimation.fitting import Problem, polish, search
-from tankrig.estimation.forward import differentiated, remembered
+from tankrig.estimation.forward import Forward, differentiated, remembered
+from tankrig.estimation.models import COARSE, FINE, Models, corrected, models_of, stated_error
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.uncertainty import covariance, identifiable
 from tankrig.estimation.verdict import what_is_determined, what_is_left, what_was_left_out
-from tankrig.image.predict import predict
 from tankrig.image.prediction import Prediction
 from tankrig.scene import Medium, Scene
 
 Image = NDArray[np.floating]
 Free = Literal["free"]
-Model = Callable[[Medium], Prediction]
-"""A forward model: what the camera would see with a medium in the tank."""
-
-COARSE = 0.05
-"""Tolerance of the forward model, and error counted into the weights, while the whole range of media is searched."""
-FINE = 0.01
-"""Tolerance of the forward model where the search ends."""
+MOST_CORRECTIONS = 3
+"""Accurate images computed at most; the second is needed only where the first was far from the optimum."""
 
 
 @dataclass(frozen=True)
@@ -148,24 +143,13 @@ def estimate(
     """
     scaling = Scaling(_known("gain", gain), _known("offset", offset))
     observation = observe(image, scene.camera.shape, noise, mask)
-
-    def within(tolerance: float) -> Model:
-        return remembered(
-            lambda medium: predict(replace(scene, medium=medium), model=model, tolerance=tolerance, max_order=max_order)
-        )
-
-    return fit_models(observation, scene, scaling, within(COARSE), within(FINE), progress or _silently)
+    return fit_models(observation, scene, scaling, models_of(scene, model, max_order), progress or _silently)
 
 
 def fit_models(
-    observation: Observation,
-    scene: Scene,
-    scaling: Scaling,
-    coarse: Model,
-    fine: Model,
-    progress: Callable[[str], None],
+    observation: Observation, scene: Scene, scaling: Scaling, models: Models, progress: Callable[[str], None]
 ) -> Estimate:
-    """Fit any forward model: search the whole range with `coarse`, end with `fine`.
+    """Fit any forward model: search the whole range with its cheap version, end with the accurate one.
 
     Parameters
     ----------
@@ -173,34 +157,39 @@ def fit_models(
         What to explain, and whether gain and offset are free.
     scene
         Gives the size of the tank and of the pixels only.
-    coarse, fine
-        From a medium to a prediction.
+    models
+        The model.
     progress
         Told in words what is being done.
     """
     length_mm = max(scene.tank.size_mm)
+
+    def problem_of(forward: Forward, error: Image) -> Problem:
+        forward = remembered(forward)
+        return Problem(forward, differentiated(forward, length_mm), observation, scaling, error)
+
     ambient = float(np.percentile(observation.image[observation.used], 5)) if scaling.offset is None else scaling.offset
     error = COARSE * np.maximum(observation.image - ambient, 0.0)
-    medium = search(_problem(coarse, observation, scaling, error, length_mm), length_mm, 1.0, progress)
-
-    progress("refining")
-    prediction = fine(medium)
-    problem = _problem(fine, observation, scaling, error, length_mm)
-    gain, offset = problem.scale(prediction.image)
-    observation = observation.with_noise_of(observation.image - gain * prediction.image - offset)
-    error = min(COARSE, stated_error(prediction)) * abs(gain) * np.abs(prediction.image)
-    problem = _problem(fine, observation, scaling, error, length_mm)
-    medium = polish(problem, medium, length_mm, 0.02)
-
+    medium = search(problem_of(lambda at: models.coarse(at).image, error), length_mm, 1.0, progress)
+    for _ in range(MOST_CORRECTIONS):
+        progress("refining")
+        accurate = models.fine(medium)
+        forward = corrected(models.coarse, medium, accurate)
+        gain, offset = problem_of(forward, error).scale(accurate.image)
+        observation = observation.with_noise_of(observation.image - gain * accurate.image - offset)
+        error = min(COARSE, stated_error(accurate)) * abs(gain) * np.abs(accurate.image)
+        problem = problem_of(forward, error)
+        before, medium = medium, polish(problem, medium, length_mm, 0.02)
+        moved = _distance(models.coarse(medium).image, models.coarse(before).image)
+        if moved * _distance(accurate.image, models.coarse(before).image) < 0.25 * FINE:
+            break
     progress("finding the errors")
-    return _described(problem, medium, scene, fine(medium))
+    return _described(problem, medium, scene, replace(accurate, image=problem.forward(medium)))
 
 
-def stated_error(prediction: Prediction) -> float:
-    """What a prediction says about its own error: noise and everything left out, relative L2 of the image."""
-    size = float(np.linalg.norm(prediction.image))
-    noise = float(np.linalg.norm(prediction.stderr)) / size if prediction.stderr is not None and size > 0.0 else 0.0
-    return math.hypot(noise, *(skipped.bound for skipped in prediction.skipped))
+def _distance(image: Image, other: Image) -> float:
+    """Relative L2 difference of two images."""
+    return float(np.linalg.norm(image - other) / np.linalg.norm(other))
 
 
 def _described(problem: Problem, medium: Medium, scene: Scene, prediction: Prediction) -> Estimate:
@@ -237,13 +226,6 @@ def _described(problem: Problem, medium: Medium, scene: Scene, prediction: Predi
         medium=medium, covariance=spread, identifiable=known, gain=gain, offset=offset, image=fitted, residual=residual,
         rmse=rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model, noise=noise, model_error=counted,
     )  # fmt: skip
-
-
-def _problem(model: Model, observation: Observation, scaling: Scaling, error: Image, length_mm: float) -> Problem:
-    def forward(medium: Medium) -> Image:
-        return model(medium).image
-
-    return Problem(forward, differentiated(forward, length_mm), observation, scaling, error)
 
 
 def _known(name: str, value: object) -> float | None:

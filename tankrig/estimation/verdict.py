@@ -76,9 +76,10 @@ def what_was_left_out(saturated: int, share_left_out: float, model: str) -> str:
             f"{saturated} pixels at the highest value were taken for saturated and left out; shorten the exposure."
         )
     if share_left_out > 0.1:
+        amount = f"up to {_percent(share_left_out)}" if math.isfinite(share_left_out) else "an unknown share"
         sentences.append(
-            f'The "{model}" model says that it leaves out up to {_percent(share_left_out)} of the light: '
-            "the coefficients are those that make it fit, not the liquid's."
+            f'The "{model}" model leaves out {amount} of the light: the coefficients are those that make it fit, '
+            "not the liquid's."
         )
     return " ".join(sentences)
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tankrig.estimation.estimate import FINE, Estimate, estimate
+from tankrig.estimation.estimate import Estimate, estimate
+from tankrig.estimation.models import FINE
 from tankrig.estimation.reconstruction import Reconstruction, by_order
 from tankrig.figures.fit_figure import draw_reconstructions
 from tankrig.figures.tank_image import FALSE_COLOUR, GREY, STYLE, Image, brightness, draw, label_outer

@@ -78,7 +78,7 @@ def fit(
     from rich.console import Console
 
     import tankrig
-    from tankrig.estimation.estimate import FINE
+    from tankrig.estimation.models import FINE
     from tankrig.estimation.reconstruction import by_order
     from tankrig.files import require_writable
     from tankrig.image.reading import read_image
