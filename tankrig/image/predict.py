@@ -1,8 +1,15 @@
-"""`predict`: a scene's image by the model that is asked for, or by the cheapest that holds the tolerance."""
+"""`predict`: a scene's image by the model that is asked for, or by the one that knows the tank."""
+
+from types import MappingProxyType
+
+import numpy as np
 
 from tankrig.errors import SceneError
-from tankrig.image.prediction import Prediction
+from tankrig.image.prediction import Prediction, Skipped
 from tankrig.scene import Scene
+
+MODELS = ("tank", "single", "convolution", "diffuse", "montecarlo")
+"""Names that `predict` knows."""
 
 
 def predict(
@@ -19,7 +26,8 @@ def predict(
     scene
         Tank, medium, projector and camera.
     model
-        None: the tank, whichever way is cheapest. Or "single", "convolution", "tank", "diffuse", "montecarlo".
+        None: the tank, whichever way is cheapest. Or "single" (order 1), "convolution" (the paper's light field in
+        infinite space, lit volume and lines of sight cut to the tank), "tank", "diffuse", "montecarlo".
     tolerance
         Relative L2 error of the image to aim for, 0 < tolerance ≤ 1.
     max_order
@@ -27,9 +35,57 @@ def predict(
     seed
         Of the random numbers, where the model uses any.
 
+    Returns
+    -------
+    Prediction
+
     Raises
     ------
     SceneError
-        When the model is unknown or cannot treat the scene.
+        When the model is unknown or cannot treat the scene, or the tolerance or the order is out of range.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> scene = Scene(Tank(), Medium(0.0002, 0.0198, 0.5), light, Camera("orthographic", (80, 120), 2.0))
+    >>> prediction = predict(scene, model="single")
+    >>> prediction.image.shape, prediction.skipped[0].what
+    ((80, 120), 'orders above 1')
     """
-    raise SceneError(f'model = "{model}" is unknown')
+    if not 0.0 < tolerance <= 1.0:
+        raise SceneError(f"tolerance = {tolerance} is outside 0 … 1; give a relative error such as 0.01")
+    if max_order is not None and max_order < 1:
+        raise SceneError(f"max_order = {max_order} is below 1; give the highest order of scattering to sum")
+    name = "tank" if model is None else model
+    if name == "single":
+        return _single(scene)
+    if name == "tank":
+        return _tank(scene, tolerance, max_order, seed)
+    if name == "montecarlo":
+        return _montecarlo(scene, tolerance, max_order, seed)
+    raise SceneError(f'model = "{name}" is unknown; use one of {", ".join(MODELS)}')
+
+
+def _single(scene: Scene) -> Prediction:
+    from tankrig.light.single import single_scattering
+
+    image = single_scattering(scene)
+    bound = float("inf") if scene.medium.sigma_s > 0.0 else 0.0
+    return Prediction(image, "single", MappingProxyType({1: image}), None, (Skipped("orders above 1", bound),))
+
+
+def _tank(scene: Scene, tolerance: float, max_order: int | None, seed: int) -> Prediction:
+    from tankrig.light.tank import tank_image
+
+    result = tank_image(scene, tolerance, max_order, seed)
+    skipped = [Skipped(*item) for item in result.skipped]
+    total = np.sum(list(result.orders.values()), axis=0)
+    return Prediction(total, "tank", MappingProxyType(result.orders), result.stderr, tuple(skipped))
+
+
+def _montecarlo(scene: Scene, tolerance: float, max_order: int | None, seed: int) -> Prediction:
+    from tankrig.montecarlo import simulate_to
+
+    tally = simulate_to(scene, tolerance, seed=seed, max_order=max_order)
+    return Prediction(tally.image, "montecarlo", MappingProxyType(tally.orders), tally.stderr)

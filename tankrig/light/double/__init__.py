@@ -2,8 +2,8 @@
 
     I₂ = T σs² Σ_beams ∫ dy₀ dz₀ E₀(y₀, z₀) J(line of sight, light ray (y₀, z₀))
 
-averaged over the pixel (physics of the paper's Eq. 13 at N = 2, on the tank and not on infinite space: in a convex black
-tank a straight way between two points inside stays inside). With a Fresnel surface the light may be reflected there
+averaged over the pixel (the paper's Eq. 13 at N = 2, in the tank and not in infinite space: in a convex black tank a
+straight way between two points inside stays inside). With a Fresnel surface the light may be reflected there
 between its two scatterings: the same integral with the line of sight mirrored and R(ξ) as a factor.
 """
 

@@ -1,8 +1,8 @@
 """From the table of J to pixels: averages over the pixel's rows and the beam's width.
 
-For a beam between the rays y₀ = a and b, whose rays are seen at rows y_c(a) and y_c(b), the average over a pixel's rows is
-∫ dδ w(δ) J(δ), with w the overlap of the pixel, moved by δ, and the beam as it is seen: a trapezoid. Close to the beam the
-integral is cut at the trapezoid's corners and at δ = 0 and graded about it; far from it two nodes do.
+For a beam between the rays y₀ = a and b, which are seen at the rows y_c(a) and y_c(b), the average over a pixel's rows
+is ∫ dδ w(δ) J(δ), with w the overlap of the pixel, moved by δ, and the beam as it is seen: a trapezoid. Near the beam
+the integral is cut at the trapezoid's corners and at δ = 0 and graded about it; far from it two nodes do.
 """
 
 import math
@@ -123,12 +123,13 @@ def _profile(
     count = profile.shape[1]
     place = (math.log(max(distance, 1e-12) / spans[side]) - first) / spacing
     if place < 0.0:
-        return (profile[side, 0] + place * (profile[side, 1] - profile[side, 0])) * math.exp(-sigma_t * distance)
+        near: float = profile[side, 0] + place * (profile[side, 1] - profile[side, 0])
+        return near * math.exp(-sigma_t * distance)
     place = min(place, count - 1.0)
     k = min(max(int(place) - 1, 0), count - 4)
     t = place - k
     a, b, c, d = t, t - 1.0, t - 2.0, t - 3.0
-    value = (
+    value: float = (
         -b * c * d / 6.0 * profile[side, k]
         + a * c * d / 2.0 * profile[side, k + 1]
         - a * b * d / 2.0 * profile[side, k + 2]

@@ -1,6 +1,7 @@
 """The image of order 2, put together from tables of J."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,7 @@ def _columns(x: Array, columns: int, pixel_mm: float, length: float) -> Array:
         if left >= length:
             break
         cuts = np.concatenate(([left], x[(x > left) & (x < right)], [right]))
-        for start, end in zip(cuts[:-1], cuts[1:], strict=True):
+        for start, end in pairwise(cuts):
             for node, weight in zip(nodes, weights, strict=True):
                 at = 0.5 * (start + end) + 0.5 * (end - start) * node
                 k = int(np.clip(np.searchsorted(x, at) - 2, 0, x.size - 4))

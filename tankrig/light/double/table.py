@@ -1,8 +1,8 @@
 """Table of J between rays of the projector and lines of sight, from which every beam and pixel is put together.
 
 J depends on where the line of sight leaves the surface, x and y, and on the light ray, y₀ and z₀. It is singular like
-−ln|δ| where the line meets the ray, δ = y − y_c(x; y₀, z₀) its distance from there, and smooth in all else; so nodes are
-geometric in δ on both sides of the crossing, graded towards the walls in x, and few in y₀ and z₀.
+−ln|δ| where the line meets the ray, δ = y − y_c(x; y₀, z₀) its distance from there, and smooth in all else; so nodes
+are geometric in δ on both sides of the crossing, graded towards the walls in x, and few in y₀ and z₀.
 """
 
 import math
@@ -79,7 +79,7 @@ def fill_table(
     table, weights
         `weights` (nz,) integrate over z₀, mm.
     """
-    length, _, height = scene.tank.size_mm
+    height = scene.tank.size_mm[2]
     low, high = z_mm
     sigma_t = scene.medium.sigma_t
     count = 2 + math.ceil((high - low) * max(sigma_t / 3.0, 4.0 / height)) if high - low > 5.0 else 2

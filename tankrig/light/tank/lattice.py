@@ -23,7 +23,7 @@ VECTOR = np.array(
 def coordinate(point: int, dimension: int, shift: NDArray[np.float64]) -> float:
     """Coordinate in [0, 1) of a lattice point; beyond the lattice's dimensions a hash of point, dimension and shift."""
     if dimension < VECTOR.size:
-        value = (point * VECTOR[dimension]) % POINTS / POINTS + shift[dimension]
+        value: float = (point * VECTOR[dimension]) % POINTS / POINTS + shift[dimension]
         return value - 1.0 if value >= 1.0 else value
     state = np.uint64(point) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(dimension) * np.uint64(0xD1B54A32D192ED03)
     state += np.uint64(shift[0] * 9007199254740992.0)

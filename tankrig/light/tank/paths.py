@@ -1,11 +1,16 @@
 """Light paths with many scatterings, started at the projector and seen by the camera at every scattering.
 
-A path is a function of the coordinates of one lattice point and of the medium: every flight ends inside the tank (the
-chance that it does is a factor of the path's weight), nothing is left to chance that depends on the medium. So with the
-same points the image is a smooth function of the medium.
+A path is a function of one lattice point and of the medium: every flight ends inside the tank (the chance that it does
+is a factor of the path's weight) and nothing that depends on the medium is left to chance. So with the same points the
+image is a smooth function of the medium.
 
-Between the last two scatterings the way may be drawn like any other or from the phase function's lobe about the line of
-sight (a probe); either sample carries p·p'/(p + p'), the balance heuristic, which neither lobe can make large.
+Where light is scattered forward, few paths would ever turn towards the camera. Two further ways of drawing a direction
+mend that, and the balance heuristic weighs the three so that none can make a contribution large:
+
+* a share of the paths turns once, at an order fixed by its lattice point, into a wide lobe about the line of sight;
+* at every scattering a probe for the last flight is drawn from the phase function's own lobe about the line of sight.
+
+`remaining + turned` below is the density of all ways to draw the path's directions, over that of plain scattering.
 """
 
 import math
@@ -14,160 +19,174 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.rays import Geometry, light_ray, path_inside
+from tankrig.light.rays import Geometry, light_ray
+from tankrig.light.tank.flight import fly, scattered
 from tankrig.light.tank.lattice import coordinate
+from tankrig.light.tank.record import record_point, record_rectangles
 from tankrig.light.tank.sighting import seen_from
-from tankrig.scene.optics import reflectance
 from tankrig.scene.phase import henyey_greenstein
 
 Array = NDArray[np.float64]
 
-SOURCE_COORDINATES = 3
-FLIGHT_COORDINATES = 3
+START_COORDINATES = 4
+FLIGHT_COORDINATES = 6
 FIRST_THINNING = 8
 """From this order on, every doubling of the order halves the paths: later orders are smoother."""
+UNTURNED = 0.4
+"""Share of the paths that are scattered by the phase function alone."""
+TURNS = 12
+"""The other paths turn at one of this many first scatterings."""
 
 
 @kernel
 def trace(
-    tally: Array, geometry: Geometry, sigma_t: float, albedo: float, g: float, beams: Array, shift: Array,
-    start: int, stop: int, max_order: int, probing: bool, faintest: float,
+    edges: Array, cells: Array, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float],
+    sigma_t: float, albedo: float, g: float, beams: Array, shift: Array, start: int, stop: int,
+    max_order: int, faintest: float,
 ) -> None:  # fmt: skip
-    """Add the paths of lattice points `start` … `stop` − 1 to the tally of orders ≥ 3.
+    """Follow the paths of lattice points `start` … `stop` − 1 and record their orders ≥ 3.
 
     Parameters
     ----------
-    tally
-        (3, rows, columns) for the order classes 3, 4–20 and > 20 on a grid of cells over the tank's surface: sums of
-        power scattered towards the camera, W/sr.
+    edges
+        Filled by `record_rectangles` where `shiftable`.
+    cells
+        Filled by `record_point` otherwise.
     geometry
         Numbers of the scene.
+    shiftable
+        Whether light is collimated and the camera orthographic. Then a path is drawn relative to its first collision
+        and stands for all that begin anywhere on the beams and stay between the walls.
+    cell_mm
+        Size of the cells along x and y, mm.
     sigma_t, albedo, g
         The medium.
     beams
-        (n, 6): y low, y high, z low, z high on the plane x = 0, share of the power before this beam, share of this one.
+        (n, 6): y low, y high, z low, z high on the plane x = 0, irradiance, and the share of the power up to and
+        including this beam. Where `shiftable` all have the same z.
     shift
-        Of the lattice, one number a coordinate.
+        Of the lattice, a number per coordinate.
     start, stop
         Lattice points.
     max_order
         Highest order to follow.
-    probing
-        Whether to draw probes.
     faintest
         Share of its starting weight at which a path ends.
     """
-    rows, columns = tally.shape[1:]
-    per_x, per_y = columns / geometry.length, rows / (2.0 * geometry.half_width)
-    stride = (2 if probing else 1) * FLIGHT_COORDINATES
+    length, half_width, height = geometry.length, geometry.half_width, geometry.height
+    index = geometry.refractive_index
+    guided = g > 0.3
+    per_turn = (1.0 - UNTURNED) / TURNS
+    hull_low, hull_high = beams[:, 0].min(), beams[:, 1].max()
+    farthest = min(length, 40.0 / sigma_t)  # what begins deeper is fainter than any rounding
     for point in range(start, stop):
-        beam, across = _beam_of(beams, coordinate(point, 0, shift))
-        y0 = beams[beam, 0] + across * (beams[beam, 1] - beams[beam, 0])
-        z0 = beams[beam, 2] + coordinate(point, 1, shift) * (beams[beam, 3] - beams[beam, 2])
-        dx, dy, dz = light_ray(geometry, y0, z0)
-        x, y, z, dz, weight = _fly(geometry, sigma_t, 0.0, y0, z0, dx, dy, dz, coordinate(point, 2, shift))
-        weight *= albedo
+        x_low, x_high, y_low, y_high = 0.0, farthest, hull_low, hull_high
+        if shiftable:
+            x = y = 0.0
+            z = beams[0, 2] + coordinate(point, 0, shift) * (beams[0, 3] - beams[0, 2])
+            dx, dy, dz = 1.0, 0.0, 0.0
+            weight = albedo * sigma_t
+        else:
+            x_low, x_high, y_low, y_high = 0.0, 0.0, 0.0, 0.0
+            beam, across = _beam_of(beams, coordinate(point, 1, shift))
+            y0 = beams[beam, 0] + across * (beams[beam, 1] - beams[beam, 0])
+            z0 = beams[beam, 2] + coordinate(point, 0, shift) * (beams[beam, 3] - beams[beam, 2])
+            dx, dy, dz = light_ray(geometry, y0, z0)
+            walls = (0.0, length, -half_width, half_width)
+            x, y, z, dz, weight = fly(
+                walls, height, index, sigma_t, 0.0, y0, z0, dx, dy, dz, coordinate(point, 2, shift)
+            )
+            weight *= albedo
+        choice = (coordinate(point, 3, shift) - UNTURNED) / per_turn
+        turn = 1 + int(choice) if guided and choice >= 0.0 else 0
+        remaining, turned = 1.0, 0.0
+        limit = faintest * weight
+        sx, sy, sz = 0.0, 0.0, 1.0
         order = 1
         thinning = FIRST_THINNING
-        while order < max_order and weight > faintest:
-            first = SOURCE_COORDINATES + (order - 1) * stride
+        while order < max_order and weight > limit:
+            first = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
             if order == thinning:
                 thinning *= 2
                 if (point // (order // FIRST_THINNING)) % 2 == 1:
                     break
                 weight *= 2.0
-            # Where the camera would look from here, for the probe's lobe.
-            if probing and order >= 2:
+                limit *= 2.0
+            walls = (-x_high, length - x_low, -half_width - y_high, half_width - y_low)
+            if not shiftable:
+                walls = (0.0, length, -half_width, half_width)
                 _, _, sx, sy, sz, _, _ = seen_from(geometry, x, y, z)
-                px, py, pz = _scattered(sx, sy, sz, g, coordinate(point, first + 3, shift), coordinate(point, first + 4, shift))
-                along = henyey_greenstein(px * dx + py * dy + pz * dz, g)
-                lobe = henyey_greenstein(px * sx + py * sy + pz * sz, g)
-                qx, qy, qz, pz, reached = _fly(geometry, sigma_t, x, y, z, px, py, pz, coordinate(point, first + 5, shift))
-                share = weight * reached * albedo * along / (along + lobe)
-                _see(tally, geometry, sigma_t, g, per_x, per_y, order + 1, qx, qy, qz, px, py, pz, share)
+            before = remaining + turned
+            counted = guided and order <= TURNS
+            if guided and order >= 2:
+                px, py, pz = scattered(
+                    sx, sy, sz, g, coordinate(point, first + 3, shift), coordinate(point, first + 4, shift)
+                )
+                plain = henyey_greenstein(px * dx + py * dy + pz * dz, g)
+                ahead = px * sx + py * sy + pz * sz
+                density = before * henyey_greenstein(ahead, g) + (remaining + turned) * plain
+                if counted:
+                    density += per_turn * (_wide_lobe(ahead, g) - plain)
+                qx, qy, qz, pz, chance = fly(
+                    walls, height, index, sigma_t, x, y, z, px, py, pz, coordinate(point, first + 5, shift)
+                )
+                value = weight * chance * albedo * plain / density
+                if shiftable:
+                    value *= henyey_greenstein(pz, g) * math.exp(-sigma_t * (height - qz))
+                    record_rectangles(
+                        edges, order + 1, value, sigma_t, qx, qy, max(x_low, -qx), min(x_high, length - qx),
+                        max(y_low, -half_width - qy), min(y_high, half_width - qy), beams, half_width, cell_mm,
+                    )  # fmt: skip
+                else:
+                    record_point(cells, geometry, order + 1, value, sigma_t, g, qx, qy, qz, px, py, pz, cell_mm)
             dx0, dy0, dz0 = dx, dy, dz
-            dx, dy, dz = _scattered(dx, dy, dz, g, coordinate(point, first, shift), coordinate(point, first + 1, shift))
+            u, v = coordinate(point, first, shift), coordinate(point, first + 1, shift)
+            if order == turn:
+                asymmetry = g**2 if v < 0.5 else g**4
+                dx, dy, dz = scattered(sx, sy, sz, asymmetry, u, 2.0 * v if v < 0.5 else 2.0 * v - 1.0)
+            else:
+                dx, dy, dz = scattered(dx, dy, dz, g, u, v)
             share = 1.0
-            if probing and order >= 2:
-                along = henyey_greenstein(dx * dx0 + dy * dy0 + dz * dz0, g)
-                share = along / (along + henyey_greenstein(dx * sx + dy * sy + dz * sz, g))
-            x, y, z, dz, reached = _fly(geometry, sigma_t, x, y, z, dx, dy, dz, coordinate(point, first + 2, shift))
-            weight *= reached * albedo
+            if guided:
+                plain = henyey_greenstein(dx * dx0 + dy * dy0 + dz * dz0, g)
+                ahead = dx * sx + dy * sy + dz * sz
+                if counted:
+                    remaining -= per_turn
+                    turned += per_turn * _wide_lobe(ahead, g) / plain
+                share = remaining + turned
+                if order >= 2:
+                    share += before * henyey_greenstein(ahead, g) / plain
+                share = 1.0 / share
+            x, y, z, dz, chance = fly(
+                walls, height, index, sigma_t, x, y, z, dx, dy, dz, coordinate(point, first + 2, shift)
+            )
+            weight *= chance * albedo
             order += 1
-            if order >= 3:
-                _see(tally, geometry, sigma_t, g, per_x, per_y, order, x, y, z, dx, dy, dz, weight * share)
+            if shiftable:
+                x_low, x_high = max(x_low, -x), min(x_high, length - x)
+                y_low, y_high = max(y_low, -half_width - y), min(y_high, half_width - y)
+            if order < 3:
+                continue
+            if shiftable:
+                value = weight * share * henyey_greenstein(dz, g) * math.exp(-sigma_t * (height - z))
+                record_rectangles(
+                    edges, order, value, sigma_t, x, y, x_low, x_high, y_low, y_high, beams, half_width, cell_mm
+                )
+            else:
+                record_point(cells, geometry, order, weight * share, sigma_t, g, x, y, z, dx, dy, dz, cell_mm)
+
+
+@kernel
+def _wide_lobe(cosine: float, g: float) -> float:
+    """Density of the directions of a turn: lobes as wide as after two and after four scatterings."""
+    return 0.5 * (henyey_greenstein(cosine, g**2) + henyey_greenstein(cosine, g**4))
 
 
 @kernel
 def _beam_of(beams: Array, u: float) -> tuple[int, float]:
     """The beam that a number of [0, 1) falls on, and how far across it."""
-    beam = 0
-    while beam < beams.shape[0] - 1 and u >= beams[beam, 4] + beams[beam, 5]:
+    beam, before = 0, 0.0
+    while beam < beams.shape[0] - 1 and u >= beams[beam, 5]:
+        before = beams[beam, 5]
         beam += 1
-    return beam, min(max((u - beams[beam, 4]) / beams[beam, 5], 0.0), 1.0)
-
-
-@kernel
-def _scattered(dx: float, dy: float, dz: float, g: float, u: float, v: float) -> tuple[float, float, float]:
-    """A direction drawn from the phase function about (dx, dy, dz)."""
-    if abs(g) < 1e-3:
-        cosine = 1.0 - 2.0 * u + 2.0 * g * u * (1.0 - u)
-    else:
-        root = (1.0 - g * g) / (1.0 + g - 2.0 * g * u)
-        cosine = (1.0 + g * g - root * root) / (2.0 * g)
-    cosine = min(max(cosine, -1.0), 1.0)
-    sine = math.sqrt(1.0 - cosine * cosine)
-    angle = 2.0 * math.pi * v
-    a, b = sine * math.cos(angle), sine * math.sin(angle)
-    # An orthonormal frame about the direction without a branch that jumps (Duff et al. 2017).
-    sign = math.copysign(1.0, dz)
-    c = -1.0 / (sign + dz)
-    e = dx * dy * c
-    return (
-        a * (1.0 + sign * dx * dx * c) + b * e + cosine * dx,
-        a * sign * e + b * (sign + dy * dy * c) + cosine * dy,
-        -a * sign * dx - b * dy + cosine * dz,
-    )
-
-
-@kernel
-def _fly(
-    geometry: Geometry, sigma_t: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, u: float
-) -> tuple[float, float, float, float, float]:
-    """The next collision inside the tank: its place, the vertical direction there, and the chance that there is one.
-
-    A Fresnel surface sends light back with R(ξ); the way goes on below it.
-    """
-    _, leave = path_inside(geometry, x, y, z, dx, dy, dz)
-    leave = max(leave, 0.0)
-    inside = -math.expm1(-sigma_t * leave)
-    if geometry.refractive_index > 1.0 and dz > 0.0 and z + dz * leave > geometry.height - 1e-9:
-        sx, sy = x + dx * leave, y + dy * leave
-        _, further = path_inside(geometry, sx, sy, geometry.height, dx, dy, -dz)
-        back = (1.0 - inside) * reflectance(dz, geometry.refractive_index)
-        beyond = back * -math.expm1(-sigma_t * max(further, 0.0))
-        chance = inside + beyond
-        if u * chance > inside:
-            depth = min(-math.log1p(-(u * chance - inside) / back) / sigma_t, further)
-            return sx + dx * depth, sy + dy * depth, geometry.height - dz * depth, -dz, chance
-        u = u * chance / max(inside, 1e-300)
-        inside_only = inside
-        depth = min(-math.log1p(-u * inside_only) / sigma_t, leave)
-        return x + dx * depth, y + dy * depth, z + dz * depth, dz, chance
-    depth = min(-math.log1p(-u * inside) / sigma_t, leave)
-    return x + dx * depth, y + dy * depth, z + dz * depth, dz, inside
-
-
-@kernel
-def _see(
-    tally: Array, geometry: Geometry, sigma_t: float, g: float, per_x: float, per_y: float, order: int,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float,
-) -> None:  # fmt: skip
-    """Add what one scattering sends to the camera."""
-    seen_x, seen_y, sx, sy, sz, depth, factor = seen_from(geometry, x, y, z)
-    column = int(seen_x * per_x)
-    row = int((seen_y + geometry.half_width) * per_y)
-    if seen_x < 0.0 or seen_y < -geometry.half_width or column >= tally.shape[2] or row >= tally.shape[1]:
-        return
-    value = weight * factor * henyey_greenstein(dx * sx + dy * sy + dz * sz, g) * math.exp(-sigma_t * depth)
-    tally[0 if order == 3 else 1 if order <= 20 else 2, row, column] += value
+    return beam, min(max((u - before) / (beams[beam, 5] - before), 0.0), 1.0)

@@ -8,7 +8,9 @@ from tankrig.scene.optics import crossing_offset, reflectance
 
 
 @kernel
-def seen_from(geometry: Geometry, x: float, y: float, z: float) -> tuple[float, float, float, float, float, float, float]:
+def seen_from(
+    geometry: Geometry, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float, float, float]:
     """The line of sight through a point in the water.
 
     Returns

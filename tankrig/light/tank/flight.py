@@ -1,0 +1,82 @@
+"""One step of a light path: a new direction, and a flight to the next collision inside the tank."""
+
+import math
+
+from tankrig.compiled import kernel
+from tankrig.scene.optics import reflectance
+
+
+@kernel
+def scattered(dx: float, dy: float, dz: float, g: float, u: float, v: float) -> tuple[float, float, float]:
+    """A direction drawn from the phase function about (dx, dy, dz)."""
+    if abs(g) < 1e-3:
+        cosine = 1.0 - 2.0 * u + 2.0 * g * u * (1.0 - u)
+    else:
+        root = (1.0 - g * g) / (1.0 + g - 2.0 * g * u)
+        cosine = (1.0 + g * g - root * root) / (2.0 * g)
+    cosine = min(max(cosine, -1.0), 1.0)
+    sine = math.sqrt(1.0 - cosine * cosine)
+    angle = 2.0 * math.pi * v
+    a, b = sine * math.cos(angle), sine * math.sin(angle)
+    # An orthonormal frame about the direction without a branch that jumps (Duff et al. 2017).
+    sign = math.copysign(1.0, dz)
+    c = -1.0 / (sign + dz)
+    e = dx * dy * c
+    return (
+        a * (1.0 + sign * dx * dx * c) + b * e + cosine * dx,
+        a * sign * e + b * (sign + dy * dy * c) + cosine * dy,
+        -a * sign * dx - b * dy + cosine * dz,
+    )
+
+
+@kernel
+def fly(
+    walls: tuple[float, float, float, float], height: float, index: float, sigma_t: float,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, u: float,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """The next collision inside the tank.
+
+    A Fresnel surface sends light back with R(ξ); the way goes on below it.
+
+    Parameters
+    ----------
+    walls
+        x low, x high, y low, y high of the tank's side walls, mm; its floor is z = 0.
+    height, index
+        Of the surface: z, and the refractive index that it shows.
+    sigma_t
+        Extinction, 1/mm.
+    x, y, z, dx, dy, dz
+        Where the light is and its direction.
+    u
+        Coordinate in [0, 1) that picks the place.
+
+    Returns
+    -------
+    x, y, z, dz, chance
+        Where it collides, its vertical direction there, and the chance that it collides inside.
+    """
+    sides = 1e30
+    if dx > 1e-12:
+        sides = (walls[1] - x) / dx
+    elif dx < -1e-12:
+        sides = (walls[0] - x) / dx
+    if dy > 1e-12:
+        sides = min(sides, (walls[3] - y) / dy)
+    elif dy < -1e-12:
+        sides = min(sides, (walls[2] - y) / dy)
+    sides = max(sides, 0.0)
+    rise = (height - z) / dz if dz > 1e-12 else z / -dz if dz < -1e-12 else 1e30
+    leave = min(sides, max(rise, 0.0))
+    inside = -math.expm1(-sigma_t * leave)
+    chance = inside
+    if index > 1.0 and dz > 0.0 and rise < sides:
+        further = min(sides - rise, height / dz)
+        back = (1.0 - inside) * reflectance(dz, index)
+        chance += back * -math.expm1(-sigma_t * further)
+        if u * chance > inside:
+            depth = min(-math.log1p(-(u * chance - inside) / back) / sigma_t, further)
+            way = rise + depth
+            return x + dx * way, y + dy * way, height - dz * depth, -dz, chance
+    depth = min(-math.log1p(-min(u * chance, inside)) / sigma_t, leave)
+    return x + dx * depth, y + dy * depth, z + dz * depth, dz, chance

@@ -1,0 +1,189 @@
+"""The image of all orders ≥ 3, to a stated error."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.light.rays import geometry_of, sight_line
+from tankrig.light.tank.lattice import POINTS, VECTOR
+from tankrig.light.tank.paths import trace
+from tankrig.light.tank.record import GROUPS, image_of_edges
+from tankrig.scene import Beam, Scene
+
+Array = NDArray[np.float64]
+
+FINEST_CELL_MM = 1.5
+"""Orders ≥ 3 are smooth on this scale; finer pixels are interpolated."""
+THREADS = 2
+FIRST_BATCHES = 4
+MOST_BATCHES = 4096
+
+
+@dataclass(frozen=True)
+class HighOrders:
+    """Orders ≥ 3 on the camera's pixels.
+
+    Parameters
+    ----------
+    images
+        (3, rows, columns) for the classes of `GROUPS`, W/mm²/sr.
+    stderr
+        (rows, columns) one-sigma error of their sum.
+    paths
+        How many were followed.
+    """
+
+    images: Array
+    stderr: Array
+    paths: int
+
+    @property
+    def by_class(self) -> dict[int | str, Array]:
+        """Images by order class."""
+        return dict(zip(GROUPS, self.images, strict=True))
+
+
+def high_orders(
+    scene: Scene,
+    known: Array,
+    tolerance: float,
+    max_order: int | None = None,
+    seed: int = 0,
+    batches: int | None = None,
+    faintest: float = 1e-4,
+) -> HighOrders:
+    """Image of the light scattered three times and more.
+
+    Parameters
+    ----------
+    scene
+        Any scene with σs > 0.
+    known
+        (rows, columns) image of the orders below.
+    tolerance
+        Relative L2 error, of the image of all orders, that the noise shall stay below.
+    max_order
+        Highest order that counts.
+    seed
+        Of the lattice's random shifts.
+    batches
+        Follow this many shifted lattices instead of what `tolerance` asks for: then the image is a smooth function of
+        the medium.
+    faintest
+        Share of its weight at which a path ends.
+    """
+    grid = _Grid.of(scene)
+    highest = 1_000_000 if max_order is None else max_order
+    images: list[Array] = []
+    wanted = batches or FIRST_BATCHES
+    while True:
+        seeds = range(len(images), wanted)
+        with ThreadPoolExecutor(THREADS) as pool:
+            images += pool.map(lambda batch: _batch(scene, grid, (seed, batch), highest, faintest), seeds)
+        stack = np.array(images)
+        if grid.symmetric:
+            stack = 0.5 * (stack + stack[:, :, ::-1])
+        totals = stack.sum(axis=1)
+        spread = totals.std(axis=0, ddof=1) / math.sqrt(len(images)) if len(images) > 1 else np.zeros(totals.shape[1:])
+        scale = math.sqrt(grid.cell_mm[0] * grid.cell_mm[1]) / scene.camera.pixel_mm
+        image = known + grid.to_pixels(totals.mean(axis=0))
+        noise = float(np.linalg.norm(spread) * scale / np.linalg.norm(image)) / tolerance
+        if batches is not None or noise <= 1.0 or len(images) >= MOST_BATCHES:
+            break
+        grow = 1.1 * noise**2
+        wanted = min(MOST_BATCHES, len(images) * max(2, math.ceil(grow)) if grow < 8 else len(images) * 8)
+    return HighOrders(
+        np.array([grid.to_pixels(image) for image in stack.mean(axis=0)]),
+        np.abs(grid.to_pixels(spread)),
+        len(images) * POINTS,
+    )
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Cells over the tank's surface: the camera's pixels where they are not finer than the image needs."""
+
+    rows: int
+    columns: int
+    cell_mm: tuple[float, float]
+    scene: Scene
+    symmetric: bool
+
+    @classmethod
+    def of(cls, scene: Scene) -> "_Grid":
+        length, width, _ = scene.tank.size_mm
+        pixel = scene.camera.pixel_mm
+        finest = min(FINEST_CELL_MM, length / 100, width / 60)
+        if pixel >= finest:
+            rows, columns = math.ceil(width / pixel - 1e-9), math.ceil(length / pixel - 1e-9)
+            cell = (pixel, pixel)
+        else:
+            rows, columns = math.ceil(width / finest), math.ceil(length / finest)
+            cell = (length / columns, width / rows)
+        whole = abs(rows * cell[1] - width) < 1e-9 * width
+        return cls(rows, columns, cell, scene, whole and mirror_symmetric(scene))
+
+    def to_pixels(self, image: Array) -> Array:
+        """Cells as the camera's pixels: cut or filled up with zeros, or interpolated."""
+        rows, columns = self.scene.camera.shape
+        pixel = self.scene.camera.pixel_mm
+        if self.cell_mm[0] == pixel:
+            result = np.zeros((rows, columns))
+            part = image[:rows, :columns]
+            result[: part.shape[0], : part.shape[1]] = part
+            return result
+        from scipy.interpolate import RectBivariateSpline
+
+        length, width, _ = self.scene.tank.size_mm
+        at_y = (np.arange(self.rows) + 0.5) * self.cell_mm[1]
+        at_x = (np.arange(self.columns) + 0.5) * self.cell_mm[0]
+        y, x = (np.arange(rows) + 0.5) * pixel, (np.arange(columns) + 0.5) * pixel
+        result = np.asarray(RectBivariateSpline(at_y, at_x, image)(y, x))
+        # What a pixel has beyond the tank is dark.
+        result *= np.clip((width - y) / pixel + 0.5, 0.0, 1.0)[:, None] * np.clip((length - x) / pixel + 0.5, 0.0, 1.0)
+        return result
+
+
+def mirror_symmetric(scene: Scene) -> bool:
+    """Whether the scene is its own mirror image in the plane y = 0."""
+    mirrored = {Beam((-beam.y_mm[1], -beam.y_mm[0]), beam.z_mm, beam.irradiance) for beam in scene.projector.beams}
+    light, camera = scene.projector, scene.camera
+    return (
+        mirrored == set(light.beams)
+        and (light.kind == "collimated" or (light.position_mm is not None and light.position_mm[1] == 0.0))
+        and (camera.kind == "orthographic" or (camera.position_mm is not None and camera.position_mm[1] == 0.0))
+    )
+
+
+def _batch(scene: Scene, grid: _Grid, seed: tuple[int, int], max_order: int, faintest: float) -> Array:
+    """(3, rows, columns) image of one shifted lattice."""
+    medium, geometry = scene.medium, geometry_of(scene)
+    shift = np.random.default_rng(seed).random(VECTOR.size)
+    shiftable = scene.projector.kind == "collimated" and scene.camera.kind == "orthographic"
+    edges = np.zeros((3, 2, grid.rows + 2, grid.columns + 2))
+    cells = np.zeros((3, grid.rows, grid.columns))
+    heights = sorted({beam.z_mm for beam in scene.projector.beams}) if shiftable else [None]
+    for z_mm in heights:
+        beams = [beam for beam in scene.projector.beams if z_mm in (None, beam.z_mm) and beam.irradiance > 0.0]
+        if not beams:
+            continue
+        power = np.array([beam.power for beam in beams])
+        table = np.column_stack(
+            [np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams]), np.cumsum(power) / power.sum()]
+        )
+        if z_mm is not None:
+            edges[:] = 0.0
+        trace(
+            edges, cells if z_mm is None else cells[:, :0], geometry, shiftable, grid.cell_mm,
+            medium.sigma_t, medium.albedo, medium.g, table, shift, 0, POINTS, max_order, faintest,
+        )  # fmt: skip
+        if z_mm is None:
+            cells *= power.sum() / (POINTS * grid.cell_mm[0] * grid.cell_mm[1])
+            return cells
+        transmission = sight_line(geometry, 0.0, 0.0)[3]
+        image = image_of_edges(edges, medium.sigma_t, grid.cell_mm[0])
+        cells += image * (transmission * (z_mm[1] - z_mm[0]) / POINTS)
+    return cells

@@ -1,0 +1,79 @@
+"""The tank model: what is exact, and as much of the rest as the tolerance asks for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.light.double import double_scattering
+from tankrig.light.single import single_scattering
+from tankrig.light.tank.high_orders import high_orders
+from tankrig.scene import Scene
+
+Array = NDArray[np.float64]
+
+NOISE_SHARE = 0.6
+"""Share of the tolerance that the noise of orders ≥ 3 may use up."""
+
+
+@dataclass(frozen=True)
+class TankImage:
+    """Images by order of scattering that add up to the camera's image.
+
+    Parameters
+    ----------
+    orders
+        (rows, columns) images of the classes 1, 2, 3, "4-20", ">20", W/mm²/sr.
+    stderr
+        (rows, columns) one-sigma error.
+    skipped
+        What was left out, and a bound on its effect (relative L2 of the image).
+    """
+
+    orders: dict[int | str, Array]
+    stderr: Array
+    skipped: tuple[tuple[str, float], ...]
+
+
+def tank_image(
+    scene: Scene, tolerance: float = 0.01, max_order: int | None = None, seed: int = 0, batches: int | None = None
+) -> TankImage:
+    """Image of the finite tank: black walls, matched or Fresnel surface.
+
+    Parameters
+    ----------
+    scene
+        Any scene.
+    tolerance
+        Relative L2 error of the image to stay below.
+    max_order
+        Sum orders 1 … max_order only.
+    seed
+        Of the paths' lattice.
+    batches
+        A fixed number of shifted lattices instead of what the tolerance asks for: the image is then a smooth
+        function of the medium.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> scene = Scene(Tank(), Medium(0.0002, 0.0198, 0.5), light, Camera("orthographic", (80, 120), 2.0))
+    >>> image = tank_image(scene, tolerance=0.05)
+    >>> [round(float(image.orders[order].sum() / sum(image.orders.values()).sum()), 1) for order in (1, 2)]
+    [0.2, 0.3]
+    """
+    highest = max_order or 1_000_000
+    orders: dict[int | str, Array] = {1: single_scattering(scene)}
+    zero = np.zeros(scene.camera.shape)
+    stderr, skipped = zero, [("light that leaves the tank through its black walls", 0.0)]
+    if highest >= 2:
+        orders[2] = double_scattering(scene)
+    known = sum(orders.values(), zero)
+    if highest >= 3 and scene.medium.sigma_s > 0.0:
+        faintest = 0.01 * tolerance
+        high = high_orders(scene, known, NOISE_SHARE * tolerance, max_order, seed, batches, faintest)
+        orders |= high.by_class
+        stderr = high.stderr
+        skipped.append((f"paths fainter than {faintest:.0e} of their start", 2 * faintest))
+    return TankImage({key: orders.get(key, zero) for key in (1, 2, 3, "4-20", ">20")}, stderr, tuple(skipped))
