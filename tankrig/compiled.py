@@ -5,6 +5,8 @@ from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+FAST = {"reassoc", "contract", "arcp", "nsz"}
+
 
 def kernel(function: F) -> F:
     """Compile `function` to machine code on its first call, keep the code on disk, and release the GIL while it runs.
@@ -20,5 +22,21 @@ def kernel(function: F) -> F:
     """
     import numba
 
-    compiled: F = numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"})(function)
+    compiled: F = numba.njit(nogil=True, cache=True, fastmath=FAST)(function)
+    return compiled
+
+
+def part(function: F) -> F:
+    """Compile `function` like a `kernel`, and into every kernel that calls it, so that a call costs nothing.
+
+    For the small parts of an inner loop that take a whole scene as their argument (measured: photons 1.6× faster).
+
+    Parameters
+    ----------
+    function
+        As for `kernel`.
+    """
+    import numba
+
+    compiled: F = numba.njit(nogil=True, cache=True, fastmath=FAST, forceinline=True)(function)
     return compiled

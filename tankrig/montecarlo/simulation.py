@@ -1,0 +1,203 @@
+"""`simulate` a scene with a number of photons, or with as many as a tolerance asks for."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.montecarlo.first_order import first_order
+from tankrig.montecarlo.stage import beam_table, stage
+from tankrig.montecarlo.tally import CLASSES
+from tankrig.montecarlo.transport import trace
+from tankrig.orders import ORDER_CLASSES
+from tankrig.scene import Scene
+
+Image = NDArray[np.float64]
+
+BATCHES = 64
+"""Independent parts of a run, always as many, so that its result doesn't depend on the number of threads; their scatter
+gives the standard error to 1/√(2 · 63) = 9 % per pixel."""
+PILOT_PHOTONS = 32_000
+LOWEST_ORDERS = (1, 2, 3, 4, 21)
+"""Of the classes of orders."""
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What a Monte Carlo run has counted.
+
+    Parameters
+    ----------
+    orders
+        Images by order of scattering (keys of `tankrig.orders.ORDER_CLASSES`), (rows, columns), W/mm²/sr.
+    stderr
+        One-sigma standard error of `image`; order 1 is a quadrature and adds none.
+    photons
+        How many were followed.
+    absorbed, escaped
+        Fractions of the projector's light that the medium absorbed and that left the tank. They add up to 1, but for
+        noise, unless orders were cut off.
+    """
+
+    orders: Mapping[int | str, Image]
+    stderr: Image
+    photons: int
+    absorbed: float
+    escaped: float
+
+    @property
+    def image(self) -> Image:
+        """Radiance that leaves z = Lz towards the camera: the sum of all orders, W/mm²/sr."""
+        return np.asarray(sum(self.orders.values()), np.float64)
+
+    @property
+    def noise(self) -> float:
+        """Relative L2 of the noise: √Σ stderr² / √Σ image²; 0 where the image is dark."""
+        scale = float(np.linalg.norm(self.image))
+        return float(np.linalg.norm(self.stderr)) / scale if scale > 0.0 else 0.0
+
+
+def simulate(
+    scene: Scene, photons: int, seed: int = 0, max_order: int | None = None, threads: int = 2, coarsen: int = 1
+) -> Tally:
+    """Image of a scene by Monte Carlo, without bias, order 1 without noise.
+
+    Parameters
+    ----------
+    scene
+        Any scene.
+    photons
+        How many to follow; rounded up to a multiple of 64.
+    seed
+        The same seed gives the same image, whatever `threads` is.
+    max_order
+        Sum orders 1 … max_order only; None for all.
+    threads
+        Threads at work at the same time.
+    coarsen
+        Side, in pixels, of the blocks in which orders 2 and up are counted and between which they are interpolated:
+        far fewer photons where the camera is finer than multiply scattered light is.
+
+    Raises
+    ------
+    ValueError
+        When a number is below 1.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Tank
+    >>> scene = Scene(
+    ...     tank=Tank(),
+    ...     medium=Medium(sigma_a=0.002, sigma_s=0.018, g=0.5),
+    ...     projector=Projector("collimated", beams=(Beam((-2.0, 2.0), (58.0, 62.0)),)),
+    ...     camera=Camera("orthographic", shape=(80, 120), pixel_mm=2.0),
+    ... )
+    >>> tally = simulate(scene, photons=10_000)
+    >>> list(tally.orders), tally.noise < 0.05
+    ([1, 2, 3, '4-20', '>20'], True)
+    """
+    highest = 2**62 if max_order is None else max_order
+    if min(photons, highest, threads, coarsen) < 1:
+        raise ValueError("photons, max_order, threads and coarsen are counts; give 1 or more of each")
+    per_batch = math.ceil(photons / BATCHES)
+    coarse = _coarser(scene, coarsen)
+    sums, squares, energy = np.zeros((CLASSES, *coarse.camera.shape)), np.zeros(coarse.camera.shape), np.zeros(2)
+    if highest > 1 and sum(beam.power for beam in scene.projector.beams) > 0.0:
+        symmetric = _mirror_symmetric(coarse)
+        with ThreadPoolExecutor(threads) as pool:
+            for images, fates in pool.map(
+                lambda batch: _batch(coarse, per_batch, (seed, batch), highest), range(BATCHES)
+            ):
+                if symmetric:
+                    images = 0.5 * (images + images[:, ::-1])
+                sums += images
+                squares += images.sum(axis=0) ** 2
+                energy += fates
+    means = sums / BATCHES
+    variance = np.maximum(squares / BATCHES - means.sum(axis=0) ** 2, 0.0) / (BATCHES - 1)
+    images = [first_order(scene), *(_enlarged(mean, coarsen, scene) for mean in means)]
+    orders = {
+        name: image
+        for name, lowest, image in zip(ORDER_CLASSES, LOWEST_ORDERS, images, strict=True)
+        if lowest <= highest
+    }
+    stderr = _enlarged(np.sqrt(variance), coarsen, scene)
+    absorbed, escaped = energy / BATCHES
+    return Tally(orders, stderr, per_batch * BATCHES, float(absorbed), float(escaped))
+
+
+def simulate_to(
+    scene: Scene,
+    tolerance: float,
+    seed: int = 0,
+    max_order: int | None = None,
+    threads: int = 2,
+    coarsen: int = 1,
+    most_photons: int = 2_000_000_000,
+) -> Tally:
+    """`simulate` with as many photons as it takes for the relative L2 of the noise to be at most `tolerance`.
+
+    Parameters
+    ----------
+    tolerance
+        Of `Tally.noise`, > 0.
+    most_photons
+        Where to give up; the `noise` of what is returned says how far it got.
+    scene, seed, max_order, threads, coarsen
+        As for `simulate`.
+    """
+    if not tolerance > 0.0:
+        raise ValueError(f"tolerance = {tolerance} is not positive; noise never vanishes")
+    photons = PILOT_PHOTONS
+    while True:
+        tally = simulate(scene, min(photons, most_photons), seed, max_order, threads, coarsen)
+        if tally.noise <= tolerance or photons >= most_photons:
+            return tally
+        photons = math.ceil(photons * max(1.1 * (tally.noise / tolerance) ** 2, 1.5))
+
+
+def _batch(
+    scene: Scene, photons: int, seed: tuple[int, int], highest: int
+) -> tuple[NDArray[np.float64], tuple[float, float]]:
+    """One independent part of a run: images by class of orders, and what became of the light."""
+    numbers = np.random.default_rng(seed)
+    images = np.zeros((CLASSES, *scene.camera.shape))
+    beams = tuple(beam for beam in scene.projector.beams if beam.power > 0.0)
+    lit = replace(scene, projector=replace(scene.projector, beams=beams))
+    powers = np.cumsum([beam.power for beam in beams])
+    key = np.uint64(numbers.integers(2**63))
+    fates = trace(stage(lit), beam_table(lit), powers, photons, highest, key, numbers.random(3), images)
+    return images, fates
+
+
+def _mirror_symmetric(scene: Scene) -> bool:
+    """Whether y → −y changes nothing, so that each photon may be counted on both sides."""
+    centred = all(
+        device.kind != "pinhole" or (device.position_mm is not None and device.position_mm[1] == 0.0)
+        for device in (scene.projector, scene.camera)
+    )
+    whole = scene.camera.shape[0] * scene.camera.pixel_mm == scene.tank.size_mm[1]
+    beams = scene.projector.beams
+    mirrored = (replace(beam, y_mm=(-beam.y_mm[1], -beam.y_mm[0])) for beam in beams)
+    return centred and whole and Counter(mirrored) == Counter(beams)
+
+
+def _coarser(scene: Scene, factor: int) -> Scene:
+    rows, columns = scene.camera.shape
+    shape = (math.ceil(rows / factor), math.ceil(columns / factor))
+    return replace(scene, camera=replace(scene.camera, shape=shape, pixel_mm=factor * scene.camera.pixel_mm))
+
+
+def _enlarged(image: Image, factor: int, scene: Scene) -> Image:
+    """Back to the camera's pixels, linearly interpolated between the centres of the coarse ones."""
+    if factor == 1:
+        return image
+    import cv2
+
+    rows, columns = scene.camera.shape
+    size = (image.shape[1] * factor, image.shape[0] * factor)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), np.float64)[:rows, :columns]

@@ -1,0 +1,167 @@
+"""A scene as the flat numbers that kernels read, and what they ask of it.
+
+Which way does the projector's light enter (`departure`), how far does a ray go (`flight`), and where and how does the
+camera see a point (`seen`)?
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.compiled import kernel, part
+from tankrig.scene import Scene
+from tankrig.scene.optics import crossing_offset, reflectance
+
+
+class Stage(NamedTuple):
+    """A scene without its beams: numbers only, which pass from kernel to kernel in registers. Lengths in mm."""
+
+    length: float
+    half_width: float
+    height: float
+    refractive_index: float
+    """Refractive index that the surface shows; 1 when matched."""
+    sigma_t: float
+    albedo: float
+    g: float
+    rows: int
+    columns: int
+    pixel: float
+    camera_pinhole: bool
+    camera: tuple[float, float, float]
+    projector_pinhole: bool
+    projector: tuple[float, float, float]
+
+
+def stage(scene: Scene) -> Stage:
+    """Flatten `scene` for kernels."""
+    length, width, height = scene.tank.size_mm
+    rows, columns = scene.camera.shape
+    return Stage(
+        float(length),
+        width / 2.0,
+        float(height),
+        float(scene.tank.surface_index),
+        float(scene.medium.sigma_t),
+        float(scene.medium.albedo),
+        float(scene.medium.g),
+        int(rows),
+        int(columns),
+        float(scene.camera.pixel_mm),
+        scene.camera.kind == "pinhole",
+        _point(scene.camera.position_mm),
+        scene.projector.kind == "pinhole",
+        _point(scene.projector.position_mm),
+    )
+
+
+def beam_table(scene: Scene) -> NDArray[np.float64]:
+    """Beams for kernels: (beams, 5), y low, y high, z low, z high in mm and irradiance in W/mm²."""
+    return np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in scene.projector.beams], np.float64)
+
+
+def _point(position: tuple[float, float, float] | None) -> tuple[float, float, float]:
+    x, y, z = position or (0.0, 0.0, 0.0)
+    return float(x), float(y), float(z)
+
+
+@part
+def departure(scene: Stage, y: float, z: float) -> tuple[float, float, float]:
+    """Direction in which the projector's light crosses the wall at (0, y, z)."""
+    if not scene.projector_pinhole:
+        return 1.0, 0.0, 0.0
+    apex_x, apex_y, apex_z = scene.projector
+    across, up = (y - apex_y) / -apex_x, (z - apex_z) / -apex_x
+    forward = 1.0 / math.sqrt(1.0 + across * across + up * up)
+    return forward, across * forward, up * forward
+
+
+@part
+def _to_wall(position: float, direction: float, low: float, high: float) -> float:
+    if direction > 1e-300:
+        return max((high - position) / direction, 0.0)
+    if direction < -1e-300:
+        return max((low - position) / direction, 0.0)
+    return math.inf
+
+
+@part
+def flight(scene: Stage, x: float, y: float, z: float, ux: float, uy: float, uz: float) -> tuple[float, float, float]:
+    """How far a ray goes: to the first wall, and on from there if that is the water surface, which reflects.
+
+    Returns
+    -------
+    first
+        Distance to the first wall, mm.
+    reflected
+        Fraction of the light that arrives there and is reflected; 0 unless it is a Fresnel surface.
+    second
+        Distance from the surface to the black wall that the reflected light meets; 0 where nothing is reflected.
+        It never meets the surface again, because it travels down.
+    """
+    sideways = min(_to_wall(x, ux, 0.0, scene.length), _to_wall(y, uy, -scene.half_width, scene.half_width))
+    upright = _to_wall(z, uz, 0.0, scene.height)
+    if uz <= 0.0 or upright >= sideways or scene.refractive_index == 1.0:
+        return min(sideways, upright), 0.0, 0.0
+    return upright, reflectance(uz, scene.refractive_index), min(sideways - upright, scene.height / uz)
+
+
+@part
+def seen(scene: Stage, x: float, y: float, z: float) -> tuple[float, float, float, float, float, float, float]:
+    """Where and how the camera sees a point of the tank.
+
+    A pixel is an area A of the plane z = Lz; its value is the mean radiance that leaves it towards the camera. A point
+    that sends I W/sr towards the camera adds e^{−σt path} · factor · I / A, with factor = T J: T = (1 − F)/n² what
+    becomes of radiance at the surface, and J = dA ds/dV the surface through which the camera sees one unit of
+    cross-section at the point. With ρ and r the horizontal distances of crossing and point from the pinhole,
+    J = ρ dρ / (r dr cos θ_water).
+
+    Returns
+    -------
+    px, py
+        x and y of the point of the plane z = Lz through which it is seen, mm.
+    vx, vy, vz
+        Direction of travel in the water of the light that the camera sees.
+    path
+        Way through the water to the surface, mm.
+    factor
+        As above; 0 where the line of sight doesn't come through the surface.
+    """
+    depth = scene.height - z
+    if scene.camera_pinhole:
+        return _seen_from_pinhole(scene, x, y, depth)
+    return x, y, 0.0, 0.0, 1.0, depth, _transmittance(scene, 1.0)
+
+
+@part
+def _transmittance(scene: Stage, cosine_air: float) -> float:
+    """(1 − F)/n²: radiance in the air over radiance in the water."""
+    if scene.refractive_index == 1.0:
+        return 1.0
+    return (1.0 - reflectance(cosine_air, 1.0 / scene.refractive_index)) / scene.refractive_index**2
+
+
+@kernel
+def _seen_from_pinhole(
+    scene: Stage, x: float, y: float, depth: float
+) -> tuple[float, float, float, float, float, float, float]:
+    toward_x, toward_y, height = scene.camera[0] - x, scene.camera[1] - y, scene.camera[2] - scene.height
+    offset = math.sqrt(toward_x * toward_x + toward_y * toward_y)
+    rho = crossing_offset(offset, depth, height, scene.refractive_index)
+    if offset > 0.0:
+        toward_x, toward_y = toward_x / offset, toward_y / offset
+    px, py = scene.camera[0] - toward_x * rho, scene.camera[1] - toward_y * rho
+    n_squared = scene.refractive_index**2
+    reach = n_squared * height * height
+    squared = (n_squared - 1.0) * rho * rho + reach
+    root = math.sqrt(squared)
+    tangent = rho / root
+    vz = 1.0 / math.sqrt(1.0 + tangent * tangent)
+    vx, vy = toward_x * tangent * vz, toward_y * tangent * vz
+    factor = 0.0
+    if 0.0 <= px <= scene.length and abs(py) <= scene.half_width:
+        factor = _transmittance(scene, height / math.sqrt(rho * rho + height * height))
+        factor /= (1.0 + depth / root) * (1.0 + depth * reach / (squared * root)) * vz
+    return px, py, vx, vy, vz, depth / vz, factor

@@ -1,0 +1,142 @@
+"""Light at a plane between two media: how much is reflected (Fresnel), where it goes (Snell).
+
+Scalar kernels are for use inside other kernels; the functions on arrays compute the same.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tankrig.compiled import kernel
+
+
+@kernel
+def reflectance(cosine: float, ratio: float) -> float:
+    """Fresnel reflectance of unpolarised light at a smooth plane; 1 above the critical angle. Scalar kernel.
+
+    Parameters
+    ----------
+    cosine
+        Of the angle of incidence, 0 … 1.
+    ratio
+        Refractive index on the side the light comes from over the index behind the plane.
+
+    Examples
+    --------
+    >>> round(reflectance(1.0, 1.33), 5), reflectance(0.5, 1.33)
+    (0.02006, 1.0)
+    """
+    sine_squared = ratio * ratio * (1.0 - cosine * cosine)
+    if sine_squared >= 1.0:
+        return 1.0
+    behind = math.sqrt(1.0 - sine_squared)
+    senkrecht = (ratio * cosine - behind) / (ratio * cosine + behind)
+    parallel = (ratio * behind - cosine) / (ratio * behind + cosine)
+    return 0.5 * (senkrecht * senkrecht + parallel * parallel)
+
+
+def fresnel_reflectance(cosine: ArrayLike, ratio: float) -> NDArray[np.float64]:
+    """`reflectance` for an array of cosines.
+
+    Examples
+    --------
+    >>> fresnel_reflectance([1.0, 0.5], 1.33).round(5)
+    array([0.02006, 1.     ])
+    """
+    front = np.asarray(cosine, np.float64)
+    behind = np.sqrt(np.maximum(1.0 - ratio * ratio * (1.0 - front * front), 0.0))
+    with np.errstate(invalid="ignore"):  # 0/0 at grazing incidence between equal media; total reflection below
+        senkrecht = (ratio * front - behind) / (ratio * front + behind)
+        parallel = (ratio * behind - front) / (ratio * behind + front)
+    return np.where(behind > 0.0, 0.5 * (senkrecht**2 + parallel**2), 1.0)
+
+
+def mirror(directions: ArrayLike, normal: ArrayLike) -> NDArray[np.float64]:
+    """Directions of travel after specular reflection at a plane.
+
+    Parameters
+    ----------
+    directions
+        (…, 3) unit vectors.
+    normal
+        (3,) unit vector across the plane, of either sign.
+
+    Examples
+    --------
+    >>> mirror([0.6, 0.0, 0.8], [0.0, 0.0, 1.0])
+    array([ 0.6,  0. , -0.8])
+    """
+    travel, across = np.asarray(directions, np.float64), np.asarray(normal, np.float64)
+    return travel - 2.0 * (travel @ across)[..., None] * across
+
+
+def refract(directions: ArrayLike, normal: ArrayLike, ratio: float) -> NDArray[np.float64]:
+    """Directions of travel after refraction at a plane (Snell's law); NaN where the light is totally reflected.
+
+    Parameters
+    ----------
+    directions
+        (…, 3) unit vectors.
+    normal
+        (3,) unit vector across the plane, of either sign.
+    ratio
+        Refractive index on the side the light comes from over the index behind the plane.
+
+    Examples
+    --------
+    >>> refract([0.6, 0.0, 0.8], [0.0, 0.0, 1.0], 1.0 / 1.2).round(6)
+    array([0.5     , 0.      , 0.866025])
+    """
+    travel, across = np.asarray(directions, np.float64), np.asarray(normal, np.float64)
+    cosine = (travel @ across)[..., None]
+    squared = 1.0 - ratio * ratio * (1.0 - cosine * cosine)
+    behind = np.sqrt(np.where(squared >= 0.0, squared, np.nan))
+    return ratio * (travel - cosine * across) + np.copysign(behind, cosine) * across
+
+
+@kernel
+def crossing_offset(offset: float, depth: float, height: float, index: float) -> float:
+    """Where the ray from a point under water to a point in the air crosses the level surface. Scalar kernel.
+
+    Solves Snell's law ρ + depth · tan θ_water(ρ) = offset, tan θ_water = ρ / √((n² − 1) ρ² + n² height²), by Newton's
+    method. The left side is increasing and concave in ρ, so that from the paraxial ray, which falls short,
+    the iteration climbs to the root without overshooting.
+
+    Parameters
+    ----------
+    offset
+        Horizontal distance between the two points, mm.
+    depth
+        Of the point in the water below the surface, mm.
+    height
+        Of the point in the air above the surface, mm.
+    index
+        Refractive index n ≥ 1 of the water.
+
+    Returns
+    -------
+    float
+        Horizontal distance ρ from the point in the air to the crossing, mm.
+
+    Examples
+    --------
+    >>> crossing_offset(300.0, 100.0, 200.0, 1.0)
+    200.0
+    >>> rho = crossing_offset(300.0, 100.0, 200.0, 1.33)
+    >>> in_air, in_water = math.atan2(rho, 200.0), math.atan2(300.0 - rho, 100.0)
+    >>> round(math.sin(in_air) / math.sin(in_water), 12)
+    1.33
+    """
+    rho = offset / (1.0 + depth / (index * height))
+    if index == 1.0:
+        return rho
+    excess, reach = index * index - 1.0, index * index * height * height
+    for _ in range(50):
+        squared = excess * rho * rho + reach
+        root = math.sqrt(squared)
+        step = (offset - rho - depth * rho / root) / (1.0 + depth * reach / (squared * root))
+        rho += step
+        if step <= 1e-13 * offset:
+            break
+    return rho
