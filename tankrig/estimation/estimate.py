@@ -12,7 +12,7 @@ from tankrig.errors import ImageError
 from tankrig.estimation.fitting import Problem, polish, search
 from tankrig.estimation.forward import Forward, differentiated, remembered
 from tankrig.estimation.models import COARSE, FINE, Models, corrected, models_of, stated_error
-from tankrig.estimation.observation import Observation, observe
+from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.uncertainty import covariance, identifiable
 from tankrig.estimation.verdict import what_is_determined, what_is_left, what_was_left_out
@@ -21,6 +21,8 @@ from tankrig.scene import Medium, Scene
 
 Image = NDArray[np.floating]
 Free = Literal["free"]
+COARSE_ENOUGH, FINE_ENOUGH = 10.0, 0.02
+"""Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's."""
 MOST_CORRECTIONS = 3
 """Accurate images computed at most; the second is needed only where the first was far from the optimum."""
 
@@ -50,7 +52,8 @@ class Estimate:
     model
         Name of the model fitted.
     noise
-        RMS standard deviation of the camera's noise, given or estimated, image units.
+        RMS standard deviation of the image's noise, image units: as given or estimated, or as the residual shows where
+        that is more.
     model_error
         The model's error that the covariance counts with: relative L2 of the image.
     """
@@ -170,7 +173,7 @@ def fit_models(
 
     ambient = float(np.percentile(observation.image[observation.used], 5)) if scaling.offset is None else scaling.offset
     error = COARSE * np.maximum(observation.image - ambient, 0.0)
-    medium = search(problem_of(lambda at: models.coarse(at).image, error), length_mm, 1.0, progress)
+    medium = search(problem_of(lambda at: models.coarse(at).image, error), length_mm, COARSE_ENOUGH, progress)
     for _ in range(MOST_CORRECTIONS):
         progress("refining")
         accurate = models.fine(medium)
@@ -179,7 +182,7 @@ def fit_models(
         observation = observation.with_noise_of(observation.image - gain * accurate.image - offset)
         error = min(COARSE, stated_error(accurate)) * abs(gain) * np.abs(accurate.image)
         problem = problem_of(forward, error)
-        before, medium = medium, polish(problem, medium, length_mm, 0.02)
+        before, medium = medium, polish(problem, medium, length_mm, FINE_ENOUGH)
         moved = _distance(models.coarse(medium).image, models.coarse(before).image)
         if moved * _distance(accurate.image, models.coarse(before).image) < 0.25 * FINE:
             break
@@ -205,26 +208,29 @@ def _described(problem: Problem, medium: Medium, scene: Scene, prediction: Predi
     fitted = gain * prediction.image + offset
     residual = np.where(used, observation.image - fitted, np.nan)
     rmse, noise = _rms(residual[used]), _rms(observation.noise[used])
-    chance = noise**2 * (1.0 + 3.0 * math.sqrt(2.0 / used.sum()))
-    structure = math.sqrt(rmse**2 - noise**2) / _rms(gain * prediction.image[used]) if rmse**2 > chance else 0.0
+    brightness = _rms(gain * prediction.image[used])
+    unexplained = structure(residual, used) / brightness
+    white = math.sqrt(max(rmse**2 - (unexplained * brightness) ** 2, 0.0))
+    noisier = white / noise if white > noise * (1.0 + 3.0 / math.sqrt(2.0 * used.sum())) else 1.0
     stated = stated_error(prediction)
-    counted = max(stated, structure)
+    counted = max(stated, unexplained)
 
     image, derivatives = differentiated(problem.forward, length_mm, central=True)(medium)
     spread = covariance(
-        problem.sensitivity(image, derivatives), medium, observation.noise, counted * gain * np.abs(image),
+        problem.sensitivity(image, derivatives), medium, noisier * observation.noise, counted * gain * np.abs(image),
         scene.camera.pixel_mm, length_mm,
     )  # fmt: skip
     known = identifiable(medium, spread)
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
     sentences = [
         what_is_determined(medium, spread, known, length_mm),
-        what_is_left(rmse, noise, structure, stated, observation.noise_known),
+        what_is_left(unexplained, stated, noisier),
         what_was_left_out(observation.saturated, left_out, prediction.model),
     ]
     return Estimate(
         medium=medium, covariance=spread, identifiable=known, gain=gain, offset=offset, image=fitted, residual=residual,
-        rmse=rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model, noise=noise, model_error=counted,
+        rmse=rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model,
+        noise=noisier * noise, model_error=counted,
     )  # fmt: skip
 
 

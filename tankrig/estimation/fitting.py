@@ -1,5 +1,6 @@
 """One image, one forward model: the fit itself, from a coarse look at many media to one optimum."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
@@ -21,8 +22,9 @@ START_MEAN_FREE_PATHS = (0.6, 2.4, 9.6)
 START_ALBEDO = 0.97
 START_ASYMMETRY = (0.0, 0.5, 0.85)
 """Media looked at first: every pair of scatterings along the tank and g; the best for each g is a start."""
+STARTS = 2
 FIRST_STEPS = 5
-"""Steps that every start gets before the best go on."""
+"""How many of those starts are followed, and for how many steps before the best goes on."""
 RIVAL = 10.0
 """The second best goes on too where its cost is less than this times the best's."""
 
@@ -110,13 +112,13 @@ def search(problem: Problem, length_mm: float, enough: float, seen: Callable[[st
         if g not in starts or here.cost < starts[g].cost:
             starts[g] = here
     tried = []
-    for g, start in starts.items():
-        seen(f"searching from g = {g:g}")
+    for start in sorted(starts.values(), key=lambda start: start.cost)[:STARTS]:
+        seen(f"searching from g = {math.tanh(start.coordinates[2]):.2g}")
         tried.append(_minimise(problem, start.coordinates, length_mm, enough, FIRST_STEPS))
     best, second = sorted(tried, key=lambda end: end.cost)[:2]
     seen("searching from the best")
     ends = [_minimise(problem, best.coordinates, length_mm, enough)]
-    if second.cost < RIVAL * best.cost and np.abs(second.coordinates - ends[0].coordinates).max() > 0.1:
+    if second.cost < RIVAL * best.cost and np.abs(second.coordinates - ends[0].coordinates).max() > 0.2:
         ends.append(_minimise(problem, second.coordinates, length_mm, enough))
     return to_medium(min(ends, key=lambda end: end.cost).coordinates)
 

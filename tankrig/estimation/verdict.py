@@ -39,33 +39,33 @@ def what_is_determined(medium: Medium, spread: NDArray[np.float64], known: Mappi
     return f"{text}.{edge}"
 
 
-def what_is_left(rmse: float, noise: float, structure: float, stated: float, noise_known: bool) -> str:
-    """A sentence about the residual.
+def what_is_left(structure: float, stated: float, noisier: float) -> str:
+    """What the residual says, in one or two sentences.
 
     Parameters
     ----------
-    rmse, noise
-        RMS of the residual and of the camera's noise, image units.
     structure
-        What the residual holds beyond noise, as a share of the image (relative L2).
+        What neighbouring pixels of the residual have in common, as a share of the image (relative L2).
     stated
         The model's own error, likewise.
-    noise_known
-        Whether the noise was given.
+    noisier
+        The residual's white part over the noise assumed; 1 where they agree.
     """
-    source = "the noise" if noise_known else "the noise seen from pixel to pixel"
-    if structure == 0.0:
-        return f"The residual (RMSE {rmse:.3g}) is explained by {source} ({noise:.3g})."
-    if structure <= stated:
-        return (
-            f"Beyond {source}, the residual holds {_percent(structure)} of the image, "
-            f"within the model's own error of {_percent(stated)}."
+    sentences = []
+    if structure > stated:
+        sentences.append(
+            f"The residual holds structure of {_percent(structure)} of the image that neither noise nor the model's "
+            f"own error of {_percent(stated)} explains: the model does not hold as described (uneven ink, a misaligned "
+            "beam, another phase function, a wrong gain or offset), and the intervals are widened by it."
         )
-    return (
-        f"The residual holds structure of {_percent(structure)} of the image that neither {source} nor the model's own "
-        f"error of {_percent(stated)} explains: the model does not hold here as described (uneven ink, a misaligned "
-        "beam, another phase function, a wrong gain or offset), and the intervals are widened by it."
-    )
+    elif structure > 0.0:
+        sentences.append(
+            f"The residual's structure, {_percent(structure)} of the image, is within the model's own error of "
+            f"{_percent(stated)}."
+        )
+    if noisier > 1.0:
+        sentences.append(f"The noise is {noisier:.3g} times what was assumed, and counted so.")
+    return " ".join(sentences) or "The residual is noise, as expected."
 
 
 def what_was_left_out(saturated: int, share_left_out: float, model: str) -> str:
