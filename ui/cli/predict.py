@@ -90,6 +90,7 @@ def _tell(prediction: "Prediction", seconds: float) -> None:
 
 def _write_picture(path: Path, prediction: "Prediction", scene: "Scene") -> None:
     import matplotlib as mpl
+    import numpy as np
     from matplotlib.figure import Figure
 
     from tankrig.figures.tank_image import FALSE_COLOUR, STYLE, brightness, draw
@@ -102,5 +103,6 @@ def _write_picture(path: Path, prediction: "Prediction", scene: "Scene") -> None
         scale = brightness(prediction.image)
         shown = draw(axes, prediction.image, scene, FALSE_COLOUR, scale, f"{path.stem} ({prediction.model})")
         axes.set(xlabel="x (mm)", ylabel="y (mm)")
-        figure.colorbar(shown, label="radiance (W/mm²/sr)")
+        ticks = scale.inverse(np.linspace(0.0, 1.0, 6))
+        figure.colorbar(shown, label="radiance (W/mm²/sr)", ticks=ticks, format="%.2g", shrink=0.85, pad=0.02)
         figure.savefig(unfinished, dpi=150)
