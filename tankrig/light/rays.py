@@ -58,6 +58,11 @@ def geometry_of(scene: Scene) -> Geometry:
     )
 
 
+def shift_invariant(scene: Scene) -> bool:
+    """Whether light and sight run straight, so that only y − y₀ matters."""
+    return scene.projector.kind == "collimated" and scene.camera.kind == "orthographic"
+
+
 @kernel
 def sight_line(geometry: Geometry, x: float, y: float) -> tuple[float, float, float, float]:
     """Direction of travel in the water of the light that leaves (x, y, Lz) towards the camera, and what gets out.

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.double.average import average_rows
-from tankrig.light.double.table import Table, fill_table, shift_invariant
-from tankrig.light.rays import Geometry, geometry_of
+from tankrig.light.double.table import Table, fill_table
+from tankrig.light.rays import Geometry, geometry_of, shift_invariant
 from tankrig.scene import Beam, Scene
 
 Array = NDArray[np.float64]

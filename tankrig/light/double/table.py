@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.double.pair import pair_radiance
-from tankrig.light.rays import Geometry, sight_line, sighting_row
+from tankrig.light.rays import Geometry, shift_invariant, sight_line, sighting_row
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -44,11 +44,6 @@ class Table:
     y0_mm: Array
     z0_mm: Array
     values: Array
-
-
-def shift_invariant(scene: Scene) -> bool:
-    """Whether light and sight run straight, so that only y − y₀ matters."""
-    return scene.projector.kind == "collimated" and scene.camera.kind == "orthographic"
 
 
 def fill_table(

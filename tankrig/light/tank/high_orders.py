@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.rays import geometry_of, sight_line
+from tankrig.light.rays import geometry_of, shift_invariant, sight_line
 from tankrig.light.tank.lattice import POINTS, VECTOR
 from tankrig.light.tank.paths import trace
 from tankrig.light.tank.record import GROUPS, image_of_edges
+from tankrig.light.tank.smoothing import smoothed
 from tankrig.scene import Beam, Scene
 
 Array = NDArray[np.float64]
@@ -86,20 +87,26 @@ def high_orders(
         stack = np.array(images)
         if grid.symmetric:
             stack = 0.5 * (stack + stack[:, :, ::-1])
-        totals = stack.sum(axis=1)
-        spread = totals.std(axis=0, ddof=1) / math.sqrt(len(images)) if len(images) > 1 else np.zeros(totals.shape[1:])
+        mean, spread = _averaged(stack) if grid.shiftable else smoothed(stack)
         scale = math.sqrt(grid.cell_mm[0] * grid.cell_mm[1]) / scene.camera.pixel_mm
-        image = known + grid.to_pixels(totals.mean(axis=0))
+        image = known + grid.to_pixels(mean.sum(axis=0))
         noise = float(np.linalg.norm(spread) * scale / np.linalg.norm(image)) / tolerance
         if batches is not None or noise <= 1.0 or len(images) >= MOST_BATCHES:
             break
         grow = 1.1 * noise**2
         wanted = min(MOST_BATCHES, len(images) * max(2, math.ceil(grow)) if grow < 8 else len(images) * 8)
     return HighOrders(
-        np.array([grid.to_pixels(image) for image in stack.mean(axis=0)]),
+        np.array([grid.to_pixels(image) for image in mean]),
         np.abs(grid.to_pixels(spread)),
         len(images) * POINTS,
     )
+
+
+def _averaged(batches: Array) -> tuple[Array, Array]:
+    """Mean over batches by class, and the standard error of the classes' sum."""
+    if len(batches) == 1:
+        return batches[0], np.zeros(batches.shape[2:])
+    return batches.mean(axis=0), batches.sum(axis=1).std(axis=0, ddof=1) / math.sqrt(len(batches))
 
 
 @dataclass(frozen=True)
@@ -111,6 +118,7 @@ class _Grid:
     cell_mm: tuple[float, float]
     scene: Scene
     symmetric: bool
+    shiftable: bool
 
     @classmethod
     def of(cls, scene: Scene) -> "_Grid":
@@ -124,7 +132,7 @@ class _Grid:
             rows, columns = math.ceil(width / finest), math.ceil(length / finest)
             cell = (length / columns, width / rows)
         whole = abs(rows * cell[1] - width) < 1e-9 * width
-        return cls(rows, columns, cell, scene, whole and mirror_symmetric(scene))
+        return cls(rows, columns, cell, scene, whole and mirror_symmetric(scene), shift_invariant(scene))
 
     def to_pixels(self, image: Array) -> Array:
         """Cells as the camera's pixels: cut or filled up with zeros, or interpolated."""
@@ -162,7 +170,7 @@ def _batch(scene: Scene, grid: _Grid, seed: tuple[int, int], max_order: int, fai
     """(3, rows, columns) image of one shifted lattice."""
     medium, geometry = scene.medium, geometry_of(scene)
     shift = np.random.default_rng(seed).random(VECTOR.size)
-    shiftable = scene.projector.kind == "collimated" and scene.camera.kind == "orthographic"
+    shiftable = grid.shiftable
     edges = np.zeros((3, 2, grid.rows + 2, grid.columns + 2))
     cells = np.zeros((3, grid.rows, grid.columns))
     heights = sorted({beam.z_mm for beam in scene.projector.beams}) if shiftable else [None]

