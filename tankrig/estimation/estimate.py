@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError
 from tankrig.estimation.fitting import Problem, polish, search
 from tankrig.estimation.forward import Forward, differentiated, remembered
-from tankrig.estimation.models import COARSE, FINE, Models, corrected, models_of, stated_error
+from tankrig.estimation.models import COARSE, Models, corrected, models_of, stated_error
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.uncertainty import covariance, identifiable
@@ -24,7 +24,8 @@ Free = Literal["free"]
 COARSE_ENOUGH, FINE_ENOUGH = 10.0, 0.02
 """Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's."""
 MOST_CORRECTIONS = 3
-"""Accurate images computed at most; the second is needed only where the first was far from the optimum."""
+NEGLIGIBLE = 0.001
+"""Accurate images computed at most, and the error (relative L2) of a correction from afar that needs no other."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def fit_models(
         problem = problem_of(forward, error)
         before, medium = medium, polish(problem, medium, length_mm, FINE_ENOUGH)
         moved = _distance(models.coarse(medium).image, models.coarse(before).image)
-        if moved * _distance(accurate.image, models.coarse(before).image) < 0.25 * FINE:
+        if moved * _distance(accurate.image, models.coarse(before).image) < NEGLIGIBLE:
             break
     progress("finding the errors")
     return _described(problem, medium, scene, replace(accurate, image=problem.forward(medium)))

@@ -21,11 +21,12 @@ Model = Callable[[Medium], Prediction]
 
 COARSE = 0.05
 """Tolerance of cheap images."""
-FINE = 0.004
-"""Relative L2 error that accurate images aim for."""
-COARSE_BATCHES = 2
-MOST_BATCHES = 48
+FINE = 0.01
+"""Tolerance of accurate images."""
+COARSE_BATCHES, MOST_BATCHES = 2, 48
 """Shifted lattices of light paths of the tank model's cheap images, and of its accurate ones at most."""
+FINE_NOISE = 0.002
+"""Noise that the tank model's accurate images aim for, relative L2."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ def models_of(scene: Scene, model: str, max_order: int | None) -> Models:
         coarse = remembered(lambda medium: _tank(with_medium(medium), max_order, COARSE_BATCHES))
 
         def fine(medium: Medium) -> Prediction:
-            need = COARSE_BATCHES * (stated_error(coarse(medium)) / FINE) ** 2
+            need = COARSE_BATCHES * (stated_error(coarse(medium)) / FINE_NOISE) ** 2
             return _tank(with_medium(medium), max_order, int(np.clip(need, COARSE_BATCHES, MOST_BATCHES)))
 
         return Models(coarse, remembered(fine))
