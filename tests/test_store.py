@@ -331,6 +331,8 @@ def test_a_frame_of_another_format_is_refused_and_the_run_goes_on(tmp_path):
             writer.put_frame(frame(0, (3, 3)), step=0, pattern_hash="p")
         with pytest.raises(TypeError, match="cannot stand in a journal"):
             writer.put("note", text=object())
+        with pytest.raises(ValueError, match="not JSON"):
+            writer.put("fit", sigma_s=float("nan"))
         writer.put_frame(frame(0), step=0, pattern_hash="p")
     assert [event.seq for event in tankrig.open_run(path).journal] == [0]
 

@@ -74,10 +74,17 @@ class Event:
         return self.fields.get(key, default)
 
     def line(self) -> bytes:
-        """The line that stands for the event, newline included."""
+        """The line that stands for the event, newline included.
+
+        Raises
+        ------
+        TypeError, ValueError
+            When a field is nothing that JSON can say; infinity and NaN are not (None is).
+        """
         moment = self.moment
         head = {"seq": self.seq, "kind": self.kind, "utc": moment.utc, "mono_ns": moment.mono_ns, "boot": moment.boot}
-        text = json.dumps(head | dict(self.fields), ensure_ascii=False, separators=(",", ":"), default=_plain)
+        table = head | dict(self.fields)
+        text = json.dumps(table, ensure_ascii=False, separators=(",", ":"), allow_nan=False, default=_plain)
         return text.encode() + b"\n"
 
     @classmethod

@@ -47,6 +47,8 @@ class RunWriter:
         A run's folder, new or interrupted; a torn end of its journal is set aside.
     announce
         Called in the writer's thread with each acknowledged event, and the pixels of a frame; must not wait.
+    planned_frames
+        Of the whole run, to lay out again what was trimmed.
 
     Raises
     ------
@@ -55,7 +57,7 @@ class RunWriter:
         while recording is raised by the next call.
     """
 
-    def __init__(self, path: Path, announce: Announce | None = None) -> None:
+    def __init__(self, path: Path, announce: Announce | None = None, planned_frames: int = 0) -> None:
         read_settings(path)
         self.path = path
         self._announce = announce or (lambda *_: None)
@@ -66,6 +68,8 @@ class RunWriter:
                 if good < size:
                     set_torn_end_aside(path, good)
                 self._frames = frames_for_writing(path)
+                if planned_frames > self._frames.shape[0]:
+                    resize_frames(path, self._frames, planned_frames)
             except BaseException:
                 os.close(self._lock)
                 raise
@@ -102,6 +106,8 @@ class RunWriter:
         with self._change:
             room = self._change.wait_for(lambda: self._error or len(self._waiting) < self._room, _TIMEOUT_S)
             self._raise_error()
+            if self._closing:
+                raise StoreError(f"{self.path}: the run has ended, so nothing more can be recorded; start another")
             if not room:
                 raise StoreError(
                     f"{self.path}: the disk has taken nothing for {_TIMEOUT_S:g} s; check it, then resume the run"

@@ -54,6 +54,7 @@ class PlannedStep:
     """One line of a dry run."""
 
     label: str
+    kind: type[Action]
     seconds: float
     ink_ul: float
     frames: int
@@ -97,6 +98,7 @@ def dry_run(
     frame_bytes: int,
     tank: Delivered = Delivered(0.0, 0.0, 0.0),  # noqa: B008 - a tuple, which nobody can change
     run_used_ul: float = 0.0,
+    resume_at: int | None = None,
 ) -> DryRun:
     """Go through a sequence without moving anything.
 
@@ -114,6 +116,8 @@ def dry_run(
         What the tank holds now.
     run_used_ul
         What the run has dosed already, when it is resumed.
+    resume_at
+        Number of the step that a resumed run goes on with; ink for earlier ones is in the tank.
 
     Raises
     ------
@@ -121,10 +125,13 @@ def dry_run(
         Naming the first dose that the budgets forbid.
     """
     steps = []
-    for task in sequence.tasks:
+    for number, task in enumerate(sequence.tasks):
         action, ink_ul = task.action, 0.0
         seconds = pace.seconds(action, sequence, tank.volume_ul)
-        if isinstance(action, Dose) and action.total_ul != tank.volume_ul:
+        done = resume_at is not None and (
+            number < resume_at or (isinstance(action, Dose) and number == resume_at and action.total_ul < tank.high_ul)
+        )
+        if isinstance(action, Dose) and action.total_ul != tank.volume_ul and not done:
             ink_ul = action.total_ul - tank.volume_ul
             if ink_ul < 0.0:
                 raise SequenceError(
@@ -134,5 +141,6 @@ def dry_run(
                 raise SequenceError(f"{task.label}: {refusal}")
             run_used_ul += ink_ul
             tank = Delivered(action.total_ul, action.total_ul, action.total_ul)
-        steps.append(PlannedStep(task.label, seconds, ink_ul, action.frames if isinstance(action, Capture) else 0))
+        frames = action.frames if isinstance(action, Capture) else 0
+        steps.append(PlannedStep(task.label, type(action), seconds, ink_ul, frames))
     return DryRun(tuple(steps), sequence.frames * frame_bytes)

@@ -1,0 +1,315 @@
+"""The runner: carries out a sequence on a rig, step by step, and records it."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+from tankrig.devices import CameraSettings, Frame
+from tankrig.dosing import DoseDone, DoseIntent, GuardedDoser
+from tankrig.errors import DeviceError, StoreError, TankrigError
+from tankrig.pattern import Pattern
+from tankrig.run.announcer import Announcer, Listener
+from tankrig.run.mixing import MixingWatch
+from tankrig.run.progress import Clockwork, Progress
+from tankrig.run.rig import Rig
+from tankrig.run.state import FinishReason, RunState, RunStates
+from tankrig.run.writer import RunWriter
+from tankrig.sequence import Capture, Dose, DryRun, Mix, Note, Sequence, Wait
+
+_CAMERA_TIMEOUT_S = 5.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Parameters
+    ----------
+    reason
+        Completed, aborted or failed.
+    path
+        The run's folder.
+    error
+        What went wrong, when it failed.
+    """
+
+    reason: FinishReason
+    path: Path
+    error: TankrigError | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a runner has to do.
+
+    Parameters
+    ----------
+    sequence
+        All of it.
+    patterns
+        Drawn, by name.
+    dry_run
+        What it takes.
+    first_step
+        Number of the first step that is not done yet.
+    frames_taken
+        Of that step.
+    """
+
+    sequence: Sequence
+    patterns: Mapping[str, Pattern]
+    dry_run: DryRun
+    first_step: int = 0
+    frames_taken: int = 0
+
+
+class RunJournal:
+    """The run's journal as the guarded doser writes it: what it says is on the disk when a call returns."""
+
+    def __init__(self) -> None:
+        self.writer: RunWriter | None = None
+        self.step: int | None = None
+
+    def dose_intent(self, intent: DoseIntent) -> None:
+        """A dose is about to begin."""
+        self._write("dose_intent", asdict(intent))
+
+    def dose_done(self, done: DoseDone) -> None:
+        """It is over."""
+        self._write("dose_done", asdict(done))
+
+    def _write(self, kind: Literal["dose_intent", "dose_done"], facts: Mapping[str, Any]) -> None:
+        if self.writer is None:
+            raise StoreError("a dose was asked for before there was a journal to write it to; begin a run first")
+        self.writer.put(kind, step=self.step, **facts)
+        self.writer.flush()
+
+
+class Runner:
+    """Carries out one sequence, once; `tankrig.run.start` makes it.
+
+    `run` works in the thread that calls it; `pause`, `resume` and `abort` may be called from any other. It pauses at
+    the end of a step only, and an abort stops the doser before anything else.
+
+    Parameters
+    ----------
+    rig, doser, writer, announcer, journal
+        What it works with; closed when it ends, the doser first.
+    plan
+        What to do.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        doser: GuardedDoser,
+        writer: RunWriter,
+        announcer: Announcer,
+        journal: RunJournal,
+        plan: Plan,
+    ) -> None:
+        self._rig, self._doser, self._writer, self._announcer = rig, doser, writer, announcer
+        self._journal, self._plan = journal, plan
+        self._states = RunStates()
+        self._clockwork = Clockwork(plan.dry_run, plan.first_step)
+        self._camera_settings: CameraSettings | None = None
+        self.path = writer.path
+        self.latest_fit: Mapping[str, Any] | None = None
+        self.before_end: list[Callable[[], object]] = []
+        """Called after the last step and before the end is recorded: who still has fits to record waits here."""
+
+    @property
+    def state(self) -> RunState:
+        """Where the run stands."""
+        return self._states.now
+
+    def progress(self) -> Progress:
+        """How far the run is."""
+        return self._clockwork.progress()
+
+    def listen(self, listener: Listener) -> None:
+        """Call `listener(event, pixels)` after each event is safely recorded, in a thread that the run never waits for.
+
+        `pixels` is None but for frames, and for a frame too when the listener has fallen behind.
+        """
+        self._announcer.listen(listener)
+
+    def record(self, kind: Literal["fit", "note"], **fields: Any) -> None:
+        """Record what a fit found, or a note, from any thread."""
+        if kind == "fit":
+            self.latest_fit = fields
+        self._writer.put(kind, **fields)
+
+    def pause(self) -> None:
+        """Pause at the end of the step."""
+        self._states.request_pause()
+
+    def resume(self) -> None:
+        """Go on after a pause."""
+        self._states.request_resume()
+
+    def abort(self) -> None:
+        """Stop the doser at once, then end the run."""
+        try:
+            self._doser.stop()
+        finally:
+            self._states.request_abort()
+
+    def run(self) -> Outcome:
+        """Carry the sequence out.
+
+        Returns
+        -------
+        Outcome
+            Also when devices, the disk or the sequence fail; other errors are raised. In each case the doser has been
+            stopped first, and what was recorded is safe.
+        """
+        reason, error = FinishReason.FAILED, None
+        try:
+            self._states.move(RunState.RUNNING)
+            self._begin()
+            tasks = self._plan.sequence.tasks
+            for step in range(self._plan.first_step, len(tasks)):
+                self._states.step_boundary(self._note_of("paused"), self._note_of("resumed"))
+                self._do(step)
+            for wait in self.before_end:
+                wait()
+            self._writer.flush()
+            reason = FinishReason.COMPLETED
+        except TankrigError as caught:
+            aborted = self._states.now is RunState.ABORTING
+            reason = FinishReason.ABORTED if aborted else FinishReason.FAILED
+            error = None if aborted and not self._doser.unknown else caught  # devices that were stopped complain
+        finally:
+            trouble = self._end(reason, error)
+        if trouble and reason is FinishReason.COMPLETED:
+            reason = FinishReason.FAILED
+        return Outcome(reason, self.path, trouble)
+
+    def _note_of(self, text: str) -> Callable[[], None]:
+        return lambda: self._writer.put("note", text=text)
+
+    def _begin(self) -> None:
+        held, rig = self._doser.delivered(), self._rig
+        self._writer.put(
+            "session",
+            program=f"tankrig {version('tankrig')}",
+            first_step=self._plan.first_step,
+            rig=rig.name,
+            devices={"projector": rig.projector.name, "camera": rig.camera.name, "doser": rig.doser.identity},
+            delivered_ul=held.volume_ul,
+            delivered_low_ul=held.low_ul,
+            delivered_high_ul=held.high_ul,
+        )
+        if self._doser.stopped:  # a person who starts a run has seen to what it was stopped for
+            self._doser.clear_stop()
+            self._writer.put("note", text="the doser's stop was cleared")
+        self._writer.flush()
+
+    def _do(self, step: int) -> None:
+        task = self._plan.sequence.tasks[step]
+        self._journal.step = step
+        self._clockwork.begin(step)
+        self._writer.put("step", step=step, state="begun", label=task.label)
+        match task.action:
+            case Dose() as dose:
+                facts = self._dose(dose)
+            case Mix() as mix:
+                facts = self._mix(mix, task.label)
+            case Capture() as capture:
+                facts = self._capture(capture, step)
+            case Wait(seconds):
+                self._clockwork.waiting_for = "time to pass"
+                self._states.sleep(seconds)
+                facts = {}
+            case Note(text):
+                self._writer.put("note", text=text)
+                facts = {}
+        self._writer.put("step", step=step, state="done", **facts)
+        self._clockwork.done(type(task.action))
+
+    def _dose(self, dose: Dose) -> dict[str, Any]:
+        if self._doser.delivered().volume_ul >= dose.total_ul - self._doser.increment_ul / 2:
+            return {"moved": False}
+        self._clockwork.waiting_for = f"{self._doser.name} to dose to {dose.total_ul:g} µl"
+        self._doser.dose_to(dose.total_ul)
+        return {"moved": True}
+
+    def _mix(self, mix: Mix, label: str) -> dict[str, Any]:
+        pattern = self._plan.patterns[mix.pattern]
+        self._clockwork.waiting_for = "the first pictures of the ink"
+        self._configure(self._plan.sequence.camera_settings(mix))
+        after_ns = self._rig.projector.show(pattern).bound_ns
+        watch, start_s = MixingWatch(), time.monotonic()
+        while True:
+            self._states.check()
+            frame = self._frame(after_ns)
+            mixing = watch.look(frame.pixels, frame.exposure_start_ns / 1e9)
+            if mixing.remaining <= mix.tolerance and mixing.seconds >= mix.at_least_s:
+                return {**asdict(mixing), "pattern_hash": pattern.hash}
+            if time.monotonic() - start_s > mix.timeout_s:
+                raise DeviceError(
+                    f"{label}: up to {mixing.remaining:.1%} of the picture still changed after {mix.timeout_s:g} s, "
+                    f"and {mix.tolerance:.1%} is allowed; stir, or allow more or longer, then resume the run"
+                )
+            self._clockwork.waiting_for = f"the ink to mix: up to {mixing.remaining:.1%} of the picture still changes"
+            after_ns = frame.exposure_start_ns
+            self._states.sleep(mix.every_s)
+
+    def _capture(self, capture: Capture, step: int) -> dict[str, Any]:
+        pattern = self._plan.patterns[capture.pattern]
+        taken = self._plan.frames_taken if step == self._plan.first_step else 0
+        self._clockwork.waiting_for = self._rig.camera.name
+        self._configure(self._plan.sequence.camera_settings(capture))
+        after_ns = self._rig.projector.show(pattern).bound_ns
+        previous: int | None = None
+        for _ in range(taken, capture.frames):
+            self._states.check()
+            frame = self._frame(after_ns)
+            if previous is not None and frame.sequence > previous + 1:
+                self._writer.put("gap", step=step, missing=frame.sequence - previous - 1, after=previous)
+            self._writer.put_frame(frame, step, pattern.hash)
+            after_ns, previous = frame.exposure_start_ns, frame.sequence
+        return {}
+
+    def _configure(self, settings: CameraSettings) -> None:
+        if settings != self._camera_settings:
+            actual = self._rig.camera.configure(settings)
+            self._writer.put("note", text="camera", asked=asdict(settings), **asdict(actual))
+            self._camera_settings = settings
+
+    def _frame(self, after_ns: int) -> Frame:
+        """The next frame, once it is proven to be of the pattern that is shown."""
+        exposure_s = self._camera_settings.exposure_ms / 1000 if self._camera_settings else 0.0
+        frame = self._rig.camera.capture(after_ns, 2 * exposure_s + _CAMERA_TIMEOUT_S)
+        if frame.exposure_start_ns <= after_ns:
+            early_ms = (after_ns - frame.exposure_start_ns) / 1e6
+            raise DeviceError(
+                f"{self._rig.camera.name}: gave a frame whose exposure began {early_ms:g} ms too early to be of the "
+                f"pattern that is shown; check its timestamps (tankrig doctor)"
+            )
+        return frame
+
+    def _end(self, reason: FinishReason, error: TankrigError | None) -> TankrigError | None:
+        """Stop the doser unless all went well, go dark, record the end, let go of everything; the first error."""
+        errors = [error] if error else []
+
+        def attempt(action: Callable[[], object]) -> None:
+            try:
+                action()
+            except TankrigError as caught:
+                errors.append(caught)
+
+        if reason is not FinishReason.COMPLETED:
+            attempt(self._doser.stop)
+        attempt(lambda: self._rig.projector.show(self._plan.patterns["dark"]))
+        attempt(self._doser.close)
+        attempt(lambda: self._writer.finish(reason=reason.value, message=str(errors[0]) if errors else ""))
+        attempt(self._rig.close)
+        self._writer.close()
+        self._announcer.close()
+        self._states.move(RunState.FINISHED)
+        return errors[0] if errors else None

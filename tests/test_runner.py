@@ -1,0 +1,375 @@
+"""The runner does each step once, stops the doser first, and leaves a run that can go on."""
+
+import json
+import os
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tankrig
+from tankrig import DeviceError, SequenceError, StoreError
+from tankrig.errors import UndecidedError
+from tankrig.run.recovery import recover
+from tankrig.run.rig import RigLock
+from tankrig.run.start import new_run, resumed_run
+from tankrig.run.state import FinishReason, RunState
+from tankrig.sequence import Capture, Dose, Mix, Note, Sequence, Series, Wait
+
+from .memory_rig import memory_rig
+
+QUICK = Mix(at_least_s=0.0, every_s=0.0)
+SERIES = Sequence(
+    "series",
+    steps=(Note("begin"), Series((0.0, 10.0, 30.0), (QUICK, Capture("dark"), Capture("full", frames=2)))),
+    exposure_ms=1.0,
+)
+
+
+def kinds(run: tankrig.Run) -> list[str]:
+    return [event.kind for event in run.journal]
+
+
+def done(run: tankrig.Run) -> list[int]:
+    return [event["step"] for event in run.events("step") if event["state"] == "done"]
+
+
+def in_thread(runner) -> tuple[threading.Thread, list]:
+    outcomes = []
+    thread = threading.Thread(target=lambda: outcomes.append(runner.run()))
+    thread.start()
+    return thread, outcomes
+
+
+def until(condition, timeout_s: float = 10.0) -> None:
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.002)
+
+
+def test_a_series_is_carried_out_recorded_and_each_frame_shows_its_pattern(tmp_path):
+    rig = memory_rig(tmp_path)
+    runner = new_run(SERIES, rig, tmp_path / "run")
+    heard = []
+    runner.listen(lambda event, pixels: heard.append((event, pixels)))
+    outcome = runner.run()
+    assert outcome.reason is FinishReason.COMPLETED, outcome.error
+    assert runner.state is RunState.FINISHED
+    run = tankrig.open_run(tmp_path / "run")
+    assert done(run) == list(range(13))
+    assert run.frames.pattern.values.tolist() == ["dark", "full", "full"] * 3
+    assert run.frames.delivered_ul.values.tolist() == [0.0] * 3 + [10.0] * 3 + [30.0] * 3
+    means = run.frames.values.mean(axis=(1, 2))
+    assert (means[run.frames.pattern.values == "dark"] < 100).all()
+    assert (means[run.frames.pattern.values == "full"] > 1000).all()
+    assert kinds(run)[-1] == "end"
+    assert run.end["reason"] == "completed"
+    assert rig.doser.count_ul == 30
+    assert [event["total_ul"] for event in run.events("dose_intent")] == [10.0, 30.0]
+    assert [event for event, _ in heard] == list(run.journal)
+    np.testing.assert_array_equal([pixels for _, pixels in heard if pixels is not None], run.frames.values)
+    assert rig.projector.shown[-1][1].name == "dark"
+    assert rig.projector.closed
+
+
+def test_an_intent_is_on_disk_before_ink_moves(tmp_path):
+    rig = memory_rig(tmp_path)
+    seen = []
+    real = rig.doser.dose_to
+    rig.doser.dose_to = lambda total: (seen.append(kinds(tankrig.open_run(tmp_path / "run"))[-1]), real(total))[1]
+    assert new_run(SERIES, rig, tmp_path / "run").run().reason is FinishReason.COMPLETED
+    assert seen == ["dose_intent", "dose_intent"]
+
+
+def test_it_pauses_at_the_end_of_a_step_only_and_goes_on(tmp_path):
+    runner = new_run(Sequence("wait", (Wait(0.2), Note("after"))), memory_rig(tmp_path), tmp_path / "run")
+    thread, outcomes = in_thread(runner)
+    until(lambda: runner.progress().waiting_for == "time to pass")
+    runner.pause()
+    assert runner.state is RunState.PAUSING
+    until(lambda: runner.state is RunState.PAUSED)
+    progress = runner.progress()
+    assert (progress.step, progress.steps, progress.label) == (1, 2, "note: after")
+    runner.resume()
+    thread.join(10)
+    assert outcomes[0].reason is FinishReason.COMPLETED
+    run = tankrig.open_run(tmp_path / "run")
+    order = [(event.kind, event.get("state") or event.get("text")) for event in run.events("step", "note")]
+    assert order == [
+        ("step", "begun"), ("step", "done"), ("note", "paused"), ("note", "resumed"),
+        ("step", "begun"), ("note", "after"), ("step", "done"),
+    ]  # fmt: skip
+
+
+def test_abort_while_paused_ends_the_run(tmp_path):
+    runner = new_run(Sequence("wait", (Wait(0.1), Note("never"))), memory_rig(tmp_path), tmp_path / "run")
+    thread, outcomes = in_thread(runner)
+    runner.pause()
+    until(lambda: runner.state is RunState.PAUSED)
+    runner.abort()
+    thread.join(10)
+    assert outcomes[0].reason is FinishReason.ABORTED
+
+
+def test_abort_in_a_dose_stops_it_records_what_went_in_and_the_resumed_run_doses_only_the_rest(tmp_path):
+    rig = memory_rig(tmp_path, ul_per_s=200.0)
+    runner = new_run(Sequence("dose", (Dose(60.0), Note("after"))), rig, tmp_path / "run")
+    thread, outcomes = in_thread(runner)
+    until(lambda: rig.doser.moving.is_set() and rig.doser.count_ul > 5)
+    runner.abort()
+    assert rig.doser.log[-1] == "stop"
+    thread.join(10)
+    assert (outcomes[0].reason, outcomes[0].error) == (FinishReason.ABORTED, None)
+    run = tankrig.open_run(tmp_path / "run")
+    partly = rig.doser.count_ul
+    assert 5 < partly < 60
+    assert run.events("dose_done")[-1]["delivered_ul"] == partly
+    assert run.end["reason"] == "aborted"
+    rig = memory_rig(tmp_path)
+    assert resumed_run(tmp_path / "run", rig).run().reason is FinishReason.COMPLETED
+    assert rig.doser.count_ul == 60
+
+
+def test_abort_reaches_the_doser_at_once_while_the_camera_hangs(tmp_path):
+    """The doser is stopped by the call itself, not by the run's thread, which is stuck in the camera."""
+    rig = memory_rig(tmp_path)
+    rig.camera.hang = threading.Event()
+    runner = new_run(SERIES, rig, tmp_path / "run")
+    thread, outcomes = in_thread(runner)
+    until(lambda: runner.progress().waiting_for == "the first pictures of the ink")
+    runner.abort()
+    assert rig.doser.log[-1] == "stop"
+    assert thread.is_alive()
+    rig.camera.hang.set()
+    thread.join(10)
+    assert outcomes[0].reason is FinishReason.ABORTED
+
+
+def test_a_failing_device_stops_the_doser_first_then_goes_dark(tmp_path, monkeypatch):
+    rig = memory_rig(tmp_path)
+    order = []
+    monkeypatch.setattr("tankrig.run.runner._CAMERA_TIMEOUT_S", 0.05)
+    real_show = rig.projector.show
+    real_stop = rig.doser.stop
+    rig.projector.show = lambda pattern: (order.append(f"show {pattern.name}"), real_show(pattern))[1]
+    rig.doser.stop = lambda: (order.append("stop"), real_stop())[1]
+    rig.camera.hang = threading.Event()
+    outcome = new_run(SERIES, rig, tmp_path / "run").run()
+    assert outcome.reason is FinishReason.FAILED
+    assert "camera in memory: gave no frame" in str(outcome.error)
+    assert order == ["show full", "stop", "show dark"]
+    run = tankrig.open_run(tmp_path / "run")
+    assert run.end["reason"] == "failed"
+    assert "camera in memory" in run.end["message"]
+
+
+def test_a_run_that_failed_resumes_where_it_stopped_and_repeats_no_frame(tmp_path):
+    rig = memory_rig(tmp_path)
+    real, taken = rig.camera.capture, []
+
+    def failing(after_ns, timeout_s):
+        if rig.doser.count_ul == 10 and rig.projector.log[-2:] == ["show dark", "show full"]:
+            taken.append(after_ns)
+            if len(taken) == 2:
+                raise DeviceError("camera in memory: unplugged")
+        return real(after_ns, timeout_s)
+
+    rig.camera.capture = failing
+    assert new_run(SERIES, rig, tmp_path / "run").run().reason is FinishReason.FAILED
+    assert len(tankrig.open_run(tmp_path / "run").frames) == 5
+    rig = memory_rig(tmp_path)
+    outcome = resumed_run(tmp_path / "run", rig).run()
+    assert outcome.reason is FinishReason.COMPLETED, outcome.error
+    run = tankrig.open_run(tmp_path / "run")
+    assert run.frames.pattern.values.tolist() == ["dark", "full", "full"] * 3
+    assert done(run) == list(range(13))
+    assert rig.doser.count_ul == 30
+
+
+def test_a_completed_run_is_not_resumed(tmp_path):
+    new_run(SERIES, memory_rig(tmp_path), tmp_path / "run").run()
+    with pytest.raises(StoreError, match="has come to its end"):
+        resumed_run(tmp_path / "run", memory_rig(tmp_path))
+
+
+def test_a_run_is_not_resumed_on_another_bench(tmp_path):
+    from dataclasses import replace
+
+    rig = memory_rig(tmp_path)
+    rig.camera.early = True
+    new_run(SERIES, rig, tmp_path / "run").run()
+    rig = memory_rig(tmp_path)
+    other = replace(rig, bench=replace(rig.bench, light="pinhole", light_position_mm=(-400.0, 0.0, 60.0)))
+    with pytest.raises(StoreError, match="recorded on another bench"):
+        resumed_run(tmp_path / "run", other)
+
+
+def test_a_frame_that_may_show_an_older_pattern_fails_the_run(tmp_path):
+    rig = memory_rig(tmp_path)
+    rig.camera.early = True
+    outcome = new_run(SERIES, rig, tmp_path / "run").run()
+    assert outcome.reason is FinishReason.FAILED
+    assert "too early to be of the pattern" in str(outcome.error)
+    assert len(tankrig.open_run(tmp_path / "run").frames) == 0
+
+
+def test_a_dropped_frame_is_a_gap_in_the_journal_and_the_step_gets_its_frames(tmp_path):
+    rig = memory_rig(tmp_path)
+    rig.camera.drop = {2, 3}
+    sequence = Sequence("frames", (Capture("full", frames=5),), exposure_ms=1.0)
+    assert new_run(sequence, rig, tmp_path / "run").run().reason is FinishReason.COMPLETED
+    run = tankrig.open_run(tmp_path / "run")
+    assert len(run.frames) == 5
+    assert [(gap["missing"], gap["after"]) for gap in run.events("gap")] == [(2, 1)]
+
+
+def test_a_full_disk_ends_the_run_with_a_sentence_and_the_doser_stopped(tmp_path, monkeypatch):
+    rig = memory_rig(tmp_path)
+    runner = new_run(SERIES, rig, tmp_path / "run")
+    real = os.write
+
+    def full(handle: int, data: object) -> int:
+        if rig.doser.count_ul >= 10 and "frames" in str(Path(f"/proc/self/fd/{handle}").readlink()):
+            raise OSError(28, "No space left on device")
+        return real(handle, data)
+
+    monkeypatch.setattr(os, "write", full)
+    outcome = runner.run()
+    assert outcome.reason is FinishReason.FAILED
+    assert isinstance(outcome.error, StoreError)
+    assert "No space left on device" in str(outcome.error)
+    assert "stop" in rig.doser.log
+    monkeypatch.undo()
+    assert len(tankrig.open_run(tmp_path / "run").frames) == 3
+    assert resumed_run(tmp_path / "run", memory_rig(tmp_path)).run().reason is FinishReason.COMPLETED
+    assert len(tankrig.open_run(tmp_path / "run").frames) == 9
+    assert recover(tmp_path / "run").damaged == ()
+
+
+@pytest.mark.parametrize(
+    ("sequence", "reason"),
+    [
+        (Sequence("x", (Dose(600.0),)), "one dose may have 500 µl"),
+        (
+            Sequence("x", (Series((400.0, 800.0, 1200.0, 1600.0, 2000.0, 2400.0), (Note("x"),)),)),
+            "the run may have 2000 µl",
+        ),
+    ],
+)
+def test_a_sequence_over_budget_moves_nothing_and_leaves_nothing(tmp_path, sequence, reason):
+    rig = memory_rig(tmp_path)
+    with pytest.raises(SequenceError, match=reason):
+        new_run(sequence, rig, tmp_path / "run")
+    assert rig.doser.count_ul == 0
+    assert not (tmp_path / "run").exists()
+    assert rig.projector.closed
+
+
+def test_a_disk_that_is_too_small_is_noticed_before_anything_moves(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000})())
+    with pytest.raises(StoreError, match=r"the run needs up to .* make room"):
+        new_run(SERIES, memory_rig(tmp_path), tmp_path / "run")
+
+
+def test_a_dose_left_open_by_a_crash_is_asked_about_and_never_repeated(tmp_path):
+    """As a kill between intent and end leaves it: the resumed run needs a person's word."""
+    rig = memory_rig(tmp_path)
+    runner = new_run(Sequence("dose", (Dose(40.0), Note("after"))), rig, tmp_path / "run")
+    runner.run()
+    journal = tmp_path / "run" / "journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    cut = next(i for i, line in enumerate(lines) if json.loads(line)["kind"] == "dose_done")
+    journal.write_bytes(b"".join(lines[:cut]))
+    ledger = tmp_path / "tank.ledger"
+    ledger.write_bytes(b"".join(ledger.read_bytes().splitlines(keepends=True)[:-1]))
+    (tmp_path / "doser.count").write_text("25")
+    with pytest.raises(UndecidedError, match=r"--delivered-ul"):
+        resumed_run(tmp_path / "run", memory_rig(tmp_path))
+    with pytest.raises(UndecidedError, match="find out which is true"):
+        resumed_run(tmp_path / "run", memory_rig(tmp_path), delivered_ul=33.0)
+    rig = memory_rig(tmp_path)
+    assert resumed_run(tmp_path / "run", rig, delivered_ul=25.0).run().reason is FinishReason.COMPLETED
+    assert rig.doser.count_ul == 40
+    run = tankrig.open_run(tmp_path / "run")
+    assert [event["delivered_ul"] for event in run.events("dose_done")] == [25.0, 40.0]
+
+
+def test_it_waits_until_the_ink_has_mixed_and_records_the_time_scale(tmp_path):
+    rig = memory_rig(tmp_path)
+    rig.camera.mixing_s = 0.15
+    steps = (Dose(10.0), Mix(tolerance=0.01, every_s=0.01, at_least_s=0.1, timeout_s=20.0))
+    outcome = new_run(Sequence("mix", steps), rig, tmp_path / "run").run()
+    assert outcome.reason is FinishReason.COMPLETED, outcome.error
+    mixed = tankrig.open_run(tmp_path / "run").events("step")[-1]
+    assert 0.1 < mixed["time_scale_s"] < 0.2
+    assert mixed["remaining"] <= 0.01
+    assert 0.3 < mixed["seconds"] < 2.0
+
+
+def test_ink_that_does_not_mix_in_time_fails_with_what_to_do(tmp_path):
+    rig = memory_rig(tmp_path)
+    rig.camera.mixing_s = 5.0
+    steps = (Dose(10.0), Mix(every_s=0.01, at_least_s=0.1, timeout_s=0.5))
+    outcome = new_run(Sequence("mix", steps), rig, tmp_path / "run").run()
+    assert outcome.reason is FinishReason.FAILED
+    assert "still changed after 0.5 s" in str(outcome.error)
+
+
+def test_slow_and_failing_listeners_neither_hold_the_run_up_nor_lose_events(tmp_path):
+    runner = new_run(
+        Sequence("many", (Capture("full", frames=40),), exposure_ms=1.0), memory_rig(tmp_path), tmp_path / "run"
+    )
+    gate, heard = threading.Event(), []
+
+    def slow(event, pixels):
+        gate.wait(10)
+        heard.append((event.kind, pixels is not None))
+
+    def failing(*_):
+        raise RuntimeError("a bug in a window")
+
+    runner.listen(slow)
+    runner.listen(failing)
+    thread, outcomes = in_thread(runner)
+    until(lambda: tankrig.open_run(tmp_path / "run").end is not None)
+    gate.set()
+    thread.join(10)
+    assert outcomes[0].reason is FinishReason.COMPLETED
+    until(lambda: heard and heard[-1][0] == "end")
+    assert sum(kind == "frame" for kind, _ in heard) == 40
+    assert sum(pixels for _, pixels in heard) < 12
+
+
+def test_fits_are_recorded_beside_the_frames_and_waited_for_at_the_end(tmp_path):
+    runner = new_run(SERIES, memory_rig(tmp_path), tmp_path / "run")
+    fitted = []
+
+    def fit(event, _):
+        if event.kind == "frame":
+            runner.record("fit", index=event["index"], sigma_s=0.02)
+            fitted.append(event["index"])
+
+    def finish():
+        until(lambda: len(fitted) == 9)
+        runner.record("fit", series=True)
+
+    runner.listen(fit)
+    runner.before_end.append(finish)
+    assert runner.run().reason is FinishReason.COMPLETED
+    run = tankrig.open_run(tmp_path / "run")
+    assert [fit.get("index") for fit in run.fits] == [*range(9), None]
+    assert runner.latest_fit == {"series": True}
+    with pytest.raises(StoreError, match="the run has ended"):
+        runner.record("note", text="too late")
+
+
+def test_a_rig_is_for_one_program(tmp_path):
+    lock = RigLock(tmp_path / "rig.lock", "bench 1")
+    with pytest.raises(DeviceError, match=rf"rig bench 1 is in use by another program \(process {os.getpid()}\)"):
+        RigLock(tmp_path / "rig.lock", "bench 1")
+    lock.close()
+    lock.close()
+    RigLock(tmp_path / "rig.lock", "bench 1").close()
