@@ -1,11 +1,11 @@
 """The image of order 2, put together from tables of J."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.compiled import kernel
 from tankrig.light.double.average import average_rows
 from tankrig.light.double.table import Table, fill_table
 from tankrig.light.rays import Geometry, geometry_of, shift_invariant
@@ -83,17 +83,29 @@ def _lagrange(nodes: Array, at: float) -> Array:
 
 def _columns(x: Array, columns: int, pixel_mm: float, length: float) -> Array:
     """(columns, nx) weights that average the cubic interpolant through nodes `x` over each column of pixels."""
-    nodes, weights = np.polynomial.legendre.leggauss(3)
     result = np.zeros((columns, x.size))
-    for column in range(columns):
-        left, right = column * pixel_mm, min((column + 1) * pixel_mm, length)
-        if left >= length:
-            break
-        cuts = np.concatenate(([left], x[(x > left) & (x < right)], [right]))
-        for start, end in pairwise(cuts):
-            for node, weight in zip(nodes, weights, strict=True):
-                at = 0.5 * (start + end) + 0.5 * (end - start) * node
-                k = int(np.clip(np.searchsorted(x, at) - 2, 0, x.size - 4))
-                share = 0.5 * weight * (end - start) / pixel_mm
-                result[column, k : k + 4] += share * _lagrange(x[k : k + 4], at)
+    edges = np.minimum(np.arange(columns + 1) * pixel_mm, length)
+    _fill_columns(result, x, edges, pixel_mm, *np.polynomial.legendre.leggauss(3))
     return result
+
+
+@kernel
+def _fill_columns(result: Array, x: Array, edges: Array, pixel_mm: float, nodes: Array, weights: Array) -> None:
+    """Gauss–Legendre between the nodes and the edges of columns, of the cubics through four nodes each."""
+    interval = 0
+    for column in range(edges.size - 1):
+        start = edges[column]
+        while start < edges[column + 1]:
+            while interval < x.size - 2 and x[interval + 1] <= start:
+                interval += 1
+            end = min(edges[column + 1], x[interval + 1]) if interval < x.size - 2 else edges[column + 1]
+            first = min(max(interval - 1, 0), x.size - 4)
+            for n in range(nodes.size):
+                at = 0.5 * (start + end) + 0.5 * (end - start) * nodes[n]
+                for k in range(first, first + 4):
+                    weight = 0.5 * weights[n] * (end - start) / pixel_mm
+                    for other in range(first, first + 4):
+                        if other != k:
+                            weight *= (at - x[other]) / (x[k] - x[other])
+                    result[column, k] += weight
+            start = end

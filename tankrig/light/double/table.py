@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 RATIO = 1.45
 """Ratio of successive nodes in δ."""
+SLANTED_RATIO = 1.3
+"""The same where lines of sight or light rays slant, and leave the tank through its side walls."""
 
 
 @dataclass(frozen=True)
@@ -77,24 +79,26 @@ def fill_table(
     height = scene.tank.size_mm[2]
     low, high = z_mm
     sigma_t = scene.medium.sigma_t
-    count = 2 + math.ceil((high - low) * max(sigma_t / 3.0, 4.0 / height)) if high - low > 5.0 else 2
+    # One node across a beam errs by (thickness/scale)²/24 or so, n nodes by its n-th power.
+    curvature = ((high - low) * max(sigma_t, 4.0 / height)) ** 2 / 24.0
+    count = 1 if curvature < 1e-3 else 2 + math.ceil((high - low) * max(sigma_t / 3.0, 2.0 / height))
     nodes, weights = np.polynomial.legendre.leggauss(min(count, 40))
     z0 = 0.5 * (low + high) + 0.5 * (high - low) * nodes
     x = _x_nodes(geometry, low, high, finest_mm)
     width = 2.0 * geometry.half_width
     decades = math.log(width / (0.02 * finest_mm))
-    fractions = np.exp(np.linspace(-decades, 0.0, 1 + math.ceil(decades / math.log(RATIO))))
+    ratio = RATIO if shift_invariant(scene) else SLANTED_RATIO
+    fractions = np.exp(np.linspace(-decades, 0.0, 1 + math.ceil(decades / math.log(ratio))))
     if shift_invariant(scene):
         y0 = np.zeros(1)
     else:
         edges = [edge for beam in scene.projector.beams for edge in beam.y_mm]
         spread = max(edges) - min(edges)
-        cosines = np.cos(
-            np.pi * (np.arange(3 + math.ceil(4 * spread / width)) + 0.5) / (3 + math.ceil(4 * spread / width))
-        )
+        many = 3 + math.ceil(3 * spread / width)
+        cosines = np.cos(np.pi * (np.arange(many) + 0.5) / many)
         y0 = 0.5 * (max(edges) + min(edges)) + 0.5 * spread * cosines
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
-    fill = _fill_shifted if shift_invariant(scene) else _fill
+    fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     with ThreadPoolExecutor(2) as pool:
         parts = [
             pool.submit(fill, values, geometry, sigma_t, scene.medium.g, x, fractions, y0, z0, mirrored, *rule, part)
@@ -136,7 +140,7 @@ def _seen_from_above(geometry: Geometry, x: float, z: float) -> float:
 
 @kernel
 def _fill_shifted(
-    values: Array, geometry: Geometry, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array, z0: Array,
+    values: Array, geometry: Geometry, sigma_t: float, g: float, x: Array, fractions: Array, _: Array, z0: Array,
     mirrored: bool, nodes: Array, weights: Array, part: int,
 ) -> None:  # fmt: skip
     """Every second x, where only y − y₀ matters: both lines are put symmetrically about y = 0, inside the tank."""
@@ -153,7 +157,7 @@ def _fill_shifted(
 
 
 @kernel
-def _fill(
+def _fill_slanted(
     values: Array, geometry: Geometry, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array, z0: Array,
     mirrored: bool, nodes: Array, weights: Array, part: int,
 ) -> None:  # fmt: skip
