@@ -90,13 +90,16 @@ def continued_fraction(
     """
     squared = wave_number**2
     root = np.sqrt(sigma_t**2 + squared)
-    fraction = 0.5 * (sigma_t + root)  # its fixed point for b² = 1/4, the limit l → ∞
-    # An error in the fraction shrinks per degree by this factor.
+    # An error in the fraction shrinks per degree by this factor; where it hardly shrinks, what counts is that the
+    # fraction's start below is itself wrong by no more than about (1 + m²)/l³.
     shrinking = float(np.max(np.abs((root - sigma_t) / (root + sigma_t)), initial=1e-3))
-    last = min(first + len(scattering) + math.ceil(math.log(precision) / math.log(shrinking)), first + _LONGEST)
+    shrunk = math.log(precision) / math.log(min(shrinking, 1.0 - 1e-12))
+    depth = math.ceil(min(shrunk, ((1.0 + order**2) / precision) ** (1.0 / 3.0), _LONGEST))
+    last = first + len(scattering) + depth
     diagonal = np.full(last - first + 1, sigma_t)
-    diagonal[: len(scattering)] -= scattering[: len(diagonal)]
+    diagonal[: len(scattering)] -= scattering
     coupling = coupling_squared(np.arange(first, last + 2), order)
+    fraction = 0.5 * (sigma_t + np.sqrt(sigma_t**2 + 4.0 * coupling[-1] * squared))  # as if b² stayed from here on
     for index in range(last - first, -1, -1):
         fraction = diagonal[index] + squared * (coupling[index + 1] / fraction)
     return fraction

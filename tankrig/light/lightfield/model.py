@@ -97,7 +97,7 @@ def _from_kernel(scene: Scene, orders: Orders, tolerance: float) -> Image:
     # A cell's light seen from a cell: two box averages of variance step²/12 each, for which the Gaussian stands.
     blur = math.sqrt(length / columns * width / rows / 6.0)
     degree = _degree(scene.medium.g, orders, tolerance)
-    detail = min(2 * degree, math.ceil(1.5 * degree))
+    detail = min(2 * degree, degree + 8)
     reach = math.hypot(*scene.tank.size_mm)
     kernel = scattering_kernel(scene.medium, orders, blur, reach, degree, detail)
     cells = convolve(scene, kernel, (columns, rows))

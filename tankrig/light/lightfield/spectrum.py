@@ -77,10 +77,16 @@ def spectrum(
         sums = order_sum(medium, orders, wave_number, order, degree)
         into, out = legendre(order, degree, light), legendre(order, degree, camera)
         weight = (1.0 if order == 0 else 2.0) * np.cos(order * turn)
-        # i^{l'−l} = cos + i sin of (l' − l) π/2, split into products of cosines and sines of l and of l'.
-        quarter = np.arange(order, degree + 1) % 4
-        cosine, sine = np.array([1, 0, -1, 0])[quarter], np.array([0, 1, 0, -1])[quarter]
-        even, odd = (out * cosine) @ sums, (out * sine) @ sums
-        real += weight * np.sum(even * (into * cosine) + odd * (into * sine), axis=-1)
-        imaginary += weight * np.sum(even * (into * sine) - odd * (into * cosine), axis=-1)
+        # i^{l'−l} is ±1 between degrees of one parity and ±i between parities.
+        sign = np.array([1.0, 1.0, -1.0, -1.0])[np.arange(order, degree + 1) % 4]
+        into, out = into * sign, out * sign
+        even, odd = slice(order % 2, None, 2), slice(1 - order % 2, None, 2)
+        for part, (first, second), factor in (
+            (real, (even, even), 1.0),
+            (real, (odd, odd), 1.0),
+            (imaginary, (even, odd), 1.0),
+            (imaginary, (odd, even), -1.0),
+        ):
+            through = np.ascontiguousarray(out[:, first]) @ np.ascontiguousarray(sums[:, first, second])
+            part += factor * weight * np.einsum("kql,ql->kq", through, into[:, second])
     return real, imaginary
