@@ -5,7 +5,7 @@ import math
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from tankrig.devices import Delivered
 from tankrig.errors import DeviceError, UndecidedError
@@ -115,24 +115,27 @@ class RigDoser:
         self._unsure = (before.low, max(target, before.count))
         try:
             after = self._follow(self._start(before.id + 1, target), target)
-            self._adopt(after)
+            known = self._adopt(after)
         except BaseException as error:
             self.stop()
-            self._settle()
+            settled = self._settle()
             if isinstance(error, DeviceError) and self._unsure is not None:
                 raise self._undecided(f"dosing to {total_ul:g} µl failed ({error})") from error
+            if isinstance(error, NoReplyError) and settled:
+                raise self._cut_short(settled, total_ul) from error
             raise
-        return self._outcome(after, target, total_ul)
-
-    def _outcome(self, after: wire.State, target: int, total_ul: float) -> Delivered:
-        if self._unsure is not None:
-            raise self._undecided(f"dosing to {total_ul:g} µl failed ({wire.REASONS[after.reason]})")
-        if after.count != target:
-            raise DeviceError(
-                f"{self._name}: stopped at {self._volume(after).volume_ul:g} µl on the way to {total_ul:g} µl: "
-                f"{wire.REASONS[after.reason]}; clear the stop to go on"
-            )
+        if not known or after.count != target or after.reason is not wire.Reason.REACHED:
+            raise self._cut_short(after, total_ul)
         return self._volume(after)
+
+    def _cut_short(self, after: wire.State, total_ul: float) -> DeviceError:
+        why = wire.REASONS[after.reason]
+        if self._unsure is not None:
+            return self._undecided(f"dosing to {total_ul:g} µl failed ({why})")
+        return DeviceError(
+            f"{self._name}: stopped at {self._volume(after).volume_ul:g} µl on the way to {total_ul:g} µl: {why}; "
+            "clear the stop to go on"
+        )
 
     def _ready(self) -> wire.State:
         """The status before a dose, once no latch forbids it."""
@@ -187,18 +190,18 @@ class RigDoser:
                 raise DeviceError(f"{self._name}: still moving after {expected_s:g} s; look at motor and syringe")
         return state
 
-    def _settle(self) -> None:
-        """After a fault: learn what was delivered, or leave it unknown."""
-        try:
-            self._adopt(self._rest())
-        except LineLostError:
-            return
-        except DeviceError:
-            time.sleep(1.5 * 1e-3 * self._identity.watchdog_ms * self._settings.time_scale)
-            try:
-                self._adopt(self._rest())
-            except DeviceError:
-                return
+    def _settle(self) -> wire.State | None:
+        """After a fault: learn what was delivered, or leave it unknown. By the last attempt the watchdog has acted."""
+        for wait_ms in (0.0, 1.5 * self._identity.watchdog_ms):
+            time.sleep(1e-3 * wait_ms * self._settings.time_scale)
+            with suppress(NoReplyError):
+                try:
+                    state = self._rest()
+                except LineLostError:
+                    break
+                self._adopt(state)
+                return state
+        return None
 
     def _rest(self) -> wire.State:
         """The status once the motor rests; stops it if it runs."""
@@ -210,11 +213,13 @@ class RigDoser:
             state = self._status()
         raise NoReplyError(f"{self._name}: does not stop; pull its power")
 
-    def _adopt(self, state: wire.State) -> None:
+    def _adopt(self, state: wire.State) -> bool:
         """Take over the latches of a doser that rests; what it delivered is then known unless it says it is not."""
         if wire.Flag.STOPPED in state.flags:
             self._stop_asked.set()
-        self._unsure = (state.low, state.count) if wire.Flag.UNSURE in state.flags else None
+        known = wire.Flag.UNSURE not in state.flags
+        self._unsure = None if known else (state.low, state.count)
+        return known
 
     # -- asking and stopping -----------------------------------------------------------------------------------------
 
@@ -328,16 +333,14 @@ class RigDoser:
 
     def _again(self, command: str, *arguments: tuple[int, int]) -> wire.Reply:
         """Ask what may be asked twice, until a reply comes."""
-        for attempt in range(ATTEMPTS):
-            try:
-                return self._line.ask(command, *arguments)
-            except LineLostError:
-                self._stop_asked.set()
-                raise
-            except NoReplyError:
-                if attempt == ATTEMPTS - 1:
-                    raise
-        raise AssertionError
+        try:
+            for _ in range(ATTEMPTS - 1):
+                with suppress(NoReplyError):
+                    return self._line.ask(command, *arguments)
+            return self._line.ask(command, *arguments)
+        except LineLostError:
+            self._stop_asked.set()
+            raise
 
     # -- steps and volumes -------------------------------------------------------------------------------------------
 
@@ -351,4 +354,5 @@ class RigDoser:
 
     def _between(self, low: int, high: int, best: int | None = None) -> Delivered:
         best = (low + high) // 2 if best is None else best
-        return Delivered(best * self.increment_ul, low * self.increment_ul, high * self.increment_ul)
+        scale = self._settings.steps_per_ul
+        return Delivered(best / scale, low / scale, high / scale)

@@ -1,6 +1,5 @@
 """The serial line to the rig's own doser: one request and its reply at a time, and stop bytes at any time."""
 
-import contextlib
 import errno
 import termios
 import threading
@@ -112,8 +111,6 @@ class Line:
         with self._life:
             self._lost = True
         with self._asking:
-            with contextlib.suppress(*_LOST):
-                self._port.reset_output_buffer()
             self._port.close()
 
     def _line(self, deadline: float) -> bytes | None:

@@ -52,8 +52,7 @@ class GuardedDoser:
     def __init__(self, doser: Doser, limits: DoseLimits, ledger: TankLedger, journal: DoseJournal, run: str) -> None:
         self._doser, self._limits, self._ledger, self._journal, self._run = doser, limits, ledger, journal, run
         self._dosing = threading.Lock()
-        self.undecided: str | None = None
-        self._reconcile()
+        self.undecided = self._reconciled()
 
     # -- who and what ------------------------------------------------------------------------------------------------
 
@@ -124,7 +123,7 @@ class GuardedDoser:
 
     def _known(self) -> Joint:
         if self.undecided or self._ledger.open_dose or self._doser.unknown:
-            self._reconcile()
+            self.undecided = self._reconciled()
         if self.undecided is not None or self._ledger.joint is None:
             raise UndecidedError(self.undecided)
         return self._ledger.joint
@@ -158,10 +157,9 @@ class GuardedDoser:
         if self._dosing.locked() and self._ledger.joint:
             return self._ledger.joint.tank_at(self._doser.delivered())
         tank, dose = self._ledger.tank, self._ledger.open_dose
-        if self.undecided is None:
-            return tank
-        high_ul = max(dose.total_ul, tank.high_ul) if dose else math.inf
-        return Delivered(tank.volume_ul, tank.low_ul, high_ul)
+        if dose:
+            return tank._replace(high_ul=max(dose.total_ul, tank.high_ul))
+        return tank._replace(high_ul=math.inf) if self.undecided else tank
 
     def remaining(self) -> Remaining:
         """What the budgets still allow, µl."""
@@ -213,34 +211,35 @@ class GuardedDoser:
 
     def close(self) -> None:
         """Stop a dose that runs, write down what it delivered, and let go of doser and ledger."""
-        if not self._dosing.acquire(blocking=False):
+        if self._dosing.locked():
             self._doser.stop()
-            self._dosing.acquire(timeout=_CLOSE_S)
+        ended = self._dosing.acquire(timeout=_CLOSE_S)
         self._doser.close()
         self._ledger.close()
+        if ended:
+            self._dosing.release()
 
     # -- reconciling -------------------------------------------------------------------------------------------------
 
-    def _reconcile(self) -> None:
-        """Settle by the doser's count what an interrupted program left open, or ask."""
+    def _reconciled(self) -> str | None:
+        """Settle by the doser's count what was left open; what a person has to decide if that cannot be done."""
         joint, dose = self._ledger.joint, self._ledger.open_dose
-        self.undecided = None
         if self._doser.unknown:
-            self.undecided = self._question(f"{self.name} does not know what it has delivered")
-            return
+            return self._question(f"{self.name} does not know what it has delivered")
         count = self._doser.delivered()
         if joint is None or (dose is None and joint.doser != self.identity):
             self._ledger.join(Joint(self.identity, self._ledger.tank, count))
-            return
+            return None
         tank, slack_ul = joint.tank_at(count), 0.5 * self.increment_ul
         low_ul = self._ledger.tank.volume_ul - slack_ul
         high_ul = (dose.total_ul if dose else self._ledger.tank.volume_ul) + slack_ul
         if joint.doser != self.identity:
-            self.undecided = self._question(f"a dose was begun with {joint.doser}, not with {self.identity}")
-        elif not low_ul <= tank.volume_ul <= high_ul:
-            self.undecided = self._question(f"{self.name} has moved since without this tank's ledger")
-        elif dose:
+            return self._question(f"a dose was begun with {joint.doser}, not with {self.identity}")
+        if not low_ul <= tank.volume_ul <= high_ul:
+            return self._question(f"{self.name} has moved since without this tank's ledger")
+        if dose:
             self._ledger.end(tank)
+        return None
 
     def _question(self, what: str) -> str:
         tank, dose = self._ledger.tank, self._ledger.open_dose

@@ -102,8 +102,8 @@ class TankLedger:
             try:
                 self._take(_entry(line, number))
             except (ValueError, KeyError, TypeError) as error:
-                torn = not line.endswith(b"\n") and (number > 1 or line.startswith(_FIRST))
-                if torn:
+                begun = line.rstrip(b"\0")[: len(_FIRST)]
+                if not line.endswith(b"\n") and (number > 1 or _FIRST.startswith(begun)):
                     os.ftruncate(self._fd, self._length)  # torn by a power cut: it was never acknowledged
                     break
                 what = f"line {number} is no entry of a tank's ledger"

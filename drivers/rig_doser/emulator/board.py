@@ -32,6 +32,8 @@ class Board:
         Where the device's path is published, as a symbolic link that stays the same over re-plugging.
     rate, acceleration
         Of the motor, steps/s and steps/s².
+    boot_s
+        From reset to banner.
     time_scale
         All of the board's times are multiplied by this (tests).
     seed
@@ -45,17 +47,18 @@ class Board:
         *,
         rate: float = 2000.0,
         acceleration: float = 8000.0,
+        boot_s: float = BOOT_S,
         time_scale: float = 1.0,
         seed: int = 0,
     ) -> None:
         self._state, self._link, self._scale = state, link, time_scale
-        self._motor = (rate, acceleration)
+        self._motor, self._boot_s = (rate, acceleration), boot_s
         self._gremlin = Gremlin(seed)
         self._turn = threading.Lock()
         self._master: int | None = None
         self._reader = RequestReader()
         self._firmware: Firmware | None = None
-        self._boot_s = 0.0
+        self._booted_s = 0.0
         self._unplug_now = False
         self._replies: list[tuple[float, bytes]] = []
         self._client = False
@@ -88,8 +91,8 @@ class Board:
 
     def live(self) -> None:
         """Wait a moment for the line, then let everything that is due happen."""
-        master, moving = self._master, bool(self._firmware and self._firmware.moving)
-        wait_s = max(0.0005, 0.004 * self._scale) if moving or self._replies else 0.02
+        master, busy = self._master, self._firmware is None or self._firmware.moving or bool(self._replies)
+        wait_s = max(0.0005, 0.004 * self._scale) if busy else 0.02
         if master is None or not self._client:
             time.sleep(min(wait_s, 0.002))
         else:
@@ -146,7 +149,7 @@ class Board:
         self._firmware = None
         self._reader = RequestReader()
         self._replies.clear()
-        self._boot_s = self._now() + BOOT_S
+        self._booted_s = self._now() + self._boot_s
 
     def _power_lost(self) -> None:
         if self._unplug_now:
@@ -164,7 +167,7 @@ class Board:
             return
         now = self._now()
         received = self._receive(self._master)
-        if self._firmware is None and now >= self._boot_s:
+        if self._firmware is None and now >= self._booted_s:
             self._boot()
         elif self._firmware:
             self._firmware.advance(now)
@@ -201,7 +204,8 @@ class Board:
         self._say(self._gremlin.junk() if faults.junk else banner)
 
     def _say(self, data: bytes) -> None:
-        self._replies.append((self._now() + self._gremlin.faults.delay_ms / 1e3, data))
+        due = self._now() + self._gremlin.delay_s()
+        self._replies.append((max([due, *(at for at, _ in self._replies)]), data))
 
     def _obey(self, firmware: Firmware, received: bytes, now: float) -> None:
         for item in self._reader.feed(received, now):

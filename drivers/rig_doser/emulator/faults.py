@@ -12,6 +12,7 @@ class Faults:
     corrupt: float = 0.0
     duplicate: float = 0.0
     delay_ms: float = 0.0
+    jitter_ms: float = 0.0
     mute: bool = False
     deaf: bool = False
     junk: bool = False
@@ -47,6 +48,10 @@ class Gremlin:
     def twice(self) -> bool:
         """Whether this request arrives twice."""
         return self._random.random() < self.faults.duplicate
+
+    def delay_s(self) -> float:
+        """How much too late this reply is."""
+        return (self.faults.delay_ms + self._random.random() * self.faults.jitter_ms) / 1e3
 
     def junk(self) -> bytes:
         """What a boot loader may leave on the line."""
