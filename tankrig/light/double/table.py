@@ -140,7 +140,7 @@ def _seen_from_above(geometry: Geometry, x: float, z: float) -> float:
 
 @kernel
 def _fill_shifted(
-    values: Array, geometry: Geometry, sigma_t: float, g: float, x: Array, fractions: Array, _: Array, z0: Array,
+    values: Array, geometry: Geometry, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array, z0: Array,
     mirrored: bool, nodes: Array, weights: Array, part: int,
 ) -> None:  # fmt: skip
     """Every second x, where only y − y₀ matters: both lines are put symmetrically about y = 0, inside the tank."""
@@ -149,7 +149,16 @@ def _fill_shifted(
             for k in range(fractions.size):
                 delta = 2.0 * geometry.half_width * fractions[k]
                 value = pair_radiance(
-                    geometry, sigma_t, g, x[i], 0.5 * delta, -0.5 * delta, z0[j], mirrored, nodes, weights
+                    geometry,
+                    sigma_t,
+                    g,
+                    x[i],
+                    y0[0] + 0.5 * delta,
+                    y0[0] - 0.5 * delta,
+                    z0[j],
+                    mirrored,
+                    nodes,
+                    weights,
                 )
                 value *= math.exp(sigma_t * (x[i] + delta))
                 values[j, 0, 0, i, k] = value

@@ -7,26 +7,46 @@ from tankrig.scene.optics import reflectance
 
 
 @kernel
-def scattered(dx: float, dy: float, dz: float, g: float, u: float, v: float) -> tuple[float, float, float]:
-    """A direction drawn from the phase function about (dx, dy, dz)."""
+def scattered(
+    dx: float, dy: float, dz: float, ex: float, ey: float, ez: float, g: float, u: float, v: float
+) -> tuple[float, float, float, float, float, float]:
+    """A direction drawn from the phase function about a direction, and the reference it takes along.
+
+    The azimuth is counted from a reference that is carried from scattering to scattering. A frame made anew from each
+    direction would jump somewhere on the sphere, and the image with it as the medium changes.
+
+    Parameters
+    ----------
+    dx, dy, dz
+        Direction before, a unit vector.
+    ex, ey, ez
+        Unit vector across it that the azimuth is counted from.
+    g
+        Asymmetry of the phase function.
+    u, v
+        Coordinates in [0, 1) for the angle and the azimuth.
+
+    Returns
+    -------
+    dx, dy, dz, ex, ey, ez
+        Direction after, and its reference.
+    """
     if abs(g) < 1e-3:
-        cosine = 1.0 - 2.0 * u + 2.0 * g * u * (1.0 - u)
+        cosine = 1.0 - 2.0 * u + 6.0 * g * u * (1.0 - u)
     else:
         root = (1.0 - g * g) / (1.0 + g - 2.0 * g * u)
         cosine = (1.0 + g * g - root * root) / (2.0 * g)
     cosine = min(max(cosine, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
     angle = 2.0 * math.pi * v
-    a, b = sine * math.cos(angle), sine * math.sin(angle)
-    # An orthonormal frame about the direction without a branch that jumps (Duff et al. 2017).
-    sign = math.copysign(1.0, dz)
-    c = -1.0 / (sign + dz)
-    e = dx * dy * c
+    a, b = math.cos(angle), math.sin(angle)
+    ax = a * ex + b * (dy * ez - dz * ey)
+    ay = a * ey + b * (dz * ex - dx * ez)
+    az = a * ez + b * (dx * ey - dy * ex)
     return (
-        a * (1.0 + sign * dx * dx * c) + b * e + cosine * dx,
-        a * sign * e + b * (sign + dy * dy * c) + cosine * dy,
-        -a * sign * dx - b * dy + cosine * dz,
-    )
+        cosine * dx + sine * ax, cosine * dy + sine * ay, cosine * dz + sine * az,
+        cosine * ax - sine * dx, cosine * ay - sine * dy, cosine * az - sine * dz,
+    )  # fmt: skip
 
 
 @kernel

@@ -101,7 +101,10 @@ def trace(
         turn = 1 + int(choice) if guided and choice >= 0.0 else 0
         remaining, turned = 1.0, 0.0
         limit = faintest * weight
+        # References across the light's and the line of sight's direction, from which azimuths are counted.
+        ex, ey, ez = _across(dx, dz)
         sx, sy, sz = 0.0, 0.0, 1.0
+        rx, ry, rz = 1.0, 0.0, 0.0
         order = 1
         thinning = FIRST_THINNING
         while order < max_order and weight > limit:
@@ -116,12 +119,12 @@ def trace(
             if not shiftable:
                 walls = (0.0, length, -half_width, half_width)
                 _, _, sx, sy, sz, _, _ = seen_from(geometry, x, y, z)
+                rx, ry, rz = _across(sx, sz)
             before = remaining + turned
             counted = guided and order <= TURNS
             if guided and order >= 2:
-                px, py, pz = scattered(
-                    sx, sy, sz, g, coordinate(point, first + 3, shift), coordinate(point, first + 4, shift)
-                )
+                u, v = coordinate(point, first + 3, shift), coordinate(point, first + 4, shift)
+                px, py, pz, _, _, _ = scattered(sx, sy, sz, rx, ry, rz, g, u, v)
                 plain = henyey_greenstein(px * dx + py * dy + pz * dz, g)
                 ahead = px * sx + py * sy + pz * sz
                 density = before * henyey_greenstein(ahead, g) + (remaining + turned) * plain
@@ -143,9 +146,10 @@ def trace(
             u, v = coordinate(point, first, shift), coordinate(point, first + 1, shift)
             if order == turn:
                 asymmetry = g**2 if v < 0.5 else g**4
-                dx, dy, dz = scattered(sx, sy, sz, asymmetry, u, 2.0 * v if v < 0.5 else 2.0 * v - 1.0)
+                v = 2.0 * v if v < 0.5 else 2.0 * v - 1.0
+                dx, dy, dz, ex, ey, ez = scattered(sx, sy, sz, rx, ry, rz, asymmetry, u, v)
             else:
-                dx, dy, dz = scattered(dx, dy, dz, g, u, v)
+                dx, dy, dz, ex, ey, ez = scattered(dx, dy, dz, ex, ey, ez, g, u, v)
             share = 1.0
             if guided:
                 plain = henyey_greenstein(dx * dx0 + dy * dy0 + dz * dz0, g)
@@ -157,9 +161,11 @@ def trace(
                 if order >= 2:
                     share += before * henyey_greenstein(ahead, g) / plain
                 share = 1.0 / share
-            x, y, z, dz, chance = fly(
+            x, y, z, after, chance = fly(
                 walls, height, index, sigma_t, x, y, z, dx, dy, dz, coordinate(point, first + 2, shift)
             )
+            if after != dz:  # reflected at the surface
+                dz, ez = after, -ez
             weight *= chance * albedo
             order += 1
             if shiftable:
@@ -174,6 +180,13 @@ def trace(
                 )
             else:
                 record_point(cells, geometry, order, weight * share, sigma_t, g, x, y, z, dx, dy, dz, cell_mm)
+
+
+@kernel
+def _across(dx: float, dz: float) -> tuple[float, float, float]:
+    """A unit vector across a direction that is not along y, from its x and z."""
+    scale = math.sqrt(dx * dx + dz * dz)
+    return -dz / scale, 0.0, dx / scale
 
 
 @kernel

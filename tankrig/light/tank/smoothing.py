@@ -14,7 +14,7 @@ DEGREE = 12
 """Highest degree of the polynomials in x."""
 
 UNSEEN = 2.0
-"""Real error over the scatter of the projected batches: the projection is drawn from the same noise (measured 1.9…2.6)."""
+"""Real error over the scatter of the projected batches, as the projection is drawn from the same noise: 1.9…2.6."""
 
 
 def smoothed(batches: Array) -> tuple[Array, Array]:
