@@ -62,6 +62,8 @@ def predict(
         return _single(scene)
     if name == "tank":
         return _tank(scene, tolerance, max_order, seed)
+    if name == "convolution":
+        return _convolution(scene, tolerance, max_order)
     if name == "montecarlo":
         return _montecarlo(scene, tolerance, max_order, seed)
     raise SceneError(f'model = "{name}" is unknown; use one of {", ".join(MODELS)}')
@@ -82,6 +84,14 @@ def _tank(scene: Scene, tolerance: float, max_order: int | None, seed: int) -> P
     skipped = [Skipped(*item) for item in result.skipped]
     total = np.sum(list(result.orders.values()), axis=0)
     return Prediction(total, "tank", MappingProxyType(result.orders), result.stderr, tuple(skipped))
+
+
+def _convolution(scene: Scene, tolerance: float, max_order: int | None) -> Prediction:
+    from tankrig.light.lightfield import lightfield_orders
+
+    orders = lightfield_orders(scene, max_order, tolerance)
+    skipped = (Skipped("the tank's walls between scatterings", float("inf")),)
+    return Prediction(np.sum(list(orders.values()), axis=0), "convolution", MappingProxyType(orders), None, skipped)
 
 
 def _montecarlo(scene: Scene, tolerance: float, max_order: int | None, seed: int) -> Prediction:
