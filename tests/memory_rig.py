@@ -61,6 +61,7 @@ class MemoryCamera:
     shape: tuple[int, int] = SHAPE
     saturation: int = 4095
     mixing_s: float = 0.0
+    frame_s: float = 0.0
     drop: set[int] = field(default_factory=set)
     early: bool = False
     hang: threading.Event | None = None
@@ -75,8 +76,7 @@ class MemoryCamera:
         if self.hang is not None and not self.hang.wait(timeout_s):
             raise DeviceError(f"{self.name}: gave no frame for {timeout_s:g} s; check its cable")
         start = max(after_ns + 1, time.monotonic_ns())
-        if (rest := (start - time.monotonic_ns()) / 1e9) > 0:
-            time.sleep(rest)
+        time.sleep(max(0.0, (start - time.monotonic_ns()) / 1e9) + self.frame_s)
         while self.sequence in self.drop:
             self.sequence += 1
         frame = Frame(self.picture(start), start - 10**9 * self.early, start + 7, time.monotonic_ns(), self.sequence)

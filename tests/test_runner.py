@@ -368,7 +368,7 @@ def test_fits_are_recorded_beside_the_frames_and_waited_for_at_the_end(tmp_path)
 
 def test_a_rig_is_for_one_program(tmp_path):
     lock = RigLock(tmp_path / "rig.lock", "bench 1")
-    with pytest.raises(DeviceError, match=rf"rig bench 1 is in use by another program \(process {os.getpid()}\)"):
+    with pytest.raises(StoreError, match=rf"rig bench 1 is in use by another program \(process {os.getpid()}\)"):
         RigLock(tmp_path / "rig.lock", "bench 1")
     lock.close()
     lock.close()

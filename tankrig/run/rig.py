@@ -9,7 +9,7 @@ from pathlib import Path
 from tankrig.bench import Bench
 from tankrig.devices import Camera, Doser, Projector
 from tankrig.dosing import DoseLimits
-from tankrig.errors import DeviceError, StoreError
+from tankrig.errors import StoreError
 from tankrig.sequence import Pace
 
 
@@ -25,10 +25,8 @@ class RigLock:
 
     Raises
     ------
-    DeviceError
-        When another program holds it.
     StoreError
-        When the file cannot be made.
+        When another program holds it, or the file cannot be made.
     """
 
     def __init__(self, path: Path, rig: str) -> None:
@@ -44,7 +42,7 @@ class RigLock:
         except BlockingIOError as error:
             holder = os.pread(self._handle, 32, 0).decode().strip() or "?"
             os.close(self._handle)
-            raise DeviceError(
+            raise StoreError(
                 f"rig {rig} is in use by another program (process {holder}); let that end first"
             ) from error
         os.ftruncate(self._handle, 0)
