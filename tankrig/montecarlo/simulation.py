@@ -109,13 +109,13 @@ def simulate(
     if highest > 1 and sum(beam.power for beam in scene.projector.beams) > 0.0:
         symmetric = _mirror_symmetric(coarse)
         with ThreadPoolExecutor(threads) as pool:
-            for images, fates in pool.map(
+            for counts, fates in pool.map(
                 lambda batch: _batch(coarse, per_batch, (seed, batch), highest), range(BATCHES)
             ):
                 if symmetric:
-                    images = 0.5 * (images + images[:, ::-1])
-                sums += images
-                squares += images.sum(axis=0) ** 2
+                    counts = 0.5 * (counts + counts[:, ::-1])
+                sums += counts
+                squares += counts.sum(axis=0) ** 2
                 energy += fates
     means = sums / BATCHES
     variance = np.maximum(squares / BATCHES - means.sum(axis=0) ** 2, 0.0) / (BATCHES - 1)

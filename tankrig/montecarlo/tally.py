@@ -13,7 +13,7 @@ CLASSES = 4
 """Orders 2, 3, 4–20 and above 20; order 1 needs no photons."""
 NEAR = 4.0
 """Optical depth up to which points are spread evenly; one more stands for all that is behind."""
-POINTS_UPRIGHT, POINTS_PINHOLE = 16, 6
+POINTS_UPRIGHT, POINTS_PINHOLE = 32, 6
 """Points per stretch, at most: where the line of sight is always upright each costs a tenth."""
 
 

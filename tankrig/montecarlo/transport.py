@@ -15,11 +15,11 @@ LATTICE = 1.2207440846057596 ** -np.arange(1.0, 4.0)
 """Steps of an additive recurrence that fills the unit cube evenly: its root is that of r⁴ = r + 1 (Roberts 2018)."""
 LOBES_FROM = 0.45
 """|g| from which on light is also sent along lobes about the camera."""
-TOWARD_CAMERA = 0.2
+TOWARD_CAMERA = 0.15
 """Share of directions drawn from the lobe about the camera."""
 HEAVY = 4.0
 """Weight from which on a photon no longer draws from that lobe: each other direction makes it heavier still."""
-LIGHT = 0.03
+LIGHT = 0.04
 """Weight below which a photon plays roulette."""
 
 
@@ -38,7 +38,7 @@ def trace(
 
     Every flight ends in a collision within the tank: what would have got out is taken off the photon's weight instead,
     so that thin media cost no more than dense ones. For |g| ≥ 0.45, two things find the few directions in which light
-    is scattered towards the camera. A fifth of the directions is drawn from a lobe about it. And at each collision a
+    is scattered towards the camera. Some of the directions are drawn from a lobe about it. And at each collision a
     probe is sent along such a lobe and shown to the camera; photon and probe share the next order by the balance
     heuristic (Veach 1997), each with its density over the sum of both.
 
@@ -166,7 +166,7 @@ def _densities(
     g: float,
     bias: float,
 ) -> tuple[float, float, float]:
-    """Of direction w, per sr: phase function from u, lobe about the camera's v, and the photon's own mixture of both."""
+    """Of direction w, per sr: phase function from u, lobe about the camera's v, and the mixture that a photon draws."""
     phase = henyey_greenstein(ux * wx + uy * wy + uz * wz, g)
     lobe = henyey_greenstein(vx * wx + vy * wy + vz * wz, g)
     return phase, lobe, (1.0 - bias) * phase + bias * lobe
