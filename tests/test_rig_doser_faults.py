@@ -19,7 +19,7 @@ from .doser_bench import Bench
 
 @pytest.fixture
 def bench(tmp_path: Path):
-    with Bench(tmp_path, dose_cap=20_000, life_cap=30_000) as bench:
+    with Bench(tmp_path, dose_cap=20_000) as bench:
         yield bench
 
 
@@ -133,14 +133,16 @@ def test_lost_memory_is_said_and_the_life_cap_holds(bench: Bench, doser: RigDose
     assert bench.true_ul == 10.0
 
 
-def test_caps_of_the_firmware_hold_before_anything_moves(bench: Bench, doser: RigDoser) -> None:
-    with pytest.raises(DeviceError, match="2000 µl at most"):
-        doser.dose_to(2000.1)
-    doser.dose_to(2000.0)
-    with pytest.raises(DeviceError, match="1000 µl of its lifetime"):
-        doser.dose_to(3000.1)
-    assert not doser.stopped
-    assert bench.true_ul == 2000.0
+def test_caps_of_the_firmware_hold_before_anything_moves(tmp_path: Path) -> None:
+    with Bench(tmp_path, dose_cap=200, life_cap=300) as bench:
+        doser = bench.open()
+        with pytest.raises(DeviceError, match="20 µl at most"):
+            doser.dose_to(20.1)
+        doser.dose_to(20.0)
+        with pytest.raises(DeviceError, match="10 µl of its lifetime"):
+            doser.dose_to(30.1)
+        assert not doser.stopped
+        assert bench.true_ul == 20.0
 
 
 def test_the_limit_of_the_rig_file_holds(bench: Bench) -> None:

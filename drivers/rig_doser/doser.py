@@ -303,8 +303,10 @@ class RigDoser:
         atexit.unregister(self.close)
         if self._dosing.locked():
             self.stop()
-            self._dosing.acquire(timeout=10.0 * BANNER_S * self._settings.time_scale)
+        ended = self._dosing.acquire(timeout=10.0 * BANNER_S * self._settings.time_scale)
         self._line.close()
+        if ended:
+            self._dosing.release()
 
     # -- the line ----------------------------------------------------------------------------------------------------
 

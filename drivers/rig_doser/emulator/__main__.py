@@ -9,6 +9,7 @@ import socket
 import sys
 import threading
 from pathlib import Path
+from typing import NoReturn, TextIO
 
 from .board import Board
 from .faults import Faults
@@ -58,25 +59,32 @@ def _arguments() -> argparse.Namespace:
     return args
 
 
-def _serve(board: Board, control: Path) -> None:
-    """Answer the control socket until the board quits."""
+def _serve(board: Board, control: Path) -> NoReturn:
+    """Answer the control socket for as long as the process lives."""
     control.unlink(missing_ok=True)
     with socket.socket(socket.AF_UNIX) as server, selectors.DefaultSelector() as selector:
         server.bind(str(control))
         server.listen()
         selector.register(server, selectors.EVENT_READ)
-        while not board.quitting:
-            for key, _ in selector.select(0.05):
+        while True:
+            for key, _ in selector.select():
                 if key.fileobj is server:
                     connection, _ = server.accept()
                     selector.register(connection, selectors.EVENT_READ, connection.makefile("rw"))
-                elif line := key.data.readline():
-                    key.data.write(json.dumps(_answer(board, line)) + "\n")
-                    key.data.flush()
-                else:
+                elif not _converse(board, key.data):
                     selector.unregister(key.fileobj)
-                    key.data.close()
-    control.unlink(missing_ok=True)
+
+
+def _converse(board: Board, stream: TextIO) -> bool:
+    """Answer one line; False once the other side is gone."""
+    with contextlib.suppress(OSError):
+        if line := stream.readline():
+            stream.write(json.dumps(_answer(board, line)) + "\n")
+            stream.flush()
+            return True
+    with contextlib.suppress(OSError):
+        stream.close()
+    return False
 
 
 def _answer(board: Board, line: str) -> dict[str, object]:
@@ -104,17 +112,16 @@ def main() -> int:
     )
     signal.signal(signal.SIGTERM, lambda *_: board.quit())
     board.command({"faults": args.faults})
-    control = threading.Thread(target=_serve, args=(board, args.control)) if args.control else None
-    if control:
-        control.start()
+    if args.control:
+        threading.Thread(target=_serve, args=(board, args.control), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):
         while not board.quitting:
             board.live()
             if 0 < args.linger_s < board.idle_s:
                 board.quit()
     board.unplug()
-    if control:
-        control.join()
+    if args.control:
+        args.control.unlink(missing_ok=True)
     state.close()
     return 0
 

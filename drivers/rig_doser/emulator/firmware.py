@@ -9,7 +9,6 @@ from .motor import Move
 
 PROTOCOL = 1
 WATCHDOG_S = 1.5
-ENCODER_STEPS = 16
 
 (E_UNKNOWN, E_MALFORMED, E_BUSY, E_STOPPED, E_UNSURE, E_OLD, E_REUSED, E_BEHIND, E_DOSE_CAP, E_LIFE_CAP, E_NEW_STOP) = (
     range(1, 12)
@@ -27,15 +26,15 @@ class Firmware:
     rate, acceleration
         Of the motor, steps/s and steps/s².
     pulse
-        Called for each step pulse after it has been counted. Returns whether the shaft turned; raises to end the
-        board's life there.
+        Called for each step pulse after it has been counted. Returns whether the encoder has seen the step; raises to
+        end the board's life there.
     """
 
     def __init__(self, state: StateFile, rate: float, acceleration: float, pulse: Callable[[], bool]) -> None:
         self._state = state
         self._rate, self._acceleration, self._pulse = rate, acceleration, pulse
         self._move: Move | None = None
-        self._made = self._turned = 0
+        self._made = 0
         self._fed_s = 0.0
         self.record = self._boot()
 
@@ -74,12 +73,10 @@ class Firmware:
         self.record.life += 1
         self._state.save(self.record)
         self._made += 1
-        self._turned += self._pulse()
-        arrived = self._made == move.steps
-        if (arrived or self._made % ENCODER_STEPS == 0) and self._turned < self._made:
-            self.record.doubt += self._made - self._turned
+        if not self._pulse():
+            self.record.doubt += 1
             self._rest(STALL)
-        elif arrived:
+        elif self._made == move.steps:
             self._rest(REACHED)
 
     def _rest(self, reason: int) -> None:
@@ -144,7 +141,7 @@ class Firmware:
         if steps:
             record.flags |= MOVING
             self._move = Move(now_s, steps, self._rate, self._acceleration)
-            self._made = self._turned = 0
+            self._made = 0
         else:
             record.reason = REACHED
         self._state.save(record)
