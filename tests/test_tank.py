@@ -166,3 +166,37 @@ def test_what_lies_beyond_the_tank_is_dark() -> None:
 def test_senseless_requests_are_refused(arguments: dict[str, object]) -> None:
     with pytest.raises(tankrig.SceneError):
         tankrig.predict(narrow(Medium(0.001, 0.01, 0.5)), **arguments)  # type: ignore[arg-type]
+
+
+RISING = Projector(
+    "pinhole", (Beam((-10.0, -4.0), (95.0, 101.0)), Beam((20.0, 26.0), (95.0, 101.0))), (-300.0, 0.0, 20.0)
+)
+LEVEL = Projector("collimated", (Beam((-10.0, -4.0), (58.0, 62.0)), Beam((20.0, 26.0), (30.0, 42.0), 0.5)))
+ABOVE, ASIDE = Camera("orthographic", (40, 60), 4.0), Camera("pinhole", (40, 60), 4.0, (120.0, 10.0, 500.0))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("light", "camera", "surface", "g"),
+    [
+        (RISING, ABOVE, "fresnel", 0.5),  # light that the surface sends back is a second source
+        (RISING, ASIDE, "fresnel", 0.8),
+        (LEVEL, ASIDE, "fresnel", 0.5),
+        (RISING, ABOVE, "matched", -0.3),
+        (LEVEL, ASIDE, "matched", 0.85),
+    ],
+)
+def test_what_the_reference_lacks_agrees_with_the_independent_monte_carlo(
+    light: Projector, camera: Camera, surface: str, g: float
+) -> None:
+    from tankrig.montecarlo import simulate
+
+    scene = Scene(Tank(surface=surface), Medium(0.001, 0.019, g), light, camera)  # type: ignore[arg-type]
+    tally = simulate(scene, 1_000_000, seed=3)
+    tank = tank_image(scene, tolerance=0.005)
+    noise = relative(tally.stderr, tally.image)
+    for order in (1, 2):
+        assert tank.orders[order].sum() == pytest.approx(tally.orders[order].sum(), rel=3e-3)
+        assert relative(tank.orders[order] - tally.orders[order], tally.image) < max(1.3 * noise, 1e-3)
+    total = np.sum(list(tank.orders.values()), axis=0)
+    assert relative(total - tally.image, tally.image) < np.hypot(1.2 * noise, 0.005)

@@ -5,10 +5,11 @@ read is a tuple of numbers, so that compiled kernels can take it.
 """
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 from tankrig.compiled import kernel
-from tankrig.scene import Scene
+from tankrig.scene import Beam, Scene
 from tankrig.scene.optics import reflectance
 
 
@@ -31,6 +32,8 @@ class Geometry(NamedTuple):
     camera_x: float
     camera_y: float
     camera_z: float
+    reflected: bool = False
+    """Whether the light is what a Fresnel surface sends back: projector and beams are then mirror images above it."""
 
 
 def geometry_of(scene: Scene) -> Geometry:
@@ -56,6 +59,27 @@ def geometry_of(scene: Scene) -> Geometry:
         camera.kind == "pinhole",
         *(camera.position_mm or (0.0, 0.0, height + 1.0)),
     )
+
+
+def light_sources(scene: Scene) -> list[tuple[Geometry, tuple[Beam, ...]]]:
+    """The projector and its beams, and their mirror images where rising light meets a Fresnel surface inside the tank.
+
+    Unfolded, reflected light runs straight: from the mirror image of the projector, through the mirror image of the
+    beam, with the reflectance as a factor.
+    """
+    geometry, beams = geometry_of(scene), scene.projector.beams
+    sources = [(geometry, beams)]
+    if geometry.refractive_index > 1.0 and any(_reaches_surface(geometry, beam) for beam in beams):
+        twice = 2.0 * geometry.height
+        image = geometry._replace(light_z=twice - geometry.light_z, reflected=True)
+        mirrored = [replace(beam, z_mm=(twice - beam.z_mm[1], twice - beam.z_mm[0])) for beam in beams]
+        sources.append((image, tuple(mirrored)))
+    return sources
+
+
+def _reaches_surface(geometry: Geometry, beam: Beam) -> bool:
+    ux, _, uz = light_ray(geometry, 0.5 * (beam.y_mm[0] + beam.y_mm[1]), beam.z_mm[1])
+    return bool(beam.z_mm[1] + uz / ux * geometry.length > geometry.height)
 
 
 def shift_invariant(scene: Scene) -> bool:
@@ -92,6 +116,12 @@ def light_ray(geometry: Geometry, y0: float, z0: float) -> tuple[float, float, f
     dx, dy, dz = -geometry.light_x, y0 - geometry.light_y, z0 - geometry.light_z
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     return dx / distance, dy / distance, dz / distance
+
+
+@kernel
+def light_kept(geometry: Geometry, uz: float) -> float:
+    """Share of a light ray's flux that its source still has: R(ξ) when the surface has reflected it."""
+    return reflectance(abs(uz), geometry.refractive_index) if geometry.reflected else 1.0
 
 
 @kernel

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.rays import Geometry, geometry_of, path_inside, sight_line, sighting_row
+from tankrig.light.rays import Geometry, light_kept, light_ray, light_sources, path_inside, sight_line, sighting_row
 from tankrig.scene import Scene
 from tankrig.scene.phase import henyey_greenstein
 
@@ -55,13 +55,13 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
     image = np.zeros(camera.shape)
     if medium.sigma_s == 0.0:
         return image
-    geometry = geometry_of(scene)
     rules = [np.polynomial.legendre.leggauss(count) for count in (2, 2, 4)]  # along x, along y, along the line of sight
-    for beam in scene.projector.beams:
-        _add_beam(
-            image, geometry, camera.pixel_mm, medium.sigma_t, medium.sigma_s * beam.irradiance, medium.g,
-            (*beam.y_mm, *beam.z_mm), *rules,
-        )  # fmt: skip
+    for geometry, beams in light_sources(scene):
+        for beam in beams:
+            _add_beam(
+                image, geometry, camera.pixel_mm, medium.sigma_t, medium.sigma_s * beam.irradiance, medium.g,
+                (*beam.y_mm, *beam.z_mm), *rules,
+            )  # fmt: skip
     return image
 
 
@@ -136,6 +136,11 @@ def _parts_along_x(
         shift = geometry.half_width / pixel_mm
         if math.floor(left / pixel_mm + shift) != math.floor(right / pixel_mm + shift):
             parts = max(parts, SLANTED_PARTS)
+    for k in range(2):  # where the light meets the surface or the floor
+        ux, _, uz = light_ray(geometry, middle, edges[2 + k])
+        left, right = edges[2 + k] + uz / ux * x_left, edges[2 + k] + uz / ux * (x_left + pixel_mm)
+        if (left - geometry.height) * (right - geometry.height) < 0.0 or left * right < 0.0:
+            parts = max(parts, KINKED_PARTS)
     inside = near > 1e-9 and far < geometry.length - 1e-9
     straight = far - near <= pixel_mm * (1.0 + 1e-9)  # looking straight down, a wall is a pixel's edge or outside
     return parts if inside or straight else max(parts, KINKED_PARTS)
@@ -170,7 +175,7 @@ def _along_sight(
                 dx, dy, dz = px - apex, py - geometry.light_y, pz - geometry.light_z
                 distance = math.sqrt(dx * dx + dy * dy + dz * dz)
                 cosine = (dx * vx + dy * vy + dz * vz) / distance
-                spread = (apex / dx) ** 2 * distance / dx
+                spread = (apex / dx) ** 2 * distance / dx * light_kept(geometry, dz / distance)
                 path = distance * px / dx
             else:
                 cosine, spread, path = vx, 1.0, px

@@ -1,6 +1,7 @@
 """The image of order 2, put together from tables of J."""
 
 import math
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel
 from tankrig.light.double.average import average_rows
 from tankrig.light.double.table import Table, fill_table
-from tankrig.light.rays import Geometry, geometry_of, shift_invariant
+from tankrig.light.rays import Geometry, light_sources, shift_invariant
 from tankrig.scene import Beam, Scene
 
 Array = NDArray[np.float64]
@@ -44,16 +45,16 @@ def double_scattering(scene: Scene, nodes: int = 5) -> Array:
     image = np.zeros(camera.shape)
     if medium.sigma_s == 0.0:
         return image
-    geometry = geometry_of(scene)
     finest = min(camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
     rule = np.polynomial.legendre.leggauss(nodes)
-    for z_mm in sorted({beam.z_mm for beam in scene.projector.beams}):
-        beams = [beam for beam in scene.projector.beams if beam.z_mm == z_mm]
-        for mirrored in (False, True) if geometry.refractive_index > 1.0 else (False,):
+    for geometry, beams in light_sources(scene):
+        ways = (False, True) if geometry.refractive_index > 1.0 else (False,)
+        for z_mm, mirrored in product(sorted({beam.z_mm for beam in beams}), ways):
             table, z0_weights = fill_table(scene, geometry, z_mm, mirrored, finest, rule)
             rows = np.zeros((camera.shape[0], table.x_mm.size))
             for beam in beams:
-                _add_beam(rows, scene, geometry, beam, table, z0_weights)
+                if beam.z_mm == z_mm:
+                    _add_beam(rows, scene, geometry, beam, table, z0_weights)
             image += rows @ _columns(table.x_mm, camera.shape[1], camera.pixel_mm, geometry.length).T
     return image
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.rays import Geometry, light_ray, path_inside, sight_line
+from tankrig.light.rays import Geometry, light_kept, light_ray, path_inside, sight_line
 from tankrig.scene.optics import reflectance
 from tankrig.scene.phase import henyey_greenstein
 
@@ -62,9 +62,9 @@ def pair_radiance(
     """
     ux, uy, uz = light_ray(geometry, y0, z0)
     vx, vy, vz, transmission = sight_line(geometry, x, y)
-    _, s_max = path_inside(geometry, 0.0, y0, z0, ux, uy, uz)
+    s_min, s_max = path_inside(geometry, 0.0, y0, z0, ux, uy, uz)
     _, t_max = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
-    if s_max <= 0.0 or t_max <= 0.0:
+    if s_max <= s_min or t_max <= 0.0:
         return 0.0
     flip = -1.0 if mirrored else 1.0
     wx, wy, wz = -vx, -vy, -vz * flip  # how C moves with t
@@ -101,7 +101,7 @@ def pair_radiance(
                 # Unit vector from the light ray to C, perpendicular to the ray.
                 dx, dy, dz = (qx + t * px) / distance, (qy + t * py) / distance, (qz + t * pz) / distance
                 lobe = dx * ax + dy * ay + dz * az
-                count = _cuts(cuts, foot - s_max, foot, distance, g, cos_out, lobe)
+                count = _cuts(cuts, foot - s_max, foot - s_min, distance, g, cos_out, lobe)
                 if mirrored:
                     count = _cut_at_critical_angle(cuts, count, geometry.refractive_index, uz, dz)
                 inner = 0.0
@@ -116,7 +116,7 @@ def pair_radiance(
                             value *= reflectance(abs(s * uz + c * dz), geometry.refractive_index)
                         inner += width * weights[j] * value
                 total += half * weights[i] * inner * math.exp(-sigma_t * (foot + t))
-    return transmission * total / sine
+    return transmission * light_kept(geometry, uz) * total / sine
 
 
 @kernel

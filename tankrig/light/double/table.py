@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.double.pair import pair_radiance
-from tankrig.light.rays import Geometry, shift_invariant, sight_line, sighting_row
+from tankrig.light.rays import Geometry, light_ray, shift_invariant, sight_line, sighting_row
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -115,6 +115,10 @@ def _x_nodes(geometry: Geometry, low: float, high: float, finest_mm: float) -> A
     for wall in (0.0, geometry.length):
         for z in (low, high):
             special.append(_seen_from_above(geometry, wall, z))
+    for z in (low, high):  # where the light itself meets the surface
+        ux, _, uz = light_ray(geometry, 0.0, z)
+        if abs(uz) > 1e-12:
+            special.append((geometry.height - z) / uz * ux)
     places = np.array([place for place in special if 0.0 <= place <= geometry.length])
     x, nodes = 0.0, [0.0]
     largest = geometry.length / 28.0
