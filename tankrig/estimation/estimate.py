@@ -2,16 +2,16 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.fitting import Problem, polish, search
-from tankrig.estimation.forward import Forward, differentiated, remembered
-from tankrig.estimation.models import COARSE, Models, corrected, models_of, stated_error
+from tankrig.estimation.fitting import Problem, first_guess, polish, search
+from tankrig.estimation.forward import slopes_of
+from tankrig.estimation.models import COARSE, Model, Models, models_of, stated_error
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.uncertainty import covariance, identifiable
@@ -21,11 +21,6 @@ from tankrig.scene import Medium, Scene
 
 Image = NDArray[np.floating]
 Free = Literal["free"]
-COARSE_ENOUGH, FINE_ENOUGH = 10.0, 0.02
-"""Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's."""
-MOST_CORRECTIONS = 3
-NEGLIGIBLE = 0.001
-"""Accurate images computed at most, and the error (relative L2) of a correction from afar that needs no other."""
 
 
 @dataclass(frozen=True)
@@ -168,32 +163,30 @@ def fit_models(
     """
     length_mm = max(scene.tank.size_mm)
 
-    def problem_of(forward: Forward, error: Image) -> Problem:
-        forward = remembered(forward)
-        return Problem(forward, differentiated(forward, length_mm), observation, scaling, error)
+    def problem_of(forward: Model, slope: Model, error: Image) -> Problem:
+        slopes = slopes_of(lambda medium: slope(medium).image, length_mm)
+        return Problem(lambda medium: forward(medium).image, slopes, observation, scaling, error)
 
+    progress("looking at a few media")
     ambient = float(np.percentile(observation.image[observation.used], 5)) if scaling.offset is None else scaling.offset
-    error = COARSE * np.maximum(observation.image - ambient, 0.0)
-    medium = search(problem_of(lambda at: models.coarse(at).image, error), length_mm, COARSE_ENOUGH, progress)
-    for _ in range(MOST_CORRECTIONS):
-        progress("refining")
-        accurate = models.fine(medium)
-        forward = corrected(models.coarse, medium, accurate)
-        gain, offset = problem_of(forward, error).scale(accurate.image)
-        observation = observation.with_noise_of(observation.image - gain * accurate.image - offset)
-        error = min(COARSE, stated_error(accurate)) * abs(gain) * np.abs(accurate.image)
-        problem = problem_of(forward, error)
-        before, medium = medium, polish(problem, medium, length_mm, FINE_ENOUGH)
-        moved = _distance(models.coarse(medium).image, models.coarse(before).image)
-        if moved * _distance(accurate.image, models.coarse(before).image) < NEGLIGIBLE:
-            break
+    brightness = np.maximum(observation.image - ambient, 0.0)
+    starts = first_guess(problem_of(models.coarse, models.coarse, COARSE * brightness), length_mm)
+    rough = float(np.clip(stated_error(models.coarse(starts[0])), 0.1 * COARSE, COARSE))
+    found = search(problem_of(models.coarse, models.coarse, rough * brightness), starts, length_mm, progress)
+
+    progress("refining")
+    forward, slope = models.refine(found[0])
+    start = forward(found[0])
+    gain, offset = problem_of(forward, slope, rough * brightness).scale(start.image)
+    observation = observation.with_noise_of(observation.image - gain * start.image - offset)
+    error = min(COARSE, stated_error(start)) * abs(gain) * np.abs(start.image)
+    ends = []
+    for medium in found:
+        problem = problem_of(forward, slope, error)
+        ends.append((problem, *polish(problem, medium, length_mm)))
+    problem, medium, _ = min(ends, key=lambda end: end[2])
     progress("finding the errors")
-    return _described(problem, medium, scene, replace(accurate, image=problem.forward(medium)))
-
-
-def _distance(image: Image, other: Image) -> float:
-    """Relative L2 difference of two images."""
-    return float(np.linalg.norm(image - other) / np.linalg.norm(other))
+    return _described(problem, medium, scene, forward(medium))
 
 
 def _described(problem: Problem, medium: Medium, scene: Scene, prediction: Prediction) -> Estimate:
@@ -216,16 +209,15 @@ def _described(problem: Problem, medium: Medium, scene: Scene, prediction: Predi
     stated = stated_error(prediction)
     counted = max(stated, unexplained)
 
-    image, derivatives = differentiated(problem.forward, length_mm, central=True)(medium)
     spread = covariance(
-        problem.sensitivity(image, derivatives), medium, noisier * observation.noise, counted * gain * np.abs(image),
+        problem.sensitivity(medium), medium, noisier * observation.noise, counted * gain * np.abs(prediction.image),
         scene.camera.pixel_mm, length_mm,
     )  # fmt: skip
     known = identifiable(medium, spread)
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
     sentences = [
         what_is_determined(medium, spread, known, length_mm),
-        what_is_left(unexplained, stated, noisier),
+        what_is_left(unexplained, stated, noisier if observation.noise_known else 1.0),
         what_was_left_out(observation.saturated, left_out, prediction.model),
     ]
     return Estimate(

@@ -1,14 +1,13 @@
 """One image, one forward model: the fit itself, from a coarse look at many media to one optimum."""
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import Forward, Image, Linearised
+from tankrig.estimation.forward import Forward, Image, Slopes
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import search_box, slopes, to_coordinates, to_medium
 from tankrig.estimation.projection import Scaling
@@ -22,11 +21,13 @@ START_MEAN_FREE_PATHS = (0.6, 2.4, 9.6)
 START_ALBEDO = 0.97
 START_ASYMMETRY = (0.0, 0.5, 0.85)
 """Media looked at first: every pair of scatterings along the tank and g; the best for each g is a start."""
-STARTS = 2
-FIRST_STEPS = 5
-"""How many of those starts are followed, and for how many steps before the best goes on."""
-RIVAL = 10.0
-"""The second best goes on too where its cost is less than this times the best's."""
+FIRST_STEPS, LAST_STEPS = 5, 40
+"""Steps that every start gets before only the best go on, and steps with the accurate model at most."""
+COARSE_ENOUGH, FINE_ENOUGH = 3.0, 0.02
+"""Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's."""
+RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
+"""Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
+by less than EQUAL, are left for the accurate model to tell apart."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ class Problem:
 
     Parameters
     ----------
-    forward, linearise
-        The model, without and with derivatives.
+    forward, slopes
+        The model and its derivatives.
     observation
         What to explain.
     scaling
@@ -46,7 +47,7 @@ class Problem:
     """
 
     forward: Forward
-    linearise: Linearised
+    slopes: Slopes
     observation: Observation
     scaling: Scaling
     error: Image
@@ -70,15 +71,14 @@ class Problem:
     def residual_and_jacobian(self, coordinates: Array) -> tuple[Array, Array]:
         """The same with its derivatives by the coordinates, (n, 3)."""
         medium = to_medium(coordinates)
-        image, derivatives = self.linearise(medium)
-        changes = self.sensitivity(image, derivatives).changes
-        return self._residual(image), -changes.T @ slopes(medium)
+        changes = self.sensitivity(medium).changes
+        return self._residual(self.forward(medium)), -changes.T @ slopes(medium)
 
-    def sensitivity(self, image: Image, derivatives: Image) -> Sensitivity:
-        """What the fit responds to at a model image."""
-        used, weight = self.observation.used, self.weight
+    def sensitivity(self, medium: Medium) -> Sensitivity:
+        """What the fit responds to at a medium."""
+        used, weight, image = self.observation.used, self.weight, self.forward(medium)
         gain, _ = self.scale(image)
-        changes = gain * np.asarray(derivatives[:, used], float) * weight
+        changes = gain * np.asarray(self.slopes(medium)[:, used], float) * weight
         return Sensitivity(self.scaling.unhidden(changes, np.asarray(image[used], float), weight), weight, used)
 
     def _residual(self, image: Image) -> Array:
@@ -88,21 +88,8 @@ class Problem:
         return residual
 
 
-def search(problem: Problem, length_mm: float, enough: float, seen: Callable[[str], None]) -> Medium:
-    """Best medium over the whole allowed range: a look at a few media, then a search from the best for each g.
-
-    Parameters
-    ----------
-    problem
-        To minimise; a coarse forward model will do.
-    length_mm
-        Longest side of the tank.
-    enough
-        See `minimise`.
-    seen
-        Told in words what is being done.
-    """
-    seen("looking at a few media")
+def first_guess(problem: Problem, length_mm: float) -> list[Medium]:
+    """Media to start from, the most likely first: the best of a few densities for each of a few g."""
     starts: dict[float, Optimum] = {}
     for g, paths in product(START_ASYMMETRY, START_MEAN_FREE_PATHS):
         sigma_s = paths / length_mm
@@ -111,21 +98,44 @@ def search(problem: Problem, length_mm: float, enough: float, seen: Callable[[st
         here = Optimum(at, 0.5 * float(value @ value))
         if g not in starts or here.cost < starts[g].cost:
             starts[g] = here
+    return [to_medium(start.coordinates) for start in sorted(starts.values(), key=lambda start: start.cost)]
+
+
+def search(problem: Problem, starts: Sequence[Medium], length_mm: float, seen: Callable[[str], None]) -> list[Medium]:
+    """Best medium over the whole allowed range, and others that are as good as far as this problem can tell.
+
+    Parameters
+    ----------
+    problem
+        To minimise; a cheap forward model will do.
+    starts
+        Where to begin.
+    length_mm
+        Longest side of the tank.
+    seen
+        Told in words what is being done.
+    """
     tried = []
-    for start in sorted(starts.values(), key=lambda start: start.cost)[:STARTS]:
-        seen(f"searching from g = {math.tanh(start.coordinates[2]):.2g}")
-        tried.append(_minimise(problem, start.coordinates, length_mm, enough, FIRST_STEPS))
-    best, second = sorted(tried, key=lambda end: end.cost)[:2]
+    for start in starts:
+        seen(f"searching from g = {start.g:.2g}")
+        tried.append(_minimise(problem, to_coordinates(start), length_mm, COARSE_ENOUGH, FIRST_STEPS))
+    tried.sort(key=lambda end: end.cost)
     seen("searching from the best")
-    ends = [_minimise(problem, best.coordinates, length_mm, enough)]
-    if second.cost < RIVAL * best.cost and np.abs(second.coordinates - ends[0].coordinates).max() > 0.2:
-        ends.append(_minimise(problem, second.coordinates, length_mm, enough))
-    return to_medium(min(ends, key=lambda end: end.cost).coordinates)
+    ends: list[Optimum] = []
+    for one in tried:
+        if ends and one.cost > RIVAL * ends[0].cost:
+            break
+        end = _minimise(problem, one.coordinates, length_mm, COARSE_ENOUGH)
+        if all(np.abs(end.coordinates - other.coordinates).max() > DISTINCT for other in ends):
+            ends.append(end)
+    ends.sort(key=lambda end: end.cost)
+    return [to_medium(end.coordinates) for end in ends if end.cost < ends[0].cost + EQUAL]
 
 
-def polish(problem: Problem, medium: Medium, length_mm: float, enough: float) -> Medium:
-    """Optimum next to `medium`."""
-    return to_medium(_minimise(problem, to_coordinates(medium), length_mm, enough).coordinates)
+def polish(problem: Problem, medium: Medium, length_mm: float) -> tuple[Medium, float]:
+    """Optimum next to `medium`, and half the sum of squares there."""
+    end = _minimise(problem, to_coordinates(medium), length_mm, FINE_ENOUGH, LAST_STEPS)
+    return to_medium(end.coordinates), end.cost
 
 
 def _minimise(problem: Problem, start: Array, length_mm: float, enough: float, most_steps: int = 30) -> Optimum:

@@ -1,8 +1,9 @@
-"""Forward models for a fit: a cheap one that is smooth in the medium, and an accurate one to correct it with.
+"""Forward models for a fit: a cheap one to search with, an accurate one to end with, and one to differentiate.
 
-Derivatives and steps need an image that changes smoothly with the medium; accuracy needs many light paths. Both at once
-would cost a fit minutes. So every step is made with few paths, always the same ones, and one accurate image near the
-optimum corrects them all: what the cheap image is off by there hardly changes over the last steps of a fit.
+The tank model follows light paths, and its noise is a smooth function of the medium only where the same paths are
+followed every time: so each version follows a fixed number of them, chosen once for a fit from the noise that the
+cheap version states. Derivatives use other paths than the image that they are to improve: with the same ones, noise
+would look like a way to a better fit.
 """
 
 import math
@@ -11,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tankrig.estimation.forward import Image, remembered
+from tankrig.estimation.forward import remembered
 from tankrig.image.predict import predict
 from tankrig.image.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
@@ -19,57 +20,70 @@ from tankrig.scene import Medium, Scene
 Model = Callable[[Medium], Prediction]
 """What the camera would see with a medium in the tank."""
 
-COARSE = 0.05
-"""Tolerance of cheap images."""
-FINE = 0.01
-"""Tolerance of accurate images."""
-COARSE_BATCHES, MOST_BATCHES = 2, 48
-"""Shifted lattices of light paths of the tank model's cheap images, and of its accurate ones at most."""
-FINE_NOISE = 0.002
-"""Noise that the tank model's accurate images aim for, relative L2."""
+COARSE, FINE = 0.05, 0.01
+"""Tolerance of cheap and of accurate images."""
+COARSE_BATCHES = 2
+"""Shifted lattices of light paths of the tank model's cheap images."""
+FINE_NOISE, FINE_BATCHES = 0.003, 32
+SLOPE_NOISE, SLOPE_BATCHES = 0.006, 16
+"""Noise (relative L2) that the images for the last steps and for derivatives aim for, and their lattices at most."""
 
 
 @dataclass(frozen=True)
 class Models:
-    """Two ways to the same image.
+    """Versions of one forward model.
 
     Parameters
     ----------
     coarse
-        Cheap, smooth in the medium.
-    fine
-        Accurate, and states its error.
+        Cheap.
+    refine
+        From a medium near the optimum to an accurate version and one to differentiate.
     """
 
     coarse: Model
-    fine: Model
+    refine: Callable[[Medium], tuple[Model, Model]]
 
 
 def models_of(scene: Scene, model: str, max_order: int | None) -> Models:
-    """Cheap and accurate version of a model of a scene.
+    """Versions of a model of a scene.
 
     Raises
     ------
     SceneError
         On the first image, when the model is unknown or cannot treat the scene.
     """
-
-    def with_medium(medium: Medium) -> Scene:
-        return replace(scene, medium=medium)
-
     if model == "tank":
-        coarse = remembered(lambda medium: _tank(with_medium(medium), max_order, COARSE_BATCHES))
-
-        def fine(medium: Medium) -> Prediction:
-            need = COARSE_BATCHES * (stated_error(coarse(medium)) / FINE_NOISE) ** 2
-            return _tank(with_medium(medium), max_order, int(np.clip(need, COARSE_BATCHES, MOST_BATCHES)))
-
-        return Models(coarse, remembered(fine))
+        return _tank_models(scene, max_order)
 
     def within(tolerance: float) -> Model:
-        return remembered(lambda medium: predict(with_medium(medium), model, tolerance, max_order))
+        return remembered(lambda medium: predict(replace(scene, medium=medium), model, tolerance, max_order))
 
-    return Models(within(COARSE), within(FINE))
+    fine = within(FINE)
+    return Models(within(COARSE), lambda _: (fine, fine))
+
+
+def _tank_models(scene: Scene, max_order: int | None) -> Models:
+    def following(batches: int, seed: int) -> Model:
+        return remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, batches, seed))
+
+    coarse = following(COARSE_BATCHES, 0)
+
+    def refine(medium: Medium) -> tuple[Model, Model]:
+        need = COARSE_BATCHES * stated_error(coarse(medium)) ** 2
+        fine = int(np.clip(need / FINE_NOISE**2, COARSE_BATCHES, FINE_BATCHES))
+        slope = int(np.clip(need / SLOPE_NOISE**2, COARSE_BATCHES, SLOPE_BATCHES))
+        return following(fine, 1), following(slope, 2)
+
+    return Models(coarse, refine)
+
+
+def _tank(scene: Scene, max_order: int | None, batches: int, seed: int) -> Prediction:
+    from tankrig.light.tank import tank_image
+
+    result = tank_image(scene, FINE, max_order, seed, batches)
+    skipped = tuple(Skipped(*item) for item in result.skipped)
+    return Prediction(np.sum(list(result.orders.values()), axis=0), "tank", stderr=result.stderr, skipped=skipped)
 
 
 def stated_error(prediction: Prediction) -> float:
@@ -77,21 +91,3 @@ def stated_error(prediction: Prediction) -> float:
     size = float(np.linalg.norm(prediction.image))
     noise = float(np.linalg.norm(prediction.stderr)) / size if prediction.stderr is not None and size > 0.0 else 0.0
     return math.hypot(noise, *(part.bound for part in prediction.skipped if math.isfinite(part.bound)))
-
-
-def corrected(model: Model, at: Medium, accurate: Prediction) -> Callable[[Medium], Image]:
-    """A model's images, each moved by what the model is off by at one medium."""
-    off = accurate.image - model(at).image
-
-    def image(medium: Medium) -> Image:
-        return model(medium).image + off
-
-    return image
-
-
-def _tank(scene: Scene, max_order: int | None, batches: int) -> Prediction:
-    from tankrig.light.tank import tank_image
-
-    result = tank_image(scene, FINE, max_order, batches=batches)
-    skipped = tuple(Skipped(*item) for item in result.skipped)
-    return Prediction(np.sum(list(result.orders.values()), axis=0), "tank", stderr=result.stderr, skipped=skipped)

@@ -190,10 +190,8 @@ def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Esti
     console.print(f"RMSE     orders {by_order}", highlight=False)
     if single is not None:
         ratio = single.medium.sigma_s / fitted.medium.sigma_s
-        console.print(
-            f"         single scattering alone, fitted: {single.rmse:.3g}, with sigma_s {ratio:.3g} × the above",
-            highlight=False,
-        )
+        text = f"         single scattering alone: {single.rmse:.3g}, with {ratio:.3g} times that sigma_s"
+        console.print(text, highlight=False)
 
 
 def _rounded(value: float, sd: float) -> str:

@@ -1,0 +1,137 @@
+"""`tankrig fit`: numbers, picture and verdict from a file, or one sentence and nothing written."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import tankrig
+from tankrig.scene import Medium, Scene, load_scene
+from ui.cli import main
+
+SCENE = """
+[tank]
+size_mm = [240.0, 160.0, 120.0]
+surface = "matched"
+[medium]
+sigma_a = 0.01
+sigma_s = 0.01
+g = 0.0
+[projector]
+kind = "pinhole"
+position_mm = [-400.0, 0.0, 60.0]
+beams = [ { y_mm = [-20.0, 20.0], z_mm = [50.0, 70.0], irradiance = 1.0 } ]
+[camera]
+kind = "pinhole"
+position_mm = [120.0, 0.0, 620.0]
+shape = [20, 30]
+pixel_mm = 8.0
+"""
+TRUTH = Medium(0.001, 0.006, 0.4)
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    return path
+
+
+def tank_photograph(scene: Scene) -> np.ndarray:
+    """Counts of a 16-bit camera with 400 counts of dark level and some noise."""
+    radiance = tankrig.predict(replace(scene, medium=TRUTH), "single").image
+    counts = 400.0 + 50000.0 * radiance / radiance.max()
+    return np.round(counts + np.random.default_rng(1).normal(0.0, 20.0, counts.shape)).astype(np.uint16)
+
+
+def test_a_photograph_becomes_numbers_a_verdict_and_a_picture(
+    tmp_path: Path, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The main job: without any one of these a person has nothing to show for the photograph."""
+    cv2.imwrite(str(tmp_path / "tank.png"), tank_photograph(load_scene(scene_file)))
+    out = tmp_path / "fitted"
+    assert (
+        main(["fit", str(tmp_path / "tank.png"), "--scene", str(scene_file), "--model", "single", "--out", str(out)])
+        == 0
+    )
+    printed = capsys.readouterr().out
+    for word in ("sigma_a", "sigma_s", "g ", "determined", "RMSE", "tank-fit.png"):
+        assert word in printed
+    assert sorted(path.name for path in out.iterdir()) == ["tank-fit.json", "tank-fit.npz", "tank-fit.png"]
+    picture = cv2.imread(str(out / "tank-fit.png"))
+    assert picture.shape[1] > 1000
+    assert picture.std() > 20.0
+    numbers = json.loads((out / "tank-fit.json").read_text())
+    sigma_t = numbers["medium"]["sigma_a"] + numbers["medium"]["sigma_s"]
+    assert sigma_t == pytest.approx(TRUTH.sigma_t, rel=0.02)
+    assert numbers["offset"] == pytest.approx(400.0, abs=5.0)
+    assert numbers["noise"] == pytest.approx(20.0, rel=0.15)
+    with np.load(out / "tank-fit.npz") as arrays:
+        assert arrays["fitted"].shape == arrays["residual"].shape == (20, 30)
+
+
+def test_json_is_one_line_that_says_it_all(
+    tmp_path: Path, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Scripts read this; a stray line of text would break them."""
+    cv2.imwrite(str(tmp_path / "tank.tif"), tank_photograph(load_scene(scene_file)))
+    command = ["fit", str(tmp_path / "tank.tif"), "--scene", str(scene_file), "--model", "single", "--json"]
+    assert main([*command, "--scale", "1e-8", "--noise", "2e-7", "--out", str(tmp_path / "out")]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["offset"] == pytest.approx(4e-6, abs=5e-8)
+    assert numbers["interval"]["sigma_s"][0] <= numbers["medium"]["sigma_s"] <= numbers["interval"]["sigma_s"][1]
+    assert Path(numbers["picture"]).is_file()
+
+
+GOOD = np.linspace(1.0, 2.0, 600).reshape(20, 30)
+
+
+@pytest.mark.parametrize(
+    ("image", "options", "words"),
+    [
+        (None, [], "No such file"),
+        (GOOD[:, :20], [], "shape"),
+        (GOOD * 0.0, [], "dark"),
+        (np.where(GOOD > 1.9, np.nan, GOOD), [], "NaN"),
+        ((GOOD * 100).astype(np.uint8), [], "8 bits"),
+        (GOOD, ["--model", "magic"], "magic"),
+        (GOOD, ["--gain", "much"], "much"),
+        (GOOD, ["--gain", "-1"], "gain"),
+        (GOOD, ["--noise", "0"], "noise"),
+        (GOOD, ["--scale", "0"], "scale"),
+        (GOOD, ["--array", "total"], "array"),
+        (GOOD, ["--max-order", "0"], "max-order"),
+    ],
+)
+def test_bad_input_is_one_sentence_exit_2_and_nothing_written(
+    tmp_path: Path,
+    scene_file: Path,
+    capsys: pytest.CaptureFixture[str],
+    image: np.ndarray | None,
+    options: list,
+    words: str,
+) -> None:
+    """Half a folder, or a traceback, would be taken for a result."""
+    if image is not None:
+        np.save(tmp_path / "tank.npy", image)
+    out = tmp_path / "out"
+    assert main(["fit", str(tmp_path / "tank.npy"), "--scene", str(scene_file), "--out", str(out), *options]) == 2
+    said = capsys.readouterr()
+    assert words in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+    assert not out.exists()
+
+
+def test_a_folder_that_cannot_be_written_is_said_before_the_fit(
+    tmp_path: Path, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Minutes of fitting must not end in a disk error."""
+    np.save(tmp_path / "tank.npy", GOOD)
+    (tmp_path / "file").write_text("in the way")
+    command = ["fit", str(tmp_path / "tank.npy"), "--scene", str(scene_file), "--out", str(tmp_path / "file" / "out")]
+    assert main(command) == 2
+    assert "not a folder" in capsys.readouterr().err
