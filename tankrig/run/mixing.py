@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from tankrig.run.writer import Pixels
 
-_BLOCKS = 32
-"""Blocks along the longer side of a picture; their means have little noise and still see a plume."""
+_BLOCKS = 16
+"""Blocks along the longer side of a picture; their means have little noise and still see what mixes last, which is large."""
 
 _FEWEST = 6
 _MOST = 400
@@ -101,7 +101,7 @@ def _still_to_change(times_s: NDArray[np.float64], pictures: NDArray[np.float64]
     """Bound on the remaining change and its time scale, from pictures (count, blocks) at times that end at 0."""
     count, blocks = pictures.shape
     span_s = times_s[-1] - times_s[0]
-    taus_s = span_s * np.geomspace(0.05, 5.0, 40)
+    taus_s = span_s * np.geomspace(0.05, 4.0, 40)
     mean = pictures.mean(axis=0)
     centred = pictures - mean
     decays = np.exp(-times_s / taus_s[:, None])  # 1 now, more before
