@@ -29,8 +29,8 @@ def reference(name: str) -> tuple[Estimate, Prediction]:
     residual = np.random.default_rng(3).normal(0.0, noise, image.shape)
     fit = Estimate(
         medium=scene.medium, covariance=np.diag([1e-10, 1e-8, 1e-6]), identifiable={}, gain=1.0, offset=0.0,
-        image=image, residual=residual, rmse=noise, verdict="σa, σs and g are all determined.", model="tank", noise=noise,
-        model_error=0.003,
+        image=image, residual=residual, rmse=noise, verdict="σa, σs and g are all determined.", model="tank",
+        noise=noise, model_error=0.003,
     )  # fmt: skip
     return fit, Prediction(image, "tank", orders)
 
