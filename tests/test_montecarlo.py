@@ -1,5 +1,6 @@
 """The Monte Carlo: right in every geometry, honest about its noise, the same on every machine."""
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,17 +82,22 @@ def test_reference_is_met_within_noise(name: str) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_reference_is_met_pixel_by_pixel(name: str) -> None:
     scene, reference = case(name)
-    tally = simulate(scene, photons=4_000_000, seed=2)
+    started = time.process_time()
+    tally = simulate(scene, photons=2_000_000, seed=2)
+    seconds = time.process_time() - started
     combined = np.sqrt(tally.stderr**2 + reference["stderr"] ** 2)
     z = (tally.image - reference["total"]) / combined
-    print(f"{name}: RMS z {np.sqrt(np.mean(z**2)):.3f}, mean z {z.mean():+.3f}, noise {100 * tally.noise:.2f} %")
+    print(
+        f"{name}: RMS z {np.sqrt(np.mean(z**2)):.3f}, mean z {z.mean():+.3f}, noise {100 * tally.noise:.2f} %, ", end=""
+    )
+    print(f"{tally.photons / seconds:.3g} photons per core second, noise² · s = {tally.noise**2 * seconds:.2e}")
     assert np.sqrt(np.mean(z**2)) <= 1.1
     assert abs(z.mean()) < 0.15
     for order, array in ARRAYS.items():
         share = reference[array].sum() / reference["total"].sum()
         ratio = tally.orders[order].mean() / max(reference[array].mean(), 1e-300)
         print(f"    order {order}: sum over the reference's {ratio:.4f}, share {share:.4f}")
-        assert share < 1e-3 or abs(ratio - 1.0) < 0.003 + 2e-4 / share
+        assert share < 1e-3 or abs(ratio - 1.0) < 0.004 + 3e-4 / share
 
 
 # --- what the reference lacks ----------------------------------------------------------------------------------------

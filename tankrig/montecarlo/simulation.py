@@ -2,8 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from tankrig.orders import ORDER_CLASSES
 from tankrig.scene import Scene
 
 Image = NDArray[np.float64]
+Batch = tuple[NDArray[np.float64], tuple[float, float]]
 
 BATCHES = 64
 """Independent parts of a run, always as many, so that its result doesn't depend on the number of threads; their scatter
@@ -109,8 +110,8 @@ def simulate(
     if highest > 1 and sum(beam.power for beam in scene.projector.beams) > 0.0:
         symmetric = _mirror_symmetric(coarse)
         with ThreadPoolExecutor(threads) as pool:
-            for counts, fates in pool.map(
-                lambda batch: _batch(coarse, per_batch, (seed, batch), highest), range(BATCHES)
+            for counts, fates in _in_order(
+                pool, lambda batch: _batch(coarse, per_batch, (seed, batch), highest), threads
             ):
                 if symmetric:
                     counts = 0.5 * (counts + counts[:, ::-1])
@@ -160,9 +161,7 @@ def simulate_to(
         photons = math.ceil(photons * max(1.1 * (tally.noise / tolerance) ** 2, 1.5))
 
 
-def _batch(
-    scene: Scene, photons: int, seed: tuple[int, int], highest: int
-) -> tuple[NDArray[np.float64], tuple[float, float]]:
+def _batch(scene: Scene, photons: int, seed: tuple[int, int], highest: int) -> Batch:
     """One independent part of a run: images by class of orders, and what became of the light."""
     numbers = np.random.default_rng(seed)
     images = np.zeros((CLASSES, *scene.camera.shape))
@@ -172,6 +171,12 @@ def _batch(
     key = np.uint64(numbers.integers(2**63))
     fates = trace(stage(lit), beam_table(lit), powers, photons, highest, key, numbers.random(3), images)
     return images, fates
+
+
+def _in_order(pool: Executor, run: Callable[[int], Batch], threads: int) -> Iterator[Batch]:
+    """All batches, by and by, so that few of them are in memory at a time however large the camera is."""
+    for first in range(0, BATCHES, 2 * threads):
+        yield from pool.map(run, range(first, min(first + 2 * threads, BATCHES)))
 
 
 def _mirror_symmetric(scene: Scene) -> bool:
