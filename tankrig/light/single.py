@@ -55,7 +55,7 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
     image = np.zeros(camera.shape)
     if medium.sigma_s == 0.0:
         return image
-    rules = [np.polynomial.legendre.leggauss(count) for count in (2, 2, 4)]  # along x, along y, along the line of sight
+    rules = [np.polynomial.legendre.leggauss(count) for count in (2, 3, 4)]  # along x, along y, along the line of sight
     for geometry, beams in light_sources(scene):
         for beam in beams:
             _add_beam(
