@@ -1,0 +1,181 @@
+"""The simulated camera: looks at the simulated tank by the light that is in it while it exposes."""
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.devices import CameraSettings, Frame
+from tankrig.errors import DeviceError
+
+from .light import frame_buffer
+from .sensor import counts
+from .settings import CameraFaults, SimulatedCameraSettings
+from .stream import Stream
+from .tank import SimulatedTank
+
+_EXPOSURE_STEP_MS = 0.1
+_CLOCK_AHEAD_NS = 5_000_000_000
+
+
+class SimulatedCamera:
+    """Implements `tankrig.devices.Camera`.
+
+    It streams all the time, like a video camera: see `Stream`. What a frame shows is worked out when the program takes
+    it, from what was in the frame buffer while it was exposed; working out a picture that was not seen before takes
+    the Monte Carlo's time, for which the stream is held, so that no frames are lost to it.
+
+    Parameters
+    ----------
+    settings
+        From the rig file.
+
+    Attributes
+    ----------
+    faults
+        In force now; may be replaced at any time.
+    tank
+        What it looks at.
+    """
+
+    def __init__(self, settings: SimulatedCameraSettings) -> None:
+        self._settings = settings
+        self.faults: CameraFaults = settings.faults
+        self.tank = SimulatedTank(settings.truth, settings.folder / "state", settings.seed)
+        self._buffer = frame_buffer(settings.folder)
+        self._closed = threading.Event()
+        self._turn = threading.Lock()
+        self._handed_out, self._number = 0, 0
+        self._frozen: NDArray[np.uint16] = np.zeros(self.shape, np.uint16)
+        self._configured = CameraSettings(exposure_ms=20.0)
+        self._start_stream()
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return f"simulated camera of {self._settings.folder}"
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self._settings.truth.bench.camera.shape
+
+    @property
+    def saturation(self) -> int:
+        """The count at which pixels saturate."""
+        return self._settings.sensor.saturation
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Set exposure and gain, as near as the camera can; returns what is set.
+
+        Raises
+        ------
+        DeviceError
+            If a value is not positive, the camera is gone or closed, or a capture is under way.
+        """
+        for name, value in (("exposure_ms", settings.exposure_ms), ("gain", settings.gain)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise DeviceError(f"{self.name}: cannot set {name} to {value}; give a positive number")
+        with self._my_turn("configure"):
+            least_ms, most_ms = self._settings.exposure_range_ms
+            exposure_ms = round(settings.exposure_ms / _EXPOSURE_STEP_MS) * _EXPOSURE_STEP_MS
+            gain = min(max(settings.gain, self._settings.gain_range[0]), self._settings.gain_range[1])
+            self._configured = CameraSettings(round(min(max(exposure_ms, least_ms), most_ms), 6), gain)
+            self._start_stream()
+            return self._configured
+
+    def capture(self, after_ns: int, timeout_s: float) -> Frame:
+        """First frame whose exposure began after `after_ns`.
+
+        Raises
+        ------
+        DeviceError
+            If none arrives within `timeout_s`, the camera is gone or closed, or another capture is under way.
+        """
+        deadline_ns = time.monotonic_ns() + int(timeout_s * 1e9)
+        with self._my_turn("capture"):
+            number = self._next(after_ns, deadline_ns, timeout_s)
+            self._number = number + 1
+            start_ns = self._stream.start_ns(number)
+            pixels = self._pixels(number, start_ns)
+            self._require_there()
+            self._handed_out += 1
+            return Frame(pixels, start_ns, start_ns + _CLOCK_AHEAD_NS, time.monotonic_ns(), number)
+
+    def close(self) -> None:
+        """Stop streaming; wakes a capture that waits."""
+        self._closed.set()
+
+    def _start_stream(self) -> None:
+        exposure_ns, latency_ns = self._exposure_ns(), self._ns(self._settings.latency_ms)
+        period_ns = max(exposure_ns, self._ns(1000.0 / self._settings.most_per_s))
+        delay_ns = exposure_ns + latency_ns
+        self._stream = Stream(time.monotonic_ns(), self._number, period_ns, delay_ns, self._settings.queue)
+
+    def _next(self, after_ns: int, deadline_ns: int, timeout_s: float) -> int:
+        """Wait for the exposure that is to be handed out."""
+        while True:
+            self._require_there()
+            number = self._stream.take(time.monotonic_ns())
+            arrival_ns = self._stream.arrival_ns(number)
+            if arrival_ns > deadline_ns or self._is("silent"):
+                self._stream.give_back(number)
+                self._wait(deadline_ns)
+                raise DeviceError(f"{self.name}: gave no frame within {timeout_s:g} s; check its cable and exposure")
+            self._wait(arrival_ns)
+            if np.random.default_rng((self._settings.seed, 2, number)).random() < self.faults.dropped:
+                continue
+            if self._stream.start_ns(number) > after_ns or self._is("stale"):
+                return number
+
+    def _pixels(self, number: int, start_ns: int) -> NDArray[np.uint16]:
+        if self._is("frozen"):
+            pixels = self._frozen.copy()
+        else:
+            pixels = self._exposed(number, start_ns)
+            self._frozen = pixels.copy()
+        if self._is("saturated"):
+            pixels[:] = self.saturation
+        return pixels[:-1].copy() if self._is("misshapen") else pixels
+
+    def _exposed(self, number: int, start_ns: int) -> NDArray[np.uint16]:
+        began_ns = time.monotonic_ns()
+        shown = self._buffer.shown(start_ns, start_ns + self._exposure_ns())
+        radiance = self.tank.seen(shown, start_ns)
+        self._stream.hold(time.monotonic_ns() - began_ns)
+        random = np.random.default_rng((self._settings.seed, 3, number))
+        return counts(radiance, self._settings.sensor, self._configured, random)
+
+    @contextmanager
+    def _my_turn(self, what: str) -> Iterator[None]:
+        self._require_there()
+        if not self._turn.acquire(blocking=False):
+            raise DeviceError(f"{self.name}: cannot {what} while a capture is under way; let one owner have the camera")
+        try:
+            yield
+        finally:
+            self._turn.release()
+
+    def _wait(self, until_ns: int) -> None:
+        self._closed.wait(max(0, until_ns - time.monotonic_ns()) / 1e9)
+        self._require_there()
+
+    def _require_there(self) -> None:
+        if self._closed.is_set():
+            raise DeviceError(f"{self.name}: is closed; open it again")
+        if self._is("unplugged"):
+            raise DeviceError(f"{self.name}: is gone; plug it in and open it again")
+
+    def _is(self, fault: str) -> bool:
+        first: int | None = getattr(self.faults, f"{fault}_from")
+        return first is not None and self._handed_out >= first
+
+    def _exposure_ns(self) -> int:
+        return self._ns(self._configured.exposure_ms)
+
+    def _ns(self, time_ms: float) -> int:
+        return max(1, round(time_ms * self._settings.time_scale * 1e6))

@@ -1,0 +1,136 @@
+"""The simulated tank: the light that leaves it, from the patterns that are shown and the ink that is really in it."""
+
+import math
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.rig_doser.emulator.memory import Truth as Plunger
+from drivers.rig_doser.emulator.memory import read_truth
+from tankrig.montecarlo import simulate_to
+from tankrig.pattern import Pattern
+from tankrig.scene.description import Medium
+
+from .settings import Truth
+
+Image = NDArray[np.float64]
+
+_IMAGES_KEPT = 64
+
+
+def mixture(water: Medium, ink: Medium, volume_ml: float) -> Medium:
+    """What is in the tank: coefficients are linear in the dose, and g is the mean over what scatters.
+
+    Parameters
+    ----------
+    water
+        Per mm.
+    ink
+        Per mm and ml.
+    volume_ml
+        Of ink in the tank.
+
+    Examples
+    --------
+    >>> mixture(Medium(0.001, 0.0, 0.0), Medium(0.0, 0.01, 0.8), 2.0)
+    Medium(sigma_a=0.001, sigma_s=0.02, g=0.8)
+    """
+    sigma_a = water.sigma_a + volume_ml * ink.sigma_a
+    sigma_s = water.sigma_s + volume_ml * ink.sigma_s
+    turned = water.sigma_s * water.g + volume_ml * ink.sigma_s * ink.g
+    return Medium(sigma_a, sigma_s, turned / sigma_s if sigma_s > 0.0 else 0.0)
+
+
+class SimulatedTank:
+    """Radiance by Monte Carlo, computed once for each pattern and medium, and a plume on top of it.
+
+    A plume is ink that has not spread yet. The image is that of the tank when all ink has, times 1 + u (b − 1): u is
+    the part of the ink that has not spread and decays exponentially from the end of each dose; b is a Gaussian about
+    the inlet, with mean 1. So structure fades and brightness stays: what light scattered once would do.
+
+    Parameters
+    ----------
+    truth
+        What is in it.
+    state
+        The doser's state file, which counts the plunger's steps; where there is none, no ink is in the tank.
+    seed
+        Of the Monte Carlo.
+    """
+
+    def __init__(self, truth: Truth, state: Path, seed: int) -> None:
+        self.truth = truth
+        self._state, self._seed = state, seed
+        self._images: dict[tuple[str, Medium], Image] = {}
+        self._blob = _blob(truth)
+        self._unspread = _Unspread(truth.mixing_s)
+
+    @property
+    def ink_ml(self) -> float:
+        """Ink that is in the tank."""
+        return self._plunger().steps / self.truth.steps_per_ul / 1000.0
+
+    @property
+    def medium(self) -> Medium:
+        """What is in the tank once all ink has spread."""
+        return mixture(self.truth.water, self.truth.ink, self.ink_ml)
+
+    def radiance(self, pattern: Pattern, medium: Medium) -> Image:
+        """(rows, columns) radiance that leaves towards the camera when all is `medium`, W/mm²/sr; not to be changed."""
+        key = (pattern.hash, medium)
+        if key not in self._images:
+            while len(self._images) >= _IMAGES_KEPT:
+                del self._images[next(iter(self._images))]
+            self._images[key] = self._simulated(pattern, medium)
+        return self._images[key]
+
+    def seen(self, shown: Mapping[Pattern, float], now_ns: int) -> Image:
+        """(rows, columns) mean radiance, W/mm²/sr, when patterns are `shown` for parts of the time, by `now_ns`."""
+        plunger, medium = self._plunger(), self.medium
+        image = np.zeros(self.truth.bench.camera.shape)
+        for pattern, part in shown.items():
+            image += part * self.radiance(pattern, medium)
+        return image * (1.0 + self._unspread.part(plunger, now_ns) * (self._blob - 1.0))
+
+    def _simulated(self, pattern: Pattern, medium: Medium) -> Image:
+        truth = self.truth
+        if medium.sigma_s == 0.0 or not truth.bench.wall.beams(pattern, truth.bench.tank):
+            return np.zeros(truth.bench.camera.shape)
+        scene = truth.bench.scene(pattern, medium)
+        return simulate_to(scene, truth.tolerance, seed=self._seed, coarsen=truth.coarsen).image
+
+    def _plunger(self) -> Plunger:
+        try:
+            return read_truth(self._state)
+        except (FileNotFoundError, struct.error):  # no doser was ever opened on this tank, or one is just being made
+            return Plunger(steps=0, moved_ns=0)
+
+
+class _Unspread:
+    """Follows the part of the ink that has not spread, in plunger steps; a dose arrives as a whole when it ends."""
+
+    def __init__(self, mixing_s: float) -> None:
+        self._mixing_ns = mixing_s * 1e9
+        self._steps, self._unspread, self._at_ns = 0, 0.0, 0
+
+    def part(self, plunger: Plunger, now_ns: int) -> float:
+        """Of all ink in the tank."""
+        now_ns = max(now_ns, self._at_ns)
+        arrived_ns = min(max(plunger.moved_ns, self._at_ns), now_ns)
+        self._unspread *= math.exp((self._at_ns - now_ns) / self._mixing_ns)
+        self._unspread += (plunger.steps - self._steps) * math.exp((arrived_ns - now_ns) / self._mixing_ns)
+        self._steps, self._at_ns = plunger.steps, now_ns
+        return self._unspread / plunger.steps if plunger.steps else 0.0
+
+
+def _blob(truth: Truth) -> Image:
+    camera, width_mm = truth.bench.camera, truth.bench.tank.size_mm[1]
+    rows, columns = camera.shape
+    x_mm = (np.arange(columns) + 0.5) * camera.pixel_mm - truth.inlet_mm[0]
+    y_mm = (np.arange(rows) + 0.5) * camera.pixel_mm - width_mm / 2 - truth.inlet_mm[1]
+    blob: Image = np.exp(-(x_mm**2 + y_mm[:, None] ** 2) / (2 * truth.plume_mm**2))
+    blob /= blob.mean()
+    return blob
