@@ -8,6 +8,8 @@ from .errors import TankrigError as TankrigError
 from .errors import UndecidedError as UndecidedError
 from .estimation.estimate import Estimate as Estimate
 from .estimation.estimate import estimate as estimate
+from .estimation.series import SeriesEstimate as SeriesEstimate
+from .estimation.series import estimate_series as estimate_series
 from .image.predict import predict as predict
 from .image.prediction import Prediction as Prediction
 from .run.reading import Run as Run

@@ -17,7 +17,7 @@ Linearise = Callable[[Vector], tuple[Vector, NDArray[np.float64]]]
 """Coordinates to the residual (n,) and its Jacobian (n, k)."""
 
 LONGEST_STEP = np.array([1.0, 2.0, 0.5])
-"""In log σs, logit ϖ, atanh g: further than this no linearisation is trusted."""
+"""In log σs, logit ϖ, atanh g, of one image."""
 MOST_REFUSED = 3
 """Steps in a row that may fail with a Jacobian just computed, each ten times shorter: what is left is roughness."""
 
@@ -37,6 +37,7 @@ def minimise(
     box: tuple[Vector, Vector],
     enough: float,
     most_steps: int = 30,
+    longest_step: Vector = LONGEST_STEP,
 ) -> Optimum:
     """Minimise half the sum of squares of `residual` inside a box.
 
@@ -53,6 +54,8 @@ def minimise(
         deviation.
     most_steps
         Steps tried at most.
+    longest_step
+        Of each coordinate; further than this no linearisation is trusted.
 
     Examples
     --------
@@ -66,13 +69,13 @@ def minimise(
     value, jacobian = linearise(at)
     fresh, damping, refused = True, 1e-2, 0
     for _ in range(most_steps):
-        if _promise(value, jacobian, _step(value, jacobian, 0.0, at, box)) < enough:
+        if _promise(value, jacobian, _step(value, jacobian, 0.0, at, box, longest_step)) < enough:
             if fresh:
                 break
             value, jacobian = linearise(at)
             fresh = True
             continue
-        step = _step(value, jacobian, damping, at, box)
+        step = _step(value, jacobian, damping, at, box, longest_step)
         new = residual(at + step)
         if float(new @ new) < float(value @ value):
             jacobian = jacobian + np.outer(new - value - jacobian @ step, step) / float(step @ step)
@@ -94,7 +97,12 @@ def _promise(value: Vector, jacobian: NDArray[np.float64], step: Vector) -> floa
 
 
 def _step(
-    value: Vector, jacobian: NDArray[np.float64], damping: float, at: Vector, box: tuple[Vector, Vector]
+    value: Vector,
+    jacobian: NDArray[np.float64],
+    damping: float,
+    at: Vector,
+    box: tuple[Vector, Vector],
+    longest: Vector,
 ) -> Vector:
     """Damped Gauss–Newton step that stays in the box; a coordinate that would leave it is held and the rest solved."""
     curvature, downhill = jacobian.T @ jacobian, -(jacobian.T @ value)
@@ -110,5 +118,5 @@ def _step(
             break
         free &= ~outward
     step[~free] = 0.0
-    step /= max(1.0, float(np.max(np.abs(step) / LONGEST_STEP)))
+    step /= max(1.0, float(np.max(np.abs(step) / longest)))
     return np.clip(at + step, box[0], box[1]) - at

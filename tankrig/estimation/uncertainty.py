@@ -74,16 +74,34 @@ def covariance(
     response = (inverse @ changes) * sensitivity.weight
     by_noise = response * noise[sensitivity.used]
     total = by_noise @ by_noise.T + inverse @ inverse
-    grid = np.zeros((3, *sensitivity.used.shape))
-    grid[:, sensitivity.used] = response * error[sensitivity.used]
-    for share in CORRELATION_LENGTHS:
-        total += _smooth_products(grid, share * length_mm / pixel_mm) / len(CORRELATION_LENGTHS)
+    total += by_smooth_errors(response, sensitivity.used, error, length_mm / pixel_mm)
     spread: Array = total * np.outer(scale, scale)
     return 0.5 * (spread + spread.T)
 
 
+def by_smooth_errors(response: Array, used: NDArray[np.bool_], error: Array, length: float) -> Array:
+    """Covariance that the model's error in one image gives to what responds to it, (k, k).
+
+    Parameters
+    ----------
+    response
+        (k, n) change per unit of image, of the used pixels.
+    used
+        (rows, columns), n of them True.
+    error
+        (rows, columns) standard deviation of the model's error.
+    length
+        The tank's, in pixels.
+    """
+    grid = np.zeros((len(response), *used.shape))
+    grid[:, used] = response * error[used]
+    parts = [_smooth_products(grid, share * length) for share in CORRELATION_LENGTHS]
+    mean: Array = np.mean(parts, axis=0)
+    return mean
+
+
 def _smooth_products(grid: Array, length: float) -> Array:
-    """Σ_ij a_i K_ij b_j for all pairs of (3, rows, columns), K a Gaussian correlation of `length` pixels."""
+    """Σ_ij a_i K_ij b_j for all pairs of (k, rows, columns), K a Gaussian correlation of `length` pixels."""
     rows, columns = grid.shape[1:]
     along_y, along_x = _correlation(rows, length), _correlation(columns, length)
     smoothed = along_y @ grid @ along_x
