@@ -44,6 +44,10 @@ class Bench:
     camera: Camera
     light_position_mm: Vector | None = None
 
+    def __post_init__(self) -> None:
+        if self.light == "pinhole" and (self.light_position_mm is None or self.light_position_mm[0] >= 0.0):
+            raise SceneError("light_position_mm is missing; a pinhole needs [x, y, z] in mm with x < 0")
+
     def scene(self, pattern: Pattern, medium: Medium) -> Scene:
         """What the camera looks at when the projector shows `pattern`.
 

@@ -55,7 +55,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
         doser, journal = _guarded(rig, run_id, undo)
         _settled(doser, None, delivered_ul, path)
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), doser.delivered())
-        _require_room(path, took.disk_bytes)
+        require_room(path, took.disk_bytes)
         settings = {
             "name": sequence.name,
             "id": run_id,
@@ -98,7 +98,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         doser, journal = _guarded(rig, run.settings["id"], undo)
         done = _settled(doser, open_dose(run), delivered_ul, path)
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), doser.delivered(), resume_at=first_step)
-        _require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
+        require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
         runner = _runner(rig, doser, journal, path, Plan(sequence, patterns, took, first_step, frames_taken), undo)
         if done:
             journal.dose_done(done)
@@ -172,7 +172,14 @@ def _frame_bytes(rig: Rig) -> int:
     return rows * columns * np.dtype(_dtype(rig)).itemsize
 
 
-def _require_room(path: Path, disk_bytes: int) -> None:
+def require_room(path: Path, disk_bytes: int) -> None:
+    """Refuse a run whose frames the disk at `path` has no room for.
+
+    Raises
+    ------
+    StoreError
+        Saying what is needed and what is free.
+    """
     place = next(folder for folder in path.absolute().parents if folder.exists())
     free = shutil.disk_usage(place).free
     if disk_bytes > free:

@@ -1,0 +1,132 @@
+"""Rig files: from TOML to three open devices."""
+
+import os
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from drivers.registry import open_device
+from tankrig.bench import Bench
+from tankrig.checked_toml import checked, read_toml
+from tankrig.dosing import DoseLimits
+from tankrig.errors import DeviceError, SceneError
+from tankrig.run.rig import Rig, RigLock
+from tankrig.scene.description import CLOSED
+from tankrig.sequence import Pace
+
+
+@dataclass(frozen=True)
+class RigFile:
+    """What a rig file says; drivers/simulated/rig.toml is one.
+
+    Parameters
+    ----------
+    name
+        For people.
+    projector, camera, doser
+        For each the name of its `driver` and that driver's settings. Text that begins with "./" is a path beside the
+        rig file.
+    bench
+        Geometry and radiometry, as calibrated.
+    limits
+        Budgets for ink.
+    pace
+        How fast the rig is, for estimates of time.
+    folder
+        Where the tank's ledger and the rig's lock are kept; relative to the rig file.
+    """
+
+    __pydantic_config__ = CLOSED
+    name: str
+    projector: dict[str, Any]
+    camera: dict[str, Any]
+    doser: dict[str, Any]
+    bench: Bench
+    limits: DoseLimits
+    pace: Pace = field(default_factory=Pace)
+    folder: str = "."
+
+    @property
+    def ledger(self) -> Path:
+        """File of the tank's ledger."""
+        return Path(self.folder) / "tank.ledger"
+
+    @property
+    def lock(self) -> Path:
+        """File that keeps a second program off."""
+        return Path(self.folder) / "rig.lock"
+
+
+def load_rig_file(path: str | os.PathLike[str], beside: Path | None = None) -> RigFile:
+    """Read a rig file; opens nothing.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    beside
+        What its paths are relative to; its own folder where left out.
+
+    Raises
+    ------
+    SceneError
+        In one sentence: the file, the key, its value, and what to do.
+    """
+    file = Path(path)
+    table = read_toml(file, "a rig file", SceneError)
+    beside = beside or file.absolute().parent
+    for device in ("projector", "camera", "doser"):
+        settings = table.get(device)
+        if isinstance(settings, dict):
+            if not isinstance(settings.get("driver"), str):
+                raise SceneError(f'{file}: key "{device}.driver" is missing; name one (tankrig devices lists them)')
+            table[device] = {
+                key: str(beside / value) if isinstance(value, str) and value.startswith("./") else value
+                for key, value in settings.items()
+            }
+    table["folder"] = str(beside / str(table.get("folder", ".")))
+    return checked(RigFile, table, str(file), SceneError)
+
+
+def simulated_rig(folder: Path) -> RigFile:
+    """The simulated rig, with all that it remembers in `folder`: a new folder is a tank of clear water."""
+    return load_rig_file(Path(__file__).parent / "simulated" / "rig.toml", beside=folder.absolute())
+
+
+def open_rig(description: RigFile) -> Rig:
+    """Take the rig for this program and open its devices.
+
+    Raises
+    ------
+    StoreError
+        When another program uses the rig.
+    DeviceError
+        When a device cannot be opened, or is not what the rig file describes; those that were opened are closed.
+    """
+    with ExitStack() as undo:
+        lock = RigLock(description.lock, description.name)
+        undo.callback(lock.close)
+        devices = {}
+        for kind in ("doser", "projector", "camera"):
+            settings = dict(getattr(description, kind))
+            devices[kind] = open_device(settings.pop("driver"), settings)
+            undo.callback(devices[kind].close)
+        bench = description.bench
+        for kind, shape in (("projector", bench.wall.shape), ("camera", bench.camera.shape)):
+            if tuple(devices[kind].shape) != tuple(shape):
+                raise DeviceError(
+                    f"{devices[kind].name}: has {list(devices[kind].shape)} pixels (rows, columns) and rig "
+                    f"{description.name} was calibrated with {list(shape)}; calibrate it anew"
+                )
+        rig = Rig(
+            name=description.name,
+            bench=bench,
+            limits=description.limits,
+            ledger=description.ledger,
+            pace=description.pace,
+            lock=lock,
+            **devices,
+        )
+        undo.pop_all()
+        return rig

@@ -1,0 +1,215 @@
+"""`tankrig run`: carry out a sequence on a rig."""
+
+import json
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from tankrig.errors import TankrigError
+from ui.cli.options import json_option, out_option, rig_option
+
+if TYPE_CHECKING:
+    from drivers.rig import RigFile
+    from tankrig.run.runner import Outcome, Runner
+    from tankrig.sequence import DryRun
+
+_POLL_S = 0.1
+
+
+@click.command(epilog="Example: tankrig run dilution.toml --dry-run")
+@click.argument("sequence_file", metavar="[SEQUENCE]", required=False, type=click.Path(path_type=Path))
+@click.option("--dry-run", is_flag=True, help="Check the limits and tell time, ink and disk; nothing moves.")
+@click.option("--resume", metavar="RUN", type=click.Path(path_type=Path), help="Go on with an interrupted run.")
+@click.option(
+    "--delivered-ul",
+    type=click.FloatRange(min=0.0),
+    metavar="X",
+    help="Ink that the tank holds in all, where a dose was interrupted and only a person can say.",
+)
+@rig_option
+@out_option(None, "Folder of the run, which must not exist; default: runs/ and the time.")
+@json_option
+def run(
+    sequence_file: Path | None,
+    dry_run: bool,
+    resume: Path | None,
+    delivered_ul: float | None,
+    rig: Path | None,
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Carry out SEQUENCE (TOML) on the rig: project, dose, photograph, and record every frame safely.
+
+    Ctrl-C stops the doser at once and ends the run, which can then be resumed.
+    """
+    if (sequence_file is None) == (resume is None):
+        raise click.UsageError("give a sequence file, or --resume and the folder of an interrupted run")
+    path = resume or out or Path("runs") / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+    if dry_run:
+        if sequence_file is None:
+            raise click.UsageError("--dry-run needs a sequence file; leave out --resume")
+        _tell_plan(_planned(sequence_file, rig, path), as_json)
+        return 0
+    runner = _runner(sequence_file, path, rig, delivered_ul)
+    outcome = _carried_out(runner)
+    _tell_outcome(outcome, as_json)
+    if outcome.error is not None:
+        raise outcome.error
+    return 0 if outcome.reason.value == "completed" else 1
+
+
+def _described(rig: Path | None, run_folder: Path) -> "RigFile":
+    """What the rig file says; without one, a simulated rig of the run's own."""
+    from drivers.rig import load_rig_file, simulated_rig
+
+    if rig is not None:
+        return load_rig_file(rig)
+    click.echo("no rig is configured, so this is the simulated rig", err=True)
+    return simulated_rig(run_folder.with_name(f"{run_folder.name}.rig"))
+
+
+def _planned(sequence_file: Path, rig: Path | None, run_folder: Path) -> "DryRun":
+    from tankrig.devices import Delivered
+    from tankrig.dosing import TankLedger
+    from tankrig.run.start import require_room
+    from tankrig.sequence import dry_run as go_through
+    from tankrig.sequence import load_sequence
+
+    sequence, description = load_sequence(sequence_file), _described(rig, run_folder)
+    sequence.drawn(description.bench.wall)
+    rows, columns = description.bench.camera.shape
+    tank = Delivered(0.0, 0.0, 0.0)
+    if description.ledger.exists():
+        ledger = TankLedger(description.ledger)
+        tank = ledger.tank
+        ledger.close()
+    plan = go_through(sequence, description.limits, description.pace, rows * columns * 2, tank)
+    require_room(run_folder, plan.disk_bytes)
+    return plan
+
+
+def _tell_plan(plan: "DryRun", as_json: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    totals = {"seconds": plan.seconds, "ink_ul": plan.ink_ul, "frames": plan.frames, "disk_bytes": plan.disk_bytes}
+    if as_json:
+        steps = [
+            {"label": step.label, "seconds": step.seconds, "ink_ul": step.ink_ul, "frames": step.frames}
+            for step in plan.steps
+        ]
+        click.echo(json.dumps({**totals, "steps": steps}))
+        return
+    table = Table("step", "time", "ink", "frames", box=None, show_footer=False)
+    for step in plan.steps:
+        ink = f"{step.ink_ul:g} µl" if step.ink_ul else ""
+        table.add_row(step.label, f"{step.seconds:.1f} s", ink, str(step.frames or ""))
+    Console().print(table)
+    click.echo(
+        f"in all: {_duration(plan.seconds)}, {plan.ink_ul:g} µl of ink, {plan.frames} frames, "
+        f"{plan.disk_bytes / 1e6:.1f} MB at most; nothing has moved"
+    )
+
+
+def _runner(sequence_file: Path | None, path: Path, rig: Path | None, delivered_ul: float | None) -> "Runner":
+    """For a new run or, without a sequence, the one at `path`; on a terminal, what only a person can say is asked."""
+    from drivers.rig import open_rig
+    from tankrig.errors import UndecidedError
+    from tankrig.run.reading import open_run
+    from tankrig.run.start import new_run, resumed_run
+    from tankrig.sequence import load_sequence
+
+    sequence = load_sequence(sequence_file) if sequence_file else None
+    if sequence is None:
+        open_run(path)  # what is no run is said before the rig is touched
+    description = _described(rig, path)
+    while True:
+        devices = open_rig(description)
+        try:
+            if sequence is None:
+                return resumed_run(path, devices, delivered_ul)
+            return new_run(sequence, devices, path, delivered_ul)
+        except UndecidedError as question:
+            if not sys.stdin.isatty():
+                raise
+            click.echo(str(question), err=True)
+            delivered_ul = click.prompt("ink in the tank in all, µl", type=click.FloatRange(min=0.0), err=True)
+
+
+def _carried_out(runner: "Runner") -> "Outcome":
+    """Run in a thread of its own, so that progress is drawn and Ctrl-C heard while a device is waited for."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    outcomes: list[Outcome | BaseException] = []
+
+    def work() -> None:
+        try:
+            outcomes.append(runner.run())
+        except BaseException as error:
+            outcomes.append(error)
+
+    thread = threading.Thread(target=work, name="run")
+    columns = (BarColumn(), TextColumn("{task.completed}/{task.total}"), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar, _aborting_on_signals(runner):
+        task = bar.add_task("", total=runner.progress().steps)
+        thread.start()
+        while thread.is_alive():
+            thread.join(_POLL_S)
+            now = runner.progress()
+            words = f"{now.label}, {_duration(now.remaining_s)} left; waiting for {now.waiting_for or 'the rig'}"
+            bar.update(task, completed=now.step, description=words)
+    (outcome,) = outcomes
+    if isinstance(outcome, BaseException):
+        raise outcome
+    return outcome
+
+
+@contextmanager
+def _aborting_on_signals(runner: "Runner") -> Iterator[None]:
+    """Ctrl-C and a request to end both abort the run; its thread then ends by itself."""
+
+    def abort(*_: object) -> None:
+        with suppress(TankrigError):  # the run's own thread meets the same trouble, and tells it
+            runner.abort()
+
+    before = {number: signal.signal(number, abort) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _tell_outcome(outcome: "Outcome", as_json: bool) -> None:
+    import tankrig
+
+    recorded = tankrig.open_run(outcome.path)
+    frames = len(recorded.events("frame"))
+    doses = recorded.events("dose_done")
+    delivered_ul = doses[-1]["delivered_ul"] if doses else None
+    if as_json:
+        table = {
+            "run": str(outcome.path),
+            "reason": outcome.reason.value,
+            "frames": frames,
+            "delivered_ul": delivered_ul,
+        }
+        click.echo(json.dumps(table))
+        return
+    ink = f", the tank holds {delivered_ul:g} µl" if delivered_ul is not None else ""
+    click.echo(f"{outcome.reason.value}: {outcome.path}, {frames} frames{ink}")
+    if outcome.reason.value != "completed":
+        click.echo(f"resume with: tankrig run --resume {outcome.path}")
+
+
+def _duration(seconds: float) -> str:
+    whole = round(seconds)
+    return f"{whole // 60} min {whole % 60:02d} s" if whole >= 60 else f"{whole} s"
