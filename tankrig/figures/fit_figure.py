@@ -145,10 +145,10 @@ def _draw_single(
     """Best fit of single scattering alone, and where it fails: along the light and across it."""
     image, residual, along, across = axes
     percent = 100.0 / float(np.nanmax(observed))
-    ratio = single.medium.sigma_s / estimate.medium.sigma_s
+    ratio = single.medium.sigma_t / estimate.medium.sigma_t
     title = f"Single scattering alone: RMSE {percent * single.rmse:.3g} %"
     draw(image, percent * single.image, scene, FALSE_COLOUR, brightness(percent * observed), title)
-    title = f"Observed − it; its $\\sigma_s$ is {ratio:.3g} × the fit's"
+    title = f"Observed − it; its $\\sigma_t$ is {ratio:.3g} × the fit's"
     draw(residual, percent * single.residual, scene, RESIDUAL_COLOUR, reach, title)
     label_outer([[image, residual]])
     x, y = pixel_centres(scene, (observed.shape[0], observed.shape[1]))

@@ -189,8 +189,8 @@ def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Esti
     )
     console.print(f"RMSE     orders {by_order}", highlight=False)
     if single is not None:
-        ratio = single.medium.sigma_s / fitted.medium.sigma_s
-        text = f"         single scattering alone: {single.rmse:.3g}, with {ratio:.3g} times that sigma_s"
+        ratio = single.medium.sigma_t / fitted.medium.sigma_t
+        text = f"         single scattering alone: {single.rmse:.3g}, with {ratio:.3g} times that σa + σs"
         console.print(text, highlight=False)
 
 
