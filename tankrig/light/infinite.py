@@ -99,7 +99,9 @@ def continued_fraction(
     diagonal = np.full(last - first + 1, sigma_t)
     diagonal[: len(scattering)] -= scattering
     coupling = coupling_squared(np.arange(first, last + 2), order)
-    fraction = 0.5 * (sigma_t + np.sqrt(sigma_t**2 + 4.0 * coupling[-1] * squared))  # as if b² stayed from here on
+    fraction: Numbers = 0.5 * (
+        sigma_t + np.sqrt(sigma_t**2 + 4.0 * coupling[-1] * squared)
+    )  # as if b² stayed from here on
     for index in range(last - first, -1, -1):
         fraction = diagonal[index] + squared * (coupling[index + 1] / fraction)
     return fraction
@@ -133,7 +135,8 @@ def fluence_transform(wave_number: Numbers, medium: Medium) -> Numbers:
     scattering = _scattering(medium)
     above = continued_fraction(wave_number, medium.sigma_t, scattering[1:], first=1)
     # σt − σs is σa: taken as given, so that nothing cancels when the medium hardly absorbs.
-    return 1.0 / (medium.sigma_a + wave_number**2 / (3.0 * above))
+    inverse: Numbers = medium.sigma_a + wave_number**2 / (3.0 * above)
+    return 1.0 / inverse
 
 
 def point_source_fluence(radius_mm: ArrayLike, medium: Medium) -> Floats:
