@@ -29,7 +29,8 @@ class Prediction:
     model
         Name of the model that made it.
     orders
-        Images by order of scattering (keys of `tankrig.orders.ORDER_CLASSES`) that add up to `image`; empty where the model has none.
+        Images by order of scattering (keys of `tankrig.orders.ORDER_CLASSES`) that add up to `image`; empty
+        where the model has none.
     stderr
         One-sigma standard error of `image`, or None where the model has no noise.
     skipped

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tankrig.run.writer import Pixels
 
 _BLOCKS = 16
-"""Blocks along the longer side of a picture; their means have little noise and still see what mixes last, which is large."""
+"""Blocks along the longer side of a picture; their means have little noise and see what mixes last, which is large."""
 
 _FEWEST = 6
 _MOST = 400

@@ -38,7 +38,7 @@ class Commands(click.Group):
 
 @click.group(
     cls=Commands,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="Example: tankrig predict scene.toml --out predicted",
 )
 @click.version_option(package_name="tankrig", message="tankrig %(version)s")
