@@ -242,4 +242,5 @@ def test_ink_is_accounted_for_in_three_thousand_cases() -> None:
     run_state_machine_as_test(Dosing, settings=settings(max_examples=3000, stateful_step_count=10, **QUIET))
     print(", ".join(f"{count} {what}" for what, count in Dosing.tally.most_common()))
     assert Dosing.tally["cases"] >= 3000
-    assert Dosing.tally["doses complete"] > Dosing.tally["cases"]
+    for outcome in ("complete", "undecided", "cut short"):
+        assert Dosing.tally[f"doses {outcome}"] > Dosing.tally["cases"] / 10, "too few to mean anything"

@@ -39,7 +39,7 @@ class RigDoser:
         self._settings = settings
         self._name = f"doser on {settings.port}"
         self._dosing = threading.Lock()
-        self._latch = threading.Lock()
+        self._latch = threading.RLock()
         self._stop_asked = threading.Event()
         self._stops_asked = 0
         self._unsure: tuple[int, int] | None = None

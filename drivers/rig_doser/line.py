@@ -47,7 +47,7 @@ class Line:
     def __init__(self, port: str, name: str, time_scale: float = 1.0) -> None:
         self._name, self._scale = name, time_scale
         self._asking = threading.Lock()
-        self._life = threading.Lock()
+        self._life = threading.RLock()  # a signal handler may stop while a stop is under way
         self._sequence = 0
         self._received = b""
         self._lost = False
