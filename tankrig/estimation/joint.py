@@ -122,10 +122,15 @@ class Joint:
         return np.array([*head, *mixture.off])
 
     @property
+    def most_water(self) -> float:
+        """Absorption lengths of water along the tank at most; none at one dose, where it is the same as the ink's."""
+        return MOST_WATER if self.doses.ml.size > 1 else 0.0
+
+    @property
     def box(self) -> tuple[Array, Array]:
         """Lowest and highest coordinates."""
         edges = []
-        for k, water, sigmas in ((0, 0.0, -5.0), (1, MOST_WATER, 5.0)):
+        for k, water, sigmas in ((0, 0.0, -5.0), (1, self.most_water, 5.0)):
             scattering = math.log(MEAN_FREE_PATHS[k] / self.length_mm / float(self.doses.ml.max()))
             logit = math.log(ALBEDO[k] / (1.0 - ALBEDO[k]))
             edges.append(np.array([scattering, logit, math.atanh(ASYMMETRY[k]), water, *[sigmas] * self.doses.ml.size]))

@@ -20,7 +20,7 @@ from tankrig.estimation.projection import Scaling
 from tankrig.estimation.search import Optimum, minimise
 from tankrig.estimation.series_input import doses_of, known, observed
 from tankrig.estimation.series_verdict import Linearity, series_verdict
-from tankrig.estimation.uncertainty import DETERMINED, by_smooth_errors, identifiable
+from tankrig.estimation.uncertainty import by_smooth_errors, identifiable
 from tankrig.image.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 
@@ -141,7 +141,47 @@ def estimate_series(
     doses = doses_of(doses_ml, doses_sd_ml, len(images))
     observations = observed(images, scenes, noise)
     scaling = Scaling(known("gain", gain), known("offset", offset))
-    return fit_series(observations, scenes, doses, scaling, tank_model, start, progress or (lambda _: None))
+    begin = None if start is None else Mixture(start.ink, start.water.sigma_a, np.zeros(doses.ml.size))
+    return fit_series(observations, scenes, doses, scaling, tank_model, begin, progress or (lambda _: None))
+
+
+def estimate_together(
+    images: Sequence[ArrayLike],
+    scenes: Sequence[Scene],
+    offset: float | Free = "free",
+    noise: Sequence[ArrayLike] | None = None,
+    *,
+    model: ModelOf | None = None,
+    start: Medium | None = None,
+) -> SeriesEstimate:
+    """One liquid from several patterns with one unknown gain: a series of one dose, of 1 ml, in clear water.
+
+    Parameters
+    ----------
+    images, scenes, offset, noise
+        As for `estimate_series`.
+    model
+        The tank's where None.
+    start
+        Where to begin; searched for where None.
+
+    Returns
+    -------
+    SeriesEstimate
+        `ink` is the liquid, per mm.
+    """
+    observations = observed(images, scenes, noise)
+    doses = Doses(np.ones(1), np.zeros(1), np.zeros(len(images), int))
+    scaling = Scaling(None, known("offset", offset))
+    begin = None if start is None else Mixture(start, 0.0, np.zeros(1))
+    return fit_series(observations, scenes, doses, scaling, model or tank_model, begin, lambda _: None)
+
+
+def single_model(scene: Scene, _batches: int, _seed: int) -> Model:
+    """Light that was scattered once, and no other: what the tank model is compared with."""
+    from tankrig.light.single import single_scattering
+
+    return lambda medium: Prediction(single_scattering(replace(scene, medium=medium)), "single")
 
 
 def fit_series(
@@ -150,7 +190,7 @@ def fit_series(
     doses: Doses,
     scaling: Scaling,
     model_of: ModelOf,
-    start: SeriesEstimate | None,
+    start: Mixture | None,
     progress: Callable[[str], None],
 ) -> SeriesEstimate:
     """Fit a series with any model: three images from afar, all with the quick model, at last with the accurate one."""
@@ -159,7 +199,7 @@ def fit_series(
     quick = [_image_of(model) for model in models]
     errors = [COARSE_ERROR * _above_ambient(seen, scaling) for seen in observations]
     joint = Joint(quick, quick, observations, errors, doses, scaling, length_mm)
-    at = joint.coordinates(_mixture_of(start, doses)) if start else _from_afar(joint, progress)
+    at = joint.coordinates(start) if start else _from_afar(joint, progress)
     progress("fitting all images")
     at = _minimise(joint, at, COARSE_ENOUGH).coordinates
     accurate = _models(scenes, model_of, FINE_BATCHES, 1)
@@ -205,10 +245,6 @@ def _above_ambient(seen: Observation, scaling: Scaling) -> Array:
     return np.maximum(seen.image - ambient, 0.0)
 
 
-def _mixture_of(start: SeriesEstimate, doses: Doses) -> Mixture:
-    return Mixture(start.ink, start.water.sigma_a, np.zeros(doses.ml.size))
-
-
 def _from_afar(joint: Joint, progress: Callable[[str], None]) -> Array:
     """Best mixture for one image each of the lowest, a middle and the highest dose."""
     groups = joint.doses.of_image.tolist()
@@ -219,7 +255,7 @@ def _from_afar(joint: Joint, progress: Callable[[str], None]) -> Array:
     for paths in START_MEAN_FREE_PATHS:
         for g in START_ASYMMETRY:
             sigma_s = paths / joint.length_mm / float(joint.doses.ml.max())
-            mixture = Mixture(Medium(0.03 * sigma_s, sigma_s, g), 0.01 / joint.length_mm, np.zeros(joint.doses.ml.size))
+            mixture = Mixture(Medium(0.03 * sigma_s, sigma_s, g), 0.0, np.zeros(joint.doses.ml.size))
             at = joint.coordinates(mixture)
             starts.append((float(np.sum(part.residual(at) ** 2)), at))
     starts.sort(key=lambda one: one[0])
@@ -308,6 +344,7 @@ def _spread(
     changes = per_ml.changes(replace(mixture, off=mixture.off * doses.sd_ml))
     bend = ((doses.ml**2 / doses.ml.max()) @ changes[INK:])[None]
     changes[INK:] *= doses.sd_ml[:, None]
+    changes[3] *= joint.most_water > 0.0
     ink = mixture.ink
     widest = np.array([10.0 * (ink.sigma_a + ink.sigma_s)] * 2 + [1.0, 10.0 * joint.at_highest(mixture).sigma_t])
     prior = np.array([*widest, *np.ones(doses.ml.size)])

@@ -1,0 +1,1 @@
+"""Fitting while a run goes on."""

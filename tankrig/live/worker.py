@@ -1,0 +1,151 @@
+"""The process that fits: it looks at shared sums of frames, always at the newest, and sends back what it found."""
+
+import os
+import threading
+from dataclasses import dataclass
+from multiprocessing import connection, parent_process
+from multiprocessing.connection import Connection
+from multiprocessing.shared_memory import SharedMemory
+from multiprocessing.synchronize import Event as Signal
+from multiprocessing.synchronize import Lock
+from typing import Any
+
+import numpy as np
+
+from tankrig.errors import TankrigError
+from tankrig.estimation.series import SeriesEstimate
+from tankrig.live.exposures import Exposures, Photograph, Plan
+from tankrig.live.fits import fit_all, fit_dose
+from tankrig.scene.description import Medium
+
+NICENESS = 10
+LOCK_S = 5.0
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What the two processes share.
+
+    Parameters
+    ----------
+    memory
+        Name of the shared memory that holds the sums.
+    plan
+        What they are sums of.
+    lock
+        Held while they are read or written, for less than a millisecond.
+    news, last
+        Set when there are new frames, and when no more will come.
+    results
+        Where tables go.
+    """
+
+    memory: str
+    plan: Plan
+    lock: Lock
+    news: Signal
+    last: Signal
+    results: Connection
+
+
+def work(shared: Shared) -> None:
+    """Fit until told that the last frame is in and all is fitted, or until the program that started this is gone."""
+    os.nice(NICENESS)
+    memory = SharedMemory(shared.memory)
+    threading.Thread(target=_end_with_parent, args=(memory,), name="live-guard", daemon=True).start()
+    try:
+        _fit(shared, memory)
+    except (BrokenPipeError, ConnectionResetError):
+        pass  # nobody listens any more
+    finally:
+        shared.results.close()
+        memory.close()
+
+
+def _end_with_parent(memory: SharedMemory) -> None:
+    """Wait for the parent's death; then take the shared memory along, which nobody else would."""
+    parent = parent_process()
+    if parent is None:
+        return
+    connection.wait([parent.sentinel])
+    try:
+        memory.unlink()
+    finally:
+        os._exit(1)
+
+
+def _fit(shared: Shared, memory: SharedMemory) -> None:
+    fitter = Fitter()
+    while True:
+        last = shared.last.is_set()
+        shared.news.clear()
+        exposures = _copy(shared, memory)
+        if exposures is not None and not _send(shared, fitter.next(exposures, last)):
+            if last:
+                return
+            shared.news.wait()
+
+
+def _copy(shared: Shared, memory: SharedMemory) -> Exposures | None:
+    """The sums as they are now."""
+    if not shared.lock.acquire(timeout=LOCK_S):
+        return None
+    try:
+        numbers: Any = np.ndarray((shared.plan.size,), np.float64, memory.buf).copy()
+    finally:
+        shared.lock.release()
+    return Exposures(shared.plan, numbers)
+
+
+def _send(shared: Shared, table: dict[str, Any] | None) -> bool:
+    if table is not None:
+        shared.results.send(table)
+    return table is not None
+
+
+class Fitter:
+    """Decides what to fit next: the dose under way first, then the series of the doses that are over."""
+
+    def __init__(self) -> None:
+        self._fitted: dict[int, int] = {}
+        self._liquid: dict[int, Medium] = {}
+        self._in_series = 0
+        self._series: SeriesEstimate | None = None
+
+    def next(self, exposures: Exposures, last: bool) -> dict[str, Any] | None:
+        """Fit what is newest and not fitted yet; its table, or None when there is nothing to do."""
+        for dose in range(exposures.dose, -1, -1):
+            photographs = exposures.photographs(dose)
+            frames = sum(one.frames for one in photographs)
+            if frames > self._fitted.get(dose, 0):
+                self._fitted[dose] = frames
+                return self._dose(dose, photographs)
+        over = exposures.photographs() if last else [
+            one for one in exposures.photographs() if one.dose_ml < exposures.dose_ml
+        ]  # fmt: skip
+        doses = len({one.dose_ml for one in over})
+        if doses >= 2 and doses > self._in_series:
+            self._in_series = doses
+            return self._all(over)
+        return None
+
+    def _dose(self, dose: int, photographs: list[Photograph]) -> dict[str, Any]:
+        try:
+            table, found = fit_dose(photographs, self._start(dose, photographs[0].dose_ml))
+        except TankrigError as error:
+            return {"fit": "dose", "dose_ml": photographs[0].dose_ml, "error": str(error)}
+        self._liquid[dose] = found.ink
+        return table
+
+    def _start(self, dose: int, dose_ml: float) -> Medium | None:
+        """Where to begin: the dose's own last fit, or what the series foresees."""
+        if dose in self._liquid or self._series is None:
+            return self._liquid.get(dose)
+        return self._series.at(dose_ml)
+
+    def _all(self, photographs: list[Photograph]) -> dict[str, Any]:
+        try:
+            table, self._series = fit_all(photographs, self._series)
+        except TankrigError as error:
+            return {"fit": "series", "error": str(error)}
+        return table
