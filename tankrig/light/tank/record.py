@@ -93,8 +93,8 @@ def _edge(start: float, x: float, sigma_t: float, value: float, cell_mm: float) 
     place = max(start + x, 0.0) / cell_mm
     column = int(place)
     amplitude = value * math.exp(-sigma_t * start)
-    rest = sigma_t * cell_mm * (column + 1.0 - place)
-    return column, amplitude * -math.expm1(-rest) / (sigma_t * cell_mm), amplitude * math.exp(-rest)
+    on = math.exp(-sigma_t * cell_mm * (column + 1.0 - place))
+    return column, amplitude * (1.0 - on) / (sigma_t * cell_mm), amplitude * on
 
 
 def image_of_edges(edges: Array, sigma_t: float, cell_mm: float) -> Array:
