@@ -4,6 +4,7 @@ import math
 import struct
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,13 @@ from .settings import Truth
 Image = NDArray[np.float64]
 
 _IMAGES_KEPT = 64
+
+
+class Radiance(NamedTuple):
+    """Radiance that leaves the tank towards the camera, and its standard error: (rows, columns), W/mm²/sr."""
+
+    image: Image
+    stderr: Image
 
 
 def mixture(water: Medium, ink: Medium, volume_ml: float) -> Medium:
@@ -64,7 +72,7 @@ class SimulatedTank:
     def __init__(self, truth: Truth, state: Path, seed: int) -> None:
         self.truth = truth
         self._state, self._seed = state, seed
-        self._images: dict[tuple[str, Medium], Image] = {}
+        self._images: dict[tuple[str, Medium], Radiance] = {}
         self._blob = _blob(truth)
         self._unspread = _Unspread(truth.mixing_s)
 
@@ -78,8 +86,8 @@ class SimulatedTank:
         """What is in the tank once all ink has spread."""
         return mixture(self.truth.water, self.truth.ink, self.ink_ml)
 
-    def radiance(self, pattern: Pattern, medium: Medium) -> Image:
-        """(rows, columns) radiance that leaves towards the camera when all is `medium`, W/mm²/sr; not to be changed."""
+    def radiance(self, pattern: Pattern, medium: Medium) -> Radiance:
+        """What leaves towards the camera when all is `medium`; computed once, and not to be changed."""
         key = (pattern.hash, medium)
         if key not in self._images:
             while len(self._images) >= _IMAGES_KEPT:
@@ -92,15 +100,17 @@ class SimulatedTank:
         plunger, medium = self._plunger(), self.medium
         image = np.zeros(self.truth.bench.camera.shape)
         for pattern, part in shown.items():
-            image += part * self.radiance(pattern, medium)
+            image += part * self.radiance(pattern, medium).image
         return image * (1.0 + self._unspread.part(plunger, now_ns) * (self._blob - 1.0))
 
-    def _simulated(self, pattern: Pattern, medium: Medium) -> Image:
+    def _simulated(self, pattern: Pattern, medium: Medium) -> Radiance:
         truth = self.truth
         if medium.sigma_s == 0.0 or not truth.bench.wall.beams(pattern, truth.bench.tank):
-            return np.zeros(truth.bench.camera.shape)
+            dark = np.zeros(truth.bench.camera.shape)
+            return Radiance(dark, dark)
         scene = truth.bench.scene(pattern, medium)
-        return simulate_to(scene, truth.tolerance, seed=self._seed, coarsen=truth.coarsen).image
+        tally = simulate_to(scene, truth.tolerance, seed=self._seed, coarsen=truth.coarsen)
+        return Radiance(tally.image, tally.stderr)
 
     def _plunger(self) -> Plunger:
         try:
