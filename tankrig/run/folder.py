@@ -109,8 +109,7 @@ def create_run(
     """
     import zarr
 
-    if path.exists():
-        raise StoreError(f"{path}: exists already; give another folder with --out, or resume it with --resume")
+    require_new(path)
     fresh = path.with_name(f".{path.name}.new")
     with storing(path, "make the run's folder"):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -129,6 +128,18 @@ def create_run(
         disk.write(fresh / JOURNAL, b"")
         disk.sync_folder(fresh)
         disk.rename(fresh, path)
+
+
+def require_new(path: Path) -> None:
+    """Refuse a folder that exists: a run is never written over.
+
+    Raises
+    ------
+    StoreError
+        When it does.
+    """
+    if path.exists():
+        raise StoreError(f"{path}: exists already; give another folder with --out, or resume it with --resume")
 
 
 def _create_array(group: Any, name: str, shape: tuple[int, ...], dtype: DTypeLike, dimensions: tuple[str, ...]) -> Any:

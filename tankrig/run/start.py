@@ -12,9 +12,10 @@ import numpy as np
 
 from tankrig.dosing import DoseDone, GuardedDoser, TankLedger
 from tankrig.errors import StoreError, UndecidedError
+from tankrig.files import require_writable
 from tankrig.pattern import Pattern
 from tankrig.run.announcer import Announcer
-from tankrig.run.folder import create_run
+from tankrig.run.folder import create_run, require_new
 from tankrig.run.reading import Run, open_run
 from tankrig.run.recovery import open_dose
 from tankrig.run.rig import Rig
@@ -55,7 +56,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
         doser, journal = _guarded(rig, run_id, undo)
         _settled(doser, None, delivered_ul, path)
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), doser.delivered())
-        require_room(path, took.disk_bytes)
+        require_place(path, took.disk_bytes)
         settings = {
             "name": sequence.name,
             "id": run_id,
@@ -90,7 +91,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
     """
     with ExitStack() as undo:
         undo.callback(rig.close)
-        run = open_run(path)
+        run = require_resumable(path)
         sequence = sequence_from_table(run.settings["sequence"], str(path))
         patterns = sequence.drawn(rig.bench.wall)
         _require_same(run, rig, patterns)
@@ -98,7 +99,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         doser, journal = _guarded(rig, run.settings["id"], undo)
         done = _settled(doser, open_dose(run), delivered_ul, path)
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), doser.delivered(), resume_at=first_step)
-        require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
+        _require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
         runner = _runner(rig, doser, journal, path, Plan(sequence, patterns, took, first_step, frames_taken), undo)
         if done:
             journal.dose_done(done)
@@ -154,8 +155,6 @@ def _where(run: Run) -> tuple[int, int]:
 
 def _require_same(run: Run, rig: Rig, patterns: Mapping[str, Pattern]) -> None:
     """Refuse to go on with what would not be the same experiment."""
-    if run.end is not None and run.end["reason"] == FinishReason.COMPLETED.value:
-        raise StoreError(f"{run.path}: has come to its end; there is nothing to resume")
     if run.settings["bench"] != json.loads(json.dumps(asdict(rig.bench))):
         raise StoreError(f"{run.path}: was recorded on another bench than rig {rig.name} has; resume it on its own")
     for name, pattern in patterns.items():
@@ -172,14 +171,34 @@ def _frame_bytes(rig: Rig) -> int:
     return rows * columns * np.dtype(_dtype(rig)).itemsize
 
 
-def require_room(path: Path, disk_bytes: int) -> None:
-    """Refuse a run whose frames the disk at `path` has no room for.
+def require_place(path: Path, disk_bytes: int) -> None:
+    """Refuse a place where a run of that many bytes cannot be made.
 
     Raises
     ------
     StoreError
-        Saying what is needed and what is free.
+        When `path` exists, its folder cannot be written, or the disk is too small.
     """
+    require_new(path)
+    require_writable(path.parent)
+    _require_room(path, disk_bytes)
+
+
+def require_resumable(path: Path) -> Run:
+    """The run at `path`, if it is one that can go on.
+
+    Raises
+    ------
+    StoreError
+        When it is no run, or has come to its end.
+    """
+    run = open_run(path)
+    if run.end is not None and run.end["reason"] == FinishReason.COMPLETED.value:
+        raise StoreError(f"{path}: has come to its end; there is nothing to resume")
+    return run
+
+
+def _require_room(path: Path, disk_bytes: int) -> None:
     place = next(folder for folder in path.absolute().parents if folder.exists())
     free = shutil.disk_usage(place).free
     if disk_bytes > free:

@@ -135,10 +135,11 @@ def dry_run(
             ink_ul = action.total_ul - tank.volume_ul
             if ink_ul < 0.0:
                 raise SequenceError(
-                    f"{task.label}: the tank holds {tank.volume_ul:g} µl already; fill it anew and start a new ledger"
+                    f"{sequence.name}: {task.label}: the tank holds {tank.volume_ul:g} µl already; "
+                    f"fill it anew and start a new ledger"
                 )
             if refusal := limits.refusal(action.total_ul, tank, run_used_ul):
-                raise SequenceError(f"{task.label}: {refusal}")
+                raise SequenceError(f"{sequence.name}: {task.label}: {refusal}")
             run_used_ul += ink_ul
             tank = Delivered(action.total_ul, action.total_ul, action.total_ul)
         frames = action.frames if isinstance(action, Capture) else 0

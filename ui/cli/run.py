@@ -18,7 +18,7 @@ from ui.cli.options import json_option, out_option, rig_option
 if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.run.runner import Outcome, Runner
-    from tankrig.sequence import DryRun
+    from tankrig.sequence import DryRun, Sequence
 
 _POLL_S = 0.1
 
@@ -49,16 +49,28 @@ def run(
 
     Ctrl-C stops the doser at once and ends the run, which can then be resumed.
     """
+    from tankrig.run.start import require_resumable
+    from tankrig.sequence import load_sequence
+
     if (sequence_file is None) == (resume is None):
         raise click.UsageError("give a sequence file, or --resume and the folder of an interrupted run")
     path = resume or out or Path("runs") / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
-    if dry_run:
-        if sequence_file is None:
-            raise click.UsageError("--dry-run needs a sequence file; leave out --resume")
-        _tell_plan(_planned(sequence_file, rig, path), as_json)
-        return 0
-    runner = _runner(sequence_file, path, rig, delivered_ul)
-    outcome = _carried_out(runner)
+    if dry_run and sequence_file is None:
+        raise click.UsageError("--dry-run needs a sequence file; leave out --resume")
+    description = _described(rig, path)
+    sequence = None
+    if sequence_file is None:
+        require_resumable(path)
+    else:
+        sequence = load_sequence(sequence_file)
+        plan = _planned(sequence, description, path)
+        if dry_run:
+            _tell_plan(plan, as_json)
+            return 0
+    runner = _runner(sequence, path, description, delivered_ul)
+    if rig is None:
+        click.echo("no rig is configured, so this is the simulated rig", err=True)
+    outcome = carried_out(runner)
     _tell_outcome(outcome, as_json)
     if outcome.error is not None:
         raise outcome.error
@@ -71,28 +83,26 @@ def _described(rig: Path | None, run_folder: Path) -> "RigFile":
 
     if rig is not None:
         return load_rig_file(rig)
-    click.echo("no rig is configured, so this is the simulated rig", err=True)
     return simulated_rig(run_folder.with_name(f"{run_folder.name}.rig"))
 
 
-def _planned(sequence_file: Path, rig: Path | None, run_folder: Path) -> "DryRun":
+def _planned(sequence: "Sequence", description: "RigFile", run_folder: Path) -> "DryRun":
+    """The dry run, which checks all that can be checked before a device is touched."""
     from tankrig.devices import Delivered
     from tankrig.dosing import TankLedger
-    from tankrig.run.start import require_room
-    from tankrig.sequence import dry_run as go_through
-    from tankrig.sequence import load_sequence
+    from tankrig.run.start import require_place
+    from tankrig.sequence import dry_run
 
-    sequence, description = load_sequence(sequence_file), _described(rig, run_folder)
-    sequence.drawn(description.bench.wall)
     rows, columns = description.bench.camera.shape
+    frame_bytes = rows * columns * 2
+    require_place(run_folder, sequence.frames * frame_bytes)
+    sequence.drawn(description.bench.wall)
     tank = Delivered(0.0, 0.0, 0.0)
     if description.ledger.exists():
         ledger = TankLedger(description.ledger)
         tank = ledger.tank
         ledger.close()
-    plan = go_through(sequence, description.limits, description.pace, rows * columns * 2, tank)
-    require_room(run_folder, plan.disk_bytes)
-    return plan
+    return dry_run(sequence, description.limits, description.pace, frame_bytes, tank)
 
 
 def _tell_plan(plan: "DryRun", as_json: bool) -> None:
@@ -118,18 +128,12 @@ def _tell_plan(plan: "DryRun", as_json: bool) -> None:
     )
 
 
-def _runner(sequence_file: Path | None, path: Path, rig: Path | None, delivered_ul: float | None) -> "Runner":
+def _runner(sequence: "Sequence | None", path: Path, description: "RigFile", delivered_ul: float | None) -> "Runner":
     """For a new run or, without a sequence, the one at `path`; on a terminal, what only a person can say is asked."""
     from drivers.rig import open_rig
     from tankrig.errors import UndecidedError
-    from tankrig.run.reading import open_run
     from tankrig.run.start import new_run, resumed_run
-    from tankrig.sequence import load_sequence
 
-    sequence = load_sequence(sequence_file) if sequence_file else None
-    if sequence is None:
-        open_run(path)  # what is no run is said before the rig is touched
-    description = _described(rig, path)
     while True:
         devices = open_rig(description)
         try:
@@ -143,7 +147,7 @@ def _runner(sequence_file: Path | None, path: Path, rig: Path | None, delivered_
             delivered_ul = click.prompt("ink in the tank in all, µl", type=click.FloatRange(min=0.0), err=True)
 
 
-def _carried_out(runner: "Runner") -> "Outcome":
+def carried_out(runner: "Runner") -> "Outcome":
     """Run in a thread of its own, so that progress is drawn and Ctrl-C heard while a device is waited for."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn

@@ -1,0 +1,172 @@
+"""`tankrig run` and `tankrig recover` on the simulated rig: one line each way, and nothing dosed on bad input."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import tankrig
+from drivers.rig import load_rig_file
+from drivers.rig_doser.emulator.memory import read_truth
+from tankrig.run.rig import RigLock
+from ui.cli import main
+
+SHORT = """
+name = "short"
+exposure_ms = 5
+[[steps]]
+do = "series"
+total_ul = [20, 40]
+steps = [ { do = "capture", pattern = "dark" }, { do = "capture", pattern = "full", frames = 2 } ]
+"""
+LONG_DOSE = 'name = "long"\n[[steps]]\ndo = "dose"\ntotal_ul = 900\n'
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder to work in, with the sequences in it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("TANKRIG_RIG", raising=False)
+    (tmp_path / "short.toml").write_text(SHORT)
+    (tmp_path / "long.toml").write_text(LONG_DOSE)
+    return tmp_path
+
+
+def names_in(folder: Path) -> list[str]:
+    return sorted(file.name for file in folder.iterdir())
+
+
+def true_ul(run: Path) -> float:
+    """What the simulated doser of a run's own rig has really delivered, once it has stopped."""
+    steps = -1
+    while steps != (steps := read_truth(Path(f"{run}.rig") / "simulated" / "tank" / "state").steps):
+        time.sleep(0.3)
+    return steps / 10.0
+
+
+def test_one_command_runs_a_sequence_on_the_simulated_rig_and_says_so(folder, capsys):
+    assert main(["run", "short.toml", "--out", "run", "--json"]) == 0
+    said = capsys.readouterr()
+    assert "no rig is configured, so this is the simulated rig" in said.err
+    assert json.loads(said.out) == {"run": "run", "reason": "completed", "frames": 6, "delivered_ul": 40.0}
+    frames = tankrig.open_run("run").frames
+    assert frames.pattern.values.tolist() == ["dark", "full", "full"] * 2
+    means = frames.values.mean(axis=(1, 2))
+    assert means[[1, 2, 4, 5]].min() > means[[0, 3]].max() + 10
+    assert true_ul(folder / "run") == 40.0
+    assert main(["recover", "run"]) == 0
+    assert "6 frames are as they were recorded" in capsys.readouterr().out
+    assert main(["run", "--resume", "run"]) == 2
+    assert "has come to its end; there is nothing to resume" in capsys.readouterr().err
+    assert main(["run", "short.toml", "--out", "run"]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_a_dry_run_tells_time_ink_and_disk_and_leaves_nothing(folder, capsys):
+    assert main(["run", "short.toml", "--dry-run", "--json"]) == 0
+    plan = json.loads(capsys.readouterr().out)
+    assert (plan["ink_ul"], plan["frames"], plan["disk_bytes"]) == (40.0, 6, 6 * 80 * 120 * 2)
+    assert 0.2 < plan["seconds"] < 5.0
+    assert main(["run", "short.toml", "--dry-run"]) == 0
+    assert re.search(r"in all: \d s, 40 µl of ink, 6 frames, 0\.1 MB", capsys.readouterr().out)
+    assert names_in(folder) == ["long.toml", "short.toml"]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["run"], "give a sequence file, or --resume"),
+        (["run", "short.toml", "--resume", "x"], "give a sequence file, or --resume"),
+        (["run", "none.toml"], "none.toml: cannot be read"),
+        (["run", "over.toml"], "over: dose to 1200 µl: one dose may have 1000 µl at most"),
+        (["run", "odd.toml"], 'steps[0].do = "dance" is unknown'),
+        (["run", "short.toml", "--rig", "none.toml"], "none.toml: cannot be read"),
+        (["run", "short.toml", "--out", "short.toml/run"], "short.toml is not a folder"),
+        (["run", "--resume", "empty"], "empty: is not a run"),
+        (["run", "--resume", "nowhere"], "nowhere: does not exist"),
+        (["run", "--resume", "newer"], "update tankrig"),
+        (["recover", "empty"], "empty: is not a run"),
+    ],
+)
+def test_bad_input_is_one_sentence_exit_2_and_nothing_is_made(folder, capsys, words, reason):
+    (folder / "over.toml").write_text('name = "over"\n[[steps]]\ndo = "dose"\ntotal_ul = 1200\n')
+    (folder / "odd.toml").write_text('name = "odd"\n[[steps]]\ndo = "dance"\n')
+    (folder / "empty").mkdir()
+    (folder / "newer").mkdir()
+    newer = {"attributes": {"tankrig": {"format": 9, "version": "9.0", "settings": {}}}}
+    (folder / "newer" / "zarr.json").write_text(json.dumps(newer))
+    before = names_in(folder)
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert reason in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+    assert names_in(folder) == before
+
+
+def test_a_second_program_on_the_same_rig_is_refused(folder, capsys):
+    rig = Path(tankrig.__file__).parents[1] / "drivers" / "simulated" / "rig.toml"
+    (folder / "rig.toml").write_text(rig.read_text())
+    lock = RigLock(load_rig_file("rig.toml").lock, "simulated rig")
+    assert main(["run", "short.toml", "--rig", "rig.toml", "--out", "run"]) == 2
+    assert "rig simulated rig is in use by another program" in capsys.readouterr().err
+    assert not (folder / "run").exists()
+    lock.close()
+
+
+def test_ctrl_c_stops_the_dose_and_the_resumed_run_doses_the_rest(folder, capsys):
+    def interrupt():
+        journal = folder / "run" / "journal.jsonl"
+        while not journal.exists() or b"dose_intent" not in journal.read_bytes():
+            time.sleep(0.01)
+        time.sleep(0.3)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    assert main(["run", "long.toml", "--out", "run"]) == 1
+    said = capsys.readouterr()
+    assert "aborted: run" in said.out
+    assert "resume with: tankrig run --resume run" in said.out
+    assert 0.0 < true_ul(folder / "run") < 900.0
+    assert main(["run", "--resume", "run"]) == 0
+    assert true_ul(folder / "run") == 900.0
+
+
+def test_a_killed_dose_needs_a_persons_word(folder, capsys):
+    program = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from ui.cli import main; sys.exit(main())",
+            "run",
+            "long.toml",
+            "--out",
+            "run",
+        ],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    journal = folder / "run" / "journal.jsonl"
+    while not journal.exists() or b"dose_intent" not in journal.read_bytes():
+        assert program.poll() is None
+        time.sleep(0.01)
+    time.sleep(0.4)
+    program.kill()
+    program.wait()
+    delivered_ul = true_ul(folder / "run")
+    assert 0.0 < delivered_ul < 900.0
+    assert main(["recover", "run"]) == 0
+    assert "a dose to 900 µl was begun and not seen to end" in capsys.readouterr().out
+    assert main(["run", "--resume", "run"]) == 3
+    said = capsys.readouterr()
+    assert "say how much it is in all (--delivered-ul)" in said.err
+    assert said.err.count("\n") == 1
+    assert main(["run", "--resume", "run", "--delivered-ul", f"{delivered_ul:g}"]) == 0
+    assert true_ul(folder / "run") == 900.0
