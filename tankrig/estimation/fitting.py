@@ -23,8 +23,9 @@ START_ASYMMETRY = (0.0, 0.5, 0.85)
 """Media looked at first: every pair of scatterings along the tank and g; the best for each g is a start."""
 FIRST_STEPS, LAST_STEPS = 5, 40
 """Steps that every start gets before only the best go on, and steps with the accurate model at most."""
-COARSE_ENOUGH, FINE_ENOUGH = 3.0, 0.02
-"""Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's."""
+COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 2.0
+"""Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's, and errors
+of the model, which the weights count pixel by pixel, move the optimum by more than the weights say."""
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
 """Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
 by less than EQUAL, are left for the accurate model to tell apart."""
@@ -134,7 +135,9 @@ def search(problem: Problem, starts: Sequence[Medium], length_mm: float, seen: C
 
 def polish(problem: Problem, medium: Medium, length_mm: float) -> tuple[Medium, float]:
     """Optimum next to `medium`, and half the sum of squares there."""
-    end = _minimise(problem, to_coordinates(medium), length_mm, FINE_ENOUGH, LAST_STEPS)
+    by_model = float(np.mean((np.asarray(problem.error[problem.observation.used], float) * problem.weight) ** 2))
+    enough = FINE_ENOUGH + MODEL_ENOUGH * by_model
+    end = _minimise(problem, to_coordinates(medium), length_mm, enough, LAST_STEPS)
     return to_medium(end.coordinates), end.cost
 
 
