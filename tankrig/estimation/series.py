@@ -97,7 +97,7 @@ def estimate_series(
     offset: float | Free = "free",
     noise: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
-    start: SeriesEstimate | None = None,
+    start: SeriesEstimate | Medium | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> SeriesEstimate:
     """What a ml of ink does, from images at known doses with one common gain.
@@ -119,7 +119,7 @@ def estimate_series(
     noise
         Standard deviation of a pixel, one for all images or one (scalar or per pixel) for each; None to estimate it.
     start
-        An earlier estimate of the same ink to begin from, which saves the search.
+        An earlier estimate of the same ink, or the ink per mm and ml, to begin from, which saves the search.
     progress
         Told in a few words what is being done, now and then.
 
@@ -141,7 +141,10 @@ def estimate_series(
     doses = doses_of(doses_ml, doses_sd_ml, len(images))
     observations = observed(images, scenes, noise)
     scaling = Scaling(known("gain", gain), known("offset", offset))
-    begin = None if start is None else Mixture(start.ink, start.water.sigma_a, np.zeros(doses.ml.size))
+    begin = None
+    if start is not None:
+        ink, water = (start, 0.0) if isinstance(start, Medium) else (start.ink, start.water.sigma_a)
+        begin = Mixture(ink, water, np.zeros(doses.ml.size))
     return fit_series(observations, scenes, doses, scaling, tank_model, begin, progress or (lambda _: None))
 
 

@@ -56,7 +56,9 @@ def fit_dose(photographs: Sequence[Photograph], start: Medium | None = None) -> 
     return table, found
 
 
-def fit_all(photographs: Sequence[Photograph], start: SeriesEstimate | None = None) -> tuple[Table, SeriesEstimate]:
+def fit_all(
+    photographs: Sequence[Photograph], start: SeriesEstimate | Medium | None = None
+) -> tuple[Table, SeriesEstimate]:
     """Fit the series: all photographs of all doses.
 
     Raises
@@ -91,6 +93,12 @@ def fit_all(photographs: Sequence[Photograph], start: SeriesEstimate | None = No
         "seconds": round(time.perf_counter() - began, 3),
     }
     return table, found
+
+
+def diluted(liquid: Medium, from_ml: float, to_ml: float) -> Medium:
+    """About what a liquid with `from_ml` of ink would be with `to_ml`."""
+    grown = to_ml / from_ml
+    return Medium(liquid.sigma_a * grown, liquid.sigma_s * grown, liquid.g)
 
 
 def _medium(medium: Medium) -> Table:

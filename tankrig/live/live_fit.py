@@ -2,6 +2,7 @@
 
 import multiprocessing
 import threading
+import time
 from collections.abc import Callable
 from multiprocessing.shared_memory import SharedMemory
 from types import TracebackType
@@ -47,7 +48,8 @@ class LiveFit:
         shared = Shared(self._memory.name, plan, self._lock, self._news, self._last, results)
         self._process = context.Process(target=work, args=(shared,), name="live-fit", daemon=True)
         self._on_result = on_result
-        self._closing = threading.Event()
+        self._closing, self._all_seen = threading.Event(), threading.Event()
+        self._last_step = len(plan.exposures) - 1
         try:
             self._process.start()
         except BaseException:
@@ -64,6 +66,8 @@ class LiveFit:
 
     def see(self, event: Event, pixels: Pixels | None) -> None:
         """Take a recorded event of the run in; give this to `Runner.listen`."""
+        if event.kind == "step" and event["state"] == "done" and event["step"] == self._last_step:
+            self._all_seen.set()
         if self._closing.is_set() or not self._lock.acquire(timeout=_LOCK_S):
             return  # a preview may be lost; what was recorded is on disk
         try:
@@ -74,10 +78,12 @@ class LiveFit:
             self._news.set()
 
     def finish(self, timeout_s: float) -> bool:
-        """Say that no more frames will come, and wait for the last fits; whether they came in time."""
+        """Wait for the plan's last step to be seen, and for the last fits; whether they came in time."""
+        deadline = time.monotonic() + timeout_s
+        self._all_seen.wait(timeout_s)
         self._last.set()
         self._news.set()
-        self._thread.join(timeout_s)
+        self._thread.join(max(0.0, deadline - time.monotonic()))
         return not self._thread.is_alive()
 
     def close(self) -> None:

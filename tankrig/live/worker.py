@@ -15,7 +15,7 @@ import numpy as np
 from tankrig.errors import TankrigError
 from tankrig.estimation.series import SeriesEstimate
 from tankrig.live.exposures import Exposures, Photograph, Plan
-from tankrig.live.fits import fit_all, fit_dose
+from tankrig.live.fits import diluted, fit_all, fit_dose
 from tankrig.scene.description import Medium
 
 NICENESS = 10
@@ -109,6 +109,7 @@ class Fitter:
     def __init__(self) -> None:
         self._fitted: dict[int, int] = {}
         self._liquid: dict[int, Medium] = {}
+        self._latest: tuple[Medium, float] | None = None
         self._in_series = 0
         self._series: SeriesEstimate | None = None
 
@@ -134,18 +135,21 @@ class Fitter:
             table, found = fit_dose(photographs, self._start(dose, photographs[0].dose_ml))
         except TankrigError as error:
             return {"fit": "dose", "dose_ml": photographs[0].dose_ml, "error": str(error)}
-        self._liquid[dose] = found.ink
+        self._liquid[dose], self._latest = found.ink, (found.ink, photographs[0].dose_ml)
         return table
 
     def _start(self, dose: int, dose_ml: float) -> Medium | None:
-        """Where to begin: the dose's own last fit, or what the series foresees."""
-        if dose in self._liquid or self._series is None:
-            return self._liquid.get(dose)
-        return self._series.at(dose_ml)
+        """Where to begin: the dose's own last fit, what the series foresees, or another dose's liquid, diluted."""
+        if dose in self._liquid:
+            return self._liquid[dose]
+        if self._series is not None:
+            return self._series.at(dose_ml)
+        return None if self._latest is None else diluted(*self._latest, dose_ml)
 
     def _all(self, photographs: list[Photograph]) -> dict[str, Any]:
         try:
-            table, self._series = fit_all(photographs, self._series)
+            start = self._latest and self._series is None and diluted(*self._latest, 1.0)
+            table, self._series = fit_all(photographs, self._series or start or None)
         except TankrigError as error:
             return {"fit": "series", "error": str(error)}
         return table

@@ -1,0 +1,200 @@
+"""`write_report`: a run as one page that needs nothing but itself."""
+
+import base64
+import io
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tankrig.figures.tank_image import STYLE
+from tankrig.files import require_writable, whole_file
+from tankrig.live.exposures import Photograph, Plan
+from tankrig.report import curves, pictures
+from tankrig.report.results import Results, Table, results_of
+from tankrig.report.settings import settings_of, skipped_of
+from tankrig.report.timing import spans_of, totals
+from tankrig.run.reading import Run, open_run
+from tankrig.scene.description import Medium
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def write_report(path: Path, out: Path | None = None, progress: Callable[[str], None] = lambda _: None) -> Path:
+    """Write a run's report: one HTML file with all pictures in it.
+
+    Parameters
+    ----------
+    path
+        The run's folder.
+    out
+        The file, or a folder for report.html; the run's own folder where None.
+    progress
+        Told in a few words what is being done.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    StoreError
+        When the run cannot be read or the file not be written.
+    ImageError
+        When the run has nothing to report.
+    """
+    run = open_run(path)
+    target = path / "report.html" if out is None else out if out.suffix == ".html" else out / "report.html"
+    require_writable(target.parent)
+    page = report_page(run, progress)
+    with whole_file(target) as unfinished:
+        unfinished.write_text(page, encoding="utf-8")
+    return target
+
+
+def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> str:
+    """The report as HTML."""
+    import jinja2
+    import matplotlib as mpl
+
+    results = results_of(run, progress)
+    spans = spans_of(run)
+    progress("drawing")
+    with mpl.rc_context(STYLE):
+        shown = {
+            "observations": _inline(pictures.observations(results.photographs)),
+            "coefficients": _inline(curves.coefficients(results.doses, results.series), "svg"),
+            "timeline": _inline(curves.timeline(spans), "svg"),
+        }
+        rebuilt, faintest = _reconstructions(results, progress)
+    loader = jinja2.PackageLoader("tankrig.report", "")
+    template = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("page.html")
+    began = run.journal[0].moment.utc[:19].replace("T", " ") if run.journal else "?"
+    ending = run.end["reason"] if run.end else "not finished"
+    return template.render(
+        title=str(run.settings.get("name", run.path.name)),
+        subtitle=f"{run.path.name} · {run.settings.get('rig', '')} · {began} UTC · {ending}",
+        headline=_headline(results),
+        verdict=results.series["verdict"] if results.series else "",
+        pictures=shown,
+        doses=[_dose_row(one, _truth(results, one)) for one in results.doses],
+        compared="the series fit" if results.series else "the tank model",
+        shown_pattern=_shown(results.photographs)[0].pattern,
+        reconstructions=rebuilt,
+        series=_series(results),
+        totals=totals(spans),
+        spans=spans,
+        skipped=skipped_of(run, Plan.of_run(run), faintest),
+        settings=settings_of(run),
+        footer=f"made by tankrig {version('tankrig')}",
+    )
+
+
+def _inline(figure: "Figure", kind: str = "png") -> str:
+    """A figure as a data address."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, dpi=110)
+    text = base64.b64encode(buffer.getvalue()).decode()
+    return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{text}"
+
+
+def _headline(results: Results) -> list[dict[str, str]]:
+    series = results.series
+    if series is None:
+        return []
+    ink, sd = series["ink"], series["sd"]
+    return [
+        {"value": with_error(ink["sigma_s"], sd[1]), "name": "ink σs, 1/mm per ml"},
+        {"value": with_error(ink["g"], sd[2]), "name": "ink g"},
+        {"value": with_error(ink["sigma_a"], sd[0]), "name": "ink σa, 1/mm per ml"},
+        {"value": with_error(series["water_sigma_a"], sd[3]), "name": "water σa, 1/mm"},
+    ]
+
+
+def with_error(value: float, sd: float) -> str:
+    """A value to two digits of its standard deviation.
+
+    >>> with_error(0.0123456, 0.00012)
+    '0.01235 ± 0.00012'
+    """
+    if not sd > 0.0:
+        return f"{value:.4g}"
+    digits = min(8, max(0, 1 - int(np.floor(np.log10(sd)))))
+    return f"{value:.{digits}f} ± {sd:.{digits}f}"
+
+
+def _truth(results: Results, dose: Table) -> float:
+    """σs that single scattering is compared with."""
+    return results.series["ink"]["sigma_s"] * dose["dose_ml"] if results.series else float(dose["sigma_s"])
+
+
+def _dose_row(one: Table, sigma_s: float) -> dict[str, str]:
+    known = [symbol for name, symbol in (("sigma_s", "σs"), ("g", "g"), ("sigma_a", "σa")) if one["identifiable"][name]]
+    return {
+        "dose": f"{one['dose_ml']:.4g}",
+        "sigma_s": with_error(one["sigma_s"], one["sd"][1]),
+        "g": with_error(one["g"], one["sd"][2]),
+        "sigma_a": with_error(one["sigma_a"], one["sd"][0]),
+        "known": ", ".join(known) or "none",
+        "single": f"{100.0 * (one['single']['sigma_s'] / sigma_s - 1.0):+.0f} %",
+        "single_g": f"{one['single']['g']:.2f}",
+        "single_rmse": f"{one['single']['rmse'] / one['rmse']:.1f} ×",
+    }
+
+
+def _shown(photographs: list[Photograph]) -> list[Photograph]:
+    """Photographs of the pattern with the most edges, on which orders of scattering look most different."""
+    beams = {one.pattern: len(one.scene.projector.beams) for one in photographs}
+    narrow = {
+        one.pattern: sum(beam.y_mm[1] - beam.y_mm[0] for beam in one.scene.projector.beams) for one in photographs
+    }
+    best = min(beams, key=lambda name: narrow[name])
+    return [one for one in photographs if one.pattern == best]
+
+
+def _reconstructions(results: Results, progress: Callable[[str], None]) -> tuple[list[dict[str, Any]], float]:
+    """One picture for each dose, the thinnest and the thickest shown at once; and the largest bound on what was cut."""
+    shown = _shown(results.photographs)
+    rebuilt, bound = [], 0.0
+    fits = {one["dose_ml"]: one for one in results.doses}
+    for one in shown:
+        progress(f"rebuilding {one.dose_ml:g} ml by order")
+        fit = fits[one.dose_ml]
+        prediction = pictures.predicted(one, Medium(fit["sigma_a"], fit["sigma_s"], fit["g"]))
+        offset = 0.0 if one.offset == 0.0 else float(np.median(one.image - fit["gain"] * prediction.image))
+        steps = pictures.by_order(one, prediction, fit["gain"], offset)
+        bound = max(bound, *(part.bound for part in prediction.skipped))
+        peak = float(one.image.max())
+        rebuilt.append({
+            "dose": f"{one.dose_ml:.4g}",
+            "rmse": ", ".join(f"{100.0 * step.rmse / peak:.2g} % (orders {step.orders})" for step in steps),
+            "picture": _inline(pictures.reconstructions(one, steps)),
+            "open": one in (shown[0], shown[-1]),
+        })  # fmt: skip
+    return rebuilt, bound
+
+
+def _series(results: Results) -> dict[str, Any] | None:
+    series = results.series
+    if series is None:
+        return None
+    peaks = [float(one.image.max()) for one in results.photographs]
+    cells = {
+        (one.pattern, one.dose_ml): f"{100.0 * rmse / peak:.2g} %"
+        for one, rmse, peak in zip(results.photographs, series["rmse"], peaks, strict=True)
+    }
+    bend = series["linearity"]
+    linearity = "" if bend is None else (
+        f"At the highest dose the ink does {100.0 * bend['bend']:+.2g} ± {100.0 * bend['sd']:.2g} % more than in "
+        "proportion to the lowest."
+    )  # fmt: skip
+    patterns = dict.fromkeys(one.pattern for one in results.photographs)
+    rows = [
+        {"pattern": name, "cells": [cells.get((name, dose_ml), "") for dose_ml in series["doses_ml"]]}
+        for name in patterns
+    ]
+    return {"doses": [f"{dose_ml:.4g}" for dose_ml in series["doses_ml"]], "rows": rows, "linearity": linearity}

@@ -1,0 +1,65 @@
+"""What a run was made with, and what was left out of it, in words."""
+
+from typing import Any
+
+from tankrig.live.exposures import Plan
+from tankrig.run.reading import Run
+
+Pairs = list[tuple[str, str]]
+
+
+def settings_of(run: Run) -> list[Pairs]:
+    """Two tables: the experiment, and the bench."""
+    sequence: dict[str, Any] = dict(run.settings["sequence"])
+    bench: dict[str, Any] = dict(run.settings["bench"])
+    doses = run.events("dose_done")
+    sessions = run.events("session")
+    experiment: Pairs = [
+        ("run", run.path.name),
+        ("sequence", str(sequence.get("name", ""))),
+        ("frames", f"{len(run.events('frame'))} of {run.frames.shape[1:][1]} × {run.frames.shape[1:][0]} pixels"),
+        ("exposure", f"{sequence.get('exposure_ms', '?')} ms at gain {sequence.get('gain', '?')}"),
+        ("doses", ", ".join(f"{event['delivered_ul']:g}" for event in doses) + " µl in all"),
+        ("patterns", ", ".join(pattern.name for pattern in run.patterns.values())),
+        ("devices", ", ".join(dict(sessions[0]["devices"]).values()) if sessions else "?"),
+        ("program", str(sessions[0]["program"]) if sessions else "?"),
+        ("sessions", str(len(sessions))),
+    ]
+    tank, wall, camera = bench["tank"], bench["wall"], bench["camera"]
+    lengths = " × ".join(f"{side:g}" for side in tank["size_mm"])
+    geometry: Pairs = [
+        ("rig", str(run.settings.get("rig", ""))),
+        ("tank", f"{lengths} mm, {tank['surface']} surface"),
+        ("light", str(bench["light"]) + _at(bench.get("light_position_mm"))),
+        ("projector", f"{wall['shape'][1]} × {wall['shape'][0]} pixels on y = {_span(wall['y_mm'])}, "
+                      f"z = {_span(wall['z_mm'])} mm"),
+        ("camera", f"{camera['kind']}{_at(camera.get('position_mm'))}, pixels of {camera['pixel_mm']:g} mm"),
+    ]  # fmt: skip
+    return [experiment, geometry]
+
+
+def skipped_of(run: Run, plan: Plan, faintest: float) -> list[str]:
+    """What did not go into the numbers, each with what is known of its effect."""
+    gaps = run.events("gap")
+    missing = sum(event["missing"] for event in gaps)
+    failed = [event for event in run.fits if event.get("error")]
+    lines = [
+        f"Frames were averaged and binned {plan.binning} × {plan.binning} to pixels of {plan.camera.pixel_mm:g} mm "
+        "before they were fitted; the model averages over the same pixels.",
+        f"Light paths fainter than a small share of their start: at most {100.0 * faintest:.2g} % of the image.",
+        f"{missing} frames were lost by the camera while it was recording."
+        if missing else "The camera lost no frame while it was recording.",
+        "Pictures taken while the ink mixed were looked at and not kept.",
+    ]  # fmt: skip
+    lines += [f"A live fit failed: {event['error']}" for event in failed]
+    if run.end is None:
+        lines.append("The run has no end: it was cut off, or goes on.")
+    return lines
+
+
+def _at(position: Any) -> str:
+    return "" if position is None else f" at ({', '.join(f'{value:g}' for value in position)}) mm"
+
+
+def _span(edges: Any) -> str:
+    return f"{edges[0]:g} … {edges[1]:g}"
