@@ -318,6 +318,14 @@ def test_ink_that_does_not_mix_in_time_fails_with_what_to_do(tmp_path):
     assert "still changed after 0.5 s" in str(outcome.error)
 
 
+def test_a_saturated_picture_is_not_taken_for_a_mixed_tank(tmp_path):
+    rig = memory_rig(tmp_path)
+    rig.camera.saturation = 1000
+    outcome = new_run(Sequence("mix", (Dose(10.0), QUICK)), rig, tmp_path / "run").run()
+    assert outcome.reason is FinishReason.FAILED
+    assert "of the picture is saturated" in str(outcome.error)
+
+
 def test_slow_and_failing_listeners_neither_hold_the_run_up_nor_lose_events(tmp_path):
     runner = new_run(
         Sequence("many", (Capture("full", frames=40),), exposure_ms=1.0), memory_rig(tmp_path), tmp_path / "run"

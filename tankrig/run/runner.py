@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from tankrig.devices import CameraSettings, Frame
 from tankrig.dosing import DoseDone, DoseIntent, GuardedDoser
-from tankrig.errors import DeviceError, StoreError, TankrigError
+from tankrig.errors import DeviceError, SequenceError, StoreError, TankrigError
 from tankrig.pattern import Pattern
 from tankrig.run.announcer import Announcer, Listener
 from tankrig.run.mixing import MixingWatch
@@ -20,6 +20,7 @@ from tankrig.run.writer import RunWriter
 from tankrig.sequence import Capture, Dose, DryRun, Mix, Note, Sequence, Wait
 
 _CAMERA_TIMEOUT_S = 5.0
+_MOST_SATURATED = 0.2
 
 
 @dataclass(frozen=True)
@@ -247,15 +248,23 @@ class Runner:
         while True:
             self._states.check()
             frame = self._frame(after_ns)
+            saturated = float((frame.pixels >= self._rig.camera.saturation).mean())
+            if saturated > _MOST_SATURATED:
+                raise SequenceError(
+                    f"{label}: {saturated:.0%} of the picture is saturated, where no ink is seen to mix; give the step "
+                    f"a shorter exposure_ms or another pattern, then start anew"
+                )
             mixing = watch.look(frame.pixels, frame.exposure_start_ns / 1e9)
             if mixing.remaining <= mix.tolerance and mixing.seconds >= mix.at_least_s:
                 return {**asdict(mixing), "pattern_hash": pattern.hash}
             if time.monotonic() - start_s > mix.timeout_s:
                 raise DeviceError(
-                    f"{label}: up to {mixing.remaining:.1%} of the picture still changed after {mix.timeout_s:g} s, "
+                    f"{label}: up to {min(mixing.remaining, 1.0):.1%} of the picture still changed after "
+                    f"{mix.timeout_s:g} s, "
                     f"and {mix.tolerance:.1%} is allowed; stir, or allow more or longer, then resume the run"
                 )
-            self._clockwork.waiting_for = f"the ink to mix: up to {mixing.remaining:.1%} of the picture still changes"
+            if mixing.remaining < 1.0:
+                self._clockwork.waiting_for = f"the ink to mix: up to {mixing.remaining:.1%} of the picture changes"
             after_ns = frame.exposure_start_ns
             self._states.sleep(mix.every_s)
 
@@ -290,6 +299,11 @@ class Runner:
             raise DeviceError(
                 f"{self._rig.camera.name}: gave a frame whose exposure began {early_ms:g} ms too early to be of the "
                 f"pattern that is shown; check its timestamps (tankrig doctor)"
+            )
+        if frame.pixels.shape != self._rig.camera.shape:
+            raise DeviceError(
+                f"{self._rig.camera.name}: gave a frame of shape {list(frame.pixels.shape)} rather than "
+                f"{list(self._rig.camera.shape)}; set its format again, and check its cable"
             )
         return frame
 

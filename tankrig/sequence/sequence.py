@@ -99,10 +99,9 @@ class Sequence:
         """What the tank holds when it is done."""
         return max((task.action.total_ul for task in self.tasks if isinstance(task.action, Dose)), default=0.0)
 
-    def camera_settings(self, capture: Capture | Mix) -> CameraSettings:
+    def camera_settings(self, step: Capture | Mix) -> CameraSettings:
         """For one step."""
-        exposure_ms = getattr(capture, "exposure_ms", None) or self.exposure_ms
-        return CameraSettings(exposure_ms, getattr(capture, "gain", None) or self.gain)
+        return CameraSettings(step.exposure_ms or self.exposure_ms, step.gain or self.gain)
 
     def drawn(self, wall: Wall) -> dict[str, Pattern]:
         """The patterns that its steps use, by name, for the projector that lights `wall`.

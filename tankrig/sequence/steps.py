@@ -43,6 +43,8 @@ class Mix:
         Look for this long at least: ink that has not reached the light yet changes nothing.
     timeout_s
         Give up after this time.
+    exposure_ms, gain
+        Where they differ from the sequence's.
     """
 
     __pydantic_config__ = CLOSED
@@ -51,6 +53,8 @@ class Mix:
     every_s: float = 0.25
     at_least_s: float = 3.0
     timeout_s: float = 300.0
+    exposure_ms: float | None = None
+    gain: float | None = None
     do: Literal["mix"] = "mix"
 
     def __post_init__(self) -> None:
@@ -61,6 +65,7 @@ class Mix:
             f"at_least_s = {self.at_least_s}, timeout_s = {self.timeout_s} leaves no time to look; "
             f"give a timeout that is longer",
         )
+        _require_positive(self)
 
 
 @dataclass(frozen=True)
@@ -86,9 +91,13 @@ class Capture:
 
     def __post_init__(self) -> None:
         _require(self.frames >= 1, f"frames = {self.frames} records nothing; give 1 or more")
-        for name in ("exposure_ms", "gain"):
-            value = getattr(self, name)
-            _require(value is None or value > 0.0, f"{name} = {value} is not positive; give a positive number")
+        _require_positive(self)
+
+
+def _require_positive(step: Mix | Capture) -> None:
+    for name in ("exposure_ms", "gain"):
+        value = getattr(step, name)
+        _require(value is None or value > 0.0, f"{name} = {value} is not positive; give a positive number")
 
 
 @dataclass(frozen=True)
