@@ -1,0 +1,63 @@
+"""The contract suites on the devices of the rig file that TANKRIG_RIG names: `pytest -m hardware`.
+
+The doser's moves real ink, some 2000 increments in all; the projector flickers.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.registry import open_device
+from drivers.rig import load_rig_file
+from tankrig.devices import Camera, Doser, Projector
+
+from .contracts.camera import CameraContract
+from .contracts.doser import DoserContract
+from .contracts.projector import ProjectorContract
+
+pytestmark = [
+    pytest.mark.hardware,
+    pytest.mark.skipif("TANKRIG_RIG" not in os.environ, reason="name a rig file in TANKRIG_RIG"),
+]
+
+
+@pytest.fixture
+def reopen(request: pytest.FixtureRequest) -> Iterator[Callable[[], Any]]:
+    """Opens the device that the test class is about."""
+    settings = dict(getattr(load_rig_file(Path(os.environ["TANKRIG_RIG"])), request.cls.device))
+    driver, opened = settings.pop("driver"), []
+
+    def open_again() -> Any:
+        opened.append(open_device(driver, settings))
+        return opened[-1]
+
+    yield open_again
+    for device in opened:
+        device.close()
+
+
+class TestProjectorOfTheRig(ProjectorContract):
+    device = "projector"
+
+    @pytest.fixture
+    def projector(self, reopen: Callable[[], Projector]) -> Projector:
+        return reopen()
+
+
+class TestCameraOfTheRig(CameraContract):
+    device = "camera"
+
+    @pytest.fixture
+    def camera(self, reopen: Callable[[], Camera]) -> Camera:
+        return reopen()
+
+
+class TestDoserOfTheRig(DoserContract):
+    device = "doser"
+
+    @pytest.fixture
+    def doser(self, reopen: Callable[[], Doser]) -> Doser:
+        return reopen()
