@@ -18,6 +18,10 @@ from tankrig.figures.paper import Observed, collimated_cases, fitted, observed, 
 from tankrig.scene.phase import phase_function
 
 ROOT = Path(__file__).parents[2]
+HEADINGS = (
+    *("case", "σt /mm", "g", "error of σa", "of σs", "of g", "each in sd", "RMSE/noise", "s"),
+    *("σs by order 1", "σt by it"),
+)
 
 
 def main() -> None:
@@ -32,7 +36,7 @@ def main() -> None:
     arguments = parser.parse_args()
     console = Console(width=150)
     estimates = Table(title="Estimates from reference images", box=None)
-    for heading in "case|σt /mm|g|error of σa|of σs|of g|each in sd|RMSE/noise|s|σs by order 1|σt by it".split("|"):
+    for heading in HEADINGS:
         estimates.add_column(heading, justify="right")
     fits: dict[str, tuple[Observed, Estimate]] = {}
     for case in collimated_cases(arguments.cases):
