@@ -3,17 +3,26 @@
 import struct
 import threading
 import time
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drivers.registry import open_device
+from drivers.rig_doser.emulator.faults import Faults as DoserFaults
 from drivers.simulated.camera import SimulatedCamera
 from drivers.simulated.light import frame_buffer
 from drivers.simulated.projector import SimulatedProjector
 from drivers.simulated.sensor import counts, gain_and_offset
-from drivers.simulated.settings import CameraFaults, ProjectorFaults, Sensor, SimulatedCameraSettings, Truth
+from drivers.simulated.settings import (
+    CameraFaults,
+    ProjectorFaults,
+    Sensor,
+    SimulatedCameraSettings,
+    SimulatedProjectorSettings,
+    Truth,
+)
 from drivers.simulated.tank import SimulatedTank
 from tankrig.bench import Bench
 from tankrig.devices import CameraSettings
@@ -339,3 +348,10 @@ def test_patterns_are_shown_by_what_they_are_not_by_their_name(rig) -> None:
     impostor = Pattern("dark", np.full(BENCH.wall.shape, 255, np.uint8))
     _, offset = gain_and_offset(DIM, camera.configure(CameraSettings(500.0)))
     assert camera.capture(projector.show(impostor).bound_ns, 5.0).pixels.mean() > 2 * offset
+
+
+def test_all_faults_and_settings_are_in_the_documentation() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "simulated_rig.md").read_text()
+    models = (CameraFaults, ProjectorFaults, SimulatedCameraSettings, SimulatedProjectorSettings, Sensor, Truth)
+    named = {name for model in models for name in model.model_fields} | {field.name for field in fields(DoserFaults)}
+    assert [name for name in sorted(named - {"truth", "sensor"}) if f"`{name}`" not in page] == []
