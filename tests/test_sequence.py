@@ -38,6 +38,14 @@ def test_the_example_loads_draws_and_keeps_its_budget():
     assert len(plan.steps) == len(sequence.tasks)
 
 
+def test_the_documentation_shows_one_sequence_twice(tmp_path):
+    page = (EXAMPLE.parents[1] / "sequences.md").read_text()
+    ((toml,), (code,)) = (re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL) for language in ("toml", "python"))
+    names: dict[str, object] = {}
+    exec(code, names)
+    assert load_sequence(written(tmp_path, toml)) == names["sequence"]
+
+
 def test_a_file_and_python_make_the_same_sequence(tmp_path):
     file = written(
         tmp_path,
