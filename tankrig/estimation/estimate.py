@@ -8,11 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tankrig.errors import ImageError
+from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.fitting import Problem, first_guess, polish, search
 from tankrig.estimation.forward import slopes_of
 from tankrig.estimation.models import COARSE, Model, Models, models_of, stated_error
 from tankrig.estimation.observation import Observation, observe, structure
+from tankrig.estimation.parameters import at_edge
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.uncertainty import covariance, identifiable
 from tankrig.estimation.verdict import what_is_determined, what_is_left, what_was_left_out
@@ -138,8 +139,10 @@ def estimate(
     ImageError
         When the image cannot be an observation of the scene, in one sentence.
     SceneError
-        When the model is unknown or cannot treat the scene.
+        When the scene is dark, or the model is unknown or cannot treat it.
     """
+    if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):
+        raise SceneError(f"{scene.source or 'the scene'}: no beam has any irradiance; give the light that was on")
     scaling = Scaling(_known("gain", gain), _known("offset", offset))
     observation = observe(image, scene.camera.shape, noise, mask)
     return fit_models(observation, scene, scaling, models_of(scene, model, max_order), progress or _silently)
@@ -180,11 +183,8 @@ def fit_models(
     gain, offset = problem_of(forward, slope, rough * brightness).scale(start.image)
     observation = observation.with_noise_of(observation.image - gain * start.image - offset)
     error = min(COARSE, stated_error(start)) * abs(gain) * np.abs(start.image)
-    ends = []
-    for medium in found:
-        problem = problem_of(forward, slope, error)
-        ends.append((problem, *polish(problem, medium, length_mm)))
-    problem, medium, _ = min(ends, key=lambda end: end[2])
+    problem = problem_of(forward, slope, error)
+    medium, _ = min((polish(problem, one, length_mm) for one in found), key=lambda end: end[1])
     progress("finding the errors")
     return _described(problem, medium, scene, forward(medium))
 
@@ -213,10 +213,11 @@ def _described(problem: Problem, medium: Medium, scene: Scene, prediction: Predi
         problem.sensitivity(medium), medium, noisier * observation.noise, counted * gain * np.abs(prediction.image),
         scene.camera.pixel_mm, length_mm,
     )  # fmt: skip
-    known = identifiable(medium, spread)
+    edges = at_edge(medium, length_mm)
+    known = {name: yes and name not in edges for name, yes in identifiable(medium, spread).items()}
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
     sentences = [
-        what_is_determined(medium, spread, known, length_mm),
+        what_is_determined(medium, spread, known, edges),
         what_is_left(unexplained, stated, noisier if observation.noise_known else 1.0),
         what_was_left_out(observation.saturated, left_out, prediction.model),
     ]

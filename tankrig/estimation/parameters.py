@@ -16,6 +16,8 @@ MEAN_FREE_PATHS = (1e-3, 100.0)
 """Range of σs, in scatterings along the tank's longest side, that a fit searches."""
 ALBEDO = (0.01, 1.0 - 1e-6)
 ASYMMETRY = (-0.95, 0.98)
+NEAR_EDGE = np.array([0.01, 0.1, 0.001])
+"""Distance from the edge of the range, in log σs, logit ϖ and atanh g, that counts as at it."""
 
 
 def to_coordinates(medium: Medium) -> Vector:
@@ -55,3 +57,19 @@ def search_box(length_mm: float) -> tuple[Vector, Vector]:
         for k in (0, 1)
     ]
     return np.array(edges[0]), np.array(edges[1])
+
+
+def at_edge(medium: Medium, length_mm: float) -> tuple[str, ...]:
+    """Coefficients that a fit left at the edge of its range, where no optimum is: "sigma_a", "sigma_s", "g".
+
+    Examples
+    --------
+    >>> at_edge(Medium(0.001, 0.02, 0.98), 240.0), at_edge(Medium(0.0, 0.02, 0.5), 240.0)
+    (('g',), ('sigma_a',))
+    """
+    low, high = search_box(length_mm)
+    if medium.sigma_a == 0.0:
+        return ("sigma_a",)
+    at = to_coordinates(medium)
+    near = (at <= low + NEAR_EDGE) | (at >= high - NEAR_EDGE)
+    return tuple(name for name, edge in (("sigma_a", near[1]), ("sigma_s", near[0]), ("g", near[2])) if edge)

@@ -1,23 +1,25 @@
 """What a person should know about a fit, in plain sentences."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.parameters import NAMES, search_box, to_coordinates
+from tankrig.estimation.parameters import NAMES
 from tankrig.estimation.uncertainty import DETERMINED, extinction, reduced_scattering
 from tankrig.scene import Medium
 
 SYMBOLS = {"sigma_a": "σa", "sigma_s": "σs", "g": "g"}
 
 
-def what_is_determined(medium: Medium, spread: NDArray[np.float64], known: Mapping[str, bool], length_mm: float) -> str:
+def what_is_determined(
+    medium: Medium, spread: NDArray[np.float64], known: Mapping[str, bool], edges: Sequence[str]
+) -> str:
     """One or two sentences: which coefficients the data determine and, where not all, which combination they do."""
     yes = [SYMBOLS[name] for name in NAMES if known[name]]
     no = [SYMBOLS[name] for name in NAMES if not known[name]]
-    edge = _at_edge(medium, length_mm)
+    edge = _at_edges(medium, edges)
     if not no:
         return f"σa, σs and g are all determined.{edge}"
     text = f"{_listed(yes)} {'is' if len(yes) == 1 else 'are'} determined, {_listed(no)} not" if yes else (
@@ -84,16 +86,14 @@ def what_was_left_out(saturated: int, share_left_out: float, model: str) -> str:
     return " ".join(sentences)
 
 
-def _at_edge(medium: Medium, length_mm: float) -> str:
-    low, high = search_box(length_mm)
-    at = to_coordinates(medium)
+def _at_edges(medium: Medium, edges: Sequence[str]) -> str:
     sentences = []
-    if at[1] >= high[1] - 0.5:
-        sentences.append(" σa is not distinguishable from zero.")
-    if at[1] <= low[1] + 0.01 or at[0] <= low[0] + 0.01 or at[0] >= high[0] - 0.01:
-        sentences.append(" The fit ended at the edge of the range of σs or albedo that it searches: don't trust it.")
-    if not low[2] + 1e-3 < at[2] < high[2] - 1e-3:
-        sentences.append(f" g ended at the edge of the range searched, {medium.g:.2f}: don't trust it.")
+    for name in edges:
+        if name == "sigma_a" and medium.albedo > 0.5:
+            sentences.append(" σa is not distinguishable from zero.")
+        else:
+            value = f"{getattr(medium, name):.3g}"
+            sentences.append(f" {SYMBOLS[name]} ended at the edge of the range searched, {value}: don't trust it.")
     return "".join(sentences)
 
 
