@@ -2,11 +2,14 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import tankrig
+from drivers.registry import open_device
+from drivers.rig_doser.emulator.memory import read_truth
 from tankrig.devices import Frame
 from tankrig.run.folder import create_run
 from tankrig.run.start import new_run
@@ -84,24 +87,26 @@ def test_a_step_costs_little_beyond_what_its_devices_take(tmp_path, capsys):
 
 
 @pytest.mark.long
-def test_an_abort_reaches_the_doser_at_once(tmp_path, capsys):
-    """From the call to the doser's stop, in the middle of a dose; the wire comes on top."""
+def test_an_abort_stops_the_motor_at_once(tmp_path, capsys):
+    """From the call, in mid-dose, to the last step of the simulated doser's plunger, over its serial line."""
     waits_ms = []
-    for number in range(20):
+    for number in range(10):
         folder = tmp_path / str(number)
         folder.mkdir()
-        rig = memory_rig(folder, ul_per_s=500.0)
-        stopped = []
-        real = rig.doser.stop
-        rig.doser.stop = lambda real=real, stopped=stopped: (stopped.append(time.perf_counter()), real())
-        runner = new_run(Sequence("dose", (Dose(400.0),)), rig, folder / "run")
+        doser = open_device("simulated-doser", {"folder": str(folder / "doser"), "steps_per_ul": 10.0})
+        runner = new_run(Sequence("dose", (Dose(400.0),)), replace(memory_rig(folder), doser=doser), folder / "run")
         thread = threading.Thread(target=runner.run)
         thread.start()
-        assert rig.doser.moving.wait(10)
-        called = time.perf_counter()
+        while doser.true_ul() < 10.0 + 5.0 * number:
+            time.sleep(0.001)
+        called_ns = time.monotonic_ns()
         runner.abort()
-        thread.join(10)
-        waits_ms.append(1e3 * (stopped[0] - called))
+        thread.join(20)
+        truth = read_truth(folder / "doser" / "state")
+        assert truth.steps < 4000
+        waits_ms.append((truth.moved_ns - called_ns) / 1e6)
     with capsys.disabled():
-        print(f"\nabort to the doser's stop: median {np.median(waits_ms):.3f} ms, worst {max(waits_ms):.3f} ms of 20")
+        print(
+            f"\nabort to the motor's last step: median {np.median(waits_ms):.1f} ms, worst {max(waits_ms):.1f} ms of 10"
+        )
     assert max(waits_ms) < 20.0
