@@ -72,8 +72,8 @@ class Joint:
 
     Parameters
     ----------
-    forwards, differentiable
-        A model of each image, and one of the same that is differentiated (it may be cheaper).
+    forwards, slopes
+        A model of each image, and its derivatives (of a cheaper one, perhaps), see `slopes_of`.
     observations
         What to explain.
     errors
@@ -87,7 +87,7 @@ class Joint:
     """
 
     forwards: Sequence[Forward]
-    differentiable: Sequence[Forward]
+    slopes: Sequence[Forward]
     observations: Sequence[Observation]
     errors: Sequence[Image]
     doses: Doses
@@ -99,7 +99,7 @@ class Joint:
         return replace(
             self,
             forwards=[self.forwards[k] for k in few],
-            differentiable=[self.differentiable[k] for k in few],
+            slopes=[self.slopes[k] for k in few],
             observations=[self.observations[k] for k in few],
             errors=[self.errors[k] for k in few],
             doses=self.doses.of(few),
@@ -191,7 +191,7 @@ class Joint:
         """
         pixels = self._pixels(mixture) if pixels is None else pixels
         gain, _ = self._scale(pixels)
-        slopes = _all([_slopes(one, self.length_mm) for one in self.differentiable], self.media(mixture))
+        slopes = _all(self.slopes, self.media(mixture))
         parts, ink, doses = [], mixture.ink, self.doses
         for slope, seen, weight, group in zip(slopes, self.observations, self.weights, doses.of_image, strict=True):
             chain = np.zeros((INK + doses.ml.size, 3))
@@ -257,19 +257,26 @@ def _all(forwards: Sequence[Forward], media: Sequence[Medium]) -> list[Image]:
         return list(pool.map(lambda forward, medium: forward(medium), forwards, media))
 
 
-def _slopes(forward: Forward, length_mm: float) -> Forward:
-    """Derivatives by σa, σs, g, (3, rows, columns), by differences of first order: at several doses they suffice."""
+def slopes_of(forward: Forward, length_mm: float) -> Forward:
+    """Derivatives by σa, σs, g, (3, rows, columns), by differences of first order: at several doses they suffice.
+
+    Within a step of where they were computed last, those are given again: there they are as good as new ones.
+    """
+    last: list[tuple[Medium, Image]] = []
 
     def slopes(medium: Medium) -> Image:
-        image = forward(medium)
         steps = (
-            max(STEP * medium.sigma_a, STEP / length_mm), STEP * medium.sigma_s,
+            STEP * (medium.sigma_a + 1.0 / length_mm),
+            STEP * medium.sigma_s,
             STEP * (1.0 - medium.g) * (1.0 + medium.g),
-        )  # fmt: skip
-        near = [
-            forward(replace(medium, **{name: getattr(medium, name) + step}))
-            for name, step in zip(NAMES, steps, strict=True)
-        ]
-        return np.stack([(one - image) / step for one, step in zip(near, steps, strict=True)])
+        )
+        named = list(zip(NAMES, steps, strict=True))
+        if not last or any(abs(getattr(last[0][0], name) - getattr(medium, name)) > step for name, step in named):
+            image = forward(medium)
+            near = [forward(replace(medium, **{name: getattr(medium, name) + step})) for name, step in named]
+            last[:] = [
+                (medium, np.stack([(one - image) / step for one, step in zip(near, steps, strict=True)])),
+            ]
+        return last[0][1]
 
     return slopes

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
 from tankrig.estimation.estimate import Free
-from tankrig.estimation.joint import INK, Array, Doses, Image, Joint, Mixture
+from tankrig.estimation.joint import INK, Array, Doses, Image, Joint, Mixture, slopes_of
 from tankrig.estimation.observation import Observation, structure
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.search import Optimum, minimise
@@ -34,7 +34,8 @@ COARSE_ERROR = 0.05
 START_MEAN_FREE_PATHS = (0.6, 1.5, 4.0, 10.0)
 """Scatterings along the tank at the highest dose, of the mixtures looked at first."""
 START_ASYMMETRY = (0.0, 0.5, 0.85)
-COARSE_ENOUGH, FINE_ENOUGH = 5.0, 0.02
+COARSE_ENOUGH, FINE_ENOUGH = 20.0, 0.1
+MOST_STEPS = 12
 RIVAL = 2.0
 """The best start with another g is followed too where its cost is less than this times the best's."""
 MOST_CORRECTIONS = 2
@@ -201,7 +202,8 @@ def fit_series(
     models = _models(scenes, model_of, COARSE_BATCHES, 0)
     quick = [_image_of(model) for model in models]
     errors = [COARSE_ERROR * _above_ambient(seen, scaling) for seen in observations]
-    joint = Joint(quick, quick, observations, errors, doses, scaling, length_mm)
+    slopes = [slopes_of(forward, length_mm) for forward in quick]
+    joint = Joint(quick, slopes, observations, errors, doses, scaling, length_mm)
     at = joint.coordinates(start) if start else _from_afar(joint, progress)
     progress("fitting all images")
     at = _minimise(joint, at, COARSE_ENOUGH).coordinates
@@ -270,7 +272,8 @@ def _from_afar(joint: Joint, progress: Callable[[str], None]) -> Array:
 
 
 def _minimise(joint: Joint, at: Array, enough: float) -> Optimum:
-    return minimise(joint.residual, joint.residual_and_jacobian, at, joint.box, enough, longest_step=joint.longest_step)
+    whole, longest = joint.residual_and_jacobian, joint.longest_step
+    return minimise(joint.residual, whole, at, joint.box, enough, MOST_STEPS, longest)
 
 
 def _corrected(

@@ -79,6 +79,7 @@ def _rig(path: Path) -> "RigFile":
 def _sequence(doses: int) -> "Sequence":
     from tankrig.pattern.kinds import AnyKind, Rays, Sheet, Stripes
     from tankrig.sequence import Capture, Mix, Sequence, Series
+    from tankrig.sequence.steps import Step
 
     patterns: dict[str, AnyKind] = {
         "sheet": Sheet((-60.0, 60.0), LIGHT_MM),
@@ -86,7 +87,7 @@ def _sequence(doses: int) -> "Sequence":
         "beams": Rays((-40.0, 0.0, 40.0), LIGHT_MM),
     }
     captures = [Capture(name, 4) for name in patterns]
-    steps = (Mix("sheet", every_s=0.1, at_least_s=2.0), Capture("dark", 2), *captures)
+    steps: tuple[Step, ...] = (Mix("sheet", tolerance=0.003, every_s=0.1, at_least_s=2.0), Capture("dark", 2), *captures)
     return Sequence("demo", (Series(DOSES_UL[:doses], steps),), patterns, exposure_ms=20.0)
 
 

@@ -1,0 +1,187 @@
+"""The live fit: newest first, never in the run's way, and gone when the program that started it is."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from tankrig.bench import Bench
+from tankrig.estimation.series import SeriesEstimate
+from tankrig.light.tank import tank_image
+from tankrig.live import worker
+from tankrig.live.exposures import Exposures, Photograph, Plan
+from tankrig.live.live_fit import LiveFit
+from tankrig.pattern import Pattern
+from tankrig.pattern.kinds import Sheet
+from tankrig.pattern.wall import Wall
+from tankrig.run.journal import Event, Moment
+from tankrig.scene.description import Camera, Medium, Tank
+from tankrig.sequence import Capture, Sequence, Series
+
+BENCH = Bench(
+    Tank(), Wall((30, 40), (-80.0, 80.0), (0.0, 120.0)), "collimated", Camera("orthographic", (40, 60), pixel_mm=4.0)
+)
+SEQUENCE = Sequence(
+    "two doses",
+    (Series((100.0, 200.0), (Capture("dark", 2), Capture("sheet", 3))),),
+    {"sheet": Sheet((-40.0, 40.0), (56.0, 64.0))},
+    exposure_ms=10.0,
+)
+PATTERNS = SEQUENCE.drawn(BENCH.wall)
+INK = Medium(0.004, 0.08, 0.6)
+
+
+def plan() -> Plan:
+    return Plan.of(BENCH, SEQUENCE, list(PATTERNS.values()))
+
+
+def event(kind: str, **fields: object) -> Event:
+    return Event(0, kind, Moment.now(), fields)
+
+
+def dosed(volume_ul: float) -> Event:
+    return event(
+        "dose_done", delivered_ul=volume_ul, delivered_low_ul=volume_ul - 1, delivered_high_ul=volume_ul + 1
+    )  # fmt: skip
+
+
+def frame(pattern: Pattern, step: int) -> Event:
+    return event("frame", pattern_hash=pattern.hash, step=step)
+
+
+def photographed(dose_ml: float, seed: int) -> np.ndarray:
+    scene = BENCH.scene(PATTERNS["sheet"], Medium(INK.sigma_a * dose_ml, INK.sigma_s * dose_ml, INK.g))
+    radiance = sum(tank_image(scene, seed=5, batches=4).orders.values())
+    counts = 100.0 + 20_000.0 * radiance / radiance.max()
+    return np.random.default_rng(seed).poisson(counts).astype(np.uint16)
+
+
+def shared_names() -> set[str]:
+    return {path.name for path in Path("/dev/shm").glob("psm_*")}
+
+
+def test_photographs_are_the_mean_less_the_dark_with_the_noise_that_frames_differ_by() -> None:
+    """A wrong noise would make every error bar wrong, and a dark that stays in looks like scattered light."""
+    exposures = Exposures(plan())
+    rng = np.random.default_rng(0)
+    exposures.take(dosed(100.0), None)
+    for _ in range(2):
+        exposures.take(frame(PATTERNS["dark"], 1), rng.normal(100.0, 3.0, (40, 60)).round().astype(np.uint16))
+    light = np.linspace(50.0, 5000.0, 2400).reshape(40, 60)
+    for _ in range(8):
+        assert exposures.take(frame(PATTERNS["sheet"], 2), rng.poisson(100.0 + light).astype(np.uint16))
+    (one,) = exposures.photographs()
+    assert (one.pattern, one.dose_ml, one.frames, one.offset) == ("sheet", 0.1, 8, 0.0)
+    assert one.dose_sd_ml == pytest.approx(0.002 / np.sqrt(12.0))
+    off = (one.image - light / 10.0) / one.noise
+    assert off.std() == pytest.approx(1.0, abs=0.15)
+    exposures.take(dosed(200.0), None)
+    assert exposures.photographs(1) == []
+    assert exposures.dose_ml == 0.2
+
+
+def test_the_newest_dose_is_fitted_first_and_the_series_only_over_doses_that_are_over(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fit that falls behind must catch up with what a person is looking at, not work off old frames."""
+    asked: list[tuple[str, object]] = []
+
+    def fit_dose(photographs: list[Photograph], _start: Medium | None) -> tuple[dict[str, object], object]:
+        asked.append(("dose", photographs[0].dose_ml))
+        return {"fit": "dose"}, type("Found", (), {"ink": INK})
+
+    def fit_all(photographs: list[Photograph], _start: object) -> tuple[dict[str, object], SeriesEstimate | None]:
+        asked.append(("series", tuple(one.dose_ml for one in photographs)))
+        return {"fit": "series"}, None
+
+    monkeypatch.setattr(worker, "fit_dose", fit_dose)
+    monkeypatch.setattr(worker, "fit_all", fit_all)
+    exposures, fitter = Exposures(plan()), worker.Fitter()
+    pixels = np.full((40, 60), 500, np.uint16)
+    for volume_ul in (100.0, 200.0):
+        exposures.take(dosed(volume_ul), None)
+        exposures.take(frame(PATTERNS["sheet"], 2), pixels)
+    while fitter.next(exposures, last=False):
+        pass
+    assert asked == [("dose", 0.2), ("dose", 0.1)]
+    while fitter.next(exposures, last=True):
+        pass
+    assert asked[2:] == [("series", (0.1, 0.2))]
+
+
+def test_frames_become_coefficients_in_another_process_that_ends_and_leaves_nothing() -> None:
+    """The whole way: shared memory, spawned process, results, an orderly end."""
+    before = shared_names()
+    results: list[dict[str, object]] = []
+    with LiveFit(plan(), results.append) as fit:
+        assert fit.pid is not None
+        process = psutil.Process(fit.pid)
+        fit.see(dosed(100.0), None)
+        for _ in range(2):
+            fit.see(frame(PATTERNS["dark"], 1), np.full((40, 60), 100, np.uint16))
+        for seed in range(3):
+            fit.see(frame(PATTERNS["sheet"], 2), photographed(0.1, seed))
+        fit.see(event("step", state="done", step=len(SEQUENCE.tasks) - 1), None)
+        assert fit.finish(timeout_s=200.0)
+        assert process.is_running() is False or process.status() == psutil.STATUS_ZOMBIE or process.wait(5) == 0
+    assert results[-1]["fit"] == "dose"
+    assert results[-1]["frames"] == 3
+    assert results[-1]["sigma_s"] == pytest.approx(0.1 * INK.sigma_s, rel=0.1)
+    assert results[-1]["g"] == pytest.approx(INK.g, abs=0.1)
+    assert shared_names() <= before
+
+
+def test_a_fit_that_is_busy_never_holds_the_run_up() -> None:
+    """The announcer's thread calls `see`; a stuck fit must cost a preview, not the run."""
+    with LiveFit(plan(), lambda _: None) as fit:
+        with fit._lock:  # as a worker that was stopped in the middle of a copy would hold it
+            began = time.monotonic()
+            thread = threading.Thread(target=fit.see, args=(frame(PATTERNS["sheet"], 2), photographed(0.1, 0)))
+            thread.start()
+            thread.join(5.0)
+        assert not thread.is_alive()
+        assert time.monotonic() - began < 5.0
+        assert fit._exposures.frames == 0
+
+
+PARENT = """
+import sys, time
+from tests_live_plan import plan
+from tankrig.live.live_fit import LiveFit
+if __name__ == "__main__":
+    fit = LiveFit(plan(), lambda _: None)
+    print(fit.pid, fit._memory.name, flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_killed_program_takes_the_fit_and_its_memory_along(tmp_path: Path) -> None:
+    """A fit that outlived its program would eat a core, and the shared memory would stay until the next boot."""
+    source = Path(__file__).read_text(encoding="utf-8")
+    (tmp_path / "tests_live_plan.py").write_text(source, encoding="utf-8")
+    (tmp_path / "parent.py").write_text(PARENT, encoding="utf-8")
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "parent.py")], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    pid, name = parent.stdout.readline().split()
+    child = psutil.Process(int(pid))
+    deadline = time.monotonic() + 60.0
+    while child.nice() == psutil.Process().nice() and time.monotonic() < deadline:
+        time.sleep(0.05)  # until it works: it makes itself nice first
+    time.sleep(0.5)
+    assert Path("/dev/shm", name).exists()
+    os.kill(parent.pid, signal.SIGKILL)
+    parent.wait(10)
+    parent.stdout.close()
+    psutil.wait_procs([child], timeout=5.0)
+    assert not child.is_running() or child.status() == psutil.STATUS_ZOMBIE
+    deadline = time.monotonic() + 5.0
+    while Path("/dev/shm", name).exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not Path("/dev/shm", name).exists()
