@@ -81,11 +81,11 @@ def test_lengths_scale():
 def test_beams_add_and_mirror():
     """A pattern of several beams, or one beside the middle, would be predicted wrongly."""
     scene = dense_scene()
-    whole = diffuse_image(scene)
-    apart = [diffuse_image(replace(scene, projector=Projector("collimated", (b,)))) for b in scene.projector.beams]
+    whole = diffuse_image(scene, 2.0)
+    apart = [diffuse_image(replace(scene, projector=Projector("collimated", (b,))), 2.0) for b in scene.projector.beams]
     np.testing.assert_allclose(sum(apart), whole, rtol=1e-6, atol=1e-7 * whole.max())
     mirrored = tuple(replace(b, y_mm=(-b.y_mm[1], -b.y_mm[0])) for b in scene.projector.beams)
-    turned = diffuse_image(replace(scene, projector=Projector("collimated", mirrored)))
+    turned = diffuse_image(replace(scene, projector=Projector("collimated", mirrored)), 2.0)
     np.testing.assert_allclose(turned, whole[::-1], rtol=1e-6, atol=1e-9 * whole.max())
 
 
@@ -97,16 +97,16 @@ def test_far_pinholes_are_parallel():
         projector=Projector("pinhole", scene.projector.beams, (-1e6, 0.0, 30.0)),
         camera=Camera("pinhole", (40, 60), 2.0, (60.0, 0.0, 1e6)),
     )
-    image = diffuse_image(scene)
-    assert np.linalg.norm(diffuse_image(far) - image) < 1e-3 * np.linalg.norm(image)
+    image = diffuse_image(scene, 2.0)
+    assert np.linalg.norm(diffuse_image(far, 2.0) - image) < 1e-3 * np.linalg.norm(image)
 
 
 def test_a_surface_keeps_light_in():
     """The water's surface would not reflect: below it light is brighter, above it the image darker."""
     matched, fresnel = dense_scene(), dense_scene(tank=Tank((120.0, 80.0, 60.0), "fresnel"))
-    below = [diffuse_light(scene)[2][0].max() for scene in (matched, fresnel)]
+    below = [diffuse_light(scene, 3.0)[2][0].max() for scene in (matched, fresnel)]
     assert below[1] > below[0]
-    assert diffuse_image(fresnel).sum() < diffuse_image(matched).sum()
+    assert diffuse_image(fresnel, 3.0).sum() < diffuse_image(matched, 3.0).sum()
 
 
 @pytest.mark.parametrize("sigma_t", [1e-6, 0.05, 10.0])

@@ -177,3 +177,22 @@ def test_what_the_model_cannot_treat_is_refused(changes, message):
     with pytest.raises(SceneError, match=message) as refusal:
         lightfield_orders(small_scene(**changes))
     assert 'model = "tank"' in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "medium",
+    [
+        Medium(1e-9, 1e-6, 0.5),
+        Medium(0.05e-9, 0.05, -0.5),
+        Medium(0.05e-9, 0.05, 1e-8),
+        Medium(0.01, 0.04, 0.9),
+        Medium(0.25, 0.25, 0.0),
+        Medium(0.0, 0.0, 0.0),
+    ],
+)
+def test_extreme_media_stay_finite(medium):
+    """A fit that strays would stop at NaN or a negative image."""
+    image = np.sum(list(lightfield_orders(small_scene(medium=medium), tolerance=0.1).values()), axis=0)
+    assert np.isfinite(image).all()
+    assert image.min() >= 0.0
+    assert (image.max() > 0.0) == (medium.sigma_s > 0.0)
