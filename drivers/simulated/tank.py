@@ -19,7 +19,7 @@ from .settings import Truth
 
 Image = NDArray[np.float64]
 
-_IMAGES_KEPT = 64
+_IMAGES_KEPT = 16
 
 
 class Radiance(NamedTuple):
@@ -79,12 +79,12 @@ class SimulatedTank:
     @property
     def ink_ml(self) -> float:
         """Ink that is in the tank."""
-        return self._plunger().steps / self.truth.steps_per_ul / 1000.0
+        return self._ml(self._plunger())
 
     @property
     def medium(self) -> Medium:
         """What is in the tank once all ink has spread."""
-        return mixture(self.truth.water, self.truth.ink, self.ink_ml)
+        return self._medium(self._plunger())
 
     def radiance(self, pattern: Pattern, medium: Medium) -> Radiance:
         """What leaves towards the camera when all is `medium`; computed once, and not to be changed."""
@@ -97,7 +97,8 @@ class SimulatedTank:
 
     def seen(self, shown: Mapping[Pattern, float], now_ns: int) -> Image:
         """(rows, columns) mean radiance, W/mm²/sr, when patterns are `shown` for parts of the time, by `now_ns`."""
-        plunger, medium = self._plunger(), self.medium
+        plunger = self._plunger()
+        medium = self._medium(plunger)
         image = np.zeros(self.truth.bench.camera.shape)
         for pattern, part in shown.items():
             image += part * self.radiance(pattern, medium).image
@@ -111,6 +112,12 @@ class SimulatedTank:
         scene = truth.bench.scene(pattern, medium)
         tally = simulate_to(scene, truth.tolerance, seed=self._seed, coarsen=truth.coarsen)
         return Radiance(tally.image, tally.stderr)
+
+    def _ml(self, plunger: Plunger) -> float:
+        return plunger.steps / self.truth.steps_per_ul / 1000.0
+
+    def _medium(self, plunger: Plunger) -> Medium:
+        return mixture(self.truth.water, self.truth.ink, self._ml(plunger))
 
     def _plunger(self) -> Plunger:
         try:
