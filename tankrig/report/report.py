@@ -107,12 +107,14 @@ def _headline(results: Results) -> list[dict[str, str]]:
     if series is None:
         return []
     ink, sd = series["ink"], series["sd"]
-    return [
-        {"value": with_error(ink["sigma_s"], sd[1]), "name": "ink σs, 1/mm per ml"},
-        {"value": with_error(ink["g"], sd[2]), "name": "ink g"},
-        {"value": with_error(ink["sigma_a"], sd[0]), "name": "ink σa, 1/mm per ml"},
-        {"value": with_error(series["water_sigma_a"], sd[3]), "name": "water σa, 1/mm"},
+    numbers = [
+        (ink["sigma_s"], sd[1], "ink σs, 1/mm per ml"),
+        (ink["g"], sd[2], "ink g"),
+        (ink["sigma_a"], sd[0], "ink σa, 1/mm per ml"),
+        (series["water_sigma_a"], sd[3], "water σa, 1/mm"),
     ]
+    parts = [(*with_error(value, error).split(" ± "), name) for value, error, name in numbers]
+    return [{"value": value, "error": error, "name": name} for value, error, name in parts]
 
 
 def with_error(value: float, sd: float) -> str:
@@ -122,7 +124,7 @@ def with_error(value: float, sd: float) -> str:
     '0.01235 ± 0.00012'
     """
     if not sd > 0.0:
-        return f"{value:.4g}"
+        return f"{value:.4g} ± 0"
     digits = min(8, max(0, 1 - int(np.floor(np.log10(sd)))))
     return f"{value:.{digits}f} ± {sd:.{digits}f}"
 

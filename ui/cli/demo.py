@@ -72,7 +72,7 @@ def _rig(path: Path) -> "RigFile":
 
     rig = simulated_rig(path.with_name(f"{path.name}.rig"))
     bench = replace(rig.bench, light="collimated", light_position_mm=None)
-    truth = {"bench": asdict(bench), "water": WATER, "ink": INK, "mixing_s": MIXING_S, "coarsen": 2}
+    truth = {"bench": asdict(bench), "water": WATER, "ink": INK, "mixing_s": MIXING_S}
     return replace(rig, bench=bench, camera={**rig.camera, "truth": truth})
 
 
@@ -87,7 +87,11 @@ def _sequence(doses: int) -> "Sequence":
         "beams": Rays((-40.0, 0.0, 40.0), LIGHT_MM),
     }
     captures = [Capture(name, 4) for name in patterns]
-    steps: tuple[Step, ...] = (Mix("sheet", tolerance=0.003, every_s=0.1, at_least_s=2.0), Capture("dark", 2), *captures)
+    steps: tuple[Step, ...] = (
+        Mix("sheet", tolerance=0.003, every_s=0.1, at_least_s=2.0),
+        Capture("dark", 2),
+        *captures,
+    )
     return Sequence("demo", (Series(DOSES_UL[:doses], steps),), patterns, exposure_ms=20.0)
 
 

@@ -1,0 +1,131 @@
+"""The report: one file that needs nothing else, with the run's own numbers in it."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tankrig.bench import Bench
+from tankrig.devices import Frame
+from tankrig.light.single import single_scattering
+from tankrig.pattern.wall import Wall
+from tankrig.report import write_report
+from tankrig.run.folder import create_run
+from tankrig.run.writer import RunWriter
+from tankrig.scene.description import Camera, Medium, Tank
+from tankrig.sequence.loading import sequence_from_table
+from ui.cli import main
+
+BENCH = {
+    "tank": {"size_mm": [240.0, 160.0, 120.0]},
+    "wall": {"shape": [30, 40], "y_mm": [-80.0, 80.0], "z_mm": [0.0, 120.0]},
+    "light": "collimated",
+    "camera": {"kind": "orthographic", "shape": [20, 30], "pixel_mm": 8.0},
+}
+SEQUENCE = {
+    "name": "two <doses>",
+    "patterns": {"sheet": {"kind": "sheet", "y_mm": [-40.0, 40.0], "z_mm": [56.0, 64.0]}},
+    "steps": [
+        {"do": "series", "total_ul": [100.0, 200.0],
+         "steps": [{"do": "capture", "pattern": "dark"}, {"do": "capture", "pattern": "sheet", "frames": 2}]},
+    ],
+}  # fmt: skip
+INK = Medium(0.002, 0.08, 0.6)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two doses and their fits, as a run records them."""
+    path = tmp_path_factory.mktemp("report") / "run"
+    bench = Bench(
+        Tank(), Wall((30, 40), (-80.0, 80.0), (0.0, 120.0)), "collimated", Camera("orthographic", (20, 30), 8.0)
+    )  # fmt: skip
+    patterns = sequence_from_table(SEQUENCE, "test").drawn(bench.wall)
+    full = {"tank": {"size_mm": [240.0, 160.0, 120.0], "surface": "matched", "refractive_index": 1.33},
+            "wall": {**BENCH["wall"], "irradiance": 1.0, "gamma": 1.0}, "light": "collimated",
+            "camera": {**BENCH["camera"], "position_mm": None}, "light_position_mm": None}  # fmt: skip
+    settings = {"name": SEQUENCE["name"], "rig": "test rig", "bench": full, "sequence": SEQUENCE}
+    create_run(path, (20, 30), "uint16", 6, settings, list(patterns.values()))
+    rng = np.random.default_rng(0)
+    fits = []
+    with RunWriter(path) as writer:
+        writer.put("session", program="tankrig", devices={"camera": "c"}, delivered_ul=0.0, delivered_low_ul=0.0,
+                   delivered_high_ul=0.0)  # fmt: skip
+        step = 0
+        for dose_ml in (0.1, 0.2):
+            medium = Medium(INK.sigma_a * dose_ml, INK.sigma_s * dose_ml, INK.g)
+            light = 5e5 * single_scattering(bench.scene(patterns["sheet"], medium))
+            writer.put("step", step=step, state="begun", label=f"dose to {1000 * dose_ml:g} µl")
+            writer.put("dose_done", delivered_ul=1000 * dose_ml, delivered_low_ul=1000 * dose_ml,
+                       delivered_high_ul=1000 * dose_ml, complete=True)  # fmt: skip
+            writer.put("step", step=step, state="done")
+            step += 1
+            for name, count in (("dark", 1), ("sheet", 2)):
+                for _ in range(count):
+                    pixels = rng.poisson(100.0 + (light if name == "sheet" else 0.0 * light)).astype(np.uint16)
+                    writer.put_frame(Frame(pixels, step, step, step, step), step, patterns[name].hash)
+                step += 1
+            values = {"sigma_a": medium.sigma_a, "sigma_s": medium.sigma_s, "g": medium.g}
+            fits.append({"fit": "dose", "dose_ml": dose_ml, **values, "sd": [1e-5, 1e-4, 0.01],
+                         "identifiable": dict.fromkeys(values, True), "gain": 2.5e4, "rmse": 1.0, "frames": 2,
+                         "single": {**values, "sigma_s": 0.5 * medium.sigma_s, "rmse": 3.0},
+                         "seconds": 2.0})  # fmt: skip
+        fits.append({"fit": "series", "doses_ml": [0.1, 0.2], "ink": {"sigma_a": 0.002, "sigma_s": 0.08, "g": 0.6},
+                     "water_sigma_a": 1e-4, "sd": [1e-5, 1e-4, 0.01, 1e-5], "linearity": None, "rmse": [1.0, 2.0],
+                     "verdict": "All is determined.", "seconds": 5.0})  # fmt: skip
+        for fit in fits:
+            writer.put("fit", **fit)
+        writer.put("gap", step=2, missing=3, after=7)
+        writer.finish(reason="completed", message="")
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(run: Path) -> str:
+    return write_report(run, run / "elsewhere").read_text(encoding="utf-8")
+
+
+def test_the_page_holds_all_it_shows(page: str) -> None:
+    """A report that loads anything from elsewhere is empty on another machine, or in ten years."""
+    assert re.findall(r"(?:src|href)=\"(?!data:)", page) == []
+    assert "url(" not in page
+    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/svg+xml;base64,") == 2
+    assert "two &lt;doses&gt;" in page
+
+
+def test_the_page_says_what_the_run_found(page: str) -> None:
+    """The numbers are those of the run's own fits, single scattering's error beside them."""
+    assert "0.08000 ± 0.00010" in page
+    assert "All is determined." in page
+    assert page.count("-50 %") == 2
+    assert "3.0 ×" in page
+    assert "3 frames were lost by the camera" in page
+    assert "dose to 200 µl" in page
+    assert "test rig" in page
+
+
+def test_what_is_no_run_or_shows_nothing_is_refused_and_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One sentence and exit status 2, never half a page."""
+    assert main(["report", str(tmp_path)]) == 2
+    assert "is not a run" in capsys.readouterr().err
+    table = {**SEQUENCE, "steps": [{"do": "note", "text": "nothing"}]}
+    settings = {"name": "empty", "bench": BENCH, "sequence": table}
+    create_run(tmp_path / "empty", (20, 30), "uint16", 1, settings)
+    assert main(["report", str(tmp_path / "empty"), "--json"]) == 2
+    assert "no photograph" in capsys.readouterr().err
+    assert list(tmp_path.rglob("*.html")) == []
+
+
+def test_the_command_says_where_the_report_is(
+    run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A script reads the path from the command's one line of JSON."""
+    monkeypatch.setattr("tankrig.report.report.report_page", lambda *_: "<p>drawn elsewhere</p>")
+    assert main(["report", str(run), "--json", "--out", str(run / "r.html")]) == 0
+    assert json.loads(capsys.readouterr().out)["report"] == str(run / "r.html")
+    assert (run / "r.html").read_text(encoding="utf-8") == "<p>drawn elsewhere</p>"
