@@ -200,3 +200,13 @@ def test_what_the_reference_lacks_agrees_with_the_independent_monte_carlo(
         assert relative(tank.orders[order] - tally.orders[order], tally.image) < max(1.3 * noise, 1e-3)
     total = np.sum(list(tank.orders.values()), axis=0)
     assert relative(total - tally.image, tally.image) < np.hypot(1.2 * noise, 0.005)
+
+
+@pytest.mark.parametrize("sigma_t", [4e-7, 1e-3, 1.0, 4.0, 8.0])
+@pytest.mark.parametrize("g", [-0.99, 0.0, 1e-8, 0.99])
+def test_extreme_media_give_finite_light(sigma_t: float, g: float) -> None:
+    """Optical depths from 1e-4 to 2e3: never NaN, never negative."""
+    scene = narrow(Medium(0.1 * sigma_t, 0.9 * sigma_t, g), camera=Camera("orthographic", (20, 30), 8.0))
+    for order, image in tank_image(scene, batches=1, max_order=6).orders.items():
+        assert np.isfinite(image).all(), order
+        assert image.min() >= -1e-12 * max(image.max(), 1e-300), order

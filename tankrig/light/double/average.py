@@ -21,7 +21,7 @@ FAR = 3.0
 
 @kernel
 def average_rows(
-    rows: Array, geometry: Geometry, pixel_mm: float, sigma_t: float, low: float, high: float, strength: float,
+    rows: Array, geometry: Geometry, pixel_mm: float, decay: float, low: float, high: float, strength: float,
     x: Array, fractions: Array, values: Array, y0_weights: Array, z0: Array, z0_weights: Array,
     nodes: Array, weights: Array,
 ) -> None:  # fmt: skip
@@ -65,7 +65,7 @@ def average_rows(
             if values[j, 0, 0, i, 0] == values[j, 0, 1, i, 0]:
                 spans = (2.0 * geometry.half_width, 2.0 * geometry.half_width)
             # Flux per row seen: the beam's width over its width as seen; per pixel: over the pixel.
-            scale = strength * z0_weights[j] * (high - low) / (seen * pixel_mm) * math.exp(-sigma_t * x[i])
+            scale = strength * z0_weights[j] * (high - low) / (seen * pixel_mm) * math.exp(-decay * x[i])
             for row in range(rows.shape[0]):
                 pixel_low = row * pixel_mm - geometry.half_width
                 if pixel_low >= geometry.half_width:
@@ -76,8 +76,8 @@ def average_rows(
                 total = 0.0
                 if abs(centre) > FAR * (pixel + seen):
                     spread = math.sqrt((pixel * pixel + seen * seen) / 12.0)
-                    near = _profile(profile, spans, centre - spread, first, spacing, sigma_t)
-                    far = _profile(profile, spans, centre + spread, first, spacing, sigma_t)
+                    near = _profile(profile, spans, centre - spread, first, spacing, decay)
+                    far = _profile(profile, spans, centre + spread, first, spacing, decay)
                     total = 0.5 * (near + far) * pixel * seen
                 else:
                     cuts[0], cuts[1] = pixel_low - beam_high, pixel_low - beam_low
@@ -95,7 +95,7 @@ def average_rows(
                                 overlap = min(pixel_high - delta, beam_high) - max(pixel_low - delta, beam_low)
                                 total += (
                                     half * weights[n] * max(overlap, 0.0)
-                                    * _profile(profile, spans, delta, first, spacing, sigma_t)
+                                    * _profile(profile, spans, delta, first, spacing, decay)
                                 )  # fmt: skip
                             panel_start = panel_end
                 rows[row, i] += scale * total
@@ -115,7 +115,7 @@ def _panel_end(start: float, end: float, pixel: float) -> float:
 
 @kernel
 def _profile(
-    profile: Array, spans: tuple[float, float], delta: float, first: float, spacing: float, sigma_t: float
+    profile: Array, spans: tuple[float, float], delta: float, first: float, spacing: float, decay: float
 ) -> float:
     """J at δ by cubic interpolation in ln|δ|; nearer than the first node it grows like −ln|δ|."""
     side = 1 if delta > 0.0 else 0
@@ -124,7 +124,7 @@ def _profile(
     place = (math.log(max(distance, 1e-12) / spans[side]) - first) / spacing
     if place < 0.0:
         near: float = profile[side, 0] + place * (profile[side, 1] - profile[side, 0])
-        return near * math.exp(-sigma_t * distance)
+        return near * math.exp(-decay * distance)
     place = min(place, count - 1.0)
     k = min(max(int(place) - 1, 0), count - 4)
     t = place - k
@@ -135,4 +135,4 @@ def _profile(
         - a * b * d / 2.0 * profile[side, k + 2]
         + a * b * c / 6.0 * profile[side, k + 3]
     )
-    return value * math.exp(-sigma_t * distance)
+    return value * math.exp(-decay * distance)

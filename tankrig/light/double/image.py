@@ -56,7 +56,7 @@ def double_scattering(scene: Scene, nodes: int = 5) -> Array:
                 if beam.z_mm == z_mm:
                     _add_beam(rows, scene, geometry, beam, table, z0_weights)
             image += rows @ _columns(table.x_mm, camera.shape[1], camera.pixel_mm, geometry.length).T
-    return image
+    return np.maximum(image, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
 
 
 def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, z0_weights: Array) -> None:
@@ -67,7 +67,7 @@ def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: 
     edges = np.linspace(low, high, parts + 1)
     for part in range(parts):
         average_rows(
-            rows, geometry, scene.camera.pixel_mm, scene.medium.sigma_t, edges[part], edges[part + 1],
+            rows, geometry, scene.camera.pixel_mm, table.decay, edges[part], edges[part + 1],
             beam.irradiance * scene.medium.sigma_s**2, table.x_mm, table.fractions, table.values,
             _lagrange(table.y0_mm, 0.5 * (edges[part] + edges[part + 1])), table.z0_mm, z0_weights, nodes, weights,
         )  # fmt: skip

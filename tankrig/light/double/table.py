@@ -25,6 +25,10 @@ SLANTED_RATIO = 1.3
 """The same where lines of sight or light rays slant, and leave the tank through its side walls."""
 
 
+STEEPEST = 300.0
+"""Largest exponent that is taken out of J before it is interpolated."""
+
+
 @dataclass(frozen=True)
 class Table:
     """J at its nodes.
@@ -38,7 +42,8 @@ class Table:
     y0_mm, z0_mm
         (ny,), (nz,) where light rays enter.
     values
-        (nz, ny, 2, nx, nk): J·exp(σt·|δ|)·exp(σt·x); the third axis is the side of the crossing, y below or above it.
+        (nz, ny, 2, nx, nk): J·exp(κ (x + |δ|)), which changes little; the third axis is the side
+        of the crossing, y below or above it.
     """
 
     x_mm: Array
@@ -46,6 +51,8 @@ class Table:
     y0_mm: Array
     z0_mm: Array
     values: Array
+    decay: float
+    """κ in 1/mm: σt, or less where exp(σt x) would overflow."""
 
 
 def fill_table(
@@ -97,16 +104,19 @@ def fill_table(
         many = 3 + math.ceil(3 * spread / width)
         cosines = np.cos(np.pi * (np.arange(many) + 0.5) / many)
         y0 = 0.5 * (max(edges) + min(edges)) + 0.5 * spread * cosines
+    decay = min(sigma_t, STEEPEST / (geometry.length + width))
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     with ThreadPoolExecutor(2) as pool:
         parts = [
-            pool.submit(fill, values, geometry, sigma_t, scene.medium.g, x, fractions, y0, z0, mirrored, *rule, part)
+            pool.submit(
+                fill, values, geometry, decay, sigma_t, scene.medium.g, x, fractions, y0, z0, mirrored, *rule, part
+            )
             for part in range(2)
         ]
         for part in parts:
             part.result()
-    return Table(x, fractions, y0, z0, values), 0.5 * (high - low) * weights
+    return Table(x, fractions, y0, z0, values, decay), 0.5 * (high - low) * weights
 
 
 def _x_nodes(geometry: Geometry, low: float, high: float, finest_mm: float) -> Array:
@@ -144,8 +154,8 @@ def _seen_from_above(geometry: Geometry, x: float, z: float) -> float:
 
 @kernel
 def _fill_shifted(
-    values: Array, geometry: Geometry, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array, z0: Array,
-    mirrored: bool, nodes: Array, weights: Array, part: int,
+    values: Array, geometry: Geometry, decay: float, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array,
+    z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int,
 ) -> None:  # fmt: skip
     """Every second x, where only y − y₀ matters: both lines are put symmetrically about y = 0, inside the tank."""
     for i in range(part, x.size, 2):
@@ -164,15 +174,15 @@ def _fill_shifted(
                     nodes,
                     weights,
                 )
-                value *= math.exp(sigma_t * (x[i] + delta))
+                value *= math.exp(decay * (x[i] + delta))
                 values[j, 0, 0, i, k] = value
                 values[j, 0, 1, i, k] = value
 
 
 @kernel
 def _fill_slanted(
-    values: Array, geometry: Geometry, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array, z0: Array,
-    mirrored: bool, nodes: Array, weights: Array, part: int,
+    values: Array, geometry: Geometry, decay: float, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array,
+    z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int,
 ) -> None:  # fmt: skip
     """Every second x, with nodes between the crossing and either side wall."""
     for i in range(part, x.size, 2):
@@ -186,4 +196,4 @@ def _fill_slanted(
                         y = crossing + delta if side == 1 else crossing - delta
                         y = min(max(y, -geometry.half_width), geometry.half_width)
                         value = pair_radiance(geometry, sigma_t, g, x[i], y, y0[m], z0[j], mirrored, nodes, weights)
-                        values[j, m, side, i, k] = value * math.exp(sigma_t * (x[i] + delta))
+                        values[j, m, side, i, k] = value * math.exp(decay * (x[i] + delta))

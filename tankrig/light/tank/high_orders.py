@@ -90,7 +90,8 @@ def high_orders(
         mean, spread = _averaged(stack) if grid.shiftable else smoothed(stack)
         scale = math.sqrt(grid.cell_mm[0] * grid.cell_mm[1]) / scene.camera.pixel_mm
         image = known + grid.to_pixels(mean.sum(axis=0))
-        noise = float(np.linalg.norm(spread) * scale / np.linalg.norm(image)) / tolerance
+        brightness = float(np.linalg.norm(image))
+        noise = float(np.linalg.norm(spread)) * scale / brightness / tolerance if brightness > 0.0 else 0.0
         if batches is not None or noise <= 1.0 or len(images) >= MOST_BATCHES:
             break
         grow = 1.1 * noise**2
