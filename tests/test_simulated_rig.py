@@ -48,7 +48,7 @@ def small(folder: Path) -> RigFile:
         shipped,
         bench=bench,
         projector=shipped.projector | fast,
-        camera=shipped.camera | fast | {"truth": truth},
+        camera=shipped.camera | fast | {"truth": truth, "most_per_s": 2.0},
         doser=shipped.doser | {"rate": 20_000.0, "acceleration": 200_000.0},
     )
 

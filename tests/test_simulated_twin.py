@@ -199,6 +199,7 @@ def test_the_same_seed_gives_the_same_frames(tmp_path: Path) -> None:
 
 def test_no_frame_is_lost_to_the_time_that_computing_a_picture_takes(rig) -> None:
     projector, camera = rig
+    camera.configure(CameraSettings(1000.0))
     flip = projector.show(SHEET)
     frames = [camera.capture(flip.bound_ns, 5.0)]
     assert len(camera.tank._images) == 1
@@ -221,6 +222,7 @@ def test_a_silent_camera_times_out_by_name(rig) -> None:
 
 def test_dropped_frames_are_jumps_of_the_sequence_at_the_chance_asked_for(rig) -> None:
     _, camera = rig
+    camera.configure(CameraSettings(100.0))
     camera.faults = CameraFaults(dropped=0.5)
     after_ns, numbers = time.monotonic_ns(), []
     for _ in range(40):
