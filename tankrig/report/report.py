@@ -22,6 +22,8 @@ from tankrig.scene.description import Medium
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+WORDS = {"1": "order 1", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders"}
+
 
 def write_report(path: Path, out: Path | None = None, progress: Callable[[str], None] = lambda _: None) -> Path:
     """Write a run's report: one HTML file with all pictures in it.
@@ -171,9 +173,10 @@ def _reconstructions(results: Results, progress: Callable[[str], None]) -> tuple
         steps = pictures.by_order(one, prediction, fit["gain"], offset)
         bound = max(bound, *(part.bound for part in prediction.skipped))
         peak = float(one.image.max())
+        rmses = [f"{100.0 * step.rmse / peak:.2g} % ({WORDS.get(step.orders, step.orders)})" for step in steps]
         rebuilt.append({
             "dose": f"{one.dose_ml:.4g}",
-            "rmse": ", ".join(f"{100.0 * step.rmse / peak:.2g} % (orders {step.orders})" for step in steps),
+            "rmse": ", ".join(rmses),
             "picture": _inline(pictures.reconstructions(one, steps)),
             "open": one in (shown[0], shown[-1]),
         })  # fmt: skip
