@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -131,30 +132,31 @@ def _named(medium: "Medium") -> dict[str, float]:
 
 
 def _tell(numbers: dict[str, Any]) -> None:
+    """Coefficients beside the truth, in 1/m so that they are short, and how wrong single scattering is."""
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for heading in ("ink", "sigma_s /mm", "truth", "g", "truth", "sigma_a /mm", "truth", "single scattering's sigma_s"):
-        table.add_column(heading, justify="right")
+    names = ("sigma_s", "g", "sigma_a")
+    table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
+    for heading in ("ink", "σs, 1/m", "truth", "g", "truth", "σa, 1/m", "truth", "single\nscatt. σs"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for row in numbers["doses"]:
-        cells = [f"{row['dose_ml']:.3g} ml"]
-        for name in ("sigma_s", "g", "sigma_a"):
-            cells += [_with_error(row["fitted"][name], row["sd"][name]), f"{row['truth'][name]:.4g}"]
+        cells = [f"{row['dose_ml']:.3g} ml", *_cells(names, row["fitted"], row["sd"], row["truth"])]
         table.add_row(*cells, f"{100.0 * (row['single_sigma_s_ratio'] - 1.0):+.0f} %")
-    cells = ["per ml"]
-    sds = dict(zip(("sigma_a", "sigma_s", "g"), numbers["ink_sd"], strict=False))
-    for name in ("sigma_s", "g", "sigma_a"):
-        cells += [_with_error(numbers["ink_per_ml"][name], sds[name]), f"{numbers['truth_per_ml'][name]:.4g}"]
-    table.add_section()
-    table.add_row(*cells, "", style="bold")
+    sd = dict(zip(("sigma_a", "sigma_s", "g"), numbers["ink_sd"], strict=False))
+    table.add_row(*[""] * 8)
+    table.add_row("per ml", *_cells(names, numbers["ink_per_ml"], sd, numbers["truth_per_ml"]), "", style="bold")
     console = Console()
     console.print(table)
     console.print(f"\n{numbers['verdict']}\n", highlight=False)
     click.echo(f"run      {numbers['run']}\nreport   {numbers['report']}\ntook     {numbers['seconds']:.0f} s")
 
 
-def _with_error(value: float, sd: float) -> str:
-    """A value to two digits of its standard deviation."""
-    digits = max(0, 1 - math.floor(math.log10(sd))) if sd > 0.0 else 4
-    return f"{value:.{min(digits, 7)}f} ± {sd:.1g}"
+def _cells(
+    names: tuple[str, ...], found: dict[str, float], sd: dict[str, float], truth: dict[str, float]
+) -> Iterator[str]:
+    for name in names:
+        by = 1.0 if name == "g" else 1000.0
+        digits = max(0, 1 - math.floor(math.log10(by * sd[name]))) if sd[name] > 0.0 else 4
+        yield f"{by * found[name]:.{digits}f}±{by * sd[name]:.{digits}f}"
+        yield f"{by * truth[name]:.3f}"
