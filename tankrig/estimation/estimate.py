@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.fitting import Problem, first_guess, polish, search
 from tankrig.estimation.forward import slopes_of
-from tankrig.estimation.models import COARSE, Model, Models, models_of, stated_error
+from tankrig.estimation.models import COARSE, Model, Models, error_map, models_of, stated_error
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.parameters import at_edge
 from tankrig.estimation.projection import Scaling
@@ -182,7 +182,7 @@ def fit_models(
     start = forward(found[0])
     gain, offset = problem_of(forward, slope, rough * brightness).scale(start.image)
     observation = observation.with_noise_of(observation.image - gain * start.image - offset)
-    error = min(COARSE, stated_error(start)) * abs(gain) * np.abs(start.image)
+    error = abs(gain) * np.minimum(error_map(start), COARSE * np.abs(start.image).max())
     problem = problem_of(forward, slope, error)
     medium, _ = min((polish(problem, one, length_mm) for one in found), key=lambda end: end[1])
     progress("finding the errors")
@@ -208,9 +208,12 @@ def _described(problem: Problem, medium: Medium, scene: Scene, prediction: Predi
     noisier = white / noise if white > noise * (1.0 + 3.0 / math.sqrt(2.0 * used.sum())) else 1.0
     stated = stated_error(prediction)
     counted = max(stated, unexplained)
+    # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
+    beyond = math.sqrt(counted**2 - stated**2)
+    error = gain * np.hypot(error_map(prediction), beyond * np.abs(prediction.image))
 
     spread = covariance(
-        problem.sensitivity(medium), medium, noisier * observation.noise, counted * gain * np.abs(prediction.image),
+        problem.sensitivity(medium), medium, noisier * observation.noise, error,
         scene.camera.pixel_mm, length_mm,
     )  # fmt: skip
     edges = at_edge(medium, length_mm)

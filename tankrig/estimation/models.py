@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tankrig.estimation.forward import remembered
 from tankrig.image.predict import predict
@@ -27,6 +28,9 @@ COARSE_BATCHES = 2
 FINE_NOISE, FINE_BATCHES = 0.003, 32
 SLOPE_NOISE, SLOPE_BATCHES = 0.006, 16
 """Noise (relative L2) that the images for the last steps and for derivatives aim for, and their lattices at most."""
+
+ERROR_PIXELS = 4.0
+"""Standard deviation of the Gaussian over which a stated noise is averaged."""
 
 
 @dataclass(frozen=True)
@@ -89,5 +93,21 @@ def _tank(scene: Scene, max_order: int | None, batches: int, seed: int) -> Predi
 def stated_error(prediction: Prediction) -> float:
     """What a prediction says about its error, relative L2 of the image: noise, and what it left out with a bound."""
     size = float(np.linalg.norm(prediction.image))
-    noise = float(np.linalg.norm(prediction.stderr)) / size if prediction.stderr is not None and size > 0.0 else 0.0
-    return math.hypot(noise, *(part.bound for part in prediction.skipped if math.isfinite(part.bound)))
+    return float(np.linalg.norm(error_map(prediction))) / size if size > 0.0 else 0.0
+
+
+def error_map(prediction: Prediction) -> NDArray[np.float64]:
+    """The same by pixel, W/mm²/sr: the noise where it is, what was left out in proportion to the image.
+
+    The stated noise is averaged over a few pixels: from few batches of paths it is itself noisy, and a pixel that
+    seems free of noise would get a weight it has not earned.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    left_out = math.hypot(*(part.bound for part in prediction.skipped if math.isfinite(part.bound)))
+    error: NDArray[np.float64] = left_out * np.abs(np.asarray(prediction.image, float))
+    if prediction.stderr is None:
+        return error
+    variance: NDArray[np.float64] = gaussian_filter(np.square(np.asarray(prediction.stderr, float)), ERROR_PIXELS)
+    whole: NDArray[np.float64] = np.hypot(error, np.sqrt(variance))
+    return whole

@@ -6,8 +6,8 @@ derivatives less what gain and offset can imitate, W the weights, and P a weak p
 
     A ⟨noise²⟩ Aᵀ + A ⟨model error²⟩ Aᵀ + F⁻¹ P F⁻¹,        F = J W Jᵀ + P.
 
-The model's error is taken to be random, in proportion to the image's own brightness, of the relative L2 size that the
-model states (or that the residual shows, where that is more), and smooth: one third of its power at each of the
+The model's error is taken to be random, of the size that the model states pixel by pixel (or that the residual shows,
+where that is more, in proportion to the image), counted twice, and smooth: one third of its power at each of the
 correlation lengths 1/32, 1/8 and 1/2 of the tank's length. White errors of that size would average out over thousands
 of pixels, which errors of a model don't; intervals that leave it out are fiction.
 """
@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 CORRELATION_LENGTHS = (1.0 / 32.0, 1.0 / 8.0, 1.0 / 2.0)
 """Of the model's error, as shares of the tank's length."""
+PATTERN = 2.0
+"""A model's error is no random draw: where it looks like a change of the medium it moves coefficients further than
+random patterns of its size do (two to three times on dense reference images). It is counted with this factor."""
 
 DETERMINED = 0.2
 """Relative standard deviation of a coefficient up to which it counts as determined."""
@@ -74,7 +77,7 @@ def covariance(
     response = (inverse @ changes) * sensitivity.weight
     by_noise = response * noise[sensitivity.used]
     total = by_noise @ by_noise.T + inverse @ inverse
-    total += by_smooth_errors(response, sensitivity.used, error, length_mm / pixel_mm)
+    total += by_smooth_errors(response, sensitivity.used, PATTERN * error, length_mm / pixel_mm)
     spread: Array = total * np.outer(scale, scale)
     return 0.5 * (spread + spread.T)
 
