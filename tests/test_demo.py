@@ -20,7 +20,7 @@ def check(found: dict, doses: int, path: Path) -> None:
     assert ink["sigma_s"] == pytest.approx(truth["sigma_s"], rel=0.05)
     assert ink["g"] == pytest.approx(truth["g"], abs=0.03)
     assert len(found["doses"]) == doses
-    assert all(abs(row["single_sigma_s_ratio"] - 1.0) > 0.01 for row in found["doses"])
+    assert all(abs(row["single_sigma_t_ratio"] - 1.0) > 0.01 for row in found["doses"])
     assert Path(found["report"]).stat().st_size > 100_000
     run = tankrig.open_run(path)
     assert run.end is not None

@@ -70,7 +70,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
             values = {"sigma_a": medium.sigma_a, "sigma_s": medium.sigma_s, "g": medium.g}
             fits.append({"fit": "dose", "dose_ml": dose_ml, **values, "sd": [1e-5, 1e-4, 0.01],
                          "identifiable": dict.fromkeys(values, True), "gain": 2.5e4, "rmse": 1.0, "frames": 2,
-                         "single": {**values, "sigma_s": 0.5 * medium.sigma_s, "rmse": 3.0},
+                         "single": {"sigma_t": 0.5 * medium.sigma_t + 5e-5, "rmse": 3.0},
                          "seconds": 2.0})  # fmt: skip
         fits.append({"fit": "series", "doses_ml": [0.1, 0.2], "ink": {"sigma_a": 0.002, "sigma_s": 0.08, "g": 0.6},
                      "water_sigma_a": 1e-4, "sd": [1e-5, 1e-4, 0.01, 1e-5], "linearity": None, "rmse": [1.0, 2.0],

@@ -155,7 +155,6 @@ def estimate_together(
     offset: float | Free = "free",
     noise: Sequence[ArrayLike] | None = None,
     *,
-    model: ModelOf | None = None,
     start: Medium | None = None,
 ) -> SeriesEstimate:
     """One liquid from several patterns with one unknown gain: a series of one dose, of 1 ml, in clear water.
@@ -164,8 +163,6 @@ def estimate_together(
     ----------
     images, scenes, offset, noise
         As for `estimate_series`.
-    model
-        The tank's where None.
     start
         Where to begin; searched for where None.
 
@@ -178,14 +175,7 @@ def estimate_together(
     doses = Doses(np.ones(1), np.zeros(1), np.zeros(len(images), int))
     scaling = Scaling(None, known("offset", offset))
     begin = None if start is None else Mixture(start, 0.0, np.zeros(1))
-    return fit_series(observations, scenes, doses, scaling, model or tank_model, begin, lambda _: None)
-
-
-def single_model(scene: Scene, _batches: int, _seed: int) -> Model:
-    """Light that was scattered once, and no other: what the tank model is compared with."""
-    from tankrig.light.single import single_scattering
-
-    return lambda medium: Prediction(single_scattering(replace(scene, medium=medium)), "single")
+    return fit_series(observations, scenes, doses, scaling, tank_model, begin, lambda _: None)
 
 
 def fit_series(

@@ -6,13 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from tankrig.estimation.series import (
-    SeriesEstimate,
-    estimate_series,
-    estimate_together,
-    single_model,
-)
+from tankrig.estimation.series import SeriesEstimate, estimate_series, estimate_together
 from tankrig.live.exposures import Photograph
+from tankrig.live.single import fit_single
 from tankrig.scene.description import Medium
 
 Table = dict[str, Any]
@@ -37,7 +33,7 @@ def fit_dose(photographs: Sequence[Photograph], start: Medium | None = None) -> 
     given = [one.image for one in photographs], [one.scene for one in photographs]
     noise, offset = [one.noise for one in photographs], photographs[0].offset
     found = estimate_together(*given, offset, noise, start=start)
-    single = estimate_together(*given, offset, noise, model=single_model, start=found.ink)
+    sigma_t, rmse = fit_single(photographs, found.ink)
     sd = np.sqrt(np.diag(found.covariance))[:3]
     table = {
         "fit": "dose",
@@ -50,7 +46,7 @@ def fit_dose(photographs: Sequence[Photograph], start: Medium | None = None) -> 
         "rmse": float(np.sqrt(np.mean(found.rmse**2))),
         "frames": sum(one.frames for one in photographs),
         "patterns": [one.pattern for one in photographs],
-        "single": {**_medium(single.ink), "rmse": float(np.sqrt(np.mean(single.rmse**2)))},
+        "single": {"sigma_t": sigma_t, "rmse": rmse},
         "seconds": round(time.perf_counter() - began, 3),
     }
     return table, found

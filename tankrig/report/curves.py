@@ -29,16 +29,19 @@ def coefficients(doses: Sequence[dict[str, Any]], series: dict[str, Any] | None)
         errors = 1.96 * np.array([one["sd"][order] for one in doses])
         if series is not None:
             axes.plot(along, _line(series, name, along), color=SERIES, linewidth=1.2, label="series fit", zorder=1)
-        single = [one["single"][name] for one in doses]
-        axes.plot(at, single, "s", color=SINGLE, markersize=5, markerfacecolor="none", label="single scattering alone")
+        if name == "sigma_s":
+            single = [one["single"]["sigma_t"] for one in doses]
+            label = "single scattering's $\\sigma_t$"
+            axes.plot(at, single, "s", color=SINGLE, markersize=5, markerfacecolor="none", label=label)
         axes.errorbar(
             at, values, errors, fmt="o", color=TANK, markersize=5, capsize=3, linewidth=1.2, label="tank model, 95 %"
         )
         axes.set(xlabel="ink (ml)", title=LABELS[name], xlim=(0.0, along[-1]))
-        if name != "g":
-            axes.set_ylim(0.0, 1.25 * max(float(np.max(values + np.minimum(errors, values))), 0.6 * float(max(single))))
+        if name == "g":
+            low, high = float(np.min(values - errors)), float(np.max(values + errors))
+            axes.set_ylim(max(-1.0, low - 0.1), min(1.0, high + 0.1))
         else:
-            axes.set_ylim(max(-1.0, min(-0.05, *single, *values) - 0.05), 1.0)
+            axes.set_ylim(0.0, 1.25 * float(np.max(values + np.minimum(errors, values))))
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.25, linewidth=0.6)
     figure.axes[0].legend(loc="upper left")

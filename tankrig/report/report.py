@@ -83,7 +83,7 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
         headline=_headline(results),
         verdict=results.series["verdict"] if results.series else "",
         pictures=shown,
-        doses=[_dose_row(one, _truth(results, one)) for one in results.doses],
+        doses=[_dose_row(one, _sigma_t(results, one)) for one in results.doses],
         compared="the series fit" if results.series else "the tank model",
         shown_pattern=_shown(results.photographs)[0].pattern,
         reconstructions=rebuilt,
@@ -131,12 +131,16 @@ def with_error(value: float, sd: float) -> str:
     return f"{value:.{digits}f} ± {sd:.{digits}f}"
 
 
-def _truth(results: Results, dose: Table) -> float:
-    """σs that single scattering is compared with."""
-    return results.series["ink"]["sigma_s"] * dose["dose_ml"] if results.series else float(dose["sigma_s"])
+def _sigma_t(results: Results, dose: Table) -> float:
+    """What single scattering's σt is compared with."""
+    series = results.series
+    if series is None:
+        return float(dose["sigma_s"] + dose["sigma_a"])
+    ink = series["ink"]
+    return float((ink["sigma_s"] + ink["sigma_a"]) * dose["dose_ml"] + series["water_sigma_a"])
 
 
-def _dose_row(one: Table, sigma_s: float) -> dict[str, str]:
+def _dose_row(one: Table, sigma_t: float) -> dict[str, str]:
     known = [symbol for name, symbol in (("sigma_s", "σs"), ("g", "g"), ("sigma_a", "σa")) if one["identifiable"][name]]
     return {
         "dose": f"{one['dose_ml']:.4g}",
@@ -144,8 +148,7 @@ def _dose_row(one: Table, sigma_s: float) -> dict[str, str]:
         "g": with_error(one["g"], one["sd"][2]),
         "sigma_a": with_error(one["sigma_a"], one["sd"][0]),
         "known": ", ".join(known) or "none",
-        "single": f"{100.0 * (one['single']['sigma_s'] / sigma_s - 1.0):+.0f} %",
-        "single_g": f"{one['single']['g']:.2f}",
+        "single": f"{100.0 * (one['single']['sigma_t'] / sigma_t - 1.0):+.0f} %",
         "single_rmse": f"{one['single']['rmse'] / one['rmse']:.1f} ×",
     }
 

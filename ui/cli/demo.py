@@ -113,8 +113,7 @@ def _numbers(path: Path) -> dict[str, Any]:
             "fitted": {name: fit[name] for name in ("sigma_a", "sigma_s", "g")},
             "sd": dict(zip(("sigma_a", "sigma_s", "g"), fit["sd"], strict=True)),
             "truth": _named(truth),
-            "single_sigma_s_ratio": fit["single"]["sigma_s"] / truth.sigma_s,
-            "single_g": fit["single"]["g"],
+            "single_sigma_t_ratio": fit["single"]["sigma_t"] / truth.sigma_t,
         })  # fmt: skip
     series = results.series or {}  # there are two doses at least
     return {
@@ -138,11 +137,11 @@ def _tell(numbers: dict[str, Any]) -> None:
 
     names = ("sigma_s", "g", "sigma_a")
     table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
-    for heading in ("ink", "σs, 1/m", "truth", "g", "truth", "σa, 1/m", "truth", "single\nscatt. σs"):
+    for heading in ("ink", "σs, 1/m", "truth", "g", "truth", "σa, 1/m", "truth", "single\nscatt. σt"):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in numbers["doses"]:
         cells = [f"{row['dose_ml']:.3g} ml", *_cells(names, row["fitted"], row["sd"], row["truth"])]
-        table.add_row(*cells, f"{100.0 * (row['single_sigma_s_ratio'] - 1.0):+.0f} %")
+        table.add_row(*cells, f"{100.0 * (row['single_sigma_t_ratio'] - 1.0):+.0f} %")
     sd = dict(zip(("sigma_a", "sigma_s", "g"), numbers["ink_sd"], strict=False))
     table.add_row(*[""] * 8)
     table.add_row("per ml", *_cells(names, numbers["ink_per_ml"], sd, numbers["truth_per_ml"]), "", style="bold")
