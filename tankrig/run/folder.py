@@ -161,6 +161,7 @@ def frames_for_writing(path: Path) -> Any:
     """The Zarr array of the run's frames, every write to it durable."""
     import zarr
 
+    _consolidate(path)  # a power cut between the two writes of `resize_frames` leaves the group behind the array
     array = zarr.open_array(DurableStore(path), path="frames", mode="r+")
     return array.with_config({"write_empty_chunks": True})  # given to `open_array`, it is ignored: dark frames vanish
 
@@ -177,7 +178,9 @@ def _consolidate(path: Path) -> None:
     table = _load_json(path / "zarr.json")
     arrays = {file.parent.name: _load_json(file) for file in sorted(path.glob("*/zarr.json"))}
     table["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": arrays}
-    disk.replace(path / "zarr.json", json.dumps(table, indent=2).encode())
+    text = json.dumps(table, indent=2).encode()
+    if text != (path / "zarr.json").read_bytes():
+        disk.replace(path / "zarr.json", text)
 
 
 def _load_json(path: Path) -> Any:
