@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
 from tankrig.light.tank.lattice import POINTS, VECTOR
 from tankrig.light.tank.paths import trace
-from tankrig.light.tank.record import GROUPS, image_of_edges
+from tankrig.light.tank.record import CLASSES, GROUPS, Bins, image_of_edges
 from tankrig.light.tank.smoothing import smoothed
 from tankrig.scene import Beam, Scene
 
@@ -76,14 +76,14 @@ def high_orders(
     faintest
         Share of its weight at which a path ends.
     """
-    grid = _Grid.of(scene)
+    grid = CellGrid.of(scene)
     highest = 1_000_000 if max_order is None else max_order
     images: list[Array] = []
     wanted = batches or FIRST_BATCHES
     while True:
         seeds = range(len(images), wanted)
         with ThreadPoolExecutor(THREADS) as pool:
-            images += pool.map(lambda batch: _batch(scene, grid, (seed, batch), highest, faintest), seeds)
+            images += pool.map(lambda batch: traced(scene, grid, (seed, batch), highest, faintest, CLASSES), seeds)
         stack = np.array(images)
         if grid.symmetric:
             stack = 0.5 * (stack + stack[:, :, ::-1])
@@ -111,7 +111,7 @@ def _averaged(batches: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class _Grid:
+class CellGrid:
     """Cells over the tank's surface: the camera's pixels where they are not finer than the image needs."""
 
     rows: int
@@ -122,7 +122,8 @@ class _Grid:
     shiftable: bool
 
     @classmethod
-    def of(cls, scene: Scene) -> "_Grid":
+    def of(cls, scene: Scene) -> "CellGrid":
+        """Cells for a scene's camera."""
         length, width, _ = scene.tank.size_mm
         pixel = scene.camera.pixel_mm
         finest = min(FINEST_CELL_MM, length / 100, width / 60)
@@ -167,13 +168,34 @@ def mirror_symmetric(scene: Scene) -> bool:
     )
 
 
-def _batch(scene: Scene, grid: _Grid, seed: tuple[int, int], max_order: int, faintest: float) -> Array:
-    """(3, rows, columns) image of one shifted lattice."""
+def traced(scene: Scene, grid: CellGrid, seed: tuple[int, int], max_order: int, faintest: float, bins: Bins) -> Array:
+    """Images of one shifted lattice of paths, W/mm²/sr.
+
+    Parameters
+    ----------
+    scene
+        Any scene with σs > 0.
+    grid
+        Cells over the tank's surface.
+    seed
+        Of the lattice's shift.
+    max_order
+        Highest order to follow.
+    faintest
+        Share of its weight at which a path ends.
+    bins
+        Index of the image that each order goes to.
+
+    Returns
+    -------
+    (images, rows, columns) array
+    """
+    images = int(bins.max()) + 1
     medium, geometry = scene.medium, geometry_of(scene)
     shift = np.random.default_rng(seed).random(VECTOR.size)
     shiftable = grid.shiftable
-    edges = np.zeros((3, 2, grid.rows + 2, grid.columns + 2))
-    cells = np.zeros((3, grid.rows, grid.columns))
+    edges = np.zeros((images, 2, grid.rows + 2, grid.columns + 2))
+    cells = np.zeros((images, grid.rows, grid.columns))
     heights = sorted({beam.z_mm for beam in scene.projector.beams}) if shiftable else [None]
     for z_mm in heights:
         beams = [beam for beam in scene.projector.beams if z_mm in (None, beam.z_mm) and beam.irradiance > 0.0]
@@ -186,7 +208,7 @@ def _batch(scene: Scene, grid: _Grid, seed: tuple[int, int], max_order: int, fai
         if z_mm is not None:
             edges[:] = 0.0
         trace(
-            edges, cells if z_mm is None else cells[:, :0], geometry, shiftable, grid.cell_mm,
+            edges, cells if z_mm is None else cells[:, :0], bins, geometry, shiftable, grid.cell_mm,
             medium.sigma_t, medium.albedo, medium.g, table, shift, 0, POINTS, max_order, faintest,
         )  # fmt: skip
         if z_mm is None:

@@ -22,7 +22,7 @@ from tankrig.compiled import kernel
 from tankrig.light.rays import Geometry, light_ray
 from tankrig.light.tank.flight import fly, scattered
 from tankrig.light.tank.lattice import coordinate
-from tankrig.light.tank.record import record_point, record_rectangles
+from tankrig.light.tank.record import Bins, record_point, record_rectangles
 from tankrig.light.tank.sighting import seen_from
 from tankrig.scene.phase import henyey_greenstein
 
@@ -40,7 +40,7 @@ TURNS = 12
 
 @kernel
 def trace(
-    edges: Array, cells: Array, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float],
+    edges: Array, cells: Array, bins: Bins, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float],
     sigma_t: float, albedo: float, g: float, beams: Array, shift: Array, start: int, stop: int,
     max_order: int, faintest: float,
 ) -> None:  # fmt: skip
@@ -52,6 +52,8 @@ def trace(
         Filled by `record_rectangles` where `shiftable`.
     cells
         Filled by `record_point` otherwise.
+    bins
+        Index of the image that each order goes to.
     geometry
         Numbers of the scene.
     shiftable
@@ -137,11 +139,11 @@ def trace(
                 if shiftable:
                     value *= henyey_greenstein(pz, g) * math.exp(-sigma_t * (height - qz))
                     record_rectangles(
-                        edges, order + 1, value, sigma_t, qx, qy, max(x_low, -qx), min(x_high, length - qx),
+                        edges, bins, order + 1, value, sigma_t, qx, qy, max(x_low, -qx), min(x_high, length - qx),
                         max(y_low, -half_width - qy), min(y_high, half_width - qy), beams, half_width, cell_mm,
                     )  # fmt: skip
                 else:
-                    record_point(cells, geometry, order + 1, value, sigma_t, g, qx, qy, qz, px, py, pz, cell_mm)
+                    record_point(cells, bins, geometry, order + 1, value, sigma_t, g, qx, qy, qz, px, py, pz, cell_mm)
             dx0, dy0, dz0 = dx, dy, dz
             u, v = coordinate(point, first, shift), coordinate(point, first + 1, shift)
             if order == turn:
@@ -176,10 +178,10 @@ def trace(
             if shiftable:
                 value = weight * share * henyey_greenstein(dz, g) * math.exp(-sigma_t * (height - z))
                 record_rectangles(
-                    edges, order, value, sigma_t, x, y, x_low, x_high, y_low, y_high, beams, half_width, cell_mm
+                    edges, bins, order, value, sigma_t, x, y, x_low, x_high, y_low, y_high, beams, half_width, cell_mm
                 )
             else:
-                record_point(cells, geometry, order, weight * share, sigma_t, g, x, y, z, dx, dy, dz, cell_mm)
+                record_point(cells, bins, geometry, order, weight * share, sigma_t, g, x, y, z, dx, dy, dz, cell_mm)
 
 
 @kernel

@@ -11,20 +11,19 @@ from tankrig.light.tank.sighting import seen_from
 from tankrig.scene.phase import henyey_greenstein
 
 Array = NDArray[np.float64]
+Bins = NDArray[np.int64]
+"""Index of the image that each order 0, 1, 2, … is recorded in; orders beyond the last go with it."""
 
 GROUPS = (3, "4-20", ">20")
-"""Order classes that paths are recorded in."""
+"""Order classes of an image."""
 
-
-@kernel
-def _group(order: int) -> int:
-    """Index of an order in `GROUPS`."""
-    return 0 if order == 3 else 1 if order <= 20 else 2
+CLASSES: Bins = np.array([0, 0, 0, 0, *[1] * 17, 2])
+"""Bins that are `GROUPS`."""
 
 
 @kernel
 def record_point(
-    cells: Array, geometry: Geometry, order: int, weight: float, sigma_t: float, g: float,
+    cells: Array, bins: Bins, geometry: Geometry, order: int, weight: float, sigma_t: float, g: float,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, cell_mm: tuple[float, float],
 ) -> None:  # fmt: skip
     """Add what one scattering at (x, y, z) sends to the camera to the cell it is seen through.
@@ -32,7 +31,7 @@ def record_point(
     Parameters
     ----------
     cells
-        (3, rows, columns), added to: power towards the camera, W/sr; over a cell's area it is the cell's radiance.
+        (images, rows, columns), added to: power towards the camera, W/sr; over a cell's area it is the cell's radiance.
     weight
         Power scattered there, W.
     dx, dy, dz
@@ -44,12 +43,12 @@ def record_point(
     if column < 0 or row < 0 or column >= cells.shape[2] or row >= cells.shape[1]:
         return
     value = weight * factor * henyey_greenstein(dx * sx + dy * sy + dz * sz, g) * math.exp(-sigma_t * path)
-    cells[_group(order), row, column] += value
+    cells[bins[min(order, bins.size - 1)], row, column] += value
 
 
 @kernel
 def record_rectangles(
-    edges: Array, order: int, value: float, sigma_t: float, x: float, y: float, x_low: float, x_high: float,
+    edges: Array, bins: Bins, order: int, value: float, sigma_t: float, x: float, y: float, x_low: float, x_high: float,
     y_low: float, y_high: float, beams: Array, half_width: float, cell_mm: tuple[float, float],
 ) -> None:  # fmt: skip
     """Add value · exp(−σt x') for all starts x' ∈ [x_low, x_high] on the beams in [y_low, y_high], moved by (x, y).
@@ -59,12 +58,12 @@ def record_rectangles(
     Parameters
     ----------
     edges
-        (3, 2, rows + 2, columns + 2), added to: [:, 0] what a partly covered column holds, [:, 1] what goes on from the
-        next column.
+        (images, 2, rows + 2, columns + 2), added to: [:, 0] what a partly covered column holds, [:, 1] what goes on
+        from the next column.
     """
     if x_high <= x_low or y_high <= y_low:
         return
-    group = _group(order)
+    group = bins[min(order, bins.size - 1)]
     first, first_part, first_on = _edge(x_low, x, sigma_t, value, cell_mm[0])
     last, last_part, last_on = _edge(x_high, x, sigma_t, value, cell_mm[0])
     for beam in range(beams.shape[0]):
