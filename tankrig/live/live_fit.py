@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from tankrig.live.exposures import Exposures, Plan
+from tankrig.live.exposures import Exposures, Photograph, Plan
 from tankrig.live.worker import Shared, work
 from tankrig.run.journal import Event
 from tankrig.run.writer import Pixels
@@ -76,6 +76,16 @@ class LiveFit:
             self._lock.release()
         if new:
             self._news.set()
+
+    def photographs(self, dose_ml: float) -> list[Photograph]:
+        """What has been photographed so far with so much ink in the tank; empty when that cannot be told at once."""
+        if self._closing.is_set() or not self._lock.acquire(timeout=_LOCK_S):
+            return []
+        try:
+            by_dose = (self._exposures.photographs(dose) for dose in range(self._exposures.dose, -1, -1))
+            return next((found for found in by_dose if found and found[0].dose_ml == dose_ml), [])
+        finally:
+            self._lock.release()
 
     def finish(self, timeout_s: float) -> bool:
         """Wait for the plan's last step to be seen, and for the last fits; whether they came in time."""

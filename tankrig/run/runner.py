@@ -21,6 +21,7 @@ from tankrig.sequence import Capture, Dose, DryRun, Mix, Note, Sequence, Wait
 
 _CAMERA_TIMEOUT_S = 5.0
 _MOST_SATURATED = 0.2
+_POLL_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -119,13 +120,24 @@ class Runner:
         self._camera_settings: CameraSettings | None = None
         self.path = writer.path
         self.latest_fit: Mapping[str, Any] | None = None
-        self.before_end: list[Callable[[], object]] = []
-        """Called after the last step and before the end is recorded: who still has fits to record waits here."""
+        self.before_end: list[Callable[[], bool]] = []
+        """After the last step the end is not recorded before each of these has said yes: who still has fits to record
+        holds it back. They are asked again and again, and an abort ends the waiting."""
 
     @property
     def state(self) -> RunState:
         """Where the run stands."""
         return self._states.now
+
+    @property
+    def doser(self) -> GuardedDoser:
+        """For asking what the tank holds, and for stopping; the run alone doses."""
+        return self._doser
+
+    @property
+    def plan(self) -> Plan:
+        """What it has to do."""
+        return self._plan
 
     def progress(self) -> Progress:
         """How far the run is."""
@@ -176,8 +188,7 @@ class Runner:
             for step in range(self._plan.first_step, len(tasks)):
                 self._states.step_boundary(self._note_of("paused"), self._note_of("resumed"))
                 self._do(step)
-            for wait in self.before_end:
-                wait()
+            self._wait_for_the_rest()
             self._writer.flush()
             reason = FinishReason.COMPLETED
         except TankrigError as caught:
@@ -189,6 +200,12 @@ class Runner:
         if trouble and reason is FinishReason.COMPLETED:
             reason = FinishReason.FAILED
         return Outcome(reason, self.path, trouble)
+
+    def _wait_for_the_rest(self) -> None:
+        self._clockwork.waiting_for = "the last fits"
+        for ready in self.before_end:
+            while not ready():
+                self._states.sleep(_POLL_S)
 
     def _note_of(self, text: str) -> Callable[[], None]:
         return lambda: self._writer.put("note", text=text)

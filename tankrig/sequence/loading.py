@@ -40,10 +40,21 @@ def load_sequence(path: str | os.PathLike[str]) -> Sequence:
     'capture full'
     """
     file = Path(path)
-    sequence = sequence_from_table(read_toml(file, "a sequence file", SequenceError), str(file))
+    return sequence_beside(file.parent, read_toml(file, "a sequence file", SequenceError), str(file))
+
+
+def sequence_beside(folder: Path, table: dict[str, Any], name: str) -> Sequence:
+    """The sequence of a parsed file in `folder`, which its pictures' paths are relative to; see `sequence_from_table`.
+
+    Raises
+    ------
+    SequenceError
+        About the first thing that is wrong.
+    """
+    sequence = sequence_from_table(table, name)
     patterns = {
-        name: replace(kind, path=str((file.parent / kind.path).absolute())) if isinstance(kind, ImageFile) else kind
-        for name, kind in sequence.patterns.items()
+        key: replace(kind, path=str((folder / kind.path).absolute())) if isinstance(kind, ImageFile) else kind
+        for key, kind in sequence.patterns.items()
     }
     return replace(sequence, patterns=patterns)
 
