@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.rig_doser.emulator.memory import read_truth
+from drivers.emulation.truth import read_truth
 from tankrig.errors import DeviceError
 
 from .doser_bench import Bench
@@ -77,7 +77,7 @@ def test_a_stop_is_on_the_wire_within_20_ms_while_a_reader_waits(tmp_path: Path)
         doser = bench.open()
         for _ in range(STOPS):
             arrived: list[float] = []
-            firmware = bench.board._firmware
+            firmware = bench.board.firmware
             really_stop = firmware.stop
             firmware.stop = lambda now, stop=really_stop, seen=arrived: (seen.append(time.perf_counter()), stop(now))
             dosing = threading.Thread(target=_dose_until_stopped, args=(doser, bench.true_ul + 1000.0))

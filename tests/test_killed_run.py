@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import tankrig
-from drivers.rig_doser.emulator.memory import read_truth
+from drivers.emulation.truth import read_truth
 from tankrig.run.recovery import recover
 
 from .killed_run import STEPS_PER_UL, killed_sequence

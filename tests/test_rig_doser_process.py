@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from drivers.emulation.truth import read_truth
 from drivers.rig_doser.doser import RigDoser
-from drivers.rig_doser.emulator.memory import read_truth
 from drivers.rig_doser.settings import RigDoserSettings
 from tankrig.errors import DeviceError, UndecidedError
 

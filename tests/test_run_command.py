@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 import tankrig
+from drivers.emulation.truth import read_truth
 from drivers.rig import load_rig_file
-from drivers.rig_doser.emulator.memory import read_truth
 from tankrig.run.rig import RigLock
 from ui.cli import main
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import tankrig
+from drivers.emulation.truth import read_truth
 from drivers.registry import open_device
-from drivers.rig_doser.emulator.memory import read_truth
 from tankrig.devices import Frame
 from tankrig.run.folder import create_run
 from tankrig.run.start import new_run

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.emulation.faults import Faults as DoserFaults
 from drivers.registry import open_device
-from drivers.rig_doser.emulator.faults import Faults as DoserFaults
 from drivers.simulated.camera import SimulatedCamera
 from drivers.simulated.light import frame_buffer
 from drivers.simulated.projector import SimulatedProjector

@@ -6,10 +6,10 @@ import sys
 import time
 from pathlib import Path
 
+from drivers.emulation.truth import read_truth, state_in_use
 from tankrig.errors import DeviceError
 
 from .doser import RigDoser
-from .emulator.memory import read_truth, state_in_use
 from .settings import RigDoserSettings, SimulatedDoserSettings
 
 _START_S = 20.0

@@ -3,14 +3,15 @@
 import math
 import struct
 from collections.abc import Mapping
+from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.rig_doser.emulator.memory import Truth as Plunger
-from drivers.rig_doser.emulator.memory import read_truth
+from drivers.emulation.truth import Truth as Plunger
+from drivers.emulation.truth import read_truth
 from tankrig.montecarlo import simulate_to
 from tankrig.pattern import Pattern
 from tankrig.scene.description import Medium
@@ -110,7 +111,9 @@ class SimulatedTank:
             dark = np.zeros(truth.bench.camera.shape)
             return Radiance(dark, dark)
         scene = truth.bench.scene(pattern, medium)
-        tally = simulate_to(scene, truth.tolerance, seed=self._seed, coarsen=truth.coarsen)
+        # With one seed for all, pictures would share their noise, and a fit of several would take it for the ink.
+        seed = int.from_bytes(sha256(f"{self._seed} {pattern.hash} {medium}".encode()).digest()[:6])
+        tally = simulate_to(scene, truth.tolerance, seed=seed, coarsen=truth.coarsen)
         return Radiance(tally.image, tally.stderr)
 
     def _ml(self, plunger: Plunger) -> float:

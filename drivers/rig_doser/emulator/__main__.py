@@ -1,97 +1,27 @@
 """Run the rig doser's emulator: `python -m drivers.rig_doser.emulator --link PATH --state FILE`."""
 
 import argparse
-import contextlib
-import json
-import selectors
-import signal
-import socket
 import sys
-import threading
-from pathlib import Path
-from typing import NoReturn, TextIO
+
+from drivers.emulation.process import parser, serve
 
 from .board import Board
-from .faults import Faults
 from .memory import Commissioning, StateFile
-
-_EPILOG = """\
-Control: connect to the socket and write one JSON object per line; each is answered by one, with the truth.
-  {"faults": {"lose": 0.01, "stall_after": 100}}   set faults (all of them: firmware_notes/rig_doser.md)
-  {"do": "reset"}                                  or unplug, plug, forget, quit
-  {}                                               ask only
-"""
-
-
-def _faults(text: str) -> dict[str, object]:
-    faults: dict[str, object] = json.loads(text)
-    try:
-        Faults(**faults)  # type: ignore[arg-type]
-    except TypeError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
-    return faults
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m drivers.rig_doser.emulator",
-        description="The rig's own doser on a pseudo-terminal: real in every way but the motor.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    made = parser("drivers.rig_doser.emulator", "The rig's own doser on a pseudo-terminal: real but for the motor.")
     new = Commissioning()
-    add = parser.add_argument
-    add("--link", type=Path, required=True, help="symbolic link to make to the device")
-    add("--state", type=Path, required=True, help="file that is the board's memory and the truth; made if missing")
-    add("--control", type=Path, help="socket for faults at run time")
+    add = made.add_argument
     add("--rate", type=float, default=2000.0, help="highest speed, steps/s (default 2000)")
     add("--acceleration", type=float, default=8000.0, help="steps/s² (default 8000)")
-    add("--time-scale", type=float, default=1.0, help="all times are multiplied by this (default 1)")
-    add("--faults", type=_faults, default={}, help="JSON object of the faults in force from the start")
-    add("--seed", type=int, default=0, help="of the faults (default 0)")
-    add("--linger-s", type=float, default=0.0, help="quit when no one has had the device open for so long; 0: never")
     add("--serial", default=new.serial, help="commissioning of a new state file (8 characters)")
     add("--dose-cap", type=int, default=new.dose_cap, help="commissioning: most steps in one dose")
     add("--life-cap", type=int, default=new.life_cap, help="commissioning: most steps ever")
-    args = parser.parse_args()
+    args = made.parse_args()
     if len(args.serial.encode()) != 8 or not args.serial.isalnum() or not args.serial.isascii():
-        parser.error(f"--serial {args.serial}: a serial number has 8 letters and digits")
+        made.error(f"--serial {args.serial}: a serial number has 8 letters and digits")
     return args
-
-
-def _serve(board: Board, control: Path) -> NoReturn:
-    """Answer the control socket for as long as the process lives."""
-    control.unlink(missing_ok=True)
-    with socket.socket(socket.AF_UNIX) as server, selectors.DefaultSelector() as selector:
-        server.bind(str(control))
-        server.listen()
-        selector.register(server, selectors.EVENT_READ)
-        while True:
-            for key, _ in selector.select():
-                if key.fileobj is server:
-                    connection, _ = server.accept()
-                    selector.register(connection, selectors.EVENT_READ, connection.makefile("rw"))
-                elif not _converse(board, key.data):
-                    selector.unregister(key.fileobj)
-
-
-def _converse(board: Board, stream: TextIO) -> bool:
-    """Answer one line; False once the other side is gone."""
-    with contextlib.suppress(OSError):
-        if line := stream.readline():
-            stream.write(json.dumps(_answer(board, line)) + "\n")
-            stream.flush()
-            return True
-    with contextlib.suppress(OSError):
-        stream.close()
-    return False
-
-
-def _answer(board: Board, line: str) -> dict[str, object]:
-    try:
-        return board.command(json.loads(line))
-    except (ValueError, TypeError, AttributeError) as error:
-        return {"error": str(error)}
 
 
 def main() -> int:
@@ -102,26 +32,8 @@ def main() -> int:
     except BlockingIOError:
         sys.stderr.write(f"{args.state}: another emulator runs on this state file\n")
         return 2
-    board = Board(
-        state,
-        args.link,
-        rate=args.rate,
-        acceleration=args.acceleration,
-        time_scale=args.time_scale,
-        seed=args.seed,
-    )
-    signal.signal(signal.SIGTERM, lambda *_: board.quit())
-    board.command({"faults": args.faults})
-    if args.control:
-        threading.Thread(target=_serve, args=(board, args.control), daemon=True).start()
-    with contextlib.suppress(KeyboardInterrupt):
-        while not board.quitting:
-            board.live()
-            if 0 < args.linger_s < board.idle_s:
-                board.quit()
-    board.unplug()
-    if args.control:
-        args.control.unlink(missing_ok=True)
+    speed = {"rate": args.rate, "acceleration": args.acceleration}
+    serve(Board(state, args.link, **speed, time_scale=args.time_scale, seed=args.seed), args)
     state.close()
     return 0
 

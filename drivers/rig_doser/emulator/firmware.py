@@ -2,10 +2,13 @@
 
 import string
 from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+from drivers.emulation.motor import Move
 
 from .frames import Request, framed
 from .memory import LOST, MEMORY, MOVING, REACHED, RESET, STALL, STOP, STOPPED, UNSURE, WATCHDOG, Record, StateFile
-from .motor import Move
 
 PROTOCOL = 1
 WATCHDOG_S = 1.5
@@ -55,6 +58,10 @@ class Firmware:
     def moving(self) -> bool:
         """Whether the motor runs."""
         return self._move is not None
+
+    def believed(self) -> dict[str, Any]:
+        """Its record, for the control channel."""
+        return asdict(self.record)
 
     def banner(self) -> bytes:
         """What it says after boot."""

@@ -3,18 +3,14 @@
 A memory-mapped file: what is written is there for the next process however this one ends, as FRAM is after a power cut.
 """
 
-import fcntl
-import mmap
-import os
 import struct
-import time
 import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-_SIZE = 256
-_TRUTH = slice(0, 16)
+from drivers.emulation.truth import TruthFile
+
 _COMMISSIONING, _RECORDS = 32, (128, 192)
 _CONFIG = struct.Struct("<8sII")
 _RECORD = struct.Struct("<IIIIIIHHBB")
@@ -49,15 +45,7 @@ class Record:
     reason: int = NONE
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What really happened: steps the plunger has made, and when it made the last one (monotonic clock)."""
-
-    steps: int
-    moved_ns: int
-
-
-class StateFile:
+class StateFile(TruthFile):
     """FRAM and truth of one doser; one process at a time.
 
     Parameters
@@ -74,15 +62,7 @@ class StateFile:
     """
 
     def __init__(self, path: Path, commissioning: Commissioning | None = None) -> None:
-        self._fd = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.ftruncate(self._fd, _SIZE)
-            self._map = mmap.mmap(self._fd, _SIZE)
-        except OSError:
-            os.close(self._fd)
-            raise
-        self._truth = memoryview(self._map)[_TRUTH].cast("Q")
+        super().__init__(path)
         self._writes = 0
         config = self._read(_COMMISSIONING, _CONFIG)
         if config is None:
@@ -113,22 +93,6 @@ class StateFile:
         for offset in _RECORDS:
             self._map[offset : offset + 4] = b"\x55\xaa\x55\xaa"
 
-    def step(self) -> None:
-        """The plunger really makes a step."""
-        self._truth[1] = time.monotonic_ns()
-        self._truth[0] += 1
-
-    @property
-    def truth(self) -> Truth:
-        """What really happened."""
-        return Truth(self._truth[0], self._truth[1])
-
-    def close(self) -> None:
-        """Let go of the file."""
-        self._truth.release()
-        self._map.close()
-        os.close(self._fd)
-
     def _read(self, offset: int, layout: struct.Struct) -> tuple[Any, ...] | None:
         end = offset + layout.size
         data = self._map[offset:end]
@@ -144,21 +108,3 @@ _FIELDS = fields(Record)
 
 def _checked(data: bytes) -> int:
     return zlib.crc32(data, 0x5A5A5A5A)
-
-
-def read_truth(path: Path) -> Truth:
-    """What the doser with this state file has really delivered, also while its process runs."""
-    with path.open("rb") as file:
-        return Truth(*struct.unpack("@QQ", file.read(16)))
-
-
-def state_in_use(path: Path) -> bool:
-    """Whether an emulator runs on this state file."""
-    try:
-        with path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except FileNotFoundError:
-        return False
-    except BlockingIOError:
-        return True
-    return False

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong from now on; meanings as on the protocol page."""
+    """What goes wrong from now on; meanings as on firmware_notes/rig_doser.md."""
 
     lose: float = 0.0
     corrupt: float = 0.0
