@@ -12,7 +12,7 @@ from tankrig.checked_toml import checked, read_toml
 from tankrig.dosing import DoseLimits
 from tankrig.errors import DeviceError, SceneError
 from tankrig.run.rig import Rig, RigLock
-from tankrig.scene.description import CLOSED
+from tankrig.scene.description import CLOSED, Medium
 from tankrig.sequence import Pace
 
 
@@ -89,9 +89,28 @@ def load_rig_file(path: str | os.PathLike[str], beside: Path | None = None) -> R
     return checked(RigFile, table, str(file), SceneError)
 
 
+SIMULATED = Path(__file__).parent / "simulated" / "rig.toml"
+"""The rig file of the simulated rig."""
+
+
 def simulated_rig(folder: Path) -> RigFile:
-    """The simulated rig, with all that it remembers in `folder`: a new folder is a tank of clear water."""
-    return load_rig_file(Path(__file__).parent / "simulated" / "rig.toml", beside=folder.absolute())
+    """The simulated rig, with all that it remembers in `folder`: a new folder is a tank of clear water.
+
+    A `rig.toml` in the folder stands in for the one that ships.
+    """
+    own = folder / "rig.toml"
+    return load_rig_file(own if own.exists() else SIMULATED, beside=folder.absolute())
+
+
+def true_liquids(description: RigFile) -> tuple[Medium, Medium] | None:
+    """Water, per mm, and ink, per mm and ml, in the tank of a simulated camera; of a real one nobody knows them."""
+    settings = dict(description.camera)
+    if settings.pop("driver") != "simulated-camera":
+        return None
+    from drivers.simulated.settings import SimulatedCameraSettings
+
+    truth = checked(SimulatedCameraSettings, settings, "simulated-camera", DeviceError).truth
+    return truth.water, truth.ink
 
 
 def open_rig(description: RigFile) -> Rig:

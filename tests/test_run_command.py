@@ -52,7 +52,7 @@ def true_ul(run: Path) -> float:
 
 
 def test_one_command_runs_a_sequence_on_the_simulated_rig_and_says_so(folder, capsys):
-    assert main(["run", "short.toml", "--out", "run", "--json"]) == 0
+    assert main(["run", "short.toml", "--out", "run", "--json", "--no-fit"]) == 0
     said = capsys.readouterr()
     assert "no rig is configured, so this is the simulated rig" in said.err
     assert json.loads(said.out) == {"run": "run", "reason": "completed", "frames": 6, "delivered_ul": 40.0}
@@ -130,12 +130,12 @@ def test_ctrl_c_stops_the_dose_and_the_resumed_run_doses_the_rest(folder, capsys
         os.kill(os.getpid(), signal.SIGINT)
 
     threading.Thread(target=interrupt).start()
-    assert main(["run", "long.toml", "--out", "run"]) == 1
+    assert main(["run", "long.toml", "--out", "run", "--no-fit"]) == 1
     said = capsys.readouterr()
     assert "aborted: run" in said.out
     assert "resume with: tankrig run --resume run" in said.out
     assert 0.0 < true_ul(folder / "run") < 900.0
-    assert main(["run", "--resume", "run"]) == 0
+    assert main(["run", "--resume", "run", "--no-fit"]) == 0
     assert true_ul(folder / "run") == 900.0
 
 
@@ -149,6 +149,7 @@ def test_a_killed_dose_needs_a_persons_word(folder, capsys):
             "long.toml",
             "--out",
             "run",
+            "--no-fit",
         ],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -168,5 +169,5 @@ def test_a_killed_dose_needs_a_persons_word(folder, capsys):
     said = capsys.readouterr()
     assert "say how much it is in all (--delivered-ul)" in said.err
     assert said.err.count("\n") == 1
-    assert main(["run", "--resume", "run", "--delivered-ul", f"{delivered_ul:g}"]) == 0
+    assert main(["run", "--resume", "run", "--delivered-ul", f"{delivered_ul:g}", "--no-fit"]) == 0
     assert true_ul(folder / "run") == 900.0

@@ -360,12 +360,14 @@ def test_fits_are_recorded_beside_the_frames_and_waited_for_at_the_end(tmp_path)
             runner.record("fit", index=event["index"], sigma_s=0.02)
             fitted.append(event["index"])
 
-    def finish():
-        until(lambda: len(fitted) == 9)
+    def finished():
+        if len(fitted) < 9:
+            return False
         runner.record("fit", series=True)
+        return True
 
     runner.listen(fit)
-    runner.before_end.append(finish)
+    runner.before_end.append(finished)
     assert runner.run().reason is FinishReason.COMPLETED
     run = tankrig.open_run(tmp_path / "run")
     assert [fit.get("index") for fit in run.fits] == [*range(9), None]

@@ -1,34 +1,45 @@
 """A live fit tied to a run: frames in, `fit` lines into the journal, and an end that both agree on."""
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from typing import Any
 
 from tankrig.errors import StoreError
 from tankrig.live.exposures import Plan
 from tankrig.live.live_fit import LiveFit
+from tankrig.run.reading import open_run
 from tankrig.run.runner import Runner
+
+PATIENCE_S = 240.0
 
 
 @contextmanager
-def fitted_live(runner: Runner, plan: Plan, patience_s: float = 120.0) -> Iterator[LiveFit]:
+def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[LiveFit]:
     """Fit a run's frames while it goes on; enter before `Runner.run` and leave after it.
+
+    What is found stands in the journal, and `Runner.latest_fit` is the last of it. Frames and fits of a run that goes
+    on are taken in first.
 
     Parameters
     ----------
     runner
-        Records what is found, as `fit` lines of its journal.
-    plan
-        Of the same run.
+        Of the run, new or resumed.
     patience_s
-        How long the run's end waits for the last fits.
+        How long the run's end waits for the last fits; those that come later are lost, and `tankrig report` makes them.
     """
+    run = open_run(runner.path)
 
     def record(table: dict[str, Any]) -> None:
-        with suppress(StoreError):  # a fit that comes after the end is lost; `tankrig report` makes it again
+        with suppress(StoreError):  # it has come after the end
             runner.record("fit", **table)
 
-    with LiveFit(plan, record) as fit:
+    @cache
+    def latest_s() -> float:
+        return time.monotonic() + patience_s
+
+    with LiveFit(Plan.of_run(run), record, run) as fit:
         runner.listen(fit.see)
-        runner.before_end.append(lambda: fit.finish(patience_s))
+        runner.before_end.append(lambda: fit.finished or time.monotonic() > latest_s())
         yield fit

@@ -3,6 +3,7 @@
 The same sums are kept in shared memory while a run goes on, and in ordinary memory when a run is read back.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -229,9 +230,13 @@ def _photon_transfer(mean: Array, variance: Array, count: int) -> Array:
 def exposures_of(run: Run) -> Exposures:
     """All that a run has photographed, read back from disk."""
     exposures = Exposures(Plan.of_run(run))
-    frames = run.frames
-    index = {event["index"]: position for position, event in enumerate(run.events("frame"))}
-    for event in run.journal:
-        pixels = frames[index[event["index"]]].values if event.kind == "frame" else None
+    for event, pixels in replayed(run):
         exposures.take(event, pixels)
     return exposures
+
+
+def replayed(run: Run) -> Iterator[tuple[Event, Pixels | None]]:
+    """A run's events in their order, each frame with its pixels: what those heard who listened to it."""
+    frames = iter(run.frames if run.events("frame") else ())
+    for event in run.journal:
+        yield event, next(frames).values if event.kind == "frame" else None

@@ -1,18 +1,20 @@
 """The live fit's side in the experiment's process: it hands frames over, and what comes back it passes on."""
 
 import multiprocessing
+import signal
 import threading
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing.shared_memory import SharedMemory
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
-from tankrig.live.exposures import Exposures, Photograph, Plan
+from tankrig.live.exposures import Exposures, Photograph, Plan, replayed
 from tankrig.live.worker import Shared, work
 from tankrig.run.journal import Event
+from tankrig.run.reading import Run
 from tankrig.run.writer import Pixels
 
 _LOCK_S = 0.1
@@ -20,6 +22,15 @@ _JOIN_S = 5.0
 _POLL_S = 0.2
 
 OnResult = Callable[[dict[str, Any]], object]
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class LiveFit:
@@ -35,9 +46,11 @@ class LiveFit:
         What the run is going to photograph.
     on_result
         Called with each fit's table, in a thread of this object.
+    earlier
+        A run that goes on: its frames are taken in first, and what it has fitted is not fitted again.
     """
 
-    def __init__(self, plan: Plan, on_result: OnResult) -> None:
+    def __init__(self, plan: Plan, on_result: OnResult, earlier: Run | None = None) -> None:
         context = multiprocessing.get_context("spawn")
         self._memory = SharedMemory(create=True, size=plan.size * 8)
         self._numbers: Any = np.ndarray((plan.size,), np.float64, self._memory.buf)
@@ -45,13 +58,17 @@ class LiveFit:
         self._exposures = Exposures(plan, self._numbers)
         self._results, results = context.Pipe(duplex=False)
         self._lock, self._news, self._last = context.Lock(), context.Event(), context.Event()
-        shared = Shared(self._memory.name, plan, self._lock, self._news, self._last, results)
+        fits = tuple(dict(event.fields) for event in earlier.fits) if earlier else ()
+        shared = Shared(self._memory.name, plan, self._lock, self._news, self._last, results, fits)
         self._process = context.Process(target=work, args=(shared,), name="live-fit", daemon=True)
         self._on_result = on_result
-        self._closing, self._all_seen = threading.Event(), threading.Event()
+        self._closing = threading.Event()
         self._last_step = len(plan.exposures) - 1
         try:
-            self._process.start()
+            for event, pixels in replayed(earlier) if earlier else ():
+                self.see(event, pixels)
+            with _interrupts_held():  # for good in the new process: Ctrl-C in a terminal is the run's to answer
+                self._process.start()
         except BaseException:
             self._release()
             raise
@@ -67,7 +84,8 @@ class LiveFit:
     def see(self, event: Event, pixels: Pixels | None) -> None:
         """Take a recorded event of the run in; give this to `Runner.listen`."""
         if event.kind == "step" and event["state"] == "done" and event["step"] == self._last_step:
-            self._all_seen.set()
+            self._last.set()
+            self._news.set()
         if self._closing.is_set() or not self._lock.acquire(timeout=_LOCK_S):
             return  # a preview may be lost; what was recorded is on disk
         try:
@@ -87,13 +105,9 @@ class LiveFit:
         finally:
             self._lock.release()
 
-    def finish(self, timeout_s: float) -> bool:
-        """Wait for the plan's last step to be seen, and for the last fits; whether they came in time."""
-        deadline = time.monotonic() + timeout_s
-        self._all_seen.wait(timeout_s)
-        self._last.set()
-        self._news.set()
-        self._thread.join(max(0.0, deadline - time.monotonic()))
+    @property
+    def finished(self) -> bool:
+        """Whether the last fits are in; they are asked for once the plan's last step has been seen."""
         return not self._thread.is_alive()
 
     def close(self) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
@@ -38,6 +39,8 @@ class Shared:
         Set when there are new frames, and when no more will come.
     results
         Where tables go.
+    earlier
+        Tables of what was fitted before, where a run goes on.
     """
 
     memory: str
@@ -46,6 +49,7 @@ class Shared:
     news: Signal
     last: Signal
     results: Connection
+    earlier: tuple[dict[str, Any], ...] = ()
 
 
 def work(shared: Shared) -> None:
@@ -75,7 +79,7 @@ def _end_with_parent(memory: SharedMemory) -> None:
 
 
 def _fit(shared: Shared, memory: SharedMemory) -> None:
-    fitter = Fitter()
+    fitter = Fitter(shared.earlier)
     while True:
         last = shared.last.is_set()
         shared.news.clear()
@@ -104,23 +108,33 @@ def _send(shared: Shared, table: dict[str, Any] | None) -> bool:
 
 
 class Fitter:
-    """Decides what to fit next: the dose under way first, then the series of the doses that are over."""
+    """Decides what to fit next: the dose under way first, then the series of the doses that are over.
 
-    def __init__(self) -> None:
-        self._fitted: dict[int, int] = {}
-        self._liquid: dict[int, Medium] = {}
+    Parameters
+    ----------
+    earlier
+        Tables of what was fitted before.
+    """
+
+    def __init__(self, earlier: Iterable[dict[str, Any]] = ()) -> None:
+        self._fitted: dict[float, int] = {}
+        self._liquid: dict[float, Medium] = {}
         self._latest: tuple[Medium, float] | None = None
         self._in_series = 0
         self._series: SeriesEstimate | None = None
+        for table in earlier:
+            if table.get("fit") == "dose" and "error" not in table:
+                self._fitted[table["dose_ml"]] = table["frames"]
+                self._keep(table["dose_ml"], Medium(table["sigma_a"], table["sigma_s"], table["g"]))
 
     def next(self, exposures: Exposures, last: bool) -> dict[str, Any] | None:
         """Fit what is newest and not fitted yet; its table, or None when there is nothing to do."""
         for dose in range(exposures.dose, -1, -1):
             photographs = exposures.photographs(dose)
             frames = sum(one.frames for one in photographs)
-            if frames > self._fitted.get(dose, 0):
-                self._fitted[dose] = frames
-                return self._dose(dose, photographs)
+            if photographs and frames > self._fitted.get(photographs[0].dose_ml, 0):
+                self._fitted[photographs[0].dose_ml] = frames
+                return self._dose(photographs[0].dose_ml, photographs)
         over = exposures.photographs() if last else [
             one for one in exposures.photographs() if one.dose_ml < exposures.dose_ml
         ]  # fmt: skip
@@ -130,18 +144,21 @@ class Fitter:
             return self._all(over)
         return None
 
-    def _dose(self, dose: int, photographs: list[Photograph]) -> dict[str, Any]:
+    def _dose(self, dose_ml: float, photographs: list[Photograph]) -> dict[str, Any]:
         try:
-            table, found = fit_dose(photographs, self._start(dose, photographs[0].dose_ml))
+            table, found = fit_dose(photographs, self._start(dose_ml))
         except TankrigError as error:
-            return {"fit": "dose", "dose_ml": photographs[0].dose_ml, "error": str(error)}
-        self._liquid[dose], self._latest = found.ink, (found.ink, photographs[0].dose_ml)
+            return {"fit": "dose", "dose_ml": dose_ml, "error": str(error)}
+        self._keep(dose_ml, found.ink)
         return table
 
-    def _start(self, dose: int, dose_ml: float) -> Medium | None:
+    def _keep(self, dose_ml: float, liquid: Medium) -> None:
+        self._liquid[dose_ml], self._latest = liquid, (liquid, dose_ml)
+
+    def _start(self, dose_ml: float) -> Medium | None:
         """Where to begin: the dose's own last fit, what the series foresees, or another dose's liquid, diluted."""
-        if dose in self._liquid:
-            return self._liquid[dose]
+        if dose_ml in self._liquid:
+            return self._liquid[dose_ml]
         if self._series is not None:
             return self._series.at(dose_ml)
         return None if self._latest is None else diluted(*self._latest, dose_ml)

@@ -12,6 +12,7 @@ import numpy as np
 from tankrig.figures.tank_image import STYLE
 from tankrig.files import require_writable, whole_file
 from tankrig.live.exposures import Photograph, Plan
+from tankrig.live.words import with_error
 from tankrig.report import curves, pictures
 from tankrig.report.results import Results, Table, results_of
 from tankrig.report.settings import settings_of, skipped_of
@@ -117,18 +118,6 @@ def _headline(results: Results) -> list[dict[str, str]]:
     ]
     parts = [(*with_error(value, error).split(" ± "), name) for value, error, name in numbers]
     return [{"value": value, "error": error, "name": name} for value, error, name in parts]
-
-
-def with_error(value: float, sd: float) -> str:
-    """A value to two digits of its standard deviation.
-
-    >>> with_error(0.0123456, 0.00012)
-    '0.01235 ± 0.00012'
-    """
-    if not sd > 0.0:
-        return f"{value:.4g} ± 0"
-    digits = min(8, max(0, 1 - int(np.floor(np.log10(sd)))))
-    return f"{value:.{digits}f} ± {sd:.{digits}f}"
 
 
 def _sigma_t(results: Results, dose: Table) -> float:

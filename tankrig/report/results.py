@@ -54,21 +54,28 @@ def results_of(run: Run, progress: Callable[[str], None] = lambda _: None) -> Re
             "record some first"
         )
     doses_ml = sorted({one.dose_ml for one in photographs})
-    tables = [dict(event.fields) for event in run.fits if "error" not in event.fields]
+    made, series = recorded(run)
     doses: list[Table] = []
     for dose_ml in doses_ml:
         here = [one for one in photographs if one.dose_ml == dose_ml]
-        frames = sum(one.frames for one in here)
-        made = [one for one in tables if one["fit"] == "dose" and one["dose_ml"] == dose_ml and one["frames"] == frames]
-        if not made:
+        table = next((one for one in made if one["dose_ml"] == dose_ml), None)
+        if table is None or table["frames"] != sum(one.frames for one in here):
             progress(f"fitting {dose_ml:g} ml")
-            made = [fit_dose(here, _near(doses, dose_ml))[0]]
-        doses.append(made[-1])
-    series = next((one for one in reversed(tables) if one["fit"] == "series" and one["doses_ml"] == doses_ml), None)
-    if series is None and len(doses_ml) > 1:
+            table = fit_dose(here, _near(doses, dose_ml))[0]
+        doses.append(table)
+    if len(doses_ml) > 1 and (series is None or series["doses_ml"] != doses_ml):
         progress("fitting the series")
         series = fit_all(photographs)[0]
     return Results(photographs, doses, series)
+
+
+def recorded(run: Run) -> tuple[list[Table], Table | None]:
+    """The last fit of each dose that the run made while it went on, by dose, and its last fit of the series."""
+    tables = [dict(event.fields) for event in run.fits if "error" not in event.fields]
+    doses = {one["dose_ml"]: one for one in tables if one["fit"] == "dose"}
+    return [doses[dose_ml] for dose_ml in sorted(doses)], next(
+        (one for one in reversed(tables) if one["fit"] == "series"), None
+    )
 
 
 def _near(doses: list[Table], dose_ml: float) -> Medium | None:

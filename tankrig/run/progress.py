@@ -57,7 +57,7 @@ class Clockwork:
         left_s = [step.seconds * self._pace(step.kind) for step in steps[self._step :]]
         if left_s:
             left_s[0] = max(0.0, left_s[0] - (time.monotonic() - self._began_s))
-        label = steps[self._step].label if left_s else ""
+        label = steps[self._step].label if left_s else "all steps are done"
         return Progress(self._step, len(steps), label, self.waiting_for, sum(left_s))
 
     def _pace(self, kind: type) -> float:

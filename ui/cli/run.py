@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tankrig.errors import TankrigError
+from ui.cli.fits import fits_of, tell_fits
 from ui.cli.options import json_option, out_option, rig_option
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ _POLL_S = 0.1
     metavar="X",
     help="Ink that the tank holds in all, where a dose was interrupted and only a person can say.",
 )
+@click.option("--fit/--no-fit", default=True, show_default=True, help="Fit the model while frames arrive, and report.")
 @rig_option
 @out_option(None, "Folder of the run, which must not exist; default: runs/ and the time.")
 @json_option
@@ -41,12 +43,14 @@ def run(
     dry_run: bool,
     resume: Path | None,
     delivered_ul: float | None,
+    fit: bool,
     rig: Path | None,
     out: Path | None,
     as_json: bool,
 ) -> int:
     """Carry out SEQUENCE (TOML) on the rig: project, dose, photograph, and record every frame safely.
 
+    Meanwhile a process of its own fits σa, σs and g; at the end they are told, and a report is written into the run.
     Ctrl-C stops the doser at once and ends the run, which can then be resumed.
     """
     from tankrig.run.start import require_resumable
@@ -67,14 +71,10 @@ def run(
         if dry_run:
             _tell_plan(plan, as_json)
             return 0
-    runner = _runner(sequence, path, description, delivered_ul)
+    runner = open_runner(sequence, path, description, delivered_ul)
     if rig is None:
         click.echo("no rig is configured, so this is the simulated rig", err=True)
-    outcome = carried_out(runner)
-    _tell_outcome(outcome, as_json)
-    if outcome.error is not None:
-        raise outcome.error
-    return 0 if outcome.reason.value == "completed" else 1
+    return tell(carry_out(runner, fit), description, fit, as_json)
 
 
 def _described(rig: Path | None, run_folder: Path) -> "RigFile":
@@ -128,7 +128,9 @@ def _tell_plan(plan: "DryRun", as_json: bool) -> None:
     )
 
 
-def _runner(sequence: "Sequence | None", path: Path, description: "RigFile", delivered_ul: float | None) -> "Runner":
+def open_runner(
+    sequence: "Sequence | None", path: Path, description: "RigFile", delivered_ul: float | None = None
+) -> "Runner":
     """For a new run or, without a sequence, the one at `path`; on a terminal, what only a person can say is asked."""
     from drivers.rig import open_rig
     from tankrig.errors import UndecidedError
@@ -147,10 +149,15 @@ def _runner(sequence: "Sequence | None", path: Path, description: "RigFile", del
             delivered_ul = click.prompt("ink in the tank in all, µl", type=click.FloatRange(min=0.0), err=True)
 
 
-def carried_out(runner: "Runner") -> "Outcome":
+def carry_out(runner: "Runner", fit: bool) -> "Outcome":
     """Run in a thread of its own, so that progress is drawn and Ctrl-C heard while a device is waited for."""
-    from rich.console import Console
+    from rich.console import Console, Group
+    from rich.live import Live
     from rich.progress import BarColumn, Progress, TextColumn
+    from rich.text import Text
+
+    from tankrig.live.attached import fitted_live
+    from tankrig.live.words import fit_in_words
 
     outcomes: list[Outcome | BaseException] = []
 
@@ -161,15 +168,20 @@ def carried_out(runner: "Runner") -> "Outcome":
             outcomes.append(error)
 
     thread = threading.Thread(target=work, name="run")
-    columns = (BarColumn(), TextColumn("{task.completed}/{task.total}"), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar, _aborting_on_signals(runner):
-        task = bar.add_task("", total=runner.progress().steps)
+    bar = Progress(BarColumn(), TextColumn("{task.completed}/{task.total}"), TextColumn("{task.description}"))
+    task, found = bar.add_task("", total=runner.progress().steps), Text()
+    with (
+        fitted_live(runner) if fit else nullcontext(),
+        Live(Group(bar, found) if fit else bar, console=Console(stderr=True), transient=True),
+        _aborting_on_signals(runner),
+    ):
         thread.start()
         while thread.is_alive():
             thread.join(_POLL_S)
             now = runner.progress()
             words = f"{now.label}, {_duration(now.remaining_s)} left; waiting for {now.waiting_for or 'the rig'}"
             bar.update(task, completed=now.step, description=words)
+            found.plain = fit_in_words(runner.latest_fit)
     (outcome,) = outcomes
     if isinstance(outcome, BaseException):
         raise outcome
@@ -192,26 +204,42 @@ def _aborting_on_signals(runner: "Runner") -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _tell_outcome(outcome: "Outcome", as_json: bool) -> None:
-    import tankrig
+def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -> int:
+    """Say how a run ended and what it found, write its report, and give the exit status."""
+    from tankrig.run.reading import open_run
 
-    recorded = tankrig.open_run(outcome.path)
-    frames = len(recorded.events("frame"))
-    doses = recorded.events("dose_done")
+    path, completed = outcome.path, outcome.reason.value == "completed"
+    run = open_run(path)
+    frames, doses = len(run.events("frame")), run.events("dose_done")
     delivered_ul = doses[-1]["delivered_ul"] if doses else None
+    said = {"run": str(path), "reason": outcome.reason.value, "frames": frames, "delivered_ul": delivered_ul}
+    found = fits_of(path, description) if fit else {"doses": []}
+    report = _reported(path) if completed and found["doses"] else None
     if as_json:
-        table = {
-            "run": str(outcome.path),
-            "reason": outcome.reason.value,
-            "frames": frames,
-            "delivered_ul": delivered_ul,
-        }
-        click.echo(json.dumps(table))
-        return
-    ink = f", the tank holds {delivered_ul:g} µl" if delivered_ul is not None else ""
-    click.echo(f"{outcome.reason.value}: {outcome.path}, {frames} frames{ink}")
-    if outcome.reason.value != "completed":
-        click.echo(f"resume with: tankrig run --resume {outcome.path}")
+        click.echo(json.dumps({**said, **found, "report": report} if fit else said, ensure_ascii=False))
+    else:
+        if found["doses"]:
+            tell_fits(found)
+        ink = f", the tank holds {delivered_ul:g} µl" if delivered_ul is not None else ""
+        click.echo(f"{outcome.reason.value}: {path}, {frames} frames{ink}")
+        if not completed:
+            click.echo(f"resume with: tankrig run --resume {path}")
+        elif report:
+            click.echo(f"report: {report}")
+        elif frames:
+            click.echo(f"for a report: tankrig report {path}")
+    if outcome.error is not None:
+        raise outcome.error
+    return 0 if completed else 1
+
+
+def _reported(path: Path) -> str:
+    from rich.console import Console
+
+    from tankrig.report import write_report
+
+    with Console(stderr=True).status("writing the report") as status:
+        return str(write_report(path, None, status.update))
 
 
 def _duration(seconds: float) -> str:

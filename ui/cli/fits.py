@@ -1,0 +1,80 @@
+"""What a run's fits found, as numbers for `--json` and as a table for people, beside the truth where that is known."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from drivers.rig import RigFile
+    from tankrig.scene import Medium
+
+NAMES = ("sigma_a", "sigma_s", "g")
+SHOWN = ("sigma_s", "g", "sigma_a")
+
+
+def fits_of(run: Path, description: "RigFile") -> dict[str, Any]:
+    """The last fits that a run recorded: by dose, and per ml; with the truth where its rig is simulated."""
+    from drivers.rig import true_liquids
+    from drivers.simulated.tank import mixture
+    from tankrig.report.results import recorded
+    from tankrig.run.reading import open_run
+
+    doses, series = recorded(open_run(run))
+    truth = true_liquids(description)
+    rows = []
+    for fit in doses:
+        row = {
+            "dose_ml": fit["dose_ml"],
+            "fitted": {name: fit[name] for name in NAMES},
+            "sd": dict(zip(NAMES, fit["sd"], strict=True)),
+        }
+        sigma_t = fit["sigma_a"] + fit["sigma_s"]
+        if truth:
+            liquid = mixture(*truth, fit["dose_ml"])
+            row["truth"], sigma_t = _named(liquid), liquid.sigma_t
+        rows.append({**row, "single_sigma_t_ratio": fit["single"]["sigma_t"] / sigma_t})
+    found: dict[str, Any] = {"doses": rows}
+    if series is not None:
+        found |= {"ink_per_ml": series["ink"], "ink_sd": series["sd"], "verdict": series["verdict"]}
+        found |= {"truth_per_ml": _named(truth[1])} if truth else {}
+    return found
+
+
+def tell_fits(found: dict[str, Any]) -> None:
+    """Coefficients in 1/m, which makes them short, and how wrong single scattering is."""
+    from rich.console import Console
+    from rich.table import Table
+
+    known = any("truth" in row for row in found["doses"])
+    table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
+    headings = [heading for name in ("σs, 1/m", "g", "σa, 1/m") for heading in ((name, "truth") if known else (name,))]
+    for heading in ("ink", *headings, "single\nscatt. σt"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in found["doses"]:
+        cells = _cells(row["fitted"], row["sd"], row.get("truth"))
+        table.add_row(f"{row['dose_ml']:.3g} ml", *cells, f"{100.0 * (row['single_sigma_t_ratio'] - 1.0):+.0f} %")
+    if "ink_per_ml" in found:
+        sd = dict(zip(NAMES, found["ink_sd"], strict=False))
+        table.add_row("")
+        table.add_row("per ml", *_cells(found["ink_per_ml"], sd, found.get("truth_per_ml")), style="bold")
+    console = Console()
+    console.print(table)
+    if "verdict" in found:
+        console.print(f"\n{found['verdict']}", highlight=False)
+    click.echo()
+
+
+def _cells(found: dict[str, float], sd: dict[str, float], truth: dict[str, float] | None) -> Iterator[str]:
+    for name in SHOWN:
+        by = 1.0 if name == "g" else 1000.0
+        digits = max(0, 1 - math.floor(math.log10(by * sd[name]))) if sd[name] > 0.0 else 4
+        yield f"{by * found[name]:.{digits}f}±{by * sd[name]:.{digits}f}"
+        if truth:
+            yield f"{by * truth[name]:.3f}"
+
+
+def _named(medium: "Medium") -> dict[str, float]:
+    return {name: getattr(medium, name) for name in NAMES}
