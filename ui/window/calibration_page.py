@@ -1,0 +1,166 @@
+"""What is calibrated, when and how well; and the rig file that holds it."""
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import (
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QScrollArea,
+    QTabWidget,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ui.window.marked_text import MarkedText
+from ui.window.rig_file import RigSource
+from ui.window.sequence_text import line_of
+from ui.window.status import RigState, RigStatus
+
+if TYPE_CHECKING:
+    from drivers.rig import RigFile
+
+BELIEVED = "taken from the rig file; not measured by tankrig"
+
+
+class CalibrationPage(QWidget):
+    """Lists the rig's calibration, and shows its file with the line marked that is wrong."""
+
+    reopen_asked = Signal()
+    told = Signal(str)
+
+    def __init__(self, source: RigSource) -> None:
+        super().__init__()
+        self._source = source
+        self._table = QWidget()
+        self._grid = QGridLayout(self._table)
+        self._grid.setColumnStretch(1, 1)
+        self._grid.setVerticalSpacing(10)
+        self._grid.setHorizontalSpacing(18)
+        self._grid.setAlignment(Qt.AlignmentFlag.AlignTop)
+        area = QScrollArea()
+        area.setWidgetResizable(True)
+        area.setFrameShape(QScrollArea.Shape.NoFrame)
+        area.setWidget(self._table)
+        self._text = MarkedText()
+        self.tabs = QTabWidget()
+        self.tabs.setDocumentMode(True)
+        self.tabs.addTab(area, "What is known")
+        self.tabs.addTab(self._file_tab(), "Rig file")
+        column = QVBoxLayout(self)
+        column.setContentsMargins(14, 10, 14, 10)
+        column.addWidget(self.tabs)
+        self._say_empty()
+
+    def set_rig(self, rig: "RigFile") -> None:
+        """Show this rig's calibration."""
+        self._clear()
+        bench = rig.bench
+        tank, wall, camera = bench.tank, bench.wall, bench.camera
+        size = " × ".join(f"{side:g}" for side in tank.size_mm)
+        light = f"{bench.light}" + (f" from {_point(bench.light_position_mm)} mm" if bench.light_position_mm else "")
+        seen = f"{camera.kind}" + (f" from {_point(camera.position_mm)} mm" if camera.position_mm else "")
+        rows = (
+            ("tank", f"{size} mm, {tank.surface} surface"),
+            ("light", light),
+            ("projector to wall", f"{wall.shape[1]} × {wall.shape[0]} pixels on y = {wall.y_mm[0]:g} … {wall.y_mm[1]:g} mm, "
+                                  f"z = {wall.z_mm[0]:g} … {wall.z_mm[1]:g} mm"),
+            ("projector's brightness", f"{wall.irradiance:g} W/mm² at level 255, gamma {wall.gamma:g}"),
+            ("camera", f"{seen}, {camera.shape[1]} × {camera.shape[0]} pixels of {camera.pixel_mm:g} mm"),
+            ("doser", f"driver {rig.doser['driver']}" + (f", {rig.doser['steps_per_ul']:g} steps per µl"
+                                                         if "steps_per_ul" in rig.doser else "")),
+            ("limits", f"{rig.limits.dose_ul:g} µl a dose, {rig.limits.run_ul:g} µl a run, {rig.limits.tank_ul:g} µl a tank"),
+        )  # fmt: skip
+        when = self._when()
+        for row, (what, value) in enumerate(rows):
+            name, words, note = QLabel(what), QLabel(value), QLabel(f"{BELIEVED}; file of {when}")
+            name.setProperty("role", "heading")
+            note.setProperty("role", "faint")
+            for label in (words, note):
+                label.setWordWrap(True)
+            self._grid.addWidget(name, 2 * row, 0, 2, 1, Qt.AlignmentFlag.AlignTop)
+            self._grid.addWidget(words, 2 * row, 1)
+            self._grid.addWidget(note, 2 * row + 1, 1)
+        self._read_file()
+
+    def follow(self, status: RigStatus) -> None:
+        """Mark the line of the rig file that is to blame, once it has failed."""
+        failed = status.state is RigState.FAILED
+        self._again.setEnabled(failed)
+        if failed and status.trouble and self._source.file is not None and not self._text.marked:
+            self._read_file()
+            line = line_of(self._text.toPlainText(), status.trouble.partition(": ")[2])
+            self._text.mark(line)
+            if line:
+                self._text.go_to(line)
+                self.tabs.setCurrentIndex(1)
+        if not failed:
+            self._text.mark(0)
+
+    def _when(self) -> str:
+        stamp = self._path().stat().st_mtime
+        return f"{datetime.fromtimestamp(stamp):%Y-%m-%d %H:%M}"
+
+    def _path(self) -> Path:
+        import drivers.simulated
+
+        own = Path(str(drivers.simulated.__file__)).with_name("rig.toml")
+        return self._source.file or own
+
+    def _read_file(self) -> None:
+        try:
+            self._text.replace_text(self._path().read_text(encoding="utf-8-sig"))
+        except (OSError, UnicodeDecodeError) as error:
+            self._text.replace_text(f"# {self._path()}: cannot be read ({error})")
+
+    def _save(self) -> None:
+        from tankrig.files import whole_file
+
+        if self._source.file is None:
+            self.told.emit("the simulated rig's file comes with tankrig; copy it and start with --rig to change it")
+            return
+        try:
+            with whole_file(self._source.file) as unfinished:
+                unfinished.write_text(self._text.toPlainText(), encoding="utf-8")
+        except OSError as error:
+            self.told.emit(str(error))
+            return
+        self._text.mark(0)
+        self.reopen_asked.emit()
+
+    def _file_tab(self) -> QWidget:
+        tab = QWidget()
+        column, row = QVBoxLayout(tab), QHBoxLayout()
+        name = QLabel("the simulated rig's own file" if self._source.file is None else str(self._source.file))
+        name.setProperty("role", "faint")
+        self._text.setReadOnly(self._source.file is None)
+        self._again, save = QPushButton("Open the rig again"), QPushButton("Save and open again")
+        save.setEnabled(self._source.file is not None)
+        self._again.clicked.connect(self.reopen_asked)
+        save.clicked.connect(self._save)
+        row.addWidget(name, 1)
+        row.addWidget(self._again)
+        row.addWidget(save)
+        column.setContentsMargins(0, 6, 0, 0)
+        column.addWidget(self._text, 1)
+        column.addLayout(row)
+        return tab
+
+    def _clear(self) -> None:
+        while (item := self._grid.takeAt(0)) is not None:
+            widget = item.widget()
+            if widget is not None:
+                widget.deleteLater()
+
+    def _say_empty(self) -> None:
+        empty = QLabel("The rig has not been opened yet, so nothing is known of it.")
+        empty.setProperty("role", "faint")
+        self._grid.addWidget(empty, 0, 0, 1, 2)
+
+
+def _point(position: tuple[float, float, float] | None) -> str:
+    return "" if position is None else f"({', '.join(f'{value:g}' for value in position)})"

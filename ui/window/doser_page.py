@@ -1,0 +1,202 @@
+"""The ink: what the tank holds, what the budgets allow, one dose by hand, and the way out when nobody knows."""
+
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
+
+from ui.window.fields import NumberField
+from ui.window.status import RigState, RigStatus
+from ui.window.words import volume
+
+if TYPE_CHECKING:
+    from drivers.rig import RigFile
+
+UNKNOWN = (
+    "<b>It is not known how much ink the tank holds.</b> A dose was begun and nobody saw it end, or the doser moved "
+    "without tankrig. Nothing moves until a person decides. Safe ways out:<ol>"
+    "<li><b>Read the syringe</b>, or weigh what is left of the ink, and enter below what the tank holds <b>in all</b> "
+    "since it was filled.</li>"
+    "<li><b>Empty the tank</b>, fill it with fresh water, and begin a new ledger with the button at the bottom.</li>"
+    "<li><b>Change nothing</b>: close the window; what was recorded is safe, and the question will be asked again.</li></ol>"
+)
+
+
+class DoserPage(QWidget):
+    """Shows and asks; the rig's owner acts."""
+
+    dose_asked = Signal(float)
+    """Total that the tank is to hold, µl."""
+    resolve_asked = Signal(float)
+    clear_asked = Signal()
+    refill_asked = Signal()
+    give_up_asked = Signal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._rig: RigFile | None = None
+        self._sure = False
+        self._held, self._concentration = QLabel("–"), QLabel()
+        self._held.setProperty("role", "big")
+        self._concentration.setProperty("role", "faint")
+        column = QVBoxLayout(self)
+        column.setContentsMargins(14, 10, 14, 10)
+        column.setSpacing(10)
+        column.addWidget(self._held)
+        column.addWidget(self._concentration)
+        column.addLayout(self._budgets())
+        column.addWidget(self._dose_card())
+        column.addWidget(self._stopped_card())
+        column.addWidget(self._unknown_card())
+        column.addStretch(1)
+        column.addLayout(self._refill_row())
+
+    def set_rig(self, rig: "RigFile") -> None:
+        """Whose budgets and whose tank."""
+        self._rig = rig
+
+    def follow(self, status: RigStatus) -> None:
+        """Show where the ink stands."""
+        self._unknown.setVisible(status.undecided is not None)
+        self._question.setText(status.undecided or "")
+        self._give_up.setVisible(status.state is RigState.ASKING)
+        idle = status.state is RigState.IDLE and status.target_ul is None
+        self._stopped.setVisible(status.stopped and idle and status.undecided is None)
+        free = idle and not status.stopped and status.undecided is None
+        self._dose.setEnabled(free)
+        self._refill.setEnabled(status.state in (RigState.IDLE, RigState.FAILED) and status.target_ul is None)
+        if self._rig is None or status.tank is None or status.remaining is None:
+            return
+        tank, limits = status.tank, self._rig.limits
+        spread = tank.high_ul - tank.low_ul
+        between = f", between {volume(tank.low_ul)} and {volume(tank.high_ul)}" if spread > 1e-6 else ""
+        target = f" → {volume(status.target_ul)}" if status.target_ul is not None else ""
+        self._held.setText(f"{volume(tank.volume_ul)} of ink in the tank{target}")
+        litres = float(_product(self._rig.bench.tank.size_mm)) / 1e6
+        self._concentration.setText(
+            f"{tank.volume_ul / 1000.0 / litres:.4g} ml per litre, in {litres:.3g} l of water{between}"
+        )
+        for bar, left, most in (
+            (self._tank_bar, status.remaining.tank_ul, limits.tank_ul),
+            (self._run_bar, status.remaining.run_ul, limits.run_ul),
+            (self._dose_bar, status.remaining.dose_ul, limits.dose_ul),
+        ):
+            used = most - left
+            bar.setValue(round(1000.0 * min(1.0, max(0.0, used / most))))
+            bar.setFormat(f"{volume(left)} left of {volume(most)}")
+            high = used > 0.8 * most
+            if bar.property("level") != ("high" if high else ""):
+                bar.setProperty("level", "high" if high else "")
+                bar.style().polish(bar)
+
+    # -- what a person does --------------------------------------------------------------------------------------------
+
+    def _ask_dose(self) -> None:
+        value = self._target.value
+        if value is None:
+            self._target.setFocus()
+            return
+        self.dose_asked.emit(float(value))
+
+    def _ask_resolve(self) -> None:
+        value = self._truth.value
+        if value is None:
+            self._truth.setFocus()
+            return
+        self.resolve_asked.emit(float(value))
+
+    def _ask_refill(self) -> None:
+        """Asked twice, for it forgets what the tank holds."""
+        if not self._sure:
+            self._sure = True
+            self._refill.setText("Press again: the tank is empty of ink and filled anew")
+            return
+        self._sure = False
+        self._refill.setText("Filled with fresh water…")
+        self.refill_asked.emit()
+
+    # -- layout --------------------------------------------------------------------------------------------------------
+
+    def _budgets(self) -> QGridLayout:
+        grid = QGridLayout()
+        self._tank_bar, self._run_bar, self._dose_bar = QProgressBar(), QProgressBar(), QProgressBar()
+        for row, (words, bar, tip) in enumerate((
+            ("tank", self._tank_bar, "budget of one filling of the tank"),
+            ("run", self._run_bar, "budget of one run; doses by hand count as a run of their own"),
+            ("one dose", self._dose_bar, "what one dose may have now"),
+        )):  # fmt: skip
+            bar.setRange(0, 1000)
+            bar.setFormat("–")
+            bar.setToolTip(tip)
+            grid.addWidget(QLabel(words), row, 0)
+            grid.addWidget(bar, row, 1)
+        grid.setColumnStretch(1, 1)
+        return grid
+
+    def _dose_card(self) -> QFrame:
+        card, row = QFrame(), QHBoxLayout()
+        card.setObjectName("card")
+        self._target = NumberField("µl in all", 0.0, 1e6, "ink that the tank shall hold in all, never to be added")
+        self._target.edit.setObjectName("dose-target")
+        self._target.edit.setPlaceholderText("total")
+        self._dose = QPushButton("Dose")
+        self._dose.setToolTip("dose until the tank holds this much in all")
+        self._dose.clicked.connect(self._ask_dose)
+        self._target.edit.returnPressed.connect(self._dose.click)
+        row.addWidget(QLabel("Dose until the tank holds"))
+        row.addWidget(self._target, 1)
+        row.addWidget(self._dose)
+        card.setLayout(row)
+        return card
+
+    def _stopped_card(self) -> QFrame:
+        self._stopped, row = QFrame(), QHBoxLayout()
+        self._stopped.setObjectName("card")
+        words = QLabel("<b>The doser is stopped.</b> Nothing moves until the stop is cleared, or a run is started.")
+        words.setWordWrap(True)
+        clear = QPushButton("Clear the stop")
+        clear.setToolTip("let the doser move again; it does not move by itself")
+        clear.clicked.connect(self.clear_asked)
+        row.addWidget(words, 1)
+        row.addWidget(clear)
+        self._stopped.setLayout(row)
+        self._stopped.hide()
+        return self._stopped
+
+    def _unknown_card(self) -> QFrame:
+        self._unknown, column, row = QFrame(), QVBoxLayout(), QHBoxLayout()
+        self._unknown.setObjectName("card")
+        words, self._question = QLabel(UNKNOWN), QLabel()
+        self._question.setProperty("role", "wrong")
+        for label in (words, self._question):
+            label.setWordWrap(True)
+        self._truth = NumberField("µl in all", 0.0, 1e6, "ink that the tank holds in all, as a person has found out")
+        self._truth.edit.setObjectName("truth")
+        decide = QPushButton("That is what it holds")
+        decide.clicked.connect(self._ask_resolve)
+        self._give_up = QPushButton("Not now")
+        self._give_up.setToolTip("leave the run as it is; it can be resumed later")
+        self._give_up.clicked.connect(self.give_up_asked)
+        row.addWidget(QLabel("The tank holds"))
+        row.addWidget(self._truth, 1)
+        row.addWidget(decide)
+        row.addWidget(self._give_up)
+        column.addWidget(words)
+        column.addWidget(self._question)
+        column.addLayout(row)
+        self._unknown.setLayout(column)
+        self._unknown.hide()
+        return self._unknown
+
+    def _refill_row(self) -> QHBoxLayout:
+        row = QHBoxLayout()
+        self._refill = QPushButton("Filled with fresh water…")
+        self._refill.setToolTip("the tank was emptied and filled anew: set its ledger aside and begin another")
+        self._refill.clicked.connect(self._ask_refill)
+        row.addStretch(1)
+        row.addWidget(self._refill)
+        return row
+
+
+def _product(sides: tuple[float, float, float]) -> float:
+    return sides[0] * sides[1] * sides[2]

@@ -1,0 +1,121 @@
+"""Fields that check what is typed, and say what is allowed, with its unit."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QLineEdit, QWidget
+
+
+def number(text: str) -> float | None:
+    """What a person may have meant by a number; None where it is none.
+
+    >>> number(" 1,5 "), number("2e3"), number("much"), number("")
+    (1.5, 2000.0, None, None)
+    """
+    try:
+        value = float(text.strip().replace(",", "."))
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+class CheckedField(QWidget):
+    """A line of text that is read as typed; `value` is None while it makes no sense.
+
+    Parameters
+    ----------
+    read
+        From text to (value, "") or (None, what is wrong).
+    unit
+        Behind the field.
+    hint
+        What is allowed, as a tooltip.
+    """
+
+    changed = Signal()
+    committed = Signal()
+    """Enter was pressed, or the field left, with a value that makes sense."""
+
+    def __init__(self, read: Callable[[str], tuple[Any, str]], unit: str, hint: str) -> None:
+        super().__init__()
+        self._read, self._hint = read, hint
+        self.edit = QLineEdit()
+        self.edit.setToolTip(hint)
+        self.edit.setAccessibleName(hint)
+        self.setFocusProxy(self.edit)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(4)
+        row.addWidget(self.edit, 1)
+        if unit:
+            label = QLabel(unit)
+            label.setProperty("role", "faint")
+            row.addWidget(label)
+        self.edit.textEdited.connect(self._typed)
+        self.edit.editingFinished.connect(self._finished)
+        self._committed = ""
+
+    @property
+    def value(self) -> Any:
+        """What it holds; None while that makes no sense."""
+        return self._read(self.edit.text())[0]
+
+    @property
+    def wrong(self) -> str:
+        """What is wrong with it, or nothing."""
+        return self._read(self.edit.text())[1]
+
+    def set_text(self, text: str) -> None:
+        """Fill it without telling anybody."""
+        self._committed = text
+        if text != self.edit.text():
+            self.edit.setText(text)
+        self._mark()
+
+    def hasFocus(self) -> bool:  # noqa: N802 - Qt's name
+        """Whether a person types there."""
+        return self.edit.hasFocus()
+
+    def _typed(self) -> None:
+        self._mark()
+        self.changed.emit()
+
+    def _finished(self) -> None:
+        if not self.wrong and self.edit.text() != self._committed:
+            self._committed = self.edit.text()
+            self.committed.emit()
+
+    def _mark(self) -> None:
+        wrong = self.wrong
+        self.edit.setProperty("wrong", bool(wrong))
+        self.edit.setToolTip(wrong or self._hint)
+        self.edit.style().unpolish(self.edit)
+        self.edit.style().polish(self.edit)
+
+
+class NumberField(CheckedField):
+    """A number with a unit and a range."""
+
+    def __init__(
+        self, unit: str, low: float, high: float, what: str = "", optional: bool = False, whole: bool = False
+    ) -> None:
+        def read(text: str) -> tuple[float | int | None, str]:
+            if optional and not text.strip():
+                return None, ""
+            value = number(text)
+            if value is None or (whole and value != int(value)):
+                return None, f"{text or 'nothing'} is no {'whole ' if whole else ''}number; give {span}"
+            if not low <= value <= high:
+                return None, f"{value:g} is outside of {span}"
+            return (int(value) if whole else value), ""
+
+        span = f"{low:g} to {high:g} {unit}".strip()
+        super().__init__(read, unit, f"{what}: {span}" if what else span)
+        self.edit.setMinimumWidth(64)
+        self.edit.setMaximumWidth(140)
+
+    def set_value(self, value: float | None) -> None:
+        """Fill it without telling anybody."""
+        self.set_text("" if value is None else f"{value:.10g}")

@@ -1,0 +1,73 @@
+"""σs, σa and g against dose or time, with 95 % error bars."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtWidgets import QHBoxLayout, QWidget
+
+from ui.window.fit_cards import COEFFICIENTS
+from ui.window.theme import CURVES
+
+Z95 = 1.96
+
+
+class FitCurves(QWidget):
+    """Three small plots side by side."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        self._plots: dict[str, tuple[Any, Any, Any, Any]] = {}
+        for (name, (symbol, _, unit)), colour in zip(COEFFICIENTS.items(), CURVES, strict=False):
+            widget = pg.PlotWidget()
+            plot = widget.getPlotItem()
+            plot.setTitle(f"{symbol} {unit}".strip())
+            plot.hideButtons()
+            plot.setMenuEnabled(False)
+            for side in ("left", "bottom"):
+                plot.getAxis(side).enableAutoSIPrefix(False)
+            plot.showGrid(x=True, y=True, alpha=0.2)
+            line = plot.plot(pen=pg.mkPen("#888888", width=1.5))
+            bars = pg.ErrorBarItem(pen=pg.mkPen(colour, width=2), beam=0.0)
+            points = pg.ScatterPlotItem(size=9, brush=colour, pen=None)
+            plot.addItem(bars)
+            plot.addItem(points)
+            row.addWidget(widget, 1)
+            self._plots[name] = plot, line, bars, points
+            widget.setMinimumHeight(130)
+
+    def show_fits(self, fits: Sequence[Mapping[str, Any]], against: str, series: Mapping[str, Any] | None) -> None:
+        """Show fits of doses; `against` is "dose_ml" or "time_s", a key that each has."""
+        at = np.array([float(fit[against]) for fit in fits])
+        for name, (plot, line, bars, points) in self._plots.items():
+            place = COEFFICIENTS[name][1]
+            values = np.array([float(fit[name]) for fit in fits])
+            errors = Z95 * np.array([float(fit["sd"][place]) for fit in fits])
+            plot.setLabel("bottom", "ink (ml)" if against == "dose_ml" else "time (s)")
+            points.setData(at, values)
+            if len(at):
+                bars.setData(x=at, y=values, height=2.0 * errors)
+                self._frame(plot, at, values, errors, name)
+            line.setData(*self._line(name, at, series) if against == "dose_ml" and len(at) else ([], []))
+
+    def _frame(self, plot: Any, at: Any, values: Any, errors: Any, name: str) -> None:
+        """A view in which a few very long error bars do not hide the rest."""
+        reach = np.minimum(errors, np.maximum(np.abs(values), 1e-12))
+        low, high = float(np.min(values - reach)), float(np.max(values + reach))
+        if name == "g":
+            low, high = max(-1.0, min(low, 0.0)), 1.0
+        margin = 0.05 * (high - low or 1.0)
+        plot.setYRange(min(low, 0.0) - margin if name != "g" else low, high + margin, padding=0)
+        plot.setXRange(0.0, float(at.max()) * 1.06 or 1.0, padding=0)
+
+    def _line(self, name: str, at: Any, series: Mapping[str, Any] | None) -> tuple[Any, Any]:
+        if series is None:
+            return [], []
+        x = np.array([0.0, float(at.max()) * 1.06])
+        ink = series["ink"]
+        if name == "g":
+            return x, np.full(2, ink["g"])
+        return x, ink[name] * x + (series["water_sigma_a"] if name == "sigma_a" else 0.0)

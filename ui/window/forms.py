@@ -1,0 +1,152 @@
+"""Forms for frozen dataclasses: a checked field for each of their fields, made from its type and its name's unit."""
+
+import dataclasses
+import types
+import typing
+from typing import Any, Literal
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QLineEdit, QWidget
+
+from ui.window.fields import CheckedField, NumberField, number
+
+UNITS = {"_ul": "µl", "_mm": "mm", "_ms": "ms", "_s": "s", "_px": "px"}
+RANGES: dict[str, tuple[float, float]] = {
+    "total_ul": (0.0, 1e6), "exposure_ms": (1e-3, 1e5), "gain": (0.01, 1e3), "frames": (1, 100_000),
+    "times": (1, 100_000), "seconds": (0.0, 1e6), "tolerance": (1e-6, 0.999), "every_s": (0.0, 3600.0),
+    "at_least_s": (0.0, 1e5), "timeout_s": (0.1, 1e6), "level": (1, 255), "duty": (0.01, 0.99), "bit": (0, 15),
+    "period_mm": (0.01, 1e4), "width_mm": (0.01, 1e4), "period_px": (2.0, 1e4), "step": (0, 64), "steps": (2, 64),
+    "cell_px": (1, 4096), "index": (0, 2**24), "size": (2, 4096),
+}  # fmt: skip
+WIDE = (-1e6, 1e6)
+
+
+def unit_of(name: str) -> str:
+    """The unit that a name ends in.
+
+    >>> unit_of("total_ul"), unit_of("seconds"), unit_of("frames")
+    ('µl', 's', '')
+    """
+    if name == "seconds":
+        return "s"
+    return next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
+
+
+def label_of(name: str) -> str:
+    """A field's name for people.
+
+    >>> label_of("total_ul"), label_of("at_least_s"), label_of("pattern")
+    ('total', 'at least', 'pattern')
+    """
+    end = next((end for end in UNITS if name.endswith(end)), "")
+    return name.removesuffix(end).replace("_", " ")
+
+
+class Form(QWidget):
+    """One row for each field of a dataclass.
+
+    Parameters
+    ----------
+    kind
+        The dataclass.
+    values
+        Those that are set; the others show their defaults, faintly.
+    choices
+        For text fields, the words to choose among.
+    skip
+        Fields to leave out.
+    """
+
+    edited = Signal(str, object)
+    """Name of a field, and its new value; None: as by default."""
+
+    def __init__(
+        self, kind: type[Any], values: dict[str, Any], choices: dict[str, list[str]], skip: tuple[str, ...] = ()
+    ) -> None:
+        super().__init__()
+        self.rows: dict[str, QWidget] = {}
+        layout = QFormLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.ExpandingFieldsGrow)
+        hints = typing.get_type_hints(kind, include_extras=False)
+        for field in dataclasses.fields(kind):
+            if field.name in skip or not field.init:
+                continue
+            default = None if field.default is dataclasses.MISSING else field.default
+            widget = self._widget(field.name, hints[field.name], values.get(field.name), default, choices)
+            self.rows[field.name] = widget
+            label = QLabel(label_of(field.name))
+            label.setBuddy(widget)
+            layout.addRow(label, widget)
+
+    def _widget(self, name: str, hint: Any, value: Any, default: Any, choices: dict[str, list[str]]) -> QWidget:
+        optional = default is not None or type(None) in typing.get_args(hint)
+        hint = _without_none(hint)
+        if typing.get_origin(hint) is Literal or name in choices:
+            words = choices.get(name) or [str(word) for word in typing.get_args(hint)]
+            return self._choice(name, words, value if value is not None else default)
+        if hint is bool:
+            return self._box(name, bool(default if value is None else value))
+        if hint in (float, int):
+            low, high = RANGES.get(name, WIDE)
+            field: CheckedField = NumberField(unit_of(name), low, high, label_of(name), optional, hint is int)
+        elif typing.get_origin(hint) is tuple:
+            field = _numbers_field(name, hint, optional)
+        else:
+            field = CheckedField(lambda text: (text or None, ""), "", label_of(name))
+        field.set_text(_shown(value))
+        field.edit.setPlaceholderText(_shown(default) or ("as in the sequence" if optional else ""))
+        field.changed.connect(lambda: field.wrong or self.edited.emit(name, field.value))
+        return field
+
+    def _choice(self, name: str, words: list[str], value: Any) -> QWidget:
+        combo = QComboBox()
+        combo.setAccessibleName(name)
+        if value is not None and str(value) not in words:
+            words = [str(value), *words]
+        combo.addItems(words)
+        combo.setCurrentText(str(value if value is not None else words[0]))
+        combo.currentTextChanged.connect(lambda word: self.edited.emit(name, word))
+        return combo
+
+    def _box(self, name: str, value: bool) -> QWidget:
+        box = QCheckBox("yes")
+        box.setChecked(value)
+        box.toggled.connect(lambda on: self.edited.emit(name, on))
+        return box
+
+
+def _numbers_field(name: str, hint: Any, optional: bool) -> CheckedField:
+    """For several numbers with commas or blanks between them."""
+    arguments = typing.get_args(hint)
+    count = None if Ellipsis in arguments else len(arguments)
+    wanted = f"{count} numbers" if count else "numbers"
+
+    def read(text: str) -> tuple[list[float] | None, str]:
+        if optional and not text.strip():
+            return None, ""
+        values = [number(word) for word in text.replace(",", " ").replace(";", " ").split()]
+        if not values or None in values or (count and len(values) != count):
+            return None, f"give {wanted} in {unit_of(name)}, with blanks between them"
+        return [value for value in values if value is not None], ""
+
+    return CheckedField(read, unit_of(name), f"{label_of(name)}: {wanted} with blanks between them")
+
+
+def _without_none(hint: Any) -> Any:
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return next(part for part in typing.get_args(hint) if part is not type(None))
+    return hint
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, list | tuple):
+        return "  ".join(f"{one:g}" for one in value)
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def line_edits(widget: QWidget) -> list[QLineEdit]:
+    """All lines of text in a form."""
+    return widget.findChildren(QLineEdit)

@@ -1,0 +1,123 @@
+"""What the window has done in its background process: each a plain function of things that can be sent there."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.live.exposures import Photograph
+from tankrig.scene.description import Camera, Medium, Tank
+
+Image = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """One photograph beside the model's image of it.
+
+    Parameters
+    ----------
+    pattern, dose_ml
+        What it is of.
+    observed, model
+        (rows, columns), counts per ms.
+    rmse
+        Root mean square of what each sum of orders leaves, as a part of the observed peak; "single" is single
+        scattering at its own best σt.
+    tank, camera
+        Where the pixels lie.
+    """
+
+    pattern: str
+    dose_ml: float
+    observed: Image
+    model: Image
+    rmse: dict[str, float]
+    tank: Tank
+    camera: Camera
+
+    @property
+    def residual(self) -> Image:
+        """Observed less model."""
+        return self.observed - self.model
+
+
+def compare(photograph: Photograph, fit: Mapping[str, Any]) -> Comparison:
+    """The model's image of a photograph at a fit's coefficients, by orders of scattering."""
+    from tankrig.report.pictures import by_order, predicted
+
+    prediction = predicted(photograph, Medium(fit["sigma_a"], fit["sigma_s"], fit["g"]))
+    gain, peak = float(fit["gain"]), float(photograph.image.max())
+    offset = 0.0 if photograph.offset == 0.0 else float(np.median(photograph.image - gain * prediction.image))
+    rebuilt = by_order(photograph, prediction, gain, offset)
+    rmse = {one.orders: one.rmse / peak for one in rebuilt} | {"single": _single(photograph, fit) / peak}
+    scene = photograph.scene
+    return Comparison(
+        photograph.pattern, photograph.dose_ml, photograph.image, rebuilt[-1].image, rmse, scene.tank, scene.camera
+    )
+
+
+def _single(photograph: Photograph, fit: Mapping[str, Any]) -> float:
+    """RMSE of this photograph by single scattering at the σt that is best for all of the dose's, at its own gain."""
+    from tankrig.light.single import single_scattering
+
+    medium = Medium(fit["sigma_a"], fit["sigma_s"], fit["g"])
+    by = fit["single"]["sigma_t"] / medium.sigma_t
+    thinned = replace(photograph.scene, medium=Medium(by * medium.sigma_a, by * medium.sigma_s, medium.g))
+    image = single_scattering(thinned)
+    gain = float(np.vdot(image, photograph.image) / np.vdot(image, image))
+    return float(np.sqrt(np.mean((photograph.image - gain * image) ** 2)))
+
+
+def fits_of(path: Path) -> tuple[list[dict[str, Any]], dict[str, Any] | None, list[Photograph]]:
+    """The last fits of a run: one for each dose, of the series, and what they are of."""
+    from tankrig.report.results import results_of
+    from tankrig.run.reading import open_run
+
+    results = results_of(open_run(path))
+    return results.doses, results.series, results.photographs
+
+
+def refit(path: Path, patterns: Sequence[str], free_offset: bool) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
+    """Fit a run anew, with some of its patterns only, or with a background that is fitted rather than subtracted.
+
+    Returns
+    -------
+    list, dict
+        A table for each dose, and that of the series where there are two doses or more.
+    """
+    from tankrig.live.exposures import exposures_of
+    from tankrig.live.fits import diluted, fit_all, fit_dose
+    from tankrig.run.reading import open_run
+
+    photographs = [one for one in exposures_of(open_run(path)).photographs() if one.pattern in patterns]
+    if free_offset:
+        photographs = [replace(one, offset="free") for one in photographs]
+    tables: list[dict[str, Any]] = []
+    start = None
+    for dose_ml in sorted({one.dose_ml for one in photographs}):
+        here = [one for one in photographs if one.dose_ml == dose_ml]
+        if tables:
+            last = tables[-1]
+            start = diluted(Medium(last["sigma_a"], last["sigma_s"], last["g"]), last["dose_ml"], dose_ml)
+        tables.append(fit_dose(here, start)[0])
+    return tables, fit_all(photographs)[0] if len(tables) > 1 else None
+
+
+def report(path: Path) -> Path:
+    """Write a run's report."""
+    from tankrig.report import write_report
+
+    return write_report(path)
+
+
+def export(path: Path, target: Path) -> Path:
+    """Write a run's frames as NetCDF where the target ends in .nc, else as a folder of TIFFs."""
+    from tankrig.run.export import export_netcdf, export_tiff
+    from tankrig.run.reading import open_run
+
+    (export_netcdf if target.suffix == ".nc" else export_tiff)(open_run(path), target)
+    return target

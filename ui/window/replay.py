@@ -1,0 +1,130 @@
+"""A recorded run played through the same views as a live one."""
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from PySide6.QtCore import QObject, Signal
+
+from tankrig.devices import CameraSettings
+from tankrig.errors import StoreError
+from tankrig.run.reading import Run, raw_frame
+from ui.window.threads import OwnedThread
+from ui.window.watched import SeenFrame
+
+SPEEDS = {"¼ ×": 0.25, "1 ×": 1.0, "4 ×": 4.0, "16 ×": 16.0, "as fast as it goes": float("inf")}
+LONGEST_WAIT_S = 2.0
+
+
+class Replay(QObject):
+    """Plays a run's frames and fits in a thread of its own.
+
+    Parameters
+    ----------
+    run
+        What to play.
+    show
+        Called, in that thread, with each frame.
+    """
+
+    moved = Signal(int, str)
+    """Number of the frame that is shown, and what it is in words."""
+    fitted = Signal(object)
+    """A `fit` table whose time has come."""
+    ended = Signal(str)
+
+    def __init__(self, run: Run, show: Callable[[SeenFrame], object]) -> None:
+        super().__init__()
+        self._run, self._show = run, show
+        self._events = run.events("frame", "fit")
+        self.frames = [n for n, event in enumerate(self._events) if event.kind == "frame"]
+        self._settings = _settings_by_step(run)
+        self._at, self._jumped = 0, False
+        self.speed = 1.0
+        self._playing, self._change = False, threading.Condition()
+        self._thread = OwnedThread("replay", self._work, 5.0)
+
+    @property
+    def path(self) -> Path:
+        """Of the run."""
+        return self._run.path
+
+    def play(self, on: bool) -> None:
+        """Go on, or halt; from the beginning when it had come to the end."""
+        with self._change:
+            if on and self._at >= len(self._events):
+                self._at = 0
+            self._playing = on
+            self._change.notify_all()
+
+    def jump(self, frame: int) -> None:
+        """Show this frame next."""
+        with self._change:
+            self._at = self.frames[min(max(frame, 0), len(self.frames) - 1)] if self.frames else 0
+            self._jumped = True
+            self._change.notify_all()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._thread.ending.set()
+        with self._change:
+            self._change.notify_all()
+        self._thread.close()
+
+    def _work(self, ending: threading.Event) -> None:
+        before_ns: int | None = None
+        while not ending.is_set():
+            with self._change:
+                self._change.wait_for(lambda: self._playing or self._jumped or ending.is_set())
+                if ending.is_set():
+                    return
+                if self._at >= len(self._events):
+                    self._playing = self._jumped = False
+                    continue
+                event, jumped = self._events[self._at], self._jumped
+                self._at, self._jumped = self._at + 1, False
+            if event.kind == "fit":
+                self.fitted.emit(dict(event.fields))
+                continue
+            if before_ns is not None and not jumped:
+                self._pause(event["exposure_start_ns"] - before_ns)
+            before_ns = event["exposure_start_ns"]
+            self._put(event)
+
+    def _pause(self, gap_ns: int) -> None:
+        """What lay between two frames; long waits are cut short, for nothing is seen in them."""
+        wait_s = min(max(0.0, gap_ns / 1e9 / self.speed), LONGEST_WAIT_S)
+        if wait_s > 0.0:
+            with self._change:
+                self._change.wait_for(lambda: self._jumped or not self._playing or self._thread.ending.is_set(), wait_s)
+        else:
+            time.sleep(0)
+
+    def _put(self, event: Any) -> None:
+        try:
+            pixels = raw_frame(self._run.path, event["index"])
+        except StoreError as error:
+            self.ended.emit(str(error))
+            with self._change:
+                self._playing = False
+            return
+        pattern = self._run.patterns.get(event["pattern_hash"])
+        saturation = 255 if pixels.dtype.itemsize == 1 else int(self._run.settings.get("saturation", 65535))
+        self._show(SeenFrame(pixels, saturation, self._settings.get(event["step"], CameraSettings(20.0)), pattern))
+        name = pattern.name if pattern else "unknown pattern"
+        words = f"frame {event['index'] + 1} of {len(self.frames)}: {name}, {event.moment.utc[11:19]} UTC"
+        self.moved.emit(event["index"], words)
+
+
+def _settings_by_step(run: Run) -> dict[int, CameraSettings]:
+    """The camera's settings at each step, as they were read back."""
+    settings, now, step = {}, CameraSettings(20.0), 0
+    for event in run.journal:
+        if event.kind == "step":
+            step = event["step"]
+        if event.kind == "note" and event.get("text") == "camera":
+            now = CameraSettings(event["exposure_ms"], event["gain"])
+        settings[step] = now
+    return settings

@@ -1,0 +1,398 @@
+"""The one owner of the rig: its threads open it, look through its camera, dose, and carry out runs."""
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import QObject, Signal
+
+from tankrig.devices import CameraSettings
+from tankrig.dosing import GuardedDoser, TankLedger
+from tankrig.dosing.records import DoseDone, DoseIntent
+from tankrig.errors import DeviceError, TankrigError, UndecidedError
+from tankrig.pattern import Pattern
+from tankrig.run.rig import Rig
+from tankrig.run.state import RunState
+from ui.window.rig_file import RigSource
+from ui.window.status import RigState, RigStatus
+from ui.window.threads import OwnedThread, StopThread
+from ui.window.watched import Newest, SeenFrame, WatchedCamera, WatchedProjector
+
+if TYPE_CHECKING:
+    from drivers.rig import RigFile
+    from tankrig.live.live_fit import LiveFit
+    from tankrig.run.journal import Event
+    from tankrig.run.runner import Runner
+    from tankrig.run.writer import Pixels
+    from tankrig.sequence import Sequence
+
+_log = logging.getLogger(__name__)
+
+WATCH_S = 0.2
+END_S = 40.0
+FIT_PATIENCE_S = 120.0
+RETRY_S = 0.2
+
+
+@dataclass(frozen=True)
+class RunOrder:
+    """A run that is to be carried out.
+
+    Parameters
+    ----------
+    path
+        Its folder.
+    sequence
+        What to do; None to go on with the run that is there.
+    delivered_ul
+        A person's word on what the tank holds, where one was asked for.
+    """
+
+    path: Path
+    sequence: "Sequence | None" = None
+    delivered_ul: float | None = None
+
+
+class _LedgerOnly:
+    """Journal of doses outside of runs: the tank's ledger has them already; people find them in the log."""
+
+    def dose_intent(self, intent: DoseIntent) -> None:
+        """A dose is about to begin."""
+        _log.info("dosing until the tank holds %g µl", intent.total_ul)
+
+    def dose_done(self, done: DoseDone) -> None:
+        """It is over."""
+        _log.info("the tank holds %g µl", done.delivered_ul)
+
+
+class RigHost(QObject):
+    """Opens the rig, previews while nothing else goes on, and hands the rig to a run when one is ordered.
+
+    One thread has the camera and the projector; a dose outside of a run has one of its own, a run is carried out in
+    the first. A third watches, and a fourth does nothing but stop. Signals arrive in the window's thread.
+
+    Parameters
+    ----------
+    source
+        Which rig.
+    """
+
+    status_changed = Signal(object)
+    """RigStatus."""
+    rig_opened = Signal(object)
+    """RigFile, each time the rig has been opened."""
+    event_recorded = Signal(object)
+    """Event of a run's journal."""
+    fitted = Signal(object, object)
+    """Table of a `fit` event and the list of Photographs that it fitted, which may be empty."""
+    run_began = Signal(object, object)
+    """Path and Sequence."""
+    run_ended = Signal(object)
+    """Outcome."""
+    pattern_shown = Signal(object)
+    """Pattern that is on the projector's output."""
+
+    def __init__(self, source: RigSource) -> None:
+        super().__init__()
+        self.source = source
+        self.frames: Newest[SeenFrame] = Newest()
+        self._orders: queue.SimpleQueue[Callable[[Rig], object]] = queue.SimpleQueue()
+        self._run_order: RunOrder | None = None
+        self._refill = False
+        self._wake = threading.Event()
+        self._state, self._trouble, self._question = RigState.OPENING, "", None
+        self._guard: GuardedDoser | None = None
+        self._runner: Runner | None = None
+        self._fit: LiveFit | None = None
+        self._target_ul: float | None = None
+        self._dose_thread: OwnedThread | None = None
+        self.camera_settings = CameraSettings(20.0)
+        self._pattern: Pattern | None = None
+        self._stopper = StopThread(self._stop, self._dosing)
+        self._away = False
+        self._description: RigFile | None = None
+        self._watcher = OwnedThread("rig-watch", self._watch, 5.0)
+        self._worker = OwnedThread("rig", self._work, END_S)
+
+    # -- what the window asks for; all return at once ------------------------------------------------------------------
+
+    def stop(self) -> None:
+        """Stop the doser and abort the run, if one goes on."""
+        self._run_order = None
+        self._stopper.press()
+
+    def window_alive(self) -> None:
+        """A sign of life; without one, ink that moves is stopped."""
+        self._stopper.alive()
+
+    def pause(self) -> None:
+        """Pause the run at the end of its step."""
+        if self._runner:
+            self._runner.pause()
+
+    def resume(self) -> None:
+        """Go on with a paused run."""
+        if self._runner:
+            self._runner.resume()
+
+    def start_run(self, order: RunOrder) -> None:
+        """Carry out a run as soon as the rig has been handed over."""
+        self._run_order, self._question = order, None
+        self._wake.set()
+
+    def show(self, pattern: Pattern) -> None:
+        """Put a pattern on the output, while no run goes on."""
+        self._pattern = pattern
+        self._orders.put(lambda rig: rig.projector.show(pattern))
+
+    def configure(self, settings: CameraSettings) -> None:
+        """Set the camera, while no run goes on."""
+        self.camera_settings = settings
+        self._orders.put(lambda rig: rig.camera.configure(settings))
+
+    def clear_stop(self) -> None:
+        """Let the doser move again."""
+        self._orders.put(lambda _: self._guard and self._guard.clear_stop())
+
+    def resolve(self, volume_ul: float) -> None:
+        """A person says what the tank holds in all."""
+        if self._question is not None and self._run_order is not None:
+            self.start_run(replace(self._run_order, delivered_ul=volume_ul))
+        else:
+            self._orders.put(lambda _: self._guard and self._guard.resolve(volume_ul))
+
+    def dose_to(self, total_ul: float) -> None:
+        """Dose, outside of a run, until the tank holds `total_ul`."""
+        if self._guard is None or self._target_ul is not None or self._state is not RigState.IDLE:
+            self._tell("the rig is not ready to dose; wait until it is")
+            return
+        self._target_ul = total_ul
+        self._dose_thread = OwnedThread("dose", lambda _: self._dose(total_ul), END_S)
+
+    def reopen(self) -> None:
+        """Open the rig again after it failed, or give up what it waits for."""
+        self._run_order, self._question, self._trouble = None, None, ""
+        self._wake.set()
+
+    def refill(self) -> None:
+        """The tank has been filled anew."""
+        self._refill = True
+        self._wake.set()
+
+    def look_away(self, away: bool) -> None:
+        """Whether the window looks at something else than the camera's preview."""
+        self._away = away
+
+    def tell_rig(self) -> None:
+        """Say again which rig it is."""
+        if self._description is not None:
+            self.rig_opened.emit(self._description)
+
+    def close(self) -> bool:
+        """Stop, end the run, let go of the rig; whether all threads have ended in time."""
+        if self._dosing():
+            self.stop()
+        self._worker.ending.set()
+        self._wake.set()
+        if self._runner:
+            self._runner.abort()
+        threads = (self._dose_thread, self._worker, self._watcher)
+        ended = all([thread.close() for thread in threads if thread is not None])
+        self._stopper.close()
+        return ended
+
+    # -- the thread that has camera and projector ----------------------------------------------------------------------
+
+    def _work(self, ending: threading.Event) -> None:
+        while not ending.is_set():
+            self._wake.clear()
+            order = self._run_order
+            try:
+                if self._refill:
+                    self._refill = False
+                    _log.info("%s", self.source.refill())
+                if order is None:
+                    self._idle(ending)
+                else:
+                    self._try_run(order)
+            except UndecidedError as question:
+                self._ask(str(question), ending)
+            except TankrigError as error:
+                self._fail(str(error), ending)
+            except Exception as error:
+                _log.exception("the rig's thread met what it does not know")
+                self._fail(f"failed unexpectedly ({type(error).__name__}: {error}); the log tells where", ending)
+        self._set(RigState.CLOSED)
+
+    def _idle(self, ending: threading.Event) -> None:
+        """Preview until something else is asked for."""
+        self._set(RigState.OPENING)
+        with ExitStack() as opened:
+            description, rig = self._open(opened)
+            ledger = TankLedger(rig.ledger)
+            opened.callback(ledger.close)
+            self._guard = GuardedDoser(rig.doser, rig.limits, ledger, _LedgerOnly(), "bench")
+            opened.callback(self._leave)
+            self.rig_opened.emit(description)
+            rig.camera.configure(self.camera_settings)
+            if self._pattern is not None and self._pattern.shape == rig.projector.shape:
+                rig.projector.show(self._pattern)
+            self._set(RigState.IDLE)
+            while not (ending.is_set() or self._wake.is_set()):
+                self._serve(rig)
+                rig.camera.capture(time.monotonic_ns(), 5.0 + 2e-3 * self.camera_settings.exposure_ms)
+
+    def _serve(self, rig: Rig) -> None:
+        """What the window has asked for; what a device refuses is told and changes nothing else."""
+        while not self._orders.empty():
+            try:
+                self._orders.get()(rig)
+            except TankrigError as error:
+                self._tell(str(error))
+            else:
+                self._trouble = ""
+
+    def _leave(self) -> None:
+        """End a dose that runs, and let go of the doser."""
+        if self._guard is not None:
+            if self._target_ul is not None:
+                self._guard.stop()
+            if self._dose_thread is not None:
+                self._dose_thread.close()
+            self._guard.close()
+            self._guard = None
+
+    def _open(self, opened: ExitStack) -> "tuple[RigFile, Rig]":
+        from drivers.rig import open_rig
+
+        description = self._description = self.source.description()
+        rig = open_rig(description)
+        opened.callback(rig.close)
+        projector = WatchedProjector(rig.projector, self._shown)
+        camera = WatchedCamera(rig.camera, projector, self._see)
+        return description, replace(rig, projector=projector, camera=camera)
+
+    def _try_run(self, order: RunOrder) -> None:
+        """What cannot be run is told, and the rig stays as it is."""
+        try:
+            self._carry_out(order)
+        except UndecidedError:
+            raise
+        except TankrigError as error:
+            self._tell(str(error))
+        self._run_order = None
+
+    def _carry_out(self, order: RunOrder) -> None:
+        from tankrig.live.attached import fitted_live
+        from tankrig.run.start import new_run, resumed_run
+
+        self._set(RigState.RUNNING)
+        with ExitStack() as opened:
+            description, rig = self._open(opened)
+            self.rig_opened.emit(description)
+            if order.sequence is None:
+                runner = resumed_run(order.path, rig, order.delivered_ul)
+            else:
+                runner = new_run(order.sequence, rig, order.path, order.delivered_ul)
+            self._guard, self._runner = runner.doser, runner
+            if self._run_order is None:  # stopped meanwhile
+                runner.abort()
+            try:
+                with fitted_live(runner, FIT_PATIENCE_S) as self._fit:
+                    runner.listen(self._heard)
+                    self.run_began.emit(order.path, runner.plan.sequence)
+                    outcome = runner.run()
+            finally:
+                self._fit = self._runner = self._guard = None
+        self._trouble = "" if outcome.error is None else str(outcome.error)
+        self.run_ended.emit(outcome)
+
+    def _heard(self, event: "Event", _: "Pixels | None") -> None:
+        fit = self._fit
+        if event.kind == "fit" and fit is not None:
+            photographs = (
+                fit.photographs(event["dose_ml"]) if event.get("dose_ml") and "error" not in event.fields else []
+            )
+            self.fitted.emit(dict(event.fields), photographs)
+        self.event_recorded.emit(event)
+
+    def _ask(self, question: str, ending: threading.Event) -> None:
+        """Wait for a person's word on the ink, or for the run to be given up."""
+        self._question = question
+        _log.warning("%s", question)
+        self._set(RigState.ASKING)
+        self._wait(ending)
+
+    def _fail(self, sentence: str, ending: threading.Event) -> None:
+        """Say what is wrong and wait for a person."""
+        self._run_order = None
+        self._tell(sentence)
+        self._set(RigState.FAILED)
+        self._wait(ending)
+
+    def _wait(self, ending: threading.Event) -> None:
+        while not (ending.is_set() or self._wake.wait(RETRY_S)):
+            pass
+
+    # -- dosing, stopping, watching ------------------------------------------------------------------------------------
+
+    def _dose(self, total_ul: float) -> None:
+        guard = self._guard
+        try:
+            if guard is not None:
+                guard.dose_to(total_ul)
+        except TankrigError as error:
+            self._tell(str(error))
+        finally:
+            self._target_ul = None
+
+    def _dosing(self) -> bool:
+        return self._target_ul is not None or self._runner is not None
+
+    def _stop(self) -> None:
+        runner, guard = self._runner, self._guard
+        if runner is not None:
+            runner.abort()
+        elif guard is not None:
+            guard.stop()
+        _log.warning("STOP: %s", "the run is aborted" if runner else "the doser is stopped")
+
+    def _watch(self, ending: threading.Event) -> None:
+        while not ending.wait(WATCH_S):
+            self._publish()
+
+    def _publish(self) -> None:
+        guard, runner = self._guard, self._runner
+        status = RigStatus(self._state, self._trouble, target_ul=self._target_ul, undecided=self._question)
+        if guard is not None:
+            with suppress(DeviceError, AttributeError):  # a device that is gone is told of by whoever works with it
+                status = replace(
+                    status, tank=guard.delivered(), remaining=guard.remaining(), stopped=guard.stopped,
+                    undecided=self._question or guard.undecided,
+                )  # fmt: skip
+        if runner is not None:
+            status = replace(status, progress=runner.progress(), run_state=runner.state)
+            if runner.state is RunState.RUNNING and status.progress is not None:
+                status = replace(status, target_ul=None)
+        self.status_changed.emit(status)
+
+    def _see(self, frame: SeenFrame) -> None:
+        if not self._away:
+            self.frames.put(frame)
+
+    def _shown(self, pattern: Pattern) -> None:
+        self.pattern_shown.emit(pattern)
+
+    def _set(self, state: RigState) -> None:
+        self._state = state
+        self._publish()
+
+    def _tell(self, sentence: str) -> None:
+        self._trouble = sentence
+        _log.error("%s", sentence)

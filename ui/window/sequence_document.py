@@ -1,0 +1,180 @@
+"""The sequence that is being edited: one text, its undo stack, and what rig and budgets say to it."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PySide6.QtCore import QObject, Signal
+from PySide6.QtGui import QUndoCommand, QUndoStack
+
+from tankrig.devices import Delivered
+from tankrig.errors import SequenceError, StoreError
+from tankrig.sequence.dry_run import DryRun, dry_run
+from ui.window import sequence_text
+from ui.window.sequence_text import EMPTY, Problem, Reading
+
+if TYPE_CHECKING:
+    from drivers.rig import RigFile
+
+FRAME_BYTES = np.dtype(np.uint16).itemsize
+
+
+class _Edit(QUndoCommand):
+    """From one text to another; letters typed one after the other are undone together."""
+
+    def __init__(self, document: "SequenceDocument", text: str, what: str, typing: bool) -> None:
+        super().__init__(what)
+        self._document, self._before, self._after, self._typing = document, document.text, text, typing
+
+    def id(self) -> int:
+        """Edits of the same id may be merged."""
+        return 1 if self._typing else -1
+
+    def mergeWith(self, other: QUndoCommand) -> bool:  # noqa: N802 - Qt's name
+        """Take a following edit in."""
+        if not isinstance(other, _Edit) or other.text() != self.text():
+            return False
+        self._after = other._after
+        return True
+
+    def undo(self) -> None:
+        """Back."""
+        self._document.take(self._before)
+
+    def redo(self) -> None:
+        """Forth."""
+        self._document.take(self._after)
+
+
+class SequenceDocument(QObject):
+    """Text, its meaning, and the way back.
+
+    Attributes
+    ----------
+    reading
+        What the text says.
+    plan
+        The dry run, when the sequence can be run on this rig.
+    """
+
+    changed = Signal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.undo = QUndoStack(self)
+        self.path: Path | None = None
+        self.text = EMPTY
+        self._rig: RigFile | None = None
+        self._tank = Delivered(0.0, 0.0, 0.0)
+        self.reading, self.plan = Reading({}), None
+        self.take(EMPTY)
+
+    @property
+    def problem(self) -> Problem | None:
+        """The first thing that is wrong."""
+        return self.reading.problem
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether there are edits that no file has."""
+        return not self.undo.isClean()
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{self.path.name if self.path else 'new sequence'}{' (edited)' if self.unsaved else ''}"
+
+    # -- the text ------------------------------------------------------------------------------------------------------
+
+    def load(self, path: Path) -> None:
+        """Open a file, right or wrong.
+
+        Raises
+        ------
+        SequenceError
+            When it cannot be read as text.
+        """
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except OSError as error:
+            raise SequenceError(f"{path}: cannot be read ({error.strerror}); choose another file") from error
+        except UnicodeDecodeError as error:
+            raise SequenceError(f"{path}: is not text, so no sequence; choose a TOML file") from error
+        self.path = path
+        self.undo.clear()
+        self.take(text)
+
+    def save(self, path: Path) -> None:
+        """Write the text to a file.
+
+        Raises
+        ------
+        StoreError
+            When that cannot be done; the old file is then as it was.
+        """
+        from tankrig.files import whole_file
+
+        try:
+            with whole_file(path) as unfinished:
+                unfinished.write_text(self.text, encoding="utf-8")
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be written ({error.strerror or error}); save elsewhere") from error
+        self.path = path
+        self.undo.setClean()
+        self.changed.emit()
+
+    def edit_text(self, text: str) -> None:
+        """What a person types into the text."""
+        if text != self.text:
+            self.undo.push(_Edit(self, text, "typing", typing=True))
+
+    def edit(self, what: str, change: Any, typing: bool = False) -> None:
+        """Change the parsed document by `change(document)`; `what` names that for the undo menu.
+
+        Raises
+        ------
+        SequenceError
+            When the text is no TOML.
+        """
+        text = sequence_text.edited(self.text, change)
+        if text != self.text:
+            self.undo.push(_Edit(self, text, what, typing))
+
+    def take(self, text: str) -> None:
+        """Have this text from now on; for the undo stack."""
+        self.text = text
+        self._read()
+        self.changed.emit()
+
+    # -- what rig and budgets say --------------------------------------------------------------------------------------
+
+    def set_rig(self, rig: "RigFile") -> None:
+        """Check against this rig."""
+        self._rig = rig
+        self.take(self.text)
+
+    def set_tank(self, tank: Delivered) -> None:
+        """Check against what the tank holds now."""
+        if tank != self._tank:
+            self._tank = tank
+            self.take(self.text)
+
+    def _read(self) -> None:
+        folder = self.path.parent if self.path else Path.cwd()
+        self.reading, self.plan = sequence_text.read(self.text, folder), None
+        if self.reading.sequence is None or self._rig is None:
+            return
+        rows, columns = self._rig.bench.camera.shape
+        try:
+            self.reading.sequence.drawn(self._rig.bench.wall)
+            self.plan = self._dry_run(rows * columns * FRAME_BYTES)
+        except SequenceError as error:
+            sentence = str(error).removeprefix(f"{self.reading.sequence.name}: ")
+            problem = Problem(sentence, sequence_text.line_of(self.text, sentence))
+            self.reading = replace(self.reading, sequence=None, problem=problem)
+
+    def _dry_run(self, frame_bytes: int) -> DryRun:
+        assert self.reading.sequence is not None
+        assert self._rig is not None
+        return dry_run(self.reading.sequence, self._rig.limits, self._rig.pace, frame_bytes, self._tank)

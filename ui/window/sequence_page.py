@@ -1,0 +1,221 @@
+"""The sequence: build it, check it, run it."""
+
+from pathlib import Path
+
+from PySide6.QtCore import Signal
+from PySide6.QtGui import QAction
+from PySide6.QtWidgets import (
+    QFileDialog,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QTabWidget,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tankrig.errors import TankrigError
+from tankrig.run.journal import Event
+from tankrig.sequence.sequence import Sequence
+from ui.window.fields import NumberField
+from ui.window.marked_text import MarkedText
+from ui.window.patterns_editor import PatternsEditor
+from ui.window.run_list import RunList
+from ui.window.sequence_document import SequenceDocument
+from ui.window.status import RigStatus
+from ui.window.steps_editor import StepsEditor
+from ui.window.words import duration, size, volume
+
+
+class SequencePage(QWidget):
+    """Edits one sequence document, and follows the run of it."""
+
+    told = Signal(str)
+    """What a person has to know."""
+    run_asked = Signal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.document = SequenceDocument()
+        self.steps = StepsEditor(self.document)
+        self.patterns = PatternsEditor(self.document)
+        self.text = MarkedText()
+        self.run_list = RunList()
+        self.steps.refused.connect(self.told)
+        self.patterns.refused.connect(self.told)
+        self.text.textChanged.connect(lambda: self.document.edit_text(self.text.toPlainText()))
+        self.tabs = QTabWidget()
+        self.tabs.setDocumentMode(True)
+        for title, widget in (
+            ("Steps", self.steps), ("Patterns", self.patterns), ("Text", self.text), ("Run", self.run_list)
+        ):  # fmt: skip
+            self.tabs.addTab(widget, title)
+        self._title, self._says = QLabel(), QLabel()
+        self._title.setProperty("role", "heading")
+        self._says.setWordWrap(True)
+        self._exposure = NumberField("ms", 1e-3, 1e5, "exposure of frames whose step says nothing else")
+        self._exposure.changed.connect(self._set_exposure)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(10, 8, 10, 8)
+        column.addLayout(self._head())
+        column.addWidget(self.tabs, 1)
+        column.addWidget(self._says)
+        column.addLayout(self._foot())
+        self.document.changed.connect(self._refresh)
+        self._busy = False
+        self._refresh()
+
+    # -- asked by keys and buttons -------------------------------------------------------------------------------------
+
+    def open_file(self) -> None:
+        """Ask for a file and open it."""
+        folder = str(self.document.path.parent if self.document.path else Path.cwd())
+        name, _ = QFileDialog.getOpenFileName(self, "Open a sequence", folder, "Sequences (*.toml)")
+        if name:
+            self.load(Path(name))
+
+    def load(self, path: Path) -> None:
+        """Open a file, right or wrong; a wrong one with its line marked."""
+        try:
+            self.document.load(path)
+        except TankrigError as error:
+            self.told.emit(str(error))
+            return
+        problem = self.document.problem
+        if problem is not None:
+            self.tabs.setCurrentWidget(self.text)
+            self.text.go_to(problem.line)
+            self.told.emit(f"{path.name}: {problem.sentence}")
+
+    def save(self) -> None:
+        """Save to the file that was opened, or to one that is asked for."""
+        if self.document.path is None:
+            self.save_as()
+        else:
+            self._save(self.document.path)
+
+    def save_as(self) -> None:
+        """Ask for a file and save."""
+        folder = str(self.document.path or Path.cwd() / "sequence.toml")
+        name, _ = QFileDialog.getSaveFileName(self, "Save the sequence", folder, "Sequences (*.toml)")
+        if name:
+            self._save(Path(name))
+
+    def _save(self, path: Path) -> None:
+        try:
+            self.document.save(path)
+        except TankrigError as error:
+            self.told.emit(str(error))
+
+    def dry_run(self) -> None:
+        """List what each step takes."""
+        plan, problem = self.document.plan, self.document.problem
+        if plan is None:
+            self.told.emit(problem.sentence if problem else "the rig is not known yet, so there is nothing to check by")
+            return
+        lines = [
+            f"{step.label}: {duration(step.seconds)}"
+            + (f", {volume(step.ink_ul)} of ink" if step.ink_ul else "")
+            + (f", {step.frames} frames" if step.frames else "")
+            for step in plan.steps
+        ]
+        self.run_list.list_plan(lines, f"Dry run: {self._totals()}; nothing has moved")
+        self.tabs.setCurrentWidget(self.run_list)
+
+    # -- what goes on --------------------------------------------------------------------------------------------------
+
+    def begin(self, sequence: Sequence) -> None:
+        """A run has begun."""
+        self.run_list.begin(sequence)
+        self.tabs.setCurrentWidget(self.run_list)
+
+    def see(self, event: Event) -> None:
+        """The run has recorded something."""
+        self.run_list.see(event)
+
+    def follow(self, status: RigStatus) -> None:
+        """Where the rig stands."""
+        self.run_list.follow(status)
+        if status.tank is not None and not status.running:
+            self.document.set_tank(status.tank)
+        self._busy = status.busy
+        self._run.setEnabled(self.document.plan is not None and not self._busy)
+
+    def _refresh(self) -> None:
+        problem, plan = self.document.problem, self.document.plan
+        self._title.setText(self.document.title)
+        self.text.replace_text(self.document.text)
+        self.text.mark(problem.line if problem else 0)
+        self.text.setProperty("wrong", problem is not None)
+        self._says.setProperty("role", "wrong" if problem else "good")
+        if problem is not None:
+            self._says.setText((f"Line {problem.line}: " if problem.line else "") + problem.sentence)
+        else:
+            self._says.setText(
+                f"Takes {self._totals()}." if plan else "Waiting for the rig, to check against its limits."
+            )
+        self._says.style().polish(self._says)
+        if not self._exposure.hasFocus():
+            self._exposure.set_value(self.document.reading.table.get("exposure_ms", 20.0))
+        self._run.setEnabled(plan is not None and not self._busy)
+
+    def _totals(self) -> str:
+        plan = self.document.plan
+        if plan is None:
+            return ""
+        ink = f"{volume(plan.ink_ul)} of ink" if plan.ink_ul else "no ink"
+        return f"about {duration(plan.seconds)}, {ink}, {plan.frames} frames, up to {size(plan.disk_bytes)} of disk"
+
+    def _set_exposure(self) -> None:
+        value = self._exposure.value
+        if value is not None:
+            self.document.edit("exposure", lambda document: document.__setitem__("exposure_ms", value), typing=True)
+
+    def _head(self) -> QHBoxLayout:
+        row = QHBoxLayout()
+        row.addWidget(self._title, 1)
+        undo, redo = (
+            self.document.undo.createUndoAction(self, "Undo"),
+            self.document.undo.createRedoAction(self, "Redo"),
+        )
+        for name, do, tip in (
+            ("Open", self.open_file, "open a sequence file (Ctrl+O)"), ("Save", self.save, "save it (Ctrl+S)"),
+            ("Save as", self.save_as, "save it to another file"),
+        ):  # fmt: skip
+            button = QPushButton(name)
+            button.setToolTip(tip)
+            button.clicked.connect(do)
+            row.addWidget(button)
+        for action, key in ((undo, "Ctrl+Z"), (redo, "Ctrl+Shift+Z")):
+            row.addWidget(_action_button(action, key))
+        return row
+
+    def _foot(self) -> QHBoxLayout:
+        row = QHBoxLayout()
+        row.addWidget(QLabel("exposure"))
+        row.addWidget(self._exposure)
+        row.addStretch(1)
+        dry, self._run = QPushButton("Dry run  F7"), QPushButton("Run  F5")
+        dry.setToolTip("what each step takes; nothing moves")
+        dry.clicked.connect(self.dry_run)
+        self._run.setObjectName("primary")
+        self._run.setToolTip("carry the sequence out")
+        self._run.clicked.connect(self.run_asked)
+        row.addWidget(dry)
+        row.addWidget(self._run)
+        return row
+
+
+def _action_button(action: QAction, key: str) -> QPushButton:
+    """A push button that follows an action, which changes its own text."""
+    button = QPushButton(action.text())
+    button.clicked.connect(action.trigger)
+
+    def follow() -> None:
+        button.setEnabled(action.isEnabled())
+        button.setText(action.text().split(" ")[0])
+        button.setToolTip(f"{action.text()} ({key})")
+
+    action.changed.connect(follow)
+    follow()
+    return button

@@ -1,0 +1,45 @@
+"""Steps and patterns as TOML that a person would have written."""
+
+from typing import Any
+
+import tomlkit
+
+
+def step_table(step: dict[str, Any], nested: bool) -> Any:
+    """A step as a table of its own or, nested in another step, on one line.
+
+    >>> step_table({"do": "wait", "seconds": 1.0}, nested=True).as_string()
+    '{do = "wait", seconds = 1.0}'
+    """
+    table = tomlkit.inline_table() if nested else tomlkit.table()
+    for key, value in step.items():
+        if key == "steps":
+            inner = tomlkit.array()
+            for one in value:
+                inner.append(step_table(one, nested=True))
+            value = inner.multiline(not nested)
+        table[key] = value
+    return table
+
+
+def steps_in(owner: Any, nested: bool) -> Any:
+    """The steps of a document or of a step; made where there are none."""
+    if "steps" not in owner:
+        owner["steps"] = tomlkit.array().multiline(True) if nested else tomlkit.aot()
+    return owner["steps"]
+
+
+def pattern_table(values: dict[str, Any]) -> Any:
+    """A pattern as a table."""
+    table = tomlkit.table()
+    table.update(values)
+    return table
+
+
+def patterns_in(document: Any) -> Any:
+    """The patterns of a document; made where there are none, before the steps."""
+    if "patterns" not in document:
+        document["patterns"] = tomlkit.table(is_super_table=True)
+        if "steps" in document:  # tables come last in the order in which they were added
+            document["steps"] = document.pop("steps")
+    return document["patterns"]

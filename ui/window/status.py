@@ -1,0 +1,91 @@
+"""What the window knows of the rig at a moment."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from tankrig.devices import Delivered
+from tankrig.dosing.limits import Remaining
+from tankrig.run.progress import Progress
+from tankrig.run.state import RunState
+
+
+class RigState(Enum):
+    """What the rig is doing for the window."""
+
+    OPENING = "opening the rig"
+    IDLE = "ready"
+    RUNNING = "a run is going on"
+    ASKING = "waiting for a person's word on the ink"
+    FAILED = "the rig cannot be used"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True)
+class RigStatus:
+    """What the window knows of the rig at a moment.
+
+    Parameters
+    ----------
+    state
+        What the rig is doing.
+    trouble
+        One sentence, where something is wrong.
+    tank
+        Ink in the tank, µl.
+    remaining
+        What the budgets still allow, µl.
+    target_ul
+        Of the dose under way.
+    stopped
+        Whether the doser's stop is latched.
+    undecided
+        What a person has to decide about the ink before anything moves.
+    progress, run_state
+        Of the run.
+    """
+
+    state: RigState = RigState.OPENING
+    trouble: str = ""
+    tank: Delivered | None = None
+    remaining: Remaining | None = None
+    target_ul: float | None = None
+    stopped: bool = False
+    undecided: str | None = None
+    progress: Progress | None = None
+    run_state: RunState | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether a run goes on."""
+        return self.run_state not in (None, RunState.READY, RunState.FINISHED)
+
+    @property
+    def busy(self) -> bool:
+        """Whether the rig is in use for something that must not be disturbed."""
+        return self.state in (RigState.RUNNING, RigState.ASKING) or self.target_ul is not None
+
+    @property
+    def words(self) -> str:
+        """One line for the status bar."""
+        if self.state is RigState.FAILED:
+            return self.trouble or self.state.value
+        if self.undecided is not None:
+            return "the tank's ink is not known: see the Doser page"
+        if self.progress is not None and self.running:
+            return self._run_words(self.progress)
+        if self.target_ul is not None:
+            return f"dosing until the tank holds {self.target_ul:g} µl"
+        if self.stopped:
+            return "the doser is stopped; clear the stop on the Doser page, or start a run, to go on"
+        return self.state.value
+
+    def _run_words(self, now: Progress) -> str:
+        if self.run_state is RunState.PAUSED:
+            return f"paused before step {now.step + 1} of {now.steps}: {now.label}"
+        if self.run_state is RunState.ABORTING:
+            return "the run is being ended"
+        state = "pausing after" if self.run_state is RunState.PAUSING else "running"
+        waiting = f"; waiting for {now.waiting_for}" if now.waiting_for else ""
+        if now.step >= now.steps:
+            return "finishing: the last fits are being made"
+        return f"{state} step {now.step + 1} of {now.steps}: {now.label}{waiting}"

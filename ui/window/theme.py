@@ -1,0 +1,156 @@
+"""Dark and light: one small set of colours each, from which palette and style sheet are made."""
+
+from dataclasses import dataclass
+
+import pyqtgraph as pg
+from PySide6.QtGui import QColor, QGuiApplication, QPalette
+from PySide6.QtWidgets import QApplication, QWidget
+
+
+@dataclass(frozen=True)
+class Theme:
+    """The colours of a theme, as #rrggbb."""
+
+    name: str
+    window: str
+    base: str
+    raised: str
+    text: str
+    faint: str
+    line: str
+    accent: str
+    on_accent: str
+    good: str
+    warning: str
+    bad: str
+
+
+DARK = Theme(
+    "dark", window="#1d2126", base="#15181c", raised="#2b3138", text="#e8eaed", faint="#a4adb8", line="#434b55",
+    accent="#4c9fe8", on_accent="#081320", good="#58c08a", warning="#eab44a", bad="#ff7b6e",
+)  # fmt: skip
+LIGHT = Theme(
+    "light", window="#f1f3f5", base="#ffffff", raised="#e2e6ea", text="#1a1d21", faint="#566170", line="#b9c1ca",
+    accent="#0b62b4", on_accent="#ffffff", good="#16703f", warning="#8f5a00", bad="#b3261e",
+)  # fmt: skip
+THEMES = {theme.name: theme for theme in (DARK, LIGHT)}
+CURVES = ("#4c9fe8", "#e8833a", "#58c08a", "#c77dd6")
+"""Of lines and points, told apart on both grounds."""
+
+
+def current() -> Theme:
+    """The theme that is applied."""
+    return THEMES.get(str(QApplication.instance().property("theme")), DARK)  # type: ignore[union-attr]
+
+
+def apply(name: str) -> Theme:
+    """Give the whole application a theme; plots made from now on have it, too."""
+    theme = THEMES.get(name, DARK)
+    app = QApplication.instance()
+    assert isinstance(app, QApplication)
+    app.setProperty("theme", theme.name)
+    app.setStyle("Fusion")
+    app.setPalette(_palette(theme))
+    app.setStyleSheet(_sheet(theme))
+    pg.setConfigOptions(background=theme.base, foreground=theme.text, antialias=True, imageAxisOrder="row-major")
+    return theme
+
+
+def of_system() -> str:
+    """The name of the theme that the desktop asks for."""
+    from PySide6.QtCore import Qt
+
+    light = QGuiApplication.styleHints().colorScheme() is Qt.ColorScheme.Light
+    return LIGHT.name if light else DARK.name
+
+
+def _palette(theme: Theme) -> QPalette:
+    palette, role = QPalette(), QPalette.ColorRole
+    colours = {
+        role.Window: theme.window, role.WindowText: theme.text, role.Base: theme.base, role.AlternateBase: theme.window,
+        role.Text: theme.text, role.Button: theme.raised, role.ButtonText: theme.text, role.BrightText: theme.bad,
+        role.ToolTipBase: theme.raised, role.ToolTipText: theme.text, role.Highlight: theme.accent,
+        role.HighlightedText: theme.on_accent, role.Link: theme.accent, role.PlaceholderText: theme.faint,
+        role.Light: theme.raised, role.Midlight: theme.raised, role.Mid: theme.line, role.Dark: theme.line,
+        role.Shadow: theme.base,
+    }  # fmt: skip
+    for which, colour in colours.items():
+        palette.setColor(which, QColor(colour))
+    for which in (role.Text, role.ButtonText, role.WindowText):
+        palette.setColor(QPalette.ColorGroup.Disabled, which, QColor(theme.faint))
+    return palette
+
+
+def _sheet(theme: Theme) -> str:
+    return f"""
+    * {{ font-size: 10.5pt; }}
+    QToolTip {{ color: {theme.text}; background: {theme.raised}; border: 1px solid {theme.line}; padding: 4px; }}
+    QPushButton, QToolButton {{
+        min-height: 30px; padding: 2px 12px; border: 1px solid {theme.line}; border-radius: 6px;
+        background: {theme.raised}; }}
+    QPushButton:hover, QToolButton:hover {{ border-color: {theme.accent}; }}
+    QPushButton:focus, QToolButton:focus {{ border: 2px solid {theme.accent}; }}
+    QPushButton:pressed, QPushButton:checked, QToolButton:checked {{
+        background: {theme.accent}; color: {theme.on_accent}; }}
+    QPushButton:disabled, QToolButton:disabled {{ color: {theme.faint}; background: {theme.window}; }}
+    QPushButton#primary {{ background: {theme.accent}; color: {theme.on_accent}; font-weight: 600; }}
+    QPushButton#primary:disabled {{ background: {theme.raised}; color: {theme.faint}; }}
+    QPushButton#stop {{
+        background: #c8201c; color: white; font-size: 15pt; font-weight: 800; border: 2px solid #7d0f0c;
+        border-radius: 8px; min-height: 42px; min-width: 150px; }}
+    QPushButton#stop:hover {{ background: #e02a25; }}
+    QPushButton#stop:pressed {{ background: #8f1411; }}
+    QLineEdit, QComboBox, QSpinBox, QDoubleSpinBox, QPlainTextEdit, QTreeView, QTableView, QListView {{
+        background: {theme.base}; border: 1px solid {theme.line}; border-radius: 4px; }}
+    QLineEdit, QComboBox, QSpinBox, QDoubleSpinBox {{ min-height: 28px; padding: 0 6px; }}
+    QLineEdit:focus, QComboBox:focus, QPlainTextEdit:focus, QTreeView:focus, QTableView:focus {{
+        border: 1px solid {theme.accent}; }}
+    QLineEdit[wrong="true"], QPlainTextEdit[wrong="true"] {{ border: 2px solid {theme.bad}; }}
+    QComboBox QAbstractItemView {{ background: {theme.base}; color: {theme.text}; }}
+    QTabBar::tab {{ min-height: 30px; padding: 2px 12px; background: {theme.window}; color: {theme.faint};
+        border: none; border-bottom: 3px solid transparent; }}
+    QTabBar::tab:selected {{ color: {theme.text}; border-bottom: 3px solid {theme.accent}; font-weight: 600; }}
+    QTabWidget::pane {{ border: none; border-top: 1px solid {theme.line}; }}
+    QDockWidget {{ font-weight: 600; color: {theme.text}; }}
+    QDockWidget::title {{ background: {theme.window}; padding: 4px 8px; border-bottom: 1px solid {theme.line}; }}
+    QHeaderView::section {{ background: {theme.window}; color: {theme.faint}; border: none;
+        border-bottom: 1px solid {theme.line}; padding: 4px 6px; }}
+    QProgressBar {{ border: 1px solid {theme.line}; border-radius: 5px; background: {theme.base}; text-align: center;
+        min-height: 24px; color: {theme.text}; }}
+    QProgressBar::chunk {{ background: {theme.accent}; border-radius: 4px; }}
+    QProgressBar[level="high"]::chunk {{ background: {theme.warning}; }}
+    QToolBar {{ border: none; border-bottom: 1px solid {theme.line}; spacing: 8px; padding: 4px 8px; }}
+    QStatusBar {{ border-top: 1px solid {theme.line}; }}
+    QStatusBar QLabel {{ padding: 2px 6px; }}
+    QMenu {{ background: {theme.base}; border: 1px solid {theme.line}; padding: 4px; }}
+    QMenu::item {{ padding: 6px 24px; }}
+    QMenu::item:selected {{ background: {theme.accent}; color: {theme.on_accent}; }}
+    QMainWindow::separator {{ background: {theme.line}; width: 4px; height: 4px; }}
+    QSplitter::handle {{ background: {theme.line}; }}
+    QCheckBox, QRadioButton {{ min-height: 28px; spacing: 8px; }}
+    QLabel[role="faint"] {{ color: {theme.faint}; }}
+    QLabel[role="big"] {{ font-size: 17pt; font-weight: 600; }}
+    QLabel[role="heading"] {{ font-size: 12pt; font-weight: 600; }}
+    QLabel[role="wrong"] {{ color: {theme.bad}; }}
+    QLabel[role="good"] {{ color: {theme.good}; }}
+    QLabel#badge {{ background: {theme.warning}; color: {theme.base}; border-radius: 6px; padding: 4px 10px;
+        font-weight: 700; }}
+    QLabel#badge[real="true"] {{ background: {theme.raised}; color: {theme.text}; }}
+    QFrame#banner {{ background: {theme.raised}; border: 2px solid {theme.warning}; border-radius: 6px; }}
+    QFrame#banner[level="bad"] {{ border-color: {theme.bad}; }}
+    QFrame#banner[level="good"] {{ border-color: {theme.good}; }}
+    QFrame#card {{ background: {theme.base}; border: 1px solid {theme.line}; border-radius: 8px; }}
+    """
+
+
+def paint_plots(widget: QWidget) -> None:
+    """Give plots that are there already the colours of the theme."""
+    theme = current()
+    for plot in widget.findChildren(pg.PlotWidget):
+        plot.setBackground(theme.base)
+        item = plot.getPlotItem()
+        for name in ("left", "bottom", "right", "top"):
+            axis = item.getAxis(name)
+            axis.setPen(theme.line)
+            axis.setTextPen(theme.text)
+        item.titleLabel.setText(item.titleLabel.text, color=theme.text)

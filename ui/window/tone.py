@@ -1,0 +1,70 @@
+"""From counts to colours: one table look-up per pixel, fast enough for every frame."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyqtgraph as pg
+from numpy.typing import NDArray
+
+COUNTS = 2**16
+COLOURS = {"false colour": "inferno", "grey": "CET-L1"}
+SATURATED = (0, 229, 255)
+"""A colour that neither scale has."""
+
+
+@dataclass(frozen=True)
+class Tone:
+    """How counts become colours.
+
+    Parameters
+    ----------
+    low, high
+        Counts at the dark and at the bright end.
+    root
+        Whether brightness goes as the square root, on which faint scattered light shows beside beams.
+    saturation
+        Counts from here on have a colour of their own; None where that is switched off.
+    colours
+        A key of `COLOURS`.
+    """
+
+    low: float = 0.0
+    high: float = float(COUNTS - 1)
+    root: bool = True
+    saturation: int | None = None
+    colours: str = "false colour"
+
+    def between(self, low: float, high: float) -> "Tone":
+        """The same with other ends."""
+        return replace(self, low=low, high=max(high, low + 1.0))
+
+    def table(self) -> NDArray[np.uint8]:
+        """(65536,) index into `palette` of each count.
+
+        >>> tone = Tone(100.0, 500.0, root=False, saturation=4095)
+        >>> tone.table()[[0, 100, 300, 500, 4094, 4095]].tolist()
+        [0, 0, 127, 254, 254, 255]
+        """
+        part = np.clip((np.arange(COUNTS) - self.low) / max(self.high - self.low, 1e-9), 0.0, 1.0)
+        index = (254.0 * (np.sqrt(part) if self.root else part) + 0.5).astype(np.uint8)
+        if self.saturation is not None:
+            index[self.saturation :] = 255
+        return index
+
+    def palette(self) -> NDArray[np.uint8]:
+        """(256, 3) colours; the last is that of saturated pixels."""
+        colours: NDArray[np.uint8] = pg.colormap.get(COLOURS[self.colours]).getLookupTable(nPts=255)[:, :3]
+        return np.vstack([colours, np.array([SATURATED], np.uint8)])
+
+
+def automatic(pixels: NDArray[np.unsignedinteger]) -> tuple[float, float]:
+    """Ends that show what is in a picture: from its darkest half percent to its brightest pixels."""
+    sample = pixels[::4, ::4] if pixels.size > 10_000 else pixels
+    low, high = np.percentile(sample, (0.5, 99.9))
+    return float(low), float(max(high, low + 20.0))
+
+
+def residual_palette() -> NDArray[np.uint8]:
+    """(256, 3) colours from blue (model too bright) over white to red (model too dark)."""
+    colours: NDArray[np.uint8] = pg.colormap.get("CET-D1").getLookupTable(nPts=256)[:, :3]
+    return colours

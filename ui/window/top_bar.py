@@ -1,0 +1,68 @@
+"""The bar that is always there: which rig, what goes on, run and pause, and STOP."""
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QSizePolicy, QWidget
+
+from tankrig.run.state import RunState
+from ui.window.status import RigStatus
+from ui.window.words import duration
+
+
+class TopBar(QWidget):
+    """Buttons large enough for wet hands."""
+
+    stop_asked = Signal()
+    run_asked = Signal()
+    pause_asked = Signal()
+    theme_asked = Signal()
+    help_asked = Signal()
+
+    def __init__(self, rig: str, simulated: bool) -> None:
+        super().__init__()
+        self.badge = QLabel("SIMULATED RIG, nothing real moves" if simulated else rig)
+        self.badge.setObjectName("badge")
+        self.badge.setProperty("real", not simulated)
+        self.stop = QPushButton("STOP  F12")
+        self.stop.setObjectName("stop")
+        self.stop.setToolTip("stop the doser at once and abort the run (F12 or Esc, from anywhere in the window)")
+        self.stop.setAccessibleName("STOP")
+        self.stop.pressed.connect(self.stop_asked)  # on the press, not on the release
+        self.run, self.pause = QPushButton("Run  F5"), QPushButton("Pause  F6")
+        self.run.setObjectName("primary")
+        self.run.clicked.connect(self.run_asked)
+        self.pause.clicked.connect(self.pause_asked)
+        theme, keys = QPushButton("Theme"), QPushButton("Keys  F1")
+        theme.setToolTip("dark or light (Ctrl+T)")
+        theme.clicked.connect(self.theme_asked)
+        keys.clicked.connect(self.help_asked)
+        self._bar = QProgressBar()
+        self._bar.setFormat("no run")
+        self._bar.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(8, 4, 8, 4)
+        row.setSpacing(10)
+        for widget in (self.badge, self.run, self.pause):
+            row.addWidget(widget)
+        row.addWidget(self._bar, 1)
+        for widget in (theme, keys, self.stop):
+            row.addWidget(widget)
+
+    def name_rig(self, name: str) -> None:
+        """Of a real rig, once its file has been read."""
+        self.badge.setText(name)
+
+    def follow(self, status: RigStatus, runnable: bool) -> None:
+        """Show what goes on, and which buttons make sense."""
+        self.run.setEnabled(runnable and not status.busy)
+        halted = status.run_state in (RunState.PAUSED, RunState.PAUSING)
+        self.pause.setEnabled(status.run_state in (RunState.RUNNING, RunState.PAUSED, RunState.PAUSING))
+        self.pause.setText("Go on  F6" if halted else "Pause  F6")
+        now = status.progress
+        if now is None or not status.running:
+            self._bar.setMaximum(1)
+            self._bar.setValue(0)
+            self._bar.setFormat("no run")
+            return
+        self._bar.setMaximum(max(1, now.steps))
+        self._bar.setValue(now.step)
+        self._bar.setFormat(f"step {min(now.step + 1, now.steps)} of {now.steps}, {duration(now.remaining_s)} left")

@@ -1,0 +1,131 @@
+"""Camera and projector as the window sees them: the devices themselves, and a look at what passes through them."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from PySide6.QtCore import QObject, Signal
+
+from tankrig.devices import Camera, CameraSettings, Flip, Frame, Projector
+from tankrig.pattern import Pattern
+from tankrig.run.writer import Pixels
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class SeenFrame:
+    """A frame to be looked at.
+
+    Parameters
+    ----------
+    pixels
+        (rows, columns) counts.
+    saturation
+        Count at which pixels saturate.
+    settings
+        Of the camera, as read back.
+    pattern
+        What the projector showed, if that is known.
+    """
+
+    pixels: Pixels
+    saturation: int
+    settings: CameraSettings
+    pattern: Pattern | None
+
+
+class Newest(QObject, Generic[T]):
+    """Hands the newest of many values to the window's thread: older ones are let go, and no queue builds up.
+
+    `arrived` comes once for all values that were put before the window takes one.
+    """
+
+    arrived = Signal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._turn = threading.Lock()
+        self._value: T | None = None
+        self._told = False
+
+    def put(self, value: T) -> None:
+        """From any thread; never waits for the window."""
+        with self._turn:
+            self._value, told, self._told = value, self._told, True
+        if not told:
+            self.arrived.emit()
+
+    def take(self) -> T | None:
+        """The newest value, or None where there was none since the last `take`."""
+        with self._turn:
+            value, self._value, self._told = self._value, None, False
+            return value
+
+
+class WatchedProjector:
+    """A projector that tells what it shows; implements `tankrig.devices.Projector`."""
+
+    def __init__(self, projector: Projector, shown: Callable[[Pattern], object]) -> None:
+        self._projector, self._shown = projector, shown
+        self.pattern: Pattern | None = None
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return self._projector.name
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self._projector.shape
+
+    def show(self, pattern: Pattern) -> Flip:
+        """Show, and tell."""
+        flip = self._projector.show(pattern)
+        self.pattern = pattern
+        self._shown(pattern)
+        return flip
+
+    def close(self) -> None:
+        """Of the device."""
+        self._projector.close()
+
+
+class WatchedCamera:
+    """A camera that passes on each frame it hands out; implements `tankrig.devices.Camera`."""
+
+    def __init__(self, camera: Camera, projector: WatchedProjector, seen: Callable[[SeenFrame], object]) -> None:
+        self._camera, self._projector, self._seen = camera, projector, seen
+        self._settings = CameraSettings(0.0)
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return self._camera.name
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self._camera.shape
+
+    @property
+    def saturation(self) -> int:
+        """Count at which pixels saturate."""
+        return self._camera.saturation
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Of the device."""
+        self._settings = self._camera.configure(settings)
+        return self._settings
+
+    def capture(self, after_ns: int, timeout_s: float) -> Frame:
+        """Capture, and pass on."""
+        frame = self._camera.capture(after_ns, timeout_s)
+        self._seen(SeenFrame(frame.pixels, self.saturation, self._settings, self._projector.pattern))
+        return frame
+
+    def close(self) -> None:
+        """Of the device."""
+        self._camera.close()
