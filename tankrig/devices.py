@@ -60,6 +60,10 @@ class CameraSettings:
     gain: float = 1.0
 
 
+Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+"""(rows, columns) counts."""
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One exposure.
@@ -79,7 +83,7 @@ class Frame:
         Counts the camera's frames; a jump is a gap.
     """
 
-    pixels: NDArray[np.uint8] | NDArray[np.uint16]
+    pixels: Pixels
     exposure_start_ns: int
     device_ns: int
     host_ns: int

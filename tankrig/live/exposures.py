@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from tankrig.bench import Bench
 from tankrig.checked_toml import checked
+from tankrig.devices import Pixels
 from tankrig.errors import StoreError
 from tankrig.pattern import Pattern
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run
-from tankrig.run.writer import Pixels
 from tankrig.scene.description import Camera, Medium, Scene
 from tankrig.sequence import Capture, Dose, Sequence
 from tankrig.sequence.loading import sequence_from_table

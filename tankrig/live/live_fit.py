@@ -11,11 +11,11 @@ from typing import Any, Self
 
 import numpy as np
 
+from tankrig.devices import Pixels
 from tankrig.live.exposures import Exposures, Photograph, Plan, replayed
 from tankrig.live.worker import Shared, work
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run
-from tankrig.run.writer import Pixels
 
 _LOCK_S = 0.1
 _JOIN_S = 5.0

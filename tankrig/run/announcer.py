@@ -5,8 +5,8 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
+from tankrig.devices import Pixels
 from tankrig.run.journal import Event
-from tankrig.run.writer import Pixels
 
 Listener = Callable[[Event, Pixels | None], object]
 

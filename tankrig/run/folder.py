@@ -18,15 +18,7 @@ from zarr.storage import LocalStore
 from tankrig.errors import StoreError
 from tankrig.pattern import Pattern
 from tankrig.run import disk
-from tankrig.run.journal import Event, whole_lines
-
-FORMAT = 1
-"""Version of the folder's layout; a program refuses layouts newer than its own."""
-
-JOURNAL = "journal.jsonl"
-
-_MARK = "tankrig"
-"""Attribute of the group that makes it a run."""
+from tankrig.run.facts import FORMAT, JOURNAL, MARK, load_json
 
 _REMEDIES = {
     errno.ENOSPC: "free some space on that disk and try again",
@@ -116,7 +108,7 @@ def create_run(
         shutil.rmtree(fresh, ignore_errors=True)
         disk.make_folder(fresh)
         mark = {"format": FORMAT, "version": version("tankrig"), "settings": dict(settings)}
-        group = zarr.create_group(DurableStore(fresh), attributes={_MARK: mark})
+        group = zarr.create_group(DurableStore(fresh), attributes={MARK: mark})
         _create_array(group, "frames", (max(planned_frames, 1), *frame_shape), dtype, ("frame", "y", "x"))
         if patterns:
             pictures = np.stack([pattern.pixels for pattern in patterns])
@@ -175,58 +167,9 @@ def resize_frames(path: Path, array: Any, count: int) -> None:
 
 def _consolidate(path: Path) -> None:
     """Repeat the arrays' metadata in the group's, where xarray looks for it."""
-    table = _load_json(path / "zarr.json")
-    arrays = {file.parent.name: _load_json(file) for file in sorted(path.glob("*/zarr.json"))}
+    table = load_json(path / "zarr.json")
+    arrays = {file.parent.name: load_json(file) for file in sorted(path.glob("*/zarr.json"))}
     table["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": arrays}
     text = json.dumps(table, indent=2).encode()
     if text != (path / "zarr.json").read_bytes():
         disk.replace(path / "zarr.json", text)
-
-
-def _load_json(path: Path) -> Any:
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
-def read_settings(path: Path) -> dict[str, Any]:
-    """What the run at `path` was made with.
-
-    Raises
-    ------
-    StoreError
-        When `path` is no run, or one of a newer tankrig.
-    """
-    not_a_run = f"{path}: is not a run; give a folder that tankrig has recorded"
-    try:
-        mark = _load_json(path / "zarr.json")["attributes"][_MARK]
-        layout, settings = mark["format"], mark["settings"]
-    except FileNotFoundError as error:
-        missing = f"{path}: does not exist; give the folder of a run"
-        raise StoreError(not_a_run if path.exists() else missing) from error
-    except (KeyError, TypeError, ValueError, NotADirectoryError) as error:
-        raise StoreError(not_a_run) from error
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    if layout > FORMAT:
-        raise StoreError(
-            f"{path}: was recorded by tankrig {mark.get('version', '?')} in layout {layout}, and this program reads "
-            f"layouts up to {FORMAT}; update tankrig"
-        )
-    return dict(settings)
-
-
-def read_journal(path: Path) -> tuple[list[Event], int, int]:
-    """Whole events of the run at `path`, the bytes they take, and the bytes that the journal has.
-
-    Raises
-    ------
-    StoreError
-        When the journal cannot be read.
-    """
-    try:
-        data = (path / JOURNAL).read_bytes()
-    except OSError as error:
-        raise StoreError(
-            f"{path}: its {JOURNAL} cannot be read ({error.strerror}), so the run cannot be opened; restore that file"
-        ) from error
-    lines = list(whole_lines(data))
-    return [event for event, _ in lines], lines[-1][1] if lines else 0, len(data)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.run.writer import Pixels
+from tankrig.devices import Pixels
 
 _BLOCKS = 16
 """Blocks along the longer side of a picture; their means have little noise and see what mixes last, which is large."""

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tankrig.devices import Pixels
 from tankrig.errors import StoreError
 from tankrig.pattern import Pattern
-from tankrig.run.folder import read_journal, read_settings
+from tankrig.run.facts import read_journal, read_settings
 from tankrig.run.journal import Event
-from tankrig.run.writer import Pixels
 
 if TYPE_CHECKING:
     import xarray

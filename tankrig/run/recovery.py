@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tankrig.errors import StoreError
-from tankrig.run.folder import read_journal, read_settings, storing
+from tankrig.run.facts import read_journal, read_settings
+from tankrig.run.folder import storing
 from tankrig.run.reading import Run, open_run, raw_frame
 from tankrig.run.writer import digest, lock_journal, set_torn_end_aside
 

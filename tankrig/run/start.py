@@ -61,6 +61,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
             "name": sequence.name,
             "id": run_id,
             "rig": rig.name,
+            "saturation": rig.camera.saturation,
             "bench": asdict(rig.bench),
             "sequence": sequence_table(sequence),
         }
@@ -203,6 +204,6 @@ def _require_room(path: Path, disk_bytes: int) -> None:
     free = shutil.disk_usage(place).free
     if disk_bytes > free:
         raise StoreError(
-            f"{path}: the run needs up to {disk_bytes / 1e6:.0f} MB and {free / 1e6:.0f} MB are free; "
+            f"{path}: the run needs up to {disk_bytes / 1e6:.1f} MB and {free / 1e6:.1f} MB are free; "
             f"make room or give another folder with --out"
         )

@@ -13,15 +13,14 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tankrig.devices import Frame
+from tankrig.devices import Frame, Pixels
 from tankrig.errors import StoreError
 from tankrig.run import disk
-from tankrig.run.folder import JOURNAL, frames_for_writing, read_journal, read_settings, resize_frames, storing
+from tankrig.run.facts import JOURNAL, read_journal, read_settings
+from tankrig.run.folder import frames_for_writing, resize_frames, storing
 from tankrig.run.journal import Event, Kind, Moment
 
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 Announce = Callable[[Event, Pixels | None], object]
 
 _QUEUE_BYTES = 64 * 2**20
