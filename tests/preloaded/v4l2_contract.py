@@ -1,0 +1,16 @@
+"""A V4L2 camera keeps the promises of every camera."""
+
+import pytest
+
+from tests.contracts.camera import CameraContract
+
+
+class TestV4l2Camera(CameraContract):
+    pass
+
+
+class TestTimestampsOfTheFramesEnd(CameraContract):
+    @pytest.fixture
+    def camera(self, device, reopen):
+        device.set("stamp", 1)
+        return reopen()
