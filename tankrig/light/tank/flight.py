@@ -2,11 +2,11 @@
 
 import math
 
-from tankrig.compiled import kernel
+from tankrig.compiled import part
 from tankrig.scene.optics import reflectance
 
 
-@kernel
+@part
 def scattered(
     dx: float, dy: float, dz: float, ex: float, ey: float, ez: float, g: float, u: float, v: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -55,7 +55,7 @@ def scattered(
     return nx, ny, nz, fx * scale, fy * scale, fz * scale
 
 
-@kernel
+@part
 def fly(
     walls: tuple[float, float, float, float], height: float, index: float, sigma_t: float,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, u: float,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
-from tankrig.light.tank.lattice import POINTS, VECTOR
+from tankrig.light.tank.lattice import LARGE, SMALL, Lattice
 from tankrig.light.tank.paths import trace
 from tankrig.light.tank.record import CLASSES, GROUPS, Bins, image_of_edges
 from tankrig.light.tank.smoothing import smoothed
@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 FINEST_CELL_MM = 1.5
 """Orders ≥ 3 are smooth on this scale; finer pixels are interpolated."""
 THREADS = 2
-FIRST_BATCHES = 4
-MOST_BATCHES = 4096
+FIRST_BATCHES = 6
+MOST_BATCHES = 16384
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,13 @@ def high_orders(
     grid = CellGrid.of(scene)
     highest = 1_000_000 if max_order is None else max_order
     images: list[Array] = []
-    wanted = batches or FIRST_BATCHES
+    wanted, lattice = (batches, LARGE) if batches else (FIRST_BATCHES, SMALL)
     while True:
         seeds = range(len(images), wanted)
         with ThreadPoolExecutor(THREADS) as pool:
-            images += pool.map(lambda batch: traced(scene, grid, (seed, batch), highest, faintest, CLASSES), seeds)
+            images += pool.map(
+                lambda batch: traced(scene, grid, (seed, batch), highest, faintest, CLASSES, lattice), seeds
+            )
         stack = np.array(images)
         if grid.symmetric:
             stack = 0.5 * (stack + stack[:, :, ::-1])
@@ -99,7 +101,7 @@ def high_orders(
     return HighOrders(
         np.array([grid.to_pixels(image) for image in mean]),
         np.abs(grid.to_pixels(spread)),
-        len(images) * POINTS,
+        len(images) * lattice.points,
     )
 
 
@@ -168,7 +170,10 @@ def mirror_symmetric(scene: Scene) -> bool:
     )
 
 
-def traced(scene: Scene, grid: CellGrid, seed: tuple[int, int], max_order: int, faintest: float, bins: Bins) -> Array:
+def traced(
+    scene: Scene, grid: CellGrid, seed: tuple[int, int], max_order: int, faintest: float, bins: Bins,
+    lattice: Lattice = LARGE,
+) -> Array:  # fmt: skip
     """Images of one shifted lattice of paths, W/mm²/sr.
 
     Parameters
@@ -185,6 +190,8 @@ def traced(scene: Scene, grid: CellGrid, seed: tuple[int, int], max_order: int, 
         Share of its weight at which a path ends.
     bins
         Index of the image that each order goes to.
+    lattice
+        Of the paths.
 
     Returns
     -------
@@ -192,7 +199,7 @@ def traced(scene: Scene, grid: CellGrid, seed: tuple[int, int], max_order: int, 
     """
     images = int(bins.max()) + 1
     medium, geometry = scene.medium, geometry_of(scene)
-    shift = np.random.default_rng(seed).random(VECTOR.size)
+    points, shifted = lattice.points, lattice.shifted(seed)
     shiftable = grid.shiftable
     edges = np.zeros((images, 2, grid.rows + 2, grid.columns + 2))
     cells = np.zeros((images, grid.rows, grid.columns))
@@ -209,12 +216,12 @@ def traced(scene: Scene, grid: CellGrid, seed: tuple[int, int], max_order: int, 
             edges[:] = 0.0
         trace(
             edges, cells if z_mm is None else cells[:, :0], bins, geometry, shiftable, grid.cell_mm,
-            medium.sigma_t, medium.albedo, medium.g, table, shift, 0, POINTS, max_order, faintest,
+            medium.sigma_t, medium.albedo, medium.g, table, shifted, 0, points, max_order, faintest,
         )  # fmt: skip
         if z_mm is None:
-            cells *= power.sum() / (POINTS * grid.cell_mm[0] * grid.cell_mm[1])
+            cells *= power.sum() / (points * grid.cell_mm[0] * grid.cell_mm[1])
             return cells
         transmission = sight_line(geometry, 0.0, 0.0)[3]
         image = image_of_edges(edges, medium.sigma_t, grid.cell_mm[0])
-        cells += image * (transmission * (z_mm[1] - z_mm[0]) / POINTS)
+        cells += image * (transmission * (z_mm[1] - z_mm[0]) / points)
     return cells

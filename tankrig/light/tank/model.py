@@ -12,7 +12,7 @@ from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
 
-NOISE_SHARE = 0.6
+NOISE_SHARE = 0.7
 """Share of the tolerance that the noise of orders ≥ 3 may use up."""
 
 

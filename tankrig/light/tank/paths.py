@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.compiled import kernel
+from tankrig.compiled import kernel, part
 from tankrig.light.rays import Geometry, light_ray
 from tankrig.light.tank.flight import fly, scattered
 from tankrig.light.tank.lattice import coordinate
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 START_COORDINATES = 4
 FLIGHT_COORDINATES = 6
-FIRST_THINNING = 8
+FIRST_THINNING = 16
 """From this order on, every doubling of the order halves the paths: later orders are smoother."""
 UNTURNED = 0.4
 """Share of the paths that are scattered by the phase function alone."""
@@ -41,7 +41,7 @@ TURNS = 12
 @kernel
 def trace(
     edges: Array, cells: Array, bins: Bins, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float],
-    sigma_t: float, albedo: float, g: float, beams: Array, shift: Array, start: int, stop: int,
+    sigma_t: float, albedo: float, g: float, beams: Array, lattice: Array, start: int, stop: int,
     max_order: int, faintest: float,
 ) -> None:  # fmt: skip
     """Follow the paths of lattice points `start` … `stop` − 1 and record their orders ≥ 3.
@@ -66,8 +66,8 @@ def trace(
     beams
         (n, 6): y low, y high, z low, z high on the plane x = 0, irradiance, and the share of the power up to and
         including this beam. Where `shiftable` all have the same z.
-    shift
-        Of the lattice, a number per coordinate.
+    lattice
+        A shifted lattice, as `Lattice.shifted` gives it.
     start, stop
         Lattice points.
     max_order
@@ -85,21 +85,21 @@ def trace(
         x_low, x_high, y_low, y_high = 0.0, farthest, hull_low, hull_high
         if shiftable:
             x = y = 0.0
-            z = beams[0, 2] + coordinate(point, 0, shift) * (beams[0, 3] - beams[0, 2])
+            z = beams[0, 2] + coordinate(point, 0, lattice) * (beams[0, 3] - beams[0, 2])
             dx, dy, dz = 1.0, 0.0, 0.0
             weight = albedo * sigma_t
         else:
             x_low, x_high, y_low, y_high = 0.0, 0.0, 0.0, 0.0
-            beam, across = _beam_of(beams, coordinate(point, 1, shift))
+            beam, across = _beam_of(beams, coordinate(point, 1, lattice))
             y0 = beams[beam, 0] + across * (beams[beam, 1] - beams[beam, 0])
-            z0 = beams[beam, 2] + coordinate(point, 0, shift) * (beams[beam, 3] - beams[beam, 2])
+            z0 = beams[beam, 2] + coordinate(point, 0, lattice) * (beams[beam, 3] - beams[beam, 2])
             dx, dy, dz = light_ray(geometry, y0, z0)
             walls = (0.0, length, -half_width, half_width)
             x, y, z, dz, weight = fly(
-                walls, height, index, sigma_t, 0.0, y0, z0, dx, dy, dz, coordinate(point, 2, shift)
+                walls, height, index, sigma_t, 0.0, y0, z0, dx, dy, dz, coordinate(point, 2, lattice)
             )
             weight *= albedo
-        choice = (coordinate(point, 3, shift) - UNTURNED) / per_turn
+        choice = (coordinate(point, 3, lattice) - UNTURNED) / per_turn
         turn = 1 + int(choice) if guided and choice >= 0.0 else 0
         remaining, turned = 1.0, 0.0
         limit = faintest * weight
@@ -125,7 +125,7 @@ def trace(
             before = remaining + turned
             counted = guided and order <= TURNS
             if guided and order >= 2:
-                u, v = coordinate(point, first + 3, shift), coordinate(point, first + 4, shift)
+                u, v = coordinate(point, first + 3, lattice), coordinate(point, first + 4, lattice)
                 px, py, pz, _, _, _ = scattered(sx, sy, sz, rx, ry, rz, g, u, v)
                 plain = henyey_greenstein(px * dx + py * dy + pz * dz, g)
                 ahead = px * sx + py * sy + pz * sz
@@ -133,7 +133,7 @@ def trace(
                 if counted:
                     density += per_turn * (_wide_lobe(ahead, g) - plain)
                 qx, qy, qz, pz, chance = fly(
-                    walls, height, index, sigma_t, x, y, z, px, py, pz, coordinate(point, first + 5, shift)
+                    walls, height, index, sigma_t, x, y, z, px, py, pz, coordinate(point, first + 5, lattice)
                 )
                 value = weight * chance * albedo * plain / density
                 if shiftable:
@@ -145,7 +145,7 @@ def trace(
                 else:
                     record_point(cells, bins, geometry, order + 1, value, sigma_t, g, qx, qy, qz, px, py, pz, cell_mm)
             dx0, dy0, dz0 = dx, dy, dz
-            u, v = coordinate(point, first, shift), coordinate(point, first + 1, shift)
+            u, v = coordinate(point, first, lattice), coordinate(point, first + 1, lattice)
             if order == turn:
                 asymmetry = g**2 if v < 0.5 else g**4
                 v = 2.0 * v if v < 0.5 else 2.0 * v - 1.0
@@ -164,7 +164,7 @@ def trace(
                     share += before * henyey_greenstein(ahead, g) / plain
                 share = 1.0 / share
             x, y, z, after, chance = fly(
-                walls, height, index, sigma_t, x, y, z, dx, dy, dz, coordinate(point, first + 2, shift)
+                walls, height, index, sigma_t, x, y, z, dx, dy, dz, coordinate(point, first + 2, lattice)
             )
             if after != dz:  # reflected at the surface
                 dz, ez = after, -ez
@@ -184,20 +184,20 @@ def trace(
                 record_point(cells, bins, geometry, order, weight * share, sigma_t, g, x, y, z, dx, dy, dz, cell_mm)
 
 
-@kernel
+@part
 def _across(dx: float, dz: float) -> tuple[float, float, float]:
     """A unit vector across a direction that is not along y, from its x and z."""
     scale = math.sqrt(dx * dx + dz * dz)
     return -dz / scale, 0.0, dx / scale
 
 
-@kernel
+@part
 def _wide_lobe(cosine: float, g: float) -> float:
     """Density of the directions of a turn: lobes as wide as after two and after four scatterings."""
     return 0.5 * (henyey_greenstein(cosine, g**2) + henyey_greenstein(cosine, g**4))
 
 
-@kernel
+@part
 def _beam_of(beams: Array, u: float) -> tuple[int, float]:
     """The beam that a number of [0, 1) falls on, and how far across it."""
     beam, before = 0, 0.0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.compiled import kernel
+from tankrig.compiled import part
 from tankrig.light.rays import Geometry
 from tankrig.light.tank.sighting import seen_from
 from tankrig.scene.phase import henyey_greenstein
@@ -21,7 +21,7 @@ CLASSES: Bins = np.array([0, 0, 0, 0, *[1] * 17, 2])
 """Bins that are `GROUPS`."""
 
 
-@kernel
+@part
 def record_point(
     cells: Array, bins: Bins, geometry: Geometry, order: int, weight: float, sigma_t: float, g: float,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, cell_mm: tuple[float, float],
@@ -46,7 +46,7 @@ def record_point(
     cells[bins[min(order, bins.size - 1)], row, column] += value
 
 
-@kernel
+@part
 def record_rectangles(
     edges: Array, bins: Bins, order: int, value: float, sigma_t: float, x: float, y: float, x_low: float, x_high: float,
     y_low: float, y_high: float, beams: Array, half_width: float, cell_mm: tuple[float, float],
@@ -86,7 +86,7 @@ def record_rectangles(
             edges[group, 1, row + 1, last + 1] -= after * last_on
 
 
-@kernel
+@part
 def _edge(start: float, x: float, sigma_t: float, value: float, cell_mm: float) -> tuple[int, float, float]:
     """The column in which starts begin, what the rest of it holds on average, and what the next begins with."""
     place = max(start + x, 0.0) / cell_mm
