@@ -1,32 +1,52 @@
-"""A rig doser's emulator in this process, for tests that look at the truth and switch faults."""
+"""Stand-ins for pumps in this process, for tests that look at the truth and switch faults."""
 
 import threading
+from abc import ABC, abstractmethod
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from drivers.cavro.doser import CavroDoser
+from drivers.cavro.emulator.board import CavroBoard
+from drivers.cavro.settings import CavroSettings
+from drivers.counted.doser import CountedDoser
+from drivers.emulation.board import Board as AnyBoard
+from drivers.emulation.truth import TruthFile
+from drivers.new_era import open_new_era
+from drivers.new_era.emulator.board import NewEraBoard
 from drivers.rig_doser.doser import RigDoser
 from drivers.rig_doser.emulator.board import Board
 from drivers.rig_doser.emulator.memory import Commissioning, StateFile
 from drivers.rig_doser.settings import RigDoserSettings
+from tankrig.devices import Doser
+from tankrig.errors import DeviceError
 
 STEPS_PER_UL = 10.0
 
 
-class Bench:
-    """A board on its pseudo-terminal, with its motor and its truth."""
+class AnyBench(ABC):
+    """A stand-in on its pseudo-terminal, with its motor and its truth."""
 
-    def __init__(self, folder: Path, time_scale: float = 0.5, rate: float = 4000.0, **commissioning: Any) -> None:
-        self.folder, self.scale, self.rate = folder, time_scale, rate
-        self._commissioning = Commissioning(**commissioning)
-        self._opened: list[RigDoser] = []
+    steps_per_ul: float
+
+    def __init__(self, folder: Path, time_scale: float) -> None:
+        self.folder, self.scale = folder, time_scale
+        self._opened: list[Any] = []
         self.power_on()
 
+    @abstractmethod
+    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]: ...
+
+    @abstractmethod
+    def _open(self, **settings: Any) -> Doser: ...
+
+    @abstractmethod
+    def port_of(self, doser: Any) -> Any:
+        """The driver's serial port, to pull it out or to write noise to."""
+
     def power_on(self, seed: int = 0) -> None:
-        self._state = StateFile(self.folder / "state", self._commissioning)
-        motor = {"rate": self.rate, "acceleration": 10 * self.rate}
-        link = self.folder / "doser"
-        self.board = Board(self._state, link, **motor, boot_s=0.02, time_scale=self.scale, seed=seed)
+        self._state, self.board = self._plug_in(seed)
         self._thread = threading.Thread(target=self.board.run)
         self._thread.start()
 
@@ -35,11 +55,16 @@ class Bench:
         self._thread.join()
         self._state.close()
 
-    def open(self, **settings: Any) -> RigDoser:
-        given = {"port": str(self.folder / "doser"), "steps_per_ul": STEPS_PER_UL, "time_scale": self.scale}
-        doser = RigDoser(RigDoserSettings(**(given | settings)))
-        self._opened.append(doser)
-        return doser
+    def open(self, **settings: Any) -> Any:
+        self._opened.append(self._open(**settings))
+        return self._opened[-1]
+
+    def kill(self, doser: Any) -> None:
+        """As kill -9: its port is closed and nothing more is written."""
+        self.port_of(doser).close()
+
+    def put_right(self, doser: Any) -> None:
+        """What a person has to do at the device before it can dose."""
 
     def faults(self, **faults: Any) -> None:
         self.board.command({"faults": faults})
@@ -55,9 +80,9 @@ class Bench:
 
     @property
     def true_ul(self) -> float:
-        return self._state.truth.steps / STEPS_PER_UL
+        return self._state.truth.steps / self.steps_per_ul
 
-    def __enter__(self) -> "Bench":
+    def __enter__(self) -> Any:
         return self
 
     def __exit__(
@@ -66,3 +91,89 @@ class Bench:
         for doser in self._opened:
             doser.close()
         self.power_off()
+
+
+class Bench(AnyBench):
+    """The rig's own doser."""
+
+    steps_per_ul = STEPS_PER_UL
+
+    def __init__(self, folder: Path, time_scale: float = 0.5, rate: float = 4000.0, **commissioning: Any) -> None:
+        self.rate, self._commissioning = rate, Commissioning(**commissioning)
+        super().__init__(folder, time_scale)
+
+    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
+        state = StateFile(self.folder / "state", self._commissioning)
+        motor = {"rate": self.rate, "acceleration": 10 * self.rate}
+        board = Board(state, self.folder / "doser", **motor, boot_s=0.02, time_scale=self.scale, seed=seed)
+        return state, board
+
+    def _open(self, **settings: Any) -> RigDoser:
+        given = {"port": str(self.folder / "doser"), "steps_per_ul": STEPS_PER_UL, "time_scale": self.scale}
+        return RigDoser(RigDoserSettings(**(given | settings)))
+
+    def port_of(self, doser: RigDoser) -> Any:
+        return doser._line._port
+
+
+class CountedBench(AnyBench):
+    """A pump whose driver keeps a count file."""
+
+    def kill(self, doser: CountedDoser) -> None:
+        doser._file.write = lambda record: setattr(doser._file, "record", record)
+        super().kill(doser)
+
+    def port_of(self, doser: CountedDoser) -> Any:
+        return doser._pump._line._port
+
+
+class NewEraBench(CountedBench):
+    """An NE-1000 with a 5 ml syringe."""
+
+    steps_per_ul = 20.0
+
+    def __init__(self, folder: Path, time_scale: float = 0.3, rate_ml_per_min: float = 30.0, **device: Any) -> None:
+        self.rate, self._device = rate_ml_per_min, device
+        super().__init__(folder, time_scale)
+
+    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
+        state = TruthFile(self.folder / "state")
+        unverified = {"nearest": bool(seed & 1), "counter_survives": bool(seed & 2)} | self._device
+        board = NewEraBoard(state, self.folder / "doser", **unverified, boot_s=0.02, time_scale=self.scale, seed=seed)
+        return state, board
+
+    def _open(self, **settings: Any) -> CountedDoser:
+        given = {"port": str(self.folder / "doser"), "count_file": self.folder / "count", "time_scale": self.scale}
+        syringe = {"diameter_mm": 12.0, "rate_ml_per_min": self.rate}
+        return open_new_era(given | syringe | settings)
+
+
+class CavroBench(CountedBench):
+    """An XCalibur with a 1 ml syringe."""
+
+    steps_per_ul = 24.0
+
+    def __init__(self, folder: Path, time_scale: float = 0.3, speed_ul_per_s: float = 100.0, **device: Any) -> None:
+        self.speed, self._device = speed_ul_per_s, device
+        super().__init__(folder, time_scale)
+
+    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
+        state = TruthFile(self.folder / "state")
+        board = CavroBoard(state, self.folder / "doser", **self._device, boot_s=0.02, time_scale=self.scale, seed=seed)
+        return state, board
+
+    def _open(self, **settings: Any) -> CavroDoser:
+        given = {"port": str(self.folder / "doser"), "count_file": self.folder / "count", "time_scale": self.scale}
+        syringe = {"syringe_ul": 1000.0, "speed_ul_per_s": self.speed}
+        return CavroDoser(CavroSettings(**(given | syringe | settings)))
+
+    def open(self, **settings: Any) -> Any:
+        """Opened, and initialised by hand once after power-up."""
+        doser = super().open(**settings)
+        self.put_right(doser)
+        return doser
+
+    def put_right(self, doser: CavroDoser) -> None:
+        if self.board.command({})["board"] and not self.board._core._initialised:
+            with suppress(DeviceError):
+                doser.initialise()

@@ -51,6 +51,8 @@ class Board(ABC):
         Of the faults.
     """
 
+    powered_by_cable = False
+
     def __init__(self, state: TruthFile, link: Path, *, boot_s: float, time_scale: float = 1.0, seed: int = 0) -> None:
         self._state, self._link, self._scale, self._boot_s = state, link, time_scale, boot_s
         self._gremlin = Gremlin(seed)
@@ -122,7 +124,9 @@ class Board(ABC):
             try:
                 self._live()
             except PowerLostError:
-                self._power_lost()
+                self._reset()
+            if self._unplug_now:
+                self._unplug()
 
     def command(self, request: dict[str, object]) -> dict[str, object]:
         """The control channel: `{"faults": {...}}`, `{"do": "reset" | "unplug" | "plug" | "forget" | "quit"}`, or `{}`.
@@ -134,7 +138,8 @@ class Board(ABC):
                 self._gremlin.set(dict(faults))  # type: ignore[call-overload]
             action = request.get("do")
             if action == "plug" and self._master is None:
-                self._reset()
+                if self.powered_by_cable:
+                    self._reset()
                 self._plug()
             elif action == "unplug":
                 self._unplug()
@@ -161,7 +166,10 @@ class Board(ABC):
         if self._master is not None:
             self._link.unlink(missing_ok=True)
             os.close(self._master)
-        self._master, self._core = None, None
+        self._master, self._unplug_now = None, False
+        if self.powered_by_cable:
+            self._core = None
+        self._replies.clear()
         self._drop_client()
 
     def _reset(self) -> None:
@@ -169,21 +177,17 @@ class Board(ABC):
         self._replies.clear()
         self._booted_s = self._now() + self._boot_s
 
-    def _power_lost(self) -> None:
-        if self._unplug_now:
-            self._unplug()
-        else:
-            self._reset()
-
     def _drop_client(self) -> None:
         if self._client:
             self._client_left_s = self._now()
         self._client = False
 
     def _live(self) -> None:
-        if self._master is None:
-            return
         now = self._now()
+        if self._master is None:
+            if self._core:
+                self._core.advance(now)
+            return
         received = self._receive(self._master)
         if self._core is None and now >= self._booted_s:
             self._core, greeting = self._power_up()
@@ -227,7 +231,7 @@ class Board(ABC):
     def _pulse(self) -> bool:
         """One step of the motor; whether the plunger has followed."""
         fate = self._gremlin.on_step()
-        if fate in ("reset", "unplug"):
-            self._unplug_now = fate == "unplug"
+        self._unplug_now |= fate == "unplug"
+        if fate == "reset" or (fate == "unplug" and self.powered_by_cable):
             raise PowerLostError
         return fate != "stall"

@@ -7,11 +7,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from drivers.serial_line import LineLostError, NoReplyError
 from tankrig.devices import Delivered
 from tankrig.errors import DeviceError, UndecidedError
 
 from . import wire
-from .line import BANNER_S, Line, LineLostError, NoReplyError
+from .line import BANNER_S, Line
 from .settings import RigDoserSettings
 
 POLL_S = 0.1

@@ -1,29 +1,16 @@
 """The serial line to the rig's own doser: one request and its reply at a time, and stop bytes at any time."""
 
-import errno
-import termios
 import threading
 import time
 
 import serial
 
-from tankrig.errors import DeviceError
+from drivers.serial_line import LOST, REPLY_S, LineLostError, NoReplyError, lost, open_port
 
 from . import wire
 
 BAUD = 115200
 BANNER_S = 3.0
-REPLY_S = 0.3
-READ_S = 0.02
-_LOST = (serial.SerialException, OSError, termios.error, TypeError)
-
-
-class NoReplyError(DeviceError):
-    """The line is there, the doser says nothing."""
-
-
-class LineLostError(DeviceError):
-    """The line is gone."""
 
 
 class Line:
@@ -51,12 +38,7 @@ class Line:
         self._sequence = 0
         self._received = b""
         self._lost = False
-        try:
-            self._port = serial.Serial(
-                port, BAUD, timeout=READ_S * time_scale, write_timeout=REPLY_S * time_scale, exclusive=True
-            )
-        except (OSError, termios.error) as error:
-            raise DeviceError(f"{name}: cannot open {port}: {_why(error)}") from error
+        self._port = open_port(port, BAUD, name, time_scale)
 
     def wait_for_banner(self) -> wire.Banner | None:
         """The board's banner, or None if it does not come in time (a board that DTR does not reset)."""
@@ -84,7 +66,7 @@ class Line:
                 self._port.write(wire.request(self._sequence, command, *arguments))
             except serial.SerialTimeoutException as error:
                 raise NoReplyError(f"{self._name}: takes no more bytes; check the cable and reset it") from error
-            except _LOST as error:
+            except LOST as error:
                 raise self._line_lost() from error
             self._received = b""
             deadline = time.monotonic() + REPLY_S * self._scale
@@ -103,7 +85,7 @@ class Line:
                     self._port.write(wire.STOP)
                 except serial.SerialTimeoutException:
                     return
-                except _LOST:
+                except LOST:
                     self._lost = True
 
     def close(self) -> None:
@@ -120,22 +102,12 @@ class Line:
                 return None
             try:
                 self._received += self._port.read(max(1, self._port.in_waiting))
-            except _LOST as error:
+            except LOST as error:
                 raise self._line_lost() from error
         line, _, self._received = self._received.partition(b"\n")
         return line
 
     def _line_lost(self) -> LineLostError:
         self._lost = True
-        return LineLostError(f"{self._name}: the serial line is gone; plug it in and open it again")
+        return lost(self._name)
 
-
-def _why(error: Exception) -> str:
-    number = getattr(error, "errno", None)
-    if number in (errno.EAGAIN, errno.EBUSY):
-        return "another program has it open; end that program first"
-    if number == errno.ENOENT:
-        return "there is no such port; is it plugged in? (`tankrig devices` lists the ports)"
-    if number in (errno.EACCES, errno.EPERM):
-        return "no permission; add yourself to the group that owns it (dialout) and log in anew"
-    return f"{error}; is it a serial port?"

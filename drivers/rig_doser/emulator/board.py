@@ -31,6 +31,8 @@ class Board(Cabled):
         Of the faults.
     """
 
+    powered_by_cable = True
+
     def __init__(
         self,
         state: StateFile,

@@ -1,0 +1,103 @@
+"""What a driver for a pump with a counter has to provide."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple, Protocol
+
+
+class Count(NamedTuple):
+    """An amount in the pump's ticks: best value and hard bounds.
+
+    >>> Count.exactly(7) + Count(1, 0, 2) - Count.exactly(3)
+    Count(best=5, low=4, high=6)
+    """
+
+    best: int
+    low: int
+    high: int
+
+    @classmethod
+    def exactly(cls, ticks: int) -> "Count":
+        """An amount without doubt."""
+        return cls(ticks, ticks, ticks)
+
+    def __add__(self, other: "Count") -> "Count":  # type: ignore[override]
+        return Count(self.best + other.best, self.low + other.low, self.high + other.high)
+
+    def __sub__(self, other: "Count") -> "Count":
+        return Count(self.best - other.best, self.low - other.high, self.high - other.low)
+
+
+class Trust(Enum):
+    """What a pump's counter is worth when it has come to rest."""
+
+    EXACT = "the counter is right"
+    UNWITNESSED = "replies were lost in which it may have said that it stalled"
+    STALLED = "it stalled: it delivered at most what it counted"
+    RESTARTED = "it lost its count"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The counter of a pump at rest."""
+
+    count: Count
+    trust: Trust = Trust.EXACT
+    why: str = "it was stopped"
+
+
+class Pump(Protocol):
+    """A pump on its line. Ticks are its smallest unit of volume; times are before the time scale."""
+
+    model: str
+    tick_ul: float
+    order: int
+    """Ticks that an order is a multiple of."""
+    margin: int
+    """Ticks by which an order stays below the target, so that what the counter does not show cannot pass it."""
+    most_doubt: int
+    """Ticks of doubt in the count beyond which it must be begun anew."""
+    increment: int
+    """Ticks of the smallest dose that makes sense."""
+    lost_by_stopping: int
+    """Ticks that a stop in motion may have cost."""
+    stroke: int
+    """Ticks it can deliver without counting beyond a renewal."""
+    counter_restarts: bool
+    """Whether the counter begins at 0 again when the power fails."""
+    rests_after_s: float
+    """By then it rests by itself when nobody talks to it."""
+
+    def greet(self) -> None:
+        """Find out whether the right pump answers; moves nothing."""
+
+    def read(self) -> Reading:
+        """Bring it to rest if it moves, and read the counter beyond doubt about which reply is which."""
+
+    def stale(self) -> bool:
+        """Whether the counter must be renewed before anything else (settings that it forgets the count with)."""
+
+    def room(self, count: Count) -> int:
+        """Ticks it can deliver before its counter must be renewed."""
+
+    def renew(self) -> None:
+        """Make room, without anything leaving the tube: clear the counter, or refill."""
+
+    def prepare(self, ticks: int, count: Count) -> None:
+        """Make ready to deliver so much, and see that it is; moves nothing."""
+
+    def go(self, unless: Callable[[], bool]) -> bool:
+        """Set off, sent once, unless that holds; False if it certainly did not."""
+
+    def poll(self) -> tuple[bool, Count | None]:
+        """Whether it moves, and what it counts meanwhile; feeds its watchdog."""
+
+    def duration_s(self, ticks: int) -> float:
+        """How long it takes for that."""
+
+    def stop(self) -> None:
+        """Put a stop on the wire now; never raises, waits for nobody."""
+
+    def close(self) -> None:
+        """Leave it as a person would want to find it, and let go of the port."""

@@ -1,0 +1,40 @@
+"""Run a New Era pump's emulator: `python -m drivers.new_era.emulator --link PATH --state FILE`."""
+
+import sys
+
+from drivers.emulation.process import parser, serve
+from drivers.emulation.truth import TruthFile
+
+from .board import NewEraBoard
+
+
+def main() -> int:
+    """Run until told to quit, or until nobody has wanted the device for long enough."""
+    options = parser("drivers.new_era.emulator", "A New Era NE-1000 syringe pump on a pseudo-terminal.")
+    options.add_argument("--steps-per-ul", type=float, default=20.0, help="motor steps that push out 1 µl (default 20)")
+    options.add_argument("--true-diameter-mm", type=float, default=12.0, help="of the syringe in it (default 12)")
+    options.add_argument("--cuts-digits", action="store_true", help="its display cuts digits off instead of rounding")
+    options.add_argument("--counter-survives", action="store_true", help="its counter survives the loss of power")
+    args = options.parse_args()
+    try:
+        state = TruthFile(args.state)
+    except BlockingIOError:
+        sys.stderr.write(f"{args.state}: another emulator runs on this state file\n")
+        return 2
+    board = NewEraBoard(
+        state,
+        args.link,
+        steps_per_ul=args.steps_per_ul,
+        true_diameter_mm=args.true_diameter_mm,
+        nearest=not args.cuts_digits,
+        counter_survives=args.counter_survives,
+        time_scale=args.time_scale,
+        seed=args.seed,
+    )
+    serve(board, args)
+    state.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,83 @@
+"""The pump on its cable, with power of its own: pulling the cable leaves it running."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from drivers.emulation.board import Board
+from drivers.emulation.truth import TruthFile
+
+from .core import Core
+from .frames import Reader, basic, safe
+
+BOOT_S = 0.3
+
+
+class NewEraBoard(Board):
+    """A pump, its cable and its motor.
+
+    Parameters
+    ----------
+    state
+        Its memory and the truth.
+    link
+        Where the device's path is published.
+    steps_per_ul, true_diameter_mm
+        Of the syringe that is really in it.
+    nearest, counter_survives
+        What nobody has verified: see `Core`.
+    time_scale, seed, boot_s
+        As for every board.
+    """
+
+    def __init__(
+        self,
+        state: TruthFile,
+        link: Path,
+        *,
+        steps_per_ul: float = 20.0,
+        true_diameter_mm: float = 12.0,
+        nearest: bool = True,
+        counter_survives: bool = False,
+        boot_s: float = BOOT_S,
+        time_scale: float = 1.0,
+        seed: int = 0,
+    ) -> None:
+        self._syringe = {"steps_per_ul": steps_per_ul, "true_diameter_mm": true_diameter_mm}
+        self._nearest, self._counter_survives = nearest, counter_survives
+        self._reader = Reader()
+        super().__init__(state, link, boot_s=boot_s, time_scale=time_scale, seed=seed)
+
+    def _power_up(self) -> tuple[Core, bytes]:
+        kept = self._state.kept()
+        self._reader = Reader()
+        core = Core(
+            kept,
+            lambda: self._state.keep(kept),
+            self._pulse,
+            **self._syringe,
+            nearest=self._nearest,
+            counter_survives=self._counter_survives,
+        )
+        return core, b"".join(self._unasked(core))
+
+    def _answers(self, core: Core, received: bytes, now: float) -> Iterator[bytes]:
+        yield from self._unasked(core)
+        command = self._reader.feed(received, now, core.safe_mode)
+        while command is not None:
+            for _ in range(1 + self._gremlin.twice()):
+                framed = safe if core.safe_mode else basic
+                answer = "00SOTHER1.0" if self._gremlin.faults.stranger else core.obey(command, now)
+                if answer is not None:
+                    yield framed(answer)
+                yield from self._unasked(core)
+            command = self._reader.feed(b"", now, core.safe_mode)
+
+    def _unasked(self, core: Core) -> Iterator[bytes]:
+        while core.unasked:
+            yield safe(core.unasked.pop(0))
+
+    def _pulse(self) -> bool:
+        followed = super()._pulse()
+        if followed:
+            self._state.step()
+        return followed

@@ -1,0 +1,201 @@
+"""Serial lines as the pump drivers use them: opened with a sentence for what can go wrong, read with a deadline,
+stopped without waiting for a reader."""
+
+import errno
+import termios
+import threading
+import time
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+import serial
+
+from tankrig.errors import DeviceError
+
+REPLY_S = 0.3
+QUIET_S = 0.6
+READ_S = 0.02
+LOST = (serial.SerialException, OSError, termios.error, TypeError)
+Answer = TypeVar("Answer")
+
+
+class NoReplyError(DeviceError):
+    """The line is there, the device says nothing."""
+
+
+class LineLostError(DeviceError):
+    """The line is gone."""
+
+
+class NotSentError(DeviceError):
+    """Nothing was sent, because a stop came first."""
+
+
+def open_port(port: str, baud: int, name: str, time_scale: float = 1.0) -> serial.Serial:
+    """Open a serial port (8N1) for this program alone.
+
+    Raises
+    ------
+    DeviceError
+        If it cannot be opened; the message says why and what to do.
+    """
+    try:
+        return serial.Serial(
+            port, baud, timeout=READ_S * time_scale, write_timeout=REPLY_S * time_scale, exclusive=True
+        )
+    except (OSError, termios.error) as error:
+        raise DeviceError(f"{name}: cannot open {port}: {_why(error)}") from error
+
+
+def lost(name: str) -> LineLostError:
+    """What to raise when a port fails."""
+    return LineLostError(f"{name}: the serial line is gone; plug it in and open it again")
+
+
+class Line:
+    """A serial line to a device that answers each request once, in order, without saying which one it answers.
+
+    A reply that did not come in time may still come. So after a missing reply, or a stop, the line is left until it has
+    been quiet before anything else is asked; what comes meanwhile is still shown to `heard`.
+
+    Parameters
+    ----------
+    port, baud, name
+        Of the device; `name` for messages.
+    frames
+        Takes whole, undamaged frames out of what was received.
+    heard
+        Told of every frame.
+    time_scale
+        All waits are multiplied by this.
+
+    Attributes
+    ----------
+    missed
+        Replies that did not come.
+
+    Raises
+    ------
+    DeviceError
+        If the port cannot be opened.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud: int,
+        name: str,
+        frames: Callable[[bytearray], Iterable[bytes]],
+        heard: Callable[[bytes], None],
+        time_scale: float = 1.0,
+    ) -> None:
+        self.name, self.missed = name, 0
+        self._frames, self._heard, self._scale = frames, heard, time_scale
+        self._asking = threading.Lock()
+        self._writing = threading.RLock()  # a signal handler may stop while this thread writes
+        self._received = bytearray()
+        self._unsettled = self._lost = False
+        self._port = open_port(port, baud, name, time_scale)
+
+    def exchange(
+        self, request: bytes, accept: Callable[[bytes], Answer | None], unless: Callable[[], bool] = lambda: False
+    ) -> Answer:
+        """Send `request` and wait for the first frame that `accept` makes an answer of.
+
+        Raises
+        ------
+        NotSentError
+            If `unless` holds when it would be sent; no stop can come between that check and the sending.
+        NoReplyError
+            If no answer comes in time.
+        LineLostError
+            If the port is gone.
+        """
+        with self._asking:
+            try:
+                self._clear()
+                with self._writing:
+                    if unless():
+                        raise NotSentError(f"{self.name}: a stop is latched; clear it first")
+                    self._port.write(request)
+                deadline = time.monotonic() + REPLY_S * self._scale
+                while time.monotonic() < deadline:
+                    for frame in self._hear():
+                        if (answer := accept(frame)) is not None:
+                            return answer
+            except serial.SerialTimeoutException as error:
+                raise self._silent(f"{self.name}: takes no more bytes; check the cable and reset it") from error
+            except LOST as error:
+                raise self._gone() from error
+        wait_ms = 1e3 * REPLY_S * self._scale
+        raise self._silent(f"{self.name}: no reply within {wait_ms:.0f} ms; check cable and power")
+
+    def send(self, data: bytes) -> None:
+        """Put bytes on the wire now, whatever another thread waits for; never raises."""
+        with self._writing:
+            self._unsettled = True
+            if not self._lost:
+                try:
+                    self._port.write(data)
+                except serial.SerialTimeoutException:
+                    return
+                except LOST:
+                    self._lost = True
+
+    def unsettle(self) -> None:
+        """More may come that answers nothing: wait for silence before the next request."""
+        self._unsettled = True
+
+    def close(self) -> None:
+        """Let go of the port."""
+        with self._writing:
+            self._lost = True
+        with self._asking:
+            self._port.close()
+
+    def _clear(self) -> None:
+        """Nothing that came before counts as an answer; the line falls silent first if replies may be outstanding."""
+        quiet_s = QUIET_S * self._scale if self._unsettled else 0.0
+        now = time.monotonic()
+        quiet_from, give_up = now, now + 4 * quiet_s
+        self._unsettled = False
+        for frame in self._frames(self._received):
+            self._heard(frame)
+        while True:
+            waiting = self._port.in_waiting
+            if waiting:
+                quiet_from = time.monotonic()
+            elif time.monotonic() - quiet_from >= quiet_s:
+                break
+            if waiting or quiet_s:
+                for _ in self._hear():
+                    pass
+            if quiet_s and time.monotonic() > give_up:
+                raise self._silent(f"{self.name}: does not stop sending; is the baud rate right?")
+        self._received.clear()
+
+    def _hear(self) -> Iterable[bytes]:
+        self._received += self._port.read(max(1, self._port.in_waiting))
+        for frame in self._frames(self._received):
+            self._heard(frame)
+            yield frame
+
+    def _silent(self, message: str) -> NoReplyError:
+        self._unsettled = True
+        self.missed += 1
+        return NoReplyError(message)
+
+    def _gone(self) -> LineLostError:
+        self._lost = True
+        return lost(self.name)
+
+
+def _why(error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return "another program has it open; end that program first"
+    if number == errno.ENOENT:
+        return "there is no such port; is it plugged in? (`tankrig devices` lists the ports)"
+    if number in (errno.EACCES, errno.EPERM):
+        return "no permission; add yourself to the group that owns it (dialout) and log in anew"
+    return f"{error}; is it a serial port?"
