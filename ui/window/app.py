@@ -52,9 +52,12 @@ def run_window(rig: Path | None, runs: Path, sequence: Path | None) -> int:
     app = application()
     remembered = settings()
     theme.apply(str(remembered.value("theme") or theme.of_system()))
+    from ui.window.rig_host import RigHost
+
+    host = RigHost(RigSource(rig, runs / "simulated.rig"))  # opens the rig while the window is being made
     from ui.window.main_window import MainWindow
 
-    window = MainWindow(RigSource(rig, runs / "simulated.rig"), runs, remembered)
+    window = MainWindow(host, runs, remembered)
     if sequence is not None:
         window.sequence.load(sequence)
     window.show()

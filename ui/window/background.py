@@ -53,7 +53,7 @@ class Background(QObject):
             pool.shutdown(wait=False, cancel_futures=True)
             for process in processes:
                 process.terminate()
-                process.join(2.0)
+            pool.shutdown(wait=True)
 
     def _hand_over(self, done: "Future[Any]", what: tuple[Callable[..., Any], Callable[..., Any] | None]) -> None:
         self.waiting -= 1

@@ -64,16 +64,18 @@ class CalibrationPage(QWidget):
         size = " × ".join(f"{side:g}" for side in tank.size_mm)
         light = f"{bench.light}" + (f" from {_point(bench.light_position_mm)} mm" if bench.light_position_mm else "")
         seen = f"{camera.kind}" + (f" from {_point(camera.position_mm)} mm" if camera.position_mm else "")
+        y, z = wall.y_mm, wall.z_mm
+        steps = f", {rig.doser['steps_per_ul']:g} steps per µl" if "steps_per_ul" in rig.doser else ""
+        limits = rig.limits
         rows = (
             ("tank", f"{size} mm, {tank.surface} surface"),
             ("light", light),
-            ("projector to wall", f"{wall.shape[1]} × {wall.shape[0]} pixels on y = {wall.y_mm[0]:g} … {wall.y_mm[1]:g} mm, "
-                                  f"z = {wall.z_mm[0]:g} … {wall.z_mm[1]:g} mm"),
+            ("projector to wall", f"{wall.shape[1]} × {wall.shape[0]} pixels on y = {y[0]:g} … {y[1]:g} mm, "
+                                  f"z = {z[0]:g} … {z[1]:g} mm"),
             ("projector's brightness", f"{wall.irradiance:g} W/mm² at level 255, gamma {wall.gamma:g}"),
             ("camera", f"{seen}, {camera.shape[1]} × {camera.shape[0]} pixels of {camera.pixel_mm:g} mm"),
-            ("doser", f"driver {rig.doser['driver']}" + (f", {rig.doser['steps_per_ul']:g} steps per µl"
-                                                         if "steps_per_ul" in rig.doser else "")),
-            ("limits", f"{rig.limits.dose_ul:g} µl a dose, {rig.limits.run_ul:g} µl a run, {rig.limits.tank_ul:g} µl a tank"),
+            ("doser", f"driver {rig.doser['driver']}{steps}"),
+            ("limits", f"{limits.dose_ul:g} µl a dose, {limits.run_ul:g} µl a run, {limits.tank_ul:g} µl a tank"),
         )  # fmt: skip
         when = self._when()
         for row, (what, value) in enumerate(rows):

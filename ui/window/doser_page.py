@@ -18,7 +18,8 @@ UNKNOWN = (
     "<li><b>Read the syringe</b>, or weigh what is left of the ink, and enter below what the tank holds <b>in all</b> "
     "since it was filled.</li>"
     "<li><b>Empty the tank</b>, fill it with fresh water, and begin a new ledger with the button at the bottom.</li>"
-    "<li><b>Change nothing</b>: close the window; what was recorded is safe, and the question will be asked again.</li></ol>"
+    "<li><b>Change nothing</b>: close the window; what was recorded is safe, and the question "
+    "will be asked again.</li></ol>"
 )
 
 

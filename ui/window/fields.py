@@ -48,11 +48,12 @@ class CheckedField(QWidget):
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
         row.setSpacing(4)
-        row.addWidget(self.edit, 1)
+        row.addWidget(self.edit, 100)
         if unit:
             label = QLabel(unit)
             label.setProperty("role", "faint")
             row.addWidget(label)
+        row.addStretch(0)
         self.edit.textEdited.connect(self._typed)
         self.edit.editingFinished.connect(self._finished)
         self._committed = ""

@@ -11,7 +11,8 @@ from tankrig.live.words import with_error
 COEFFICIENTS = {"sigma_s": ("σs", 1, "per mm"), "sigma_a": ("σa", 0, "per mm"), "g": ("g", 2, "")}
 """Symbol, place in the covariance, unit."""
 ORDERS = {
-    "1": "order 1 only", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders", "single": "single scattering's best",
+    "1": "order 1 only", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders",
+    "single": "single scattering's best",
 }  # fmt: skip
 
 

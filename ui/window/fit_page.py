@@ -3,19 +3,21 @@
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
-from tankrig.live.exposures import Photograph
 from ui.window import jobs
 from ui.window.background import Background
 from ui.window.fit_cards import Coefficients, OrderBars
 from ui.window.fit_curves import FitCurves
 from ui.window.tank_plot import TankPlot
 from ui.window.tone import Tone, residual_palette
+
+if TYPE_CHECKING:
+    from tankrig.live.exposures import Photograph
 
 SYMBOLS = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
 AGAINST = {"against dose": "dose_ml", "against time": "time_s"}
@@ -49,7 +51,7 @@ class FitPage(QWidget):
         self._verdict.setText(words)
         self._curves.show_fits([], "dose_ml", None)
 
-    def add(self, table: Mapping[str, Any], photographs: Sequence[Photograph], time_s: float | None = None) -> None:
+    def add(self, table: Mapping[str, Any], photographs: "Sequence[Photograph]", time_s: float | None = None) -> None:
         """Take in a `fit` table, and the photographs that it fitted, where they are at hand."""
         if "error" in table:
             self._verdict.setText(f"This fit could not be made: {table['error']}")
@@ -198,7 +200,7 @@ def in_words(table: Mapping[str, Any]) -> str:
 
     >>> known = {"sigma_a": False, "sigma_s": True, "g": True}
     >>> in_words({"dose_ml": 0.4, "frames": 12, "identifiable": known, "patterns": ["sheet"]})
-    'With 0.4 ml, from 12 frames of sheet: σs and g are determined, σa is not yet; more dose or more patterns tell more.'
+    'With 0.4 ml, from 12 frames of sheet: σs and g are determined, σa is not yet; more dose or patterns tell more.'
     """
     known = [symbol for name, symbol in SYMBOLS.items() if table["identifiable"][name]]
     unknown = [symbol for name, symbol in SYMBOLS.items() if not table["identifiable"][name]]
@@ -207,4 +209,4 @@ def in_words(table: Mapping[str, Any]) -> str:
         return f"{head}σs, g and σa are all determined."
     are = " and ".join(known) + (" are" if len(known) > 1 else " is") + " determined, " if known else ""
     rest = " and ".join(unknown) + (" are" if len(unknown) > 1 else " is") + " not yet"
-    return f"{head}{are}{rest}; more dose or more patterns tell more."
+    return f"{head}{are}{rest}; more dose or patterns tell more."

@@ -55,16 +55,24 @@ class Form(QWidget):
         For text fields, the words to choose among.
     skip
         Fields to leave out.
+    unset
+        What it means when a field without a default is left empty.
     """
 
     edited = Signal(str, object)
     """Name of a field, and its new value; None: as by default."""
 
     def __init__(
-        self, kind: type[Any], values: dict[str, Any], choices: dict[str, list[str]], skip: tuple[str, ...] = ()
+        self,
+        kind: type[Any],
+        values: dict[str, Any],
+        choices: dict[str, list[str]],
+        skip: tuple[str, ...] = (),
+        unset: str = "as in the sequence",
     ) -> None:
         super().__init__()
         self.rows: dict[str, QWidget] = {}
+        self._unset = unset
         layout = QFormLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.ExpandingFieldsGrow)
@@ -95,8 +103,8 @@ class Form(QWidget):
         else:
             field = CheckedField(lambda text: (text or None, ""), "", label_of(name))
         field.set_text(_shown(value))
-        field.edit.setPlaceholderText(_shown(default) or ("as in the sequence" if optional else ""))
-        field.changed.connect(lambda: field.wrong or self.edited.emit(name, field.value))
+        field.edit.setPlaceholderText(_shown(default) or (self._unset if optional else ""))
+        field.changed.connect(lambda: None if field.wrong else self.edited.emit(name, field.value))
         return field
 
     def _choice(self, name: str, words: list[str], value: Any) -> QWidget:

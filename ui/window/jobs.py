@@ -3,15 +3,17 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.live.exposures import Photograph
 from tankrig.scene.description import Camera, Medium, Tank
 
-Image = NDArray[np.float64]
+if TYPE_CHECKING:
+    from tankrig.live.exposures import Photograph
+
+Image = NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,7 @@ class Comparison:
         return self.observed - self.model
 
 
-def compare(photograph: Photograph, fit: Mapping[str, Any]) -> Comparison:
+def compare(photograph: "Photograph", fit: Mapping[str, Any]) -> Comparison:
     """The model's image of a photograph at a fit's coefficients, by orders of scattering."""
     from tankrig.report.pictures import by_order, predicted
 
@@ -60,7 +62,7 @@ def compare(photograph: Photograph, fit: Mapping[str, Any]) -> Comparison:
     )
 
 
-def _single(photograph: Photograph, fit: Mapping[str, Any]) -> float:
+def _single(photograph: "Photograph", fit: Mapping[str, Any]) -> float:
     """RMSE of this photograph by single scattering at the σt that is best for all of the dose's, at its own gain."""
     from tankrig.light.single import single_scattering
 
@@ -72,7 +74,7 @@ def _single(photograph: Photograph, fit: Mapping[str, Any]) -> float:
     return float(np.sqrt(np.mean((photograph.image - gain * image) ** 2)))
 
 
-def fits_of(path: Path) -> tuple[list[dict[str, Any]], dict[str, Any] | None, list[Photograph]]:
+def fits_of(path: Path) -> "tuple[list[dict[str, Any]], dict[str, Any] | None, list[Photograph]]":
     """The last fits of a run: one for each dose, of the series, and what they are of."""
     from tankrig.report.results import results_of
     from tankrig.run.reading import open_run

@@ -65,6 +65,7 @@ class LiveView(QWidget):
         self._picture.plot.addItem(self._roi)
         self._lay_out()
         self._picture.widget.scene().sigMouseMoved.connect(self._mouse_moved)
+        self._show()  # what came before there was a view
 
     # -- what is shown -------------------------------------------------------------------------------------------------
 

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,6 @@ from PySide6.QtCore import QSettings, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QDockWidget, QLabel, QMainWindow, QTabWidget, QToolBar, QVBoxLayout, QWidget
 
-from tankrig.run.reading import Run
 from ui.window import theme
 from ui.window.background import Background
 from ui.window.banner import Banner
@@ -23,7 +23,6 @@ from ui.window.live_view import LiveView
 from ui.window.log_panel import LogPanel
 from ui.window.projector_page import ProjectorPage
 from ui.window.replay import Replay
-from ui.window.rig_file import RigSource
 from ui.window.rig_host import RigHost, RunOrder
 from ui.window.runs_page import RunsPage
 from ui.window.sequence_page import SequencePage
@@ -33,6 +32,7 @@ from ui.window.words import volume
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
+    from tankrig.run.reading import Run
     from tankrig.run.runner import Outcome
 
 _log = logging.getLogger(__name__)
@@ -46,21 +46,22 @@ class MainWindow(QMainWindow):
 
     Parameters
     ----------
-    source
-        Which rig.
+    host
+        Of the rig; closed with the window.
     runs
         Folder of the runs.
     settings
         Remembers docks, theme and the last sequence.
     """
 
-    def __init__(self, source: RigSource, runs: Path, settings: QSettings) -> None:
+    def __init__(self, host: RigHost, runs: Path, settings: QSettings) -> None:
         super().__init__()
         self.setObjectName("tankrig")
         self.setWindowTitle("tankrig")
         self._settings, self._runs = settings, runs
         self.status = RigStatus()
-        self.gaps, self.background, self.host = GapMonitor(), Background(), RigHost(source)
+        self.gaps, self.background, self.host = GapMonitor(), Background(), host
+        source = host.source
         self._replay: Replay | None = None
         self._closing = self._offered = False
         self.top, self.banner = TopBar("rig", source.simulated), Banner()
@@ -72,6 +73,9 @@ class MainWindow(QMainWindow):
         self._connect()
         self._make_keys()
         self._restore()
+        host.tell_rig()  # it may have been opened meanwhile
+        self.live.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.live.setFocus()
         self._pulse = QTimer(self)
         self._pulse.timeout.connect(self.host.window_alive)
         self._pulse.start(1000)
@@ -180,7 +184,7 @@ class MainWindow(QMainWindow):
 
     # -- replay --------------------------------------------------------------------------------------------------------
 
-    def show_run(self, run: Run) -> None:
+    def show_run(self, run: "Run") -> None:
         """Show a recorded run in the same views."""
         from tankrig.live.exposures import Plan
 
@@ -252,14 +256,14 @@ class MainWindow(QMainWindow):
 
     def reset_layout(self) -> None:
         """All docks where they were at first."""
+        first, size = next(iter(self.docks.values())), self.size()
         for dock in self.docks.values():
             dock.setFloating(False)
             self.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, dock)
-        first, *others = self.docks.values()
-        for dock in others:
-            self.tabifyDockWidget(first, dock)
-        for dock in self.docks.values():
+            if dock is not first:
+                self.tabifyDockWidget(first, dock)
             dock.show()
+        self.resize(size)
         self.resizeDocks([first], [int(self.width() * 0.54)], Qt.Orientation.Horizontal)
         first.raise_()
 
@@ -343,7 +347,7 @@ class MainWindow(QMainWindow):
             "theme": self._other_theme, "full-screen": self._full_screen, "help": self.show_keys, "quit": self.close,
         }  # fmt: skip
         pages = {f"page-{number}": page for number, page in enumerate(self.docks, 1)}
-        actions |= {name: lambda page=page: self.show_page(page) for name, page in pages.items()}
+        actions |= {name: partial(self.show_page, page) for name, page in pages.items()}
         for name, do in actions.items():
             for keys in BY_NAME[name].keys:
                 shortcut = QShortcut(QKeySequence(keys), self)
@@ -359,9 +363,9 @@ class MainWindow(QMainWindow):
         self.reset_layout()
         geometry, layout = self._settings.value("geometry"), self._settings.value("layout")
         if geometry is not None:
-            self.restoreGeometry(geometry)  # type: ignore[arg-type]
+            self.restoreGeometry(geometry)
         if layout is not None:
-            self.restoreState(layout, LAYOUT)  # type: ignore[arg-type]
+            self.restoreState(layout, LAYOUT)
         last = self._settings.value("sequence")
         if last and Path(str(last)).is_file():
             self.sequence.load(Path(str(last)))

@@ -127,7 +127,7 @@ class PatternsEditor(QWidget):
             empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
             self._form_area.setWidget(empty)
             return
-        form = Form(kind, chosen[1], {}, skip=("kind",))
+        form = Form(kind, chosen[1], {}, skip=("kind",), unset="the whole wall")
         form.edited.connect(self._edit)
         self._form_area.setWidget(form)
         self._draw()

@@ -109,7 +109,7 @@ class ProjectorPage(QWidget):
 
     def _show_form(self) -> None:
         kind = self._kind.currentText()
-        form = Form(BY_KIND[kind], self._values[kind], {}, skip=("kind",))
+        form = Form(BY_KIND[kind], self._values[kind], {}, skip=("kind",), unset="the whole wall")
         form.edited.connect(self._edit)
         self._form_area.setWidget(form)
         self._preview()

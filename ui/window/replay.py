@@ -4,15 +4,17 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, Signal
 
 from tankrig.devices import CameraSettings
 from tankrig.errors import StoreError
-from tankrig.run.reading import Run, raw_frame
 from ui.window.threads import OwnedThread
 from ui.window.watched import SeenFrame
+
+if TYPE_CHECKING:
+    from tankrig.run.reading import Run
 
 SPEEDS = {"¼ ×": 0.25, "1 ×": 1.0, "4 ×": 4.0, "16 ×": 16.0, "as fast as it goes": float("inf")}
 LONGEST_WAIT_S = 2.0
@@ -35,7 +37,7 @@ class Replay(QObject):
     """A `fit` table whose time has come."""
     ended = Signal(str)
 
-    def __init__(self, run: Run, show: Callable[[SeenFrame], object]) -> None:
+    def __init__(self, run: "Run", show: Callable[[SeenFrame], object]) -> None:
         super().__init__()
         self._run, self._show = run, show
         self._events = run.events("frame", "fit")
@@ -103,6 +105,8 @@ class Replay(QObject):
             time.sleep(0)
 
     def _put(self, event: Any) -> None:
+        from tankrig.run.reading import raw_frame
+
         try:
             pixels = raw_frame(self._run.path, event["index"])
         except StoreError as error:
@@ -118,7 +122,7 @@ class Replay(QObject):
         self.moved.emit(event["index"], words)
 
 
-def _settings_by_step(run: Run) -> dict[int, CameraSettings]:
+def _settings_by_step(run: "Run") -> dict[int, CameraSettings]:
     """The camera's settings at each step, as they were read back."""
     settings, now, step = {}, CameraSettings(20.0), 0
     for event in run.journal:

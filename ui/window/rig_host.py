@@ -14,22 +14,22 @@ from PySide6.QtCore import QObject, Signal
 
 from tankrig.devices import CameraSettings
 from tankrig.dosing import GuardedDoser, TankLedger
-from tankrig.dosing.records import DoseDone, DoseIntent
 from tankrig.errors import DeviceError, TankrigError, UndecidedError
 from tankrig.pattern import Pattern
 from tankrig.run.rig import Rig
 from tankrig.run.state import RunState
 from ui.window.rig_file import RigSource
+from ui.window.rig_parts import LedgerOnly, import_ahead
 from ui.window.status import RigState, RigStatus
 from ui.window.threads import OwnedThread, StopThread
 from ui.window.watched import Newest, SeenFrame, WatchedCamera, WatchedProjector
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
+    from tankrig.devices import Pixels
     from tankrig.live.live_fit import LiveFit
     from tankrig.run.journal import Event
     from tankrig.run.runner import Runner
-    from tankrig.run.writer import Pixels
     from tankrig.sequence import Sequence
 
 _log = logging.getLogger(__name__)
@@ -57,18 +57,6 @@ class RunOrder:
     path: Path
     sequence: "Sequence | None" = None
     delivered_ul: float | None = None
-
-
-class _LedgerOnly:
-    """Journal of doses outside of runs: the tank's ledger has them already; people find them in the log."""
-
-    def dose_intent(self, intent: DoseIntent) -> None:
-        """A dose is about to begin."""
-        _log.info("dosing until the tank holds %g µl", intent.total_ul)
-
-    def dose_done(self, done: DoseDone) -> None:
-        """It is over."""
-        _log.info("the tank holds %g µl", done.delivered_ul)
 
 
 class RigHost(QObject):
@@ -106,7 +94,8 @@ class RigHost(QObject):
         self._run_order: RunOrder | None = None
         self._refill = False
         self._wake = threading.Event()
-        self._state, self._trouble, self._question = RigState.OPENING, "", None
+        self._state, self._trouble = RigState.OPENING, ""
+        self._question: str | None = None
         self._guard: GuardedDoser | None = None
         self._runner: Runner | None = None
         self._fit: LiveFit | None = None
@@ -158,14 +147,14 @@ class RigHost(QObject):
 
     def clear_stop(self) -> None:
         """Let the doser move again."""
-        self._orders.put(lambda _: self._guard and self._guard.clear_stop())
+        self._orders.put(lambda _: self._guarded().clear_stop())
 
     def resolve(self, volume_ul: float) -> None:
         """A person says what the tank holds in all."""
         if self._question is not None and self._run_order is not None:
             self.start_run(replace(self._run_order, delivered_ul=volume_ul))
         else:
-            self._orders.put(lambda _: self._guard and self._guard.resolve(volume_ul))
+            self._orders.put(lambda _: self._guarded().resolve(volume_ul))
 
     def dose_to(self, total_ul: float) -> None:
         """Dose, outside of a run, until the tank holds `total_ul`."""
@@ -203,9 +192,9 @@ class RigHost(QObject):
         if self._runner:
             self._runner.abort()
         threads = (self._dose_thread, self._worker, self._watcher)
-        ended = all([thread.close() for thread in threads if thread is not None])
+        ended = [thread.close() for thread in threads if thread is not None]
         self._stopper.close()
-        return ended
+        return all(ended)
 
     # -- the thread that has camera and projector ----------------------------------------------------------------------
 
@@ -237,13 +226,14 @@ class RigHost(QObject):
             description, rig = self._open(opened)
             ledger = TankLedger(rig.ledger)
             opened.callback(ledger.close)
-            self._guard = GuardedDoser(rig.doser, rig.limits, ledger, _LedgerOnly(), "bench")
+            self._guard = GuardedDoser(rig.doser, rig.limits, ledger, LedgerOnly(), "bench")
             opened.callback(self._leave)
             self.rig_opened.emit(description)
             rig.camera.configure(self.camera_settings)
             if self._pattern is not None and self._pattern.shape == rig.projector.shape:
                 rig.projector.show(self._pattern)
             self._set(RigState.IDLE)
+            OwnedThread("warm", lambda _: import_ahead(), END_S)
             while not (ending.is_set() or self._wake.is_set()):
                 self._serve(rig)
                 rig.camera.capture(time.monotonic_ns(), 5.0 + 2e-3 * self.camera_settings.exposure_ms)
@@ -257,6 +247,11 @@ class RigHost(QObject):
                 self._tell(str(error))
             else:
                 self._trouble = ""
+
+    def _guarded(self) -> GuardedDoser:
+        if self._guard is None:
+            raise DeviceError("the doser is not open; open the rig again")
+        return self._guard
 
     def _leave(self) -> None:
         """End a dose that runs, and let go of the doser."""

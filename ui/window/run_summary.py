@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tankrig.errors import StoreError
-from tankrig.run.folder import JOURNAL, read_settings
+from tankrig.run.facts import JOURNAL, read_settings
 from tankrig.run.journal import Event
 
 TAIL_BYTES = 4096

@@ -1,7 +1,7 @@
 """Runs that were recorded: browse, resume, replay, refit, report, export."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import Qt, QUrl, Signal
 from PySide6.QtGui import QDesktopServices
@@ -22,11 +22,13 @@ from PySide6.QtWidgets import (
 )
 
 from tankrig.errors import TankrigError
-from tankrig.run.reading import Run, open_run
 from ui.window import jobs
 from ui.window.background import Background
 from ui.window.replay_bar import ReplayBar
 from ui.window.run_summary import RunSummary, summaries
+
+if TYPE_CHECKING:
+    from tankrig.run.reading import Run
 
 COLUMNS = ("run", "sequence", "began (UTC)", "ending")
 
@@ -49,6 +51,8 @@ class RunsPage(QWidget):
         self._run: Run | None = None
         self._busy = False
         self.bar = ReplayBar()
+        self._boxes: list[QCheckBox] = []
+        self._ticks = QHBoxLayout()
         self._lay_out()
         self.refresh()
 
@@ -89,6 +93,8 @@ class RunsPage(QWidget):
 
     def open_chosen(self) -> None:
         """Show the chosen run in the live view and on the Fit page."""
+        from tankrig.run.reading import open_run
+
         chosen = self.chosen
         if chosen is None:
             return
@@ -168,7 +174,7 @@ class RunsPage(QWidget):
         else:
             self._says.clear()
 
-    def _patterns(self, run: Run) -> None:
+    def _patterns(self, run: "Run") -> None:
         for box in self._boxes:
             self._ticks.removeWidget(box)
             box.deleteLater()
@@ -197,8 +203,8 @@ class RunsPage(QWidget):
         self._table.setAlternatingRowColors(True)
         header = self._table.horizontalHeader()
         header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
-        for column in (1, 2, 3):
-            header.setSectionResizeMode(column, QHeaderView.ResizeMode.ResizeToContents)
+        for narrow in (1, 2, 3):
+            header.setSectionResizeMode(narrow, QHeaderView.ResizeMode.ResizeToContents)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         self._table.itemSelectionChanged.connect(self._choose)
         self._table.itemDoubleClicked.connect(lambda _: self.open_chosen())
@@ -253,8 +259,6 @@ class RunsPage(QWidget):
 
     def _refit_row(self) -> QHBoxLayout:
         row = QHBoxLayout()
-        self._boxes: list[QCheckBox] = []
-        self._ticks = QHBoxLayout()
         self._free = QCheckBox("fit the background")
         self._free.setToolTip("fit a constant background too, rather than trust that the dark frames took it out")
         self._refit_button = QPushButton("Fit anew")

@@ -67,7 +67,8 @@ class SequenceDocument(QObject):
         self.text = EMPTY
         self._rig: RigFile | None = None
         self._tank = Delivered(0.0, 0.0, 0.0)
-        self.reading, self.plan = Reading({}), None
+        self.reading = Reading({})
+        self.plan: DryRun | None = None
         self.take(EMPTY)
 
     @property

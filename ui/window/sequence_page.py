@@ -1,9 +1,9 @@
 """The sequence: build it, check it, run it."""
 
+from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import Signal
-from PySide6.QtGui import QAction
 from PySide6.QtWidgets import (
     QFileDialog,
     QHBoxLayout,
@@ -147,6 +147,7 @@ class SequencePage(QWidget):
         self.text.replace_text(self.document.text)
         self.text.mark(problem.line if problem else 0)
         self.text.setProperty("wrong", problem is not None)
+        self.text.style().polish(self.text)
         self._says.setProperty("role", "wrong" if problem else "good")
         if problem is not None:
             self._says.setText((f"Line {problem.line}: " if problem.line else "") + problem.sentence)
@@ -174,10 +175,6 @@ class SequencePage(QWidget):
     def _head(self) -> QHBoxLayout:
         row = QHBoxLayout()
         row.addWidget(self._title, 1)
-        undo, redo = (
-            self.document.undo.createUndoAction(self, "Undo"),
-            self.document.undo.createRedoAction(self, "Redo"),
-        )
         for name, do, tip in (
             ("Open", self.open_file, "open a sequence file (Ctrl+O)"), ("Save", self.save, "save it (Ctrl+S)"),
             ("Save as", self.save_as, "save it to another file"),
@@ -186,8 +183,17 @@ class SequencePage(QWidget):
             button.setToolTip(tip)
             button.clicked.connect(do)
             row.addWidget(button)
-        for action, key in ((undo, "Ctrl+Z"), (redo, "Ctrl+Shift+Z")):
-            row.addWidget(_action_button(action, key))
+        stack = self.document.undo
+        undo, redo = QPushButton("Undo"), QPushButton("Redo")
+        for button, do, able, named, key in (
+            (undo, stack.undo, stack.canUndoChanged, stack.undoTextChanged, "Ctrl+Z"),
+            (redo, stack.redo, stack.canRedoChanged, stack.redoTextChanged, "Ctrl+Shift+Z"),
+        ):
+            button.setEnabled(False)
+            button.clicked.connect(do)
+            able.connect(button.setEnabled)
+            named.connect(partial(_name_edit, button, key))
+            row.addWidget(button)
         return row
 
     def _foot(self) -> QHBoxLayout:
@@ -206,16 +212,5 @@ class SequencePage(QWidget):
         return row
 
 
-def _action_button(action: QAction, key: str) -> QPushButton:
-    """A push button that follows an action, which changes its own text."""
-    button = QPushButton(action.text())
-    button.clicked.connect(action.trigger)
-
-    def follow() -> None:
-        button.setEnabled(action.isEnabled())
-        button.setText(action.text().split(" ")[0])
-        button.setToolTip(f"{action.text()} ({key})")
-
-    action.changed.connect(follow)
-    follow()
-    return button
+def _name_edit(button: QPushButton, key: str, what: str) -> None:
+    button.setToolTip(f"{button.text().lower()}: {what} ({key})" if what else key)

@@ -68,7 +68,7 @@ class RigStatus:
     def words(self) -> str:
         """One line for the status bar."""
         if self.state is RigState.FAILED:
-            return self.trouble or self.state.value
+            return self.trouble or str(self.state.value)
         if self.undecided is not None:
             return "the tank's ink is not known: see the Doser page"
         if self.progress is not None and self.running:
@@ -77,7 +77,7 @@ class RigStatus:
             return f"dosing until the tank holds {self.target_ul:g} µl"
         if self.stopped:
             return "the doser is stopped; clear the stop on the Doser page, or start a run, to go on"
-        return self.state.value
+        return str(self.state.value)
 
     def _run_words(self, now: Progress) -> str:
         if self.run_state is RunState.PAUSED:

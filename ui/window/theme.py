@@ -128,6 +128,10 @@ def _sheet(theme: Theme) -> str:
     QMainWindow::separator {{ background: {theme.line}; width: 4px; height: 4px; }}
     QSplitter::handle {{ background: {theme.line}; }}
     QCheckBox, QRadioButton {{ min-height: 28px; spacing: 8px; }}
+    QCheckBox::indicator {{ width: 16px; height: 16px; border: 2px solid {theme.faint}; border-radius: 4px;
+        background: {theme.base}; }}
+    QCheckBox::indicator:checked {{ background: {theme.accent}; border-color: {theme.accent}; }}
+    QCheckBox::indicator:disabled {{ border-color: {theme.line}; }}
     QLabel[role="faint"] {{ color: {theme.faint}; }}
     QLabel[role="big"] {{ font-size: 17pt; font-weight: 600; }}
     QLabel[role="heading"] {{ font-size: 12pt; font-weight: 600; }}

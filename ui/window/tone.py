@@ -10,6 +10,8 @@ COUNTS = 2**16
 COLOURS = {"false colour": "inferno", "grey": "CET-L1"}
 SATURATED = (0, 229, 255)
 """A colour that neither scale has."""
+LEAST = 200.0
+"""Counts between the ends of the colours, so that mere noise does not fill them."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class Tone:
         [0, 0, 127, 254, 254, 255]
         """
         part = np.clip((np.arange(COUNTS) - self.low) / max(self.high - self.low, 1e-9), 0.0, 1.0)
-        index = (254.0 * (np.sqrt(part) if self.root else part) + 0.5).astype(np.uint8)
+        index: NDArray[np.uint8] = (254.0 * (np.sqrt(part) if self.root else part) + 0.5).astype(np.uint8)
         if self.saturation is not None:
             index[self.saturation :] = 255
         return index
@@ -61,7 +63,7 @@ def automatic(pixels: NDArray[np.unsignedinteger]) -> tuple[float, float]:
     """Ends that show what is in a picture: from its darkest half percent to its brightest pixels."""
     sample = pixels[::4, ::4] if pixels.size > 10_000 else pixels
     low, high = np.percentile(sample, (0.5, 99.9))
-    return float(low), float(max(high, low + 20.0))
+    return float(low), float(max(high, low + LEAST))
 
 
 def residual_palette() -> NDArray[np.uint8]:

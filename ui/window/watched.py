@@ -7,9 +7,8 @@ from typing import Generic, TypeVar
 
 from PySide6.QtCore import QObject, Signal
 
-from tankrig.devices import Camera, CameraSettings, Flip, Frame, Projector
+from tankrig.devices import Camera, CameraSettings, Flip, Frame, Pixels, Projector
 from tankrig.pattern import Pattern
-from tankrig.run.writer import Pixels
 
 T = TypeVar("T")
 
