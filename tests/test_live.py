@@ -116,6 +116,25 @@ def test_the_newest_dose_is_fitted_first_and_the_series_only_over_doses_that_are
     assert asked[2:] == [("series", (0.1, 0.2))]
 
 
+def test_a_run_that_goes_on_is_not_fitted_again_where_it_was_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Resuming a long run would else begin with minutes of fits that stand in its journal already."""
+    starts: list[tuple[float, Medium | None]] = []
+
+    def fit_dose(photographs: list[Photograph], start: Medium | None) -> tuple[dict[str, object], object]:
+        starts.append((photographs[0].dose_ml, start))
+        return {"fit": "dose"}, type("Found", (), {"ink": INK})
+
+    monkeypatch.setattr(worker, "fit_dose", fit_dose)
+    found = {"fit": "dose", "dose_ml": 0.1, "frames": 1, "sigma_a": 0.001, "sigma_s": 0.02, "g": 0.5}
+    exposures, fitter = Exposures(plan()), worker.Fitter([found, {"fit": "dose", "dose_ml": 0.1, "error": "too dark"}])
+    for volume_ul in (100.0, 200.0):
+        exposures.take(dosed(volume_ul), None)
+        exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 500, np.uint16))
+    while fitter.next(exposures, last=False):
+        pass
+    assert starts == [(0.2, Medium(0.002, 0.04, 0.5))]
+
+
 def test_frames_become_coefficients_in_another_process_that_ends_and_leaves_nothing() -> None:
     """The whole way: shared memory, spawned process, results, an orderly end."""
     before = shared_names()
@@ -182,9 +201,9 @@ def test_a_killed_program_takes_the_fit_and_its_memory_along(tmp_path: Path) -> 
     os.kill(parent.pid, signal.SIGKILL)
     parent.wait(10)
     parent.stdout.close()
-    psutil.wait_procs([child], timeout=5.0)
+    psutil.wait_procs([child], timeout=2.0)
     assert not child.is_running() or child.status() == psutil.STATUS_ZOMBIE
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 2.0
     while Path("/dev/shm", name).exists() and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not Path("/dev/shm", name).exists()

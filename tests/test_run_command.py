@@ -14,7 +14,7 @@ import pytest
 
 import tankrig
 from drivers.emulation.truth import read_truth
-from drivers.rig import load_rig_file
+from drivers.rig import SIMULATED, load_rig_file
 from tankrig.run.rig import RigLock
 from ui.cli import main
 
@@ -69,6 +69,37 @@ def test_one_command_runs_a_sequence_on_the_simulated_rig_and_says_so(folder, ca
     assert "exists already" in capsys.readouterr().err
 
 
+SMALL = """
+[camera.truth]
+tolerance = 0.02
+mixing_s = 0.1
+[camera.truth.bench]
+light = "collimated"
+tank = { size_mm = [240.0, 160.0, 120.0] }
+wall = { shape = [480, 640], y_mm = [-80.0, 80.0], z_mm = [0.0, 120.0] }
+camera = { kind = "orthographic", shape = [20, 30], pixel_mm = 8.0 }
+"""
+
+
+def test_a_run_is_fitted_while_it_goes_on_and_ends_with_a_report(folder, capsys, monkeypatch):
+    """What a person who starts a run gets: coefficients in the journal, beside the truth in JSON, and a page."""
+    rig = SIMULATED.read_text().replace("shape = [80, 120]\npixel_mm = 2.0", "shape = [20, 30]\npixel_mm = 8.0")
+    (folder / "rig.toml").write_text(rig + SMALL)
+    mix = '{ do = "mix", tolerance = 0.05, every_s = 0.02, at_least_s = 0.4 },'
+    (folder / "one.toml").write_text(SHORT.replace("[20, 40]", "[400]").replace("steps = [", f"steps = [ {mix}"))
+    monkeypatch.setattr("tankrig.report.write_report", lambda path, *_: path / "report.html")  # has tests of its own
+    assert main(["run", "one.toml", "--rig", "rig.toml", "--out", "run", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    (dose,) = found["doses"]
+    assert (dose["dose_ml"], dose["truth"]["g"]) == (0.4, pytest.approx(0.71, abs=0.01))
+    assert dose["fitted"]["sigma_s"] == pytest.approx(dose["truth"]["sigma_s"], rel=0.2)
+    run = tankrig.open_run("run")
+    assert run.fits[-1]["frames"] == 2
+    assert run.end is not None
+    assert run.end["reason"] == "completed"
+    assert Path(found["report"]) == Path("run", "report.html")
+
+
 def test_a_dry_run_tells_time_ink_and_disk_and_leaves_nothing(folder, capsys):
     assert main(["run", "short.toml", "--dry-run", "--json"]) == 0
     plan = json.loads(capsys.readouterr().out)
@@ -112,8 +143,7 @@ def test_bad_input_is_one_sentence_exit_2_and_nothing_is_made(folder, capsys, wo
 
 
 def test_a_second_program_on_the_same_rig_is_refused(folder, capsys):
-    rig = Path(tankrig.__file__).parents[1] / "drivers" / "simulated" / "rig.toml"
-    (folder / "rig.toml").write_text(rig.read_text())
+    (folder / "rig.toml").write_text(SIMULATED.read_text())
     lock = RigLock(load_rig_file("rig.toml").lock, "simulated rig")
     assert main(["run", "short.toml", "--rig", "rig.toml", "--out", "run"]) == 2
     assert "rig simulated rig is in use by another program" in capsys.readouterr().err

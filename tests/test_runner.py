@@ -376,6 +376,21 @@ def test_fits_are_recorded_beside_the_frames_and_waited_for_at_the_end(tmp_path)
         runner.record("note", text="too late")
 
 
+def test_an_abort_does_not_wait_for_fits_that_never_come(tmp_path):
+    """Ctrl-C after the last step must end the program, not leave it waiting for minutes."""
+    runner = new_run(SERIES, memory_rig(tmp_path), tmp_path / "run")
+    asked = threading.Event()
+
+    def never():
+        asked.set()
+        return False
+
+    runner.before_end.append(never)
+    threading.Thread(target=lambda: asked.wait(30) and runner.abort()).start()
+    assert runner.run().reason is FinishReason.ABORTED
+    assert len(tankrig.open_run(tmp_path / "run").frames) == 9
+
+
 def test_a_rig_is_for_one_program(tmp_path):
     lock = RigLock(tmp_path / "rig.lock", "bench 1")
     with pytest.raises(StoreError, match=rf"rig bench 1 is in use by another program \(process {os.getpid()}\)"):

@@ -13,8 +13,7 @@ _CLOSED = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 TRUE_BENCH = Bench(
     tank=Tank(size_mm=(240.0, 160.0, 120.0)),
     wall=Wall(shape=(480, 640), y_mm=(-80.0, 80.0), z_mm=(0.0, 120.0)),
-    light="pinhole",
-    light_position_mm=(-400.0, 0.0, 60.0),
+    light="collimated",
     camera=Camera("orthographic", shape=(80, 120), pixel_mm=2.0),
 )
 """Where a rig file says nothing else."""
@@ -143,7 +142,7 @@ class Truth(BaseModel):
     mixing_s: float = Field(default=2.0, gt=0.0)
     inlet_mm: tuple[float, float] = (60.0, 20.0)
     plume_mm: float = Field(default=35.0, gt=0.0)
-    tolerance: float = Field(default=0.01, gt=0.0)
+    tolerance: float = Field(default=0.005, gt=0.0)
     coarsen: int = Field(default=1, ge=1)
 
 

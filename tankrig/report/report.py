@@ -186,8 +186,8 @@ def _series(results: Results) -> dict[str, Any] | None:
     }
     bend = series["linearity"]
     linearity = "" if bend is None else (
-        f"At the highest dose the ink does {100.0 * bend['bend']:+.2g} ± {100.0 * bend['sd']:.2g} % more than in "
-        "proportion to the lowest."
+        f"At the highest dose the ink does {100.0 * abs(bend['bend']):.2g} ± {100.0 * bend['sd']:.2g} % "
+        f"{'more' if bend['bend'] > 0.0 else 'less'} than in proportion to the lowest."
     )  # fmt: skip
     patterns = dict.fromkeys(one.pattern for one in results.photographs)
     rows = [

@@ -19,7 +19,6 @@ TRUTH = """
 water = { sigma_a = 1.0e-4, sigma_s = 1.9e-6, g = 0.0 }
 ink = { sigma_a = 4.0e-4, sigma_s = 0.012, g = 0.71 }
 mixing_s = 0.7
-tolerance = 0.005
 """
 """What is in the demo's tank, and a stirrer in a hurry: what its rig file says beyond the one that ships."""
 LIGHT_MM = (58.0, 62.0)

@@ -169,19 +169,19 @@ def carry_out(runner: "Runner", fit: bool) -> "Outcome":
 
     thread = threading.Thread(target=work, name="run")
     bar = Progress(BarColumn(), TextColumn("{task.completed}/{task.total}"), TextColumn("{task.description}"))
-    task, found = bar.add_task("", total=runner.progress().steps), Text()
+    task, beneath = bar.add_task("", total=runner.progress().steps), Text()
     with (
         fitted_live(runner) if fit else nullcontext(),
-        Live(Group(bar, found) if fit else bar, console=Console(stderr=True), transient=True),
+        Live(Group(bar, beneath), console=Console(stderr=True), transient=True),
         _aborting_on_signals(runner),
     ):
         thread.start()
         while thread.is_alive():
             thread.join(_POLL_S)
             now = runner.progress()
-            words = f"{now.label}, {_duration(now.remaining_s)} left; waiting for {now.waiting_for or 'the rig'}"
-            bar.update(task, completed=now.step, description=words)
-            found.plain = fit_in_words(runner.latest_fit)
+            bar.update(task, completed=now.step, description=f"{now.label}, {_duration(now.remaining_s)} left")
+            fitted = f"\n{fit_in_words(runner.latest_fit)}" if fit else ""
+            beneath.plain = f"waiting for {now.waiting_for or 'the rig'}{fitted}"
     (outcome,) = outcomes
     if isinstance(outcome, BaseException):
         raise outcome
