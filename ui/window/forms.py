@@ -68,7 +68,7 @@ class Form(QWidget):
         values: dict[str, Any],
         choices: dict[str, list[str]],
         skip: tuple[str, ...] = (),
-        unset: str = "as in the sequence",
+        unset: str = "default",
     ) -> None:
         super().__init__()
         self.rows: dict[str, QWidget] = {}

@@ -1,6 +1,5 @@
 """The sequence: build it, check it, run it."""
 
-from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import Signal
@@ -185,14 +184,14 @@ class SequencePage(QWidget):
             row.addWidget(button)
         stack = self.document.undo
         undo, redo = QPushButton("Undo"), QPushButton("Redo")
-        for button, do, able, named, key in (
-            (undo, stack.undo, stack.canUndoChanged, stack.undoTextChanged, "Ctrl+Z"),
-            (redo, stack.redo, stack.canRedoChanged, stack.redoTextChanged, "Ctrl+Shift+Z"),
+        for button, do, able, key in (
+            (undo, stack.undo, stack.canUndoChanged, "Ctrl+Z"),
+            (redo, stack.redo, stack.canRedoChanged, "Ctrl+Shift+Z"),
         ):
+            button.setToolTip(f"{button.text().lower()} the last edit ({key})")
             button.setEnabled(False)
             button.clicked.connect(do)
             able.connect(button.setEnabled)
-            named.connect(partial(_name_edit, button, key))
             row.addWidget(button)
         return row
 
@@ -210,7 +209,3 @@ class SequencePage(QWidget):
         row.addWidget(dry)
         row.addWidget(self._run)
         return row
-
-
-def _name_edit(button: QPushButton, key: str, what: str) -> None:
-    button.setToolTip(f"{button.text().lower()}: {what} ({key})" if what else key)

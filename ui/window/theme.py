@@ -22,16 +22,17 @@ class Theme:
     on_accent: str
     good: str
     warning: str
+    bar: str
     bad: str
 
 
 DARK = Theme(
     "dark", window="#1d2126", base="#15181c", raised="#2b3138", text="#e8eaed", faint="#a4adb8", line="#434b55",
-    accent="#4c9fe8", on_accent="#081320", good="#58c08a", warning="#eab44a", bad="#ff7b6e",
+    accent="#4c9fe8", on_accent="#081320", good="#58c08a", warning="#eab44a", bar="#2f6ea8", bad="#ff7b6e",
 )  # fmt: skip
 LIGHT = Theme(
     "light", window="#f1f3f5", base="#ffffff", raised="#e2e6ea", text="#1a1d21", faint="#566170", line="#b9c1ca",
-    accent="#0b62b4", on_accent="#ffffff", good="#16703f", warning="#8f5a00", bad="#b3261e",
+    accent="#0b62b4", on_accent="#ffffff", good="#16703f", warning="#8f5a00", bar="#a9cdf0", bad="#b3261e",
 )  # fmt: skip
 THEMES = {theme.name: theme for theme in (DARK, LIGHT)}
 CURVES = ("#4c9fe8", "#e8833a", "#58c08a", "#c77dd6")
@@ -117,7 +118,7 @@ def _sheet(theme: Theme) -> str:
         border-bottom: 1px solid {theme.line}; padding: 4px 6px; }}
     QProgressBar {{ border: 1px solid {theme.line}; border-radius: 5px; background: {theme.base}; text-align: center;
         min-height: 24px; color: {theme.text}; }}
-    QProgressBar::chunk {{ background: {theme.accent}; border-radius: 4px; }}
+    QProgressBar::chunk {{ background: {theme.bar}; border-radius: 4px; }}
     QProgressBar[level="high"]::chunk {{ background: {theme.warning}; }}
     QToolBar {{ border: none; border-bottom: 1px solid {theme.line}; spacing: 8px; padding: 4px 8px; }}
     QStatusBar {{ border-top: 1px solid {theme.line}; }}
@@ -128,6 +129,7 @@ def _sheet(theme: Theme) -> str:
     QMainWindow::separator {{ background: {theme.line}; width: 4px; height: 4px; }}
     QSplitter::handle {{ background: {theme.line}; }}
     QCheckBox, QRadioButton {{ min-height: 28px; spacing: 8px; }}
+    QTreeView::item, QListView::item {{ min-height: 26px; }}
     QCheckBox::indicator {{ width: 16px; height: 16px; border: 2px solid {theme.faint}; border-radius: 4px;
         background: {theme.base}; }}
     QCheckBox::indicator:checked {{ background: {theme.accent}; border-color: {theme.accent}; }}

@@ -1,0 +1,90 @@
+"""A small, fast simulated rig in a file, and the window on it, for tests that drive the real window."""
+
+import os
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from PySide6.QtCore import QSettings
+from PySide6.QtTest import QTest
+
+RIG = """
+name = "test rig"
+folder = "rig"
+[projector]
+driver = "simulated-projector"
+folder = "./rig/tank"
+shape = [30, 40]
+{projector}
+[camera]
+driver = "simulated-camera"
+folder = "./rig/tank"
+{camera}
+[camera.truth]
+tolerance = 0.05
+mixing_s = 0.1
+[camera.truth.ink]
+sigma_a = 4e-4
+sigma_s = 0.012
+g = 0.71
+[camera.truth.bench]
+light = "collimated"
+tank = {{ size_mm = [240.0, 160.0, 120.0] }}
+wall = {{ shape = [30, 40], y_mm = [-80.0, 80.0], z_mm = [0.0, 120.0] }}
+camera = {{ kind = "orthographic", shape = [20, 30], pixel_mm = 8.0 }}
+[doser]
+driver = "simulated-doser"
+folder = "./rig/tank"
+steps_per_ul = 10.0
+{doser}
+[limits]
+dose_ul = 1000.0
+run_ul = 2000.0
+tank_ul = 4000.0
+[pace]
+dose_ul_per_s = 200.0
+mixing_s = 0.5
+[bench]
+light = "collimated"
+tank = {{ size_mm = [240.0, 160.0, 120.0] }}
+wall = {{ shape = [30, 40], y_mm = [-80.0, 80.0], z_mm = [0.0, 120.0] }}
+camera = {{ kind = "orthographic", shape = [20, 30], pixel_mm = 8.0 }}
+"""
+
+LONG_DOSE = 'name = "long"\n[[steps]]\ndo = "dose"\ntotal_ul = 900\n'
+
+
+def write_rig(folder: Path, projector: str = "", camera: str = "", doser: str = "") -> Path:
+    """A rig file in `folder`; the rest are lines for its tables."""
+    file = folder / "rig.toml"
+    file.write_text(RIG.format(projector=projector, camera=camera, doser=doser))
+    return file
+
+
+def open_window(folder: Path, rig: Path | None):
+    """The real window with all that it remembers in `folder`; to be closed by whoever asks."""
+    from ui.window.app import application
+
+    application()
+    from ui.window.main_window import MainWindow
+    from ui.window.rig_file import RigSource
+    from ui.window.rig_host import RigHost
+
+    settings = QSettings(str(folder / "window.ini"), QSettings.Format.IniFormat)
+    if settings.value("theme") is None:
+        settings.setValue("theme", "dark")
+    window = MainWindow(RigHost(RigSource(rig, folder / "simulated.rig")), folder / "runs", settings)
+    window.show()
+    window.activateWindow()
+    return window
+
+
+def until(true: Callable[[], object], timeout_s: float = 20.0, what: str = "") -> None:
+    """Let the window work until something is true."""
+    deadline = time.monotonic() + timeout_s
+    while not true():
+        assert time.monotonic() < deadline, what or "it did not come true in time"
+        QTest.qWait(10)
