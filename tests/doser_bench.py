@@ -63,7 +63,7 @@ class AnyBench(ABC):
         """As kill -9: its port is closed and nothing more is written."""
         self.port_of(doser).close()
 
-    def put_right(self, doser: Any) -> None:
+    def put_right(self, doser: Any) -> None:  # noqa: B027, most need nothing
         """What a person has to do at the device before it can dose."""
 
     def faults(self, **faults: Any) -> None:
@@ -153,7 +153,7 @@ class CavroBench(CountedBench):
 
     steps_per_ul = 24.0
 
-    def __init__(self, folder: Path, time_scale: float = 0.3, speed_ul_per_s: float = 100.0, **device: Any) -> None:
+    def __init__(self, folder: Path, time_scale: float = 0.3, speed_ul_per_s: float = 1000.0, **device: Any) -> None:
         self.speed, self._device = speed_ul_per_s, device
         super().__init__(folder, time_scale)
 
@@ -164,7 +164,7 @@ class CavroBench(CountedBench):
 
     def _open(self, **settings: Any) -> CavroDoser:
         given = {"port": str(self.folder / "doser"), "count_file": self.folder / "count", "time_scale": self.scale}
-        syringe = {"syringe_ul": 1000.0, "speed_ul_per_s": self.speed}
+        syringe = {"syringe_ul": 1000.0, "speed_ul_per_s": self.speed, "fine": False}
         return CavroDoser(CavroSettings(**(given | syringe | settings)))
 
     def open(self, **settings: Any) -> Any:

@@ -21,7 +21,7 @@ class CavroDoser(CountedDoser):
 
     def __init__(self, settings: CavroSettings) -> None:
         name = f"Cavro pump on {settings.port}"
-        factor = correction(settings.calibration, name, settings.increment_ul)
+        factor = correction(settings.calibration, name, {"syringe_ul": settings.syringe_ul})
         super().__init__(
             CavroPump(settings, name),
             "cavro",

@@ -42,6 +42,7 @@ class CavroPump:
         self.tick_ul, self.stroke = settings.increment_ul, settings.stroke
         self.lost_by_stopping = LOST_BY_STOPPING * settings.finer
         self._sequence, self._stops = itertools.cycle(range(1, 8)), 0
+        self._stops_before = -1
         self._marks = itertools.cycle(range(800, 900))
         self._line = Line(settings.port, settings.baud, name, wire.replies, lambda _: None, settings.time_scale)
 
@@ -91,6 +92,7 @@ class CavroPump:
 
     def _position(self, state: wire.Reply) -> Reading | None:
         """Its position, and by a move to where it stands whether it has an error that it has told before."""
+        self._ask(f"N{int(self._settings.fine)}R", "".__eq__)
         position = int(self._ask("?", str.isdigit).data)
         probe = self._ask(f"A{position}R", "".__eq__)
         if probe.error == _BUSY:
@@ -100,7 +102,7 @@ class CavroPump:
             return Reading(count, Trust.STALLED, f"{error.why}; look at syringe and tube, and {_REMEDY}")
         if probe.error == _NOT_INITIALISED:
             return Reading(count, Trust.RESTARTED, f"{probe.why}; {_REMEDY}")
-        return Reading(count)
+        return Reading(count, stopped=self._stops != self._stops_before)
 
     def _mark(self) -> None:
         """Set the start speed to another value and have it tell it: replies from before are then past."""
@@ -128,7 +130,7 @@ class CavroPump:
 
     def prepare(self, ticks: int, count: Count) -> None:
         """Resolution, speed and valve as they should be."""
-        self._target = count.best + ticks
+        self._target, self._stops_before = count.best + ticks, self._stops
         self._set_up("o")
 
     def go(self, unless: Callable[[], bool]) -> bool:

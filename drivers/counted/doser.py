@@ -12,6 +12,7 @@ from drivers.serial_line import LineLostError, NoReplyError, NotSentError
 from tankrig.devices import Delivered
 from tankrig.errors import DeviceError, UndecidedError
 
+from .calibrated import calibrated
 from .pump import Count, Pump, Reading, Trust
 from .record import Begun, CountFile
 
@@ -66,7 +67,7 @@ class CountedDoser:
         self._closed = False
         try:
             pump.greet()
-            self._tick_ul = pump.tick_ul * correction
+            self._tick_ul, self._correction = pump.tick_ul * correction, correction
             self._file = CountFile(count_file, name, pump.tick_ul)
             self._now = self._file.record.total
             if (begun := self._file.record.begun) and begun.what == "dose":
@@ -89,7 +90,7 @@ class CountedDoser:
     @property
     def identity(self) -> str:
         """Which count this is; the pump has no serial number, its count file has."""
-        return f"{self._kind} {self._file.record.pump}"
+        return calibrated(f"{self._kind} {self._file.record.pump}", self._correction)
 
     @property
     def increment_ul(self) -> float:
@@ -285,7 +286,7 @@ class CountedDoser:
         elif trust is Trust.STALLED or (trust is Trust.UNWITNESSED and short):
             self._leave_unsure(start.low, total.high)
         else:
-            stopped = short and count.best > record.seen.best
+            stopped = reading.stopped and count.best > record.seen.best
             lost = (self._pump.lost_by_stopping if stopped else 0) + (0 if witnessed else self._pump.order)
             self._file.update(base=record.base._replace(low=record.base.low - lost), seen=count, begun=None)
 

@@ -40,11 +40,12 @@ class Trust(Enum):
 
 @dataclass(frozen=True)
 class Reading:
-    """The counter of a pump at rest."""
+    """The counter of a pump at rest; `stopped`: whether a stop may have been sent since it set off."""
 
     count: Count
     trust: Trust = Trust.EXACT
     why: str = "it was stopped"
+    stopped: bool = True
 
 
 class Pump(Protocol):

@@ -18,7 +18,7 @@ def open_new_era(settings: Mapping[str, Any]) -> "CountedDoser":
 
     given = checked(NewEraSettings, "new-era", settings)
     name = f"New Era pump on {given.port}"
-    factor = correction(given.calibration, name, NewEraPump.nominal_increment_ul(given))
+    factor = correction(given.calibration, name, {"diameter_mm": given.diameter_mm})
     return CountedDoser(
         NewEraPump(given, name),
         "new-era",

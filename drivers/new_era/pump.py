@@ -60,12 +60,6 @@ class NewEraPump:
         self._marks = itertools.cycle(range(3, 41))
         self._line = Line(settings.port, settings.baud, name, wire.packets, self._heard, settings.time_scale)
 
-    @staticmethod
-    def nominal_increment_ul(settings: NewEraSettings) -> float:
-        """Smallest volume that it can be told to pump, µl, for the diameter it is told."""
-        _, unit_ul, order = _unit(settings.diameter_mm)
-        return unit_ul * order / 1000.0
-
     # -- who -----------------------------------------------------------------------------------------------------------
 
     def greet(self) -> None:
@@ -139,7 +133,7 @@ class NewEraPump:
 
     # -- moving --------------------------------------------------------------------------------------------------------
 
-    def prepare(self, ticks: int, count: Count) -> None:  # noqa: ARG002
+    def prepare(self, ticks: int, count: Count) -> None:
         """Program phase 1 to pump `ticks` and phase 2 to stop, and read all of it back."""
         if ticks <= 0:  # a volume of 0 would pump for ever
             raise DeviceError(f"{self._name}: asked to pump {ticks} thousandths; this is a fault of the driver")
@@ -154,6 +148,9 @@ class NewEraPump:
         self._set("FUN", "STP")
         self._set("PHN", "1")
         self._verify(ticks, rate, unit)
+        counted = self._ask("DIS", lambda text: wire.dispensed(text, self._unit_ul) is not None)
+        if counted.status != "S" or wire.dispensed(counted.data, self._unit_ul) != count:
+            raise DeviceError(f"{self._name}: was reset or used while it was made ready; dose again")
 
     def _verify(self, ticks: int, rate: str, unit: str) -> None:
         expected = {

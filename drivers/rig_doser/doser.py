@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from drivers.counted.calibrated import calibrated, correction
 from drivers.serial_line import LineLostError, NoReplyError
 from tankrig.devices import Delivered
 from tankrig.errors import DeviceError, UndecidedError
@@ -39,6 +40,8 @@ class RigDoser:
     def __init__(self, settings: RigDoserSettings) -> None:
         self._settings = settings
         self._name = f"doser on {settings.port}"
+        self._correction = correction(settings.calibration, self._name, {"steps_per_ul": settings.steps_per_ul})
+        self._steps_per_ul = settings.steps_per_ul / self._correction
         self._dosing = threading.Lock()
         self._latch = threading.RLock()
         self._stop_asked = threading.Event()
@@ -65,12 +68,12 @@ class RigDoser:
     @property
     def identity(self) -> str:
         """Which doser this is, wherever it is plugged in."""
-        return f"rig-doser {self._identity.serial}"
+        return calibrated(f"rig-doser {self._identity.serial}", self._correction)
 
     @property
     def increment_ul(self) -> float:
         """Volume of one step, µl."""
-        return 1.0 / self._settings.steps_per_ul
+        return 1.0 / self._steps_per_ul
 
     @property
     def dose_limit_ul(self) -> float:
@@ -348,14 +351,14 @@ class RigDoser:
     # -- steps and volumes -------------------------------------------------------------------------------------------
 
     def _steps(self, total_ul: float) -> int:
-        if not math.isfinite(total_ul) or not 0 <= total_ul * self._settings.steps_per_ul < 0xFFFFFFFF:
+        if not math.isfinite(total_ul) or not 0 <= total_ul * self._steps_per_ul < 0xFFFFFFFF:
             raise DeviceError(f"{self._name}: {total_ul:g} µl is not a volume it can deliver")
-        return math.floor(total_ul * self._settings.steps_per_ul + 1e-6)
+        return math.floor(total_ul * self._steps_per_ul + 1e-6)
 
     def _volume(self, state: wire.State) -> Delivered:
         return self._between(state.low, state.count, state.count)
 
     def _between(self, low: int, high: int, best: int | None = None) -> Delivered:
         best = (low + high) // 2 if best is None else best
-        scale = self._settings.steps_per_ul
+        scale = self._steps_per_ul
         return Delivered(best / scale, low / scale, high / scale)

@@ -18,6 +18,8 @@ class RigDoserSettings(BaseModel):
         If given, the only serial number that is accepted.
     dose_limit_ul
         Most for one dose; the firmware's own cap holds besides.
+    calibration
+        File written by `tankrig calibrate pump`; corrects steps_per_ul.
     time_scale
         All of the driver's waits are multiplied by this (tests with a fast emulator).
     """
@@ -28,6 +30,7 @@ class RigDoserSettings(BaseModel):
     steps_per_ul: float = Field(gt=0, le=1e5, allow_inf_nan=False)
     serial: str | None = None
     dose_limit_ul: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    calibration: Path | None = None
     time_scale: float = Field(default=1.0, gt=0, le=10)
 
 

@@ -20,14 +20,14 @@ class Core:
     Parameters
     ----------
     pulse
-        One increment of the motor; returns whether the plunger has followed; raises to end the pump's life there.
+        One step of the motor; returns whether the plunger has followed; raises to end the pump's life there.
     expelled
-        Called for each increment of liquid that leaves the output.
+        Called with the fine increments of liquid that leave the output.
     lost
-        Increments that a plunger stopped in motion has not made though they were counted.
+        Fine increments that a plunger stopped in motion has not made though they were counted.
     """
 
-    def __init__(self, pulse: Callable[[], bool], expelled: Callable[[], None], lost: Callable[[], int]) -> None:
+    def __init__(self, pulse: Callable[[], bool], expelled: Callable[[int], None], lost: Callable[[], int]) -> None:
         self._pulse, self._expelled, self._lost = pulse, expelled, lost
         self._initialised = self._overloaded = False
         self._position, self._target, self._from = 0, 0, 0
@@ -50,23 +50,25 @@ class Core:
     def advance(self, now_s: float) -> None:
         """Let the plunger go on until `now_s`."""
         self._now_s = now_s
-        made = math.floor((now_s - self._since_s) * self._speeds["V"] * FINER)
+        made = math.floor((now_s - self._since_s) * self._speeds["V"]) * FINER
         while self.moving and abs(self._position - self._from) < made:
             self._step()
 
     def _step(self) -> None:
+        """One increment of the resolution that is set."""
         followed = self._pulse()
-        up = self._target < self._position
-        self._position += -1 if up else 1
+        up, size = self._target < self._position, FINER // self._finer
+        self._position += -size if up else size
         if not followed:
             self._overloaded, self._error = True, OVERLOAD
             self._target = self._position
         elif up and self._valve == "o":
-            self._expelled()
+            self._expelled(size)
 
     def _terminate(self) -> None:
         if self.moving:
-            skipped = min(self._lost(), abs(self._target - self._position))
+            size = FINER // self._finer
+            skipped = min(self._lost(), abs(self._target - self._position)) // size * size
             self._position += -skipped if self._target < self._position else skipped
             self._target = self._position
 

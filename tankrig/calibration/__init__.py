@@ -1,0 +1,1 @@
+"""What has to be measured once: pump, camera, projector. One file for each."""
