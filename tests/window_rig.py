@@ -5,8 +5,10 @@ import os
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from PySide6.QtCore import QSettings
 from PySide6.QtTest import QTest
@@ -64,8 +66,9 @@ def write_rig(folder: Path, projector: str = "", camera: str = "", doser: str = 
     return file
 
 
-def open_window(folder: Path, rig: Path | None):
-    """The real window with all that it remembers in `folder`; to be closed by whoever asks."""
+@contextmanager
+def window_on(folder: Path, rig: Path | None) -> Iterator[Any]:
+    """The real window, active, with all that it remembers in `folder`; closed at the end, whatever happens."""
     from ui.window.app import application
 
     application()
@@ -79,7 +82,14 @@ def open_window(folder: Path, rig: Path | None):
     window = MainWindow(RigHost(RigSource(rig, folder / "simulated.rig")), folder / "runs", settings)
     window.show()
     window.activateWindow()
-    return window
+    assert QTest.qWaitForWindowActive(window, 10_000)
+    try:
+        yield window
+    finally:
+        window.close()
+        until(lambda: not window.isVisible())
+        window.deleteLater()
+        QTest.qWait(1)
 
 
 def until(true: Callable[[], object], timeout_s: float = 20.0, what: str = "") -> None:

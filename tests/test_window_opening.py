@@ -1,0 +1,63 @@
+"""The window from opening to closing: which rig it says, what it remembers, and a rig file that is wrong."""
+
+import subprocess
+import sys
+
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
+
+from tests.window_rig import LONG_DOSE, until, window_on, write_rig
+
+
+def test_it_opens_on_the_simulated_rig_and_says_so(tmp_path):
+    """Somebody who takes a simulation for the bench draws wrong conclusions."""
+    with window_on(tmp_path, None) as window:
+        until(lambda: window.live.displayed)
+        assert "SIMULATED" in window.top.badge.text()
+        assert window.top.stop.isVisible()
+
+
+def test_theme_and_docks_are_remembered(tmp_path):
+    """What a person arranged must be there the next day."""
+    rig = write_rig(tmp_path)
+    with window_on(tmp_path, rig) as first:
+        QTest.keyClick(first, Qt.Key.Key_T, Qt.KeyboardModifier.ControlModifier)
+        assert QApplication.instance().property("theme") == "light"
+        first.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, first.docks[first.log])
+    with window_on(tmp_path, rig) as second:
+        assert second.dockWidgetArea(second.docks[second.log]) == Qt.DockWidgetArea.LeftDockWidgetArea
+        assert QApplication.instance().property("theme") == "light"
+
+
+def test_a_wrong_rig_file_opens_with_its_line_marked_and_the_rest_usable(tmp_path):
+    """Mending a rig file by trial and error costs an afternoon."""
+    rig = write_rig(tmp_path)
+    rig.write_text(rig.read_text().replace("tank_ul = 4000.0", 'tank_ul = "much"'))
+    (tmp_path / "long.toml").write_text(LONG_DOSE)
+    with window_on(tmp_path, rig) as window:
+        text = window.calibration._text
+        until(lambda: text.marked)
+        assert rig.read_text().splitlines()[text.marked - 1] == 'tank_ul = "much"'
+        assert "limits.tank_ul" in window.banner.text
+        window.sequence.load(tmp_path / "long.toml")
+        assert window.sequence.document.reading.sequence is not None
+        text.setPlainText(text.toPlainText().replace('"much"', "4000.0"))
+        window.calibration._save()
+        until(lambda: window.live.displayed)
+        assert text.marked == 0
+
+
+def test_signals_with_booleans_do_not_bring_the_program_down():
+    """PySide6 6.12.0 on Python 3.11 lost a reference to True with each emitted signal and aborted after some 570."""
+    program = (
+        "from PySide6.QtCore import QObject, Signal\n"
+        "class Bell(QObject):\n    rung = Signal(bool)\n"
+        "bell = Bell()\n"
+        "heard = []\n"
+        "bell.rung.connect(heard.append)\n"
+        "for _ in range(20000): bell.rung.emit(True)\n"
+        "print(len(heard))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, "20000")
