@@ -1,0 +1,146 @@
+"""`prepare`: a model of one geometry and pattern that answers at once."""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.errors import SceneError
+from tankrig.scene import Medium, Scene
+
+if TYPE_CHECKING:
+    from tankrig.light.prepared.answer import Answer
+    from tankrig.light.prepared.box import Box
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A model of one tank, projector, pattern and camera, for any medium in its box.
+
+    Parameters
+    ----------
+    scene
+        What it was prepared for; the medium does not matter.
+    box
+        Ranges of σt, albedo and g that it answers for.
+    tolerance
+        Relative L2 error that was asked for.
+    error
+        Estimated relative L2 error at media that it has not seen, root mean square over the box.
+    largest_error
+        The largest over the box.
+    path
+        The file that keeps it.
+    answer
+        What answers.
+    """
+
+    scene: Scene
+    box: "Box"
+    tolerance: float
+    error: float
+    largest_error: float
+    path: Path
+    answer: "Answer"
+
+    @overload
+    def predict(self, medium: Medium, derivatives: Literal[False] = False) -> Array: ...
+
+    @overload
+    def predict(self, medium: Medium, derivatives: Literal[True]) -> tuple[Array, Array]: ...
+
+    def predict(self, medium: Medium, derivatives: bool = False) -> Array | tuple[Array, Array]:
+        """Image of a medium in the tank.
+
+        Parameters
+        ----------
+        medium
+            Inside the box.
+        derivatives
+            Give those by σa, σs and g too.
+
+        Returns
+        -------
+        (rows, columns) array in W/mm²/sr; with `derivatives` a pair of it and a (3, rows, columns) array.
+
+        Raises
+        ------
+        SceneError
+            When the medium is outside the box.
+        """
+        self.box.require(medium)
+        return self.answer.image_and_derivatives(medium) if derivatives else self.answer.image(medium)
+
+    def error_at(self, medium: Medium) -> float:
+        """Estimated relative L2 error of one medium's image.
+
+        Raises
+        ------
+        SceneError
+            When the medium is outside the box.
+        """
+        self.box.require(medium)
+        return self.answer.error_at(medium)
+
+
+def prepare(
+    scene: Scene,
+    tolerance: float = 0.01,
+    progress: Callable[[float], object] | None = None,
+    box: "Box | None" = None,
+) -> Prepared:
+    """Prepare a model that gives the tank's image of any medium, and its derivatives, in about a millisecond.
+
+    It is kept on disk, in the folder that TANKRIG_CACHE names or else the user's cache folder: the next call returns
+    at once, and what an interrupted call has done is not done again.
+
+    Parameters
+    ----------
+    scene
+        Tank, projector, pattern and camera; its medium does not matter.
+    tolerance
+        Relative L2 error to aim for, 0 < tolerance ≤ 1; the time to prepare goes with its inverse square.
+    progress
+        Called with the share of the work that is done, 0 … 1.
+    box
+        Ranges of σt, albedo and g; None: σt 0.0005 … 0.12 per mm, albedo 0.5 … 0.9999, g −0.4 … 0.95. A smaller one is
+        prepared sooner.
+
+    Returns
+    -------
+    Prepared
+
+    Raises
+    ------
+    SceneError
+        When the tolerance is out of range or the camera has too many pixels.
+    CacheError
+        When there is no room for the model.
+
+    Warns
+    -----
+    UserWarning
+        When the estimated error is above the tolerance somewhere in the box; it names the largest.
+    """
+    from tankrig.light.prepared.box import Box
+    from tankrig.light.prepared.preparation import prepared
+
+    if not 0.0 < tolerance <= 1.0:
+        raise SceneError(f"tolerance = {tolerance} is outside 0 … 1; give a relative error such as 0.01")
+    box = box or Box()
+    answer, path = prepared(scene, box, tolerance, progress or (lambda _: None))
+    mean, largest, where = answer.error_over_box()
+    if largest > tolerance:
+        warnings.warn(
+            f"the prepared model's error is {mean:.1%} on average and up to {largest:.1%}, more than the tolerance of "
+            f"{tolerance:.1%}, near σt = {where.sigma_t:.3g}/mm, albedo {where.albedo:.4g}, g = {where.g:.2g}; "
+            "ask for a smaller tolerance or a smaller box if your media are there",
+            stacklevel=2,
+        )
+    return Prepared(scene, box, tolerance, mean, largest, path, answer)

@@ -1,0 +1,170 @@
+"""From images at chosen media to a model that answers for all between."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.light.prepared.answer import Answer
+from tankrig.light.prepared.plan import Plan
+from tankrig.light.prepared.polynomials import values
+from tankrig.light.prepared.regression import Fit, Regression
+from tankrig.light.prepared.sampling import PathImages
+from tankrig.light.prepared.term import Term
+
+Array = NDArray[np.float64]
+
+THIRD = 3
+MOST_PATTERNS = 32
+"""Of orders 1 and 2, and again of the rest."""
+LEFT_OUT = 0.05
+"""Share of the tolerance that leaving out patterns may cost."""
+DARK = 1e-300
+UNSEEN = 500
+"""Media at which the error is estimated."""
+ERROR_DEGREES = (4, 1, 4)
+
+
+@dataclass(frozen=True)
+class Images:
+    """What was computed for a plan.
+
+    Parameters
+    ----------
+    exact, checks
+        (media, 2, pixels) orders 1 and 2 on the polynomials' grid, and at other media.
+    paths
+        (media, albedos, rows, degrees) orders ≥ 3.
+    """
+
+    exact: Array
+    checks: Array
+    paths: Array
+
+
+def assemble(plan: Plan, sampling: PathImages, images: Images, shape: tuple[int, int]) -> Answer:
+    """The model that fits the images, and its error.
+
+    The error of orders ≥ 3 is half the difference of two models, each fitted to every other of the media: neither has
+    seen what the other was made from. That of orders 1 and 2 is found at media beside their grid.
+    """
+    exact = [_exact_term(plan, images.exact[:, order - 1], order) for order in (1, 2)]
+    regression = _regression(plan, sampling, images.paths, exact)
+    count = len(plan.paths)
+    even = np.arange(count) % 2 == 0
+    fits = [regression.fit(used) for used in (np.ones(count, bool), even, ~even)]
+    rest = [_rest_term(plan, sampling, fit) for fit in fits]
+    patterns = _patterns(plan, [*exact, rest[0]])
+    first, second, whole, one, other = (_projected(term, patterns) for term in [*exact, *rest])
+    terms = (first, second, whole)
+    found = Answer(plan.coordinates, terms, patterns, shape, np.zeros((1, 1, 1)))
+    beside = _error_of_exact_orders(plan, images.checks, found)
+    error = _error_of_the_rest(plan, (one, other), terms, beside)
+    return Answer(plan.coordinates, terms, patterns, shape, error)
+
+
+def _exact_term(plan: Plan, images: Array, order: int) -> Term:
+    """One order by interpolation; its patterns are still pixels."""
+    places = np.array([sample.place for sample in plan.exact])
+    products = plan.exact_plane.values(*places.T)
+    norm = np.linalg.norm(images, axis=1) / np.array([sample.sigma_t**order for sample in plan.exact])
+    scale = np.linalg.solve(products, np.log(np.maximum(norm, DARK)))
+    shapes = images / np.maximum(np.linalg.norm(images, axis=1), DARK)[:, None]
+    fields = np.linalg.solve(products, shapes)
+    return Term(order, plan.exact_plane, plan.exact_plane, fields[None], scale[None])
+
+
+def _regression(plan: Plan, sampling: PathImages, paths: Array, exact: list[Term]) -> Regression:
+    grid = sampling.grid
+    light = np.tile(sampling.along.sum(axis=0), grid.rows)
+    per_cell = sampling.scene.camera.pixel_mm / np.sqrt(grid.cell_mm[0] * grid.cell_mm[1])
+    places = np.array([sample.place for sample in plan.paths])
+    products = plan.exact_plane.values(*places.T)
+    sigma_t = np.array([sample.sigma_t for sample in plan.paths])
+    norms = np.stack([sigma_t**term.power * np.exp(products @ term.scale[0]) for term in exact])
+    powers = np.array(plan.albedos)[:, None] ** np.array([1, 2])
+    flat = paths.reshape(*paths.shape[:2], -1)
+    return Regression(plan, flat, light, per_cell * (powers @ norms).T)
+
+
+def _rest_term(plan: Plan, sampling: PathImages, fit: Fit) -> Term:
+    """Orders ≥ 3 as polynomials in all three coordinates; their patterns are still pixels."""
+    albedos, products, _ = fit.fields.shape
+    pixels = sampling.to_pixels(fit.fields.reshape(albedos * products, *sampling.shape[1:]))
+    by_degree = np.linalg.inv(values(plan.albedo_places, albedos - 1))
+    fields = np.tensordot(by_degree, pixels.reshape(albedos, products, -1), 1)
+    return Term(THIRD, plan.paths_plane, plan.brightness_plane, fields, by_degree @ fit.scale)
+
+
+def _patterns(plan: Plan, terms: list[Term]) -> Array:
+    """Orthonormal images that hold the terms' images all over the box, each as a share of the whole.
+
+    First those of orders 1 and 2, which are exact; then, of the noisy rest, what these don't hold.
+    """
+    most, least = plan.albedos[0], plan.albedos[-1]
+    exact, rest = [], []
+    for albedo in (most, least, *plan.albedos[1:-1:3]):
+        parts = [_shown(plan, term, albedo) for term in terms]
+        whole = np.linalg.norm(np.sum(parts, axis=0), axis=1)[:, None] + DARK
+        rest.append(parts[-1] / whole)
+        if albedo in (most, least):
+            exact += [part / whole for part in parts[:-1]]
+    enough = LEFT_OUT * plan.tolerance
+    first = _leading(np.concatenate(exact), enough)
+    left = np.concatenate(rest)
+    left = left - (left @ first.T) @ first
+    return np.linalg.qr(np.concatenate([first, _leading(left, enough)]).T)[0].T
+
+
+def _leading(images: Array, enough: float) -> Array:
+    """The fewest patterns without which the images' root mean square is `enough`, but no more than a limit."""
+    strength, mixing = np.linalg.eigh(images @ images.T / len(images))
+    strength, mixing = np.maximum(strength[::-1], 0.0), mixing[:, ::-1]
+    left_out = np.sqrt(strength[::-1].cumsum()[::-1])
+    kept = max(1, min(MOST_PATTERNS, int(np.sum(left_out > enough)), int(np.sum(strength > 1e-12 * strength[0]))))
+    return np.asarray(mixing[:, :kept].T @ images / np.sqrt(strength[:kept, None] * len(images)))
+
+
+def _shown(plan: Plan, term: Term, albedo: float) -> Array:
+    """A term's images at the exact orders' media with one albedo."""
+    u, v = np.array([sample.place for sample in plan.exact]).T
+    w = plan.coordinates.of(1.0, albedo, 0.0)[0][1]
+    field = np.tensordot(values(w, len(term.amplitudes) - 1), term.amplitudes, 1)
+    scale = term.scale_plane.values(u, v) @ (values(w, len(term.scale) - 1) @ term.scale)
+    scattering = albedo * np.array([sample.sigma_t for sample in plan.exact])
+    return np.asarray((np.exp(scale) * scattering**term.power)[:, None] * (term.plane.values(u, v) @ field))
+
+
+def _projected(term: Term, patterns: Array) -> Term:
+    return Term(term.power, term.plane, term.scale_plane, term.amplitudes @ patterns.T, term.scale)
+
+
+def _error_of_exact_orders(plan: Plan, checks: Array, found: Answer) -> float:
+    """Largest relative error of orders 1 and 2 together at media beside their grid."""
+    largest = 0.0
+    for sample, orders in zip(plan.checks, checks, strict=True):
+        albedo = plan.albedos[0]
+        truth = albedo * orders[0] + albedo**2 * orders[1]
+        at = (*plan.coordinates.of(sample.sigma_t, albedo, sample.g), sample.sigma_t, albedo)
+        amplitudes = np.sum([term.at(*at)[0] for term in found.terms[:2]], axis=0)
+        largest = max(largest, float(np.linalg.norm(amplitudes @ found.patterns - truth) / np.linalg.norm(truth)))
+    return largest
+
+
+def _error_of_the_rest(plan: Plan, halves: tuple[Term, Term], terms: tuple[Term, ...], beside: float) -> Array:
+    """Logarithm of the relative error, as Chebyshev coefficients over the box."""
+    places = np.random.default_rng(1).uniform(-1.0, 1.0, (UNSEEN, 3))
+    logarithms = []
+    for place in places:
+        sigma_t, albedo, g = (float(value) for value in plan.coordinates.back(place))
+        at = (*plan.coordinates.of(sigma_t, albedo, g), sigma_t, albedo)
+        whole = np.sum([term.at(*at)[0] for term in terms], axis=0)
+        difference = halves[0].at(*at)[0] - halves[1].at(*at)[0]
+        relative = 0.5 * np.linalg.norm(difference) / max(float(np.linalg.norm(whole)), DARK)
+        logarithms.append(np.log(np.hypot(relative, beside)))
+    first, second, third = (values(places[:, axis], degree) for axis, degree in enumerate(ERROR_DEGREES))
+    products = np.einsum("ni,nj,nk->nijk", first, second, third).reshape(UNSEEN, -1)
+    coefficients = np.linalg.lstsq(products, np.array(logarithms), rcond=None)[0]
+    beyond = np.exp(np.array(logarithms) - products @ coefficients)
+    coefficients[0] += 0.5 * np.log(np.mean(beyond**2))  # from the mean of logarithms to the root mean square
+    return np.asarray(coefficients.reshape([degree + 1 for degree in ERROR_DEGREES]))

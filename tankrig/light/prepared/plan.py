@@ -1,0 +1,134 @@
+"""Which images a prepared model is made from."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.light.prepared.box import Box, Coordinates
+from tankrig.light.prepared.polynomials import Plane, nodes
+
+Array = NDArray[np.float64]
+
+EXACT_RATE = (3.8, 3.4)
+"""Degree of the polynomials of orders 1 and 2 per unit of the stretched σt and g: 9 and 8 over the whole box."""
+PATHS_RATE = (3.0, 2.6)
+"""The same of orders ≥ 3, whose noise weighs more than their polynomials' error: 7 and 6 over the whole box."""
+ALBEDO_RATE = 1.9
+FULLNESS = 1.2
+MEDIA_PER_PRODUCT = 8
+"""Media at which paths are followed, per coefficient to be found from them."""
+CHECKS = 6
+USUAL_TOLERANCE = 0.01
+SPREAD = (0.7548776662466927, 0.5698402909980532)
+"""Steps of the additive sequence that fills a square most evenly (powers of the plastic number's inverse)."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A medium at ϖ = 1 to compute images of.
+
+    Parameters
+    ----------
+    index
+        In its list.
+    sigma_t, g
+        The medium.
+    place
+        Its coordinates u and v.
+    batches
+        Shifted lattices of paths to follow; 0 for the exact orders.
+    """
+
+    index: int
+    sigma_t: float
+    g: float
+    place: tuple[float, float]
+    batches: int = 0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to compute for a box and a tolerance.
+
+    Parameters
+    ----------
+    box
+        Media to answer for.
+    length_mm
+        Of the tank.
+    tolerance
+        Relative L2 error to aim for; the number of paths goes with its inverse square.
+    """
+
+    box: Box
+    length_mm: float
+    tolerance: float
+
+    @cached_property
+    def coordinates(self) -> Coordinates:
+        """Of the box."""
+        return Coordinates(self.box, self.length_mm)
+
+    def _degrees(self, rates: tuple[float, float]) -> tuple[int, int]:
+        spans = self.coordinates.spans
+        return max(2, math.ceil(rates[0] * spans[0])), max(2, math.ceil(rates[1] * spans[2]))
+
+    @cached_property
+    def exact_plane(self) -> Plane:
+        """Polynomials for orders 1 and 2."""
+        return Plane(self._degrees(EXACT_RATE))
+
+    @cached_property
+    def paths_plane(self) -> Plane:
+        """Polynomials for orders ≥ 3."""
+        return Plane(self._degrees(PATHS_RATE), FULLNESS)
+
+    @cached_property
+    def brightness_plane(self) -> Plane:
+        """Polynomials for the logarithm of brightness, and of noise."""
+        first, second = self.paths_plane.degrees
+        return Plane((min(first, 4), min(second, 4)), 1.0)
+
+    @cached_property
+    def albedo_places(self) -> Array:
+        """Coordinates w of the albedos that paths are summed for."""
+        return nodes(max(3, math.ceil(ALBEDO_RATE * self.coordinates.spans[1]) + 1))
+
+    @cached_property
+    def albedos(self) -> tuple[float, ...]:
+        """The same as albedos."""
+        return tuple(float(self.coordinates.back([0.0, w, 0.0])[1]) for w in self.albedo_places)
+
+    @cached_property
+    def exact(self) -> list[Sample]:
+        """Media for orders 1 and 2, on the polynomials' grid."""
+        first, second = self.exact_plane.degrees
+        places = [(u, v) for u in nodes(first + 1) for v in nodes(second + 1)]
+        return [self._sample(index, place) for index, place in enumerate(places)]
+
+    @cached_property
+    def checks(self) -> list[Sample]:
+        """Media beside that grid, where its polynomials' error is seen."""
+        even = (np.arange(1, CHECKS + 1)[:, None] * SPREAD) % 1.0
+        return [self._sample(index, (u, v)) for index, (u, v) in enumerate((2.0 * even - 1.0).tolist())]
+
+    @cached_property
+    def paths(self) -> list[Sample]:
+        """Media for orders ≥ 3: spread evenly, denser towards the edges as polynomials need it."""
+        effort = (USUAL_TOLERANCE / self.tolerance) ** 2
+        count = self.paths_plane.size * MEDIA_PER_PRODUCT
+        even = (0.5 + np.arange(count)[:, None] * SPREAD) % 1.0
+        samples = []
+        for index, (u, v) in enumerate(np.cos(np.pi * even)):
+            sample = self._sample(index, (float(u), float(v)))
+            depth = sample.sigma_t * self.length_mm
+            batches = max(1, round(effort * (1.0 + depth * (0.12 + 0.3 * max(sample.g, 0.0) ** 2))))
+            samples.append(Sample(sample.index, sample.sigma_t, sample.g, sample.place, batches))
+        return samples
+
+    def _sample(self, index: int, place: tuple[float, float]) -> Sample:
+        sigma_t, _, g = self.coordinates.back([place[0], 0.0, place[1]])
+        return Sample(index, float(sigma_t), float(g), (float(place[0]), float(place[1])))

@@ -1,0 +1,129 @@
+"""Preparing a model: compute what its plan asks for, keep every image as it comes, and put them together."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.errors import SceneError
+from tankrig.light.prepared.answer import Answer
+from tankrig.light.prepared.assembly import Images, assemble
+from tankrig.light.prepared.box import Box
+from tankrig.light.prepared.cache import Place
+from tankrig.light.prepared.packing import packed, unpacked
+from tankrig.light.prepared.plan import Plan, Sample
+from tankrig.light.prepared.sampling import PathImages, exact_images
+from tankrig.scene import Medium, Scene
+
+Array = NDArray[np.float64]
+Progress = Callable[[float], object]
+"""Told the share of the work that is done, 0 … 1."""
+
+THREADS = 2
+MOST_PIXELS = 120_000
+"""Beyond, the images of all media would not fit a small computer's memory."""
+EXACT_COST = 0.7
+"""Time that orders 1 and 2 take at one medium, in batches of paths."""
+
+
+def prepared(scene: Scene, box: Box, tolerance: float, progress: Progress) -> tuple[Answer, Path]:
+    """The model of a scene's geometry and pattern, from the cache or made now, and the file that keeps it.
+
+    Raises
+    ------
+    SceneError
+        When the camera has more pixels than can be prepared.
+    CacheError
+        When there is no room for it.
+    """
+    scene = replace(scene, medium=Medium(0.0, 0.01, 0.0), source="")
+    rows, columns = scene.camera.shape
+    if rows * columns > MOST_PIXELS:
+        raise SceneError(
+            f"a camera of {rows} × {columns} pixels has more than the {MOST_PIXELS} that can be prepared; "
+            "bin them: a smaller shape and a larger pixel_mm"
+        )
+    place = Place.of(scene, box, float(tolerance))
+    plan = Plan(box, scene.tank.size_mm[0], tolerance)
+    known = place.kept(place.model)
+    if known is not None:
+        progress(1.0)
+        return unpacked(known, plan.coordinates, scene.camera.shape), place.model
+    work = _Work(scene, plan, place)
+    place.require_room(work.size)
+    answer = assemble(plan, work.sampling, work.images(progress), scene.camera.shape)
+    place.keep(place.model, packed(answer))
+    place.clear_parts()
+    progress(1.0)
+    return answer, place.model
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One file of the preparation."""
+
+    name: str
+    sample: Sample
+    cost: float
+
+
+class _Work:
+    """The images that a plan asks for: those that an interrupted preparation has left are not made again."""
+
+    def __init__(self, scene: Scene, plan: Plan, place: Place) -> None:
+        self._scene, self._plan, self._place = scene, plan, place
+        self.sampling = PathImages(scene, plan.albedos)
+        self._pixels = scene.camera.shape[0] * scene.camera.shape[1]
+        # What takes longest comes first, so that no core is left with it at the end.
+        self._jobs = sorted(
+            [_Job(f"exact{sample.index}", sample, EXACT_COST) for sample in plan.exact]
+            + [_Job(f"check{sample.index}", sample, EXACT_COST) for sample in plan.checks]
+            + [_Job(f"paths{sample.index}", sample, sample.batches) for sample in plan.paths],
+            key=lambda job: -job.cost,
+        )
+
+    @property
+    def size(self) -> int:
+        """Bytes that the images take."""
+        return 8 * (
+            2 * self._pixels * (len(self._plan.exact) + len(self._plan.checks))
+            + int(np.prod(self.sampling.shape)) * len(self._plan.paths)
+        )
+
+    def images(self, progress: Progress) -> Images:
+        """Compute, or read, all."""
+        total, done, found = sum(job.cost for job in self._jobs), 0.0, {}
+        pool = ThreadPoolExecutor(THREADS)
+        try:
+            running = {pool.submit(self._image, job): job for job in self._jobs}
+            for future in as_completed(running):
+                found[running[future].name] = future.result()
+                done += running[future].cost
+                progress(0.97 * done / total)
+        finally:
+            pool.shutdown(cancel_futures=True)
+        stacks = {
+            name: np.array([found[f"{name}{sample.index}"] for sample in samples])
+            for name, samples in (
+                ("exact", self._plan.exact),
+                ("check", self._plan.checks),
+                ("paths", self._plan.paths),
+            )
+        }
+        return Images(stacks["exact"], stacks["check"], stacks["paths"])
+
+    def _image(self, job: _Job) -> Array:
+        path = self._place.parts / f"{job.name}.npz"
+        known = self._place.kept(path)
+        if known is not None:
+            return np.asarray(known["image"], float)
+        sample = job.sample
+        if sample.batches:
+            image = self.sampling.sample(sample.sigma_t, sample.g, sample.index, sample.batches)
+        else:
+            image = exact_images(self._scene, sample.sigma_t, sample.g)
+        self._place.keep(path, {"image": image})
+        return image

@@ -1,0 +1,95 @@
+"""Orders ≥ 3 as polynomials of the medium, fitted to noisy images at many media.
+
+Every image has noise of its own, so a fit with a tenth as many coefficients as images has a third of their noise.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.light.prepared.plan import Plan
+
+Array = NDArray[np.float64]
+
+POLYNOMIAL_ERROR = 0.002
+"""Of the total: no image counts for more than one with this error, or thin media would bend the fit of dense ones."""
+ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fitted fields.
+
+    Parameters
+    ----------
+    scale
+        (albedos, brightness polynomials): logarithm of the light's sum over σs³.
+    fields
+        (albedos, polynomials, cells): the image over both.
+    """
+
+    scale: Array
+    fields: Array
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Images at media, to be fitted.
+
+    Parameters
+    ----------
+    plan
+        Polynomials and media.
+    images
+        (media, albedos, cells).
+    light
+        (cells,) such that images @ light is an image's light.
+    exact
+        (media, albedos) L2 norm of orders 1 and 2 in the same unit.
+    """
+
+    plan: Plan
+    images: Array
+    light: Array
+    exact: Array
+
+    @cached_property
+    def _places(self) -> Array:
+        return np.array([sample.place for sample in self.plan.paths])
+
+    @cached_property
+    def _batches(self) -> Array:
+        return np.array([sample.batches for sample in self.plan.paths], float)
+
+    @cached_property
+    def _cubes(self) -> Array:
+        """σs³ at each medium and albedo."""
+        sigma_t = np.array([sample.sigma_t for sample in self.plan.paths])
+        cubes: Array = (sigma_t[:, None] * np.array(self.plan.albedos)) ** 3
+        return cubes
+
+    def fit(self, used: NDArray[np.bool_]) -> Fit:
+        """Fit the media that are `used`, a Boolean for each."""
+        u, v = self._places[used].T
+        brightness = self.plan.brightness_plane.values(u, v)
+        products, batches = self.plan.paths_plane.values(u, v), self._batches[used]
+        scales, fields = [], []
+        for albedo in range(self.images.shape[1]):
+            images = self.images[used, albedo]
+            cubes = self._cubes[used, albedo]
+            logarithm = np.log(np.maximum(images @ self.light, 1e-300) / cubes)
+            scale = np.linalg.lstsq(brightness, logarithm, rcond=None)[0]
+            bright = (cubes * np.exp(brightness @ scale))[:, None]
+            relative = images / bright
+            total = (np.linalg.norm(images, axis=1) + self.exact[used, albedo]) / bright[:, 0]
+            weight = np.sqrt(batches) / total
+            for _ in range(ROUNDS):
+                field = np.linalg.lstsq(products * weight[:, None], relative * weight[:, None], rcond=None)[0]
+                variance = np.sum((relative - products @ field) ** 2, axis=1) * batches
+                smooth = brightness @ np.linalg.lstsq(brightness, np.log(variance + 1e-12 * total**2), rcond=None)[0]
+                weight = 1.0 / np.sqrt(np.exp(smooth) / batches + (POLYNOMIAL_ERROR * total) ** 2)
+            scales.append(scale)
+            fields.append(np.linalg.lstsq(products * weight[:, None], relative * weight[:, None], rcond=None)[0])
+        return Fit(np.array(scales), np.array(fields))

@@ -1,0 +1,252 @@
+"""A prepared model answers like the tank model, keeps what it has done, and never trusts a file that is not its own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tankrig
+from tankrig.image.prepare import Prepared
+from tankrig.light.prepared import cache, preparation
+from tankrig.light.prepared.box import Box
+from tankrig.light.prepared.sampling import PathImages
+from tankrig.light.tank import tank_image
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from ui.cli import main
+
+REFERENCE = Path(__file__).parent / "data" / "reference"
+BOX = Box((0.004, 0.007), (0.8, 0.98), (0.3, 0.6))
+TOLERANCE = 0.02
+UNEVEN = Projector("collimated", (Beam((-20.0, -4.0), (58.0, 62.0)), Beam((30.0, 42.0), (40.0, 50.0), 0.5)))
+SCENE = Scene(Tank(), Medium(0.0004, 0.005, 0.45), UNEVEN, Camera("orthographic", (20, 30), 8.0))
+MEDIUM = SCENE.medium
+
+
+def relative(error: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.linalg.norm(error) / np.linalg.norm(truth))
+
+
+def prepare(scene: Scene = SCENE) -> Prepared:
+    return tankrig.prepare(scene, TOLERANCE, box=BOX)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def cached(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TANKRIG_CACHE", str(folder))
+
+
+@pytest.fixture(scope="module")
+def live(folder: Path) -> Iterator[Prepared]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TANKRIG_CACHE", str(folder))
+        yield prepare()
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is computed, as it is computed."""
+    names: list[str] = []
+    exact, sample = preparation.exact_images, PathImages.sample
+
+    def counted_exact(*given: object) -> np.ndarray:
+        names.append("exact")
+        return exact(*given)  # type: ignore[arg-type]
+
+    def counted_sample(*given: object) -> np.ndarray:
+        names.append("paths")
+        return sample(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(preparation, "exact_images", counted_exact)
+    monkeypatch.setattr(PathImages, "sample", counted_sample)
+    return names
+
+
+@pytest.mark.parametrize("medium", [MEDIUM, Medium(0.0002, 0.0064, 0.32), Medium(0.0008, 0.0034, 0.59)])
+def test_it_answers_like_the_tank_model_and_its_stated_error_is_about_right(live: Prepared, medium: Medium) -> None:
+    truth = np.sum(list(tank_image(replace(SCENE, medium=medium), batches=12).orders.values()), axis=0)
+    error = relative(live.predict(medium) - truth, truth)
+    assert error < 0.01
+    assert error < 3.0 * live.error_at(medium)
+    assert 0.0 < live.error <= live.largest_error < 0.02
+
+
+@pytest.mark.parametrize("name", ["sigma_a", "sigma_s", "g"])
+def test_the_remainder_of_a_taylor_step_falls_as_its_square(live: Prepared, name: str) -> None:
+    """A fit on wrong derivatives stops at the wrong place, and its error bars are fiction."""
+    image, slopes = live.predict(MEDIUM, derivatives=True)
+    slope = slopes[("sigma_a", "sigma_s", "g").index(name)]
+    step = {"sigma_a": 2e-4, "sigma_s": 3e-4, "g": 0.02}[name]
+
+    def remainder(h: float) -> float:
+        moved = replace(MEDIUM, **{name: getattr(MEDIUM, name) + h})
+        return float(np.linalg.norm(live.predict(moved) - image - h * slope))
+
+    assert np.allclose(image, live.predict(MEDIUM), rtol=1e-12, atol=0.0)
+    assert remainder(step) / remainder(step / 2) == pytest.approx(4.0, rel=0.15)
+
+
+def test_images_are_never_negative(live: Prepared) -> None:
+    for place in np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3)):
+        sigma_t, albedo, g = live.answer.coordinates.back(place)
+        image = live.predict(Medium(sigma_t * (1.0 - albedo), sigma_t * albedo, g))
+        assert np.isfinite(image).all()
+        assert image.min() >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("medium", "named"),
+    [
+        (Medium(0.005, 0.06, 0.5), r"= 0.065 is outside 0.004 … 0.007"),
+        (Medium(0.003, 0.002, 0.5), "albedo σs/σt = 0.4 is outside 0.8 … 0.98"),
+        (Medium(0.0004, 0.005, 0.7), "g = 0.7 is outside 0.3 … 0.6"),
+    ],
+)
+def test_a_medium_outside_the_box_is_refused_by_name(live: Prepared, medium: Medium, named: str) -> None:
+    for ask in (live.predict, live.error_at):
+        with pytest.raises(tankrig.SceneError, match=named):
+            ask(medium)
+
+
+def test_what_is_kept_is_not_computed_again(live: Prepared, made: list[str]) -> None:
+    again = prepare(replace(SCENE, medium=Medium(0.1, 0.1, 0.0)))  # the medium of the scene does not matter
+    assert not made
+    assert np.array_equal(again.predict(MEDIUM), live.predict(MEDIUM))
+    assert not list(live.path.parent.glob("*.parts"))
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "foreign", "of another scene", "outdated"])
+def test_a_file_that_is_not_the_model_is_not_believed(
+    live: Prepared, folder: Path, damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Believed, it would be a wrong image; here it counts as missing, so that the model is made again."""
+    place = cache.Place(folder / "prepared", live.path.stem)
+    good = live.path.read_bytes()
+    other = cache.Place(tmp_path, "other" if damage == "of another scene" else live.path.stem)
+    content = {
+        "truncated": good[: len(good) // 2],
+        "flipped": good[:-3000] + bytes([good[-3000] ^ 255]) + good[-2999:],
+        "foreign": b"not a model",
+        "of another scene": good,
+        "outdated": good,
+    }[damage]
+    other.keep(other.model, {})
+    other.model.write_bytes(content)
+    assert place.kept(live.path) is not None
+    if damage == "outdated":
+        monkeypatch.setattr(cache, "code_mark", lambda: "of other code")
+    assert other.kept(other.model) is None
+
+
+def test_a_damaged_model_is_made_again(live: Prepared, made: list[str]) -> None:
+    image = live.predict(MEDIUM)
+    live.path.write_bytes(live.path.read_bytes()[:1000])
+    assert np.allclose(prepare().predict(MEDIUM), image, rtol=1e-9)
+    assert "paths" in made
+    assert "exact" in made
+    made.clear()
+    prepare()
+    assert not made
+
+
+def test_a_killed_preparation_goes_on_where_it_was(
+    live: Prepared, tmp_path: Path, made: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = f"""
+        import os, signal, sys
+        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        import test_prepare as here
+        def killed_half_way(share):
+            if share > 0.5:
+                os.kill(os.getpid(), signal.SIGKILL)
+        here.tankrig.prepare(here.SCENE, here.TOLERANCE, killed_half_way, here.BOX)
+    """
+    environment = {**os.environ, "TANKRIG_CACHE": str(tmp_path)}
+    ended = subprocess.run([sys.executable, "-c", textwrap.dedent(script)], env=environment, timeout=120, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    left = len(list(tmp_path.glob("prepared/*.parts/*.npz")))
+    assert left > 10
+    torn = next(tmp_path.glob("prepared/*.parts/*.npz"))
+    torn.write_bytes(torn.read_bytes()[:100])
+    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
+    shares: list[float] = []
+    resumed = tankrig.prepare(SCENE, TOLERANCE, shares.append, BOX)
+    plan = preparation.Plan(BOX, 240.0, TOLERANCE)
+    assert len(made) == len(plan.exact) + len(plan.checks) + len(plan.paths) - left + 1
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert np.allclose(resumed.predict(MEDIUM), live.predict(MEDIUM), rtol=1e-9)
+
+
+def test_no_room_is_said_before_any_work(tmp_path: Path, made: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
+    usage = cache.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(cache.shutil, "disk_usage", lambda _: usage._replace(free=1000))
+    with pytest.raises(tankrig.CacheError, match=r"no room for a prepared model.*TANKRIG_CACHE"):
+        prepare()
+    assert not made
+
+
+def test_a_cache_that_is_a_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path / "file"))
+    with pytest.raises(tankrig.CacheError, match=r"not a folder.*TANKRIG_CACHE"):
+        prepare()
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1.5, float("nan")])
+def test_senseless_tolerances_are_refused(tolerance: float) -> None:
+    with pytest.raises(tankrig.SceneError, match="tolerance"):
+        tankrig.prepare(SCENE, tolerance, box=BOX)
+
+
+@pytest.mark.parametrize("ranges", [{"g": (0.5, 0.5)}, {"albedo": (0.5, 1.1)}, {"sigma_t": (0.1, 0.01)}])
+def test_senseless_boxes_are_refused(ranges: dict[str, tuple[float, float]]) -> None:
+    with pytest.raises(tankrig.SceneError, match="cannot be prepared"):
+        Box(**ranges)
+
+
+def test_the_command_says_what_it_has_made(live: Prepared, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = tmp_path / "scene.toml"
+    beams = ", ".join(
+        f"{{ y_mm = {list(beam.y_mm)}, z_mm = {list(beam.z_mm)}, irradiance = {beam.irradiance} }}"
+        for beam in UNEVEN.beams
+    )
+    scene.write_text(
+        '[tank]\nsize_mm = [240.0, 160.0, 120.0]\nsurface = "matched"\n'
+        "[medium]\nsigma_a = 0.1\nsigma_s = 0.1\ng = 0.0\n"
+        f'[projector]\nkind = "collimated"\nbeams = [{beams}]\n'
+        '[camera]\nkind = "orthographic"\nshape = [20, 30]\npixel_mm = 8.0\n'
+    )
+    ranges: list[str] = []
+    for name, ends in (("sigma-t", BOX.sigma_t), ("albedo", BOX.albedo), ("g", BOX.g)):
+        ranges += [f"--{name}", *(str(end) for end in ends)]
+    assert main(["prepare", str(scene), "--tolerance", str(TOLERANCE), *ranges, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["error"] == live.error
+    assert Path(said["cache"]) == live.path
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", ["pub01", "pub05", "pub09", "pub11"])
+def test_reference_cases_over_the_whole_box(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
+    with np.load(REFERENCE / f"{case}.npz") as data:
+        truth, stderr = data["total"].astype(float), data["stderr"].astype(float)
+    scene = tankrig.load_scene(REFERENCE / f"{case}.toml")
+    with pytest.warns(UserWarning, match="the prepared model's error"):
+        live = tankrig.prepare(scene)
+    error = relative(live.predict(scene.medium) - truth, truth) ** 2 - relative(stderr, truth) ** 2
+    assert np.sqrt(max(0.0, error)) < 0.007
