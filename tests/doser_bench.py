@@ -30,10 +30,10 @@ class AnyBench(ABC):
 
     steps_per_ul: float
 
-    def __init__(self, folder: Path, time_scale: float) -> None:
+    def __init__(self, folder: Path, time_scale: float, seed: int = 0) -> None:
         self.folder, self.scale = folder, time_scale
         self._opened: list[Any] = []
-        self.power_on()
+        self.power_on(seed)
 
     @abstractmethod
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]: ...
@@ -98,9 +98,11 @@ class Bench(AnyBench):
 
     steps_per_ul = STEPS_PER_UL
 
-    def __init__(self, folder: Path, time_scale: float = 0.5, rate: float = 4000.0, **commissioning: Any) -> None:
+    def __init__(
+        self, folder: Path, time_scale: float = 0.5, rate: float = 4000.0, seed: int = 0, **commissioning: Any
+    ) -> None:
         self.rate, self._commissioning = rate, Commissioning(**commissioning)
-        super().__init__(folder, time_scale)
+        super().__init__(folder, time_scale, seed)
 
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
         state = StateFile(self.folder / "state", self._commissioning)
@@ -132,9 +134,11 @@ class NewEraBench(CountedBench):
 
     steps_per_ul = 20.0
 
-    def __init__(self, folder: Path, time_scale: float = 0.3, rate_ml_per_min: float = 30.0, **device: Any) -> None:
+    def __init__(
+        self, folder: Path, time_scale: float = 0.3, rate_ml_per_min: float = 30.0, seed: int = 0, **device: Any
+    ) -> None:
         self.rate, self._device = rate_ml_per_min, device
-        super().__init__(folder, time_scale)
+        super().__init__(folder, time_scale, seed)
 
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
         state = TruthFile(self.folder / "state")
@@ -149,31 +153,32 @@ class NewEraBench(CountedBench):
 
 
 class CavroBench(CountedBench):
-    """An XCalibur with a 1 ml syringe."""
+    """An XCalibur, initialised and filled before the first program uses it."""
 
-    steps_per_ul = 24.0
-
-    def __init__(self, folder: Path, time_scale: float = 0.3, speed_ul_per_s: float = 1000.0, **device: Any) -> None:
-        self.speed, self._device = speed_ul_per_s, device
-        super().__init__(folder, time_scale)
+    def __init__(
+        self,
+        folder: Path,
+        time_scale: float = 0.3,
+        speed_ul_per_s: float = 1000.0,
+        syringe_ul: float = 1000.0,
+        seed: int = 0,
+    ) -> None:
+        self.steps_per_ul = 24000.0 / syringe_ul
+        self.speed, self.syringe_ul, self._ready = speed_ul_per_s, syringe_ul, True
+        super().__init__(folder, time_scale, seed)
 
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
         state = TruthFile(self.folder / "state")
-        board = CavroBoard(state, self.folder / "doser", **self._device, boot_s=0.02, time_scale=self.scale, seed=seed)
-        return state, board
+        link, ready, self._ready = self.folder / "doser", self._ready, False
+        return state, CavroBoard(state, link, ready=ready, boot_s=0.02, time_scale=self.scale, seed=seed)
 
     def _open(self, **settings: Any) -> CavroDoser:
         given = {"port": str(self.folder / "doser"), "count_file": self.folder / "count", "time_scale": self.scale}
-        syringe = {"syringe_ul": 1000.0, "speed_ul_per_s": self.speed, "fine": False}
+        syringe = {"syringe_ul": self.syringe_ul, "speed_ul_per_s": self.speed, "fine": False}
         return CavroDoser(CavroSettings(**(given | syringe | settings)))
 
-    def open(self, **settings: Any) -> Any:
-        """Opened, and initialised by hand once after power-up."""
-        doser = super().open(**settings)
-        self.put_right(doser)
-        return doser
-
     def put_right(self, doser: CavroDoser) -> None:
-        if self.board.command({})["board"] and not self.board._core._initialised:
-            with suppress(DeviceError):
+        with suppress(DeviceError):
+            if self.board.command({})["board"] and not self.board._core._initialised:
                 doser.initialise()
+                doser._renew()  # filled, so that the next dose begins at once

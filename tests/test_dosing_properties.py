@@ -71,14 +71,12 @@ class Dosing(RuleBasedStateMachine):
     def set_up(self, seed: int) -> None:
         memory = MEMORY if MEMORY.is_dir() else None  # whether writes reach a disk is not what is tested
         self.folder = tempfile.TemporaryDirectory(dir=memory, ignore_cleanup_errors=True)
-        self.bench = self.make_bench(Path(self.folder.name))
-        self.bench.power_off()
-        self.bench.power_on(seed)
+        self.bench = self.make_bench(Path(self.folder.name), seed)
         self.journal, self.run, self.run_began_ul = Journal(), 0, 0.0
         self.tally["cases"] += 1
         self.open()
 
-    def make_bench(self, folder: Path) -> AnyBench:
+    def make_bench(self, folder: Path, seed: int) -> AnyBench:
         raise NotImplementedError
 
     def open(self) -> None:
@@ -236,18 +234,18 @@ class Dosing(RuleBasedStateMachine):
 
 
 class RigDosing(Dosing):
-    def make_bench(self, folder: Path) -> AnyBench:
-        return Bench(folder, time_scale=SCALE, rate=400.0, dose_cap=500, life_cap=5000)
+    def make_bench(self, folder: Path, seed: int) -> AnyBench:
+        return Bench(folder, time_scale=SCALE, seed=seed, rate=400.0, dose_cap=500, life_cap=5000)
 
 
 class NewEraDosing(Dosing):
-    def make_bench(self, folder: Path) -> AnyBench:
-        return NewEraBench(folder, time_scale=SCALE, rate_ml_per_min=3.0)
+    def make_bench(self, folder: Path, seed: int) -> AnyBench:
+        return NewEraBench(folder, time_scale=SCALE, seed=seed, rate_ml_per_min=3.0)
 
 
 class CavroDosing(Dosing):
-    def make_bench(self, folder: Path) -> AnyBench:
-        return CavroBench(folder, time_scale=SCALE, speed_ul_per_s=50.0)
+    def make_bench(self, folder: Path, seed: int) -> AnyBench:
+        return CavroBench(folder, time_scale=SCALE, seed=seed, speed_ul_per_s=50.0, syringe_ul=250.0)
 
 
 QUIET = {"deadline": None, "suppress_health_check": list(HealthCheck), "database": None, "phases": [Phase.generate]}

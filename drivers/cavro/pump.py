@@ -94,6 +94,8 @@ class CavroPump:
         """Its position, and by a move to where it stands whether it has an error that it has told before."""
         self._ask(f"N{int(self._settings.fine)}R", "".__eq__)
         position = int(self._ask("?", str.isdigit).data)
+        if position != int(self._ask("?", str.isdigit).data):
+            return None  # damaged in a way that the checksum cannot see
         probe = self._ask(f"A{position}R", "".__eq__)
         if probe.error == _BUSY:
             return None

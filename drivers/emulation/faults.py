@@ -23,10 +23,18 @@ class Faults:
 
 
 class Gremlin:
-    """Carries the faults out."""
+    """Carries the faults out.
 
-    def __init__(self, seed: int) -> None:
-        self._random = random.Random(seed)
+    Parameters
+    ----------
+    seed
+        What they are drawn from.
+    most_flips
+        Most bits that are flipped in what is sent at once: what the device's checksum is sure to notice.
+    """
+
+    def __init__(self, seed: int, most_flips: int | None = None) -> None:
+        self._random, self._most_flips = random.Random(seed), most_flips
         self.faults = Faults()
         self._steps = 0
 
@@ -40,9 +48,9 @@ class Gremlin:
         if not (self.faults.lose or self.faults.corrupt):
             return data
         kept = bytearray(byte for byte in data if self._random.random() >= self.faults.lose)
-        for i in range(len(kept)):
-            if self._random.random() < self.faults.corrupt:
-                kept[i] ^= 1 << self._random.randrange(8)
+        hit = [i for i in range(len(kept)) if self._random.random() < self.faults.corrupt]
+        for i in hit[: self._most_flips]:
+            kept[i] ^= 1 << self._random.randrange(8)
         return bytes(kept)
 
     def twice(self) -> bool:

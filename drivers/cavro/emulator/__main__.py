@@ -12,13 +12,15 @@ def main() -> int:
     """Run until told to quit, or until nobody has wanted the device for long enough."""
     options = parser("drivers.cavro.emulator", "A Cavro XCalibur syringe pump on a pseudo-terminal.")
     options.add_argument("--address", type=int, default=1, help="set with its switch (default 1)")
+    options.add_argument("--ready", action="store_true", help="it has been initialised and filled already")
     args = options.parse_args()
     try:
         state = TruthFile(args.state)
     except BlockingIOError:
         sys.stderr.write(f"{args.state}: another emulator runs on this state file\n")
         return 2
-    serve(CavroBoard(state, args.link, address=args.address, time_scale=args.time_scale, seed=args.seed), args)
+    given = {"address": args.address, "ready": args.ready, "time_scale": args.time_scale, "seed": args.seed}
+    serve(CavroBoard(state, args.link, **given), args)
     state.close()
     return 0
 

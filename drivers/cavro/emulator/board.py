@@ -26,9 +26,13 @@ class CavroBoard(Board):
         Set with its switch.
     most_lost
         Most fine increments that a plunger stopped in motion may lose.
+    ready
+        Whether it has been initialised and filled already, in its first life.
     time_scale, seed, boot_s
         As for every board.
     """
+
+    most_flips = 1  # two in the same bit of two bytes pass a checksum by exclusive or
 
     def __init__(
         self,
@@ -37,17 +41,18 @@ class CavroBoard(Board):
         *,
         address: int = 1,
         most_lost: int = 64,
+        ready: bool = False,
         boot_s: float = BOOT_S,
         time_scale: float = 1.0,
         seed: int = 0,
     ) -> None:
         self._address, self._most_lost, self._random = address, most_lost, random.Random(seed)
-        self._reader = Reader()
+        self._reader, self._ready = Reader(), ready
         super().__init__(state, link, boot_s=boot_s, time_scale=time_scale, seed=seed)
 
     def _power_up(self) -> tuple[Core, bytes]:
-        self._reader = Reader()
-        return Core(self._pulse, self._state.step, lambda: self._random.randrange(self._most_lost + 1)), b""
+        self._reader, ready, self._ready = Reader(), self._ready, False
+        return Core(self._pulse, self._state.step, lambda: self._random.randrange(self._most_lost + 1), ready), b""
 
     def _answers(self, core: Core, received: bytes, now: float) -> Iterator[bytes]:
         for command in self._reader.feed(received):

@@ -25,12 +25,20 @@ class Core:
         Called with the fine increments of liquid that leave the output.
     lost
         Fine increments that a plunger stopped in motion has not made though they were counted.
+    ready
+        Whether it has been initialised and filled already.
     """
 
-    def __init__(self, pulse: Callable[[], bool], expelled: Callable[[int], None], lost: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        pulse: Callable[[], bool],
+        expelled: Callable[[int], None],
+        lost: Callable[[], int],
+        ready: bool = False,
+    ) -> None:
         self._pulse, self._expelled, self._lost = pulse, expelled, lost
-        self._initialised = self._overloaded = False
-        self._position, self._target, self._from = 0, 0, 0
+        self._initialised, self._overloaded = ready, False
+        self._position = self._target = self._from = STROKE * FINER if ready else 0
         self._since_s, self._free_s = 0.0, 0.0
         self._valve, self._finer = "b", 1
         self._speeds = {"v": 900, "V": 1400, "c": 900}
