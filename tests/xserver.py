@@ -1,0 +1,170 @@
+"""A real X server with two named outputs, the second of which can be unplugged, and what is on its screens."""
+
+import ctypes
+import ctypes.util
+import os
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+CONFIGURATION = """
+Section "ServerFlags"
+  Option "AutoAddDevices" "false"
+EndSection
+Section "Device"
+  Identifier "card"
+  Driver "dummy"
+  VideoRam 65536
+EndSection
+Section "Monitor"
+  Identifier "operator"
+  HorizSync 5-1000
+  VertRefresh 5-200
+  Modeline "800x600" 40.0 800 840 968 1056 600 601 605 628
+EndSection
+Section "Screen"
+  Identifier "screen"
+  Device "card"
+  Monitor "operator"
+  DefaultDepth 24
+  SubSection "Display"
+    Depth 24
+    Virtual 1600 1200
+    Modes "800x600"
+  EndSubSection
+EndSection
+"""
+OPERATOR, PROJECTOR = "DUMMY0", "DUMMY1"
+_ARGUMENTS = "-noreset -novtswitch -sharevts -nolisten tcp -ac".split()  # noqa: SIM905
+
+
+class XServer:
+    """Outputs DUMMY0 (800×600, the operator's) and DUMMY1 (320×240 at 60 Hz, to its right, the projector's)."""
+
+    def __init__(self, folder: Path) -> None:
+        if not (shutil.which("Xorg") and shutil.which("xrandr")):
+            pytest.skip("needs Xorg with its dummy driver, and xrandr")
+        (folder / "xorg.conf").write_text(CONFIGURATION)
+        reader, writer = os.pipe()
+        command = ["Xorg", "-displayfd", str(writer), "-config", folder / "xorg.conf", "-logfile", folder / "xorg.log"]
+        self._process = subprocess.Popen(
+            [*command, *_ARGUMENTS], pass_fds=(writer,), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        os.close(writer)
+        with os.fdopen(reader) as pipe:
+            number = pipe.readline().strip()
+        if not number:
+            self.close()
+            pytest.skip(f"Xorg does not start here: {(folder / 'xorg.log').read_text()[-500:]}")
+        self.display = f":{number}"
+        self.environment = {**os.environ, "DISPLAY": self.display, "QT_QPA_PLATFORM": "xcb"}
+        timing = map(str, (320, 328, 360, 400, 240, 242, 244, 250))
+        self.xrandr("--newmode", "320x240", "6.0", *timing)
+        self.xrandr("--addmode", PROJECTOR, "320x240")
+        self.plug_in()
+
+    def xrandr(self, *arguments: str) -> None:
+        subprocess.run(["xrandr", *arguments], env=self.environment, check=True, capture_output=True, timeout=20.0)
+
+    def plug_in(self) -> None:
+        self.xrandr("--output", PROJECTOR, "--mode", "320x240", "--pos", "800x0")
+
+    def unplug(self) -> None:
+        self.xrandr("--output", PROJECTOR, "--off")
+
+    def identify(self, serial: str, model: str) -> None:
+        """Give the projector's output an EDID."""
+        with _Display(self.display) as display:
+            display.set_edid(PROJECTOR, edid(serial, model))
+        # Screens are described anew when outputs change.
+        self.unplug()
+        self.plug_in()
+
+    def seen(self, x: int, y: int, width: int, height: int) -> np.ndarray:
+        """(rows, columns, 3) red, green, blue that are in the frame buffer there."""
+        with _Display(self.display) as display:
+            return display.image(x, y, width, height)
+
+    def blanked(self) -> bool:
+        """Whether the screen saver is on."""
+        with _Display(self.display) as display:
+            return display.screen_saver_is_on()
+
+    def close(self) -> None:
+        self._process.terminate()
+        self._process.wait(10.0)
+
+
+def until(condition, timeout_s: float = 10.0) -> None:
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
+def edid(serial: str, model: str) -> bytes:
+    """What a screen says of itself; made by "TRG"."""
+    block = bytearray(128)
+    block[:20] = bytes.fromhex("00ffffffffffff005247341200000000011e0103")
+    block[8:10] = sum((ord(c) - 64) << (10 - 5 * i) for i, c in enumerate("TRG")).to_bytes(2, "big")
+    for start, kind, text in ((72, 0xFF, serial), (90, 0xFC, model)):
+        block[start : start + 18] = bytes([0, 0, 0, kind, 0]) + f"{text}\n".ljust(13).encode()
+    block[127] = -sum(block) % 256
+    return bytes(block)
+
+
+class _XImage(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_int) for name in ("width", "height", "xoffset", "format")),
+        ("data", ctypes.POINTER(ctypes.c_ubyte)),
+        *((name, ctypes.c_int) for name in ("byte_order", "unit", "bit_order", "pad", "depth", "bytes_per_line")),
+    ]
+
+
+class _Display:
+    """As much of Xlib as this needs."""
+
+    def __init__(self, name: str) -> None:
+        self._x11 = ctypes.CDLL(ctypes.util.find_library("X11"))
+        for function in ("XOpenDisplay", "XGetImage", "XDefaultRootWindow", "XInternAtom"):
+            getattr(self._x11, function).restype = ctypes.c_void_p
+        self._display = ctypes.c_void_p(self._x11.XOpenDisplay(name.encode()))
+        assert self._display, f"no X server at {name}"
+        self._root = ctypes.c_void_p(self._x11.XDefaultRootWindow(self._display))
+
+    def __enter__(self) -> "_Display":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._x11.XCloseDisplay(self._display)
+
+    def image(self, x: int, y: int, width: int, height: int) -> np.ndarray:
+        address = self._x11.XGetImage(self._display, self._root, x, y, width, height, ctypes.c_ulong(0xFFFFFF), 2)
+        image = ctypes.cast(address, ctypes.POINTER(_XImage)).contents
+        raw = np.ctypeslib.as_array(image.data, (height, image.bytes_per_line)).copy()
+        self._x11.XFree(image.data)
+        return raw[:, : 4 * width].reshape(height, width, 4)[..., 2::-1]
+
+    def screen_saver_is_on(self) -> bool:
+        saver = ctypes.CDLL(ctypes.util.find_library("Xss"))
+        facts = (ctypes.c_ulong * 8)()  # Window, int state, …
+        saver.XScreenSaverQueryInfo(self._display, self._root, ctypes.byref(facts))
+        return int(facts[1]) & 0xFFFFFFFF == 1
+
+    def set_edid(self, output: str, block: bytes) -> None:
+        xrandr = ctypes.CDLL(ctypes.util.find_library("Xrandr"))
+        xrandr.XRRGetScreenResources.restype = ctypes.c_void_p
+        resources = xrandr.XRRGetScreenResources(self._display, self._root)
+        # struct: Time, Time, int ncrtc, RRCrtc *, int noutput, RROutput *
+        words = ctypes.cast(resources, ctypes.POINTER(ctypes.c_ulong))
+        outputs = ctypes.cast(words[5], ctypes.POINTER(ctypes.c_ulong))
+        number = int(output.removeprefix("DUMMY"))
+        atom = ctypes.c_ulong(self._x11.XInternAtom(self._display, b"EDID", 0))
+        xrandr.XRRChangeOutputProperty(
+            self._display, ctypes.c_ulong(outputs[number]), atom, ctypes.c_ulong(19), 8, 0, block, len(block)
+        )
+        self._x11.XSync(self._display, 0)
