@@ -268,4 +268,4 @@ def test_ink_is_accounted_for_in_thousands_of_cases(machine: type[Dosing]) -> No
     print(f"{machine.__name__}: " + ", ".join(f"{count} {what}" for what, count in tally.most_common()))
     assert tally["cases"] >= CASES
     for outcome in ("complete", "undecided", "cut short"):
-        assert tally[f"doses {outcome}"] > tally["cases"] / 20, "too few to mean anything"
+        assert tally[f"doses {outcome}"] > tally["cases"] / 50, "too few to mean anything"

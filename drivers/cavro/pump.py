@@ -34,7 +34,7 @@ class CavroPump:
         For messages.
     """
 
-    margin, order, increment, most_doubt, counter_restarts = 0, 1, 1, 0, False
+    margin, order, increment, most_doubt, counter_restarts = 0, 1, 1, 10, False
     rests_after_s = 1.5 * PIECE_S
 
     def __init__(self, settings: CavroSettings, name: str) -> None:

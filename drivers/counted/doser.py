@@ -70,7 +70,8 @@ class CountedDoser:
             self._tick_ul, self._correction = pump.tick_ul * correction, correction
             self._file = CountFile(count_file, name, pump.tick_ul)
             self._now = self._file.record.total
-            if (begun := self._file.record.begun) and begun.what == "dose":
+            begun, unsure = self._file.record.begun, self._file.record.unsure
+            if unsure or (begun and begun.what == "dose"):
                 self._stop_asked.set()  # it was cut off, and never goes on by itself
             self._take(pump.read())
             if not self.unknown and pump.stale():
@@ -360,7 +361,8 @@ class CountedDoser:
                     f"it was between {bounds.low_ul:g} and {bounds.high_ul:g} µl"
                 )
             count = self._pump.read().count
-            said = Count(ticks, ticks, ticks + 1)  # what was said may lie between two ticks
+            between = volume_ul / self._tick_ul - ticks > 1e-6
+            said = Count(ticks, ticks, ticks + between)
             self._file.update(base=said - count, seen=count, unsure=None)
             self._now = self._file.record.total
 

@@ -52,11 +52,11 @@ class Board(ABC):
     """
 
     powered_by_cable = False
-    most_flips: int | None = None
+    most_hits: int | None = None
 
     def __init__(self, state: TruthFile, link: Path, *, boot_s: float, time_scale: float = 1.0, seed: int = 0) -> None:
         self._state, self._link, self._scale, self._boot_s = state, link, time_scale, boot_s
-        self._gremlin = Gremlin(seed, self.most_flips)
+        self._gremlin = Gremlin(seed, self.most_hits)
         self._turn = threading.Lock()
         self._master: int | None = None
         self._core: Core | None = None

@@ -29,12 +29,12 @@ class Gremlin:
     ----------
     seed
         What they are drawn from.
-    most_flips
-        Most bits that are flipped in what is sent at once: what the device's checksum is sure to notice.
+    most_hits
+        Most bytes that are damaged or lost of what is sent at once: what the device's checksum is sure to notice.
     """
 
-    def __init__(self, seed: int, most_flips: int | None = None) -> None:
-        self._random, self._most_flips = random.Random(seed), most_flips
+    def __init__(self, seed: int, most_hits: int | None = None) -> None:
+        self._random, self._most_hits = random.Random(seed), most_hits
         self.faults = Faults()
         self._steps = 0
 
@@ -47,11 +47,16 @@ class Gremlin:
         """What arrives of `data`."""
         if not (self.faults.lose or self.faults.corrupt):
             return data
-        kept = bytearray(byte for byte in data if self._random.random() >= self.faults.lose)
-        hit = [i for i in range(len(kept)) if self._random.random() < self.faults.corrupt]
-        for i in hit[: self._most_flips]:
-            kept[i] ^= 1 << self._random.randrange(8)
-        return bytes(kept)
+        arrived, hits = bytearray(), 0
+        for byte in data:
+            lost, flipped = self._random.random() < self.faults.lose, self._random.random() < self.faults.corrupt
+            if (lost or flipped) and (self._most_hits is None or hits < self._most_hits):
+                hits += 1
+                if not lost:
+                    arrived.append(byte ^ 1 << self._random.randrange(8))
+            else:
+                arrived.append(byte)
+        return bytes(arrived)
 
     def twice(self) -> bool:
         """Whether this request arrives twice."""

@@ -32,7 +32,7 @@ class CavroBoard(Board):
         As for every board.
     """
 
-    most_flips = 1  # two in the same bit of two bytes pass a checksum by exclusive or
+    most_hits = 1  # two can pass a checksum by exclusive or
 
     def __init__(
         self,
