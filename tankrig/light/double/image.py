@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.double.average import average_rows
-from tankrig.light.double.table import Table, fill_table
+from tankrig.light.double.table import COARSE, FINE, Table, fill_table
 from tankrig.light.rays import Geometry, light_sources, shift_invariant
 from tankrig.scene import Beam, Scene
 
@@ -18,15 +18,19 @@ WIDEST_MM = 12.0
 """Widest part of a beam over which J's slow change with y₀ is taken as linear."""
 
 
-def double_scattering(scene: Scene, nodes: int = 5) -> Array:
+COARSE_FROM = 0.005
+"""Tolerance from which coarse tables do."""
+
+
+def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
     """Image of the light scattered exactly twice, W/mm²/sr.
 
     Parameters
     ----------
     scene
         Any scene; both projectors, both cameras, matched or Fresnel surface.
-    nodes
-        Of the Gauss–Legendre rule in every panel; 5 keeps the error below about 0.1 % of order 2.
+    tolerance
+        Error of the whole image that is asked for, of which this order takes a tenth.
 
     Returns
     -------
@@ -46,11 +50,11 @@ def double_scattering(scene: Scene, nodes: int = 5) -> Array:
     if medium.sigma_s == 0.0:
         return image
     finest = min(camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
-    rule = np.polynomial.legendre.leggauss(nodes)
+    fineness = COARSE if tolerance >= COARSE_FROM else FINE
     for geometry, beams in light_sources(scene):
         ways = (False, True) if geometry.refractive_index > 1.0 else (False,)
         for z_mm, mirrored in product(sorted({beam.z_mm for beam in beams}), ways):
-            table, z0_weights = fill_table(scene, geometry, z_mm, mirrored, finest, rule)
+            table, z0_weights = fill_table(scene, geometry, z_mm, mirrored, finest, fineness)
             rows = np.zeros((camera.shape[0], table.x_mm.size))
             for beam in beams:
                 if beam.z_mm == z_mm:

@@ -19,14 +19,35 @@ from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
 
-RATIO = 1.45
-"""Ratio of successive nodes in δ."""
-SLANTED_RATIO = 1.3
-"""The same where lines of sight or light rays slant, and leave the tank through its side walls."""
-
-
 STEEPEST = 300.0
 """Largest exponent that is taken out of J before it is interpolated."""
+
+
+@dataclass(frozen=True)
+class Fineness:
+    """How finely J is tabulated.
+
+    Parameters
+    ----------
+    nodes
+        Of the Gauss–Legendre rule in every panel.
+    ratio, slanted_ratio
+        Of successive nodes in δ; the latter where lines of sight or light rays slant, and leave the tank through its
+        side walls.
+    curvature
+        Error of order 2 up to which one ray stands for a beam's whole height.
+    """
+
+    nodes: int
+    ratio: float
+    slanted_ratio: float
+    curvature: float
+
+
+FINE = Fineness(nodes=5, ratio=1.45, slanted_ratio=1.3, curvature=0.001)
+"""Errs by 0.04 % of orders 1 and 2 at most (nine scenes, g −0.4…0.95, both projectors and cameras)."""
+COARSE = Fineness(nodes=3, ratio=1.6, slanted_ratio=1.45, curvature=0.004)
+"""Errs by 0.1 % at most, in less than half the time."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +82,7 @@ def fill_table(
     z_mm: tuple[float, float],
     mirrored: bool,
     finest_mm: float,
-    rule: tuple[Array, Array],
+    fineness: Fineness,
 ) -> tuple[Table, Array]:
     """Compute J for beams of one height.
 
@@ -75,8 +96,8 @@ def fill_table(
         By way of the water surface.
     finest_mm
         Length below which the image need not be resolved.
-    rule
-        Gauss–Legendre nodes and weights for every panel.
+    fineness
+        Of nodes and panels.
 
     Returns
     -------
@@ -88,13 +109,13 @@ def fill_table(
     sigma_t = scene.medium.sigma_t
     # One node across a beam errs by (thickness/scale)²/24 or so, n nodes by its n-th power.
     curvature = ((high - low) * max(sigma_t, 4.0 / height)) ** 2 / 24.0
-    count = 1 if curvature < 1e-3 else 2 + math.ceil((high - low) * max(sigma_t / 3.0, 2.0 / height))
+    count = 1 if curvature < fineness.curvature else 2 + math.ceil((high - low) * max(sigma_t / 3.0, 2.0 / height))
     nodes, weights = np.polynomial.legendre.leggauss(min(count, 40))
     z0 = 0.5 * (low + high) + 0.5 * (high - low) * nodes
     x = _x_nodes(geometry, low, high, finest_mm)
     width = 2.0 * geometry.half_width
     decades = math.log(width / (0.02 * finest_mm))
-    ratio = RATIO if shift_invariant(scene) else SLANTED_RATIO
+    ratio = fineness.ratio if shift_invariant(scene) else fineness.slanted_ratio
     fractions = np.exp(np.linspace(-decades, 0.0, 1 + math.ceil(decades / math.log(ratio))))
     if shift_invariant(scene):
         y0 = np.zeros(1)
@@ -105,6 +126,7 @@ def fill_table(
         cosines = np.cos(np.pi * (np.arange(many) + 0.5) / many)
         y0 = 0.5 * (max(edges) + min(edges)) + 0.5 * spread * cosines
     decay = min(sigma_t, STEEPEST / (geometry.length + width))
+    rule = np.polynomial.legendre.leggauss(fineness.nodes)
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     with ThreadPoolExecutor(2) as pool:

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 FINEST_CELL_MM = 1.5
 """Orders ≥ 3 are smooth on this scale; finer pixels are interpolated."""
 THREADS = 2
+THINNING = 16
+"""Order from which paths are thinned out, where the image shall be a smooth function of the medium."""
 FIRST_BATCHES = 6
 MOST_BATCHES = 16384
 
@@ -79,12 +81,14 @@ def high_orders(
     grid = CellGrid.of(scene)
     highest = 1_000_000 if max_order is None else max_order
     images: list[Array] = []
-    wanted, lattice = (batches, LARGE) if batches else (FIRST_BATCHES, SMALL)
+    wanted, lattice, thinning = FIRST_BATCHES, SMALL, _thinning(scene)
+    if batches is not None:
+        wanted, lattice, thinning = batches, LARGE, THINNING
     while True:
         seeds = range(len(images), wanted)
         with ThreadPoolExecutor(THREADS) as pool:
             images += pool.map(
-                lambda batch: traced(scene, grid, (seed, batch), highest, faintest, CLASSES, lattice), seeds
+                lambda batch: traced(scene, grid, (seed, batch), highest, faintest, CLASSES, lattice, thinning), seeds
             )
         stack = np.array(images)
         if grid.symmetric:
@@ -103,6 +107,12 @@ def high_orders(
         np.abs(grid.to_pixels(spread)),
         len(images) * lattice.points,
     )
+
+
+def _thinning(scene: Scene) -> int:
+    """Order from which later ones need fewer paths: the deeper the water in free paths, the later (measured)."""
+    depth = scene.medium.sigma_t * scene.tank.size_mm[2]
+    return 4 if depth < 4.0 else 16 if depth < 8.0 else 32
 
 
 def _averaged(batches: Array) -> tuple[Array, Array]:
@@ -172,7 +182,7 @@ def mirror_symmetric(scene: Scene) -> bool:
 
 def traced(
     scene: Scene, grid: CellGrid, seed: tuple[int, int], max_order: int, faintest: float, bins: Bins,
-    lattice: Lattice = LARGE,
+    lattice: Lattice = LARGE, thinning: int = THINNING,
 ) -> Array:  # fmt: skip
     """Images of one shifted lattice of paths, W/mm²/sr.
 
@@ -192,6 +202,8 @@ def traced(
         Index of the image that each order goes to.
     lattice
         Of the paths.
+    thinning
+        Order from which every doubling of the order halves the paths.
 
     Returns
     -------
@@ -216,7 +228,7 @@ def traced(
             edges[:] = 0.0
         trace(
             edges, cells if z_mm is None else cells[:, :0], bins, geometry, shiftable, grid.cell_mm,
-            medium.sigma_t, medium.albedo, medium.g, table, shifted, 0, points, max_order, faintest,
+            medium.sigma_t, medium.albedo, medium.g, table, shifted, 0, points, max_order, faintest, thinning,
         )  # fmt: skip
         if z_mm is None:
             cells *= power.sum() / (points * grid.cell_mm[0] * grid.cell_mm[1])

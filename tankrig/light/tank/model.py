@@ -68,7 +68,7 @@ def tank_image(
     zero = np.zeros(scene.camera.shape)
     stderr, skipped = zero, [("light that leaves the tank through its black walls", 0.0)]
     if highest >= 2:
-        orders[2] = double_scattering(scene)
+        orders[2] = double_scattering(scene, tolerance)
     known = sum(orders.values(), zero)
     if highest >= 3 and scene.medium.sigma_s > 0.0:
         faintest = 0.01 * tolerance

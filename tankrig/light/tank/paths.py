@@ -30,8 +30,6 @@ Array = NDArray[np.float64]
 
 START_COORDINATES = 4
 FLIGHT_COORDINATES = 6
-FIRST_THINNING = 16
-"""From this order on, every doubling of the order halves the paths: later orders are smoother."""
 UNTURNED = 0.4
 """Share of the paths that are scattered by the phase function alone."""
 TURNS = 12
@@ -42,7 +40,7 @@ TURNS = 12
 def trace(
     edges: Array, cells: Array, bins: Bins, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float],
     sigma_t: float, albedo: float, g: float, beams: Array, lattice: Array, start: int, stop: int,
-    max_order: int, faintest: float,
+    max_order: int, faintest: float, first_thinning: int,
 ) -> None:  # fmt: skip
     """Follow the paths of lattice points `start` … `stop` − 1 and record their orders ≥ 3.
 
@@ -74,6 +72,8 @@ def trace(
         Highest order to follow.
     faintest
         Share of its starting weight at which a path ends.
+    first_thinning
+        From this order on, every doubling of the order halves the paths: later orders are smoother.
     """
     length, half_width, height = geometry.length, geometry.half_width, geometry.height
     index = geometry.refractive_index
@@ -108,12 +108,12 @@ def trace(
         sx, sy, sz = 0.0, 0.0, 1.0
         rx, ry, rz = 1.0, 0.0, 0.0
         order = 1
-        thinning = FIRST_THINNING
+        thinning = first_thinning
         while order < max_order and weight > limit:
             first = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
             if order == thinning:
                 thinning *= 2
-                if (point // (order // FIRST_THINNING)) % 2 == 1:
+                if (point // (order // first_thinning)) % 2 == 1:
                     break
                 weight *= 2.0
                 limit *= 2.0
