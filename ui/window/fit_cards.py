@@ -64,7 +64,7 @@ class OrderBars(QWidget):
             bar = QProgressBar()
             bar.setRange(0, 1000)
             bar.setFormat("–")
-            bar.setFixedHeight(22)
+            bar.setFixedHeight(20)
             bar.setAlignment(Qt.AlignmentFlag.AlignCenter)
             label = QLabel(words)
             label.setToolTip("root mean square of what is left over, in percent of the brightest pixel")

@@ -37,7 +37,7 @@ class FitCurves(QWidget):
             plot.addItem(points)
             row.addWidget(widget, 1)
             self._plots[name] = plot, line, bars, points
-            widget.setMinimumHeight(130)
+            widget.setMinimumHeight(112)
 
     def show_fits(self, fits: Sequence[Mapping[str, Any]], against: str, series: Mapping[str, Any] | None) -> None:
         """Show fits of doses; `against` is "dose_ml" or "time_s", a key that each has."""

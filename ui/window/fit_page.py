@@ -168,7 +168,7 @@ class FitPage(QWidget):
         )
         pictures = QHBoxLayout()
         for plot in (self._observed, self._model, self._residual):
-            plot.widget.setMinimumHeight(120)
+            plot.widget.setMinimumHeight(104)
             pictures.addWidget(plot.widget, 1)
         self._pattern, self._against, self._same = QComboBox(), QComboBox(), QCheckBox("residual on the same scale")
         self._pattern.setMinimumWidth(140)

@@ -19,7 +19,7 @@ class Histogram(QObject):
     def __init__(self) -> None:
         super().__init__()
         self.widget = pg.PlotWidget()
-        self.widget.setFixedHeight(96)
+        self.widget.setFixedHeight(84)
         plot = self.widget.getPlotItem()
         plot.hideAxis("left")
         plot.hideButtons()

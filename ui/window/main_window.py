@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
-from PySide6.QtWidgets import QDockWidget, QLabel, QMainWindow, QTabWidget, QToolBar, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QDockWidget, QLabel, QMainWindow, QScrollArea, QTabWidget, QToolBar, QVBoxLayout, QWidget
 
 from ui.window import theme
 from ui.window.background import Background
@@ -291,7 +291,7 @@ class MainWindow(QMainWindow):
         for title, page in pages.items():
             dock = QDockWidget(title)
             dock.setObjectName(title)
-            dock.setWidget(page)
+            dock.setWidget(_scrolled(page))
             self.docks[page] = dock
         self._words, self._held = QLabel("opening the rig"), QLabel()
         self.statusBar().addWidget(self._words, 1)
@@ -369,3 +369,12 @@ class MainWindow(QMainWindow):
         last = self._settings.value("sequence")
         if last and Path(str(last)).is_file():
             self.sequence.load(Path(str(last)))
+
+
+def _scrolled(page: QWidget) -> QScrollArea:
+    """A page that small screens scroll."""
+    area = QScrollArea()
+    area.setWidgetResizable(True)
+    area.setFrameShape(QScrollArea.Shape.NoFrame)
+    area.setWidget(page)
+    return area

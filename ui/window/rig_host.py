@@ -369,7 +369,7 @@ class RigHost(QObject):
             with suppress(DeviceError, AttributeError):  # a device that is gone is told of by whoever works with it
                 status = replace(
                     status, tank=guard.delivered(), remaining=guard.remaining(), stopped=guard.stopped,
-                    undecided=self._question or guard.undecided,
+                    undecided=self._question or (None if self._dosing() else guard.undecided),
                 )  # fmt: skip
         if runner is not None:
             status = replace(status, progress=runner.progress(), run_state=runner.state)

@@ -1,0 +1,169 @@
+"""The window when things go wrong: nothing acknowledged is lost, the pump stands still, the reason is said."""
+
+import errno
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from PySide6.QtTest import QTest
+
+import tankrig
+from drivers.emulation.truth import read_truth
+from drivers.rig import load_rig_file
+from tankrig.devices import Delivered
+from tankrig.dosing import TankLedger
+from tankrig.dosing.records import Joint
+from tankrig.run import disk
+from tankrig.run.recovery import recover
+from tests.window_rig import LONG_DOSE, until, window_on, write_rig
+
+FRAMES = 'name = "frames"\nexposure_ms = 2.0\n[[steps]]\ndo = "capture"\npattern = "dark"\nframes = 400\n'
+
+
+def steps_of(folder: Path) -> int:
+    """What the plunger has really pushed out so far."""
+    return read_truth(folder / "rig" / "tank" / "state").steps
+
+
+def began(window, folder: Path, sequence: str) -> None:
+    (folder / "sequence.toml").write_text(sequence)
+    window.sequence.load(folder / "sequence.toml")
+    until(lambda: window.top.run.isEnabled())
+    window.run()
+    until(lambda: window.status.running)
+
+
+def only_run(folder: Path) -> Path:
+    (run,) = [path.parent for path in (folder / "runs").glob("*/zarr.json")]
+    return run
+
+
+def test_closing_in_a_dose_stops_it_and_the_run_is_offered_again(tmp_path):
+    """Whoever closes the window goes home; ink that flows on fills the tank."""
+    rig = write_rig(tmp_path)
+    with window_on(tmp_path, rig) as window:
+        began(window, tmp_path, LONG_DOSE)
+        until(lambda: window.status.tank is not None and window.status.tank.volume_ul > 30.0)
+        window.close()
+        assert window.isVisible()  # it stays until all is safe, and says so
+        assert "closes when all it recorded is safe" in window.banner.text
+        until(lambda: not window.isVisible())
+    held = steps_of(tmp_path)
+    assert 300 < held < 9000
+    time.sleep(0.3)
+    assert steps_of(tmp_path) == held
+    assert tankrig.open_run(only_run(tmp_path)).end["reason"] == "aborted"
+    with window_on(tmp_path, rig) as window:
+        until(lambda: "was aborted" in window.banner.text)
+        assert not window.banner._action.isHidden()
+        ended = []
+        window.host.run_ended.connect(ended.append)
+        window.banner._action.click()
+        until(lambda: ended, 60.0)
+        assert ended[0].reason.value == "completed", ended[0].error
+        assert steps_of(tmp_path) == 9000
+
+
+def test_an_unplugged_camera_ends_the_run_and_is_named(tmp_path):
+    """A person must know which cable to look at, and what was recorded."""
+    with window_on(tmp_path, write_rig(tmp_path, camera="faults = { unplugged_from = 60 }")) as window:
+        until(lambda: window.live.displayed)
+        began(window, tmp_path, FRAMES)
+        until(lambda: "camera" in window.banner.text and "is gone" in window.banner.text, 40.0)
+        assert "Resume it" in window.banner._action.text()
+    found = recover(only_run(tmp_path))
+    assert found.frames > 0
+    assert not found.damaged
+
+
+def test_a_full_disk_ends_the_run_and_says_so(tmp_path, monkeypatch):
+    """What was acknowledged stays; what to do is on screen."""
+    write, count = disk.write, []
+
+    def full(path: Path, data: bytes) -> None:
+        count.append(path)
+        if len(count) > 40 and "frames" in str(path):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(path, data)
+
+    monkeypatch.setattr(disk, "write", full)
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        began(window, tmp_path, FRAMES)
+        until(lambda: "No space left" in window.banner.text, 40.0)
+        assert "free some space" in window.banner.text
+    found = recover(only_run(tmp_path))
+    assert found.frames > 10
+    assert not found.damaged
+
+
+def test_an_unknown_tank_is_explained_and_resolved(tmp_path):
+    """After a crash in a dose nobody knows what the tank holds; a window that guesses doses twice."""
+    rig = write_rig(tmp_path)
+    ledger = TankLedger(load_rig_file(rig).ledger)
+    nothing = Delivered(0.0, 0.0, 0.0)
+    ledger.join(Joint("another doser", nothing, nothing))
+    ledger.begin("some run", 500.0)
+    ledger.close()
+    with window_on(tmp_path, rig) as window:
+        until(lambda: window.status.undecided is not None)
+        assert window.doser._unknown.isVisibleTo(window.doser)
+        assert "between 0 and 500 µl" in window.doser._question.text()
+        assert not window.doser._dose.isEnabled()
+        assert "see the Doser page" in window._words.text()
+        window.doser._truth.edit.setText("700")
+        window.doser._ask_resolve()
+        until(lambda: "it is between 0 and 500 µl" in window.banner.text)
+        window.doser._truth.edit.setText("120")
+        window.doser._ask_resolve()
+        until(lambda: window.status.undecided is None and window.status.tank.volume_ul == 120.0)
+        assert not window.doser._unknown.isVisibleTo(window.doser)
+
+
+@pytest.mark.long
+def test_a_killed_program_stops_the_pump_and_loses_nothing(tmp_path):
+    """kill -9 is what a power switch, or an impatient person, does."""
+    rig = write_rig(tmp_path)
+    (tmp_path / "sequence.toml").write_text(LONG_DOSE)
+    program = (
+        "import sys\nfrom pathlib import Path\nfrom tests.window_rig import window_on, until\n"
+        f"folder = Path({str(tmp_path)!r})\n"
+        "if __name__ == '__main__':\n"
+        f"    with window_on(folder, Path({str(rig)!r})) as window:\n"
+        "        window.sequence.load(folder / 'sequence.toml')\n"
+        "        until(lambda: window.top.run.isEnabled())\n"
+        "        window.run()\n"
+        "        until(lambda: False, 60.0)\n"
+    )
+    script = tmp_path / "window.py"
+    script.write_text(program)
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    child = subprocess.Popen([sys.executable, str(script)], env=environment)
+    deadline = time.monotonic() + 60.0
+    while (
+        not list((tmp_path / "runs").glob("*/journal.jsonl"))
+        or b"dose_intent" not in next((tmp_path / "runs").glob("*/journal.jsonl")).read_bytes()
+    ):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    time.sleep(0.4)
+    child.kill()
+    child.wait()
+    time.sleep(2.5)  # the doser's own watchdog
+    held = steps_of(tmp_path)
+    assert 0 < held < 9000
+    assert not recover(only_run(tmp_path)).damaged
+    with window_on(tmp_path, rig) as window:
+        until(lambda: "was interrupted" in window.banner.text)
+        window.banner._action.click()
+        until(lambda: window.status.undecided is not None, 30.0)
+        window.doser._truth.edit.setText(f"{held / 10.0:.1f}")
+        ended = []
+        window.host.run_ended.connect(ended.append)
+        window.doser._ask_resolve()
+        until(lambda: ended, 60.0)
+        assert ended[0].reason.value == "completed", ended[0].error
+    assert steps_of(tmp_path) == 9000
+    QTest.qWait(1)
