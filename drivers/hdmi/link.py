@@ -67,75 +67,91 @@ def list_screens() -> tuple[Screen, ...]:
     DeviceError
         When there is no desktop, or it does not answer.
     """
+    link = WindowLink("screens", _START_S)
     try:
-        done = subprocess.run(_command(), capture_output=True, text=True, timeout=_START_S, check=False)
-    except subprocess.TimeoutExpired as error:
-        raise DeviceError("screens: the desktop does not answer; log out and in again") from error
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no reason given"])[0]
-        raise DeviceError(
-            f"screens: there is no desktop to ask ({last}); run this in a graphical session, or set DISPLAY"
-        )
-    return tuple(_screen(facts) for facts in json.loads(done.stdout))
+        return link.screens()
+    finally:
+        link.close()
 
 
 class WindowLink:
-    """A window on the screen at `output`, in its own process.
+    """The process of a window that is to be opened.
 
     Parameters
     ----------
     name
         Of the projector, for messages.
-    output
-        Where.
-    shape
-        (rows, columns) of the picture.
-    colours
-        256 numbers 0xAARRGGBB: what goes out for each level.
     timeout_s
         How long to wait for an answer.
     """
 
-    def __init__(
-        self, name: str, output: str, shape: tuple[int, int], colours: Sequence[int], timeout_s: float
-    ) -> None:
+    def __init__(self, name: str, timeout_s: float) -> None:
         self._name, self._timeout_s = name, timeout_s
         self._unread = b""
         self._number = 0
         self._gone: str | None = None
-        rows, columns = shape
-        memory = os.memfd_create("tankrig projector")
-        os.ftruncate(memory, rows * columns)
-        self._memory = mmap.mmap(memory, rows * columns)
-        self._pixels: NDArray[np.uint8] = np.frombuffer(self._memory, np.uint8).reshape(shape)
+        self._memory = os.memfd_create("tankrig projector")
         self._socket, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [*_command(), str(theirs.fileno()), str(memory)],
-                pass_fds=(theirs.fileno(), memory),
+                [sys.executable, "-m", "drivers.hdmi.window", str(theirs.fileno()), str(self._memory)],
+                pass_fds=(theirs.fileno(), self._memory),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
             )
-        os.close(memory)
+
+    def screens(self) -> tuple[Screen, ...]:
+        """All that there are.
+
+        Raises
+        ------
+        DeviceError
+            When there is no desktop.
+        """
         try:
-            self._send(do="open", output=output, shape=list(shape), colours=list(colours))
-            self.awake: bool = self._answer("opened", True, _START_S)["awake"]
-        except BaseException:
-            self.close()
-            raise
+            told = self._ask("list", _START_S)["screens"]
+        except DeviceError as error:
+            raise DeviceError(
+                f"{self._name}: there is no desktop to ask for its screens; "
+                f"run this in a graphical session, or set DISPLAY"
+            ) from error
+        return tuple(_screen(facts) for facts in told)
+
+    def open(self, output: str, shape: tuple[int, int], colours: Sequence[int]) -> bool:
+        """Open the window; returns whether the screen will be kept from blanking.
+
+        Parameters
+        ----------
+        output
+            Where.
+        shape
+            (rows, columns) of the picture.
+        colours
+            256 numbers 0xAARRGGBB: what goes out for each level.
+        """
+        rows, columns = shape
+        os.ftruncate(self._memory, rows * columns)
+        pixels = mmap.mmap(self._memory, rows * columns)
+        self._pixels: NDArray[np.uint8] = np.frombuffer(pixels, np.uint8).reshape(shape)
+        facts = {"output": output, "shape": list(shape), "colours": list(colours)}
+        awake: bool = self._ask("open", _START_S, **facts)["awake"]
+        return awake
 
     def show(self, pixels: NDArray[np.uint8]) -> int:
         """Show a picture; when its frame was swapped, monotonic ns."""
         self._pixels[:] = pixels
-        swapped_ns: int = self._ask("show")["swapped_ns"]
+        swapped_ns: int = self._ask("show", self._timeout_s)["swapped_ns"]
         return swapped_ns
 
     def check(self) -> None:
         """Raise a DeviceError unless the window is still where it was opened."""
-        self._ask("check")
+        self._ask("check", self._timeout_s)
 
     def close(self) -> None:
         """End the process; may be called any number of times."""
+        if self._memory >= 0:
+            os.close(self._memory)
+            self._memory = -1
         self._gone = self._gone or "is closed; open it again"
         self._socket.close()
         try:
@@ -144,10 +160,10 @@ class WindowLink:
             self._process.kill()
             self._process.wait(_END_S)
 
-    def _ask(self, what: str) -> dict[str, Any]:
+    def _ask(self, what: str, timeout_s: float, **facts: Any) -> dict[str, Any]:
         self._number += 1
-        self._send(do=what, number=self._number)
-        return self._answer("number", self._number, self._timeout_s)
+        self._send(do=what, number=self._number, **facts)
+        return self._answer(self._number, timeout_s)
 
     def _send(self, **facts: Any) -> None:
         if self._gone:
@@ -155,14 +171,14 @@ class WindowLink:
         with suppress(BrokenPipeError, ConnectionResetError):  # what it said last is still to be read
             self._socket.sendall(json.dumps(facts).encode() + b"\n")
 
-    def _answer(self, key: str, value: object, timeout_s: float) -> dict[str, Any]:
-        """The line in which `key` is `value`; older ones are passed over."""
+    def _answer(self, number: int, timeout_s: float) -> dict[str, Any]:
+        """The line that answers question `number`; late answers to others are passed over."""
         deadline_s = time.monotonic() + timeout_s
         while True:
             facts = self._line(deadline_s, timeout_s)
             if "gone" in facts:
                 self._lose(f"{facts['gone']}; connect the projector as before and open it again")
-            if facts.get(key) == value:
+            if facts.get("number") == number:
                 return facts
 
     def _line(self, deadline_s: float, timeout_s: float) -> dict[str, Any]:
@@ -186,10 +202,6 @@ class WindowLink:
     def _lose(self, reason: str) -> None:
         self._gone = self._gone or reason
         raise DeviceError(f"{self._name}: {self._gone}")
-
-
-def _command() -> list[str]:
-    return [sys.executable, "-m", "drivers.hdmi.window"]
 
 
 def _screen(facts: dict[str, Any]) -> Screen:

@@ -10,7 +10,7 @@ from tankrig.devices import Flip
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
-from .link import Screen, WindowLink, list_screens
+from .link import Screen, WindowLink
 from .settings import HdmiProjectorSettings
 
 SwapClock = Callable[[int], int]
@@ -45,9 +45,11 @@ class HdmiProjector:
         self._swap_clock = swap_clock
         self._turn = threading.Lock()
         colours = _colours(settings.response)
-        screen = self._screen()
-        self._link = WindowLink(self.name, screen.output, settings.shape, colours, settings.timeout_s)
+        self._link = WindowLink(self.name, settings.timeout_s)
         try:
+            screen = self._chosen(self._link.screens())
+            self.kept_awake = self._link.open(screen.output, settings.shape, colours)
+            """Whether the desktop or the X server has promised not to blank the screen."""
             self.swap_ms = self._swap_intervals_ms()
             self._require_steady()
         except BaseException:
@@ -63,11 +65,6 @@ class HdmiProjector:
     def shape(self) -> tuple[int, int]:
         """(rows, columns)."""
         return self._settings.shape
-
-    @property
-    def kept_awake(self) -> bool:
-        """Whether the desktop or the X server has promised not to blank the screen."""
-        return self._link.awake
 
     def show(self, pattern: Pattern) -> Flip:
         """Swap `pattern` onto the output, and return when it is there.
@@ -102,9 +99,9 @@ class HdmiProjector:
         """Take the window off the screen."""
         self._link.close()
 
-    def _screen(self) -> Screen:
+    def _chosen(self, screens: tuple[Screen, ...]) -> Screen:
         """The one that the settings describe, if it is fit."""
-        settings, screens = self._settings, list_screens()
+        settings = self._settings
         wanted = settings.screen.model_dump(exclude_none=True)
         found = [screen for screen in screens if all(getattr(screen, key) == value for key, value in wanted.items())]
         if not wanted or len(found) != 1:

@@ -97,6 +97,9 @@ class Projection(QObject):
     def _say(self, **facts: Any) -> None:
         self._connection.sendall(json.dumps(facts).encode() + b"\n")
 
+    def _list(self, asked: dict[str, Any]) -> None:
+        self._say(number=asked["number"], screens=[described(screen) for screen in QGuiApplication.screens()])
+
     def _open(self, asked: dict[str, Any]) -> None:
         output, (rows, columns) = asked["output"], asked["shape"]
         screen = next((s for s in QGuiApplication.screens() if s.name() == output), None)
@@ -115,7 +118,7 @@ class Projection(QObject):
             change.connect(self._moved)
         QGuiApplication.instance().screenRemoved.connect(self._removed)  # type: ignore[union-attr]
         self._awake = keep_awake()
-        self._say(opened=True, awake=bool(self._awake))
+        self._say(number=asked["number"], awake=bool(self._awake))
 
     def _show(self, asked: dict[str, Any]) -> None:
         if self._window is not None:
@@ -155,15 +158,12 @@ class Projection(QObject):
 
 
 def main(arguments: list[str]) -> int:
-    """List the screens, or be the window."""
+    """Be the window until the other side ends."""
     form = QSurfaceFormat()
     form.setSwapInterval(1)
     QSurfaceFormat.setDefaultFormat(form)
     QGuiApplication.setQuitOnLastWindowClosed(False)
     application = QGuiApplication(["tankrig projector"])
-    if not arguments:
-        print(json.dumps([described(screen) for screen in QGuiApplication.screens()]))  # noqa: T201
-        return 0
     connection = socket.socket(fileno=int(arguments[0]))
     projection = Projection(connection, int(arguments[1]))
     code = application.exec()

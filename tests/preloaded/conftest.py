@@ -12,6 +12,8 @@ from drivers.v4l2.camera import V4l2Camera
 
 from .fake_v4l2 import FakeDevice
 
+os.environ.pop("LD_PRELOAD", None)  # it is for this process, and for none that it starts
+
 
 @pytest.fixture
 def device() -> FakeDevice:
