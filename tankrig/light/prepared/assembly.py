@@ -57,10 +57,9 @@ def assemble(plan: Plan, sampling: PathImages, images: Images, shape: tuple[int,
     patterns = _patterns(plan, [*exact, rest[0]])
     first, second, whole, one, other = (_projected(term, patterns) for term in [*exact, *rest])
     terms = (first, second, whole)
-    found = Answer(plan.coordinates, terms, patterns, shape, np.zeros((1, 1, 1)))
-    beside = _error_of_exact_orders(plan, images.checks, found)
+    beside = _error_of_exact_orders(plan, images.checks, terms[:2], patterns)
     error = _error_of_the_rest(plan, (one, other), terms, beside)
-    return Answer(plan.coordinates, terms, patterns, shape, error)
+    return Answer(plan.coordinates, terms, patterns.astype(np.float32), shape, error)
 
 
 def _exact_term(plan: Plan, images: Array, order: int) -> Term:
@@ -139,15 +138,15 @@ def _projected(term: Term, patterns: Array) -> Term:
     return Term(term.power, term.plane, term.scale_plane, term.amplitudes @ patterns.T, term.scale)
 
 
-def _error_of_exact_orders(plan: Plan, checks: Array, found: Answer) -> float:
+def _error_of_exact_orders(plan: Plan, checks: Array, terms: tuple[Term, ...], patterns: Array) -> float:
     """Largest relative error of orders 1 and 2 together at media beside their grid."""
     largest = 0.0
     for sample, orders in zip(plan.checks, checks, strict=True):
         albedo = plan.albedos[0]
         truth = albedo * orders[0] + albedo**2 * orders[1]
         at = (*plan.coordinates.of(sample.sigma_t, albedo, sample.g), sample.sigma_t, albedo)
-        amplitudes = np.sum([term.at(*at)[0] for term in found.terms[:2]], axis=0)
-        largest = max(largest, float(np.linalg.norm(amplitudes @ found.patterns - truth) / np.linalg.norm(truth)))
+        amplitudes = np.sum([term.at(*at)[0] for term in terms], axis=0)
+        largest = max(largest, float(np.linalg.norm(amplitudes @ patterns - truth) / np.linalg.norm(truth)))
     return largest
 
 

@@ -30,7 +30,7 @@ def unpacked(arrays: Arrays, coordinates: Coordinates, shape: tuple[int, int]) -
         plane, scale_plane = (Plane((int(i), int(j)), float(f)) for i, j, f in arrays[f"{name}_planes"].astype(float))
         amplitudes, scale = (np.asarray(arrays[f"{name}_{part}"], float) for part in ("amplitudes", "scale"))
         terms.append(Term(int(arrays[f"{name}_power"]), plane, scale_plane, amplitudes, scale))
-    patterns, error = (np.asarray(arrays[name], float) for name in ("patterns", "error"))
+    patterns, error = np.asarray(arrays["patterns"], np.float32), np.asarray(arrays["error"], float)
     return Answer(coordinates, tuple(terms), patterns, shape, error)
 
 

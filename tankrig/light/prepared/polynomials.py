@@ -1,7 +1,7 @@
 """Chebyshev polynomials of one and two coordinates on [−1, 1]."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -80,9 +80,16 @@ class Plane:
 
     def values_and_slopes(self, first: float, second: float) -> Array:
         """Products at one place and their derivatives by the two coordinates, (3, size)."""
-        i, j = self.pairs
-        a, b = values_and_slopes(first, self.degrees[0])[:, i], values_and_slopes(second, self.degrees[1])[:, j]
-        result = np.empty((3, i.size))
-        np.multiply(a, b[0], out=result[:2])
-        np.multiply(a[0], b[1], out=result[2])
-        return result
+        return _products(self, first, second)
+
+
+@lru_cache(maxsize=8)
+def _products(plane: Plane, first: float, second: float) -> Array:
+    """The same, remembered, as several terms ask for them."""
+    i, j = plane.pairs
+    a, b = values_and_slopes(first, plane.degrees[0])[:, i], values_and_slopes(second, plane.degrees[1])[:, j]
+    result = np.empty((3, i.size))
+    np.multiply(a, b[0], out=result[:2])
+    np.multiply(a[0], b[1], out=result[2])
+    result.flags.writeable = False
+    return result

@@ -90,7 +90,7 @@ class _Work:
         """Bytes that the images take."""
         return 8 * (
             2 * self._pixels * (len(self._plan.exact) + len(self._plan.checks))
-            + int(np.prod(self.sampling.shape)) * len(self._plan.paths)
+            + int(np.prod(self.sampling.shape)) * len(self._plan.paths) // 2
         )
 
     def images(self, progress: Progress) -> Images:
@@ -115,14 +115,15 @@ class _Work:
         }
         return Images(stacks["exact"], stacks["check"], stacks["paths"])
 
-    def _image(self, job: _Job) -> Array:
+    def _image(self, job: _Job) -> NDArray[np.floating]:
         path = self._place.parts / f"{job.name}.npz"
         known = self._place.kept(path)
         if known is not None:
             return np.asarray(known["image"], float)
         sample = job.sample
+        image: NDArray[np.floating]
         if sample.batches:
-            image = self.sampling.sample(sample.sigma_t, sample.g, sample.index, sample.batches)
+            image = self.sampling.sample(sample.sigma_t, sample.g, sample.index, sample.batches).astype(np.float32)
         else:
             image = exact_images(self._scene, sample.sigma_t, sample.g)
         self._place.keep(path, {"image": image})

@@ -1,10 +1,12 @@
 """A part of the image as a function of the medium: polynomials whose coefficients are spatial patterns."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.compiled import kernel
 from tankrig.light.prepared.polynomials import Plane, values_and_slopes
 
 Array = NDArray[np.float64]
@@ -55,19 +57,38 @@ class Term:
             The amplitudes, and their derivatives by σt, ϖ and g.
         """
         u, w, v = place
-        count, _, patterns = self.amplitudes.shape
-        q = values_and_slopes(w, max(count, self.scale.shape[0]) - 1)
-        p = self.plane.values_and_slopes(u, v)
-        folded = (q[:, :count] @ self.amplitudes.reshape(count, -1)).reshape(2, -1, patterns)
-        found = np.empty((4, patterns))
-        found[[0, 1, 3]] = p @ folded[0]
-        found[2] = p[0] @ folded[1]
-        r = self.scale_plane.values_and_slopes(u, v)
-        folded_scale = q[:, : self.scale.shape[0]] @ self.scale
-        bright, by_u, by_v = r @ folded_scale[0]
-        by_w = r[0] @ folded_scale[1]
-        found[1:] += np.array([by_u, by_w, by_v])[:, None] * found[0]
-        found[1:] *= rates[:, None]
+        by_albedo = values_and_slopes(w, max(self.amplitudes.shape[0], self.scale.shape[0]) - 1)
+        bright = _summed(by_albedo, self.scale_plane.values_and_slopes(u, v), self.scale[:, :, None])[:, 0]
+        found = _summed(by_albedo, self.plane.values_and_slopes(u, v), self.amplitudes)
+        found[1:] = rates[:, None] * (found[1:] + bright[1:, None] * found[0])
         found[1] += self.power / sigma_t * found[0]
         found[2] += self.power / albedo * found[0]
-        return np.asarray(found * (np.exp(bright) * (albedo * sigma_t) ** self.power))
+        found *= math.exp(bright[0]) * (albedo * sigma_t) ** self.power
+        return found
+
+
+@kernel
+def _summed(by_albedo: Array, products: Array, amplitudes: Array) -> Array:
+    """Polynomials times amplitudes, and the derivatives of that by u, w and v, (4, patterns).
+
+    Parameters
+    ----------
+    by_albedo
+        (2, degrees) polynomials of w and their derivatives.
+    products
+        (3, plane.size) polynomials of u and v and their derivatives by each.
+    amplitudes
+        (degrees, plane.size, patterns).
+    """
+    found = np.zeros((4, amplitudes.shape[2]))
+    for m in range(amplitudes.shape[0]):
+        for p in range(amplitudes.shape[1]):
+            value, by_u = by_albedo[0, m] * products[0, p], by_albedo[0, m] * products[1, p]
+            by_w, by_v = by_albedo[1, m] * products[0, p], by_albedo[0, m] * products[2, p]
+            for k in range(amplitudes.shape[2]):
+                amplitude = amplitudes[m, p, k]
+                found[0, k] += value * amplitude
+                found[1, k] += by_u * amplitude
+                found[2, k] += by_w * amplitude
+                found[3, k] += by_v * amplitude
+    return found
