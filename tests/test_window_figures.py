@@ -1,0 +1,233 @@
+"""The window's figures, on a machine that does nothing else: `pytest -m long -s tests/test_window_figures.py`.
+
+TANKRIG_RUN_S gives the length of the long run in seconds; the issue's own is 300.
+"""
+
+import os
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+
+import drivers.rig
+from tankrig.devices import CameraSettings, Frame
+from tankrig.errors import DeviceError
+from tests.window_rig import until, window_on, write_rig
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
+
+SHAPE, PIXEL_MM, RATE = (1024, 1280), 0.15625, 30.0
+RUN_S = float(os.environ.get("TANKRIG_RUN_S", "60"))
+KEPT_FRAMES = 300
+STOP_BYTE = b"\x18"
+
+
+class PreparedCamera:
+    """Frames that were made before, 30 a second; `silent` makes it hang."""
+
+    name, shape, saturation = "prepared camera", SHAPE, 65535
+
+    def __init__(self, pictures: list[np.ndarray]) -> None:
+        self._pictures, self._number = pictures, 0
+        self._closed, self.silent = threading.Event(), False
+        self._start = time.monotonic()
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        return settings
+
+    def capture(self, after_ns: int, timeout_s: float) -> Frame:
+        if self.silent and self._closed.wait(timeout_s):
+            raise DeviceError("prepared camera: is closed; open it again")
+        self._number = max(self._number + 1, int((after_ns / 1e9 - self._start) * RATE) + 1)
+        due = self._start + self._number / RATE
+        time.sleep(max(0.0, due - time.monotonic()))
+        start_ns = int(due * 1e9)
+        pixels = self._pictures[self._number % len(self._pictures)]
+        return Frame(pixels, start_ns, start_ns, time.monotonic_ns(), self._number)
+
+    def close(self) -> None:
+        self._closed.set()
+
+
+def pictures() -> list[np.ndarray]:
+    """Of a sheet in milky water, with shot noise."""
+    random = np.random.default_rng(0)
+    x = np.arange(SHAPE[1]) * PIXEL_MM
+    y = (np.arange(SHAPE[0]) - SHAPE[0] / 2) * PIXEL_MM
+    light = 200.0 + 20000.0 * np.exp(-x / 120.0) / (1.0 + np.exp((np.abs(y[:, None]) - 60.0) / 4.0))
+    return [random.poisson(light).astype(np.uint16) for _ in range(8)]
+
+
+@pytest.fixture
+def prepared(tmp_path, monkeypatch):
+    """A rig file whose camera is the prepared one; the camera comes with it."""
+    cameras: list[PreparedCamera] = []
+    made, open_device, load = pictures(), drivers.rig.open_device, drivers.rig.load_rig_file
+
+    def opened(name: str, settings: Any) -> Any:
+        if name != "simulated-camera":
+            return open_device(name, settings)
+        cameras.append(PreparedCamera(made))
+        return cameras[-1]
+
+    def loaded(*arguments: Any) -> Any:
+        description = load(*arguments)
+        camera = replace(description.bench.camera, shape=SHAPE, pixel_mm=PIXEL_MM)
+        return replace(description, bench=replace(description.bench, camera=camera))
+
+    monkeypatch.setattr(drivers.rig, "open_device", opened)
+    monkeypatch.setattr(drivers.rig, "load_rig_file", loaded)
+    return write_rig(tmp_path), cameras
+
+
+@contextmanager
+def ring(runs: Path):
+    """Keeps only the newest frames of a run on disk, so that it may go on for as long as one likes."""
+    ending = threading.Event()
+
+    def work() -> None:
+        oldest = 0
+        while not ending.wait(0.5):
+            frames = next(runs.glob("*/frames"), None)
+            while frames and (frames / f"c.{oldest + KEPT_FRAMES}.0.0").exists():
+                (frames / f"c.{oldest}.0.0").unlink()
+                oldest += 1
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    yield
+    ending.set()
+    thread.join()
+
+
+def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepared):
+    """Gaps of the event loop, pictures per second and memory: what a person feels as getting in the way."""
+    rig, _ = prepared
+    steps = int(RUN_S * RATE / 150)
+    (tmp_path / "sequence.toml").write_text(
+        'name = "long"\n[patterns.sheet]\nkind = "sheet"\ny_mm = [-60.0, 60.0]\nz_mm = [56.0, 64.0]\n'
+        '[[steps]]\ndo = "capture"\npattern = "dark"\nframes = 2\n[[steps]]\ndo = "dose"\ntotal_ul = 300.0\n'
+        f'[[steps]]\ndo = "repeat"\ntimes = {steps}\nsteps = [{{ do = "capture", pattern = "sheet", frames = 150 }}]\n'
+    )
+    with window_on(tmp_path, rig) as window, ring(tmp_path / "runs"):
+        window.sequence.load(tmp_path / "sequence.toml")
+        until(lambda: window.top.run.isEnabled())
+        QTest.qWait(3000)
+        ended: list[Any] = []
+        window.host.run_ended.connect(ended.append)
+        window.run()
+        until(lambda: window.status.running and window.status.progress.step > 3, 60.0)
+        window.show_page(window.fit)
+        QTest.qWait(10_000)
+        memory = psutil.Process()
+        window.gaps.reset()
+        began, displayed, held = time.monotonic(), window.live.displayed, memory.memory_info().rss
+        until(lambda: ended or window.status.progress.step >= steps, RUN_S + 60.0)
+        seconds = time.monotonic() - began
+        worst, longest = window.gaps.worst_ms, window.gaps.longest(5)
+        rate = (window.live.displayed - displayed) / seconds
+        grown = (memory.memory_info().rss - held) / 1e6
+        fits = len(window.fit._fits)
+        window.stop()
+        until(lambda: ended, 60.0)
+    print(
+        f"\n{seconds:.0f} s of {SHAPE[1]} × {SHAPE[0]} 16-bit at {RATE:g} Hz, {fits} fits: worst gap {worst:.0f} ms "
+        f"(the longest of the last 20 s: {', '.join(f'{gap:.0f}' for gap in longest)}), "
+        f"{rate:.1f} pictures/s, memory {grown:+.1f} MB"
+    )
+    assert rate > 29.0
+    assert fits > 1
+
+
+@pytest.fixture
+def stops(monkeypatch):
+    """When stop bytes went onto the wire."""
+    import serial
+
+    seen: list[float] = []
+    write = serial.Serial.write
+
+    def watched(port: Any, data: bytes) -> Any:
+        done = write(port, data)
+        if STOP_BYTE in bytes(data):
+            seen.append(time.perf_counter())
+        return done
+
+    monkeypatch.setattr(serial.Serial, "write", watched)
+    return seen
+
+
+@pytest.mark.parametrize("trouble", ["nothing", "busy processors", "a hanging camera", "a hanging doser"])
+def test_from_the_key_to_the_stop_byte(tmp_path, prepared, stops, trouble):
+    """The promise of the red button, also when all else is busy or hangs."""
+    rig, cameras = prepared
+    burners = []
+    if trouble == "busy processors":
+        spin = "import os\nos.nice(10)\nwhile True: pass"
+        burners = [subprocess.Popen([sys.executable, "-c", spin]) for _ in range(2)]
+    times = []
+    try:
+        with window_on(tmp_path, rig) as window:
+            for number in range(5):
+                until(lambda: window.doser._dose.isEnabled(), 60.0)
+                window.host.dose_to(150.0 * (number + 1))
+                until(lambda n=number: window.status.tank.volume_ul > 150.0 * n + 20.0)
+                cameras[-1].silent = trouble == "a hanging camera"
+                hung = [child for child in psutil.Process().children() if "emulator" in " ".join(child.cmdline())]
+                if trouble == "a hanging doser":
+                    hung[0].suspend()
+                stops.clear()
+                pressed = time.perf_counter()
+                QTest.keyClick(window, Qt.Key.Key_F12)
+                until(lambda: stops)
+                times.append(1e3 * (stops[0] - pressed))
+                cameras[-1].silent = False
+                hung[0].resume()
+                until(lambda: window.status.target_ul is None, 60.0)
+                window.host.clear_stop()
+                until(lambda: not window.status.stopped, 60.0)
+    finally:
+        for burner in burners:
+            burner.kill()
+    print(f"\nkey to stop byte with {trouble}: {', '.join(f'{one:.1f}' for one in times)} ms")
+    assert max(times) < 100.0
+
+
+def test_from_the_start_of_the_program_to_the_first_picture(tmp_path):
+    """Somebody who waits for a window starts a second one."""
+    program = (
+        "import time, sys\nfrom pathlib import Path\nbegan = float(sys.argv[2])\n"
+        "if __name__ == '__main__':\n"
+        "    import ui.cli\n    from ui.window.app import application\n    app = application()\n"
+        "    from ui.window import theme\n    theme.apply('dark')\n"
+        "    from ui.window.rig_file import RigSource\n    from ui.window.rig_host import RigHost\n"
+        "    folder = Path(sys.argv[1])\n    host = RigHost(RigSource(None, folder / 'simulated.rig'))\n"
+        "    from PySide6.QtCore import QSettings\n    from ui.window.main_window import MainWindow\n"
+        "    settings = QSettings(str(folder / 'w.ini'), QSettings.Format.IniFormat)\n"
+        "    window = MainWindow(host, folder / 'runs', settings)\n    window.show()\n"
+        "    while not window.live.displayed:\n        app.processEvents()\n        time.sleep(0.002)\n"
+        "    app.processEvents()\n    print(time.time() - began)\n    window.close()\n"
+    )
+    (tmp_path / "start.py").write_text(program)
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    taken = []
+    for _ in range(6):
+        command = [sys.executable, str(tmp_path / "start.py"), str(tmp_path), str(time.time())]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60)
+        taken.append(float(done.stdout))
+    warm = taken[1:]
+    print(
+        f"\nstart to first picture: {', '.join(f'{one:.2f}' for one in warm)} s, median {statistics.median(warm):.2f}"
+    )
+    assert statistics.median(warm) < 2.0
