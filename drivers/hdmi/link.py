@@ -98,6 +98,8 @@ class WindowLink:
                 pass_fds=(theirs.fileno(), self._memory),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
+                # Qt has much to say that is no error; what matters comes over the socket.
+                stderr=None if os.environ.get("TANKRIG_DEBUG") == "1" else subprocess.DEVNULL,
             )
 
     def screens(self) -> tuple[Screen, ...]:

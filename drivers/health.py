@@ -1,0 +1,187 @@
+"""What is connected, and whether a rig is fit to be used: asked of the drivers, each of which knows its own devices.
+
+A driver takes part with an entry point of the group `tankrig.health` under its own name: a module with
+`find() -> Iterator[Found]` and `checks(settings, device) -> Iterator[Check]`.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from importlib.metadata import entry_points
+from typing import Any, Protocol
+
+from drivers.registry import open_device
+from drivers.rig import RigFile
+from tankrig.devices import Camera, CameraSettings, Doser, Projector
+from tankrig.errors import DeviceError, TankrigError
+
+GROUP = "tankrig.health"
+
+
+@dataclass(frozen=True)
+class Found:
+    """A device that is connected.
+
+    Parameters
+    ----------
+    what
+        For people.
+    lines
+        For the rig file; empty where the device is none of a rig's.
+    """
+
+    what: str
+    lines: str = ""
+
+
+@dataclass(frozen=True)
+class Check:
+    """Something that was looked at.
+
+    Parameters
+    ----------
+    what
+        Was looked at.
+    passed
+        None where it could not be told.
+    finding
+        What was found.
+    remedy
+        What to do, unless it passed.
+    """
+
+    what: str
+    passed: bool | None
+    finding: str
+    remedy: str = ""
+
+
+class Health(Protocol):
+    """What a driver's module of the group `tankrig.health` has."""
+
+    def find(self) -> Iterator[Found]:
+        """The driver's devices that are connected."""
+
+    def checks(self, settings: Mapping[str, Any], device: Any) -> Iterator[Check]:
+        """What to look at beside that it opens; `device` is None when it did not."""
+
+
+def find_devices() -> Iterator[Found | DeviceError]:
+    """All that is connected: serial ports, and what each driver finds."""
+    yield from _serial_ports()
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
+        try:
+            yield from entry.load().find()
+        except DeviceError as error:
+            yield error
+
+
+def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
+    """Check the devices of a rig file one after the other, then together; moves no ink.
+
+    Parameters
+    ----------
+    rig
+        What the file says.
+    with_light
+        Whether to flash the projector to measure its latency.
+    """
+    with ExitStack() as opened:
+        devices: dict[str, Any] = {}
+        for kind in ("doser", "projector", "camera"):
+            settings = dict(getattr(rig, kind))
+            driver = settings.pop("driver")
+            device = None
+            try:
+                device = devices[kind] = open_device(driver, settings)
+                opened.callback(device.close)
+                yield Check(f"{kind} opens", True, f"{device.name} ({driver})")
+            except DeviceError as error:
+                yield _failed(f"{kind} opens", error)
+            for entry in entry_points(group=GROUP, name=driver):
+                yield from entry.load().checks(settings, device)
+        if "doser" in devices:
+            yield from _doser(devices["doser"], rig)
+        for kind, shape in (("projector", rig.bench.wall.shape), ("camera", rig.bench.camera.shape)):
+            if kind in devices:
+                yield _shape(kind, devices[kind].shape, shape)
+        if "camera" in devices:
+            yield _camera(devices["camera"])
+        if with_light and {"projector", "camera"} <= devices.keys():
+            yield _latency(devices["projector"], devices["camera"], rig.projector.get("latency_ms"))
+
+
+def _failed(what: str, error: TankrigError) -> Check:
+    """What went wrong and, after the last semicolon of its sentence, what to do."""
+    finding, _, remedy = str(error).rpartition("; ")
+    return Check(what, False, finding or remedy, remedy if finding else "see what the device says")
+
+
+def _shape(kind: str, has: tuple[int, int], calibrated: tuple[int, int]) -> Check:
+    same = tuple(has) == tuple(calibrated)
+    return Check(
+        f"{kind} has the calibrated pixels", same, f"{list(has)} (rows, columns), calibrated {list(calibrated)}",
+        f"correct bench in the rig file, or {kind}.shape, and calibrate anew",
+    )  # fmt: skip
+
+
+def _doser(doser: Doser, rig: RigFile) -> Iterator[Check]:
+    try:
+        volume_ul, low_ul, high_ul = doser.delivered()
+    except DeviceError as error:
+        yield _failed("doser tells what it delivered", error)
+        return
+    known = not doser.unknown
+    yield Check(
+        "doser tells what it delivered", known, f"{doser.identity}: {volume_ul:g} µl ({low_ul:g} to {high_ul:g})",
+        "find out what is in the tank and resolve it (tankrig run --resume RUN --delivered-ul X)",
+    )  # fmt: skip
+    fine = rig.limits.dose_ul >= doser.increment_ul
+    yield Check(
+        "doses can be as small as the limits", fine,
+        f"increment {doser.increment_ul:g} µl, limit of a dose {rig.limits.dose_ul:g} µl", "raise limits.dose_ul",
+    )  # fmt: skip
+
+
+def _camera(camera: Camera) -> Check:
+    from time import monotonic_ns
+
+    what = "camera gives frames that began when asked"
+    try:
+        actual = camera.configure(CameraSettings(exposure_ms=20.0))
+        starts = [camera.capture(monotonic_ns(), 5.0).exposure_start_ns for _ in range(3)]
+    except TankrigError as error:
+        return _failed(what, error)
+    return Check(what, True, f"{len(starts)} of them, exposure {actual.exposure_ms:g} ms, gain {actual.gain:g}")
+
+
+def _latency(projector: Projector, camera: Camera, assumed_ms: float | None) -> Check:
+    from tankrig.calibration.latency import measure_latency
+
+    what = "light follows a swap within the latency of the rig file"
+    try:
+        measured = measure_latency(projector, camera)
+    except TankrigError as error:
+        return replace(_failed(what, error), passed=None)  # a dark tank is no fault of the devices
+    finding = (
+        f"median {measured.median_ms:.1f} ms, 99 % within {measured.p99_ms:.1f} ms of {len(measured.samples_ms)} flips"
+    )
+    if assumed_ms is None:
+        return Check(what, True, finding)
+    return Check(
+        what, measured.p99_ms <= assumed_ms, f"{finding}, assumed {assumed_ms:g} ms",
+        f"set latency_ms = {measured.p99_ms:.1f} in [projector]",
+    )  # fmt: skip
+
+
+def _serial_ports() -> Iterator[Found]:
+    from pathlib import Path
+
+    from serial.tools.list_ports import comports
+
+    named = {link.resolve(): link for link in sorted(Path("/dev/serial/by-id").glob("*"))}
+    for port in comports():
+        if port.hwid == "n/a":
+            continue  # of the mainboard, with nothing to tell whether anything is connected
+        path = named.get(Path(port.device).resolve(), Path(port.device))
+        yield Found(f"serial port {port.device}: {port.description}", f'[doser]\nport = "{path}"')
