@@ -135,7 +135,7 @@ class NewEraBench(CountedBench):
     steps_per_ul = 20.0
 
     def __init__(
-        self, folder: Path, time_scale: float = 0.3, rate_ml_per_min: float = 30.0, seed: int = 0, **device: Any
+        self, folder: Path, time_scale: float = 0.2, rate_ml_per_min: float = 30.0, seed: int = 0, **device: Any
     ) -> None:
         self.rate, self._device = rate_ml_per_min, device
         super().__init__(folder, time_scale, seed)
@@ -158,8 +158,8 @@ class CavroBench(CountedBench):
     def __init__(
         self,
         folder: Path,
-        time_scale: float = 0.3,
-        speed_ul_per_s: float = 1000.0,
+        time_scale: float = 0.2,
+        speed_ul_per_s: float = 500.0,
         syringe_ul: float = 1000.0,
         seed: int = 0,
     ) -> None:

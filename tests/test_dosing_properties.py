@@ -63,6 +63,7 @@ class Dosing(RuleBasedStateMachine):
     """Bench, driver and guard; the person who is asked always knows the truth."""
 
     tally: ClassVar[Counter[str]] = Counter()
+    few: ClassVar[int] = 40
     guard: GuardedDoser | None = None
     doser: Doser | None = None
     ledger: TankLedger | None = None
@@ -234,6 +235,8 @@ class Dosing(RuleBasedStateMachine):
 
 
 class RigDosing(Dosing):
+    few = 120
+
     def make_bench(self, folder: Path, seed: int) -> AnyBench:
         return Bench(folder, time_scale=SCALE, seed=seed, rate=400.0, dose_cap=500, life_cap=5000)
 
@@ -254,7 +257,7 @@ MACHINES = pytest.mark.parametrize("machine", [RigDosing, NewEraDosing, CavroDos
 
 @MACHINES
 def test_ink_is_accounted_for_whatever_happens(machine: type[Dosing]) -> None:
-    chosen = settings(max_examples=70, stateful_step_count=5, derandomize=True, **QUIET)
+    chosen = settings(max_examples=machine.few, stateful_step_count=5, derandomize=True, **QUIET)
     run_state_machine_as_test(machine, settings=chosen)
 
 

@@ -1,6 +1,7 @@
 """The contract suites on the devices of the rig file that TANKRIG_RIG names: `pytest -m hardware`.
 
-The doser's moves real ink, some 2000 increments in all; the projector flickers.
+The doser's moves real ink, some 3000 increments in all, into whatever its tube hangs in: give it a vessel, not the tank.
+The projector flickers. firmware_notes/ says for each device what has to be done before, and what a pass proves.
 """
 
 import os
@@ -60,4 +61,8 @@ class TestDoserOfTheRig(DoserContract):
 
     @pytest.fixture
     def doser(self, reopen: Callable[[], Doser]) -> Doser:
-        return reopen()
+        doser = reopen()
+        assert not doser.unknown, "it does not know what it has delivered; settle that first"
+        if doser.stopped:
+            doser.clear_stop()
+        return doser

@@ -133,8 +133,7 @@ class CountedDoser:
     def _dose(self, total_ul: float) -> Delivered:
         target = self._ticks(total_ul)
         if self._file.record.unsure is None and not self.stopped:
-            reading = self._pump.read()
-            self._take(reading)
+            self._take(reading := self._pump.read())
             if reading.trust in (Trust.RESTARTED, Trust.STALLED) and not self._pump.counter_restarts:
                 raise DeviceError(f"{self._name}: {reading.why}")
         if self._file.record.unsure is not None:
@@ -177,15 +176,14 @@ class CountedDoser:
             self._file.update(begun=Begun("dose", target))
             try:
                 if self._pump.go(self._stop_asked.is_set):
-                    self._follow(ticks)
+                    self._follow(ticks, target)
                 else:
                     self._file.update(begun=None)
                     raise DeviceError(f"{self._name}: refused to set off; look at its display")
             except NotSentError:
                 self._file.update(begun=None)
                 raise
-            reading = self._pump.read()
-            self._take(reading, expected)
+            self._take(reading := self._pump.read(), expected)
         except BaseException as error:
             self.stop()
             self._settle(expected)
@@ -203,7 +201,7 @@ class CountedDoser:
                 "clear the stop to go on"
             )
 
-    def _follow(self, ticks: int) -> None:
+    def _follow(self, ticks: int, target: int) -> None:
         """Poll, which feeds the watchdog, until the motor rests."""
         expected_s = 2.0 * self._pump.duration_s(ticks) + 5.0
         deadline = time.monotonic() + expected_s * self._scale
@@ -215,14 +213,10 @@ class CountedDoser:
             if count and count.best >= self._file.record.seen.best:
                 total = self._file.record.base + count
                 self._now = self._now._replace(
-                    best=max(self._now.best, total.best), low=max(self._now.low, total.low), high=self._limit()
+                    best=max(self._now.best, total.best), low=max(self._now.low, total.low), high=target
                 )
             if moving and time.monotonic() > deadline:
                 raise DeviceError(f"{self._name}: still moving after {expected_s:g} s; look at motor and syringe")
-
-    def _limit(self) -> int:
-        begun = self._file.record.begun
-        return begun.to if begun else self._now.high
 
     def _settle(self, expected: int) -> None:
         """After a fault: learn what was delivered, or leave it unknown. By the last attempt the pump rests."""
@@ -252,7 +246,7 @@ class CountedDoser:
 
     def _take(self, reading: Reading, expected: int | None = None) -> None:
         """Take over what a pump at rest has counted; `expected` is where the dose of this program would end."""
-        record, count = self._file.record, reading.count
+        record, count, known = self._file.record, reading.count, self._now.low
         if record.unsure is not None:
             return
         if record.begun is None:
@@ -263,7 +257,9 @@ class CountedDoser:
         else:
             self._take_dosed(reading, record.begun, expected)
         if self._file.record.unsure is None:
-            self._now = self._file.record.total
+            total = self._file.record.total
+            lost_steps = self._file.record.base.low < record.base.low
+            self._now = total if lost_steps else total._replace(low=max(total.low, known))  # ink never comes back
 
     def _take_at_rest(self, count: Count) -> None:
         record = self._file.record
@@ -306,17 +302,14 @@ class CountedDoser:
 
     def delivered(self) -> Delivered:
         """What has been delivered, with hard bounds; while it doses, up to the target."""
-        if self._file.record.unsure is not None and not self._dosing.locked():
-            return self._unsure_volume()
-        if not self._dosing.locked() and self._using.acquire(blocking=False):
+        at_rest = self._file.record.unsure is None and not self._dosing.locked()
+        if at_rest and self._using.acquire(blocking=False):
             try:
                 if not self._closed:
                     self._take(self._pump.read())
             finally:
                 self._using.release()
-            if self._file.record.unsure is not None:
-                return self._unsure_volume()
-        return self._volume(self._now)
+        return self._unsure_volume() if self.unknown else self._volume(self._now)
 
     def stop(self) -> None:
         """Stop at once, from any thread, without waiting for a reader; latched until `clear_stop`."""

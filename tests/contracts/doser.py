@@ -96,7 +96,7 @@ class DoserContract:
         assert doser.dose_to(total).volume_ul == pytest.approx(total, abs=doser.increment_ul)
 
     def test_what_is_told_while_dosing_holds_the_truth_between_bounds(self, doser: Doser) -> None:
-        total, start = self.far(doser), doser.delivered().volume_ul
+        total, lowest = self.far(doser), doser.delivered().low_ul
         seen = []
         done = threading.Event()
 
@@ -111,7 +111,7 @@ class DoserContract:
         done.set()
         watcher.join()
         assert len(seen) > 2
-        assert all(start - 1e-9 <= low <= volume <= high <= total + 1e-9 for volume, low, high in seen)
+        assert all(lowest - 1e-9 <= low <= volume <= high <= total + 1e-9 for volume, low, high in seen)
         lows = [low for _, low, _ in seen]
         assert lows == sorted(lows)
 
