@@ -3,8 +3,10 @@
 # ruff: noqa: ARG002 (a backend's methods take what pyusb gives them)
 
 import errno
+import re
 import struct
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -13,6 +15,7 @@ import usb.core
 
 from drivers.lightcrafter4500.projector import Lightcrafter
 from drivers.lightcrafter4500.settings import LightcrafterSettings
+from drivers.lightcrafter4500.usb_link import packed
 from drivers.registry import open_device
 from tankrig.errors import DeviceError
 
@@ -266,6 +269,17 @@ def test_times_that_the_mirrors_cannot_keep_are_refused_before_anything_is_sent(
     table = {"screen": {"model": "DLP"}, "refresh_hz": 60.0, "latency_ms": 30.0, **changes}
     with pytest.raises(DeviceError, match=reason):
         open_device("lightcrafter-4500", table)
+
+
+def test_reports_are_those_of_the_page():
+    page = (Path(__file__).parents[1] / "firmware_notes" / "lightcrafter4500.md").read_text()
+    vectors = [bytes.fromhex(vector) for vector in re.findall(r"^\| .* \| `([0-9A-F ]+)` \|$", page, re.MULTILINE)]
+    assert vectors == [
+        packed(0x1A24, b"\x02", 0)[:7],
+        packed(0x1A24, b"\x00", 1)[:7],
+        packed(0x1A29, struct.pack("<II", 16667, 16667), 7)[:14],
+        packed(0x1A1A, b"", 13, read=True)[:6],
+    ]
 
 
 class TestLightcrafter(ProjectorContract):
