@@ -2,12 +2,16 @@
 
 import subprocess
 import sys
+import tomllib
 
+import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+from tankrig.errors import SceneError
 from tests.window_rig import LONG_DOSE, until, window_on, write_rig
+from ui.window.rig_file import RigSource
 
 
 def test_it_opens_on_the_simulated_rig_and_says_so(tmp_path):
@@ -61,3 +65,15 @@ def test_signals_with_booleans_do_not_bring_the_program_down():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, "20000")
+
+
+def test_the_projector_s_screen_is_chosen_in_the_rig_file(tmp_path):
+    """Light on the wrong screen is no experiment; comments in the file are the person's own."""
+    rig = write_rig(tmp_path)
+    source = RigSource(rig, tmp_path)
+    with pytest.raises(SceneError, match="simulated-projector, which needs no screen"):
+        source.choose_screen({"output": "HDMI-1"})
+    rig.write_text("# ours\n" + rig.read_text().replace('"simulated-projector"', '"hdmi-projector"', 1))
+    source.choose_screen({"serial": "X1", "model": "Beamer"})
+    assert tomllib.loads(rig.read_text())["projector"]["screen"] == {"serial": "X1", "model": "Beamer"}
+    assert rig.read_text().startswith("# ours\n")

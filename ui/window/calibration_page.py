@@ -1,5 +1,6 @@
 """What is calibrated, when and how well; and the rig file that holds it."""
 
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tankrig.live.words import with_error
 from ui.window.marked_text import MarkedText
 from ui.window.rig_file import RigSource
 from ui.window.sequence_text import line_of
@@ -67,7 +69,7 @@ class CalibrationPage(QWidget):
         y, z = wall.y_mm, wall.z_mm
         steps = f", {rig.doser['steps_per_ul']:g} steps per µl" if "steps_per_ul" in rig.doser else ""
         limits = rig.limits
-        rows = (
+        rows: tuple[tuple[str, ...], ...] = (
             ("tank", f"{size} mm, {tank.surface} surface"),
             ("light", light),
             ("projector to wall", f"{wall.shape[1]} × {wall.shape[0]} pixels on y = {y[0]:g} … {y[1]:g} mm, "
@@ -77,9 +79,11 @@ class CalibrationPage(QWidget):
             ("doser", f"driver {rig.doser['driver']}{steps}"),
             ("limits", f"{limits.dose_ul:g} µl a dose, {limits.run_ul:g} µl a run, {limits.tank_ul:g} µl a tank"),
         )  # fmt: skip
+        rows += tuple(self._weighed(rig))
         when = self._when()
-        for row, (what, value) in enumerate(rows):
-            name, words, note = QLabel(what), QLabel(value), QLabel(f"{BELIEVED}; file of {when}")
+        for row, (what, value, *said) in enumerate(rows):
+            name, words = QLabel(what), QLabel(value)
+            note = QLabel(said[0] if said else f"{BELIEVED}; file of {when}")
             name.setProperty("role", "heading")
             note.setProperty("role", "faint")
             for label in (words, note):
@@ -88,6 +92,31 @@ class CalibrationPage(QWidget):
             self._grid.addWidget(words, 2 * row, 1)
             self._grid.addWidget(note, 2 * row + 1, 1)
         self._read_file()
+
+    def _weighed(self, rig: "RigFile") -> Iterator[tuple[str, str, str]]:
+        """Pump calibrations beside the rig file, newest first; how to make one where there is none."""
+        from tankrig.errors import TankrigError
+
+        files = sorted(self._path().parent.glob("pump-*.toml"), reverse=True)
+        for file in files:
+            from tankrig.calibration.pump import load_pump_calibration
+
+            try:
+                one = load_pump_calibration(file)
+            except TankrigError as error:
+                yield "pump", "cannot be read", str(error)
+                continue
+            used = Path(str(rig.doser.get("calibration", ""))).name == file.name
+            factor = with_error(one.correction, one.correction_sd)
+            well = f"{factor} true µl per nominal µl, doses scatter by {one.scatter_ul:.2g} µl"
+            yield (
+                "pump, weighed",
+                well,
+                f"{one.date[:16].replace('T', ' ')} UTC, {len(one.mass_mg)} doses, "
+                + ("in use" if used else f'not in use: put calibration = "./{file.name}" into [doser]'),
+            )
+        if not files:
+            yield "pump", "not weighed yet", "weigh doses on a balance with: tankrig calibrate pump --rig FILE"
 
     def follow(self, status: RigStatus) -> None:
         """Mark the line of the rig file that is to blame, once it has failed."""

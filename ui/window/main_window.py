@@ -11,6 +11,7 @@ from PySide6.QtCore import QSettings, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QDockWidget, QLabel, QMainWindow, QScrollArea, QTabWidget, QToolBar, QVBoxLayout, QWidget
 
+from tankrig.errors import TankrigError
 from ui.window import theme
 from ui.window.background import Background
 from ui.window.banner import Banner
@@ -308,6 +309,7 @@ class MainWindow(QMainWindow):
             signal.connect(slot, queued)
         self.live.camera_asked.connect(host.configure)
         self.projector.show_asked.connect(host.show)
+        self.projector.screen_asked.connect(self._use_screen)
         self.doser.dose_asked.connect(host.dose_to)
         self.doser.resolve_asked.connect(host.resolve)
         self.doser.clear_asked.connect(host.clear_stop)
@@ -327,6 +329,14 @@ class MainWindow(QMainWindow):
         self.top.pause_asked.connect(self.pause)
         self.top.theme_asked.connect(self._other_theme)
         self.top.help_asked.connect(self.show_keys)
+
+    def _use_screen(self, identity: dict[str, str]) -> None:
+        try:
+            self.host.source.choose_screen(identity)
+        except TankrigError as error:
+            self.tell(str(error))
+        else:
+            self.host.reopen()
 
     def _take_gain(self, gain: float) -> None:
         self.live.radiometry.gain = gain

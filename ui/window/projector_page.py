@@ -36,6 +36,8 @@ class ProjectorPage(QWidget):
 
     show_asked = Signal(object)
     """Pattern."""
+    screen_asked = Signal(object)
+    """Identity of the screen that the projector is, as rig files have it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -70,7 +72,9 @@ class ProjectorPage(QWidget):
     def set_rig(self, rig: "RigFile") -> None:
         """Whose projector."""
         self._rig = rig
-        self._driver.setText(f"driver: {rig.projector['driver']}")
+        by_screen = rig.projector["driver"] == "hdmi-projector"
+        self._driver.setText(f"driver: {rig.projector['driver']}" + ("" if by_screen else ", which needs no screen"))
+        self._use.setEnabled(by_screen)
         self._preview()
 
     def shown(self, pattern: Pattern) -> None:
@@ -150,16 +154,25 @@ class ProjectorPage(QWidget):
         self._cards = []
 
     def _list_screens(self) -> None:
-        self._screens.setText("\n".join(_words(n, screen) for n, screen in enumerate(QGuiApplication.screens(), 1)))
+        self._screens.clear()
+        for number, screen in enumerate(QGuiApplication.screens(), 1):
+            self._screens.addItem(_words(number, screen), _identity(screen))
+
+    def _use_screen(self) -> None:
+        self.screen_asked.emit(self._screens.currentData())
 
     def _lay_out(self) -> None:
         identify = QPushButton("Identify screens")
         identify.setToolTip("a number on each screen for three seconds")
         identify.clicked.connect(self.identify)
-        self._screens, self._driver = QLabel(), QLabel()
-        for label in (self._screens, self._driver):
-            label.setProperty("role", "faint")
-            label.setWordWrap(True)
+        self._screens, self._driver = QComboBox(), QLabel()
+        self._screens.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self._driver.setProperty("role", "faint")
+        self._driver.setWordWrap(True)
+        self._use = QPushButton("Use this screen")
+        self._use.setToolTip("write into the rig file that the projector is this screen, and open the rig again")
+        self._use.clicked.connect(self._use_screen)
+        self._use.setEnabled(False)
         app = QGuiApplication.instance()
         assert isinstance(app, QGuiApplication)
         app.screenAdded.connect(lambda _: self._list_screens())
@@ -194,6 +207,7 @@ class ProjectorPage(QWidget):
         words.addWidget(self._driver)
         words.addWidget(self._screens)
         foot.addLayout(words, 1)
+        foot.addWidget(self._use)
         foot.addWidget(identify)
         grid.addLayout(foot, 1, 0, 1, 2)
         grid.setColumnStretch(0, 1)
@@ -205,6 +219,17 @@ def _words(number: int, screen: QScreen) -> str:
     size = screen.geometry()
     made = " ".join(word for word in (screen.manufacturer(), screen.model(), screen.serialNumber()) if word)
     return f"screen {number}: {screen.name()} {made} {size.width()} × {size.height()}, {screen.refreshRate():.0f} Hz"
+
+
+def _identity(screen: QScreen) -> dict[str, str]:
+    """What tells this screen from others wherever it is plugged in; its output where it says nothing of itself."""
+    if screen.serialNumber():
+        return (
+            {"serial": screen.serialNumber(), "model": screen.model()}
+            if screen.model()
+            else {"serial": screen.serialNumber()}
+        )
+    return {"output": screen.name()}
 
 
 def _screen_card(number: int, screen: QScreen) -> QLabel:

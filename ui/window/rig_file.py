@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from tankrig.errors import StoreError, TankrigError
+from tankrig.errors import SceneError, StoreError
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -43,6 +43,37 @@ class RigSource:
 
         return simulated_rig(self.folder) if self.file is None else load_rig_file(self.file)
 
+    def choose_screen(self, identity: dict[str, str]) -> None:
+        """Write into the rig file which screen the projector is.
+
+        Parameters
+        ----------
+        identity
+            As `[projector] screen` of the driver `hdmi-projector` has it.
+
+        Raises
+        ------
+        SceneError
+            When there is no rig file, or its projector is no screen.
+        StoreError
+            When the file cannot be written.
+        """
+        import tomlkit
+
+        from tankrig.files import whole_file
+
+        if self.file is None:
+            raise SceneError("the simulated projector has no screen; start with --rig and a rig file of your own")
+        document = tomlkit.parse(self.file.read_text(encoding="utf-8-sig"))
+        projector: Any = document["projector"]
+        if projector["driver"] != "hdmi-projector":
+            raise SceneError(f"{self.file}: its projector is driven by {projector['driver']}, which needs no screen")
+        screen = tomlkit.inline_table()
+        screen.update(identity)
+        projector["screen"] = screen
+        with whole_file(self.file) as unfinished:
+            unfinished.write_text(tomlkit.dumps(document), encoding="utf-8")
+
     def refill(self) -> str:
         """The tank has been emptied and filled with fresh water: set its ledger aside, and begin a new one.
 
@@ -69,11 +100,3 @@ class RigSource:
                 f"{old}: cannot be set aside ({error.strerror}); check its folder's permissions"
             ) from error
         return f"a new ledger begins with clear water; the old one is kept as {kept}"
-
-
-def described(source: RigSource) -> "tuple[RigFile | None, str]":
-    """The description, or None and the sentence that says what is wrong with it."""
-    try:
-        return source.description(), ""
-    except TankrigError as error:
-        return None, str(error)
