@@ -197,6 +197,21 @@ def test_a_port_without_permission_is_told(bench: AnyBench) -> None:
         bench.open()
 
 
+def test_the_doctor_sees_a_pump_that_is_not_initialised(tmp_path: Path) -> None:
+    from drivers.cavro.health import checks
+
+    with CavroBench(tmp_path) as bench:
+        doser = bench.open()
+        (check,) = checks({}, doser)
+        assert check.passed
+        bench.do("reset")
+        time.sleep(0.1)
+        (check,) = checks({}, doser)
+        assert not check.passed
+        assert (check.finding, check.remedy[:16]) == ("it is not initialised", "let it initialis")
+    assert not list(checks({}, None))
+
+
 GOOD = {
     "new-era": {"port": "/dev/none", "diameter_mm": 12.0, "rate_ml_per_min": 5.0, "count_file": "count"},
     "cavro": {"port": "/dev/none", "syringe_ul": 1000.0, "speed_ul_per_s": 100.0, "count_file": "count"},

@@ -2,6 +2,7 @@
 
 from drivers.counted.calibrated import correction
 from drivers.counted.doser import CountedDoser
+from drivers.counted.pump import Trust
 from drivers.counted.record import Begun
 
 from .pump import CavroPump
@@ -31,6 +32,12 @@ class CavroDoser(CountedDoser):
             name=name,
             time_scale=settings.time_scale,
         )
+
+    def trouble(self) -> str | None:
+        """Why it cannot dose, and what to do; None if it can."""
+        with self._in_use("look at it"):
+            reading = self._pump.read()
+            return None if reading.trust is Trust.EXACT else reading.why
 
     def initialise(self) -> None:
         """Let the pump find its zero. A person has hung the tube into a waste vessel: the syringe is emptied.
