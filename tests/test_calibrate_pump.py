@@ -226,3 +226,23 @@ def on_terminal(folder: Path, answers: str, *options: str) -> tuple[str, int]:
         pass
     os.close(master)
     return told.decode(), process.wait(60)
+
+
+def test_a_pump_is_initialised_only_with_its_tube_in_a_waste_vessel(tmp_path: Path) -> None:
+    """It pushes out what the syringe holds, so a person has to say so first."""
+    from drivers.simulated import __file__ as simulated
+
+    with CavroBench(tmp_path) as bench:
+        bench.do("reset")
+        rig = Path(simulated).with_name("rig.toml").read_text(encoding="utf-8")
+        doser = rig[rig.index("[doser]") : rig.index("[limits]")]
+        settings = "port = './doser'\ncount_file = './count'\nsyringe_ul = 1000.0\nspeed_ul_per_s = 500.0\n\n"
+        (tmp_path / "rig.toml").write_text(
+            rig.replace(doser, f'[doser]\ndriver = "cavro"\n{settings}'), encoding="utf-8"
+        )
+        told, status = on_terminal(tmp_path, "n\n", "--rig", "rig.toml", "--initialise")
+        assert status == 1
+        assert bench.board._core.initialised_times == 0
+        told, status = on_terminal(tmp_path, "y\n", "--rig", "rig.toml", "--initialise")
+        assert (status, bench.board._core.initialised_times) == (0, 1), told
+        assert bench.true_ul == 0.0

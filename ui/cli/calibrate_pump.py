@@ -40,7 +40,7 @@ _TUBE = "its tube hangs in a vessel on the balance, not in the tank"
 )
 @click.option("--evaporation", "evaporation_mg", default=0.0, show_default=True, help="Lost from each dose, mg.")
 @click.option(
-    "--initialise", is_flag=True, help="First let a pump with a valve find its zero, which empties its syringe."
+    "--initialise", is_flag=True, help="Only let a pump with a valve find its zero, which empties its syringe."
 )
 @out_option(None, "File to write; default: pump-DATE.toml beside the rig file.")
 @json_option
@@ -65,6 +65,7 @@ def pump(rig: Path | None, weights: Path | None, out: Path | None, as_json: bool
     with _doser(description) as doser:
         if initialise:
             _initialise(doser)
+            return
         if measured is None:
             measured = _weigh(doser, _volumes(volumes, description.limits.dose_ul), repeats, description.limits.dose_ul)
         basis = {key: float(value) for key, value in description.doser.items() if key in BASIS}
@@ -105,6 +106,7 @@ def _initialise(doser: "Doser") -> None:
         raise DeviceError(f"{doser.name}: needs no initialising; leave --initialise out")
     click.confirm(f"{doser.name}: is its tube in a waste vessel? It will push out what the syringe holds.", abort=True)
     act()
+    click.echo(f"{doser.name}: initialised")
 
 
 def _volumes(text: str | None, limit_ul: float) -> list[float]:
