@@ -14,6 +14,8 @@ from PySide6.QtCore import QObject, Signal
 _log = logging.getLogger(__name__)
 
 NICENESS = 12
+IDLE_END_S = 0.5
+"""In which a process that has nothing to do ends by itself; one that works is ended."""
 
 
 class Background(QObject):
@@ -52,6 +54,7 @@ class Background(QObject):
             processes = list((pool._processes or {}).values())
             pool.shutdown(wait=False, cancel_futures=True)
             for process in processes:
+                process.join(IDLE_END_S)
                 process.terminate()
             pool.shutdown(wait=True)
 

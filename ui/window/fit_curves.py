@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtWidgets import QHBoxLayout, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
 
 from ui.window.fit_cards import COEFFICIENTS
 from ui.window.theme import CURVES
@@ -38,6 +38,7 @@ class FitCurves(QWidget):
             row.addWidget(widget, 1)
             self._plots[name] = plot, line, bars, points
             widget.setMinimumHeight(112)
+            widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
 
     def show_fits(self, fits: Sequence[Mapping[str, Any]], against: str, series: Mapping[str, Any] | None) -> None:
         """Show fits of doses; `against` is "dose_ml" or "time_s", a key that each has."""

@@ -189,7 +189,7 @@ class FitPage(QWidget):
         column.addWidget(self._coefficients)
         column.addWidget(self._verdict)
         column.addLayout(choices)
-        column.addLayout(pictures, 3)
+        column.addLayout(pictures, 4)
         column.addWidget(self._says)
         column.addLayout(middle)
         column.addWidget(self._curves, 3)

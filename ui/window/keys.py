@@ -16,7 +16,7 @@ class Key:
 
 
 KEYS = (
-    Key("stop", ("F12", "Esc"), "STOP: the doser stops at once and the run is aborted"),
+    Key("stop", ("F12", "Esc"), "STOP: the doser stops at once, the run is aborted (Esc not in dialogs)"),
     Key("run", ("F5",), "run the sequence"),
     Key("pause", ("F6",), "pause at the end of the step, or go on"),
     Key("dry-run", ("F7",), "dry run: time, ink and disk; nothing moves"),

@@ -361,7 +361,8 @@ class MainWindow(QMainWindow):
         for name, do in actions.items():
             for keys in BY_NAME[name].keys:
                 shortcut = QShortcut(QKeySequence(keys), self)
-                shortcut.setContext(Qt.ShortcutContext.ApplicationShortcut)
+                everywhere = Qt.ShortcutContext.ApplicationShortcut
+                shortcut.setContext(Qt.ShortcutContext.WindowShortcut if keys == "Esc" else everywhere)
                 shortcut.setAutoRepeat(name != "stop")
                 shortcut.activated.connect(do)
 

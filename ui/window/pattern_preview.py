@@ -3,6 +3,7 @@
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import QRectF
+from PySide6.QtWidgets import QSizePolicy
 
 from tankrig.pattern import Pattern
 from tankrig.pattern.wall import Wall
@@ -16,6 +17,7 @@ class PatternPreview:
     def __init__(self, height: int = 190) -> None:
         self.widget = pg.PlotWidget()
         self.widget.setMinimumHeight(height)
+        self.widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._plot = self.widget.getPlotItem()
         self._plot.setAspectLocked(True)
         self._plot.hideButtons()

@@ -6,6 +6,7 @@ import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 from PySide6.QtCore import QRectF, Qt
+from PySide6.QtWidgets import QSizePolicy
 
 from tankrig.scene.description import Camera, Tank
 
@@ -23,6 +24,7 @@ class TankPlot:
 
     def __init__(self, title: str = "", axes: bool = True) -> None:
         self.widget = pg.PlotWidget()
+        self.widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)  # what room there is
         self.plot = self.widget.getPlotItem()
         self.plot.setAspectLocked(True)
         self.plot.hideButtons()
