@@ -1,11 +1,12 @@
 """`predict`: a scene's image by the model that is asked for, or by the one that knows the tank."""
 
+import warnings
 from types import MappingProxyType
 
 import numpy as np
 
 from tankrig.errors import SceneError
-from tankrig.image.prediction import Prediction, Skipped
+from tankrig.image.prediction import Image, Prediction, Skipped
 from tankrig.scene import Scene
 
 MODELS = ("tank", "single", "convolution", "diffuse", "montecarlo")
@@ -44,6 +45,12 @@ def predict(
     SceneError
         When the model is unknown or cannot treat the scene, or the tolerance or the order is out of range.
 
+    Warns
+    -----
+    UserWarning
+        When a bound in `Prediction.skipped` is above the tolerance: noise that the model's budget of light paths
+        couldn't bring down, as in water hundreds of free paths deep, or detail that its grid cannot hold.
+
     Examples
     --------
     >>> from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
@@ -57,7 +64,19 @@ def predict(
         raise SceneError(f"tolerance = {tolerance} is outside 0 … 1; give a relative error such as 0.01")
     if max_order is not None and max_order < 1:
         raise SceneError(f"max_order = {max_order} is below 1; give the highest order of scattering to sum")
-    name = "tank" if model is None else model
+    prediction = _by_model(scene, "tank" if model is None else model, tolerance, max_order, seed)
+    reached = max([part.bound for part in prediction.skipped if np.isfinite(part.bound)], default=0.0)
+    if reached > tolerance:
+        warnings.warn(
+            f'the image of model = "{prediction.model}" may be wrong by {reached:.2g} of its L2 norm, more than the '
+            f"tolerance of {tolerance:g}; Prediction.skipped names why: take another model, or a larger tolerance",
+            UserWarning,
+            stacklevel=2,
+        )
+    return prediction
+
+
+def _by_model(scene: Scene, name: str, tolerance: float, max_order: int | None, seed: int) -> Prediction:
     if name == "single":
         return _single(scene)
     if name == "tank":
@@ -85,6 +104,7 @@ def _tank(scene: Scene, tolerance: float, max_order: int | None, seed: int) -> P
     result = tank_image(scene, tolerance, max_order, seed)
     skipped = [Skipped(*item) for item in result.skipped]
     total = np.sum(list(result.orders.values()), axis=0)
+    skipped += _noise(result.stderr, total, tolerance)
     return Prediction(total, "tank", MappingProxyType(result.orders), result.stderr, tuple(skipped))
 
 
@@ -111,4 +131,14 @@ def _montecarlo(scene: Scene, tolerance: float, max_order: int | None, seed: int
     from tankrig.montecarlo import simulate_to
 
     tally = simulate_to(scene, tolerance, seed=seed, max_order=max_order)
-    return Prediction(tally.image, "montecarlo", MappingProxyType(tally.orders), tally.stderr)
+    skipped = tuple(_noise(tally.stderr, tally.image, tolerance))
+    return Prediction(tally.image, "montecarlo", MappingProxyType(tally.orders), tally.stderr, skipped)
+
+
+def _noise(stderr: Image, image: Image, tolerance: float) -> list[Skipped]:
+    """What is left of the noise, where it is more than was asked for."""
+    peak = float(np.max(image, initial=0.0))
+    if peak == 0.0:
+        return []
+    noise = float(np.linalg.norm(stderr / peak) / np.linalg.norm(image / peak))  # no square under- or overflows
+    return [Skipped("light paths beyond the budget, which leaves noise", noise)] if noise > tolerance else []

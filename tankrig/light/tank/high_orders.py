@@ -22,7 +22,12 @@ THREADS = 2
 THINNING = 16
 """Order from which paths are thinned out, where the image shall be a smooth function of the medium."""
 FIRST_BATCHES = 6
-MOST_BATCHES = 16384
+TELLING_BATCHES = 48
+"""Batches whose scatter tells whether the tolerance can be reached at all."""
+MOST_BATCHES = 24_000
+"""Over the order where thinning begins, which is nearly what a path costs: two minutes of one core at most."""
+MOST_BYTES = 2**28
+"""Of the batches' images, which are all kept."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,12 @@ def high_orders(
         the medium.
     faintest
         Share of its weight at which a path ends.
+
+    Notes
+    -----
+    Paths are followed until their scatter is below `tolerance` or the budget is used up. When the scatter says that
+    even the whole budget would leave twice the tolerance, as in water hundreds of free paths deep, it isn't spent.
+    `stderr` then says how far it got. The budget counts paths and not seconds: a seed gives one image.
     """
     grid = CellGrid.of(scene)
     highest = 1_000_000 if max_order is None else max_order
@@ -84,6 +95,7 @@ def high_orders(
     wanted, lattice, thinning = FIRST_BATCHES, SMALL, _thinning(scene)
     if batches is not None:
         wanted, lattice, thinning = batches, LARGE, THINNING
+    most = max(TELLING_BATCHES, min(MOST_BATCHES // thinning, MOST_BYTES // (24 * grid.rows * grid.columns)))
     while True:
         seeds = range(len(images), wanted)
         with ThreadPoolExecutor(THREADS) as pool:
@@ -93,20 +105,35 @@ def high_orders(
         stack = np.array(images)
         if grid.symmetric:
             stack = 0.5 * (stack + stack[:, :, ::-1])
-        mean, spread = _averaged(stack) if grid.shiftable else smoothed(stack)
+        peak = float(stack.max(initial=0.0)) or 1.0  # squares of faint light would underflow, and its noise be 0
+        mean, spread = (peak * part for part in (_averaged if grid.shiftable else smoothed)(stack / peak))
         scale = math.sqrt(grid.cell_mm[0] * grid.cell_mm[1]) / scene.camera.pixel_mm
         image = known + grid.to_pixels(mean.sum(axis=0))
-        brightness = float(np.linalg.norm(image))
-        noise = float(np.linalg.norm(spread)) * scale / brightness / tolerance if brightness > 0.0 else 0.0
-        if batches is not None or noise <= 1.0 or len(images) >= MOST_BATCHES:
+        noise = relative_norm(spread, image) * scale / tolerance
+        count = len(images)
+        if batches is not None or noise <= 1.0 or count >= most:
+            break
+        if count >= TELLING_BATCHES and noise * math.sqrt(count / most) > 2.0:
             break
         grow = 1.1 * noise**2
-        wanted = min(MOST_BATCHES, len(images) * max(2, math.ceil(grow)) if grow < 8 else len(images) * 8)
+        wanted = min(most, count * max(2, math.ceil(grow)) if grow < 8 else count * 8)
     return HighOrders(
-        np.array([grid.to_pixels(image) for image in mean]),
+        np.array([np.maximum(grid.to_pixels(image), 0.0) for image in mean]),
         np.abs(grid.to_pixels(spread)),
         len(images) * lattice.points,
     )
+
+
+def relative_norm(part: Array, whole: Array) -> float:
+    """L2 norm of a part over that of the whole, however faint both are; 0 where all is dark.
+
+    Examples
+    --------
+    >>> relative_norm(np.array([3e-200, 0.0]), np.array([0.0, 6e-200]))
+    0.5
+    """
+    peak = float(np.abs(whole).max(initial=0.0))
+    return float(np.linalg.norm(part / peak) / np.linalg.norm(whole / peak)) if peak > 0.0 else 0.0
 
 
 def _thinning(scene: Scene) -> int:

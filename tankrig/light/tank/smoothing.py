@@ -23,7 +23,8 @@ def smoothed(batches: Array) -> tuple[Array, Array]:
     Parameters
     ----------
     batches
-        (n, classes, rows, columns) images of n ≥ 4 independent batches by order class.
+        (n, classes, rows, columns) images of n independent batches by order class; fewer than 4 don't tell noise from
+        light, and their mean is returned as it is.
 
     Returns
     -------
@@ -43,6 +44,8 @@ def smoothed(batches: Array) -> tuple[Array, Array]:
     True
     """
     count, _, rows, columns = batches.shape
+    if count < 4:
+        return batches.mean(axis=0), np.zeros((rows, columns))
     along = _legendre(columns)
     coefficients = batches @ along
     totals = coefficients.sum(axis=1)
