@@ -171,6 +171,7 @@ def test_a_killed_preparation_goes_on_where_it_was(
         def killed_half_way(share):
             if share > 0.5:
                 os.kill(os.getpid(), signal.SIGKILL)
+        here.cache.code_mark = lambda: {cache.code_mark()!r}
         here.tankrig.prepare(here.SCENE, here.TOLERANCE, killed_half_way, here.BOX)
     """
     environment = {**os.environ, "TANKRIG_CACHE": str(tmp_path)}
@@ -250,3 +251,11 @@ def test_reference_cases_over_the_whole_box(case: str, tmp_path: Path, monkeypat
         live = tankrig.prepare(scene)
     error = relative(live.predict(scene.medium) - truth, truth) ** 2 - relative(stderr, truth) ** 2
     assert np.sqrt(max(0.0, error)) < 0.007
+
+
+def test_a_dark_scene_and_a_camera_too_fine_are_refused() -> None:
+    dark = replace(SCENE, projector=Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0), 0.0),)))
+    with pytest.raises(tankrig.SceneError, match="irradiance"):
+        prepare(dark)
+    with pytest.raises(tankrig.SceneError, match="bin them"):
+        prepare(replace(SCENE, camera=Camera("orthographic", (1024, 1280), 0.1875)))

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, overload
 
@@ -47,7 +47,7 @@ class Prepared:
     error: float
     largest_error: float
     path: Path
-    answer: "Answer"
+    answer: "Answer" = field(repr=False)
 
     @overload
     def predict(self, medium: Medium, derivatives: Literal[False] = False) -> Array: ...
@@ -119,7 +119,7 @@ def prepare(
     Raises
     ------
     SceneError
-        When the tolerance is out of range or the camera has too many pixels.
+        When the tolerance is out of range, the scene is dark or the camera has too many pixels.
     CacheError
         When there is no room for the model.
 
@@ -133,6 +133,8 @@ def prepare(
 
     if not 0.0 < tolerance <= 1.0:
         raise SceneError(f"tolerance = {tolerance} is outside 0 … 1; give a relative error such as 0.01")
+    if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):
+        raise SceneError(f"{scene.source or 'the scene'}: no beam has any irradiance; give the light that is on")
     box = box or Box()
     answer, path = prepared(scene, box, tolerance, progress or (lambda _: None))
     mean, largest, where = answer.error_over_box()

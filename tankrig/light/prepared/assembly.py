@@ -22,7 +22,9 @@ LEFT_OUT = 0.05
 DARK = 1e-300
 UNSEEN = 500
 """Media at which the error is estimated."""
-ERROR_DEGREES = (4, 1, 4)
+REAL = 1.5
+"""Real error over half the difference of the halves, as the patterns are drawn from the same noise: 1.0 … 1.9."""
+ERROR_DEGREES = (2, 1, 2)
 
 
 @dataclass(frozen=True)
@@ -54,8 +56,8 @@ def assemble(plan: Plan, sampling: PathImages, images: Images, shape: tuple[int,
     even = np.arange(count) % 2 == 0
     fits = [regression.fit(used) for used in (np.ones(count, bool), even, ~even)]
     rest = [_rest_term(plan, sampling, fit) for fit in fits]
-    patterns = _patterns(plan, [*exact, rest[0]])
-    first, second, whole, one, other = (_projected(term, patterns) for term in [*exact, *rest])
+    patterns = _patterns(plan, exact, rest)
+    first, second, whole, one, other = (_projected(term, patterns) for term in (*exact, *rest))
     terms = (first, second, whole)
     beside = _error_of_exact_orders(plan, images.checks, terms[:2], patterns)
     error = _error_of_the_rest(plan, (one, other), terms, beside)
@@ -95,24 +97,27 @@ def _rest_term(plan: Plan, sampling: PathImages, fit: Fit) -> Term:
     return Term(THIRD, plan.paths_plane, plan.brightness_plane, fields, by_degree @ fit.scale)
 
 
-def _patterns(plan: Plan, terms: list[Term]) -> Array:
-    """Orthonormal images that hold the terms' images all over the box, each as a share of the whole.
+def _patterns(plan: Plan, exact: list[Term], rest: list[Term]) -> Array:
+    """Orthonormal images that hold the image all over the box: those of orders 1 and 2, and what the rest adds.
 
-    First those of orders 1 and 2, which are exact; then, of the noisy rest, what these don't hold.
+    Parameters
+    ----------
+    exact
+        Orders 1 and 2.
+    rest
+        The rest as fitted to all media, and to either half.
     """
-    most, least = plan.albedos[0], plan.albedos[-1]
-    exact, rest = [], []
-    for albedo in (most, least, *plan.albedos[1:-1:3]):
-        parts = [_shown(plan, term, albedo) for term in terms]
-        whole = np.linalg.norm(np.sum(parts, axis=0), axis=1)[:, None] + DARK
-        rest.append(parts[-1] / whole)
-        if albedo in (most, least):
-            exact += [part / whole for part in parts[:-1]]
+    shown: list[list[Array]] = [[], [], []]
+    for albedo in (plan.albedos[0], plan.albedos[-1], *plan.albedos[1:-1:3]):
+        parts = [_shown(plan, term, albedo) for term in (*exact, *rest)]
+        whole = np.linalg.norm(np.sum(parts[:3], axis=0), axis=1)[:, None] + DARK
+        shown[0] += [part / whole for part in parts[:2]]
+        shown[1].append(parts[3] / whole)
+        shown[2].append(parts[4] / whole)
     enough = LEFT_OUT * plan.tolerance
-    first = _leading(np.concatenate(exact), enough)
-    left = np.concatenate(rest)
-    left = left - (left @ first.T) @ first
-    return np.linalg.qr(np.concatenate([first, _leading(left, enough)]).T)[0].T
+    first = _leading(np.concatenate(shown[0]), enough)
+    one, other = (half - (half @ first.T) @ first for half in (np.concatenate(shown[1]), np.concatenate(shown[2])))
+    return np.linalg.qr(np.concatenate([first, _common(one, other, enough)]).T)[0].T
 
 
 def _leading(images: Array, enough: float) -> Array:
@@ -122,6 +127,27 @@ def _leading(images: Array, enough: float) -> Array:
     left_out = np.sqrt(strength[::-1].cumsum()[::-1])
     kept = max(1, min(MOST_PATTERNS, int(np.sum(left_out > enough)), int(np.sum(strength > 1e-12 * strength[0]))))
     return np.asarray(mixing[:, :kept].T @ images / np.sqrt(strength[:kept, None] * len(images)))
+
+
+def _common(one: Array, other: Array, enough: float) -> Array:
+    """The patterns that two noisy versions of the same images share.
+
+    Eigenvectors of the cross-covariance ½(XᵀY + YᵀX): noise, which is not shared, has eigenvalues of either sign, so
+    the most negative one tells how large chance makes them.
+    """
+    count = len(one)
+    noise = 0.5 * np.linalg.norm(one - other, axis=1)
+    weight = (1.0 / np.hypot(1.0, noise / enough))[:, None]  # or the noisiest images would choose the patterns
+    both = np.concatenate([weight * one, weight * other])
+    size, mixing = np.linalg.eigh(both @ both.T / count)
+    kept = size > 1e-12 * size[-1]
+    size, mixing = size[kept], mixing[:, kept] * np.sqrt(size[kept])
+    crossed = mixing[:count].T @ mixing[count:]
+    shared, rotation = np.linalg.eigh(0.5 * (crossed + crossed.T))
+    chance = max(-float(shared[0]), 1e-4 * enough**2)
+    signal = np.flatnonzero(shared > chance)[::-1][:MOST_PATTERNS]
+    images = (mixing / size) @ rotation[:, signal]
+    return np.asarray(images.T @ both / np.sqrt(count))
 
 
 def _shown(plan: Plan, term: Term, albedo: float) -> Array:
@@ -159,7 +185,7 @@ def _error_of_the_rest(plan: Plan, halves: tuple[Term, Term], terms: tuple[Term,
         at = (*plan.coordinates.of(sigma_t, albedo, g), sigma_t, albedo)
         whole = np.sum([term.at(*at)[0] for term in terms], axis=0)
         difference = halves[0].at(*at)[0] - halves[1].at(*at)[0]
-        relative = 0.5 * np.linalg.norm(difference) / max(float(np.linalg.norm(whole)), DARK)
+        relative = 0.5 * REAL * np.linalg.norm(difference) / max(float(np.linalg.norm(whole)), DARK)
         logarithms.append(np.log(np.hypot(relative, beside)))
     first, second, third = (values(places[:, axis], degree) for axis, degree in enumerate(ERROR_DEGREES))
     products = np.einsum("ni,nj,nk->nijk", first, second, third).reshape(UNSEEN, -1)

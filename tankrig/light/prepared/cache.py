@@ -37,10 +37,11 @@ def cache_folder() -> Path:
 @lru_cache(maxsize=1)
 def code_mark() -> str:
     """Of the code that computes light: models made by other code are outdated."""
-    light = Path(__file__).parents[1]
+    tankrig = Path(__file__).parents[2]
     digest = hashlib.sha256()
-    for file in sorted(light.rglob("*.py")):
-        digest.update(file.read_bytes())
+    for package in ("light", "scene"):
+        for file in sorted((tankrig / package).rglob("*.py")):
+            digest.update(file.read_bytes())
     return digest.hexdigest()
 
 

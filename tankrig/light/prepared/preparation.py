@@ -23,8 +23,8 @@ Progress = Callable[[float], object]
 """Told the share of the work that is done, 0 … 1."""
 
 THREADS = 2
-MOST_PIXELS = 120_000
-"""Beyond, the images of all media would not fit a small computer's memory."""
+MOST_PIXELS = 40_000
+"""Beyond, the images of all media would take more than a GiB."""
 EXACT_COST = 0.7
 """Time that orders 1 and 2 take at one medium, in batches of paths."""
 
