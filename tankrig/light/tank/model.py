@@ -1,11 +1,13 @@
 """The tank model: what is exact, and as much of the rest as the tolerance asks for."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.double import double_scattering
+from tankrig.light.moments.way import dense_way
 from tankrig.light.single import single_scattering
 from tankrig.light.tank.high_orders import high_orders
 from tankrig.scene import Scene
@@ -72,8 +74,21 @@ def tank_image(
     known = sum(orders.values(), zero)
     if highest >= 3 and scene.medium.sigma_s > 0.0:
         faintest = 0.01 * tolerance
-        high = high_orders(scene, known, NOISE_SHARE * tolerance, max_order, seed, batches, faintest)
-        orders |= high.by_class
+        noise = NOISE_SHARE * tolerance
+        way = None if max_order or batches else dense_way(scene, tolerance)
+        if way is None:
+            high = high_orders(scene, known, noise, max_order, seed, batches, faintest)
+            orders |= high.by_class
+        else:
+            from tankrig.light.moments.dense import dense_orders
+
+            dense = dense_orders(scene, way, seed)
+            noise = 0.7 * math.sqrt(tolerance**2 - way.bound**2)
+            high = high_orders(scene, known + dense.image, noise, way.above, seed, faintest=faintest)
+            orders |= high.by_class
+            orders["4-20"], orders[">20"] = orders["4-20"] + dense.to_20, dense.beyond_20
+            what = f"above order {way.above}, degrees beyond {way.degree} and cells below {way.side_mm:.1f} mm"
+            skipped.append((what, way.bound))
         stderr = high.stderr
         skipped.append((f"paths fainter than {faintest:.0e} of their start", 2 * faintest))
     return TankImage({key: orders.get(key, zero) for key in (1, 2, 3, "4-20", ">20")}, stderr, tuple(skipped))

@@ -1,0 +1,145 @@
+"""All orders above a few at once, in dense water."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.light.moments.cells import Cells
+from tankrig.light.moments.harmonics import degrees, harmonics, parities
+from tankrig.light.moments.propagation import Propagation, Single, propagation
+from tankrig.light.moments.source import emission_moments
+from tankrig.light.moments.way import Way
+from tankrig.light.rays import geometry_of, sight_line
+from tankrig.light.tank.high_orders import mirror_symmetric
+from tankrig.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DenseOrders:
+    """Light of all orders above some on the camera's pixels.
+
+    Parameters
+    ----------
+    to_20, beyond_20
+        (rows, columns), W/mm²/sr, of the orders up to 20 and beyond. Their sum is known to the way's bound; how it is
+        shared out, to a few per cent.
+    """
+
+    to_20: Array
+    beyond_20: Array
+
+    @property
+    def image(self) -> Array:
+        """Sum of both."""
+        return self.to_20 + self.beyond_20
+
+
+def dense_orders(scene: Scene, way: Way, seed: int = 0, residual: float = 5e-4) -> DenseOrders:
+    """Image of all orders above `way.above`.
+
+    The emission Q after that many scatterings is followed on in a scaled medium (delta-M: the forward peak g^{L+1}
+    counts as light that goes straight on): (ω·∇ + σt') L = S' L + Q is solved for L's moments. Scaled orders are no
+    physical ones, so that what is wanted is ∫ e^{−σt' s} (S' L + Q) ds − ∫ e^{−σt s} Q ds along the lines of sight.
+
+    Parameters
+    ----------
+    scene
+        Collimated projector, orthographic camera, σs > 0.
+    way
+        As `dense_way` chooses it.
+    seed
+        Of the paths that make the source.
+    residual
+        Of the linear solve, relative.
+    """
+    medium = scene.medium
+    cells = Cells.of(scene.tank, way.side_mm)
+    level = degrees(way.degree)
+    emission = emission_moments(scene, cells, way.degree, way.above, way.batches, seed)
+    if mirror_symmetric(scene):
+        emission = 0.5 * (emission + emission[:, :, ::-1] * parities(way.degree)[1][:, None, None, None])
+    source = emission.astype(np.float32)
+    forward = medium.g ** (way.degree + 1)
+    scaled = medium.sigma_t - forward * medium.sigma_s
+    kept = _column(medium.sigma_s * (medium.g**level - forward))
+    transport = propagation(way.degree, cells, scaled, scene.tank.surface_index)
+    field = solved(transport, kept, transport(source), residual)
+    image = _seen(scene, cells, kept * field + source, scaled) - _seen(scene, cells, source, medium.sigma_t)
+    to_20 = np.clip(_orders_to(20, scene, cells, source, way.above), 0.0, np.maximum(image, 0.0))
+    return DenseOrders(to_20, np.maximum(image, 0.0) - to_20)
+
+
+def _orders_to(last: int, scene: Scene, cells: Cells, source: Single, above: int) -> Array:
+    """Image of the orders above + 1 … last, one after the other, with no more than two degrees."""
+    medium = scene.medium
+    degree = min(math.isqrt(len(source)) - 1, 2)
+    transport = propagation(degree, cells, medium.sigma_t, scene.tank.surface_index)
+    scattered = _column(medium.sigma_s * medium.g ** degrees(degree))
+    emission = source[: (degree + 1) ** 2]
+    total = np.zeros_like(emission)
+    for _ in range(above, last):
+        emission = scattered * transport(emission)
+        total += emission
+    return _seen(scene, cells, total, medium.sigma_t)
+
+
+def _column(values: NDArray[np.floating]) -> Single:
+    """One number per moment, ready to multiply cells."""
+    return values.astype(np.float32)[:, None, None, None]
+
+
+def _seen(scene: Scene, cells: Cells, emission: Single, sigma_t: float) -> Array:
+    """(rows, columns) radiance that leaves towards the camera from moments of the emission."""
+    upward = harmonics(math.isqrt(len(emission)) - 1, np.array([[0.0, 0.0, 1.0]]))[0]
+    across, along, up = cells.counts
+    image = np.tensordot(upward, emission, 1) @ sight_weights(up, cells.size_mm[2], sigma_t)
+    rows, columns = scene.camera.shape
+    pixel = scene.camera.pixel_mm
+    to_rows = _to_pixels(along, cells.size_mm[1], rows, pixel)
+    to_columns = _to_pixels(across, cells.size_mm[0], columns, pixel)
+    result: Array = sight_line(geometry_of(scene), 0.0, 0.0)[3] * (to_rows @ image.T @ to_columns.T)
+    return result
+
+
+def solved(transport: Propagation, kept: Single, first: Single, residual: float) -> Single:
+    """The field φ = first + K (kept · φ), by GMRES."""
+    from scipy.sparse.linalg import LinearOperator, gmres
+
+    def remaining(flat: Single) -> Single:
+        field = flat.reshape(first.shape)
+        result: Single = (field - transport(kept * field)).ravel()
+        return result
+
+    operator = LinearOperator((first.size, first.size), matvec=remaining, dtype=np.float32)
+    flat, _ = gmres(operator, first.ravel(), rtol=residual, restart=60, maxiter=1)
+    field: Single = flat.reshape(first.shape)
+    return field
+
+
+def sight_weights(count: int, height_mm: float, sigma_t: float) -> Array:
+    """Weights of layers' averages of the emission in ∫ e^{−σt s} E ds upwards, with E a parabola in each layer."""
+    nodes, lengths = np.polynomial.legendre.leggauss(6)
+    weights = np.zeros(count)
+    for layer in range(count):
+        centre = min(max(layer, 1), count - 2)
+        t = layer - centre + 0.5 * nodes
+        depth = (count - 0.5 - layer - 0.5 * nodes) * height_mm
+        kept = np.exp(-sigma_t * depth) * lengths * (0.5 * height_mm)
+        bend = 0.5 * (t * t - 1.0 / 12.0)
+        weights[centre - 1 : centre + 2] += kept @ np.array([bend - 0.5 * t, 1.0 - 2.0 * bend, bend + 0.5 * t]).T
+    return weights
+
+
+def _to_pixels(count: int, size_mm: float, pixels: int, pixel_mm: float) -> Array:
+    """(pixels, count) averages over pixels of the spline whose averages over cells are given; 0 beyond the tank."""
+    from scipy.interpolate import make_interp_spline
+
+    edges = np.arange(count + 1) * size_mm
+    integrals = np.vstack([np.zeros(count), np.tril(np.ones((count, count))) * size_mm])
+    at = np.minimum(np.arange(pixels + 1) * pixel_mm, edges[-1])
+    result: Array = np.diff(make_interp_spline(edges, integrals, k=3)(at), axis=0) / pixel_mm
+    return result

@@ -1,0 +1,147 @@
+"""Dense water solved for moments of the light field: agrees with paths and with the reference, and keeps the energy."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tankrig
+from tankrig.light.moments.cells import Cells
+from tankrig.light.moments.dense import dense_orders, solved
+from tankrig.light.moments.propagation import propagation
+from tankrig.light.moments.source import emission_moments
+from tankrig.light.moments.way import Way, dense_way
+from tankrig.light.tank import tank_image
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+
+REFERENCE = Path(__file__).parent / "data" / "reference"
+SMALL = Tank((100.0, 80.0, 60.0))
+
+
+def scene_of(medium: Medium, tank: Tank = SMALL) -> Scene:
+    """Two unlike beams through a small tank: y-asymmetric, at two heights."""
+    light = Projector("collimated", (Beam((-12.0, -8.0), (28.0, 32.0)), Beam((10.0, 20.0), (34.0, 40.0), 0.5)))
+    return Scene(tank, medium, light, Camera("orthographic", (40, 50), 2.0))
+
+
+def relative(error: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.linalg.norm(error) / np.linalg.norm(truth))
+
+
+@pytest.mark.parametrize("case", ["pub06", "pub07", "pub12"])
+def test_agrees_with_the_reference(case: str) -> None:
+    scene = tankrig.load_scene(REFERENCE / f"{case}.toml")
+    with np.load(REFERENCE / f"{case}.npz") as data:
+        reference = {name: data[name].astype(float) for name in ("total", "stderr", "order_gt20")}
+    way = dense_way(scene, 0.01) or Way(4, 2, 8.0, 6, 0.005)
+    dense = dense_orders(scene, way)
+    low = tank_image(scene, 0.005, max_order=way.above)
+    image = np.sum(list(low.orders.values()), axis=0) + dense.image
+    noise = relative(np.hypot(reference["stderr"], low.stderr), reference["total"])
+    assert relative(image - reference["total"], reference["total"]) < np.hypot(noise, 0.006)
+    # How orders are shared out between the classes is known less well than their sum.
+    assert relative(dense.beyond_20 - reference["order_gt20"], reference["total"]) < 0.015
+
+
+@pytest.mark.parametrize(
+    ("surface", "albedo", "g"),
+    [
+        ("matched", 0.99, 0.0),
+        ("fresnel", 0.99, 0.0),
+        pytest.param("matched", 0.98, 0.5, marks=pytest.mark.long),
+        pytest.param("fresnel", 0.97, 0.7, marks=pytest.mark.long),
+    ],
+)
+def test_agrees_with_paths(surface: str, albedo: float, g: float) -> None:
+    """The same orders by paths alone: the two share no more than the first few scatterings."""
+    scene = scene_of(Medium(0.15 * (1.0 - albedo), 0.15 * albedo, g), replace(SMALL, surface=surface))  # type: ignore[arg-type]
+    way = dense_way(scene, 0.02)
+    assert way is not None
+    paths = tank_image(scene, batches=12, seed=4)
+    low = tank_image(scene, batches=12, seed=4, max_order=way.above)
+    total = np.sum(list(paths.orders.values()), axis=0)
+    by_paths = total - np.sum(list(low.orders.values()), axis=0)
+    noise = relative(paths.stderr, total)
+    assert noise < 0.012
+    assert relative(dense_orders(scene, way).image - by_paths, total) < np.hypot(1.3 * noise, 0.007)
+
+
+def test_a_cell_lights_the_tank_as_much_as_the_tank_lights_it() -> None:
+    """Reciprocity of the solved field, all orders; what would break is the balance of emission and absorption."""
+    cells, sigma_a, sigma_s = Cells((16, 12, 10), (6.0, 6.0, 6.0)), 0.002, 0.098
+    transport = propagation(0, cells, sigma_a + sigma_s, 1.0)
+    even = np.ones((1, *cells.counts), np.float32)
+    one = np.zeros_like(even)
+    one[0, 8, 6, 4] = 1.0
+    kept = np.full((1, 1, 1, 1), sigma_s, np.float32)
+    field, seen = (solved(transport, kept, transport(emission), 1e-5) for emission in (even, one))
+    assert float(seen.sum()) == pytest.approx(float(field[0, 8, 6, 4]), rel=5e-3)
+    assert float(sigma_a * field.sum()) < float(even.sum())  # the rest leaves
+    assert field.min() > 0.0
+
+
+def test_light_lost_at_the_walls_is_that_of_straight_flights() -> None:
+    """Even emission: the share absorbed on the first flight, against flights drawn at random."""
+    size, sigma_t, rng = np.array([240.0, 160.0, 120.0]), 0.05, np.random.default_rng(1)
+    start, way = rng.random((1_000_000, 3)) * size, rng.normal(size=(1_000_000, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    leave = np.where(way > 0.0, (size - start) / way, -start / way).min(axis=1)
+    absorbed = -np.expm1(-sigma_t * leave).mean()
+    cells = Cells.of(Tank(), 8.0)
+    field = propagation(1, cells, sigma_t, 1.0)(
+        np.concatenate([np.ones((1, *cells.counts)), np.zeros((3, *cells.counts))])
+    )
+    assert float(field[0].mean()) * sigma_t == pytest.approx(absorbed, rel=1e-3)
+    assert abs(field[1:].mean(axis=(1, 2, 3)) * sigma_t).max() < 1e-5  # as much flies up as down
+
+
+def test_light_that_a_mirror_sends_back_is_not_lost() -> None:
+    """Less light leaves through a Fresnel surface than through a matched one, more than through a perfect mirror."""
+    cells = Cells((10, 10, 6), (8.0, 8.0, 8.0))
+    emission = np.ones((1, *cells.counts), np.float32)
+    matched, fresnel = (propagation(0, cells, 0.06, index)(emission).mean() for index in (1.0, 1.33))
+    twice = Cells((10, 10, 12), (8.0, 8.0, 8.0))
+    perfect = propagation(0, twice, 0.06, 1.0)(np.ones((1, *twice.counts), np.float32)).mean()
+    assert matched < fresnel < perfect
+
+
+def test_the_source_is_the_light_that_was_scattered_so_often() -> None:
+    """Degree 0 counts photons; what a path leaves stays between the walls' bounds from order to order."""
+    scene = scene_of(Medium(0.003, 0.147, 0.6))
+    cells = Cells.of(scene.tank, 6.0)
+    sums = [emission_moments(scene, cells, 1, order, 2)[0].sum() for order in (2, 3, 4)]
+    volume = np.prod(cells.size_mm) * np.sqrt(4.0 * np.pi)
+    power = sum(beam.power for beam in scene.projector.beams)
+    assert 0.7 * power < sums[0] * volume < 0.98**2 * power
+    assert all(0.7 < later / sooner < 0.98 for sooner, later in pairwise(sums))
+
+
+def test_everything_larger_by_k_and_coefficients_smaller_gives_the_same_image() -> None:
+    medium, k = Medium(0.001, 0.149, 0.4), 2.5
+    scene = scene_of(medium)
+    beams = tuple(
+        Beam((k * beam.y_mm[0], k * beam.y_mm[1]), (k * beam.z_mm[0], k * beam.z_mm[1]), beam.irradiance)
+        for beam in scene.projector.beams
+    )
+    larger = Scene(
+        Tank(tuple(k * side for side in scene.tank.size_mm)),  # type: ignore[arg-type]
+        Medium(medium.sigma_a / k, medium.sigma_s / k, medium.g),
+        Projector("collimated", beams),
+        Camera("orthographic", scene.camera.shape, k * scene.camera.pixel_mm),
+    )
+    way = Way(4, 2, 4.0, 1, 0.01)
+    one, other = dense_orders(scene, way).image, dense_orders(larger, replace(way, side_mm=k * 4.0)).image
+    assert relative(one - other, one) < 1e-4
+    assert one.min() >= 0.0
+
+
+def test_predict_takes_this_way_for_dense_scenes_and_says_so() -> None:
+    scene = scene_of(Medium(0.0002, 0.1998, 0.0))
+    prediction = tankrig.predict(scene, tolerance=0.01)
+    assert any("cells" in skipped.what for skipped in prediction.skipped)
+    assert np.allclose(sum(prediction.orders.values()), prediction.image)
+    assert all(image.min() >= 0.0 for image in prediction.orders.values())
+    assert dense_way(scene, 1e-4) is None
+    assert dense_way(replace(scene, medium=Medium(0.001, 0.01, 0.5)), 0.01) is None
