@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 THIRD = 3
 MOST_PATTERNS = 32
 """Of orders 1 and 2, and again of the rest."""
-LEFT_OUT = 0.05
+LEFT_OUT = 0.025
 """Share of the tolerance that leaving out patterns may cost."""
 DARK = 1e-300
 UNSEEN = 500

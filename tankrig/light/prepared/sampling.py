@@ -23,7 +23,7 @@ BIN_GROWTH = 1.1
 """Ratio of successive orders at which a new image begins; within one, all orders count as equally bright (0.05 %)."""
 FAINTEST = 3e-4
 """Share of its weight at which a path ends."""
-DEGREES = 32
+DEGREES = 20
 """Polynomials along x that keep a noisy image."""
 
 
