@@ -15,7 +15,20 @@ from tankrig.errors import DeviceError, StoreError, TankrigError, UndecidedError
 
 DONE, FAILURE, BAD_INPUT, DECISION = 0, 1, 2, 3
 
-COMMANDS = ("demo", "run", "gui", "fit", "predict", "prepare", "devices", "doctor", "calibrate", "recover", "report")
+COMMANDS = (
+    "demo",
+    "run",
+    "gui",
+    "fit",
+    "predict",
+    "prepare",
+    "benchmark",
+    "devices",
+    "doctor",
+    "calibrate",
+    "recover",
+    "report",
+)
 """In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`."""
 
 DISK_FAILED = {errno.ENOSPC, errno.EDQUOT, errno.EIO}
