@@ -67,6 +67,17 @@ def test_a_power_cut_in_mid_dose_is_unknown(bench: AnyBench) -> None:
     assert doser.delivered().high_ul <= 100.0
 
 
+def test_an_error_in_the_answer_to_a_repeated_move_does_not_mean_that_it_did_not_begin(tmp_path: Path) -> None:
+    """Obeyed, power cut before the answer, repeated: the pump, not initialised now, refuses the repeat."""
+    with CavroBench(tmp_path) as bench:
+        doser, go = bench.open(), None
+        go, doser._pump.go = doser._pump.go, lambda unless: (bench.faults(delay_ms=200.0, reset_after=3), go(unless))[1]
+        with pytest.raises(UndecidedError):
+            doser.dose_to(50.0)
+        assert bench.true_ul > 0.0
+        assert_bounds_hold(doser, bench)
+
+
 @BENCHES
 def test_a_power_cut_between_doses_costs_no_ink_and_no_count(bench: AnyBench) -> None:
     doser = bench.open()

@@ -1,6 +1,7 @@
 """A Cavro pump on its line, as `drivers.counted.pump.Pump` (firmware_notes/cavro.md)."""
 
 import itertools
+import random
 import time
 from collections.abc import Callable
 
@@ -43,7 +44,7 @@ class CavroPump:
         self.lost_by_stopping = LOST_BY_STOPPING * settings.finer
         self._sequence, self._stops = itertools.cycle(range(1, 8)), 0
         self._stops_before = -1
-        self._marks = itertools.cycle(range(800, 900))
+        self._marks = itertools.cycle(random.sample(range(800, 900), 100))  # not those of the last program
         self._line = Line(settings.port, settings.baud, name, wire.replies, lambda _: None, settings.time_scale)
 
     # -- who -----------------------------------------------------------------------------------------------------------
@@ -59,7 +60,7 @@ class CavroPump:
         try:
             for _ in range(2):
                 self._ask("Q", "".__eq__)
-            self.model = self._ask("&", lambda text: len(text) > 1).data
+            self.model = self._ask("&", lambda text: len(text) > 1 and not text.isdigit()).data
         except NoReplyError as error:
             raise DeviceError(
                 f"{self._name}: no Cavro pump answers there at {self._settings.baud} baud; check port, baud, address "
@@ -184,12 +185,17 @@ class CavroPump:
         return self._ask("?6", lambda text: len(text) == 1 and text.isalpha()).data
 
     def _move(self, count: int, unless: Callable[[], bool]) -> bool:
-        """Send a move, again with the repeat bit while no reply comes and no stop has been sent since."""
+        """Send a move, again with the repeat bit while no reply comes and no stop has been sent since.
+
+        False if it was certainly not begun. An error in the answer to a repeat proves nothing: the first may have been
+        obeyed before the power failed.
+        """
         sequence, stops = next(self._sequence), self._stops
         for attempt in range(ATTEMPTS):
             request = wire.command(self._settings.address, sequence, f"A{self.stroke - count}R", repeat=attempt > 0)
             try:
-                return not self._once(request, "".__eq__, lambda: self._stops != stops or unless()).error
+                answer = self._once(request, "".__eq__, lambda: self._stops != stops or unless())
+                return attempt > 0 or not answer.error
             except NotSentError:
                 if attempt == 0:
                     raise

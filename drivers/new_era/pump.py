@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import random
 import re
 from collections.abc import Callable
 from contextlib import suppress
@@ -57,7 +58,7 @@ class NewEraPump:
         self._stop = 2 * wire.packet(f"{settings.address}STP")
         self._heard_alarms: set[str] = set()
         self._gap = self._stopping = True
-        self._marks = itertools.cycle(range(3, 41))
+        self._marks = itertools.cycle(random.sample(range(3, 41), 38))  # not those of the last program
         self._line = Line(settings.port, settings.baud, name, wire.packets, self._heard, settings.time_scale)
 
     # -- who -----------------------------------------------------------------------------------------------------------
