@@ -52,6 +52,14 @@ class Projector(Protocol):
         """Go dark and let go of the output."""
 
 
+@runtime_checkable
+class Confirming(Protocol):
+    """A projector that can tell whether its output is still what it was; asked after each exposure."""
+
+    def confirm(self) -> None:
+        """Raise a DeviceError unless what was shown last is still on the output."""
+
+
 @dataclass(frozen=True)
 class CameraSettings:
     """What can be set on a camera; `configure` returns them as read back."""

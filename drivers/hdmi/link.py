@@ -98,6 +98,7 @@ class WindowLink:
                 pass_fds=(theirs.fileno(), self._memory),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
+                env={**os.environ, "QT_QPA_UPDATE_IDLE_TIME": "0"},  # else Qt waits 5 ms before it draws
                 # Qt has much to say that is no error; what matters comes over the socket.
                 stderr=None if os.environ.get("TANKRIG_DEBUG") == "1" else subprocess.DEVNULL,
             )

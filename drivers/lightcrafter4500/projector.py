@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from drivers.hdmi.projector import HdmiProjector
-from tankrig.devices import Flip, Projector
+from tankrig.devices import Confirming, Flip, Projector
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
@@ -87,6 +87,17 @@ class Lightcrafter:
         if self._closed:
             raise DeviceError(f"{self.name}: is closed; open it again")
         return self._window.show(pattern)
+
+    def confirm(self) -> None:
+        """Make sure that what was shown last is still on its HDMI input.
+
+        Raises
+        ------
+        DeviceError
+            If the screen is gone.
+        """
+        if isinstance(self._window, Confirming):
+            self._window.confirm()
 
     def close(self) -> None:
         """Go dark and let go of USB and screen."""

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from tankrig.devices import CameraSettings, Frame
+from tankrig.devices import CameraSettings, Confirming, Frame
 from tankrig.dosing import DoseDone, DoseIntent, GuardedDoser
 from tankrig.errors import DeviceError, SequenceError, StoreError, TankrigError
 from tankrig.pattern import Pattern
@@ -311,6 +311,8 @@ class Runner:
         """The next frame, once it is proven to be of the pattern that is shown."""
         exposure_s = self._camera_settings.exposure_ms / 1000 if self._camera_settings else 0.0
         frame = self._rig.camera.capture(after_ns, 2 * exposure_s + _CAMERA_TIMEOUT_S)
+        if isinstance(self._rig.projector, Confirming):
+            self._rig.projector.confirm()
         if frame.exposure_start_ns <= after_ns:
             early_ms = (after_ns - frame.exposure_start_ns) / 1e6
             raise DeviceError(
