@@ -1,5 +1,6 @@
 """A small, fast simulated rig in a file, and the window on it, for tests that drive the real window."""
 
+import gc
 import os
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
@@ -90,6 +91,7 @@ def window_on(folder: Path, rig: Path | None) -> Iterator[Any]:
         until(lambda: not window.isVisible())
         window.deleteLater()
         QTest.qWait(1)
+        gc.collect()
 
 
 def until(true: Callable[[], object], timeout_s: float = 20.0, what: str = "") -> None:

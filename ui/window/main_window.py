@@ -19,6 +19,7 @@ from ui.window.calibration_page import CalibrationPage
 from ui.window.doser_page import DoserPage
 from ui.window.fit_page import FitPage
 from ui.window.gap import GapMonitor
+from ui.window.garbage import GarbageTimer
 from ui.window.keys import BY_NAME, KeyCard
 from ui.window.live_view import LiveView
 from ui.window.log_panel import LogPanel
@@ -74,6 +75,7 @@ class MainWindow(QMainWindow):
         self._connect()
         self._make_keys()
         self._restore()
+        self._garbage = GarbageTimer()
         host.tell_rig()  # it may have been opened meanwhile
         self.live.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.live.setFocus()
@@ -247,6 +249,7 @@ class MainWindow(QMainWindow):
         self.host.close()
         self.background.close()
         self.log.close_log()
+        self._garbage.close()
         event.accept()
 
     def _close_when_ended(self) -> None:

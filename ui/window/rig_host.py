@@ -305,7 +305,7 @@ class RigHost(QObject):
                     outcome = runner.run()
             finally:
                 self._fit = self._runner = self._guard = None
-        self._trouble = "" if outcome.error is None else str(outcome.error)
+        self._trouble = ""
         self.run_ended.emit(outcome)
 
     def _heard(self, event: "Event", _: "Pixels | None") -> None:
