@@ -49,8 +49,11 @@ def apply(name: str) -> Theme:
     theme = THEMES.get(name, DARK)
     app = QApplication.instance()
     assert isinstance(app, QApplication)
+    if app.property("theme") == theme.name:
+        return theme
+    if app.property("theme") is None:
+        app.setStyle("Fusion")  # once: another style under widgets with a style sheet brings Qt down
     app.setProperty("theme", theme.name)
-    app.setStyle("Fusion")
     app.setPalette(_palette(theme))
     app.setStyleSheet(_sheet(theme))
     pg.setConfigOptions(background=theme.base, foreground=theme.text, antialias=True, imageAxisOrder="row-major")
