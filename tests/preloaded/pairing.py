@@ -35,6 +35,7 @@ class Light:
         self._measured = 0
         self.period_ns = round(1e9 / REFRESH_HZ)
         self.swapped_ns = 0
+        self.latencies_ns: list[int] = []
 
     def __call__(self, swapped_ns: int) -> int:
         self._measured += 1
@@ -43,7 +44,8 @@ class Light:
             return self._measured * self.period_ns
         number = self.on_screen()
         on_output_ns = (swapped_ns // self.period_ns + 1) * self.period_ns
-        self._device.light(on_output_ns + int(self._random.uniform(0, LATENCY_NS)), number)
+        self.latencies_ns.append(int(self._random.uniform(0, LATENCY_NS)))
+        self._device.light(on_output_ns + self.latencies_ns[-1], number)
         time.sleep(max(0, on_output_ns - time.monotonic_ns()) / 1e9)
         return on_output_ns
 
@@ -135,9 +137,9 @@ def test_overhead_of_a_step(bench):
 
 
 def test_latency_is_measured_by_flips_seen_through_the_camera(bench):
-    """Light comes 0 to 10 ms after a swap; that is never found too early, though lost frames may make it late."""
-    projector, camera, _ = bench
-    latency = measure_latency(projector, camera, flips=50, exposure_ms=EXPOSURE_NS / 1e6)
-    assert min(latency.samples_ms) >= 0.0
-    assert latency.p99_ms > 7.0
-    assert 3.0 < latency.median_ms < LATENCY_NS / 1e6 + CAMERA_PERIOD_NS / 1e6
+    """It is never found too early, and to the point where a frame saw the change; lost frames may make it late."""
+    projector, camera, light = bench
+    found_ms = np.array(measure_latency(projector, camera, flips=50, exposure_ms=EXPOSURE_NS / 1e6).samples_ms)
+    late_ms = found_ms - np.array(light.latencies_ns[-50:]) / 1e6
+    assert late_ms.min() > -0.05
+    assert (late_ms < 0.05).any()
