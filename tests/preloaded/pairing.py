@@ -141,5 +141,7 @@ def test_latency_is_measured_by_flips_seen_through_the_camera(bench):
     projector, camera, light = bench
     found_ms = np.array(measure_latency(projector, camera, flips=50, exposure_ms=EXPOSURE_NS / 1e6).samples_ms)
     late_ms = found_ms - np.array(light.latencies_ns[-50:]) / 1e6
-    assert late_ms.min() > -0.05
-    assert (late_ms < 0.05).any()
+    # Half of the fake camera's picture shows the light's number at the two ends of the exposure and no mean over it.
+    close_ms = 0.3 * EXPOSURE_NS / 1e6
+    assert late_ms.min() > -close_ms
+    assert (late_ms < close_ms).any()
