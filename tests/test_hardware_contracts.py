@@ -1,7 +1,7 @@
 """The contract suites on the devices of the rig file that TANKRIG_RIG names: `pytest -m hardware`.
 
-The doser's moves real ink, some 3000 increments in all, into whatever its tube hangs in: give it a vessel, not the tank.
-The projector flickers. firmware_notes/ says for each device what has to be done before, and what a pass proves.
+The doser's moves real ink, some 3000 increments in all, into whatever its tube hangs in: give it a vessel, not the
+tank. The projector flickers. firmware_notes/ says for each device what has to be done before, and what a pass proves.
 """
 
 import os

@@ -38,8 +38,7 @@ def done(run: tankrig.Run) -> list[int]:
 
 def in_thread(runner) -> tuple[threading.Thread, list]:
     outcomes = []
-    thread = threading.Thread(target=lambda: outcomes.append(runner.run()))
-    thread.start()
+    (thread := threading.Thread(target=lambda: outcomes.append(runner.run()))).start()
     return thread, outcomes
 
 

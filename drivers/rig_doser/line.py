@@ -110,4 +110,3 @@ class Line:
     def _line_lost(self) -> LineLostError:
         self._lost = True
         return lost(self._name)
-
