@@ -67,6 +67,7 @@ def test_closing_in_a_dose_stops_it_and_the_run_is_offered_again(tmp_path):
         assert steps_of(tmp_path) == 9000
 
 
+@pytest.mark.long
 def test_an_unplugged_camera_ends_the_run_and_is_named(tmp_path):
     """A person must know which cable to look at, and what was recorded."""
     with window_on(tmp_path, write_rig(tmp_path, camera="faults = { unplugged_from = 60 }")) as window:
@@ -79,6 +80,7 @@ def test_an_unplugged_camera_ends_the_run_and_is_named(tmp_path):
     assert not found.damaged
 
 
+@pytest.mark.long
 def test_a_full_disk_ends_the_run_and_says_so(tmp_path, monkeypatch):
     """What was acknowledged stays; what to do is on screen."""
     write, count = disk.write, []
