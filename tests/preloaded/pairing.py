@@ -60,9 +60,10 @@ def numbered(number: int) -> Pattern:
 
 
 @pytest.fixture
-def bench(device, reopen, tmp_path, monkeypatch):
+def bench(request, device, reopen, tmp_path, monkeypatch):
     device.set("period_ns", CAMERA_PERIOD_NS)
     server = XServer(tmp_path)
+    request.addfinalizer(server.close)
     monkeypatch.setenv("DISPLAY", server.display)
     monkeypatch.setenv("QT_QPA_PLATFORM", "xcb")
     monkeypatch.setenv("vblank_mode", "0")  # Mesa's made-up refreshes of a screen that has none
@@ -75,7 +76,6 @@ def bench(device, reopen, tmp_path, monkeypatch):
     camera.configure(CameraSettings(EXPOSURE_NS / 1e6))
     yield projector, camera, light
     projector.close()
-    server.close()
 
 
 def test_every_frame_belongs_to_its_pattern(bench, device):
