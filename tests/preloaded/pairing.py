@@ -60,10 +60,15 @@ def numbered(number: int) -> Pattern:
 
 
 @pytest.fixture
-def bench(request, device, reopen, tmp_path, monkeypatch):
-    device.set("period_ns", CAMERA_PERIOD_NS)
+def server(tmp_path):
     server = XServer(tmp_path)
-    request.addfinalizer(server.close)
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def bench(server, device, reopen, monkeypatch):
+    device.set("period_ns", CAMERA_PERIOD_NS)
     monkeypatch.setenv("DISPLAY", server.display)
     monkeypatch.setenv("QT_QPA_PLATFORM", "xcb")
     monkeypatch.setenv("vblank_mode", "0")  # Mesa's made-up refreshes of a screen that has none
