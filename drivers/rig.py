@@ -8,6 +8,7 @@ from typing import Any
 
 from drivers.registry import open_device
 from tankrig.bench import Bench
+from tankrig.calibration.file import FOLDER, in_force
 from tankrig.checked_toml import checked, read_toml
 from tankrig.dosing import DoseLimits
 from tankrig.errors import DeviceError, SceneError
@@ -35,6 +36,10 @@ class RigFile:
         How fast the rig is, for estimates of time.
     folder
         Where the tank's ledger and the rig's lock are kept; relative to the rig file.
+    calibration_folder
+        Where calibration files are kept; relative to the rig file.
+    calibration
+        By kind, the beginning of the hash of the calibration file to use; the newest where left out.
     """
 
     __pydantic_config__ = CLOSED
@@ -46,6 +51,8 @@ class RigFile:
     limits: DoseLimits
     pace: Pace = field(default_factory=Pace)
     folder: str = "."
+    calibration_folder: str = FOLDER
+    calibration: dict[str, str] = field(default_factory=dict)
 
     @property
     def ledger(self) -> Path:
@@ -85,7 +92,8 @@ def load_rig_file(path: str | os.PathLike[str], beside: Path | None = None) -> R
                 key: str(beside / value) if isinstance(value, str) and value.startswith("./") else value
                 for key, value in settings.items()
             }
-    table["folder"] = str(beside / str(table.get("folder", ".")))
+    for name, usual in (("folder", "."), ("calibration_folder", FOLDER)):
+        table[name] = str(beside / str(table.get(name, usual)))
     return checked(RigFile, table, str(file), SceneError)
 
 
@@ -119,7 +127,7 @@ def open_rig(description: RigFile) -> Rig:
     Raises
     ------
     StoreError
-        When another program uses the rig.
+        When another program uses the rig, or a calibration file that the rig file names cannot be used.
     DeviceError
         When a device cannot be opened, or is not what the rig file describes; those that were opened are closed.
     """
@@ -144,6 +152,7 @@ def open_rig(description: RigFile) -> Rig:
             limits=description.limits,
             ledger=description.ledger,
             pace=description.pace,
+            calibrations=in_force(Path(description.calibration_folder), description.calibration),
             lock=lock,
             **devices,
         )

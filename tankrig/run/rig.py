@@ -3,10 +3,12 @@
 import contextlib
 import fcntl
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tankrig.bench import Bench
+from tankrig.calibration.file import Calibration
 from tankrig.devices import Camera, Doser, Projector
 from tankrig.dosing import DoseLimits
 from tankrig.errors import StoreError
@@ -73,6 +75,8 @@ class Rig:
         File of the tank's ledger.
     pace
         How fast it is.
+    calibrations
+        By kind, what was measured of it and counts.
     lock
         Keeps other programs off.
     """
@@ -85,6 +89,7 @@ class Rig:
     limits: DoseLimits
     ledger: Path
     pace: Pace = field(default_factory=Pace)
+    calibrations: Mapping[str, Calibration] = field(default_factory=dict)
     lock: RigLock | None = None
 
     def close(self) -> None:

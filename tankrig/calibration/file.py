@@ -1,0 +1,270 @@
+"""Calibration files: dated, never overwritten, and referred to by what is in them."""
+
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.errors import StoreError
+from tankrig.files import whole_file
+
+FORMAT = 1
+"""Version of the files' layout; a program refuses layouts newer than its own."""
+FOLDER = "calibration"
+"""Beside the rig file."""
+SET_ASIDE = "set-aside"
+"""Folder in the calibration folder for results that are kept and not used."""
+MUCH_WORSE = 1.5
+"""A result is set aside when its error is this many times that of the one in use."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What was measured of one device, and how well.
+
+    Parameters
+    ----------
+    kind
+        "camera", "projector", "tank", "radiometry", "latency".
+    device
+        Name of the device that it holds for, as the device gives it.
+    shape
+        (rows, columns) of that device.
+    result
+        Numbers, text, lists and tables of them, with units in the names.
+    sd
+        Standard deviations, under the same names.
+    how_well
+        Figures of its quality; the first decides which of two is better, and smaller is better.
+    doubts
+        Why it should not be believed, in sentences; a result with doubts is set aside.
+    rests_on
+        By kind, the hashes of the calibrations that it was measured with.
+    arrays
+        What is too large for text; kept in an .npz file beside.
+    date
+        ISO 8601, UTC.
+    program
+        That made it.
+    path, hash
+        Of the file, and of its content; set by `save` and `load`.
+    """
+
+    kind: str
+    device: str
+    shape: tuple[int, int]
+    result: Mapping[str, Any]
+    sd: Mapping[str, Any] = field(default_factory=dict)
+    how_well: Mapping[str, float] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
+    rests_on: Mapping[str, str] = field(default_factory=dict)
+    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    date: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    program: str = field(default_factory=lambda: f"tankrig {version('tankrig')}")
+    path: Path | None = None
+    hash: str = ""
+
+    @property
+    def in_use(self) -> bool:
+        """Whether it counts, rather than lying with those that were set aside."""
+        return self.path is not None and self.path.parent.name != SET_ASIDE
+
+    @property
+    def age_days(self) -> float:
+        """Since it was measured."""
+        return (datetime.now(UTC) - datetime.fromisoformat(self.date)).total_seconds() / 86400.0
+
+    def require_for(self, device: str, shape: tuple[int, int]) -> None:
+        """Refuse to be used for another device.
+
+        Raises
+        ------
+        StoreError
+            When the device or its resolution is another one than was calibrated.
+        """
+        again = f"calibrate anew (tankrig calibrate {self.kind})"
+        if self.device != device:
+            raise StoreError(f"{self.path}: was measured with {self.device} and the rig has {device}; {again}")
+        if tuple(self.shape) != tuple(shape):
+            raise StoreError(
+                f"{self.path}: was measured with {list(self.shape)} pixels (rows, columns) and {device} has "
+                f"{list(shape)}; set that resolution, or {again}"
+            )
+
+
+def save(calibration: Calibration, folder: Path, accept: bool = False) -> Calibration:
+    """Keep a calibration under its kind and date; never over another file.
+
+    One that has doubts, or is much worse than the one in use, is kept in a folder aside and not used; move it out of
+    there to use it all the same.
+
+    Parameters
+    ----------
+    calibration
+        What to keep.
+    folder
+        Of the rig's calibrations.
+    accept
+        Use it whatever speaks against it.
+
+    Returns
+    -------
+    Calibration
+        With its path and hash, and with the reason added to its doubts where it was set aside.
+
+    Raises
+    ------
+    StoreError
+        When the files cannot be written.
+    """
+    doubts = (*calibration.doubts, *_worse(calibration, newest(folder, calibration.kind)))
+    place = folder if accept or not doubts else folder / SET_ASIDE
+    kept = replace(calibration, doubts=doubts, path=_unused(place, calibration))
+    assert kept.path is not None
+    table = _table(kept)
+    if kept.arrays:
+        table["arrays"] = _saved_arrays(kept.arrays, kept.path.with_suffix(".npz"))
+    import tomlkit
+
+    text = tomlkit.dumps(table)
+    hashed = sha256(text.encode()).hexdigest()
+    with whole_file(kept.path) as unfinished:
+        unfinished.write_text(f'sha256 = "{hashed}"\n{text}', encoding="utf-8")
+    return replace(kept, hash=hashed)
+
+
+def load(path: Path) -> Calibration:
+    """Read a calibration file.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be read, is cut off or changed, is none, or was written by a newer program.
+    """
+    again = "restore it, or calibrate anew"
+    try:
+        first, _, text = path.read_text(encoding="utf-8").partition("\n")
+        table = tomllib.loads(text)
+        hashed = tomllib.loads(first)["sha256"]
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror}); {again}") from error
+    except (ValueError, KeyError) as error:
+        raise StoreError(f"{path}: is no whole calibration file ({error}); {again}") from error
+    if table.get("format", 0) > FORMAT:
+        raise StoreError(
+            f"{path}: was written by {table.get('program', 'a newer tankrig')} in format {table['format']}, and this "
+            f"program reads formats up to {FORMAT}; update tankrig"
+        )
+    if sha256(text.encode()).hexdigest() != hashed:
+        raise StoreError(f"{path}: was cut off or changed since it was written; {again}")
+    table.pop("format")
+    try:
+        arrays = _loaded_arrays(path.with_suffix(".npz"), table.pop("arrays", ""))
+        table["shape"], table["doubts"] = tuple(table["shape"]), tuple(table["doubts"])
+        return Calibration(**table, arrays=arrays, path=path, hash=hashed)
+    except (KeyError, TypeError, ValueError) as error:
+        raise StoreError(f"{path}: is no calibration file ({error}); {again}") from error
+
+
+def all_in(folder: Path, kind: str = "*") -> Iterator[Calibration | StoreError]:
+    """Calibrations of a kind that count, the newest first; in place of a file that cannot be used, why not."""
+    for path in sorted(folder.glob(f"{kind}-*.toml"), key=lambda path: path.stem, reverse=True):
+        try:
+            yield load(path)
+        except StoreError as error:
+            yield error
+
+
+def newest(folder: Path, kind: str) -> Calibration | None:
+    """The newest calibration of a kind that can be read, if there is one."""
+    return next((one for one in all_in(folder, kind) if isinstance(one, Calibration)), None)
+
+
+def in_force(folder: Path, named: Mapping[str, str] | None = None) -> dict[str, Calibration]:
+    """Of each kind the calibration that counts: the one that the rig file names, else the newest that can be read.
+
+    Parameters
+    ----------
+    folder
+        Of the rig's calibrations.
+    named
+        By kind, the beginning of a hash.
+
+    Raises
+    ------
+    StoreError
+        When one that is named cannot be found or used.
+    """
+    found: dict[str, Calibration] = {}
+    named = named or {}
+    for one in all_in(folder):
+        if isinstance(one, Calibration) and one.hash.startswith(named.get(one.kind, "")):
+            found.setdefault(one.kind, one)
+    for kind in named.keys() - found.keys():
+        raise StoreError(
+            f"{folder}: has no calibration file that can be used with the hash of the rig file, calibration.{kind} = "
+            f'"{named[kind]}"; restore that file, or take the line out to use the newest'
+        )
+    return found
+
+
+def _worse(new: Calibration, old: Calibration | None) -> Iterator[str]:
+    """Why the new one should not take the place of the old one."""
+    if old is None or not old.how_well or not new.how_well:
+        return
+    name, value = next(iter(new.how_well.items()))
+    before = old.how_well.get(name)
+    if before is not None and not value <= MUCH_WORSE * before:
+        yield f"{name} = {value:.3g} is much worse than the {before:.3g} of {old.path and old.path.name}, which stays"
+
+
+def _unused(folder: Path, calibration: Calibration) -> Path:
+    stem = f"{calibration.kind}-{datetime.fromisoformat(calibration.date).astimezone(UTC):%Y-%m-%dT%H-%M-%S}"
+    names = (stem, *(f"{stem}-{number}" for number in range(2, 100)))
+    return next(path for name in names if not (path := folder / f"{name}.toml").exists())
+
+
+def _table(calibration: Calibration) -> dict[str, Any]:
+    plain = ("kind", "device", "shape", "date", "program", "doubts", "result", "sd", "how_well", "rests_on")
+    return {"format": FORMAT, **{name: _plain(getattr(calibration, name)) for name in plain}}
+
+
+def _plain(value: Any) -> Any:
+    """In types that TOML has."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return value
+
+
+def _saved_arrays(arrays: Mapping[str, NDArray[Any]], path: Path) -> str:
+    """Write arrays; returns the hash of the file."""
+    with whole_file(path) as unfinished:
+        columns: dict[str, Any] = dict(arrays)
+        np.savez_compressed(unfinished, **columns)
+        return sha256(unfinished.read_bytes()).hexdigest()
+
+
+def _loaded_arrays(path: Path, hashed: str) -> dict[str, NDArray[Any]]:
+    if not hashed:
+        return {}
+    try:
+        if sha256(path.read_bytes()).hexdigest() != hashed:
+            raise StoreError(f"{path}: was cut off or changed since it was written; restore it, or calibrate anew")
+        with np.load(path, allow_pickle=False) as found:
+            return {name: found[name] for name in found.files}
+    except StoreError:
+        raise
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({os.strerror(error.errno or 0)}); restore it") from error
