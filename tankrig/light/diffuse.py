@@ -21,7 +21,7 @@ from tankrig.compiled import kernel
 from tankrig.light.rays import Geometry, geometry_of, path_inside, sight_line
 from tankrig.light.single import single_scattering
 from tankrig.scene import Medium, Scene
-from tankrig.scene.optics import fresnel_reflectance
+from tankrig.geometry.optics import fresnel_reflectance
 
 Floats = NDArray[np.float64]
 Axes = tuple[Floats, Floats, Floats]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from tankrig.compiled import kernel
 from tankrig.scene import Beam, Scene
-from tankrig.scene.optics import reflectance
+from tankrig.geometry.optics import reflectance
 
 
 class Geometry(NamedTuple):

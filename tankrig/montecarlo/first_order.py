@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel
 from tankrig.montecarlo.stage import Stage, beam_table, departure, seen, stage
 from tankrig.scene import Scene
-from tankrig.scene.optics import reflectance
+from tankrig.geometry.optics import reflectance
 from tankrig.scene.phase import henyey_greenstein
 
 SHEET_MM = 1.0

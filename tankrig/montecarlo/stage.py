@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.scene import Scene
-from tankrig.scene.optics import crossing_offset, reflectance
+from tankrig.geometry.optics import crossing_offset, reflectance
 
 
 class Stage(NamedTuple):

@@ -39,7 +39,7 @@ def code_mark() -> str:
     """Of the code that computes light: models made by other code are outdated."""
     tankrig = Path(__file__).parents[2]
     digest = hashlib.sha256()
-    for package in ("light", "scene"):
+    for package in ("light", "scene", "geometry"):
         for file in sorted((tankrig / package).rglob("*.py")):
             digest.update(file.read_bytes())
     return digest.hexdigest()

@@ -3,7 +3,7 @@
 import math
 
 from tankrig.compiled import part
-from tankrig.scene.optics import reflectance
+from tankrig.geometry.optics import reflectance
 
 
 @part

@@ -4,7 +4,7 @@ import math
 
 from tankrig.compiled import kernel
 from tankrig.light.rays import Geometry
-from tankrig.scene.optics import crossing_offset, reflectance
+from tankrig.geometry.optics import crossing_offset, reflectance
 
 
 @kernel

@@ -96,28 +96,32 @@ def refract(directions: ArrayLike, normal: ArrayLike, ratio: float) -> NDArray[n
 
 
 @kernel
-def crossing_offset(offset: float, depth: float, height: float, index: float) -> float:
-    """Where the ray from a point under water to a point in the air crosses the level surface. Scalar kernel.
+def crossing_offset(
+    offset: float, depth: float, height: float, index: float, pane: float = 0.0, pane_index: float = 1.0
+) -> float:
+    """Where the ray from a point under water to a point in the air enters the air. Scalar kernel.
 
-    Solves Snell's law ρ + depth · tan θ_water(ρ) = offset, tan θ_water = ρ / √((n² − 1) ρ² + n² height²), by Newton's
-    method. The left side is increasing and concave in ρ, so that from the paraxial ray, which falls short,
-    the iteration climbs to the root without overshooting.
+    Solves Snell's law ρ + pane · tan θ_glass(ρ) + depth · tan θ_water(ρ) = offset,
+    tan θ = ρ / √((n² − 1) ρ² + n² height²), by Newton's method. The left side is increasing and concave in ρ, so that
+    from the paraxial ray, which falls short, the iteration climbs to the root without overshooting.
 
     Parameters
     ----------
     offset
-        Horizontal distance between the two points, mm.
+        Distance between the two points along the plane of the surface, mm.
     depth
-        Of the point in the water below the surface, mm.
+        Of the point in the water from the surface, mm.
     height
-        Of the point in the air above the surface, mm.
+        Of the point in the air from the surface, or from the pane, mm.
     index
         Refractive index n ≥ 1 of the water.
+    pane, pane_index
+        Thickness in mm and refractive index of a pane between water and air.
 
     Returns
     -------
     float
-        Horizontal distance ρ from the point in the air to the crossing, mm.
+        Distance ρ along the plane from the point in the air to where the ray leaves the air, mm.
 
     Examples
     --------
@@ -127,15 +131,25 @@ def crossing_offset(offset: float, depth: float, height: float, index: float) ->
     >>> in_air, in_water = math.atan2(rho, 200.0), math.atan2(300.0 - rho, 100.0)
     >>> round(math.sin(in_air) / math.sin(in_water), 12)
     1.33
+    >>> round(crossing_offset(300.0, 60.0, 200.0, 1.0, 40.0, 1.0), 9)
+    200.0
     """
-    rho = offset / (1.0 + depth / (index * height))
-    if index == 1.0:
+    rho = offset / (1.0 + depth / (index * height) + pane / (pane_index * height))
+    if index == 1.0 and pane == 0.0:
         return rho
     excess, reach = index * index - 1.0, index * index * height * height
+    pane_excess, pane_reach = pane_index * pane_index - 1.0, pane_index * pane_index * height * height
     for _ in range(50):
         squared = excess * rho * rho + reach
         root = math.sqrt(squared)
-        step = (offset - rho - depth * rho / root) / (1.0 + depth * reach / (squared * root))
+        miss = offset - rho - depth * rho / root
+        slope = 1.0 + depth * reach / (squared * root)
+        if pane > 0.0:
+            squared = pane_excess * rho * rho + pane_reach
+            root = math.sqrt(squared)
+            miss -= pane * rho / root
+            slope += pane * pane_reach / (squared * root)
+        step = miss / slope
         rho += step
         if step <= 1e-13 * offset:
             break
