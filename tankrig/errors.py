@@ -13,6 +13,10 @@ class SceneError(TankrigError, ValueError):
     """A scene that cannot exist, or that no model supports yet."""
 
 
+class CalibrationError(TankrigError, ValueError):
+    """Measurements of which no calibration can be made."""
+
+
 class ImageError(TankrigError, ValueError):
     """An image that cannot be read, or that cannot be an observation of the scene."""
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from tankrig.errors import DeviceError, StoreError, TankrigError
+from tankrig.errors import CalibrationError, DeviceError, StoreError
 from tankrig.files import whole_file
 
 FORMAT = 1
@@ -20,10 +20,6 @@ LEAST_WEIGHTS = 3
 MOST_SCATTER = 0.05
 _PLAUSIBLE = (0.5, 2.0)
 _AIR_G_PER_ML, _WEIGHTS_G_PER_ML = 0.0012, 8.0
-
-
-class CalibrationError(TankrigError, ValueError):
-    """Measurements of which no calibration can be made."""
 
 
 @dataclass(frozen=True)

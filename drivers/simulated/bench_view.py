@@ -1,0 +1,212 @@
+"""What the camera of a simulated bench sees of a board, by the room's light and the projector's.
+
+Rays are followed with formulae of this module's own, not with those that calibration uses: so they check each other.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.calibration.board import Board
+from tankrig.pattern import Pattern
+
+from .bench_poses import FILLED, Place, board_pose
+from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
+
+Map = NDArray[np.float32]
+
+_TEXELS_PER_MM = 10
+_WHITE, _BLACK, _FLOOR = 0.85, 0.05, 0.03
+_DIMMED = 0.05
+"""The room's light when the projector is looked at."""
+_NODE_PX = 12
+
+
+class BoardInView:
+    """One placing of a board; works out once where each camera pixel looks, then pictures for whatever is projected.
+
+    Light is followed from the camera's pixels, four or nine to each, to the board and from there to the projector's
+    pixels: exactly on a grid of nodes, between them by cubic splines (error below 1e-4 pixels). Not in the picture are
+    reflections, and what else the tank holds.
+
+    Parameters
+    ----------
+    bench, board, place, number
+        See `board_pose`.
+    """
+
+    def __init__(self, bench: TrueBench, board: Board, place: Place, number: int) -> None:
+        self._bench, self._board, self._filled = bench, board, place in FILLED
+        self._lit = place.endswith("slant")
+        self._rotation, self._origin = board_pose(bench, board, place, number)
+        self._samples = 2 if bench.camera.shape[1] > 1000 else 3
+        self._fade = _vignetting(
+            bench.camera, *np.meshgrid(*(np.arange(n, dtype=float) for n in bench.camera.shape[::-1]))
+        )
+        self._box = self._bounding_box()
+        self._look()
+
+    def radiance(self, shown: Mapping[Pattern, float]) -> Array:
+        """(rows, columns) W/mm²/sr towards the camera, by the patterns that are `shown` for parts of the time."""
+        import cv2
+
+        room = self._bench.room * (_DIMMED if self._lit else 1.0)
+        picture = np.full(self._bench.camera.shape, _FLOOR * room, np.float32)
+        if self._box is not None:
+            top, bottom, left, right = self._box
+            light = np.full(self._albedo.shape, room, np.float32)
+            if self._lit:
+                for pattern, part in shown.items():
+                    light += np.float32(part * self._bench.full) * self._beam * self._thrown(pattern)
+            size = (right - left, bottom - top)
+            picture[top:bottom, left:right] = cv2.resize(self._albedo * light, size, interpolation=cv2.INTER_AREA)
+        blurred = cv2.GaussianBlur(picture, (0, 0), self._bench.camera.blur_px)
+        return np.asarray(blurred * self._fade, float)
+
+    def _thrown(self, pattern: Pattern) -> Map:
+        """Light of the projector's pixels where each sample is lit from, of that of a white one."""
+        import cv2
+
+        light = ((pattern.pixels / 255.0) ** self._bench.gamma).astype(np.float32)
+        blurred = cv2.GaussianBlur(light, (0, 0), self._bench.projector.blur_px)
+        thrown: Map = cv2.remap(blurred, *self._from, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        return thrown
+
+    def _bounding_box(self) -> tuple[int, int, int, int] | None:
+        """Rows and columns of the picture that the plate can be in."""
+        rows, columns = self._bench.camera.shape
+        y, x = np.linspace(-0.5, rows - 0.5, 81), np.linspace(-0.5, columns - 0.5, 121)
+        board, _ = self._on_board(*np.meshgrid(x, y))
+        inside = self._on_plate(board, 6.0)
+        if not inside.any():
+            return None
+        found_y, found_x = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+        top, bottom = y[max(found_y[0] - 1, 0)], y[min(found_y[-1] + 1, 80)]
+        left, right = x[max(found_x[0] - 1, 0)], x[min(found_x[-1] + 1, 120)]
+        return max(int(top), 0), min(int(bottom) + 1, rows), max(int(left), 0), min(int(right) + 1, columns)
+
+    def _look(self) -> None:
+        """Albedo and lighting of every sample in the box."""
+        import cv2
+
+        if self._box is None:
+            return
+        top, bottom, left, right = self._box
+        nodes_y, nodes_x = (
+            np.linspace(low - 0.5, high - 0.5, max(6, (high - low) // _NODE_PX))
+            for low, high in ((top, bottom), (left, right))
+        )
+        fine = [
+            (np.arange((high - low) * self._samples) + 0.5) / self._samples + low - 0.5
+            for low, high in ((top, bottom), (left, right))
+        ]
+        board, points = self._on_board(*np.meshgrid(nodes_x, nodes_y))
+        u, v = (_spline(nodes_y, nodes_x, board[..., k], fine) for k in range(2))
+        margin = self._board.margin_mm
+        where = [((one + margin) * _TEXELS_PER_MM - 0.5).astype(np.float32) for one in (u, v)]
+        step_mm = float(np.median(np.abs(np.diff(u, axis=1))) + np.median(np.abs(np.diff(v, axis=1))))
+        print_out = cv2.GaussianBlur(_plate(self._board), (0, 0), max(0.35 * step_mm * _TEXELS_PER_MM, 0.1))
+        self._albedo: Map = cv2.remap(
+            print_out, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=_FLOOR
+        )
+        if self._lit:
+            pixels, beam = self._from_projector(points)
+            self._from = [_spline(nodes_y, nodes_x, pixels[..., k], fine).astype(np.float32) for k in range(2)]
+            self._beam: Map = _spline(nodes_y, nodes_x, beam, fine).astype(np.float32)
+
+    def _on_board(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Where camera pixels look: (…, 3) in the board's own mm as it was meant to be, and in the tank's frame."""
+        bench = self._bench
+        start = bench.camera.centre_mm
+        way = _rays(bench.camera, np.stack([x, y], axis=-1)) @ bench.camera.rotation
+        point = np.broadcast_to(start, way.shape)
+        if self._filled:
+            at = np.array([TANK_MM[0] / 2, 0.0, bench.level_mm])
+            point = point + (((at - point) @ bench.surface) / (way @ bench.surface))[..., None] * way
+            way = _bent(way, bench.surface, 1.0 / bench.water_index)
+        normal = self._rotation[:, 2]
+        point = point + (((self._origin - point) @ normal) / (way @ normal))[..., None] * way
+        return (point - self._origin) @ self._rotation / bench.board_scale, point
+
+    def _on_plate(self, board: Array, beyond_mm: float) -> NDArray[np.bool_]:
+        reach = self._board.margin_mm + beyond_mm
+        middle = np.array(self._board.size_mm) / 2
+        return np.asarray((np.abs(board[..., :2] - middle) < middle + reach).all(axis=-1))
+
+    def _from_projector(self, points: Array) -> tuple[Array, Array]:
+        """Projector pixels that light points of the tank, and how much, of what a white pixel gives to the wall."""
+        bench, start = self._bench, self._bench.projector.centre_mm
+        index = bench.water_index if self._filled else 1.0
+        across = points[..., 1:] - start[1:]
+        offset = np.linalg.norm(across, axis=-1)
+        depths = (-start[0] - bench.pane_mm, bench.pane_mm, np.maximum(points[..., 0], 0.0))
+        sine = _through_layers(offset, depths, (1.0, bench.pane_index, index))
+        aside = across / np.maximum(offset, 1e-12)[..., None]
+        in_air = np.concatenate([np.sqrt(1.0 - sine**2)[..., None], sine[..., None] * aside], axis=-1)
+        inside = np.concatenate(
+            [np.sqrt(1.0 - (sine / index) ** 2)[..., None], sine[..., None] / index * aside], axis=-1
+        )
+        pixels = _pixels(bench.projector, in_air @ bench.projector.rotation.T)
+        farther = start[0] / (start[0] - depths[2] / index)
+        incident = np.maximum(inside @ self._rotation[:, 2], 0.0)
+        return pixels, farther**2 * incident * _vignetting(bench.projector, pixels[..., 0], pixels[..., 1])
+
+
+def _plate(board: Board) -> Map:
+    """Albedo of the board with its white margin."""
+    squares = board.picture(_TEXELS_PER_MM).astype(np.float32) / 255.0
+    rim = round(board.margin_mm * _TEXELS_PER_MM)
+    return np.asarray(_BLACK + (_WHITE - _BLACK) * np.pad(squares, rim, constant_values=1.0), np.float32)
+
+
+def _spline(y: Array, x: Array, values: Array, fine: list[Array]) -> Array:
+    from scipy.interpolate import RectBivariateSpline
+
+    return np.asarray(RectBivariateSpline(y, x, values)(*fine))
+
+
+def _vignetting(optics: TrueOptics, x: Array, y: Array) -> Array:
+    rows, columns = optics.shape
+    squared = (x - (columns - 1) / 2) ** 2 + (y - (rows - 1) / 2) ** 2
+    return np.asarray(np.maximum(1.0 - optics.vignetting * squared * 4.0 / (rows**2 + columns**2), 0.0))
+
+
+def _rays(optics: TrueOptics, pixels: Array) -> Array:
+    """Unit vectors in the device's frame."""
+    import cv2
+
+    exact = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+    flat = pixels.reshape(-1, 1, 2)
+    plane = cv2.undistortPoints(flat, optics.matrix, optics.distortion, criteria=exact).reshape(pixels.shape)
+    rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
+    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def _pixels(optics: TrueOptics, ways: Array) -> Array:
+    """Pixels of directions in the device's frame."""
+    import cv2
+
+    still = np.zeros(3)
+    found, _ = cv2.projectPoints(ways.reshape(-1, 1, 3), still, still, optics.matrix, optics.distortion)
+    return np.asarray(found, float).reshape(*ways.shape[:-1], 2)
+
+
+def _bent(way: Array, normal: Array, ratio: float) -> Array:
+    """Directions behind a surface, by Snell's law in its vector form; `normal` points to where light comes from."""
+    cosine = -(way @ normal)[..., None]
+    return np.asarray(ratio * way + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal)
+
+
+def _through_layers(offset: Array, depths: tuple[Array | float, ...], indices: tuple[float, ...]) -> Array:
+    """Sine, in air, of the angle at which light crosses flat layers so that it gets `offset` aside: by bisection."""
+    low, high = np.zeros_like(offset), np.full_like(offset, 0.999)
+    for _ in range(48):
+        sine = 0.5 * (low + high)
+        reached = sum(
+            depth * (sine / index) / np.sqrt(1.0 - (sine / index) ** 2)
+            for depth, index in zip(depths, indices, strict=True)
+        )
+        short = reached < offset
+        low, high = np.where(short, sine, low), np.where(short, high, sine)
+    return np.asarray(0.5 * (low + high))
