@@ -154,3 +154,76 @@ def crossing_offset(
         if step <= 1e-13 * offset:
             break
     return rho
+
+
+@kernel
+def entry_slope(offset: float, distance: float, index: float, pane: float, pane_index: float) -> float:
+    """How steeply light from a point in the air goes on in the water behind a plane wall. Scalar kernel.
+
+    Parameters
+    ----------
+    offset
+        From the foot of the point's normal on the wet side of the wall to where the ray comes through, mm.
+    distance
+        Of the point from the wet side of the wall, mm.
+    index
+        Refractive index of the water.
+    pane, pane_index
+        Thickness of the wall in mm and its refractive index.
+
+    Returns
+    -------
+    float
+        tan θ_water / offset, 1/mm: what the ray moves outward per mm into the water, per mm of offset.
+
+    Examples
+    --------
+    >>> entry_slope(30.0, 400.0, 1.0, 0.0, 1.0) * 400.0
+    1.0
+    >>> in_air, in_water = math.atan2(30.0, 400.0), math.atan(30.0 * entry_slope(30.0, 400.0, 1.33, 0.0, 1.0))
+    >>> round(math.sin(in_air) / math.sin(in_water), 12)
+    1.33
+    """
+    height = distance - pane
+    rho = crossing_offset(offset, 0.0, height, index, pane, pane_index)
+    share = rho / offset if offset > 1e-9 else 1.0 / (1.0 + pane / (pane_index * height))
+    return share / math.sqrt((index * index - 1.0) * rho * rho + index * index * height * height)
+
+
+@kernel
+def pixel_seen(
+    lens: tuple[float, ...],
+    turn: tuple[float, ...],
+    widest: float,
+    dx: float,
+    dy: float,
+    dz: float,
+) -> tuple[float, float]:
+    """Pixel of a direction of sight. Scalar kernel; `tankrig.geometry.lens.to_pixels` for one direction.
+
+    Parameters
+    ----------
+    lens
+        fx, fy, cx, cy, k1, k2, p1, p2, k3.
+    turn
+        Rows of the matrix from the world to the device's frame.
+    widest
+        Tangent of the angle from the axis beyond which nothing is in the picture: there the distortion may fold back.
+    dx, dy, dz
+        Direction in the world, of any length.
+
+    Returns
+    -------
+    u, v
+        Both −1e9 for what is not in the picture.
+    """
+    z = turn[6] * dx + turn[7] * dy + turn[8] * dz
+    x, y = turn[0] * dx + turn[1] * dy + turn[2] * dz, turn[3] * dx + turn[4] * dy + turn[5] * dz
+    if z <= 0.0 or x * x + y * y > widest * widest * z * z:
+        return -1e9, -1e9
+    x, y = x / z, y / z
+    squared = x * x + y * y
+    radial = 1.0 + squared * (lens[4] + squared * (lens[5] + squared * lens[8]))
+    u = x * radial + 2.0 * lens[6] * x * y + lens[7] * (squared + 2.0 * x * x)
+    v = y * radial + lens[6] * (squared + 2.0 * y * y) + 2.0 * lens[7] * x * y
+    return lens[0] * u + lens[2], lens[1] * v + lens[3]

@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from tankrig.compiled import kernel
+from tankrig.geometry.optics import crossing_offset, entry_slope, reflectance
 from tankrig.scene import Beam, Scene
-from tankrig.geometry.optics import reflectance
 
 
 class Geometry(NamedTuple):
@@ -32,6 +32,11 @@ class Geometry(NamedTuple):
     camera_x: float
     camera_y: float
     camera_z: float
+    entry_index: float = 1.0
+    """Refractive index of the water as the light sees it that enters at x = 0; 1 when matched."""
+    pane: float = 0.0
+    """Thickness of the wall that the light enters through."""
+    pane_index: float = 1.0
     reflected: bool = False
     """Whether the light is what a Fresnel surface sends back: projector and beams are then mirror images above it."""
 
@@ -54,10 +59,11 @@ def geometry_of(scene: Scene) -> Geometry:
         width / 2,
         height,
         scene.tank.surface_index,
-        light.kind == "pinhole",
+        light.kind != "collimated",
         *(light.position_mm or (-1.0, 0.0, 0.0)),
-        camera.kind == "pinhole",
+        camera.kind != "orthographic",
         *(camera.position_mm or (0.0, 0.0, height + 1.0)),
+        *scene.tank.entry_bends,
     )
 
 
@@ -113,9 +119,54 @@ def light_ray(geometry: Geometry, y0: float, z0: float) -> tuple[float, float, f
     """Unit direction in which light enters at (0, y0, z0)."""
     if not geometry.light_pinhole:
         return 1.0, 0.0, 0.0
+    if bent(geometry):
+        dy, dz = y0 - geometry.light_y, z0 - geometry.light_z
+        offset = math.sqrt(dy * dy + dz * dz)
+        slope = entry_slope(offset, -geometry.light_x, geometry.entry_index, geometry.pane, geometry.pane_index)
+        ux = 1.0 / math.sqrt(1.0 + slope * slope * offset * offset)
+        return ux, ux * slope * dy, ux * slope * dz
     dx, dy, dz = -geometry.light_x, y0 - geometry.light_y, z0 - geometry.light_z
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     return dx / distance, dy / distance, dz / distance
+
+
+@kernel
+def bent(geometry: Geometry) -> bool:
+    """Whether light from the projector's pinhole is bent where it enters."""
+    return geometry.light_pinhole and (geometry.entry_index != 1.0 or geometry.pane != 0.0)
+
+
+@kernel
+def bent_light(geometry: Geometry, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
+    """Bent light at a point in the water.
+
+    Rays of one pinhole behind a plane wall spread evenly about its normal: where a ray has the offset r₀ from the
+    normal at x = 0 and the slope t(r₀) in the water, r = r₀ + x t, and areas across x grow by (r/r₀)(dr/dr₀).
+
+    Returns
+    -------
+    ux, uy, uz
+        Its unit direction.
+    spread
+        Fluence rate, before attenuation, per flux through an area of the plane x = 0.
+    share
+        Of y − y_pinhole and z − z_pinhole, where the ray came through x = 0.
+    """
+    dy, dz = y - geometry.light_y, z - geometry.light_z
+    offset = math.sqrt(dy * dy + dz * dz)
+    n, glass, pane = geometry.entry_index, geometry.pane_index, geometry.pane
+    height = -geometry.light_x - pane
+    rho = crossing_offset(offset, x, height, n, pane, glass)
+    in_water = math.sqrt((n * n - 1.0) * rho * rho + n * n * height * height)
+    in_glass = math.sqrt((glass * glass - 1.0) * rho * rho + glass * glass * height * height)
+    at_wall = 1.0 + pane / in_glass  # r₀ over ρ, and dr₀/dρ
+    at_wall_slope = 1.0 + pane * (glass * height) ** 2 / in_glass**3
+    along = 1.0 + x / (in_water * at_wall)
+    outward = 1.0 + x * (n * height) ** 2 / (in_water**3 * at_wall_slope)
+    tangent = rho / in_water
+    ux = 1.0 / math.sqrt(1.0 + tangent * tangent)
+    turn = ux * tangent / offset if offset > 1e-9 else 0.0
+    return ux, turn * dy, turn * dz, 1.0 / (along * outward * ux), 1.0 / along
 
 
 @kernel

@@ -16,7 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.rays import Geometry, light_kept, light_ray, light_sources, path_inside, sight_line, sighting_row
+from tankrig.light.bent_light import along_sight_in_bent_light
+from tankrig.light.rays import (
+    Geometry,
+    bent,
+    light_kept,
+    light_ray,
+    light_sources,
+    path_inside,
+    sight_line,
+    sighting_row,
+)
 from tankrig.scene import Scene
 from tankrig.scene.phase import henyey_greenstein
 
@@ -35,7 +45,7 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
     Parameters
     ----------
     scene
-        Any scene; both projectors, both cameras, matched or Fresnel surface.
+        Any scene.
 
     Returns
     -------
@@ -55,6 +65,10 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
     image = np.zeros(camera.shape)
     if medium.sigma_s == 0.0:
         return image
+    if camera.kind == "calibrated":
+        from tankrig.light.quadrangles import single_scattering_in_quadrangles
+
+        return single_scattering_in_quadrangles(scene)
     rules = [np.polynomial.legendre.leggauss(count) for count in (2, 3, 4)]  # along x, along y, along the line of sight
     for geometry, beams in light_sources(scene):
         for beam in beams:
@@ -80,11 +94,9 @@ def _add_beam(
 ) -> None:
     """Add one beam's order-1 image; `edges` are (y low, y high, z low, z high) on the plane x = 0."""
     x_nodes, x_weights = x_rule
-    y_nodes, y_weights = y_rule
     rows, columns = image.shape
     y_first = -geometry.half_width
     corners = np.empty(4)
-    cuts = np.empty(6)
     for column in range(columns):
         x_left = column * pixel_mm
         if x_left >= geometry.length:
@@ -103,19 +115,27 @@ def _add_beam(
                 for row in range(top, bottom + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
-                    cuts[0], cuts[5] = low, high
-                    for k in range(4):
-                        cuts[k + 1] = min(max(corners[k], low), high)
-                    total = 0.0
-                    for k in range(5):
-                        half = 0.5 * (cuts[k + 1] - cuts[k])
-                        if half <= 0.0:
-                            continue
-                        for j in range(y_nodes.size):
-                            y = cuts[k] + half * (1.0 + y_nodes[j])
-                            seen = _along_sight(geometry, x, y, sigma_t, g, edges, depth_rule)
-                            total += half * y_weights[j] * seen
+                    total = across_sights(geometry, x, low, high, corners, sigma_t, g, edges, y_rule, depth_rule)
                     image[row, column] += strength * total / pixel_mm * 0.5 * x_weights[i] / parts
+
+
+@kernel
+def across_sights(
+    geometry: Geometry, x: float, low: float, high: float, corners: NDArray[np.float64], sigma_t: float, g: float,
+    edges: tuple[float, float, float, float], y_rule: Rule, depth_rule: Rule,
+) -> float:  # fmt: skip
+    """∫ dy of what is seen along the lines through (x, low … high, Lz), cut at the rows of the beam's corners."""
+    nodes, weights = y_rule
+    total, start = 0.0, low
+    for k in range(5):
+        end = min(max(corners[k], low), high) if k < 4 else high
+        half = 0.5 * (end - start)
+        if half > 0.0:
+            for j in range(nodes.size):
+                y = start + half * (1.0 + nodes[j])
+                total += half * weights[j] * _along_sight(geometry, x, y, sigma_t, g, edges, depth_rule)
+        start = max(start, end)
+    return total
 
 
 @kernel
@@ -124,26 +144,33 @@ def _parts_along_x(
 ) -> int:
     """How many parts of a column of pixels to integrate separately along x: more where there are kinks, or dense."""
     parts = 1 + int(sigma_t * pixel_mm)
-    near, far = 1e30, -1e30
-    middle = 0.5 * (edges[0] + edges[1])
     for k in range(4):
-        x = x_left + pixel_mm * (k // 2)
-        vx, _, vz, _ = sight_line(geometry, x, middle)
-        lit = x - vx / vz * (geometry.height - edges[2 + k % 2])
-        near, far = min(near, lit), max(far, lit)
         left = sighting_row(geometry, x_left, edges[k // 2], edges[2 + k % 2])
         right = sighting_row(geometry, x_left + pixel_mm, edges[k // 2], edges[2 + k % 2])
         shift = geometry.half_width / pixel_mm
         if math.floor(left / pixel_mm + shift) != math.floor(right / pixel_mm + shift):
             parts = max(parts, SLANTED_PARTS)
+    return max(parts, KINKED_PARTS) if kinked(geometry, x_left, pixel_mm, edges) else parts
+
+
+@kernel
+def kinked(geometry: Geometry, x_left: float, width: float, edges: tuple[float, float, float, float]) -> bool:
+    """Whether a wall, the surface or the floor cuts what is lit on some lines of sight between two x, not on others."""
+    near, far = 1e30, -1e30
+    middle = 0.5 * (edges[0] + edges[1])
+    for k in range(4):
+        x = x_left + width * (k // 2)
+        vx, _, vz, _ = sight_line(geometry, x, middle)
+        lit = x - vx / vz * (geometry.height - edges[2 + k % 2])
+        near, far = min(near, lit), max(far, lit)
     for k in range(2):  # where the light meets the surface or the floor
         ux, _, uz = light_ray(geometry, middle, edges[2 + k])
-        left, right = edges[2 + k] + uz / ux * x_left, edges[2 + k] + uz / ux * (x_left + pixel_mm)
+        left, right = edges[2 + k] + uz / ux * x_left, edges[2 + k] + uz / ux * (x_left + width)
         if (left - geometry.height) * (right - geometry.height) < 0.0 or left * right < 0.0:
-            parts = max(parts, KINKED_PARTS)
+            return True
     inside = near > 1e-9 and far < geometry.length - 1e-9
-    straight = far - near <= pixel_mm * (1.0 + 1e-9)  # looking straight down, a wall is a pixel's edge or outside
-    return parts if inside or straight else max(parts, KINKED_PARTS)
+    straight = far - near <= width * (1.0 + 1e-9)  # looking straight down, a wall is a pixel's edge or outside
+    return not (inside or straight)
 
 
 @kernel
@@ -157,6 +184,8 @@ def _along_sight(
     rule: Rule,
 ) -> float:
     """∫ p exp(−σt (d₁ + d₂)) E/E₀ ds along the line of sight through (x, y, Lz), times the surface's transmission."""
+    if bent(geometry):
+        return along_sight_in_bent_light(geometry, x, y, sigma_t, g, edges, rule)
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     low, high = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
     low, high = _clip_to_beam(geometry, x, y, vx, vy, vz, edges, low, high)

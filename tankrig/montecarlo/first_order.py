@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.montecarlo.stage import Stage, beam_table, departure, seen, stage
-from tankrig.scene import Scene
 from tankrig.geometry.optics import reflectance
+from tankrig.montecarlo.stage import Stage, beam_table, departure, pixel_at, pixel_weights, seen, stage
+from tankrig.scene import Scene
 from tankrig.scene.phase import henyey_greenstein
 
 SHEET_MM = 1.0
@@ -54,7 +54,7 @@ def first_order(scene: Scene) -> NDArray[np.float64]:
     if scene.medium.sigma_s > 0.0:
         for y_low, y_high, z_low, z_high, irradiance in beam_table(scene):
             _light_beam(flat, y_low, y_high, z_low, z_high, irradiance, image)
-    return image
+    return image * pixel_weights(scene)
 
 
 @kernel
@@ -89,6 +89,7 @@ def _light_ray(
 ) -> None:
     """Add one ray, cell by cell, up to the far wall; behind a Fresnel surface its mirror image goes on below."""
     ux, uy, uz = departure(scene, y, z)
+    wider, higher = _spreading(scene, y, z, width, thickness)
     cells = math.ceil(scene.length / ux / min(_cell(scene), 0.2 / scene.sigma_t))
     half = scene.length / ux / (2 * cells)
     height, mirrored = scene.height, 0.0
@@ -98,14 +99,14 @@ def _light_ray(
         distance = (2 * cell + 1) * half
         if scene.sigma_t * distance > OPAQUE:
             return
-        spread = 1.0 - ux * distance / scene.projector[0] if scene.projector_pinhole else 1.0
+        spread, rise = 1.0 + wider * ux * distance, 1.0 + higher * ux * distance
         centre_y, half_y = _cut(y + uy * distance, 0.5 * width * spread, -scene.half_width, scene.half_width)
         if half_y <= 0.0:
             continue
         # Scattered per volume of the cut cell: irradiance times e^{−σt s} averaged over the cell's length, times σs.
         scattered = power * scene.albedo * 2.0 * math.sinh(scene.sigma_t * half) * math.exp(-scene.sigma_t * distance)
         scattered *= 2.0 * half_y / (width * spread)
-        level, half_level = z + uz * distance, 0.5 * thickness * spread
+        level, half_level = z + uz * distance, 0.5 * thickness * rise
         centre_z, half_z = _cut(level, half_level, 0.0, height)
         if half_z > 0.0:
             share = scattered * half_z / half_level
@@ -114,6 +115,18 @@ def _light_ray(
         if mirrored > 0.0 and half_z > 0.0:
             share = mirrored * scattered * half_z / half_level
             _show_cell(scene, ux * distance, centre_y, centre_z, ux, uy, -uz, half * ux, half_y, half_z, share, image)
+
+
+@kernel
+def _spreading(scene: Stage, y: float, z: float, width: float, thickness: float) -> tuple[float, float]:
+    """How much wider and higher, relative to what it is at the wall, a ray's section grows per mm of x."""
+    if not scene.projector_pinhole:
+        return 0.0, 0.0
+    if scene.bends[0] == 1.0 and scene.bends[1] == 0.0:
+        return -1.0 / scene.projector[0], -1.0 / scene.projector[0]
+    left, right = departure(scene, y - 0.5 * width, z), departure(scene, y + 0.5 * width, z)
+    low, high = departure(scene, y, z - 0.5 * thickness), departure(scene, y, z + 0.5 * thickness)
+    return (right[1] / right[0] - left[1] / left[0]) / width, (high[2] / high[0] - low[2] / low[0]) / thickness
 
 
 @kernel
@@ -154,13 +167,28 @@ def _show_cell(
 def _share_out(
     scene: Stage, px: float, py: float, half_x: float, half_y: float, value: float, image: NDArray[np.float64]
 ) -> None:
-    """Add `value`, spread evenly over a rectangle of the surface, to the pixels it overlaps, per area."""
+    """Add `value`, spread evenly over a rectangle of the surface, to the pixels it overlaps, per area.
+
+    Where pixels are no squares of the surface, the rectangle becomes one in the picture, with the variance of its
+    image there: what that blurs is a fraction of a cell, which is a fraction of a pixel.
+    """
     half_x, half_y = max(half_x, 1e-9 * scene.pixel), max(half_y, 1e-9 * scene.pixel)
-    density = value / (4.0 * half_x * half_y)
-    left = max(px - half_x, 0.0) / scene.pixel
-    right = min(min(px + half_x, scene.length) / scene.pixel, float(scene.columns))
-    low = max(py - half_y + scene.half_width, 0.0) / scene.pixel
-    high = min(min(py + half_y + scene.half_width, 2.0 * scene.half_width) / scene.pixel, float(scene.rows))
+    x_low, x_high = max(px - half_x, 0.0), min(px + half_x, scene.length)
+    y_low, y_high = max(py - half_y, -scene.half_width), min(py + half_y, scene.half_width)
+    if x_high <= x_low or y_high <= y_low:
+        return
+    value *= (x_high - x_low) * (y_high - y_low) / (4.0 * half_x * half_y)
+    x, y = 0.5 * (x_low + x_high), 0.5 * (y_low + y_high)
+    across, along = pixel_at(scene, x, y)
+    across_x, along_x = pixel_at(scene, x_high, y)
+    across_y, along_y = pixel_at(scene, x, y_high)
+    if min(across, across_x, across_y) < -1e8:  # not in the picture
+        return
+    half_across = math.sqrt((across_x - across) ** 2 + (across_y - across) ** 2)
+    half_along = math.sqrt((along_x - along) ** 2 + (along_y - along) ** 2)
+    density = value / (4.0 * half_across * half_along * scene.pixel**2)
+    left, right = max(across - half_across, 0.0), min(across + half_across, float(scene.columns))
+    low, high = max(along - half_along, 0.0), min(along + half_along, float(scene.rows))
     for row in range(int(low), math.ceil(high)):
         overlap_y = min(high, row + 1.0) - max(low, float(row))
         for column in range(int(left), math.ceil(right)):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.montecarlo.first_order import first_order
-from tankrig.montecarlo.stage import beam_table, stage
+from tankrig.montecarlo.stage import beam_table, pixel_weights, stage
 from tankrig.montecarlo.tally import CLASSES
 from tankrig.montecarlo.transport import trace
 from tankrig.orders import ORDER_CLASSES
@@ -170,6 +170,7 @@ def _batch(scene: Scene, photons: int, seed: tuple[int, int], highest: int) -> B
     powers = np.cumsum([beam.power for beam in beams])
     key = np.uint64(numbers.integers(2**63))
     fates = trace(stage(lit), beam_table(lit), powers, photons, highest, key, numbers.random(3), images)
+    images *= pixel_weights(lit)
     return images, fates
 
 
@@ -181,8 +182,11 @@ def _in_order(pool: Executor, run: Callable[[int], Batch], threads: int) -> Iter
 
 def _mirror_symmetric(scene: Scene) -> bool:
     """Whether y → −y changes nothing, so that each photon may be counted on both sides."""
+    if scene.camera.kind == "calibrated":
+        return False
     centred = all(
-        device.kind != "pinhole" or (device.position_mm is not None and device.position_mm[1] == 0.0)
+        device.kind in ("collimated", "orthographic")
+        or (device.position_mm is not None and device.position_mm[1] == 0.0)
         for device in (scene.projector, scene.camera)
     )
     whole = scene.camera.shape[0] * scene.camera.pixel_mm == scene.tank.size_mm[1]
@@ -194,7 +198,7 @@ def _mirror_symmetric(scene: Scene) -> bool:
 def _coarser(scene: Scene, factor: int) -> Scene:
     rows, columns = scene.camera.shape
     shape = (math.ceil(rows / factor), math.ceil(columns / factor))
-    return replace(scene, camera=replace(scene.camera, shape=shape, pixel_mm=factor * scene.camera.pixel_mm))
+    return replace(scene, camera=replace(scene.camera.binned(factor), shape=shape))
 
 
 def _enlarged(image: Image, factor: int, scene: Scene) -> Image:

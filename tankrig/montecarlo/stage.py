@@ -5,14 +5,20 @@ camera see a point (`seen`)?
 """
 
 import math
+from dataclasses import astuple
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.scene import Scene
-from tankrig.geometry.optics import crossing_offset, reflectance
+from tankrig.geometry.lens import to_rays
+from tankrig.geometry.optics import crossing_offset, entry_slope, pixel_seen, reflectance
+from tankrig.scene import Camera, Scene
+from tankrig.scene.footprint import footprints
+
+Nine = tuple[float, ...]
+NOTHING: Nine = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Stage(NamedTuple):
@@ -33,12 +39,21 @@ class Stage(NamedTuple):
     camera: tuple[float, float, float]
     projector_pinhole: bool
     projector: tuple[float, float, float]
+    bends: tuple[float, float, float]
+    """At x = 0: index of the water, thickness and index of the wall."""
+    calibrated: bool
+    """Whether the camera's pixels are quadrangles of the surface; then they are found by its lens and its turn."""
+    lens: Nine
+    turn: Nine
+    widest: float
 
 
 def stage(scene: Scene) -> Stage:
     """Flatten `scene` for kernels."""
     length, width, height = scene.tank.size_mm
     rows, columns = scene.camera.shape
+    calibrated = scene.camera.kind == "calibrated"
+    lens, turn, widest = _optics(scene.camera) if calibrated else (NOTHING, NOTHING, 0.0)
     return Stage(
         float(length),
         width / 2.0,
@@ -50,11 +65,34 @@ def stage(scene: Scene) -> Stage:
         int(rows),
         int(columns),
         float(scene.camera.pixel_mm),
-        scene.camera.kind == "pinhole",
+        scene.camera.kind != "orthographic",
         _point(scene.camera.position_mm),
-        scene.projector.kind == "pinhole",
+        scene.projector.kind != "collimated",
         _point(scene.projector.position_mm),
+        scene.tank.entry_bends,
+        calibrated,
+        lens,
+        turn,
+        widest,
     )
+
+
+def _optics(camera: Camera) -> tuple[Nine, Nine, float]:
+    """Lens, turn and the widest angle of a calibrated camera, for kernels."""
+    lens, (rows, columns) = camera.lens, camera.shape
+    border = [[u, v] for u in np.linspace(-1.0, columns, 33) for v in (-1.0, rows)]
+    border += [[u, v] for v in np.linspace(-1.0, rows, 33) for u in (-1.0, columns)]
+    rays = to_rays(lens, border)
+    widest = float(np.nanmax(np.hypot(rays[:, 0], rays[:, 1]) / rays[:, 2]))
+    return astuple(lens), tuple(camera.pose.matrix.ravel().tolist()), widest
+
+
+def pixel_weights(scene: Scene) -> NDArray[np.float64] | float:
+    """Area of a typical pixel over that of each pixel, 0 where a pixel doesn't look at the surface."""
+    if scene.camera.kind != "calibrated":
+        return 1.0
+    areas = footprints(scene.camera, scene.tank).areas_mm2
+    return np.nan_to_num(scene.camera.pixel_mm**2 / areas)
 
 
 def beam_table(scene: Scene) -> NDArray[np.float64]:
@@ -72,10 +110,29 @@ def departure(scene: Stage, y: float, z: float) -> tuple[float, float, float]:
     """Direction in which the projector's light crosses the wall at (0, y, z)."""
     if not scene.projector_pinhole:
         return 1.0, 0.0, 0.0
+    if scene.bends[0] != 1.0 or scene.bends[1] != 0.0:
+        return _bent_departure(scene, y - scene.projector[1], z - scene.projector[2])
     apex_x, apex_y, apex_z = scene.projector
     across, up = (y - apex_y) / -apex_x, (z - apex_z) / -apex_x
     forward = 1.0 / math.sqrt(1.0 + across * across + up * up)
     return forward, across * forward, up * forward
+
+
+@kernel
+def _bent_departure(scene: Stage, y: float, z: float) -> tuple[float, float, float]:
+    slope = entry_slope(math.sqrt(y * y + z * z), -scene.projector[0], *scene.bends)
+    forward = 1.0 / math.sqrt(1.0 + slope * slope * (y * y + z * z))
+    return forward, slope * y * forward, slope * z * forward
+
+
+@part
+def pixel_at(scene: Stage, px: float, py: float) -> tuple[float, float]:
+    """Column and row of a point of the plane z = Lz, counted from the first pixel's edge."""
+    if scene.calibrated:
+        x, y, z = scene.camera
+        u, v = pixel_seen(scene.lens, scene.turn, scene.widest, px - x, py - y, scene.height - z)
+        return u + 0.5, v + 0.5
+    return px / scene.pixel, (py + scene.half_width) / scene.pixel
 
 
 @part

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.montecarlo.stage import Stage, seen
+from tankrig.montecarlo.stage import Stage, pixel_at, seen
 from tankrig.scene.phase import henyey_greenstein
 
 CLASSES = 4
@@ -97,8 +97,9 @@ def _show_point(
 ) -> None:
     """Add what one point of a stretch sends to the camera; `scattered` leaves out the attenuation on the way to it."""
     px, py, vx, vy, vz, path, factor = seen(scene, x + ux * distance, y + uy * distance, z + uz * distance)
-    column, row = int(px / scene.pixel), int((py + scene.half_width) / scene.pixel)
-    if factor > 0.0 and column < scene.columns and row < scene.rows:
+    across, along = pixel_at(scene, px, py)
+    column, row = int(across), int(along)
+    if factor > 0.0 and across >= 0.0 and column < scene.columns and along >= 0.0 and row < scene.rows:
         lobe = henyey_greenstein(ux * vx + uy * vy + uz * vz, scene.g)
         images[kind, row, column] += scattered * factor * lobe * math.exp(-scene.sigma_t * (distance + path))
 

@@ -79,5 +79,6 @@ def _written(table: dict[str, Any]) -> Iterator[tuple[str, bool]]:
     """Keys that have a default in Python but not in a file, where forgetting one would change the light unnoticed."""
     for key in ("size_mm", "surface"):
         yield f"tank.{key}", key in table["tank"]
+    yield "camera.pixel_mm", table["camera"]["kind"] == "calibrated" or "pixel_mm" in table["camera"]
     for index, beam in enumerate(table["projector"]["beams"]):
         yield f"projector.beams[{index}].irradiance", "irradiance" in beam
