@@ -1,108 +1,46 @@
 """`estimate`: from an image of a tank to the coefficients of what is in it."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
-from tankrig.estimation.fitting import Problem, first_guess, polish, search
+from tankrig.estimation.description import described
+from tankrig.estimation.fitting import MEDIUM, Problem, first_guess, polish, search
 from tankrig.estimation.forward import slopes_of
+from tankrig.estimation.misalignment import Misalignment
 from tankrig.estimation.models import COARSE, Model, Models, error_map, models_of, stated_error
-from tankrig.estimation.observation import Observation, observe, structure
-from tankrig.estimation.parameters import at_edge
+from tankrig.estimation.observation import Observation, observe
+from tankrig.estimation.parameters import Range, to_coordinates, to_medium
 from tankrig.estimation.projection import Scaling
-from tankrig.estimation.uncertainty import covariance, identifiable
-from tankrig.estimation.verdict import what_is_determined, what_is_left, what_was_left_out
-from tankrig.image.prediction import Prediction
-from tankrig.scene import Medium, Scene
+from tankrig.estimation.result import Estimate as Estimate
+from tankrig.scene import Scene
+
+if TYPE_CHECKING:
+    from tankrig.image.prepare import Prepared
 
 Image = NDArray[np.floating]
 Free = Literal["free"]
 
-
-@dataclass(frozen=True)
-class Estimate:
-    """Coefficients fitted to an image, with what is known about them.
-
-    Parameters
-    ----------
-    medium
-        Fitted σa, σs, g.
-    covariance
-        (3, 3), of (σa, σs, g): camera noise and the model's own error, gain and offset as free as they were.
-    identifiable
-        Which of "sigma_a", "sigma_s", "g" the image determines.
-    gain, offset
-        Fitted, or as given.
-    image
-        Fitted image, gain · radiance + offset, in units of the observed one.
-    residual
-        Observed less fitted; NaN where a pixel was left out.
-    rmse
-        Root mean square of the residual over the pixels used, image units.
-    verdict
-        What is determined, which combination is where not all are, and what the residual says; plain sentences.
-    model
-        Name of the model fitted.
-    noise
-        RMS standard deviation of the image's noise, image units: as given or estimated, or as the residual shows where
-        that is more.
-    model_error
-        The model's error that the covariance counts with: relative L2 of the image.
-    """
-
-    medium: Medium
-    covariance: NDArray[np.float64]
-    identifiable: dict[str, bool]
-    gain: float
-    offset: float
-    image: Image
-    residual: Image
-    rmse: float
-    verdict: str
-    model: str
-    noise: float
-    model_error: float
-
-    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Where each coefficient lies with probability `level`: normal intervals cut at the range allowed.
-
-        Parameters
-        ----------
-        level
-            0 < level < 1.
-
-        Returns
-        -------
-        {"sigma_a": (low, high), "sigma_s": …, "g": …}, σ ≥ 0 and −1 ≤ g ≤ 1
-        """
-        from scipy.special import ndtri
-
-        if not 0.0 < level < 1.0:
-            raise ValueError(f"level = {level} is no probability; give one between 0 and 1, such as 0.95")
-        reach = float(ndtri(0.5 + 0.5 * level)) * np.sqrt(np.diag(self.covariance))
-        allowed = {"sigma_a": (0.0, math.inf), "sigma_s": (0.0, math.inf), "g": (-1.0, 1.0)}
-        intervals = {}
-        for (name, (low, high)), half in zip(allowed.items(), reach, strict=True):
-            best = getattr(self.medium, name)
-            intervals[name] = (max(low, best - float(half)), min(high, best + float(half)))
-        return intervals
+CLEANINGS = 3
+"""Times at most that a fit is repeated without the pixels that it shows to be outliers."""
 
 
 def estimate(
     image: ArrayLike,
     scene: Scene,
-    gain: float | Free = "free",
-    offset: float | Free = "free",
+    gain: float | tuple[float, float] | Free = "free",
+    offset: float | tuple[float, float] | Free = "free",
     noise: ArrayLike | None = None,
     mask: ArrayLike | None = None,
-    model: str = "tank",
+    model: "str | Prepared" = "tank",
     max_order: int | None = None,
     *,
+    nuisance: Mapping[str, float] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Estimate:
     """Scattering coefficients of the liquid in an image.
@@ -118,15 +56,21 @@ def estimate(
     scene
         Tank, projector and camera; its medium does not matter.
     gain, offset
-        "free", or numbers: image units per W/mm²/sr, and image units.
+        "free", or numbers: image units per W/mm²/sr, and image units; or (number, standard deviation).
     noise
-        Standard deviation of the image's noise, scalar or per pixel; None to estimate it from pixel-to-pixel changes.
+        Standard deviation of the image's noise, scalar or per pixel; None to estimate it from pixel-to-pixel changes,
+        as a function of the brightness.
     mask
         (rows, columns), True where a pixel is to be left out.
     model
-        "tank", "single", "convolution", "diffuse" or "montecarlo".
+        "tank", "single", "convolution", "diffuse" or "montecarlo"; what `tankrig.prepare` gave for the same scene, or
+        "prepared" to have that done: a fit then takes a fraction of a second.
     max_order
         Fit orders of scattering 1 … max_order only; None for all.
+    nuisance
+        What may be off in the set-up, each with its standard deviation, and is fitted along: "z_mm", "y_mm" (light
+        moved up, and along y), "tilt_mrad" (light turned about the vertical, towards +y), "scale" (share by which a
+        pixel is larger than described).
     progress
         Told in a few words what is being done, now and then.
 
@@ -143,13 +87,21 @@ def estimate(
     """
     if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):
         raise SceneError(f"{scene.source or 'the scene'}: no beam has any irradiance; give the light that was on")
-    scaling = Scaling(_known("gain", gain), _known("offset", offset))
+    (gain_mean, gain_sd), (offset_mean, offset_sd) = _known("gain", gain), _known("offset", offset)
+    scaling = Scaling(gain_mean, offset_mean, gain_sd, offset_sd)
+    misalignment = Misalignment(scene, nuisance, 1 if model == "single" else max_order) if nuisance else None
     observation = observe(image, scene.camera.shape, noise, mask)
-    return fit_models(observation, scene, scaling, models_of(scene, model, max_order), progress or _silently)
+    models = models_of(scene, model, max_order)
+    return fit_models(observation, scene, scaling, models, progress or _silently, misalignment)
 
 
 def fit_models(
-    observation: Observation, scene: Scene, scaling: Scaling, models: Models, progress: Callable[[str], None]
+    observation: Observation,
+    scene: Scene,
+    scaling: Scaling,
+    models: Models,
+    progress: Callable[[str], None],
+    misalignment: Misalignment | None = None,
 ) -> Estimate:
     """Fit any forward model: search the whole range with its cheap version, end with the accurate one.
 
@@ -163,86 +115,59 @@ def fit_models(
         The model.
     progress
         Told in words what is being done.
+    misalignment
+        What may be off in the set-up; None where nothing is. It is fitted with the accurate model only.
     """
     length_mm = max(scene.tank.size_mm)
 
-    def problem_of(forward: Model, slope: Model, error: Image) -> Problem:
-        slopes = slopes_of(lambda medium: slope(medium).image, length_mm)
-        return Problem(lambda medium: forward(medium).image, slopes, observation, scaling, error)
+    def problem_of(seen: Observation, forward: Model, slope: Model, error: Image) -> Problem:
+        slopes = models.slopes or slopes_of(lambda medium: slope(medium).image, length_mm)
+        reach = models.range or Range.of_tank(length_mm)
+        return Problem(lambda medium: forward(medium).image, slopes, seen, scaling, error, reach)
 
     progress("looking at a few media")
     ambient = float(np.percentile(observation.image[observation.used], 5)) if scaling.offset is None else scaling.offset
     brightness = np.maximum(observation.image - ambient, 0.0)
-    starts = first_guess(problem_of(models.coarse, models.coarse, COARSE * brightness), length_mm)
+    starts = first_guess(problem_of(observation, models.coarse, models.coarse, COARSE * brightness), length_mm)
     rough = float(np.clip(stated_error(models.coarse(starts[0])), 0.1 * COARSE, COARSE))
-    found = search(problem_of(models.coarse, models.coarse, rough * brightness), starts, length_mm, progress)
+    found = search(problem_of(observation, models.coarse, models.coarse, rough * brightness), starts, progress)
 
     progress("refining")
     forward, slope = models.refine(found[0])
     start = forward(found[0])
-    gain, offset = problem_of(forward, slope, rough * brightness).scale(start.image)
-    observation = observation.with_noise_of(observation.image - gain * start.image - offset)
+    gain, offset = problem_of(observation, forward, slope, rough * brightness).scale(start.image)
+    fitted = gain * start.image + offset
+    observation = observation.with_noise_of(observation.image - fitted, fitted)
     error = abs(gain) * np.minimum(error_map(start), COARSE * np.abs(start.image).max())
-    problem = problem_of(forward, slope, error)
-    medium, _ = min((polish(problem, one, length_mm) for one in found), key=lambda end: end[1])
+    problem = problem_of(observation, forward, slope, error)
+    best = min((polish(problem, to_coordinates(one)) for one in found), key=lambda end: end.cost)
+    if misalignment is not None:
+        progress("aligning")
+        moves = misalignment.at(to_medium(best.coordinates))
+        problem = replace(problem, misalignment=moves)
+        best = polish(problem, np.concatenate([best.coordinates, np.zeros(len(moves.names))]))
+    for _ in range(CLEANINGS):
+        image = problem.image(best.coordinates)
+        gain, offset = problem.scale(image)
+        cleaned = problem.observation.cleaned(gain * image + offset)
+        if cleaned.used.sum() == problem.observation.used.sum():
+            break
+        problem = replace(problem, observation=cleaned)
+        best = polish(problem, best.coordinates)
     progress("finding the errors")
-    return _described(problem, medium, scene, forward(medium))
+    return described(problem, best.coordinates, scene, forward(to_medium(best.coordinates[:MEDIUM])))
 
 
-def _described(problem: Problem, medium: Medium, scene: Scene, prediction: Prediction) -> Estimate:
-    """The estimate at an optimum: errors, verdict, residual."""
-    observation, length_mm = problem.observation, max(scene.tank.size_mm)
-    gain, offset = problem.scale(prediction.image)
-    if gain <= 0.0:
-        raise ImageError(
-            "the image is dark where the scene's light is and bright where it is not; check that image and scene "
-            "belong together and which way up the image is"
-        )
-    used = observation.used
-    fitted = gain * prediction.image + offset
-    residual = np.where(used, observation.image - fitted, np.nan)
-    rmse, noise = _rms(residual[used]), _rms(observation.noise[used])
-    brightness = _rms(gain * prediction.image[used])
-    unexplained = structure(residual, used) / brightness
-    white = math.sqrt(max(rmse**2 - (unexplained * brightness) ** 2, 0.0))
-    noisier = white / noise if white > noise * (1.0 + 3.0 / math.sqrt(2.0 * used.sum())) else 1.0
-    stated = stated_error(prediction)
-    counted = max(stated, unexplained)
-    # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
-    beyond = math.sqrt(counted**2 - stated**2)
-    error = gain * np.hypot(error_map(prediction), beyond * np.abs(prediction.image))
-
-    spread = covariance(
-        problem.sensitivity(medium), medium, noisier * observation.noise, error,
-        scene.camera.pixel_mm, length_mm,
-    )  # fmt: skip
-    edges = at_edge(medium, length_mm)
-    known = {name: yes and name not in edges for name, yes in identifiable(medium, spread).items()}
-    left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
-    sentences = [
-        what_is_determined(medium, spread, known, edges),
-        what_is_left(unexplained, stated, noisier if observation.noise_known else 1.0),
-        what_was_left_out(observation.saturated, left_out, prediction.model),
-    ]
-    return Estimate(
-        medium=medium, covariance=spread, identifiable=known, gain=gain, offset=offset, image=fitted, residual=residual,
-        rmse=rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model,
-        noise=noisier * noise, model_error=counted,
-    )  # fmt: skip
-
-
-def _known(name: str, value: object) -> float | None:
-    """A number, or None where free."""
+def _known(name: str, value: object) -> tuple[float | None, float]:
+    """A number and its standard deviation; None where free."""
     if value == "free":
-        return None
-    if not isinstance(value, float | int | np.number) or not math.isfinite(value) or (name == "gain" and value <= 0.0):
+        return None, 0.0
+    pair = value if isinstance(value, tuple) and len(value) == 2 else (value, 0.0)
+    numbers = [float(one) if isinstance(one, float | int | np.number) else math.nan for one in pair]
+    if not np.isfinite(numbers).all() or numbers[1] < 0.0 or (name == "gain" and numbers[0] <= 0.0):
         wanted = "a positive finite number" if name == "gain" else "a finite number"
-        raise ImageError(f'{name} = {value!r} cannot be; give "free" or {wanted}')
-    return float(value)
-
-
-def _rms(values: Image) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+        raise ImageError(f'{name} = {value!r} cannot be; give "free", {wanted}, or it and its standard deviation')
+    return numbers[0], numbers[1]
 
 
 def _silently(_: str) -> None:

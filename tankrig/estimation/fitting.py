@@ -8,15 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.forward import Forward, Image, Slopes
+from tankrig.estimation.misalignment import Misalignment
 from tankrig.estimation.observation import Observation
-from tankrig.estimation.parameters import search_box, slopes, to_coordinates, to_medium
+from tankrig.estimation.parameters import Range, slopes, to_coordinates, to_medium
 from tankrig.estimation.projection import Scaling
-from tankrig.estimation.search import Optimum, minimise
+from tankrig.estimation.search import LONGEST_STEP, Optimum, minimise
 from tankrig.estimation.uncertainty import Sensitivity
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]
 
+MEDIUM = 3
+"""Coordinates of the medium; those of what may be misaligned come after them, in standard deviations."""
 START_MEAN_FREE_PATHS = (0.6, 2.4, 9.6)
 START_ALBEDO = 0.97
 START_ASYMMETRY = (0.0, 0.5, 0.85)
@@ -29,6 +32,8 @@ of the model, which the weights count pixel by pixel, move the optimum by more t
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
 """Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
 by less than EQUAL, are left for the accurate model to tell apart."""
+FURTHEST_OFF, LONGEST_MOVE = 6.0, 2.0
+"""Standard deviations by which anything may be misaligned, at most and in one step."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,10 @@ class Problem:
         Gain and offset, known or free.
     error
         (rows, columns) standard deviation of the model's error, counted per pixel into the weights only.
+    range
+        Where to search.
+    misalignment
+        What may be off in the set-up; None where nothing is.
     """
 
     forward: Forward
@@ -52,6 +61,8 @@ class Problem:
     observation: Observation
     scaling: Scaling
     error: Image
+    range: Range
+    misalignment: Misalignment | None = None
 
     @property
     def weight(self) -> Array:
@@ -60,33 +71,49 @@ class Problem:
         weight: Array = 1.0 / np.hypot(self.observation.noise[used], np.asarray(self.error[used], float))
         return weight
 
+    def image(self, coordinates: Array) -> Image:
+        """Radiance, (rows, columns)."""
+        medium, off = to_medium(coordinates[:MEDIUM]), coordinates[MEDIUM:]
+        image = self.forward(medium)
+        return image if self.misalignment is None else image + self.misalignment.change(medium, off)
+
     def scale(self, image: Image) -> tuple[float, float]:
         """Best gain and offset for a model image."""
         used = self.observation.used
         return self.scaling.solve(np.asarray(image[used], float), self.observation.image[used], self.weight)
 
     def residual(self, coordinates: Array) -> Array:
-        """Observed less fitted, in standard deviations, (n,)."""
-        return self._residual(self.forward(to_medium(coordinates)))
+        """Observed less fitted, and expected less found, in standard deviations, (n + priors,)."""
+        return self._residual(self.image(coordinates), coordinates)
 
     def residual_and_jacobian(self, coordinates: Array) -> tuple[Array, Array]:
-        """The same with its derivatives by the coordinates, (n, 3)."""
-        medium = to_medium(coordinates)
-        changes = self.sensitivity(medium).changes
-        return self._residual(self.forward(medium)), -changes.T @ slopes(medium)
+        """The same with its derivatives by the coordinates, (n + priors, k)."""
+        image = self.image(coordinates)
+        found = self.sensitivity(coordinates, image)
+        by_coefficients = -np.concatenate([found.changes, found.beliefs], axis=1).T
+        off = coordinates.size - MEDIUM
+        jacobian = np.zeros((by_coefficients.shape[0] + off, coordinates.size))
+        jacobian[: len(by_coefficients)] = by_coefficients
+        jacobian[:, :MEDIUM] = jacobian[:, :MEDIUM] @ slopes(to_medium(coordinates[:MEDIUM]))
+        jacobian[len(by_coefficients) :, MEDIUM:] = np.eye(off)
+        return self._residual(image, coordinates), jacobian
 
-    def sensitivity(self, medium: Medium) -> Sensitivity:
-        """What the fit responds to at a medium."""
-        used, weight, image = self.observation.used, self.weight, self.forward(medium)
+    def sensitivity(self, coordinates: Array, image: Image) -> Sensitivity:
+        """What the fit responds to at some coordinates, whose image is given: σa, σs, g and the misalignments."""
+        used, weight, medium = self.observation.used, self.weight, to_medium(coordinates[:MEDIUM])
         gain, _ = self.scale(image)
-        changes = gain * np.asarray(self.slopes(medium)[:, used], float) * weight
-        return Sensitivity(self.scaling.unhidden(changes, np.asarray(image[used], float), weight), weight, used)
+        raw = np.asarray(self.slopes(medium)[:, used], float)
+        if self.misalignment is not None:
+            moves = self.misalignment.slopes(medium, coordinates[MEDIUM:])
+            raw = np.concatenate([raw, moves[:, used]])
+        changes = self.scaling.unhidden(gain * raw * weight, np.asarray(image[used], float), weight)
+        return Sensitivity(changes[:, : weight.size], changes[:, weight.size :], weight, used)
 
-    def _residual(self, image: Image) -> Array:
+    def _residual(self, image: Image, coordinates: Array) -> Array:
         gain, offset = self.scale(image)
         used = self.observation.used
         residual: Array = (self.observation.image[used] - gain * image[used] - offset) * self.weight
-        return residual
+        return np.concatenate([residual, self.scaling.beliefs(gain, offset), coordinates[MEDIUM:]])
 
 
 def first_guess(problem: Problem, length_mm: float) -> list[Medium]:
@@ -94,7 +121,10 @@ def first_guess(problem: Problem, length_mm: float) -> list[Medium]:
     starts: dict[float, Optimum] = {}
     for g, paths in product(START_ASYMMETRY, START_MEAN_FREE_PATHS):
         sigma_s = paths / length_mm
-        at = to_coordinates(Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g))
+        at = np.clip(
+            to_coordinates(Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g)),
+            problem.range.low, problem.range.high,
+        )  # fmt: skip
         value = problem.residual(at)
         here = Optimum(at, 0.5 * float(value @ value))
         if g not in starts or here.cost < starts[g].cost:
@@ -102,7 +132,7 @@ def first_guess(problem: Problem, length_mm: float) -> list[Medium]:
     return [to_medium(start.coordinates) for start in sorted(starts.values(), key=lambda start: start.cost)]
 
 
-def search(problem: Problem, starts: Sequence[Medium], length_mm: float, seen: Callable[[str], None]) -> list[Medium]:
+def search(problem: Problem, starts: Sequence[Medium], seen: Callable[[str], None]) -> list[Medium]:
     """Best medium over the whole allowed range, and others that are as good as far as this problem can tell.
 
     Parameters
@@ -111,36 +141,34 @@ def search(problem: Problem, starts: Sequence[Medium], length_mm: float, seen: C
         To minimise; a cheap forward model will do.
     starts
         Where to begin.
-    length_mm
-        Longest side of the tank.
     seen
         Told in words what is being done.
     """
     tried = []
     for start in starts:
         seen(f"searching from g = {start.g:.2g}")
-        tried.append(_minimise(problem, to_coordinates(start), length_mm, COARSE_ENOUGH, FIRST_STEPS))
+        tried.append(_minimise(problem, to_coordinates(start), COARSE_ENOUGH, FIRST_STEPS))
     tried.sort(key=lambda end: end.cost)
     seen("searching from the best")
     ends: list[Optimum] = []
     for one in tried:
         if ends and one.cost > RIVAL * ends[0].cost:
             break
-        end = _minimise(problem, one.coordinates, length_mm, COARSE_ENOUGH)
+        end = _minimise(problem, one.coordinates, COARSE_ENOUGH)
         if all(np.abs(end.coordinates - other.coordinates).max() > DISTINCT for other in ends):
             ends.append(end)
     ends.sort(key=lambda end: end.cost)
     return [to_medium(end.coordinates) for end in ends if end.cost < ends[0].cost + EQUAL]
 
 
-def polish(problem: Problem, medium: Medium, length_mm: float) -> tuple[Medium, float]:
-    """Optimum next to `medium`, and half the sum of squares there."""
+def polish(problem: Problem, start: Array) -> Optimum:
+    """Optimum next to some coordinates."""
     by_model = float(np.mean((np.asarray(problem.error[problem.observation.used], float) * problem.weight) ** 2))
-    enough = FINE_ENOUGH + MODEL_ENOUGH * by_model
-    end = _minimise(problem, to_coordinates(medium), length_mm, enough, LAST_STEPS)
-    return to_medium(end.coordinates), end.cost
+    return _minimise(problem, start, FINE_ENOUGH + MODEL_ENOUGH * by_model, LAST_STEPS)
 
 
-def _minimise(problem: Problem, start: Array, length_mm: float, enough: float, most_steps: int = 30) -> Optimum:
-    box = search_box(length_mm)
-    return minimise(problem.residual, problem.residual_and_jacobian, start, box, enough, most_steps)
+def _minimise(problem: Problem, start: Array, enough: float, most_steps: int = 30) -> Optimum:
+    wide = np.full(start.size - MEDIUM, FURTHEST_OFF)
+    box = np.concatenate([problem.range.low, -wide]), np.concatenate([problem.range.high, wide])
+    longest = np.concatenate([LONGEST_STEP, np.full(wide.size, LONGEST_MOVE)])
+    return minimise(problem.residual, problem.residual_and_jacobian, start, box, enough, most_steps, longest)

@@ -9,14 +9,20 @@ would look like a way to a better fit.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import remembered
+from tankrig.errors import SceneError
+from tankrig.estimation.forward import Slopes, remembered
+from tankrig.estimation.parameters import Range
 from tankrig.image.predict import predict
 from tankrig.image.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
+
+if TYPE_CHECKING:
+    from tankrig.image.prepare import Prepared
 
 Model = Callable[[Medium], Prediction]
 """What the camera would see with a medium in the tank."""
@@ -43,20 +49,33 @@ class Models:
         Cheap.
     refine
         From a medium near the optimum to an accurate version and one to differentiate.
+    slopes
+        Derivatives by σa, σs, g, (3, rows, columns), of the model itself; None to take differences.
+    range
+        Media that it answers for; None: all.
     """
 
     coarse: Model
     refine: Callable[[Medium], tuple[Model, Model]]
+    slopes: Slopes | None = None
+    range: Range | None = None
 
 
-def models_of(scene: Scene, model: str, max_order: int | None) -> Models:
+def models_of(scene: Scene, model: "str | Prepared", max_order: int | None) -> Models:
     """Versions of a model of a scene.
 
     Raises
     ------
     SceneError
-        On the first image, when the model is unknown or cannot treat the scene.
+        When a prepared model is of another scene; on the first image, when the model is unknown or cannot treat the
+        scene.
     """
+    if model == "prepared":
+        from tankrig.image.prepare import prepare
+
+        model = prepare(scene)
+    if not isinstance(model, str):
+        return _prepared_models(scene, model, max_order)
     if model == "tank":
         return _tank_models(scene, max_order)
 
@@ -65,6 +84,35 @@ def models_of(scene: Scene, model: str, max_order: int | None) -> Models:
 
     fine = within(FINE)
     return Models(within(COARSE), lambda _: (fine, fine))
+
+
+def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None) -> Models:
+    if replace(model.scene, medium=scene.medium) != scene:
+        raise SceneError(
+            f"the model {model.path} was prepared for another tank, projector or camera than "
+            f"{scene.source or 'the scene'} has; prepare this one"
+        )
+    if max_order is not None:
+        raise SceneError(f'max_order = {max_order} needs model = "tank": a prepared model holds all orders in one')
+    box = model.box
+
+    def inside(medium: Medium) -> Medium:
+        sigma_t = float(np.clip(medium.sigma_t, *box.sigma_t))
+        albedo = float(np.clip(medium.albedo, *box.albedo))
+        return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, float(np.clip(medium.g, *box.g)))
+
+    @remembered
+    def predicted(medium: Medium) -> Prediction:
+        near = inside(medium)
+        error = Skipped("noise and polynomials of the prepared model", model.error_at(near))
+        return Prediction(model.predict(near), "prepared", skipped=(error,))
+
+    albedo, g = ((edges[0], min(edges[1], 1.0 - 1e-6)) for edges in (box.albedo, box.g))
+    scattering = (box.sigma_t[0] * albedo[0], box.sigma_t[1])
+    return Models(
+        predicted, lambda _: (predicted, predicted), lambda medium: model.predict(inside(medium), derivatives=True)[1],
+        Range.of_media(scattering, albedo, g, sigma_t=box.sigma_t),
+    )  # fmt: skip
 
 
 def _tank_models(scene: Scene, max_order: int | None) -> Models:

@@ -6,9 +6,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
+from tankrig.estimation.neighbours import deviations, noise_by_level, stand_out
 
-SATURATED_SHARE = 0.01
-"""Share of pixels at exactly the highest value from which on they are taken for saturated."""
+PLATEAU = 4
+"""Pixels at exactly the highest value are saturated from so many on, and this times those at any other bright value."""
+BRIGHT = 0.9
+"""Of the highest value: from here on values are bright."""
+MOST_SATURATED = 0.5
+"""Share of the image beyond which nothing can be made of it."""
+PEAKED = 0.05
+"""Share of its own brightness by which a pixel may stand out where the light has a crest."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +32,10 @@ class Observation:
         True where a pixel counts, (rows, columns).
     noise_known
         False where `noise` was estimated from the image itself.
-    saturated
-        Number of pixels left out because they are saturated.
+    saturated, outliers
+        Number of pixels left out because they are saturated, or unlike their neighbours along the light.
+    ceiling
+        The value of saturated pixels; infinite where there are none.
     """
 
     image: NDArray[np.float64]
@@ -34,12 +43,43 @@ class Observation:
     used: NDArray[np.bool_]
     noise_known: bool
     saturated: int = 0
+    outliers: int = 0
+    ceiling: float = np.inf
 
-    def with_noise_of(self, residual: NDArray[np.float64]) -> "Observation":
-        """The same, its noise estimated anew from a fit's residual; unchanged where the noise is known."""
+    def with_noise_of(self, residual: NDArray[np.float64], level: NDArray[np.floating] | None = None) -> "Observation":
+        """The same, its noise estimated anew from a fit's residual; unchanged where the noise is known.
+
+        Parameters
+        ----------
+        residual
+            Observed less fitted.
+        level
+            The fitted image, of which the noise is then a function; None where it is not to be.
+        """
         if self.noise_known:
             return self
-        return replace(self, noise=np.full(self.image.shape, _floored(pixel_noise(residual, self.used), self)))
+        if level is None:
+            noise = np.full(self.image.shape, pixel_noise(residual, self.used))
+        else:
+            noise = noise_by_level(deviations(residual, self.used), level, self.used)
+        # No camera and no model is better than 10⁻⁵ of the peak.
+        return replace(self, noise=np.maximum(noise, 1e-5 * float(np.abs(self.image[self.used]).max())))
+
+    def cleaned(self, fitted: NDArray[np.floating]) -> "Observation":
+        """The same without pixels that a fitted image shows to be outliers, or that noise may have saturated.
+
+        Which of the pixels near the ceiling are below it is up to their noise: leaving out those at it alone would
+        keep the darker ones.
+        """
+        residual = np.where(self.used, self.image - fitted, 0.0)
+        deviation = deviations(residual, self.used)
+        noise = np.maximum(self.noise, noise_by_level(deviation, fitted, self.used))
+        outliers = stand_out(deviation, noise, 0.0, self.used)
+        near = self.used & (fitted > self.ceiling - 3.0 * self.noise) & ~outliers
+        return replace(
+            self, used=self.used & ~outliers & ~near, outliers=self.outliers + int(outliers.sum()),
+            saturated=self.saturated + int(near.sum()),
+        )  # fmt: skip
 
 
 def observe(
@@ -77,19 +117,36 @@ def observe(
         )
     used = _used(mask, values.shape)
     _check_values(values, used)
-    saturated = _saturated(values, used)
-    used &= ~saturated
-    if used.sum() < 16:
-        raise ImageError(
-            f"only {int(used.sum())} of the image's {values.size} pixels are neither masked nor saturated; "
-            "shorten the exposure or mask less"
-        )
     known = noise is not None
     sigma = _noise(noise, values.shape) if known else np.zeros(values.shape)
-    observed = Observation(np.where(np.isfinite(values), values, 0.0), sigma, used, known, int(saturated.sum()))
-    if known:
-        return observed
-    return observed.with_noise_of(observed.image)
+    saturated = _saturated(values, used)
+    _require_some(~saturated & used, used, "saturated", "shorten the exposure")
+    ceiling = float(values[saturated].max()) if saturated.any() else np.inf
+    used &= ~saturated
+    observed = Observation(
+        np.where(np.isfinite(values), values, 0.0), sigma, used, known, int(saturated.sum()), 0, ceiling
+    ).with_noise_of(np.where(used, values, 0.0))  # fmt: skip
+    return _without_specks(observed)
+
+
+def _without_specks(observed: Observation) -> Observation:
+    """Less the pixels that stand out from their neighbours so far that no light does."""
+    used = observed.used
+    deviation = deviations(observed.image, used)
+    level = observed.image - deviation
+    noise = np.maximum(observed.noise, noise_by_level(deviation, level, used))
+    specks = stand_out(deviation, noise, PEAKED * np.abs(level), used)
+    _require_some(used & ~specks, used, "unlike its neighbours", "check that it is a picture of light in a tank")
+    _check_values(observed.image, used & ~specks)
+    return replace(observed, used=used & ~specks, outliers=int(specks.sum()))
+
+
+def _require_some(left: NDArray[np.bool_], of: NDArray[np.bool_], what: str, remedy: str) -> None:
+    if left.sum() < 16 or left.sum() < (1.0 - MOST_SATURATED) * of.sum():
+        raise ImageError(
+            f"{int(of.sum() - left.sum())} of the image's {left.size} pixels are {what} and {int(left.sum())} are "
+            f"left to fit, which is too few; {remedy} or mask less"
+        )
 
 
 def pixel_noise(image: NDArray[np.float64], used: NDArray[np.bool_]) -> float:
@@ -136,11 +193,6 @@ def structure(residual: NDArray[np.float64], used: NDArray[np.bool_]) -> float:
     chance = 3.0 * float(np.mean(np.square(residual[used]))) / np.sqrt(max(shared.size, 1))
     mean = float(shared.mean()) if shared.size else 0.0
     return float(np.sqrt(mean)) if mean > chance else 0.0
-
-
-def _floored(noise: float, observation: Observation) -> float:
-    """Noise of at least 10⁻⁵ of the peak, below which no camera and no model is."""
-    return max(noise, 1e-5 * float(np.abs(observation.image[observation.used]).max()))
 
 
 def _real(name: str, values: ArrayLike) -> NDArray[np.float64]:
@@ -191,9 +243,12 @@ def _check_values(values: NDArray[np.float64], used: NDArray[np.bool_]) -> None:
 
 
 def _saturated(values: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels at the highest value, where they are many and lie side by side along x, as no light that decays does."""
-    top: NDArray[np.bool_] = used & (values == values[used].max())
-    beside = (top[:, 1:] & top[:, :-1]).any() if values.shape[1] > 1 else False
-    if beside and top.sum() >= max(4.0, SATURATED_SHARE * used.sum()):
+    """Pixels at the highest value, where they are more than chance brings to one value."""
+    highest = float(values[used].max())
+    top: NDArray[np.bool_] = used & (values >= highest - 1e-6 * abs(highest))  # what rounding does to a plateau
+    below = values[used & ~top & (values > BRIGHT * highest)]
+    others = int(np.unique(below, return_counts=True)[1].max()) if below.size else 0
+    beside = (top[:, 1:] & top[:, :-1]).any()  # light fades along x
+    if beside and top.sum() >= PLATEAU * max(others, 1):
         return top
     return np.zeros(values.shape, bool)

@@ -1,6 +1,8 @@
 """The coordinates a fit moves in: log σs, logit ϖ and atanh g, in which every allowed medium is an ordinary point."""
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,26 +52,50 @@ def slopes(medium: Medium) -> NDArray[np.float64]:
     )
 
 
-def search_box(length_mm: float) -> tuple[Vector, Vector]:
-    """Lowest and highest coordinates that a fit in a tank of this length visits."""
-    edges = [
-        [math.log(MEAN_FREE_PATHS[k] / length_mm), math.log(ALBEDO[k] / (1.0 - ALBEDO[k])), math.atanh(ASYMMETRY[k])]
-        for k in (0, 1)
-    ]
-    return np.array(edges[0]), np.array(edges[1])
+@dataclass(frozen=True)
+class Range:
+    """Where a fit searches.
 
-
-def at_edge(medium: Medium, length_mm: float) -> tuple[str, ...]:
-    """Coefficients that a fit left at the edge of its range, where no optimum is: "sigma_a", "sigma_s", "g".
-
-    Examples
-    --------
-    >>> at_edge(Medium(0.001, 0.02, 0.98), 240.0), at_edge(Medium(0.0, 0.02, 0.5), 240.0)
-    (('g',), ('sigma_a',))
+    Parameters
+    ----------
+    low, high
+        Coordinates.
+    sigma_t
+        (low, high) extinction that the forward model answers for, 1/mm.
     """
-    low, high = search_box(length_mm)
-    if medium.sigma_a == 0.0:
-        return ("sigma_a",)
-    at = to_coordinates(medium)
-    near = (at <= low + NEAR_EDGE) | (at >= high - NEAR_EDGE)
-    return tuple(name for name, edge in (("sigma_a", near[1]), ("sigma_s", near[0]), ("g", near[2])) if edge)
+
+    low: Vector
+    high: Vector
+    sigma_t: tuple[float, float] = (0.0, math.inf)
+
+    @classmethod
+    def of_media(
+        cls, sigma_s: tuple[float, float], albedo: tuple[float, float], g: tuple[float, float], **other: Any
+    ) -> "Range":
+        """From coefficients, 1/mm, each (low, high)."""
+        edges = [
+            np.array([math.log(sigma_s[k]), math.log(albedo[k] / (1.0 - albedo[k])), math.atanh(g[k])]) for k in (0, 1)
+        ]
+        return cls(edges[0], edges[1], **other)
+
+    @classmethod
+    def of_tank(cls, length_mm: float) -> "Range":
+        """Everything that a tank of this length can tell from clear water and from chalk."""
+        low, high = (paths / length_mm for paths in MEAN_FREE_PATHS)
+        return cls.of_media((low, high), ALBEDO, ASYMMETRY)
+
+    def at_edge(self, medium: Medium) -> tuple[str, ...]:
+        """Coefficients that a fit left at the edge, where no optimum is: "sigma_a", "sigma_s", "g".
+
+        Examples
+        --------
+        >>> tank = Range.of_tank(240.0)
+        >>> tank.at_edge(Medium(0.001, 0.02, 0.98)), tank.at_edge(Medium(0.0, 0.02, 0.5))
+        (('g',), ('sigma_a',))
+        """
+        if medium.sigma_a == 0.0:
+            return ("sigma_a",)
+        at = to_coordinates(medium)
+        near = (at <= self.low + NEAR_EDGE) | (at >= self.high - NEAR_EDGE)
+        near[0] |= not self.sigma_t[0] < medium.sigma_t < self.sigma_t[1]
+        return tuple(name for name, edge in (("sigma_a", near[1]), ("sigma_s", near[0]), ("g", near[2])) if edge)

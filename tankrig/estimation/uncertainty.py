@@ -41,7 +41,10 @@ class Sensitivity:
     Parameters
     ----------
     changes
-        (3, n) weighted derivatives by σa, σs, g of the used pixels, less what gain and offset imitate.
+        (k, n) weighted derivatives by σa, σs, g, and what may be misaligned in standard deviations, of the used pixels,
+        less what gain and offset imitate.
+    beliefs
+        (k, priors) what that leaves of priors on gain and offset.
     weight
         (n,) weights, 1 over the standard deviation that the fit assumed.
     used
@@ -49,6 +52,7 @@ class Sensitivity:
     """
 
     changes: Array
+    beliefs: Array
     weight: Array
     used: NDArray[np.bool_]
 
@@ -56,7 +60,7 @@ class Sensitivity:
 def covariance(
     sensitivity: Sensitivity, medium: Medium, noise: Array, error: Array, pixel_mm: float, length_mm: float
 ) -> Array:
-    """Covariance of (σa, σs, g), shape (3, 3).
+    """Covariance of (σa, σs, g, misalignments), shape (k, k); the latter in standard deviations.
 
     Parameters
     ----------
@@ -71,12 +75,14 @@ def covariance(
     pixel_mm, length_mm
         Side of a pixel; longest side of the tank.
     """
-    scale = np.array([10.0 * medium.sigma_t, 10.0 * medium.sigma_t, 1.0])
-    changes = sensitivity.changes * scale[:, None]
-    inverse = np.linalg.inv(changes @ changes.T + np.eye(3))
+    count = len(sensitivity.changes)
+    scale = np.array([10.0 * medium.sigma_t, 10.0 * medium.sigma_t, 1.0, *np.ones(count - 3)])
+    changes, beliefs = sensitivity.changes * scale[:, None], sensitivity.beliefs * scale[:, None]
+    priors = beliefs @ beliefs.T + np.eye(count)
+    inverse = np.linalg.inv(changes @ changes.T + priors)
     response = (inverse @ changes) * sensitivity.weight
     by_noise = response * noise[sensitivity.used]
-    total = by_noise @ by_noise.T + inverse @ inverse
+    total = by_noise @ by_noise.T + inverse @ priors @ inverse
     total += by_smooth_errors(response, sensitivity.used, PATTERN * error, length_mm / pixel_mm)
     spread: Array = total * np.outer(scale, scale)
     return 0.5 * (spread + spread.T)

@@ -41,7 +41,7 @@ def what_is_determined(
     return f"{text}.{edge}"
 
 
-def what_is_left(structure: float, stated: float, noisier: float) -> str:
+def what_is_left(structure: float, stated: float, noisier: float, cause: tuple[str, float] | None = None) -> str:
     """What the residual says, in one or two sentences.
 
     Parameters
@@ -52,6 +52,8 @@ def what_is_left(structure: float, stated: float, noisier: float) -> str:
         The model's own error, likewise.
     noisier
         The residual's white part over the noise assumed; 1 where they agree.
+    cause
+        What the structure looks like, and the share of it that this explains; None where it looks like nothing known.
     """
     sentences = []
     if structure > stated:
@@ -60,6 +62,8 @@ def what_is_left(structure: float, stated: float, noisier: float) -> str:
             f"own error of {_percent(stated)} explains: the model does not hold as described (uneven ink, a misaligned "
             "beam, another phase function, a wrong gain or offset), and the intervals are widened by it."
         )
+        if cause:
+            sentences.append(f"It looks most like {cause[0]}, which would explain {100.0 * cause[1]:.0f} % of it.")
     elif structure > 0.0:
         sentences.append(
             f"The residual's structure, {_percent(structure)} of the image, is within the model's own error of "
@@ -70,12 +74,18 @@ def what_is_left(structure: float, stated: float, noisier: float) -> str:
     return " ".join(sentences) or "The residual is noise, as expected."
 
 
-def what_was_left_out(saturated: int, share_left_out: float, model: str) -> str:
-    """Sentences about saturated pixels and about light that the model does not describe; empty when there are none."""
+def what_was_left_out(saturated: int, outliers: int, share_left_out: float, model: str) -> str:
+    """Sentences about pixels that don't count and light that the model does not describe; empty when there are none."""
     sentences = []
+    if outliers:
+        sentences.append(
+            f"{outliers} pixels unlike their neighbours along the light (bubbles, dust, reflections, dead pixels) were "
+            "left out."
+        )
     if saturated:
         sentences.append(
-            f"{saturated} pixels at the highest value were taken for saturated and left out; shorten the exposure."
+            f"{saturated} pixels at the highest value or within its noise were taken for saturated and left out; "
+            "shorten the exposure."
         )
     if share_left_out > 0.1:
         amount = f"up to {_percent(share_left_out)}" if math.isfinite(share_left_out) else "an unknown share"
@@ -84,6 +94,14 @@ def what_was_left_out(saturated: int, share_left_out: float, model: str) -> str:
             "not the liquid's."
         )
     return " ".join(sentences)
+
+
+def what_is_misaligned(found: Mapping[str, tuple[float, float]]) -> str:
+    """A sentence for what turned out to be off by more than twice its error; empty when nothing did."""
+    off = [
+        f"{name} = {value:+.2g} ± {sd:.1g}" for name, (value, sd) in found.items() if abs(value) > 2.0 * sd
+    ]  # fmt: skip
+    return f"The set-up is not as described, and was corrected: {', '.join(off)}." if off else ""
 
 
 def _at_edges(medium: Medium, edges: Sequence[str]) -> str:

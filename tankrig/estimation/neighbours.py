@@ -1,0 +1,65 @@
+"""What a pixel has that its neighbours along the light have not: noise, and now and then a bubble or a dead pixel.
+
+Light fades along x and the model's image with it, so the median of a few pixels along x is what a pixel should show,
+whatever edges the beams have across y; what rises or falls steadily is its own median.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+ALONG = 9
+"""Pixels along x whose median is taken: specks up to four pixels long stand out."""
+LEVELS, LEAST = 24, 100
+"""Levels of brightness at which the noise is told apart, and pixels that each holds at least."""
+BULK = 0.9
+"""Share of the pixels from which the noise is taken; the rest may be anything."""
+STANDS_OUT = 5.0
+"""Standard deviations; noise alone gets there once in two million pixels."""
+
+
+def deviations(image: Array, used: Mask) -> Array:
+    """Each pixel less the median of the used pixels around it along x; 0 where one isn't used.
+
+    Examples
+    --------
+    >>> row = np.array([[9.0, 7, 5, 4, 90, 2.5, 2, 1.5, 1]])
+    >>> deviations(row, np.ones((1, 9), bool))
+    array([[ 0., -2., -2., -1., 86.,  0.,  0.,  0.,  0.]])
+    """
+    reach = ALONG // 2
+    filled = np.where(used, image, np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(filled, ((0, 0), (reach, reach)), "edge"), ALONG, axis=1)
+    ordered = np.sort(windows, axis=2)  # what isn't used comes last
+    count = np.isfinite(ordered).sum(axis=2)
+    low, high = (np.take_along_axis(ordered, np.maximum(at, 0)[..., None], 2)[..., 0] for at in (
+        (count - 1) // 2, count // 2
+    ))  # fmt: skip
+    return np.where(used, image - 0.5 * (low + high), 0.0)
+
+
+def noise_by_level(deviation: Array, level: Array, used: Mask) -> Array:
+    """Standard deviation of what deviates, as a function of the brightness, (rows, columns).
+
+    Parameters
+    ----------
+    deviation
+        See `deviations`.
+    level
+        Brightness of each pixel, not its own noise: smoothed, or a model's.
+    used
+        Where a pixel counts.
+    """
+    size, at = np.abs(deviation[used]), level[used]
+    order = np.argsort(at, kind="stable")
+    parts = np.array_split(order, int(np.clip(size.size // LEAST, 1, LEVELS)))
+    # |x| of a normal x is below 1.645 standard deviations in nine of ten cases.
+    sds = [float(np.quantile(size[part], BULK)) / 1.645 for part in parts]
+    return np.interp(level, [float(np.median(at[part])) for part in parts], sds)
+
+
+def stand_out(deviation: Array, noise: Array, allowed: Array | float, used: Mask) -> Mask:
+    """Pixels that deviate by more than noise does and what is allowed besides."""
+    return used & (np.abs(deviation) > STANDS_OUT * noise + allowed)
