@@ -3,7 +3,7 @@
 import math
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 import numpy as np
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
+from tankrig.pattern import Pattern
 
+from .diffuser import behind_diffuser
 from .light import frame_buffer
 from .sensor import counts
 from .settings import CameraFaults, SimulatedCameraSettings
@@ -40,12 +42,18 @@ class SimulatedCamera:
         In force now; may be replaced at any time.
     tank
         What it looks at.
+    before_lens
+        What a person has put before its lens: "nothing", a "cap", a "diffuser" that the projector lights, or the
+        "diffuser turned" by half a turn.
     """
+
+    BEFORE_LENS = ("nothing", "cap", "diffuser", "diffuser turned")
 
     def __init__(self, settings: SimulatedCameraSettings) -> None:
         self._settings = settings
         self.faults: CameraFaults = settings.faults
         self.tank = SimulatedTank(settings.truth, settings.folder / "state", settings.seed)
+        self.before_lens = "nothing"
         self._buffer = frame_buffer(settings.folder)
         self._closed = threading.Event()
         self._turn = threading.Lock()
@@ -145,10 +153,31 @@ class SimulatedCamera:
     def _exposed(self, number: int, start_ns: int) -> NDArray[np.uint16]:
         began_ns = time.monotonic_ns()
         shown = self._buffer.shown(start_ns, start_ns + self._exposure_ns())
-        radiance = self.tank.seen(shown, start_ns)
+        radiance = self._radiance(shown, start_ns)
         self._stream.hold(time.monotonic_ns() - began_ns)
         random = np.random.default_rng((self._settings.seed, 3, number))
         return counts(radiance, self._settings.sensor, self._configured, random)
+
+    def put(self, what: str) -> None:
+        """Put one of `BEFORE_LENS` before the lens, as a person would at a real camera.
+
+        Raises
+        ------
+        DeviceError
+            If it is none of them.
+        """
+        if what not in self.BEFORE_LENS:
+            raise DeviceError(f"{self.name}: has no {what} to put before it; give one of {', '.join(self.BEFORE_LENS)}")
+        self.before_lens = what
+        with self._my_turn("look elsewhere"):
+            self._start_stream()  # none that waits was exposed to the new light
+
+    def _radiance(self, shown: Mapping[Pattern, float], start_ns: int) -> NDArray[np.float64]:
+        if self.before_lens == "nothing":
+            return self.tank.seen(shown, start_ns)
+        if self.before_lens == "cap":
+            return np.zeros(self.shape)
+        return behind_diffuser(shown, self._settings.truth, turned=self.before_lens == "diffuser turned")
 
     @contextmanager
     def _my_turn(self, what: str) -> Iterator[None]:

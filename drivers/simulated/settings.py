@@ -131,6 +131,12 @@ class Truth(BaseModel):
         Relative L2 of the Monte Carlo's own noise in an image.
     coarsen
         Side, in pixels, of the blocks in which multiply scattered light is counted.
+    diffuser
+        Radiance of a diffuser before the lens for each W/mm² that the projector's picture has on average, 1/sr.
+    diffuser_tilt
+        By how much of its mean it falls from left to right.
+    leak
+        Part of the light of level 255 that every pixel has besides, at level 0 too.
     """
 
     model_config = _CLOSED
@@ -144,6 +150,9 @@ class Truth(BaseModel):
     plume_mm: float = Field(default=35.0, gt=0.0)
     tolerance: float = Field(default=0.005, gt=0.0)
     coarsen: int = Field(default=1, ge=1)
+    diffuser: float = Field(default=3e-4, gt=0.0)
+    diffuser_tilt: float = Field(default=0.02, ge=0.0, lt=1.0)
+    leak: float = Field(default=0.0, ge=0.0, lt=0.1)
 
 
 class Sensor(BaseModel):
@@ -161,6 +170,18 @@ class Sensor(BaseModel):
         Counts of no electrons.
     read_noise, dark_current
         Electrons (standard deviation), and electrons per ms.
+    vignetting
+        Part of the light that is missing in the corners.
+    uneven
+        Standard deviation of the pixels' response.
+    hot, hot_current
+        Part of the pixels that are hot, and their dark current.
+    nonlinear
+        Part of the electrons that is missing at a full well; grows with the electrons.
+    gain_error
+        Gain G amplifies by G^(1 + gain_error).
+    pattern_seed
+        Of all that differs from pixel to pixel.
     """
 
     model_config = _CLOSED
@@ -171,6 +192,13 @@ class Sensor(BaseModel):
     black: float = Field(default=100.0, ge=0.0)
     read_noise: float = Field(default=3.0, ge=0.0)
     dark_current: float = Field(default=0.02, ge=0.0)
+    vignetting: float = Field(default=0.0, ge=0.0, lt=1.0)
+    uneven: float = Field(default=0.0, ge=0.0, lt=0.3)
+    hot: float = Field(default=0.0, ge=0.0, lt=0.2)
+    hot_current: float = Field(default=5.0, ge=0.0)
+    nonlinear: float = Field(default=0.0, ge=0.0, lt=0.5)
+    gain_error: float = Field(default=0.0, gt=-0.5, lt=0.5)
+    pattern_seed: int = Field(default=0, ge=0)
 
     @property
     def saturation(self) -> int:

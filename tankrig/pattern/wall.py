@@ -27,6 +27,8 @@ class Wall:
         Of a pixel at level 255: flux per area of the plane x = 0, W/mm².
     gamma
         A pixel at level v has (v/255)^gamma of it.
+    response
+        Or, as measured, 256 fractions of it, one for each level, from 0 to 1; gamma then counts for nothing.
 
     Examples
     --------
@@ -45,6 +47,7 @@ class Wall:
     z_mm: Interval
     irradiance: float = 1.0
     gamma: float = 1.0
+    response: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if min(self.shape) < 1:
@@ -57,6 +60,15 @@ class Wall:
             raise SequenceError(
                 f"irradiance = {self.irradiance}, gamma = {self.gamma} has a value that is not positive; measure both"
             )
+        if self.response and (len(self.response) != 256 or min(self.response) < 0.0):
+            raise SequenceError(
+                f"response has {len(self.response)} entries; give one fraction, 0 to 1, for each level 0 … 255"
+            )
+
+    @property
+    def fractions(self) -> NDArray[np.float64]:
+        """(256,) parts of the irradiance that pixels at the levels 0 … 255 have."""
+        return np.array(self.response) if self.response else (np.arange(256) / 255.0) ** self.gamma
 
     @property
     def column_edges_mm(self) -> NDArray[np.float64]:
@@ -115,14 +127,14 @@ class Wall:
         y, z, pixels = self.column_edges_mm, self.row_edges_mm, pattern.pixels
         half_width, height = (tank.size_mm[1] / 2, tank.size_mm[2]) if tank else (np.inf, np.inf)
         floor = 0.0 if tank else -np.inf
-        beams = []
+        beams, fractions = [], self.fractions
         for top, bottom in _runs((pixels[1:] != pixels[:-1]).any(axis=1)):
             z_mm = _overlap(z[bottom], z[top], floor, height)
             row = pixels[top]
             for left, right in _runs(row[1:] != row[:-1]):
                 y_mm = _overlap(y[left], y[right], -half_width, half_width)
                 if row[left] and y_mm and z_mm:
-                    beams.append(Beam(y_mm, z_mm, self.irradiance * (float(row[left]) / 255.0) ** self.gamma))
+                    beams.append(Beam(y_mm, z_mm, self.irradiance * float(fractions[row[left]])))
         return tuple(beams)
 
 
