@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
+from tankrig.geometry.optics import fresnel_reflectance
 from tankrig.light.rays import Geometry, geometry_of, path_inside, sight_line
 from tankrig.light.single import single_scattering
 from tankrig.scene import Medium, Scene
-from tankrig.geometry.optics import fresnel_reflectance
 
 Floats = NDArray[np.float64]
 Axes = tuple[Floats, Floats, Floats]

@@ -22,7 +22,7 @@ def single_scattering_in_quadrangles(scene: Scene) -> NDArray[np.float64]:
     """`single_scattering` for a calibrated camera: (rows, columns), W/mm²/sr; 0 where a pixel looks elsewhere."""
     medium, seen = scene.medium, footprints(scene.camera, scene.tank)
     image = np.zeros(scene.camera.shape)
-    rules = [np.polynomial.legendre.leggauss(count) for count in (2, 3, 4)]  # along x, along y, along the line of sight
+    x_rule, y_rule, depth_rule = (np.polynomial.legendre.leggauss(count) for count in (2, 3, 4))
     for geometry, beams in light_sources(scene):
         for beam in beams:
             if beam.irradiance > 0.0:
@@ -31,7 +31,7 @@ def single_scattering_in_quadrangles(scene: Scene) -> NDArray[np.float64]:
                     parts = [
                         pool.submit(
                             _add_beam, image, geometry, seen.corners_mm, medium.sigma_t, strength, medium.g, edges,
-                            *rules, part,
+                            x_rule, y_rule, depth_rule, part,
                         )
                         for part in range(THREADS)
                     ]  # fmt: skip

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.geometry.lens import to_pixels
+from tankrig.geometry.pose import directions_to_device
 from tankrig.scene.description import Scene
 
 Polygon = NDArray[np.float64]
@@ -11,8 +13,8 @@ Polygon = NDArray[np.float64]
 def beam_outlines(scene: Scene) -> list[Polygon]:
     """Outline of the lit volume of each beam, as the camera sees it.
 
-    The middle height of a beam is followed from the wall x = 0 to the far wall, along straight rays, and projected on
-    the plane z = Lz, on which pixels lie.
+    The middle height of a beam is followed from the wall x = 0 to the far wall, bent as the light is, and projected on
+    the plane z = Lz, on which pixels lie; for a calibrated camera, on its picture.
 
     Parameters
     ----------
@@ -22,7 +24,8 @@ def beam_outlines(scene: Scene) -> list[Polygon]:
     Returns
     -------
     list of (4, 2) float64
-        x and y in mm of the corners, in turn.
+        x and y in mm of the corners, in turn. A calibrated camera's picture is taken as one of square pixels of its
+        `pixel_mm` that starts at x = 0, y = −Ly/2, as pictures are drawn.
 
     Examples
     --------
@@ -44,21 +47,39 @@ def _ray(scene: Scene, y_mm: float, z_mm: float) -> tuple[tuple[float, float], t
     """Where the ray through (0, y, z) enters and where it leaves, as the camera sees it."""
     length, width, height = scene.tank.size_mm
     start = np.array([0.0, y_mm, z_mm])
-    along = np.array([1.0, 0.0, 0.0])
-    if scene.projector.kind == "pinhole" and scene.projector.position_mm is not None:
-        along = start - np.array(scene.projector.position_mm)
+    along = _entering(scene, start)
     limits = np.array([length, width / 2.0 if along[1] > 0 else -width / 2.0, height if along[2] > 0 else 0.0])
     reaches = [(limit - begin) / by for limit, begin, by in zip(limits, start, along, strict=True) if by != 0.0]
     end = start + min(reaches) * along
     return _seen(scene, start), _seen(scene, end)
 
 
+def _entering(scene: Scene, start: Polygon) -> Polygon:
+    """Direction in which light enters at a point of x = 0."""
+    if scene.projector.kind == "collimated" or scene.projector.position_mm is None:
+        return np.array([1.0, 0.0, 0.0])
+    index, wall_mm, wall_index = scene.tank.entry_bends
+    if index == 1.0 and wall_mm == 0.0:
+        return np.asarray(start - np.array(scene.projector.position_mm))
+    from tankrig.geometry.refraction import entry_wall, look_into_water
+
+    return look_into_water(entry_wall(index, wall_mm, wall_index), scene.projector.position_mm, start).in_water
+
+
 def _seen(scene: Scene, point: Polygon) -> tuple[float, float]:
-    """Where on the plane z = Lz the camera sees a point below it."""
+    """Where the camera's picture shows a point, in mm as `beam_outlines` says."""
     x_mm, y_mm, z_mm = (float(value) for value in point)
     camera, height = scene.camera, scene.tank.size_mm[2]
     if camera.kind == "orthographic" or camera.position_mm is None:
         return x_mm, y_mm
-    x_c, y_c, z_c = camera.position_mm
-    by = (z_c - height) / (z_c - z_mm)
-    return x_c + by * (x_mm - x_c), y_c + by * (y_mm - y_c)
+    if scene.tank.surface_index == 1.0 and camera.kind == "pinhole":
+        x_c, y_c, z_c = camera.position_mm
+        by = (z_c - height) / (z_c - z_mm)
+        return x_c + by * (x_mm - x_c), y_c + by * (y_mm - y_c)
+    from tankrig.geometry.refraction import look_into_water, water_surface
+
+    sight = look_into_water(water_surface(height, scene.tank.surface_index), camera.position_mm, point)
+    if camera.kind == "pinhole":
+        return float(sight.entry_mm[0]), float(sight.entry_mm[1])
+    column, row = to_pixels(camera.lens, directions_to_device(camera.pose, sight.in_air))
+    return (float(column) + 0.5) * camera.pixel_mm, (float(row) + 0.5) * camera.pixel_mm - scene.tank.size_mm[1] / 2.0

@@ -10,6 +10,7 @@ from tankrig.compiled import kernel
 from tankrig.light.double.average import average_rows
 from tankrig.light.double.table import COARSE, FINE, Table, fill_table
 from tankrig.light.rays import Geometry, light_sources, shift_invariant
+from tankrig.light.surface import on_surface, to_camera
 from tankrig.scene import Beam, Scene
 
 Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
     Parameters
     ----------
     scene
-        Any scene; both projectors, both cameras, matched or Fresnel surface.
+        Any scene.
     tolerance
         Error of the whole image that is asked for, of which this order takes a tenth.
 
@@ -45,6 +46,9 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
     >>> bool(np.allclose(image, image[::-1], rtol=1e-6))  # as symmetric as the beam
     True
     """
+    if scene.camera.kind == "calibrated":
+        plain = on_surface(scene)
+        return to_camera(scene, double_scattering(plain, tolerance), (plain.camera.pixel_mm, plain.camera.pixel_mm))
     medium, camera = scene.medium, scene.camera
     image = np.zeros(camera.shape)
     if medium.sigma_s == 0.0:

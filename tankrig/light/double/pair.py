@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.rays import Geometry, light_kept, light_ray, path_inside, sight_line
 from tankrig.geometry.optics import reflectance
+from tankrig.light.rays import Geometry, light_kept, light_ray, path_inside, sight_line
 from tankrig.scene.phase import henyey_greenstein
 
 PANEL = 2.5

@@ -19,9 +19,9 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
+from tankrig.geometry.optics import reflectance
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.harmonics import fill_harmonics, harmonics, parities, products, sphere
-from tankrig.geometry.optics import reflectance
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

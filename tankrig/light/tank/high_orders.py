@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
+from tankrig.light.surface import to_camera
 from tankrig.light.tank.lattice import LARGE, SMALL, Lattice
 from tankrig.light.tank.paths import trace
 from tankrig.light.tank.record import CLASSES, GROUPS, Bins, image_of_edges
@@ -116,7 +117,7 @@ def high_orders(
         if count >= TELLING_BATCHES and noise * math.sqrt(count / most) > 2.0:
             break
         grow = 1.1 * noise**2
-        wanted = min(most, count * max(2, math.ceil(grow)) if grow < 8 else count * 8)
+        wanted = min(most, math.ceil(count * min(max(grow, 1.2), 8.0)))
     return HighOrders(
         np.array([np.maximum(grid.to_pixels(image), 0.0) for image in mean]),
         np.abs(grid.to_pixels(spread)),
@@ -166,10 +167,12 @@ class CellGrid:
         length, width, _ = scene.tank.size_mm
         pixel = scene.camera.pixel_mm
         finest = min(FINEST_CELL_MM, length / 100, width / 60)
-        if pixel >= finest:
+        calibrated = scene.camera.kind == "calibrated"
+        if pixel >= finest and not calibrated:
             rows, columns = math.ceil(width / pixel - 1e-9), math.ceil(length / pixel - 1e-9)
             cell = (pixel, pixel)
         else:
+            finest = max(finest, pixel) if calibrated else finest
             rows, columns = math.ceil(width / finest), math.ceil(length / finest)
             cell = (length / columns, width / rows)
         whole = abs(rows * cell[1] - width) < 1e-9 * width
@@ -179,6 +182,8 @@ class CellGrid:
         """Cells as the camera's pixels: cut or filled up with zeros, or interpolated."""
         rows, columns = self.scene.camera.shape
         pixel = self.scene.camera.pixel_mm
+        if self.scene.camera.kind == "calibrated":
+            return to_camera(self.scene, image, self.cell_mm)
         if self.cell_mm[0] == pixel:
             result = np.zeros((rows, columns))
             part = image[:rows, :columns]

@@ -1,0 +1,129 @@
+"""Between the plane z = Lz and a camera: light of orders ≥ 2 is computed on a plain grid of the plane, then looked up.
+
+A calibrated camera has one viewpoint in the air, so its lines of sight are those of a plain pinhole camera there; only
+its pixels lie elsewhere on the plane.
+"""
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.scene import Camera, Scene, Tank
+from tankrig.scene.footprint import footprints
+
+Array = NDArray[np.float64]
+
+FINEST = 240
+"""Cells along the longer side of the surface: light scattered twice is smooth enough between them."""
+
+
+def on_surface(scene: Scene) -> Scene:
+    """The scene with a plain camera, on cells no finer than needed, where it has a calibrated one.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Medium, Projector
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> camera = Camera("orthographic", (80, 120), 2.0)
+    >>> on_surface(Scene(Tank(), Medium(0.0, 0.01, 0.0), light, camera)).camera is camera
+    True
+    """
+    if scene.camera.kind != "calibrated":
+        return scene
+    length, width, _ = scene.tank.size_mm
+    rows = math.ceil(width / max(scene.camera.pixel_mm, max(length, width) / FINEST) - 1e-9)
+    cell = width / rows  # whole cells across, so that symmetry is kept
+    columns = math.ceil(length / cell - 1e-9)
+    return replace(scene, camera=Camera("pinhole", (rows, columns), cell, scene.camera.position_mm))
+
+
+def to_camera(scene: Scene, cells: Array, cell_mm: tuple[float, float]) -> Array:
+    """What a calibrated camera's pixels show of an image on cells of the plane z = Lz.
+
+    Parameters
+    ----------
+    scene
+        With a calibrated camera.
+    cells
+        (rows, columns) means over cells that start at x = 0, y = −Ly/2 and cover the tank; what the last have beyond it
+        is dark.
+    cell_mm
+        Their sides along x and y.
+
+    Returns
+    -------
+    (rows, columns) array of the camera
+        Cubic interpolation at four points of each pixel, as far apart as it takes for cell and points together to
+        spread like the pixel; times the share of the pixel that lies over the tank.
+    """
+    from scipy.interpolate import RectBivariateSpline
+
+    length, width, _ = scene.tank.size_mm
+    y, y_cover = _middles(cells.shape[0], cell_mm[1], width)
+    x, x_cover = _middles(cells.shape[1], cell_mm[0], length)
+    spline = RectBivariateSpline(
+        y - 0.5 * width, x, cells / (y_cover[:, None] * x_cover), bbox=[-0.5 * width, 0.5 * width, 0.0, length]
+    )
+    points, inside = _looked_up(scene.camera, scene.tank, math.sqrt(cell_mm[0] * cell_mm[1]))
+    image = np.zeros(scene.camera.shape)
+    seen = inside > 0.0
+    image[seen] = inside[seen] * np.mean(spline.ev(points[..., 1], points[..., 0]), axis=0)
+    return image
+
+
+def _middles(count: int, cell: float, size: float) -> tuple[Array, Array]:
+    """Middles of what cells have inside the tank, from its edge, and what share of them that is."""
+    edges = np.minimum(np.arange(count + 1) * cell, size)
+    return 0.5 * (edges[1:] + edges[:-1]), np.diff(edges) / cell
+
+
+@lru_cache(maxsize=8)
+def _looked_up(camera: Camera, tank: Tank, cell: float) -> tuple[Array, Array]:
+    """(4, n, 2) points of the plane, for the n pixels that see the tank, and (rows, columns) their shares of it."""
+    seen = footprints(camera, tank)
+    corners = seen.corners_mm
+    quads = np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]])
+    inside = _share_inside(quads, tank.size_mm[0], 0.5 * tank.size_mm[1])
+    quads = quads[:, inside > 0.0]
+    areas = seen.areas_mm2[inside > 0.0]
+    # A square's second moment is that of four points at its corners moved in by 1/√3; the cells have part of it.
+    apart = np.sqrt(np.clip(1.0 - cell**2 / areas, 0.0, None) / 3.0)[:, None]
+    middle = quads.mean(axis=0)
+    points = middle + apart * (quads - middle)
+    half = 0.5 * tank.size_mm[1]
+    return np.clip(points, (0.0, -half), (tank.size_mm[0], half)), inside
+
+
+def _share_inside(quads: Array, length: float, half_width: float) -> Array:
+    """Share of each quadrangle's area over the tank; 0 where a corner is NaN."""
+    x, y = quads[..., 0], quads[..., 1]
+    corner_inside = (x >= 0.0) & (x <= length) & (np.abs(y) <= half_width)
+    share = corner_inside.all(axis=0).astype(float)
+    near = (x.max(axis=0) > 0.0) & (x.min(axis=0) < length)
+    near &= (y.max(axis=0) > -half_width) & (y.min(axis=0) < half_width)
+    for at in np.argwhere(near & (share == 0.0)):
+        whole = quads[:, *at]
+        part = whole
+        for axis, sign, limit in ((0, 1, 0.0), (0, -1, -length), (1, 1, -half_width), (1, -1, -half_width)):
+            part = _cut(part, sign * part[:, axis] - limit)
+        share[tuple(at)] = _area(part) / _area(whole)
+    return share
+
+
+def _cut(polygon: Array, height: Array) -> Array:
+    """The part of a convex polygon where `height`, given at its corners, is positive (Sutherland and Hodgman)."""
+    corners = []
+    for here, there, low, high in zip(polygon, np.roll(polygon, -1, 0), height, np.roll(height, -1), strict=True):
+        if low >= 0.0:
+            corners.append(here)
+        if (low >= 0.0) != (high >= 0.0):
+            corners.append(here + low / (low - high) * (there - here))
+    return np.array(corners).reshape(-1, 2)
+
+
+def _area(polygon: Array) -> float:
+    x, y = polygon.T
+    return float(0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
