@@ -1,7 +1,8 @@
 """Rig files: from TOML to three open devices."""
 
 import os
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from drivers.registry import open_device
 from tankrig.bench import Bench
 from tankrig.calibration.file import FOLDER, in_force
 from tankrig.checked_toml import checked, read_toml
+from tankrig.devices import Camera, Projector
 from tankrig.dosing import DoseLimits
 from tankrig.errors import DeviceError, SceneError
 from tankrig.run.rig import Rig, RigLock
@@ -119,6 +121,27 @@ def true_liquids(description: RigFile) -> tuple[Medium, Medium] | None:
 
     truth = checked(SimulatedCameraSettings, settings, "simulated-camera", DeviceError).truth
     return truth.water, truth.ink
+
+
+@contextmanager
+def open_light(description: RigFile) -> Iterator[tuple[Projector, Camera]]:
+    """Take the rig for this program and open its projector and its camera, to calibrate them; the doser is let be.
+
+    Raises
+    ------
+    StoreError
+        When another program uses the rig.
+    DeviceError
+        When a device cannot be opened.
+    """
+    with ExitStack() as last_first:
+        last_first.callback(RigLock(description.lock, description.name).close)
+        devices = []
+        for kind in ("projector", "camera"):
+            settings = dict(getattr(description, kind))
+            devices.append(open_device(settings.pop("driver"), settings))
+            last_first.callback(devices[-1].close)
+        yield devices[0], devices[1]
 
 
 def open_rig(description: RigFile) -> Rig:

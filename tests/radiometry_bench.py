@@ -1,4 +1,4 @@
-"""A simulated bench for radiometric calibration, two hundred times as fast as a real one, whose truth a seed decides."""
+"""A simulated bench for radiometric calibration, two hundred times as fast as a real one; a seed decides its truth."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

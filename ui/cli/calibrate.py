@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-CALIBRATIONS = ("pump",)
+CALIBRATIONS = ("radiometry", "latency", "pump")
 """`ui/cli/calibrate_NAME.py` holds the click command `NAME`."""
 
 
@@ -25,6 +25,9 @@ class Calibrations(click.Group):
         return command
 
 
-@click.group(cls=Calibrations, epilog="Example: tankrig calibrate pump --rig rig.toml")
+@click.group(cls=Calibrations, epilog="Example: tankrig calibrate radiometry --rig rig.toml")
 def calibrate() -> None:
-    """Measure devices, and write dated files that the rig file refers to."""
+    """Measure the devices of a rig, and write dated files of what was found.
+
+    `tankrig doctor` says which of them are missing, out of date, or do not fit the rig.
+    """
