@@ -22,7 +22,7 @@ def kernel(function: F) -> F:
     """
     import numba
 
-    compiled: F = numba.njit(nogil=True, cache=True, fastmath=FAST)(function)
+    compiled: F = numba.njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")(function)
     return compiled
 
 
@@ -38,5 +38,5 @@ def part(function: F) -> F:
     """
     import numba
 
-    compiled: F = numba.njit(nogil=True, cache=True, fastmath=FAST, forceinline=True)(function)
+    compiled: F = numba.njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy", forceinline=True)(function)
     return compiled

@@ -1,9 +1,13 @@
-"""One step of a light path: a new direction, and a flight to the next collision inside the tank."""
+"""One step of a light path: a new direction, and a flight to the next collision inside the tank.
+
+Free of branches and calls, so that loops over many paths are vectorised.
+"""
 
 import math
 
 from tankrig.compiled import part
 from tankrig.geometry.optics import reflectance
+from tankrig.light.tank.elementary import circle, log_one_minus, one_minus_exponential
 
 
 @part
@@ -31,15 +35,12 @@ def scattered(
     dx, dy, dz, ex, ey, ez
         Direction after, and its reference.
     """
-    if abs(g) < 1e-3:
-        cosine = 1.0 - 2.0 * u + 6.0 * g * u * (1.0 - u)
-    else:
-        root = (1.0 - g * g) / (1.0 + g - 2.0 * g * u)
-        cosine = (1.0 + g * g - root * root) / (2.0 * g)
+    root = (1.0 - g * g) / (1.0 + g - 2.0 * g * u)
+    linear = 1.0 - 2.0 * u + 6.0 * g * u * (1.0 - u)
+    cosine = linear if abs(g) < 1e-3 else (1.0 + g * g - root * root) / (2.0 * g)
     cosine = min(max(cosine, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
-    angle = 2.0 * math.pi * v
-    a, b = math.cos(angle), math.sin(angle)
+    a, b = circle(v)
     ax = a * ex + b * (dy * ez - dz * ey)
     ay = a * ey + b * (dz * ex - dx * ez)
     az = a * ez + b * (dx * ey - dy * ex)
@@ -82,27 +83,23 @@ def fly(
     x, y, z, dz, chance
         Where it collides, its vertical direction there, and the chance that it collides inside.
     """
-    sides = 1e30
-    if dx > 1e-12:
-        sides = (walls[1] - x) / dx
-    elif dx < -1e-12:
-        sides = (walls[0] - x) / dx
-    if dy > 1e-12:
-        sides = min(sides, (walls[3] - y) / dy)
-    elif dy < -1e-12:
-        sides = min(sides, (walls[2] - y) / dy)
-    sides = max(sides, 0.0)
-    rise = (height - z) / dz if dz > 1e-12 else z / -dz if dz < -1e-12 else 1e30
-    leave = min(sides, max(rise, 0.0))
-    inside = -math.expm1(-sigma_t * leave)
-    chance = inside
-    if index > 1.0 and dz > 0.0 and rise < sides:
-        further = min(sides - rise, height / dz)
-        back = (1.0 - inside) * reflectance(dz, index)
-        chance += back * -math.expm1(-sigma_t * further)
-        if u * chance > inside:
-            depth = min(-math.log1p(-(u * chance - inside) / back) / sigma_t, further)
-            way = rise + depth
-            return x + dx * way, y + dy * way, height - dz * depth, -dz, chance
-    depth = min(-math.log1p(-min(u * chance, inside)) / sigma_t, leave)
-    return x + dx * depth, y + dy * depth, z + dz * depth, dz, chance
+    ux = dx if abs(dx) > 1e-12 else 1e-12
+    uy = dy if abs(dy) > 1e-12 else 1e-12
+    uz = dz if abs(dz) > 1e-12 else 1e-12
+    across = ((walls[1] if ux > 0.0 else walls[0]) - x) / ux
+    along = ((walls[3] if uy > 0.0 else walls[2]) - y) / uy
+    rise = max(((height if uz > 0.0 else 0.0) - z) / uz, 0.0)
+    sides = max(min(across, along), 0.0)
+    leave = min(sides, rise)
+    inside = one_minus_exponential(-sigma_t * leave)
+    meets = index > 1.0 and dz > 0.0 and rise < sides
+    further = min(sides - rise, height / uz) if meets else 0.0
+    back = (1.0 - inside) * reflectance(dz, index) if meets else 0.0
+    chance = inside + back * one_minus_exponential(-sigma_t * further)
+    wanted = u * chance
+    turns = wanted > inside
+    part_way = (wanted - inside) / back if turns else min(wanted, inside)
+    depth = min(-log_one_minus(min(part_way, 1.0)) / sigma_t, further if turns else leave)
+    way = rise + depth if turns else depth
+    end = height - dz * depth if turns else z + dz * depth
+    return x + dx * way, y + dy * way, end, -dz if turns else dz, chance

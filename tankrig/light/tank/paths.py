@@ -11,29 +11,41 @@ mend that, and the balance heuristic weighs the three so that none can make a co
 * at every scattering a probe for the last flight is drawn from the phase function's own lobe about the line of sight.
 
 `remaining + turned` below is the density of all ways to draw the path's directions, over that of plain scattering.
-"""
 
-import math
+Paths are followed a block at a time, order by order, in loops that compilers vectorise (measured: 4× faster than path
+by path).
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.light.rays import Geometry, light_ray
+from tankrig.light.rays import Geometry
+from tankrig.light.tank.block import (
+    BLOCK,
+    FLIGHT_COORDINATES,
+    START_COORDINATES,
+    TURNS,
+    UNTURNED,
+    Block,
+    Ends,
+    Water,
+    across,
+    alive,
+    begin,
+    begin_at_origin,
+    begin_on_beams,
+    draw,
+    empty_block,
+    thin,
+)
+from tankrig.light.tank.elementary import exponential
 from tankrig.light.tank.flight import fly, scattered
-from tankrig.light.tank.lattice import coordinate
-from tankrig.light.tank.record import Bins, record_point, record_rectangles
+from tankrig.light.tank.record import Bins, Marks, column_of, empty_marks, mark_cells, mark_rectangles
 from tankrig.light.tank.sighting import seen_from
 from tankrig.scene.phase import henyey_greenstein
 
 Array = NDArray[np.float64]
-
-START_COORDINATES = 4
-FLIGHT_COORDINATES = 6
-UNTURNED = 0.4
-"""Share of the paths that are scattered by the phase function alone."""
-TURNS = 12
-"""The other paths turn at one of this many first scatterings."""
 
 
 @kernel
@@ -47,9 +59,9 @@ def trace(
     Parameters
     ----------
     edges
-        Filled by `record_rectangles` where `shiftable`.
+        Filled by `mark_rectangles` where `shiftable`.
     cells
-        Filled by `record_point` otherwise.
+        Filled by `mark_cells` otherwise.
     bins
         Index of the image that each order goes to.
     geometry
@@ -75,133 +87,203 @@ def trace(
     first_thinning
         From this order on, every doubling of the order halves the paths: later orders are smoother.
     """
-    length, half_width, height = geometry.length, geometry.half_width, geometry.height
-    index = geometry.refractive_index
-    guided = g > 0.3
-    per_turn = (1.0 - UNTURNED) / TURNS
-    hull_low, hull_high = beams[:, 0].min(), beams[:, 1].max()
-    farthest = min(length, 40.0 / sigma_t)  # what begins deeper is fainter than any rounding
-    for point in range(start, stop):
-        x_low, x_high, y_low, y_high = 0.0, farthest, hull_low, hull_high
+    water = Water(sigma_t, albedo, g, g > 0.3, (1.0 - UNTURNED) / TURNS)
+    block, marks = empty_block(), empty_marks(BLOCK)
+    u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
+    for first in range(start, stop, BLOCK):
+        n = min(BLOCK, stop - first)
         if shiftable:
-            x = y = 0.0
-            z = beams[0, 2] + coordinate(point, 0, lattice) * (beams[0, 3] - beams[0, 2])
-            dx, dy, dz = 1.0, 0.0, 0.0
-            weight = albedo * sigma_t
+            begin_at_origin(block, n, first, geometry, water, beams, lattice)
         else:
-            x_low, x_high, y_low, y_high = 0.0, 0.0, 0.0, 0.0
-            beam, across = _beam_of(beams, coordinate(point, 1, lattice))
-            y0 = beams[beam, 0] + across * (beams[beam, 1] - beams[beam, 0])
-            z0 = beams[beam, 2] + coordinate(point, 0, lattice) * (beams[beam, 3] - beams[beam, 2])
-            dx, dy, dz = light_ray(geometry, y0, z0)
-            walls = (0.0, length, -half_width, half_width)
-            x, y, z, dz, weight = fly(
-                walls, height, index, sigma_t, 0.0, y0, z0, dx, dy, dz, coordinate(point, 2, lattice)
-            )
-            weight *= albedo
-        choice = (coordinate(point, 3, lattice) - UNTURNED) / per_turn
-        turn = 1 + int(choice) if guided and choice >= 0.0 else 0
-        remaining, turned = 1.0, 0.0
-        limit = faintest * weight
-        # References across the light's and the line of sight's direction, from which azimuths are counted.
-        ex, ey, ez = _across(dx, dz)
-        sx, sy, sz = 0.0, 0.0, 1.0
-        rx, ry, rz = 1.0, 0.0, 0.0
-        order = 1
+            begin_on_beams(block, n, first, geometry, water, beams, lattice)
+            _look(block, n, geometry, sigma_t)
+        begin(block, n, first, water, lattice, faintest)
         thinning = first_thinning
-        while order < max_order and weight > limit:
-            first = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
+        for order in range(1, max_order):
             if order == thinning:
                 thinning *= 2
-                if (point // (order // first_thinning)) % 2 == 1:
-                    break
-                weight *= 2.0
-                limit *= 2.0
-            walls = (-x_high, length - x_low, -half_width - y_high, half_width - y_low)
-            if not shiftable:
-                walls = (0.0, length, -half_width, half_width)
-                _, _, sx, sy, sz, _, _ = seen_from(geometry, x, y, z)
-                rx, ry, rz = _across(sx, sz)
-            before = remaining + turned
-            counted = guided and order <= TURNS
-            if guided and order >= 2:
-                u, v = coordinate(point, first + 3, lattice), coordinate(point, first + 4, lattice)
-                px, py, pz, _, _, _ = scattered(sx, sy, sz, rx, ry, rz, g, u, v)
-                plain = henyey_greenstein(px * dx + py * dy + pz * dz, g)
-                ahead = px * sx + py * sy + pz * sz
-                density = before * henyey_greenstein(ahead, g) + (remaining + turned) * plain
-                if counted:
-                    density += per_turn * (_wide_lobe(ahead, g) - plain)
-                qx, qy, qz, pz, chance = fly(
-                    walls, height, index, sigma_t, x, y, z, px, py, pz, coordinate(point, first + 5, lattice)
-                )
-                value = weight * chance * albedo * plain / density
+                thin(block, n, order // first_thinning)
+            n = alive(block, n, shiftable)
+            if n == 0:
+                break
+            remaining = 1.0 - water.per_turn * min(order - 1, TURNS) if water.guided else 1.0
+            dimension = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
+            image = bins[min(order + 1, bins.size - 1)]
+            if water.guided and order >= 2:
+                draw(u, block.point, n, dimension + 3, lattice)
+                draw(v, block.point, n, dimension + 4, lattice)
+                draw(w, block.point, n, dimension + 5, lattice)
                 if shiftable:
-                    value *= henyey_greenstein(pz, g) * math.exp(-sigma_t * (height - qz))
-                    record_rectangles(
-                        edges, bins, order + 1, value, sigma_t, qx, qy, max(x_low, -qx), min(x_high, length - qx),
-                        max(y_low, -half_width - qy), min(y_high, half_width - qy), beams, half_width, cell_mm,
-                    )  # fmt: skip
+                    _probe_anywhere(probes, block, u, v, w, n, geometry, water, order, remaining)
+                    _cover(marks, probes, block, n, geometry, water, cell_mm[0])
+                    mark_rectangles(edges[image], marks, n, beams, geometry.half_width, cell_mm[1])
                 else:
-                    record_point(cells, bins, geometry, order + 1, value, sigma_t, g, qx, qy, qz, px, py, pz, cell_mm)
-            dx0, dy0, dz0 = dx, dy, dz
-            u, v = coordinate(point, first, lattice), coordinate(point, first + 1, lattice)
-            if order == turn:
-                asymmetry = g**2 if v < 0.5 else g**4
-                v = 2.0 * v if v < 0.5 else 2.0 * v - 1.0
-                dx, dy, dz, ex, ey, ez = scattered(sx, sy, sz, rx, ry, rz, asymmetry, u, v)
-            else:
-                dx, dy, dz, ex, ey, ez = scattered(dx, dy, dz, ex, ey, ez, g, u, v)
-            share = 1.0
-            if guided:
-                plain = henyey_greenstein(dx * dx0 + dy * dy0 + dz * dz0, g)
-                ahead = dx * sx + dy * sy + dz * sz
-                if counted:
-                    remaining -= per_turn
-                    turned += per_turn * _wide_lobe(ahead, g) / plain
-                share = remaining + turned
-                if order >= 2:
-                    share += before * henyey_greenstein(ahead, g) / plain
-                share = 1.0 / share
-            x, y, z, after, chance = fly(
-                walls, height, index, sigma_t, x, y, z, dx, dy, dz, coordinate(point, first + 2, lattice)
-            )
-            if after != dz:  # reflected at the surface
-                dz, ez = after, -ez
-            weight *= chance * albedo
-            order += 1
+                    _probe(marks, block, u, v, w, n, geometry, water, order, remaining)
+                    mark_cells(cells[image], marks.x, marks.y, marks.value, n, geometry.half_width, cell_mm)
+            draw(u, block.point, n, dimension, lattice)
+            draw(v, block.point, n, dimension + 1, lattice)
+            draw(w, block.point, n, dimension + 2, lattice)
+            _scatter(block, u, v, n, water, order, remaining)
+            _fly(block, w, n, geometry, water)
             if shiftable:
-                x_low, x_high = max(x_low, -x), min(x_high, length - x)
-                y_low, y_high = max(y_low, -half_width - y), min(y_high, half_width - y)
-            if order < 3:
+                _narrow(block, n, geometry)
+            else:
+                _look(block, n, geometry, sigma_t)
+            if order == 1:
                 continue
             if shiftable:
-                value = weight * share * henyey_greenstein(dz, g) * math.exp(-sigma_t * (height - z))
-                record_rectangles(
-                    edges, bins, order, value, sigma_t, x, y, x_low, x_high, y_low, y_high, beams, half_width, cell_mm
-                )
+                ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
+                _cover(marks, ends, block, n, geometry, water, cell_mm[0])
+                mark_rectangles(edges[image], marks, n, beams, geometry.half_width, cell_mm[1])
             else:
-                record_point(cells, bins, geometry, order, weight * share, sigma_t, g, x, y, z, dx, dy, dz, cell_mm)
+                _arrive(marks, block, n, water)
+                mark_cells(cells[image], block.seen_x, block.seen_y, marks.value, n, geometry.half_width, cell_mm)
+
+
+@kernel
+def _look(block: Block, n: int, geometry: Geometry, sigma_t: float) -> None:
+    """Lines of sight through the ends of paths."""
+    for i in range(n):
+        seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, block.x[i], block.y[i], block.z[i])
+        block.seen_x[i], block.seen_y[i], block.sx[i], block.sy[i], block.sz[i] = seen_x, seen_y, sx, sy, sz
+        block.reaches[i] = factor * exponential(-sigma_t * path)
+
+
+@kernel
+def _narrow(block: Block, n: int, geometry: Geometry) -> None:
+    """Leave out the starts for which the path has left the tank."""
+    for i in range(n):
+        block.x_low[i] = max(block.x_low[i], -block.x[i])
+        block.x_high[i] = min(block.x_high[i], geometry.length - block.x[i])
+        block.y_low[i] = max(block.y_low[i], -geometry.half_width - block.y[i])
+        block.y_high[i] = min(block.y_high[i], geometry.half_width - block.y[i])
 
 
 @part
-def _across(dx: float, dz: float) -> tuple[float, float, float]:
-    """A unit vector across a direction that is not along y, from its x and z."""
-    scale = math.sqrt(dx * dx + dz * dz)
-    return -dz / scale, 0.0, dx / scale
+def _probed(
+    block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, water: Water, order: int, remaining: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """A last flight in a direction from the lobe about the line of sight: where to, direction, weight scattered there.
+
+    Scattering has yet to turn the light into the camera.
+    """
+    dx, dy, dz = block.dx[i], block.dy[i], block.dz[i]
+    sx, sy, sz = block.sx[i], block.sy[i], block.sz[i]
+    rx, ry, rz = across(sx, sz)
+    px, py, pz, _, _, _ = scattered(sx, sy, sz, rx, ry, rz, water.g, u[i], v[i])
+    plain = henyey_greenstein(px * dx + py * dy + pz * dz, water.g)
+    ahead = px * sx + py * sy + pz * sz
+    before = remaining + block.turned[i]
+    per_turn = water.per_turn if order <= TURNS else 0.0
+    density = before * (henyey_greenstein(ahead, water.g) + plain) + per_turn * (_wide_lobe(ahead, water.g) - plain)
+    qx, qy, qz, pz, chance = fly(
+        _walls(block, i, geometry), geometry.height, geometry.refractive_index, water.sigma_t,
+        block.x[i], block.y[i], block.z[i], px, py, pz, w[i],
+    )  # fmt: skip
+    return qx, qy, qz, px, py, pz, block.weight[i] * chance * water.albedo * plain / density
+
+
+@part
+def _walls(block: Block, i: int, geometry: Geometry) -> tuple[float, float, float, float]:
+    """Side walls for a path that may be moved: beyond them it has left the tank wherever it began."""
+    return (
+        -block.x_high[i], geometry.length - block.x_low[i],
+        -geometry.half_width - block.y_high[i], geometry.half_width - block.y_low[i],
+    )  # fmt: skip
+
+
+@kernel
+def _probe(
+    marks: Marks, block: Block, u: Array, v: Array, w: Array, n: int, geometry: Geometry, water: Water, order: int,
+    remaining: float,
+) -> None:  # fmt: skip
+    """What probes send to the camera."""
+    for i in range(n):
+        x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, water, order, remaining)
+        marks.x[i], marks.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z)
+        phase = henyey_greenstein(dx * sx + dy * sy + dz * sz, water.g)
+        marks.value[i] = weight * phase * factor * exponential(-water.sigma_t * path)
+
+
+@kernel
+def _arrive(marks: Marks, block: Block, n: int, water: Water) -> None:
+    """What the ends of paths send to the camera."""
+    for i in range(n):
+        ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
+        marks.value[i] = block.seen[i] * henyey_greenstein(ahead, water.g) * block.reaches[i]
+
+
+@kernel
+def _probe_anywhere(
+    probes: Ends, block: Block, u: Array, v: Array, w: Array, n: int, geometry: Geometry, water: Water, order: int,
+    remaining: float,
+) -> None:  # fmt: skip
+    """Probes of paths that may begin anywhere."""
+    for i in range(n):
+        x, y, z, _, _, dz, weight = _probed(block, u, v, w, i, geometry, water, order, remaining)
+        probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
+
+
+@kernel
+def _cover(marks: Marks, ends: Ends, block: Block, n: int, geometry: Geometry, water: Water, cell_mm: float) -> None:
+    """What paths send to the camera, for all their starts x', whose light goes with exp(−σt x')."""
+    for i in range(n):
+        x = ends.x[i]
+        low, high = max(block.x_low[i], -x), min(block.x_high[i], geometry.length - x)
+        value = ends.weight[i] * henyey_greenstein(ends.dz[i], water.g)
+        value = value * exponential(-water.sigma_t * (geometry.height - ends.z[i])) if high > low else 0.0
+        marks.value[i] = value
+        marks.first[i], marks.first_part[i], marks.first_on[i] = column_of(low, x, water.sigma_t, value, cell_mm)
+        marks.last[i], marks.last_part[i], marks.last_on[i] = column_of(high, x, water.sigma_t, value, cell_mm)
+    for i in range(n):
+        y = ends.y[i]
+        marks.y[i] = y
+        marks.y_low[i] = max(block.y_low[i], -geometry.half_width - y)
+        marks.y_high[i] = min(block.y_high[i], geometry.half_width - y)
+
+
+@kernel
+def _scatter(block: Block, u: Array, v: Array, n: int, water: Water, order: int, remaining: float) -> None:
+    """Draw new directions."""
+    g = water.g
+    per_turn = water.per_turn if water.guided and order <= TURNS else 0.0
+    probed = 1.0 if water.guided and order >= 2 else 0.0
+    for i in range(n):
+        sx, sy, sz = block.sx[i], block.sy[i], block.sz[i]
+        ox, oy, oz = block.dx[i], block.dy[i], block.dz[i]
+        turns, wide = block.turn[i] == order, v[i] < 0.5
+        rx, ry, rz = across(sx, sz)
+        dx, dy, dz, ex, ey, ez = scattered(
+            sx if turns else ox, sy if turns else oy, sz if turns else oz,
+            rx if turns else block.ex[i], ry if turns else block.ey[i], rz if turns else block.ez[i],
+            (g**2 if wide else g**4) if turns else g, u[i], (2.0 * v[i] - (0.0 if wide else 1.0)) if turns else v[i],
+        )  # fmt: skip
+        plain = henyey_greenstein(dx * ox + dy * oy + dz * oz, g)
+        ahead = dx * sx + dy * sy + dz * sz
+        before = remaining + block.turned[i]
+        after = before + per_turn * (_wide_lobe(ahead, g) / plain - 1.0)
+        block.dx[i], block.dy[i], block.dz[i] = dx, dy, dz
+        block.ex[i], block.ey[i], block.ez[i] = ex, ey, ez
+        block.turned[i] = after - (remaining - per_turn)
+        block.share[i] = 1.0 / (after + probed * before * henyey_greenstein(ahead, g) / plain)
+
+
+@kernel
+def _fly(block: Block, w: Array, n: int, geometry: Geometry, water: Water) -> None:
+    """Follow paths to their next collision."""
+    for i in range(n):
+        dz = block.dz[i]
+        block.x[i], block.y[i], block.z[i], after, chance = fly(
+            _walls(block, i, geometry), geometry.height, geometry.refractive_index, water.sigma_t,
+            block.x[i], block.y[i], block.z[i], block.dx[i], block.dy[i], dz, w[i],
+        )  # fmt: skip
+        block.dz[i], block.ez[i] = after, block.ez[i] if after == dz else -block.ez[i]  # reflected at the surface
+        weight = block.weight[i] * chance * water.albedo
+        block.weight[i], block.seen[i] = weight, weight * block.share[i]
 
 
 @part
 def _wide_lobe(cosine: float, g: float) -> float:
     """Density of the directions of a turn: lobes as wide as after two and after four scatterings."""
     return 0.5 * (henyey_greenstein(cosine, g**2) + henyey_greenstein(cosine, g**4))
-
-
-@part
-def _beam_of(beams: Array, u: float) -> tuple[int, float]:
-    """The beam that a number of [0, 1) falls on, and how far across it."""
-    beam, before = 0, 0.0
-    while beam < beams.shape[0] - 1 and u >= beams[beam, 5]:
-        before = beams[beam, 5]
-        beam += 1
-    return beam, min(max((u - before) / (beams[beam, 5] - before), 0.0), 1.0)

@@ -1,14 +1,13 @@
-"""How a path leaves its mark on the image: in one cell, or on a rectangle for each beam."""
+"""How paths leave their marks on the image: in one cell, or on a rectangle for each beam."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.compiled import part
-from tankrig.light.rays import Geometry
-from tankrig.light.tank.sighting import seen_from
-from tankrig.scene.phase import henyey_greenstein
+from tankrig.compiled import kernel, part
+from tankrig.light.tank.elementary import exponential, one_minus_exponential
 
 Array = NDArray[np.float64]
 Bins = NDArray[np.int64]
@@ -21,79 +20,110 @@ CLASSES: Bins = np.array([0, 0, 0, 0, *[1] * 17, 2])
 """Bins that are `GROUPS`."""
 
 
+class Marks(NamedTuple):
+    """What a block of paths leaves on the image, an array each; lengths in mm."""
+
+    value: Array
+    """Power towards the camera, W/sr; 0 leaves no mark."""
+    x: Array
+    """Where it is seen on the surface."""
+    y: Array
+    y_low: Array
+    """Starts y₀ for which the path is inside the tank."""
+    y_high: Array
+    first: Array
+    """Column in which the mark begins, what the rest of it holds on average, and what the next begins with."""
+    first_part: Array
+    first_on: Array
+    last: Array
+    """The same where it ends."""
+    last_part: Array
+    last_on: Array
+
+
 @part
-def record_point(
-    cells: Array, bins: Bins, geometry: Geometry, order: int, weight: float, sigma_t: float, g: float,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, cell_mm: tuple[float, float],
-) -> None:  # fmt: skip
-    """Add what one scattering at (x, y, z) sends to the camera to the cell it is seen through.
+def empty_marks(size: int) -> Marks:
+    """For a block of paths."""
+    rows = np.zeros((11, size))
+    return Marks(
+        rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8], rows[9], rows[10]
+    )  # fmt: skip
+
+
+@kernel
+def mark_cells(
+    cells: Array, x: Array, y: Array, value: Array, n: int, half_width: float, cell_mm: tuple[float, float]
+) -> None:
+    """Add the values of n paths to the cells that they are seen through.
 
     Parameters
     ----------
     cells
-        (images, rows, columns), added to: power towards the camera, W/sr; over a cell's area it is the cell's radiance.
-    weight
-        Power scattered there, W.
-    dx, dy, dz
-        Direction of the light before.
+        (rows, columns), added to: power towards the camera, W/sr; over a cell's area it is the cell's radiance.
+    x, y
+        Where they are seen on the surface, mm.
+    value
+        Power towards the camera, W/sr.
     """
-    seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, x, y, z)
-    column = math.floor(seen_x / cell_mm[0])
-    row = math.floor((seen_y + geometry.half_width) / cell_mm[1])
-    if column < 0 or row < 0 or column >= cells.shape[2] or row >= cells.shape[1]:
-        return
-    value = weight * factor * henyey_greenstein(dx * sx + dy * sy + dz * sz, g) * math.exp(-sigma_t * path)
-    cells[bins[min(order, bins.size - 1)], row, column] += value
+    for i in range(n):
+        column = math.floor(x[i] / cell_mm[0])
+        row = math.floor((y[i] + half_width) / cell_mm[1])
+        if 0 <= column < cells.shape[1] and 0 <= row < cells.shape[0]:
+            cells[row, column] += value[i]
 
 
-@part
-def record_rectangles(
-    edges: Array, bins: Bins, order: int, value: float, sigma_t: float, x: float, y: float, x_low: float, x_high: float,
-    y_low: float, y_high: float, beams: Array, half_width: float, cell_mm: tuple[float, float],
-) -> None:  # fmt: skip
-    """Add value · exp(−σt x') for all starts x' ∈ [x_low, x_high] on the beams in [y_low, y_high], moved by (x, y).
+@kernel
+def mark_rectangles(edges: Array, marks: Marks, n: int, beams: Array, half_width: float, cell_mm: float) -> None:
+    """Add the light of n paths, each moved to all starts on the beams.
 
-    Only the changes from cell to cell are written, at the rectangle's corners; `image_of_edges` sums them up.
+    Only the changes from cell to cell are written, at the rectangles' corners; `image_of_edges` sums them up.
 
     Parameters
     ----------
     edges
-        (images, 2, rows + 2, columns + 2), added to: [:, 0] what a partly covered column holds, [:, 1] what goes on
-        from the next column.
+        (2, rows + 2, columns + 2), added to: [0] what a partly covered column holds, [1] what goes on from the next.
+    marks
+        All but x.
+    beams
+        (n, …): y low, y high, z low, z high on the plane x = 0, irradiance.
+    cell_mm
+        Size of a cell along y.
     """
-    if x_high <= x_low or y_high <= y_low:
-        return
-    group = bins[min(order, bins.size - 1)]
-    first, first_part, first_on = _edge(x_low, x, sigma_t, value, cell_mm[0])
-    last, last_part, last_on = _edge(x_high, x, sigma_t, value, cell_mm[0])
-    for beam in range(beams.shape[0]):
-        low, high = max(beams[beam, 0], y_low), min(beams[beam, 1], y_high)
-        if high <= low:
+    for i in range(n):
+        if marks.value[i] == 0.0:
             continue
-        for side in range(2):
-            place = ((low if side == 0 else high) + y + half_width) / cell_mm[1]
-            row = int(place)
-            change = beams[beam, 4] if side == 0 else -beams[beam, 4]
-            after = (place - row) * change  # the row is partly covered; the next takes the rest of the step
-            before = change - after
-            edges[group, 0, row, first] += before * first_part
-            edges[group, 0, row + 1, first] += after * first_part
-            edges[group, 1, row, first + 1] += before * first_on
-            edges[group, 1, row + 1, first + 1] += after * first_on
-            edges[group, 0, row, last] -= before * last_part
-            edges[group, 0, row + 1, last] -= after * last_part
-            edges[group, 1, row, last + 1] -= before * last_on
-            edges[group, 1, row + 1, last + 1] -= after * last_on
+        first, last = int(marks.first[i]), int(marks.last[i])
+        for beam in range(beams.shape[0]):
+            low, high = max(beams[beam, 0], marks.y_low[i]), min(beams[beam, 1], marks.y_high[i])
+            if high <= low:
+                continue
+            for side in range(2):
+                place = ((low if side == 0 else high) + marks.y[i] + half_width) / cell_mm
+                row = int(place)
+                change = beams[beam, 4] if side == 0 else -beams[beam, 4]
+                after = (place - row) * change  # the row is partly covered; the next takes the rest of the step
+                before = change - after
+                edges[0, row, first] += before * marks.first_part[i]
+                edges[0, row + 1, first] += after * marks.first_part[i]
+                edges[1, row, first + 1] += before * marks.first_on[i]
+                edges[1, row + 1, first + 1] += after * marks.first_on[i]
+                edges[0, row, last] -= before * marks.last_part[i]
+                edges[0, row + 1, last] -= after * marks.last_part[i]
+                edges[1, row, last + 1] -= before * marks.last_on[i]
+                edges[1, row + 1, last + 1] -= after * marks.last_on[i]
 
 
 @part
-def _edge(start: float, x: float, sigma_t: float, value: float, cell_mm: float) -> tuple[int, float, float]:
-    """The column in which starts begin, what the rest of it holds on average, and what the next begins with."""
+def column_of(start: float, x: float, sigma_t: float, value: float, cell_mm: float) -> tuple[float, float, float]:
+    """The column that a start moved by x lies in, what the rest of it holds on average, what the next begins with.
+
+    What is marked there is value · exp(−σt x') for the starts x' from this one on.
+    """
     place = max(start + x, 0.0) / cell_mm
-    column = int(place)
-    amplitude = value * math.exp(-sigma_t * start)
-    on = math.exp(-sigma_t * cell_mm * (column + 1.0 - place))
-    return column, amplitude * (1.0 - on) / (sigma_t * cell_mm), amplitude * on
+    column = float(math.floor(place))
+    amplitude = value * exponential(-sigma_t * start)
+    lost = one_minus_exponential(-sigma_t * cell_mm * (column + 1.0 - place))
+    return column, amplitude * lost / (sigma_t * cell_mm), amplitude * (1.0 - lost)
 
 
 def image_of_edges(edges: Array, sigma_t: float, cell_mm: float) -> Array:
@@ -112,10 +142,24 @@ def image_of_edges(edges: Array, sigma_t: float, cell_mm: float) -> Array:
     -------
     (…, rows, columns) array
     """
-    from scipy.signal import lfilter
+    shape = edges.shape
+    image: Array = _summed(np.ascontiguousarray(edges).reshape(-1, *shape[-3:]), sigma_t * cell_mm)
+    return image.reshape(*shape[:-3], *image.shape[-2:])
 
-    rows = np.cumsum(edges, axis=-2)[..., :-2, :]
-    depth = sigma_t * cell_mm
-    going_on = lfilter([1.0], [1.0, -math.exp(-depth)], rows[..., 1, :, :], axis=-1)
-    image: Array = rows[..., 0, :, :] - math.expm1(-depth) / depth * going_on
-    return image[..., :-2]
+
+@kernel
+def _summed(edges: Array, depth: float) -> Array:
+    """(images, rows, columns) running sums of changes; `depth` is a cell's along x in free paths."""
+    images, _, rows, columns = edges.shape
+    image = np.empty((images, rows - 2, columns - 2))
+    decay, mean = math.exp(-depth), -math.expm1(-depth) / depth
+    for k in range(images):
+        here, on = np.zeros(columns), np.zeros(columns)
+        for row in range(rows - 2):
+            going_on = 0.0
+            for column in range(columns - 2):
+                here[column] += edges[k, 0, row, column]
+                on[column] += edges[k, 1, row, column]
+                going_on = decay * going_on + on[column]
+                image[k, row, column] = here[column] + mean * going_on
+    return image

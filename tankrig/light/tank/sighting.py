@@ -2,12 +2,12 @@
 
 import math
 
-from tankrig.compiled import kernel
+from tankrig.compiled import part
+from tankrig.geometry.optics import reflectance
 from tankrig.light.rays import Geometry
-from tankrig.geometry.optics import crossing_offset, reflectance
 
 
-@kernel
+@part
 def seen_from(
     geometry: Geometry, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -32,7 +32,7 @@ def seen_from(
         return x, y, 0.0, 0.0, 1.0, depth, (1.0 - reflectance(1.0, 1.0 / index)) / (index * index)
     to_x, to_y, above = geometry.camera_x - x, geometry.camera_y - y, geometry.camera_z - geometry.height
     offset = math.sqrt(to_x * to_x + to_y * to_y)
-    rho = crossing_offset(offset, depth, above, index)
+    rho = _crossing(offset, depth, above, index)
     ex, ey = (to_x / offset, to_y / offset) if offset > 1e-9 else (1.0, 0.0)
     cosine_air = above / math.sqrt(rho * rho + above * above)
     sine = math.sqrt(max(0.0, 1.0 - cosine_air * cosine_air)) / index
@@ -45,3 +45,24 @@ def seen_from(
     return (
         geometry.camera_x - ex * rho, geometry.camera_y - ey * rho, ex * sine, ey * sine, cosine, depth / cosine, factor
     )  # fmt: skip
+
+
+@part
+def _crossing(offset: float, depth: float, above: float, index: float) -> float:
+    """`crossing_offset` with a fixed number of steps, so that a loop over points is vectorised.
+
+    From the paraxial ray, three of Newton's steps end within 1e-9 mm up to 75° from the normal.
+    """
+    excess, reach = index * index - 1.0, index * index * above * above
+    rho = offset / (1.0 + depth / (index * above))
+    rho = _nearer(rho, offset, depth, excess, reach)
+    rho = _nearer(rho, offset, depth, excess, reach)
+    return _nearer(rho, offset, depth, excess, reach)
+
+
+@part
+def _nearer(rho: float, offset: float, depth: float, excess: float, reach: float) -> float:
+    """One of Newton's steps for ρ + depth · tan θ_water(ρ) = offset."""
+    squared = excess * rho * rho + reach
+    root = math.sqrt(squared)
+    return rho + (offset - rho - depth * rho / root) / (1.0 + depth * reach / (squared * root))
