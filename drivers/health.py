@@ -10,10 +10,13 @@ from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from typing import Any, Protocol
 
+from drivers.calibration_health import calibration_checks, level_check
+from drivers.check import Check, failed
 from drivers.registry import open_device
-from drivers.rig import RigFile
+from drivers.rig import RigFile, calibrated_bench
+from tankrig.bench import Bench
 from tankrig.devices import Camera, CameraSettings, Doser, Projector
-from tankrig.errors import DeviceError, TankrigError
+from tankrig.errors import DeviceError, StoreError, TankrigError
 
 GROUP = "tankrig.health"
 
@@ -32,28 +35,6 @@ class Found:
 
     what: str
     lines: str = ""
-
-
-@dataclass(frozen=True)
-class Check:
-    """Something that was looked at.
-
-    Parameters
-    ----------
-    what
-        Was looked at.
-    passed
-        None where it could not be told.
-    finding
-        What was found.
-    remedy
-        What to do, unless it passed.
-    """
-
-    what: str
-    passed: bool | None
-    finding: str
-    remedy: str = ""
 
 
 class Health(Protocol):
@@ -97,7 +78,7 @@ def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
                 opened.callback(device.close)
                 yield Check(f"{kind} opens", True, f"{device.name} ({driver})")
             except DeviceError as error:
-                yield _failed(f"{kind} opens", error)
+                yield failed(f"{kind} opens", error)
             for entry in entry_points(group=GROUP, name=driver):
                 yield from entry.load().checks(settings, device)
         if "doser" in devices:
@@ -107,14 +88,17 @@ def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
                 yield _shape(kind, devices[kind].shape, shape)
         if "camera" in devices:
             yield _camera(devices["camera"])
+        yield from calibration_checks(rig, devices)
         if with_light and {"projector", "camera"} <= devices.keys():
             yield _latency(devices["projector"], devices["camera"], rig.projector.get("latency_ms"))
+            yield level_check(devices["projector"], devices["camera"], _believed(rig).wall)
 
 
-def _failed(what: str, error: TankrigError) -> Check:
-    """What went wrong and, after the last semicolon of its sentence, what to do."""
-    finding, _, remedy = str(error).rpartition("; ")
-    return Check(what, False, finding or remedy, remedy if finding else "see what the device says")
+def _believed(rig: RigFile) -> Bench:
+    try:
+        return calibrated_bench(rig)
+    except StoreError:  # told by the checks of the calibration
+        return rig.bench
 
 
 def _shape(kind: str, has: tuple[int, int], calibrated: tuple[int, int]) -> Check:
@@ -129,7 +113,7 @@ def _doser(doser: Doser, rig: RigFile) -> Iterator[Check]:
     try:
         volume_ul, low_ul, high_ul = doser.delivered()
     except DeviceError as error:
-        yield _failed("doser tells what it delivered", error)
+        yield failed("doser tells what it delivered", error)
         return
     known = not doser.unknown
     yield Check(
@@ -151,7 +135,7 @@ def _camera(camera: Camera) -> Check:
         actual = camera.configure(CameraSettings(exposure_ms=20.0))
         starts = [camera.capture(monotonic_ns(), 5.0).exposure_start_ns for _ in range(3)]
     except TankrigError as error:
-        return _failed(what, error)
+        return failed(what, error)
     return Check(what, True, f"{len(starts)} of them, exposure {actual.exposure_ms:g} ms, gain {actual.gain:g}")
 
 
@@ -162,7 +146,7 @@ def _latency(projector: Projector, camera: Camera, assumed_ms: float | None) -> 
     try:
         measured = measure_latency(projector, camera)
     except TankrigError as error:
-        return replace(_failed(what, error), passed=None)  # a dark tank is no fault of the devices
+        return replace(failed(what, error), passed=None)  # a dark tank is no fault of the devices
     finding = (
         f"median {measured.median_ms:.1f} ms, 99 % within {measured.p99_ms:.1f} ms of {len(measured.samples_ms)} flips"
     )

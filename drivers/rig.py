@@ -3,13 +3,14 @@
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from drivers.registry import open_device
 from tankrig.bench import Bench
 from tankrig.calibration.file import FOLDER, in_force
+from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked, read_toml
 from tankrig.devices import Camera, Projector
 from tankrig.dosing import DoseLimits
@@ -123,6 +124,21 @@ def true_liquids(description: RigFile) -> tuple[Medium, Medium] | None:
     return truth.water, truth.ink
 
 
+def calibrated_bench(description: RigFile) -> Bench:
+    """The bench that the rig file describes, with what was measured of it in place of what was believed.
+
+    Raises
+    ------
+    StoreError
+        When a calibration file that the rig file names cannot be used.
+    """
+    found = in_force(Path(description.calibration_folder), description.calibration)
+    if "radiometry" not in found:
+        return description.bench
+    response = tuple(Radiometry.of(found["radiometry"]).response.curve.tolist())
+    return replace(description.bench, wall=replace(description.bench.wall, response=response))
+
+
 @contextmanager
 def open_light(description: RigFile) -> Iterator[tuple[Projector, Camera]]:
     """Take the rig for this program and open its projector and its camera, to calibrate them; the doser is let be.
@@ -162,7 +178,7 @@ def open_rig(description: RigFile) -> Rig:
             settings = dict(getattr(description, kind))
             devices[kind] = open_device(settings.pop("driver"), settings)
             undo.callback(devices[kind].close)
-        bench = description.bench
+        bench = calibrated_bench(description)
         for kind, shape in (("projector", bench.wall.shape), ("camera", bench.camera.shape)):
             if tuple(devices[kind].shape) != tuple(shape):
                 raise DeviceError(

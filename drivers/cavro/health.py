@@ -3,7 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from drivers.health import Check, Found
+from drivers.check import Check
+from drivers.health import Found
 
 
 def find() -> Iterator[Found]:

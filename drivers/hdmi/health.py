@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 from statistics import median
 from typing import Any
 
-from drivers.health import Check, Found
+from drivers.check import Check
+from drivers.health import Found
 
 from .link import Screen, list_screens
 

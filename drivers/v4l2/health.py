@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from drivers.health import Check, Found
+from drivers.check import Check
+from drivers.health import Found
 from tankrig.errors import DeviceError
 
 from .node import Node

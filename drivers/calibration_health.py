@@ -1,0 +1,124 @@
+"""What a rig's calibration lacks, what in it is out of date, and what does not fit together."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.check import Check, failed
+from drivers.rig import RigFile
+from tankrig.calibration.file import Calibration, all_in, in_force
+from tankrig.devices import Camera, CameraSettings, Projector
+from tankrig.errors import StoreError, TankrigError
+from tankrig.pattern import Pattern
+from tankrig.pattern.wall import Wall
+
+KINDS: Mapping[str, str] = {
+    "camera": "camera", "projector": "projector", "tank": "camera", "radiometry": "camera", "latency": "projector",
+}  # fmt: skip
+"""What can be calibrated, and the device that it holds for."""
+STALE_DAYS = 90.0
+_LEVEL = 128
+_OFF = 0.05
+_DIM = 0.01
+
+
+def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Check]:
+    """Look at the calibration files of a rig.
+
+    Parameters
+    ----------
+    rig
+        What its file says.
+    devices
+        Those that could be opened, by "camera", "projector".
+    """
+    folder = Path(rig.calibration_folder)
+    for unusable in all_in(folder):
+        if isinstance(unusable, StoreError):
+            yield failed("calibration file can be used", unusable)
+    try:
+        found = in_force(folder, rig.calibration)
+    except StoreError as error:
+        yield failed("calibration that the rig file names is there", error)
+        return
+    for kind, device in KINDS.items():
+        if kind in found:
+            yield _fits(found[kind], devices.get(device), found, folder)
+        else:
+            yield Check(
+                f"{kind} is calibrated", None, "has not been measured; the rig file is believed",
+                f"tankrig calibrate {kind} --rig FILE",
+            )  # fmt: skip
+
+
+def _fits(one: Calibration, device: Any, found: Mapping[str, Calibration], folder: Path) -> Check:
+    """Of the right device, not too old, measured with what is in force, the newest there is."""
+    what = f"{one.kind} is calibrated"
+    if device is not None:
+        try:
+            one.require_for(device.name, tuple(device.shape))
+        except StoreError as error:
+            return failed(what, error)
+    named = one.path.name if one.path else ""
+    for kind, hashed in one.rests_on.items():
+        if kind in KINDS and (kind not in found or found[kind].hash != hashed):
+            return Check(
+                what, False, f"{named} was measured with another {kind} calibration than is in force",
+                f"tankrig calibrate {one.kind} --rig FILE, or name both in the rig file's table [calibration]",
+            )  # fmt: skip
+    if one.age_days > STALE_DAYS:
+        return Check(what, False, f"{named} is {one.age_days:.0f} days old", f"tankrig calibrate {one.kind} --rig FILE")
+    well = ", ".join(f"{name} {value:.3g}" for name, value in one.how_well.items())
+    newer = next((later for later in all_in(folder, one.kind) if isinstance(later, Calibration)), one)
+    if newer.hash != one.hash:
+        return Check(
+            what, None, f"{named} is what the rig file names, and {newer.path and newer.path.name} is newer",
+            f'calibration.{one.kind} = "{newer.hash[:12]}" in the rig file, to use that',
+        )  # fmt: skip
+    doubts = f"; accepted in spite of doubts: {one.doubts[0]}" if one.doubts else ""
+    return Check(what, True, f"{named}: {well}{doubts}")
+
+
+def level_check(projector: Projector, camera: Camera, wall: Wall) -> Check:
+    """Whether the projector's levels make the light that they are taken to make; three flashes."""
+    what = "projector's levels make the light they are taken to make"
+    try:
+        exposure_ms = _exposure(projector, camera)
+        dark, half, full = (_mean(projector, camera, level, exposure_ms) for level in (0, _LEVEL, 255))
+    except TankrigError as error:
+        return replace(failed(what, error), passed=None)  # a dark tank is no fault of the devices
+    light, seen = full - dark, float((full - dark).max())
+    if seen < _DIM * camera.saturation:
+        return Check(what, None, "the camera sees too little of its light to tell", "put a diffuser before the camera")
+    lit = light > 0.3 * seen
+    ratio, taken = float((half - dark)[lit].sum() / light[lit].sum()), float(wall.fractions[_LEVEL])
+    gamma = np.log(max(ratio, 1e-6)) / np.log(_LEVEL / 255.0)
+    return Check(
+        what, abs(ratio - taken) <= _OFF * max(ratio, taken),
+        f"level {_LEVEL} has {ratio:.1%} of level 255's light, as with gamma {gamma:.2f}; taken to have {taken:.1%}",
+        "tankrig calibrate radiometry --rig FILE, or set bench.wall.gamma in the rig file",
+    )  # fmt: skip
+
+
+def _exposure(projector: Projector, camera: Camera) -> float:
+    """One with which level 255 is bright and not saturated."""
+    exposure_ms = camera.configure(CameraSettings(20.0)).exposure_ms
+    for _ in range(4):
+        filled = float(np.quantile(_mean(projector, camera, 255, exposure_ms), 0.999)) / camera.saturation
+        if 0.2 < filled < 0.9:
+            break
+        wanted = exposure_ms * (0.2 if filled >= 0.9 else min(0.6 / max(filled, 0.01), 20.0))
+        exposure_ms = camera.configure(CameraSettings(min(wanted, 1000.0))).exposure_ms
+    return exposure_ms
+
+
+def _mean(projector: Projector, camera: Camera, level: int, exposure_ms: float) -> Any:
+    """(rows, columns) of two frames."""
+    pattern = Pattern(f"level {level}", np.full(projector.shape, level, np.uint8))
+    after_ns = projector.show(pattern).bound_ns
+    first = camera.capture(after_ns, 2e-3 * exposure_ms + 5.0)
+    second = camera.capture(first.exposure_start_ns, 2e-3 * exposure_ms + 5.0)
+    return (first.pixels.astype(float) + second.pixels) / 2.0

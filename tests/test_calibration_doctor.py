@@ -1,0 +1,102 @@
+"""`tankrig doctor` names what is missing, stale, or does not fit together before a run rests on it."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.calibration_health import STALE_DAYS, calibration_checks, level_check
+from drivers.check import Check
+from drivers.rig import RigFile, calibrated_bench, load_rig_file, open_light
+from drivers.simulated import __file__ as simulated
+from tankrig.calibration.file import Calibration, save
+from tankrig.calibration.radiometry import Amplified, Radiometry
+from tankrig.calibration.response import Response
+
+CAMERA = Calibration("camera", "camera A", (80, 120), {"f_px": 1.0}, how_well={"rms_px": 0.2})
+
+
+class Device:
+    def __init__(self, name: str, shape: tuple[int, int]) -> None:
+        self.name, self.shape = name, shape
+
+
+DEVICES = {"camera": Device("camera A", (80, 120)), "projector": Device("projector A", (480, 640))}
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> RigFile:
+    file = tmp_path / "rig.toml"
+    file.write_text(Path(simulated).with_name("rig.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    return load_rig_file(file)
+
+
+def looked(rig: RigFile, **devices: Device) -> dict[str, Check]:
+    return {check.what: check for check in calibration_checks(rig, DEVICES | devices)}
+
+
+def test_what_is_missing_is_named_with_the_command_that_measures_it(rig: RigFile) -> None:
+    checks = looked(rig)
+    assert [check.passed for check in checks.values()] == [None] * 5
+    assert checks["radiometry is calibrated"].remedy.startswith("tankrig calibrate radiometry")
+
+
+def test_what_is_good_passes_and_what_is_not_says_why(rig: RigFile) -> None:
+    folder = Path(rig.calibration_folder)
+    good = save(CAMERA, folder)
+    name = "camera is calibrated"
+    assert looked(rig)[name].passed
+    assert "rms_px 0.2" in looked(rig)[name].finding
+    assert "has camera B" in looked(rig, camera=Device("camera B", (80, 120)))[name].finding
+    assert "has [40, 60]" in looked(rig, camera=Device("camera A", (40, 60)))[name].finding
+    old = (datetime.now(UTC) - timedelta(days=STALE_DAYS + 2)).isoformat(timespec="seconds")
+    stale = looked(replace(rig, calibration_folder=str(save(replace(CAMERA, date=old), folder / "old").path.parent)))
+    assert (stale[name].passed, "days old" in stale[name].finding) == (False, True)
+    save(replace(CAMERA, kind="tank", rests_on={"camera": good.hash}), folder)
+    assert looked(rig)["tank is calibrated"].passed
+    save(replace(CAMERA, how_well={"rms_px": 0.19}), folder)
+    assert "another camera calibration" in looked(rig)["tank is calibrated"].finding
+    named = replace(rig, calibration={"camera": good.hash[:12]})
+    assert looked(named)["tank is calibrated"].passed
+    assert "is newer" in looked(named)[name].finding
+    missing = looked(replace(rig, calibration={"camera": "0123"}))
+    assert any('calibration.camera = "0123"' in check.finding for check in missing.values())
+    (folder / "latency-2026-01-01T00-00-00.toml").write_text("sha256 = ''\n")
+    assert any("changed" in check.finding and check.passed is False for check in looked(rig).values())
+
+
+def radiometry(gamma: float) -> Calibration:
+    response = Response((np.arange(256) / 255.0) ** gamma, np.zeros(256), 0.0)
+    zero, one = np.zeros((80, 120)), np.ones((80, 120))
+    found = Radiometry((Amplified(1.0, 100.0, 0.0, 0.5, 3.0, 1e4, (0.0,)),), one, zero, zero, zero > 0, response)
+    result, arrays = found.table()
+    return Calibration(
+        "radiometry", "camera A", (80, 120), result, {"projector": {"response": response.curve_sd}}, arrays=arrays
+    )
+
+
+def test_a_gamma_that_is_ignored_is_seen_in_the_light(tmp_path: Path) -> None:
+    """The rig file says gamma 1, the projector has 2.2: every pattern but black and white would be taken wrongly."""
+    text = Path(simulated).with_name("rig.toml").read_text(encoding="utf-8")
+    settings = 'driver = "simulated-camera"\n'
+    truth = (
+        'truth.bench = { light = "collimated", tank = {}, wall = { shape = [480, 640], y_mm = [-80.0, 80.0], '
+        "z_mm = [0.0, 120.0], gamma = 2.2 }, camera = { kind = 'orthographic', shape = [80, 120], pixel_mm = 2.0 } }\n"
+    )
+    file = tmp_path / "rig.toml"
+    fast = "time_scale = 0.1\n"
+    text = text.replace(settings, settings + fast + truth)
+    file.write_text(text.replace('"simulated-projector"\n', '"simulated-projector"\n' + fast), encoding="utf-8")
+    rig = load_rig_file(file)
+    with open_light(rig) as (projector, camera):
+        camera.put("diffuser")  # type: ignore[attr-defined]
+        ignored = level_check(projector, camera, calibrated_bench(rig).wall)
+        assert ignored.passed is False
+        assert "as with gamma 2.2" in ignored.finding
+        assert "calibrate radiometry" in ignored.remedy
+        save(radiometry(2.2), Path(rig.calibration_folder))
+        assert level_check(projector, camera, calibrated_bench(rig).wall).passed
+        camera.put("cap")  # type: ignore[attr-defined]
+        assert level_check(projector, camera, rig.bench.wall).passed is None
