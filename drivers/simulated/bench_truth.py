@@ -114,9 +114,8 @@ def random_bench(seed: int, camera_shape: tuple[int, int], projector_shape: tupl
 
 
 def _camera(random: np.random.Generator, shape: tuple[int, int], level: float) -> TrueOptics:
-    rows, columns = shape
     height = random.uniform(430.0, 560.0)
-    focal = columns * height / _VIEW_MM
+    focal = shape[1] * height / _VIEW_MM
     centre = np.array([120.0, 0.0, level + height]) + random.uniform(-8.0, 8.0, 3)
     target = np.array([120.0, 0.0, level / 2]) + random.uniform(-4.0, 4.0, 3)
     turn = np.deg2rad(random.uniform(-3.0, 3.0))

@@ -1,7 +1,4 @@
-"""What the camera of a simulated bench sees of a board, by the room's light and the projector's.
-
-Rays are followed with formulae of this module's own, not with those that calibration uses: so they check each other.
-"""
+"""What the camera of a simulated bench sees of a board, by the room's light and the projector's."""
 
 from collections.abc import Mapping
 
@@ -12,7 +9,8 @@ from tankrig.calibration.board import Board
 from tankrig.pattern import Pattern
 
 from .bench_poses import FILLED, Place, board_pose
-from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
+from .bench_optics import camera_rays, projector_pixels, vignetting
+from .bench_truth import Array, TrueBench
 
 Map = NDArray[np.float32]
 
@@ -41,7 +39,7 @@ class BoardInView:
         self._lit = place.endswith("slant")
         self._rotation, self._origin = board_pose(bench, board, place, number)
         self._samples = 2 if bench.camera.shape[1] > 1000 else 3
-        self._fade = _vignetting(
+        self._fade = vignetting(
             bench.camera, *np.meshgrid(*(np.arange(n, dtype=float) for n in bench.camera.shape[::-1]))
         )
         self._box = self._bounding_box()
@@ -111,46 +109,26 @@ class BoardInView:
             print_out, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=_FLOOR
         )
         if self._lit:
-            pixels, beam = self._from_projector(points)
+            pixels, beam = projector_pixels(self._bench, points, self._filled)
+            farther = np.linalg.norm(self._bench.projector.centre_mm) / np.linalg.norm(
+                points - self._bench.projector.centre_mm, axis=-1
+            )
+            incident = np.maximum(beam @ self._rotation[:, 2], 0.0)
+            strength = farther**2 * incident * vignetting(self._bench.projector, pixels[..., 0], pixels[..., 1])
             self._from = [_spline(nodes_y, nodes_x, pixels[..., k], fine).astype(np.float32) for k in range(2)]
-            self._beam: Map = _spline(nodes_y, nodes_x, beam, fine).astype(np.float32)
+            self._beam: Map = _spline(nodes_y, nodes_x, strength, fine).astype(np.float32)
 
     def _on_board(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Where camera pixels look: (…, 3) in the board's own mm as it was meant to be, and in the tank's frame."""
-        bench = self._bench
-        start = bench.camera.centre_mm
-        way = _rays(bench.camera, np.stack([x, y], axis=-1)) @ bench.camera.rotation
-        point = np.broadcast_to(start, way.shape)
-        if self._filled:
-            at = np.array([TANK_MM[0] / 2, 0.0, bench.level_mm])
-            point = point + (((at - point) @ bench.surface) / (way @ bench.surface))[..., None] * way
-            way = _bent(way, bench.surface, 1.0 / bench.water_index)
+        start, way = camera_rays(self._bench, np.stack([x, y], axis=-1), self._filled)
         normal = self._rotation[:, 2]
-        point = point + (((self._origin - point) @ normal) / (way @ normal))[..., None] * way
-        return (point - self._origin) @ self._rotation / bench.board_scale, point
+        point = start + (((self._origin - start) @ normal) / (way @ normal))[..., None] * way
+        return (point - self._origin) @ self._rotation / self._bench.board_scale, point
 
     def _on_plate(self, board: Array, beyond_mm: float) -> NDArray[np.bool_]:
         reach = self._board.margin_mm + beyond_mm
         middle = np.array(self._board.size_mm) / 2
         return np.asarray((np.abs(board[..., :2] - middle) < middle + reach).all(axis=-1))
-
-    def _from_projector(self, points: Array) -> tuple[Array, Array]:
-        """Projector pixels that light points of the tank, and how much, of what a white pixel gives to the wall."""
-        bench, start = self._bench, self._bench.projector.centre_mm
-        index = bench.water_index if self._filled else 1.0
-        across = points[..., 1:] - start[1:]
-        offset = np.linalg.norm(across, axis=-1)
-        depths = (-start[0] - bench.pane_mm, bench.pane_mm, np.maximum(points[..., 0], 0.0))
-        sine = _through_layers(offset, depths, (1.0, bench.pane_index, index))
-        aside = across / np.maximum(offset, 1e-12)[..., None]
-        in_air = np.concatenate([np.sqrt(1.0 - sine**2)[..., None], sine[..., None] * aside], axis=-1)
-        inside = np.concatenate(
-            [np.sqrt(1.0 - (sine / index) ** 2)[..., None], sine[..., None] / index * aside], axis=-1
-        )
-        pixels = _pixels(bench.projector, in_air @ bench.projector.rotation.T)
-        farther = start[0] / (start[0] - depths[2] / index)
-        incident = np.maximum(inside @ self._rotation[:, 2], 0.0)
-        return pixels, farther**2 * incident * _vignetting(bench.projector, pixels[..., 0], pixels[..., 1])
 
 
 def _plate(board: Board) -> Map:
@@ -164,49 +142,3 @@ def _spline(y: Array, x: Array, values: Array, fine: list[Array]) -> Array:
     from scipy.interpolate import RectBivariateSpline
 
     return np.asarray(RectBivariateSpline(y, x, values)(*fine))
-
-
-def _vignetting(optics: TrueOptics, x: Array, y: Array) -> Array:
-    rows, columns = optics.shape
-    squared = (x - (columns - 1) / 2) ** 2 + (y - (rows - 1) / 2) ** 2
-    return np.asarray(np.maximum(1.0 - optics.vignetting * squared * 4.0 / (rows**2 + columns**2), 0.0))
-
-
-def _rays(optics: TrueOptics, pixels: Array) -> Array:
-    """Unit vectors in the device's frame."""
-    import cv2
-
-    exact = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-    flat = pixels.reshape(-1, 1, 2)
-    plane = cv2.undistortPoints(flat, optics.matrix, optics.distortion, criteria=exact).reshape(pixels.shape)
-    rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
-
-
-def _pixels(optics: TrueOptics, ways: Array) -> Array:
-    """Pixels of directions in the device's frame."""
-    import cv2
-
-    still = np.zeros(3)
-    found, _ = cv2.projectPoints(ways.reshape(-1, 1, 3), still, still, optics.matrix, optics.distortion)
-    return np.asarray(found, float).reshape(*ways.shape[:-1], 2)
-
-
-def _bent(way: Array, normal: Array, ratio: float) -> Array:
-    """Directions behind a surface, by Snell's law in its vector form; `normal` points to where light comes from."""
-    cosine = -(way @ normal)[..., None]
-    return np.asarray(ratio * way + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal)
-
-
-def _through_layers(offset: Array, depths: tuple[Array | float, ...], indices: tuple[float, ...]) -> Array:
-    """Sine, in air, of the angle at which light crosses flat layers so that it gets `offset` aside: by bisection."""
-    low, high = np.zeros_like(offset), np.full_like(offset, 0.999)
-    for _ in range(48):
-        sine = 0.5 * (low + high)
-        reached = sum(
-            depth * (sine / index) / np.sqrt(1.0 - (sine / index) ** 2)
-            for depth, index in zip(depths, indices, strict=True)
-        )
-        short = reached < offset
-        low, high = np.where(short, sine, low), np.where(short, high, sine)
-    return np.asarray(0.5 * (low + high))

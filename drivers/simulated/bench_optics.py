@@ -1,0 +1,79 @@
+"""How light goes on a simulated bench: lenses by OpenCV, water and glass by Snell's law.
+
+Rays are followed with formulae of this module's own, not with those that calibration uses: so they check each other.
+"""
+
+import numpy as np
+
+from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
+
+
+def camera_rays(bench: TrueBench, pixels: Array, filled: bool) -> tuple[Array, Array]:
+    """A point of each pixel's ray and its direction, (…, 3) each in the tank's frame; in the water where it is `filled`."""
+    start = bench.camera.centre_mm
+    way = _rays(bench.camera, pixels) @ bench.camera.rotation
+    point = np.broadcast_to(start, way.shape)
+    if not filled:
+        return point, way
+    at = np.array([TANK_MM[0] / 2, 0.0, bench.level_mm])
+    point = point + (((at - point) @ bench.surface) / (way @ bench.surface))[..., None] * way
+    return point, _bent(way, bench.surface, 1.0 / bench.water_index)
+
+
+def projector_pixels(bench: TrueBench, points: Array, filled: bool) -> tuple[Array, Array]:
+    """Projector pixels that light points of the tank, (…, 2), and the direction (…, 3) in which light gets there."""
+    start, index = bench.projector.centre_mm, bench.water_index if filled else 1.0
+    across = points[..., 1:] - start[1:]
+    offset = np.linalg.norm(across, axis=-1)
+    depths = (-start[0] - bench.pane_mm, bench.pane_mm, np.maximum(points[..., 0], 0.0))
+    sine = _through_layers(offset, depths, (1.0, bench.pane_index, index))[..., None]
+    aside = across / np.maximum(offset, 1e-12)[..., None]
+    in_air, inside = (np.concatenate([np.sqrt(1.0 - one**2), one * aside], axis=-1) for one in (sine, sine / index))
+    return _pixels(bench.projector, in_air @ bench.projector.rotation.T), inside
+
+
+def vignetting(optics: TrueOptics, x: Array, y: Array) -> Array:
+    """Light at pixels, of that in the middle of the picture."""
+    rows, columns = optics.shape
+    squared = (x - (columns - 1) / 2) ** 2 + (y - (rows - 1) / 2) ** 2
+    return np.asarray(np.maximum(1.0 - optics.vignetting * squared * 4.0 / (rows**2 + columns**2), 0.0))
+
+
+def _rays(optics: TrueOptics, pixels: Array) -> Array:
+    """Unit vectors in the device's frame."""
+    import cv2
+
+    exact = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+    flat = pixels.reshape(-1, 1, 2)
+    plane = cv2.undistortPoints(flat, optics.matrix, optics.distortion, criteria=exact).reshape(pixels.shape)
+    rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
+    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def _pixels(optics: TrueOptics, ways: Array) -> Array:
+    """Pixels of directions in the device's frame."""
+    import cv2
+
+    still = np.zeros(3)
+    found, _ = cv2.projectPoints(ways.reshape(-1, 1, 3), still, still, optics.matrix, optics.distortion)
+    return np.asarray(found, float).reshape(*ways.shape[:-1], 2)
+
+
+def _bent(way: Array, normal: Array, ratio: float) -> Array:
+    """Directions behind a surface, by Snell's law in its vector form; `normal` points to where light comes from."""
+    cosine = -(way @ normal)[..., None]
+    return np.asarray(ratio * way + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal)
+
+
+def _through_layers(offset: Array, depths: tuple[Array | float, ...], indices: tuple[float, ...]) -> Array:
+    """Sine, in air, of the angle at which light crosses flat layers so that it gets `offset` aside: by bisection."""
+    low, high = np.zeros_like(offset), np.full_like(offset, 0.999)
+    for _ in range(48):
+        sine = 0.5 * (low + high)
+        reached = sum(
+            depth * (sine / index) / np.sqrt(1.0 - (sine / index) ** 2)
+            for depth, index in zip(depths, indices, strict=True)
+        )
+        short = reached < offset
+        low, high = np.where(short, sine, low), np.where(short, high, sine)
+    return np.asarray(0.5 * (low + high))

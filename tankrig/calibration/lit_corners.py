@@ -1,0 +1,111 @@
+"""At which projector pixel each corner of a board lies, from what camera pixels about it decode to."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.calibration.board import LEAST_CORNERS, Board, BoardView, Points
+from tankrig.calibration.gray_code import Decoded
+
+LEAST_PIXELS = 24
+MOST_SCATTER_PX = 1.0
+LEAST_LIT = 0.3
+_CLIPPED = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class LitBoard:
+    """A board that camera and projector both know.
+
+    Parameters
+    ----------
+    view
+        Those corners of it that both know.
+    projector_px
+        (n, 2) x, y of each in the projector's picture.
+    scatter_px
+        Median over corners of the scatter of decoded pixels about them.
+    lit
+        Part of the corners that the camera saw and that are in the projector's light.
+    """
+
+    view: BoardView
+    projector_px: Points
+    scatter_px: float
+    lit: float
+
+    @property
+    def fault(self) -> str | None:
+        """Why it should not be used, and what to do; None where it can be."""
+        if len(self.projector_px) < LEAST_CORNERS or self.lit < LEAST_LIT:
+            return (
+                f"only {100 * self.lit:.0f} % of the corners are in the projector's light; move the board into it, facing "
+                f"camera and projector, or expose longer"
+            )
+        return self.view.fault
+
+
+def lit_corners(view: BoardView, decoded: Decoded, board: Board) -> LitBoard:
+    """Find the corners in the projector's picture.
+
+    Parameters
+    ----------
+    view
+        Of the board, with the projector's white.
+    decoded
+        Of the same placing.
+    board
+        What was held.
+
+    Notes
+    -----
+    About each corner projector coordinates are a polynomial of second order in camera coordinates, as a homography with
+    some distortion is to within 0.01 px over a square; fitted by least squares to all pixels within 0.6 of a square
+    that are known, and once more without those beyond three standard deviations (after Moreno and Taubin 2012, who take
+    local homographies).
+    """
+    reach = max(4, int(0.6 * _square_px(view, board)))
+    found = [_at(x, y, decoded, reach) for x, y in view.corners_px]
+    known = np.array([one is not None for one in found], bool)
+    kept = [one for one in found if one is not None]
+    pixels = np.array([[x, y] for x, y, _ in kept]).reshape(-1, 2)
+    scatter = float(np.median([one[2] for one in kept])) if kept else 0.0
+    corners = BoardView(
+        view.ids[known], view.corners_px[known], view.shape, view.blur_px, view.contrast, view.saturated
+    )
+    return LitBoard(corners, pixels, scatter, float(known.mean()))
+
+
+def _at(x: float, y: float, decoded: Decoded, reach: int) -> tuple[float, float, float] | None:
+    """Projector pixel of a place in the camera's picture, and the scatter about it; None where too little is known."""
+    rows, columns = decoded.known.shape
+    row, column = round(y), round(x)
+    box = (
+        slice(max(row - reach, 0), min(row + reach + 1, rows)),
+        slice(max(column - reach, 0), min(column + reach + 1, columns)),
+    )
+    down, across = np.nonzero(decoded.known[box])
+    if down.size < LEAST_PIXELS:
+        return None
+    dy, dx = (down + box[0].start - y) / reach, (across + box[1].start - x) / reach
+    design = np.stack([np.ones_like(dx), dx, dy, dx * dx, dx * dy, dy * dy], axis=1)
+    values = np.stack([decoded.columns[box][down, across], decoded.rows[box][down, across]], axis=1).astype(float)
+    within: NDArray[np.bool_] = np.ones(down.size, bool)
+    for _ in range(3):
+        solution, *_ = np.linalg.lstsq(design[within], values[within], rcond=None)
+        off = np.linalg.norm(values - design @ solution, axis=1)
+        scatter = float(1.4826 * np.median(off[within]) / 1.1774)  # of one coordinate, from the median distance
+        within = off < max(_CLIPPED * 1.5 * scatter, 0.05)
+        if within.sum() < LEAST_PIXELS:
+            return None
+    if scatter > MOST_SCATTER_PX:
+        return None
+    return float(solution[0, 0]), float(solution[0, 1]), scatter
+
+
+def _square_px(view: BoardView, board: Board) -> float:
+    """Side of a square in the picture, about."""
+    corners = board.corners_mm[view.ids][:, :2]
+    spread_mm, spread_px = (np.sqrt(np.abs(np.linalg.det(np.cov(at.T)))) for at in (corners, view.corners_px))
+    return float(board.square_mm * np.sqrt(spread_px / spread_mm))

@@ -1,0 +1,125 @@
+"""A simulated bench taken through all procedures, and how far off positions in the water are afterwards."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.simulated.bench_optics import camera_rays, projector_pixels
+from drivers.simulated.bench_poses import Place
+from drivers.simulated.bench_truth import TANK_MM, TrueBench, random_bench
+from drivers.simulated.bench_view import BoardInView
+from drivers.simulated.sensor import counts
+from drivers.simulated.settings import Sensor
+from tankrig.calibration.board import Board, BoardView, find_board
+from tankrig.calibration.camera import CameraFound, calibrate_camera
+from tankrig.calibration.gray_code import decode, gray_code_patterns
+from tankrig.calibration.lit_corners import LitBoard, lit_corners
+from tankrig.calibration.projector import ProjectorFound, calibrate_projector
+from tankrig.calibration.tank import TankFound, calibrate_tank
+from tankrig.devices import CameraSettings
+from tankrig.geometry.refraction import entry_wall
+from tankrig.geometry.view import rays_of
+from tankrig.pattern import Pattern
+
+BOARD, SENSOR = Board(), Sensor(bits=12)
+SMALL = (360, 480), (192, 256)
+PANE = 6.0, 1.52
+
+
+class Photographer:
+    """Takes pictures of a board on a bench, exposed so that white is at 70 % of the range."""
+
+    def __init__(self, bench: TrueBench, seed: int = 0, bits: int = 12) -> None:
+        self.bench, self._random = bench, np.random.default_rng(seed)
+        self.sensor = Sensor(bits=bits)
+
+    def frames(self, place: Place, number: int, patterns: tuple[Pattern, ...] = ()) -> list[np.ndarray]:
+        view = BoardInView(self.bench, BOARD, place, number)
+        seen = [view.radiance({pattern: 1.0}) for pattern in patterns] or [view.radiance({})]
+        exposure = 0.7 * self.sensor.full_well / (seen[0].max() * self.sensor.response)
+        return [counts(one, self.sensor, CameraSettings(exposure), self._random) for one in seen]
+
+    def view(self, place: Place, number: int) -> BoardView:
+        return find_board(self.frames(place, number)[0], BOARD, self.sensor.saturation)
+
+    def lit(self, place: Place, number: int) -> LitBoard:
+        shape = self.bench.projector.shape
+        frames = self.frames(place, number, gray_code_patterns(shape))
+        view = find_board(frames[0], BOARD, self.sensor.saturation)
+        return lit_corners(view, decode(frames, shape, self.sensor.saturation), BOARD)
+
+
+@dataclass
+class Calibrated:
+    bench: TrueBench
+    camera: CameraFound
+    tank: TankFound
+    projector: ProjectorFound
+
+
+def calibrated(
+    seed: int, shapes: tuple[tuple[int, int], tuple[int, int]] = SMALL, views: tuple[int, int, int] = (15, 4, 8)
+) -> Calibrated:
+    """All procedures on a random bench; `views` in air, in the water, and in the projector's light."""
+    bench = random_bench(seed, *shapes)
+    photographer = Photographer(bench, seed)
+    camera = calibrate_camera([photographer.view("air", k) for k in range(views[0])], BOARD)
+    seen = [("floor", photographer.view("floor", 0)), ("flooded", photographer.view("flooded", 0))]
+    seen += [("water", photographer.view("water", k)) for k in range(views[1])]
+    tank = calibrate_tank(seen, BOARD, camera.lens, TANK_MM)
+    lit = [photographer.lit("flooded slant", k) for k in range(views[2])]
+    wall = entry_wall(tank.water_index, *PANE)
+    projector = calibrate_projector(lit, BOARD, camera.lens, tank.camera, tank.surface, wall, shapes[1])
+    return Calibrated(bench, camera, tank, projector)
+
+
+def points_and_pixels(bench: TrueBench, count: int = 2000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points all over the water, and the true camera and projector pixels of each."""
+    random = np.random.default_rng(5)
+    rows, columns = bench.camera.shape
+    pixels = random.uniform(0.0, 1.0, (count, 2)) * [columns - 1, rows - 1]
+    start, way = camera_rays(bench, pixels, filled=True)
+    height = random.uniform(2.0, bench.level_mm - 2.0, count)
+    points = start + ((height - start[:, 2]) / way[:, 2])[:, None] * way
+    inside = (points[:, 0] > 2) & (points[:, 0] < TANK_MM[0] - 2) & (np.abs(points[:, 1]) < TANK_MM[1] / 2 - 2)
+    return points[inside], pixels[inside], projector_pixels(bench, points[inside], filled=True)[0]
+
+
+def position_errors_mm(found: Calibrated) -> dict[str, np.ndarray]:
+    """Of points anywhere in the water: by the camera at a known height, by the projector at a known depth, by both."""
+    points, seen, lit = points_and_pixels(found.bench)
+    from_camera = rays_of(found.camera.lens, found.tank.camera, seen, found.tank.surface)
+    from_projector = rays_of(found.projector.lens, found.projector.pose, lit, found.projector.wall)
+    errors = {}
+    for name, axis, (start, way) in (("camera", 2, from_camera), ("projector", 0, from_projector)):
+        at = start + ((points[:, axis] - start[:, axis]) / way[:, axis])[:, None] * way
+        errors[name] = np.linalg.norm(at - points, axis=1)
+    errors["both"] = np.linalg.norm(_nearest(*from_camera, *from_projector) - points, axis=1)
+    return errors
+
+
+def shortcut_errors_mm(bench: TrueBench, off_mm: float) -> np.ndarray:
+    """A homography from pixels to the plane in the middle of the water, used `off_mm` from it."""
+    import cv2
+
+    rows, columns = bench.camera.shape
+    grid = np.stack(np.meshgrid(np.linspace(0, columns - 1, 30), np.linspace(0, rows - 1, 20)), axis=-1).reshape(-1, 2)
+    start, way = camera_rays(bench, grid, filled=True)
+
+    def at(height: float) -> np.ndarray:
+        return (start + ((height - start[:, 2]) / way[:, 2])[:, None] * way)[:, :2]
+
+    middle = bench.level_mm / 2
+    homography, _ = cv2.findHomography(grid, at(middle), 0)
+    true = at(middle + off_mm)
+    inside = (true[:, 0] > 0) & (true[:, 0] < TANK_MM[0]) & (np.abs(true[:, 1]) < TANK_MM[1] / 2)
+    return np.linalg.norm(cv2.perspectiveTransform(grid[None], homography)[0] - true, axis=1)[inside]
+
+
+def _nearest(a: np.ndarray, u: np.ndarray, b: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Middle of the shortest way between lines a + s u and b + t v; unit directions."""
+    between, dot = b - a, np.sum(u * v, axis=1)
+    along_u, along_v = np.sum(between * u, axis=1), np.sum(between * v, axis=1)
+    s = (along_u - dot * along_v) / (1 - dot**2)
+    t = (dot * along_u - along_v) / (1 - dot**2)
+    return (a + s[:, None] * u + b + t[:, None] * v) / 2
