@@ -10,7 +10,8 @@ from tankrig.pattern import Pattern
 
 from .bench_poses import FILLED, Place, board_pose
 from .bench_optics import camera_rays, projector_pixels, vignetting
-from .bench_truth import Array, TrueBench
+from .bench_truth import Array, TrueBench, random_bench
+from .settings import BoardBench
 
 Map = NDArray[np.float32]
 
@@ -129,6 +130,28 @@ class BoardInView:
         reach = self._board.margin_mm + beyond_mm
         middle = np.array(self._board.size_mm) / 2
         return np.asarray((np.abs(board[..., :2] - middle) < middle + reach).all(axis=-1))
+
+
+class BoardsInView:
+    """Whatever board is held before the camera of a bench; nothing at first.
+
+    Parameters
+    ----------
+    settings
+        Which bench.
+    """
+
+    def __init__(self, settings: BoardBench) -> None:
+        self._bench = random_bench(settings.seed, settings.camera_shape, settings.projector_shape)
+        self._view: BoardInView | None = None
+
+    def hold(self, board: Board, place: Place, number: int) -> None:
+        """Put a board there."""
+        self._view = BoardInView(self._bench, board, place, number)
+
+    def radiance(self, shown: Mapping[Pattern, float]) -> Array:
+        """See `BoardInView`."""
+        return np.zeros(self._bench.camera.shape) if self._view is None else self._view.radiance(shown)
 
 
 def _plate(board: Board) -> Map:

@@ -9,10 +9,13 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.calibration.board import Board
 from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
+from .bench_poses import Place
+from .bench_view import BoardsInView
 from .diffuser import behind_diffuser
 from .light import frame_buffer
 from .sensor import counts
@@ -54,6 +57,7 @@ class SimulatedCamera:
         self.faults: CameraFaults = settings.faults
         self.tank = SimulatedTank(settings.truth, settings.folder / "state", settings.seed)
         self.before_lens = "nothing"
+        self._boards = BoardsInView(settings.boards) if settings.boards else None
         self._buffer = frame_buffer(settings.folder)
         self._closed = threading.Event()
         self._turn = threading.Lock()
@@ -70,7 +74,8 @@ class SimulatedCamera:
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns)."""
-        return self._settings.truth.bench.camera.shape
+        boards = self._settings.boards
+        return boards.camera_shape if boards else self._settings.truth.bench.camera.shape
 
     @property
     def saturation(self) -> int:
@@ -172,7 +177,35 @@ class SimulatedCamera:
         with self._my_turn("look elsewhere"):
             self._start_stream()  # none that waits was exposed to the new light
 
+    def hold(self, board: Board, place: Place, number: int) -> None:
+        """Hold a board before the camera, as a person would at a real one.
+
+        Parameters
+        ----------
+        board
+            What to hold.
+        place
+            Where; see `Place`.
+        number
+            Of the view.
+
+        Raises
+        ------
+        DeviceError
+            If the rig file gives it no bench for boards.
+        """
+        if self._boards is None:
+            raise DeviceError(
+                f"{self.name}: no board can be held before it; give the rig file a table [camera.boards], or use the one "
+                f"that ships (leave --rig out)"
+            )
+        self._boards.hold(board, place, number)
+        with self._my_turn("look elsewhere"):
+            self._start_stream()
+
     def _radiance(self, shown: Mapping[Pattern, float], start_ns: int) -> NDArray[np.float64]:
+        if self._boards is not None and self.before_lens == "nothing":
+            return self._boards.radiance(shown)
         if self.before_lens == "nothing":
             return self.tank.seen(shown, start_ns)
         if self.before_lens == "cap":

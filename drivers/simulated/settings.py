@@ -206,6 +206,24 @@ class Sensor(BaseModel):
         return int(2**self.bits - 1)
 
 
+class BoardBench(BaseModel):
+    """A bench that can be calibrated, drawn from a seed: lenses, poses, water and glass that only the twin knows.
+
+    Parameters
+    ----------
+    seed
+        Another one, another bench.
+    camera_shape, projector_shape
+        (rows, columns).
+    """
+
+    model_config = _CLOSED
+
+    seed: int = Field(default=0, ge=0)
+    camera_shape: tuple[int, int] = (540, 960)
+    projector_shape: tuple[int, int] = (384, 512)
+
+
 class SimulatedCameraSettings(BaseModel):
     """The `[camera]` table of a rig file for the simulated camera.
 
@@ -225,6 +243,8 @@ class SimulatedCameraSettings(BaseModel):
         (least, most) that can be set.
     faults, seed
         What goes wrong, and the seed of it and of all noise.
+    boards
+        In place of the tank, a bench on which a board is held; see `tankrig calibrate camera`.
     time_scale
         All times are multiplied by this, exposures too, which gather their light all the same (demo, tests).
     """
@@ -241,4 +261,5 @@ class SimulatedCameraSettings(BaseModel):
     gain_range: tuple[float, float] = (1.0, 16.0)
     faults: CameraFaults = CameraFaults()
     seed: int = Field(default=0, ge=0)
+    boards: BoardBench | None = None
     time_scale: float = Field(default=1.0, gt=0.0, le=10.0)

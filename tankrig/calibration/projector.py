@@ -21,6 +21,9 @@ LEAST_COVERAGE = 0.12
 MOST_RMS_PX = 0.8
 _LENS = len(INTRINSICS) - 1  # k3 is held at zero
 _OWN = _LENS + 6
+_USUAL = np.array([0.3, 0.1, 0.003, 0.003])
+"""Standard deviation of k1, k2, p1, p2 from projector to projector: what corners that reach no edge leave open."""
+_NOISE_PX = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +129,8 @@ def calibrate_projector(
     Notes
     -----
     One least-squares fit (bundle adjustment) of the projector's lens (k3 held at zero) and pose and of all boards'
-    poses, to the corners in the camera's pictures and in the projector's, each traced by Snell's law. It begins with
+    poses, to the corners in the camera's pictures and in the projector's, each traced by Snell's law. Distortion that
+    the corners leave open is held near none, since it would run away in the parts beyond them. It begins with
     the linear camera (DLT) through the points that would be seen without water, x/n instead of x.
     """
     if len(views) < LEAST_VIEWS:
@@ -197,12 +201,13 @@ class _Bundle:
         return _off(pixels_of(lens, pose, self._placed(numbers), self._wall), self._lit)
 
     def misses(self, numbers: Points) -> Points:
-        """Of both, projector pixels and camera pixels."""
+        """Of both, projector pixels and camera pixels; and of the distortion from none, by how unusual it is."""
         pose, lens = _own(numbers)
         points = self._placed(numbers)
         lit = _off(pixels_of(lens, pose, points, self._wall), self._lit)
         lens, pose, surface = self._camera
-        return np.concatenate([lit, _off(pixels_of(lens, pose, points, surface), self._seen)]).ravel()
+        seen = _off(pixels_of(lens, pose, points, surface), self._seen)
+        return np.concatenate([lit.ravel(), seen.ravel(), _NOISE_PX * numbers[4:_LENS] / _USUAL])
 
     def solve(self, start: Points) -> tuple[Points, Points]:
         """Best numbers and their covariance."""

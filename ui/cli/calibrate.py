@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-CALIBRATIONS = ("radiometry", "latency", "pump")
+CALIBRATIONS = ("camera", "tank", "projector", "radiometry", "latency", "pump")
 """`ui/cli/calibrate_NAME.py` holds the click command `NAME`."""
 
 

@@ -1,0 +1,100 @@
+"""The picture that shows whether to believe a geometric calibration: where corners were, and how far off."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.figures.tank_image import STYLE
+from tankrig.files import whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FOUND, ALLOWED = "#0072b2", "#999999"
+
+
+class Found(Protocol):
+    """What the procedures for camera, tank and projector give."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the picture that corners are in."""
+
+    @property
+    def corners_px(self) -> NDArray[np.float64]:
+        """(n, 2) places."""
+
+    @property
+    def residuals_px(self) -> NDArray[np.float64]:
+        """(n, 2) how far each lies from where it should."""
+
+    @property
+    def view_rms_px(self) -> tuple[float, ...]:
+        """Of each view."""
+
+    @property
+    def rms_px(self) -> float:
+        """Of all."""
+
+
+def write_geometry_figure(path: Path, title: str, found: Found, allowed_px: float) -> None:
+    """Draw corners with their residuals in the picture, the residuals about zero, and each view's error.
+
+    Parameters
+    ----------
+    path
+        Of the picture (.png, .pdf or .svg).
+    title
+        Over it.
+    found
+        What to judge.
+    allowed_px
+        Above which it should not be believed.
+
+    Raises
+    ------
+    StoreError
+        When the picture cannot be written.
+    """
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(1, 3, width_ratios=(1.8, 1.0, 1.0)).ravel().tolist()
+        _where(axes[0], found)
+        _about_zero(axes[1], found)
+        _by_view(axes[2], found, allowed_px)
+        figure.suptitle(title, fontsize=10)
+        with whole_file(path) as unfinished:
+            figure.savefig(unfinished, dpi=130)
+
+
+def _where(axes: "Axes", found: Found) -> None:
+    rows, columns = found.shape
+    enlarged = 0.03 * columns / max(found.rms_px, 1e-6)
+    (x, y), (u, v) = found.corners_px.T, found.residuals_px.T
+    axes.quiver(x, y, u, v, angles="xy", scale_units="xy", scale=1.0 / enlarged, width=0.0015, color=FOUND)
+    axes.plot(x, y, ".", markersize=2, color="black")
+    axes.set(xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row")
+    axes.set_title(f"corners; errors enlarged {enlarged:.0f} times. Want: all over, no pattern", fontsize=8)
+
+
+def _about_zero(axes: "Axes", found: Found) -> None:
+    axes.plot(*found.residuals_px.T, ".", markersize=2, color=FOUND)
+    reach = 1.1 * max(float(np.abs(found.residuals_px).max()), 1e-6)
+    axes.axhline(0.0, color=ALLOWED, linewidth=0.6)
+    axes.axvline(0.0, color=ALLOWED, linewidth=0.6)
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="px along rows", ylabel="px down")
+    axes.set_title(f"errors, rms {found.rms_px:.3f} px. Want: one round cloud", fontsize=8)
+
+
+def _by_view(axes: "Axes", found: Found, allowed_px: float) -> None:
+    axes.bar(np.arange(1, len(found.view_rms_px) + 1), found.view_rms_px, color=FOUND)
+    axes.axhline(allowed_px, color=ALLOWED, linestyle="--")
+    axes.set(xlabel="view", ylabel="rms, px")
+    axes.set_title("error of each view. Want: far below the line", fontsize=8)

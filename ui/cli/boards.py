@@ -1,0 +1,193 @@
+"""What the commands that look at a board share: its description, who holds it, and what is seen of it meanwhile."""
+
+import select
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from drivers.rig import RigFile
+    from tankrig.calibration.board import Board, BoardView
+    from tankrig.calibration.pictures import Pictures
+    from tankrig.devices import Camera
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+_TRIES = 3
+"""Views that are tried for each that is wanted, where nobody can be asked to hold the board better."""
+
+_REQUESTS = {
+    "air": "Hold the board before the camera, in air, another way than before: all over the picture, near and far, "
+    "tilted by 30° to all sides.",
+    "floor": "Lay the board on the floor of the empty tank, printed side up, its first corner in the corner of the "
+    "entry wall and the wall y = +Ly/2, its long side along x.",
+    "flooded": "Fill the tank without moving the board, and let the water settle.",
+    "water": "Hold the board anywhere in the water, wholly under it.",
+    "slant": "Hold the board in the empty tank at a slant, so that camera and projector see its printed side.",
+    "flooded slant": "Hold the board in the water at a slant of about 45°, so that camera and projector see its "
+    "printed side; nearer, farther, higher, lower than before.",
+}
+
+
+def board_options(command: Command) -> Command:
+    """`--board`, `--square-mm`, … , which `board_of` makes a board of."""
+    options = (
+        click.option("--board", "squares", default="7x5", show_default=True, metavar="NxN", help="Columns and rows."),
+        click.option("--square-mm", default=20.0, show_default=True, help="Side of a square, measured on the print."),
+        click.option("--marker-mm", default=15.0, show_default=True, help="Side of a marker."),
+        click.option("--dictionary", default="DICT_4X4_50", show_default=True, help="Of its markers (OpenCV's name)."),
+        click.option("--margin-mm", default=5.0, show_default=True, help="From the squares to the plate's edge."),
+        click.option("--thickness-mm", default=3.0, show_default=True, help="Of the plate."),
+        click.option("--exposure-ms", type=float, help="Of the pictures; default: what suits the board."),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def board_of(squares: str, **how: Any) -> "Board":
+    """The board that the options describe."""
+    from tankrig.calibration.board import Board
+
+    try:
+        columns, rows = (int(word) for word in squares.lower().split("x"))
+    except ValueError:
+        raise click.BadParameter(f"{squares!r} is not columns x rows, such as 7x5", param_hint="--board") from None
+    return Board(columns, rows, **how)
+
+
+def described_bench(rig: Path | None) -> "RigFile":
+    """What the rig file says; without one the simulated bench that can be calibrated."""
+    from drivers.rig import SIMULATED, load_rig_file
+
+    if rig is not None:
+        return load_rig_file(rig)
+    click.echo("no rig is configured, so this is the simulated bench", err=True)
+    return load_rig_file(SIMULATED.with_name("bench.toml"), beside=Path().absolute())
+
+
+@contextmanager
+def opened(description: "RigFile", *kinds: str) -> Iterator[list[Any]]:
+    """Devices of a rig, while no other program uses it."""
+    from contextlib import ExitStack
+
+    from drivers.registry import open_device
+    from tankrig.run.rig import RigLock
+
+    with ExitStack() as last_first:
+        last_first.callback(RigLock(description.lock, description.name).close)
+        devices = []
+        for kind in kinds:
+            settings = dict(getattr(description, kind))
+            devices.append(open_device(settings.pop("driver"), settings))
+            last_first.callback(devices[-1].close)
+        yield devices
+
+
+class Holder:
+    """Asks for a board to be held, shows what the camera sees of it, and takes the pictures that are good.
+
+    Parameters
+    ----------
+    camera
+        Open; a simulated one holds the board by itself.
+    pictures
+        Of it.
+    board
+        What is held.
+
+    Raises
+    ------
+    click.UsageError
+        When there is nobody to hold it.
+    """
+
+    def __init__(self, camera: "Camera", pictures: "Pictures", board: "Board") -> None:
+        from rich.console import Console
+
+        self._hold = getattr(camera, "hold", None)
+        if self._hold is None and not sys.stdin.isatty():
+            raise click.UsageError("somebody has to hold the board; run this on a terminal")
+        self._camera, self._pictures, self._board = camera, pictures, board
+        self.console = Console(stderr=True)
+        self._seen: list[Any] = []
+
+    def good_views(self, place: str, count: int, take: "Callable[[BoardView], _Taken | None]") -> "list[_Taken]":
+        """So many of what `take` makes of good views; fewer where no better ones can be had.
+
+        Parameters
+        ----------
+        place
+            Where to hold the board.
+        count
+            How many.
+        take
+            Called with each good view while the board is still held; None: that one is not used.
+        """
+        taken: list[_Taken] = []
+        number, most = 0, count if count == 1 else _TRIES * count
+        while len(taken) < count and (self._hold is None or number < most):
+            self._place(place, number)
+            found = self.look(self._pictures.suit(), f"{place} {len(taken) + 1} of {count}")
+            made = take(found) if found is not None else None
+            number += 1
+            if made is not None:
+                taken.append(made)
+        return taken
+
+    def look(self, pixels: Any, name: str) -> "BoardView | None":
+        """Say how well a picture shows the board; the view, where it can be used."""
+        from tankrig.calibration.board import find_board
+        from tankrig.errors import ImageError
+
+        try:
+            view = find_board(pixels, self._board, self._camera.saturation)
+        except ImageError as error:
+            self.console.print(f"[red]{name}: {error}[/red]", highlight=False)
+            return None
+        self._seen.append(view.corners_px)
+        self.console.print(f"{name}: {self._in_words(view)}", highlight=False)
+        return None if view.fault else view
+
+    def _in_words(self, view: "BoardView") -> str:
+        import numpy as np
+
+        from tankrig.calibration.camera import covered
+
+        parts = [
+            f"{len(view.ids)} corners", f"blur {view.blur_px:.1f} px", f"{view.saturated:.0%} saturated",
+            f"contrast {view.contrast:.0%}", f"covers {covered(np.concatenate(self._seen), view.shape).mean():.0%} so far",
+        ]  # fmt: skip
+        return ", ".join(parts) + (f" [red]not used: {view.fault}[/red]" if view.fault else "")
+
+    def _place(self, place: str, number: int) -> None:
+        if self._hold is not None:
+            self._hold(self._board, place, number)
+            return
+        self.console.print(f"{_REQUESTS[place]} Then Enter.", highlight=False)
+        self._watch()
+
+    def _watch(self) -> None:
+        """Live feedback until somebody presses Enter."""
+        from rich.live import Live
+
+        from tankrig.calibration.board import find_board
+        from tankrig.errors import ImageError
+
+        with Live("", console=self.console, transient=True, auto_refresh=False) as live:
+            while not select.select([sys.stdin], [], [], 0.0)[0]:
+                try:
+                    view = find_board(self._pictures.suit(), self._board, self._camera.saturation)
+                    live.update(view.fault or f"good: {self._in_words_now(view)}", refresh=True)
+                except ImageError as error:
+                    live.update(str(error), refresh=True)
+        sys.stdin.readline()
+
+    def _in_words_now(self, view: "BoardView") -> str:
+        return f"{len(view.ids)} corners, blur {view.blur_px:.1f} px, {view.saturated:.0%} saturated"
+
+
+_Taken = TypeVar("_Taken")

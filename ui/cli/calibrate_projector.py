@@ -1,0 +1,91 @@
+"""`tankrig calibrate projector`: its lens and where it stands, by patterns on a board that the camera sees."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ui.cli.boards import Holder, board_of, board_options, described_bench, opened
+from ui.cli.calibrating import accept_option, keep, tell
+from ui.cli.options import json_option, rig_option
+
+if TYPE_CHECKING:
+    from tankrig.calibration.board import BoardView
+    from tankrig.calibration.lit_corners import LitBoard
+
+_SECONDS_A_PICTURE, _SECONDS_A_VIEW = 0.12, 20.0
+
+
+@click.command(epilog="Example: tankrig calibrate projector --rig rig.toml --views 10")
+@rig_option
+@board_options
+@click.option("--views", type=click.IntRange(4, 50), default=8, show_default=True, help="Of the board.")
+@click.option("--empty", is_flag=True, help="The tank is empty; default: filled as when the tank was calibrated.")
+@accept_option
+@json_option
+def projector(
+    rig: Path | None, views: int, empty: bool, exposure_ms: float | None, accept: bool, as_json: bool, **board: Any
+) -> int:
+    """Find the projector's lens and place by Gray code and phase shift on a board held at a slant in the tank.
+
+    Wants camera and tank calibrated; the wall's thickness and index are those of the rig file. The result is a dated
+    file in the folder calibration/ beside the rig file, used from then on.
+    """
+    from tankrig.calibration.file import in_force
+    from tankrig.calibration.geometry_in_force import camera_pose, lens_of, require, surface_of
+    from tankrig.calibration.gray_code import decode, gray_code_patterns
+    from tankrig.calibration.lit_corners import lit_corners
+    from tankrig.calibration.pictures import Pictures
+    from tankrig.calibration.projector import MOST_RMS_PX, calibrate_projector
+    from tankrig.figures.geometry_figure import write_geometry_figure
+    from tankrig.geometry.refraction import entry_wall
+
+    described = board_of(**board)
+    description = described_bench(rig)
+    force = in_force(Path(description.calibration_folder), description.calibration)
+    known = {kind: require(force, kind) for kind in ("camera", "tank")}
+    with opened(description, "projector", "camera") as (device, camera):
+        known["camera"].require_for(camera.name, camera.shape)
+        patterns = gray_code_patterns(device.shape)
+        seconds = views * (len(patterns) * _SECONDS_A_PICTURE + _SECONDS_A_VIEW)
+        click.echo(f"takes about {seconds / 60.0:.0f} minutes on the bench, handling included", err=True)
+        pictures = Pictures(camera, exposure_ms)
+        holder = Holder(camera, pictures, described)
+
+        def lit(_: "BoardView") -> "LitBoard | None":
+            with holder.console.status("patterns") as status:
+                frames = pictures.of_patterns(
+                    device, patterns, lambda count: status.update(f"patterns: {count} of {len(patterns)}")
+                )
+            device.show(patterns[0])
+            view = holder.look(frames[0], "  with the patterns")
+            if view is None:
+                return None
+            found = lit_corners(view, decode(frames, device.shape, camera.saturation), described)
+            if found.fault:
+                holder.console.print(f"  [red]not used: {found.fault}[/red]", highlight=False)
+                return None
+            return found
+
+        device.show(patterns[0])
+        boards = holder.good_views("slant" if empty else "flooded slant", views, lit)
+        name, shape = device.name, device.shape
+    tank = description.bench.tank
+    pane = (tank.wall_mm, tank.wall_index) if tank.entry == "glass" else (0.0, 1.52)
+    surface = None if empty else surface_of(known["tank"])
+    wall = entry_wall(surface.water_index if surface else 1.0, *pane)
+    found = calibrate_projector(
+        boards, described, lens_of(known["camera"]), camera_pose(known["tank"]), surface, wall, shape
+    )
+    kept = keep(
+        found.calibration(name, {kind: one.hash for kind, one in known.items()}),
+        description,
+        accept,
+        lambda path: write_geometry_figure(path, f"{name}: lens and place", found, MOST_RMS_PX),
+    )
+    where, sd = kept.result["position_mm"], kept.sd["position_mm"]
+    rows = {f"its {axis}": f"{value:.2f} ± {error:.2g} mm" for axis, value, error in zip("xyz", where, sd, strict=True)}
+    rows |= {one: f"{getattr(found.lens, one):.6g} ± {kept.sd[one]:.2g}" for one in ("fx", "fy", "cx", "cy", "k1", "k2")}
+    rows["corners off by"] = f"{found.rms_px:.3f} projector px rms, {len(found.view_rms_px)} views"
+    rows["between corners"] = f"{found.coverage:.0%} of its picture"
+    return tell(kept, rows, as_json)
