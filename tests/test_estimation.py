@@ -268,3 +268,164 @@ def test_the_scene_s_medium_does_not_matter() -> None:
     )
     assert first.medium == second.medium
     assert "leaves out" in first.verdict
+
+
+def spoilt(image: NDArray[np.float64], share: float, seed: int = 5) -> NDArray[np.float64]:
+    """With bubbles and dust: so many pixels of any brightness."""
+    random = np.random.default_rng(seed)
+    changed = image.copy()
+    where = random.choice(image.size, round(share * image.size), replace=False)
+    changed.flat[where] = random.uniform(0.0, 1.5 * image.max(), where.size)
+    return changed
+
+
+@pytest.mark.parametrize("truth", [THIN, MEDIUM, THICK], ids=["thin", "medium", "thick"])
+def test_bubbles_and_dust_do_not_move_the_answer(truth: Medium) -> None:
+    """Two pixels in a hundred that show something else would otherwise pull σs off by many standard deviations."""
+    image, noise = noisy(truth)
+    clean, dusty = fit(image, FREE, noise), fit(spoilt(image, 0.02), FREE, noise)
+    assert np.abs(off_in_sd(dusty, truth)).max() < 4.0
+    assert dusty.medium.sigma_s == pytest.approx(clean.medium.sigma_s, rel=0.01)
+    assert "unlike their neighbours" in dusty.verdict
+
+
+def test_a_clean_image_keeps_all_its_pixels() -> None:
+    """A robust fit that throws good pixels away would be biased and promise too little."""
+    for seed in range(3):
+        image, noise = noisy(MEDIUM, seed=seed)
+        assert not np.isnan(fit(image, KNOWN, noise).residual).any()
+
+
+def test_noise_that_grows_with_brightness_is_found_so() -> None:
+    """A photograph's shot noise: taken as even, its bright pixels would look like outliers."""
+    image = tank_like(MEDIUM).image
+    noise = 0.03 * np.sqrt(image * image.max())
+    found = fit(image + np.random.default_rng(2).normal(0.0, 1.0, image.shape) * noise, KNOWN)
+    assert np.isnan(found.residual).mean() < 0.01
+    assert found.noise == pytest.approx(float(np.sqrt(np.mean(noise**2))), rel=0.25)
+    assert np.abs(off_in_sd(found, MEDIUM)).max() < 4.0
+
+
+def test_a_prior_on_the_gain_is_worth_what_it_says() -> None:
+    """Between free and known: a calibration to 1 % must help by as much, not be ignored nor be taken for exact."""
+    image, noise = noisy(THICK)
+    sds = [
+        np.sqrt(fit(image, scaling, noise).covariance[0, 0])
+        for scaling in (Scaling(1.0, 0.0), Scaling(1.0, 0.0, 1e-6), Scaling(1.0, 0.0, 0.01), Scaling(1.0, 0.0, 1e3))
+    ]
+    free = np.sqrt(fit(image, Scaling(None, 0.0), noise).covariance[0, 0])
+    assert sds[1] == pytest.approx(sds[0], rel=1e-3)
+    assert sds[0] < sds[2] < free
+    assert sds[3] == pytest.approx(free, rel=1e-2)
+
+
+def test_structure_is_a_map_that_shows_where() -> None:
+    """Where the model fails is what a person looks for; noise alone must leave the map empty."""
+    image, noise = noisy(MEDIUM)
+    clean = fit(image, KNOWN, noise)
+    assert clean.structure is not None
+    assert np.nanmax(np.abs(clean.structure)) < 5.5
+    shadow = image.copy()
+    shadow[10:18, 8:16] *= 0.9
+    dirty = fit(shadow, KNOWN, noise)
+    assert dirty.structure is not None
+    row, column = np.unravel_index(np.nanargmax(np.abs(dirty.structure)), image.shape)
+    assert 8 <= row <= 20
+    assert 6 <= column <= 18
+
+
+STRIPE = replace(
+    SCENE, projector=Projector("collimated", (Beam((-6.0, 6.0), (56.0, 64.0)), Beam((30.0, 37.0), (50.0, 60.0))))
+)
+
+
+def single_of(scene: Scene, medium: Medium, seed: int = 0) -> tuple[NDArray[np.float64], float]:
+    image = tankrig.predict(replace(scene, medium=medium), "single").image
+    noise = 0.002 * float(image.max())
+    return image + np.random.default_rng(seed).normal(0.0, noise, image.shape), noise
+
+
+@pytest.mark.parametrize(("term", "off"), [("y_mm", 0.7), ("tilt_mrad", 6.0), ("scale", -0.006)])
+def test_a_misaligned_set_up_is_found_and_corrected(term: str, off: float) -> None:
+    """A beam half a millimetre aside spoils thousands of pixels; its own term must take that, with an honest error."""
+    from tankrig.estimation.misalignment import USUAL, moved
+
+    truth = Medium(0.004, 0.006, 0.3)
+    image, noise = single_of(moved(STRIPE, {term: off}), truth)
+    asked = {"gain": 1.0, "offset": 0.0, "noise": noise, "model": "single"}
+    found = tankrig.estimate(image, STRIPE, **asked, nuisance={term: USUAL[term]})
+    value, sd = found.nuisance[term]
+    assert value == pytest.approx(off, abs=max(4.0 * sd, 0.05 * abs(off)))
+    assert found.medium.sigma_t == pytest.approx(truth.sigma_t, rel=0.01)
+    assert found.rmse == pytest.approx(noise, rel=0.1)
+    assert "not as described" in found.verdict
+    assert tankrig.estimate(image, STRIPE, **asked).rmse > 1.1 * found.rmse
+
+
+def test_what_may_be_off_costs_knowledge() -> None:
+    """A covariance that forgot the nuisance terms would promise what a moved camera takes away."""
+    image, noise = single_of(STRIPE, Medium(0.004, 0.006, 0.3))
+    asked = {"gain": 1.0, "offset": 0.0, "noise": noise, "model": "single"}
+    tight, loose = (
+        tankrig.estimate(image, STRIPE, **asked, nuisance={"scale": sd}).covariance[:2, :2].sum() for sd in (1e-5, 0.02)
+    )
+    assert loose > 2.0 * tight  # of σt, which is what single scattering tells
+
+
+@pytest.mark.parametrize("nuisance", [{"x_mm": 1.0}, {"z_mm": 0.0}, {"z_mm": np.nan}, {"z_mm": "1"}])
+def test_a_nuisance_that_is_none_is_refused(nuisance: dict) -> None:
+    """A typo would silently leave the set-up as it is."""
+    with pytest.raises(tankrig.SceneError, match="nuisance"):
+        tankrig.estimate(GOOD, SCENE, nuisance=nuisance)
+
+
+def test_intervals_follow_the_likelihood_where_the_image_bends() -> None:
+    """Where a normal interval is wrong by its shape, the truth must still be inside as often as promised."""
+
+    def bent(medium: Medium) -> Prediction:
+        # Absorption that acts as its square root: twice the coefficient, 1.4 times the effect.
+        return tank_like(Medium(0.001 * np.sqrt(medium.sigma_a / 0.001), medium.sigma_s, medium.g))
+
+    image = bent(MEDIUM).image
+    noise = 0.5 * float(image.max())
+    found = fit(image + np.random.default_rng(4).normal(0.0, noise, image.shape), KNOWN, noise, bent)
+    low, high = found.interval()["sigma_a"]
+    straight_low, straight_high = found.interval(profile=False)["sigma_a"]
+    assert high - found.medium.sigma_a > 1.1 * (straight_high - found.medium.sigma_a)
+    assert low >= straight_low
+
+
+def test_a_prepared_model_fits_in_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The way to fit many images: its box is respected, and another scene's model is refused."""
+    from tankrig.light.prepared.box import Box
+
+    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
+    small = Scene(
+        Tank((60.0, 40.0, 40.0)), MEDIUM, Projector("collimated", (Beam((-6.0, 6.0), (16.0, 24.0)),)),
+        Camera("orthographic", (10, 15), 4.0),
+    )  # fmt: skip
+    prepared = tankrig.prepare(small, 0.05, box=Box((0.01, 0.03), (0.8, 0.95), (0.2, 0.6)))
+    truth = Medium(0.002, 0.018, 0.4)
+    image = tankrig.predict(replace(small, medium=truth)).image
+    noise = 0.002 * float(image.max())
+    found = tankrig.estimate(
+        image + np.random.default_rng(1).normal(0.0, noise, image.shape), small, 1.0, 0.0, noise, model=prepared
+    )
+    assert found.model == "prepared"
+    assert np.abs(off_in_sd(found, truth)).max() < 4.0
+    outside = tankrig.predict(replace(small, medium=Medium(0.03, 0.06, 0.4))).image
+    assert "don't trust" in tankrig.estimate(outside, small, 1.0, 0.0, model=prepared).verdict
+    with pytest.raises(tankrig.SceneError, match="another"):
+        tankrig.estimate(image, replace(small, tank=Tank((60.0, 40.0, 41.0))), model=prepared)
+    with pytest.raises(tankrig.SceneError, match="max_order"):
+        tankrig.estimate(image, small, model=prepared, max_order=3)
+
+
+def test_a_beam_that_is_missing_is_never_a_confident_number() -> None:
+    """A blocked beam, or the wrong scene file, fits nothing: no coefficient may then count as determined."""
+    image, noise = single_of(
+        replace(STRIPE, projector=replace(STRIPE.projector, beams=STRIPE.projector.beams[:1])), THICK
+    )
+    found = tankrig.estimate(image, STRIPE, noise=noise, model="single")
+    assert not any(found.identifiable.values())
+    assert "structure" in found.verdict

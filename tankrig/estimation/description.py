@@ -76,12 +76,12 @@ def described(problem: Problem, coordinates: Array, scene: Scene, prediction: Pr
     spread = covariance(
         sensitivity, medium, noisier * observation.noise, error, scene.camera.pixel_mm, max(scene.tank.size_mm)
     )  # fmt: skip
+    off, spread = _misalignments(problem, coordinates, spread), spread[:MEDIUM, :MEDIUM]
     edges = problem.range.at_edge(medium)
     hopeless = unexplained > max(HOPELESS, stated)
     known = {name: yes and name not in edges and not hopeless for name, yes in identifiable(medium, spread).items()}
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
     cause = _cause(problem, sensitivity, coordinates, scene) if unexplained > stated and _whole(prediction) else None
-    off = _misalignments(problem, coordinates, spread)
     sentences = [
         what_is_determined(medium, spread, known, edges),
         what_is_left(unexplained, stated, noisier if observation.noise_known else 1.0, cause),
@@ -89,7 +89,7 @@ def described(problem: Problem, coordinates: Array, scene: Scene, prediction: Pr
         what_was_left_out(observation.saturated, observation.outliers, left_out, prediction.model),
     ]
     return Estimate(
-        medium=medium, covariance=spread[:MEDIUM, :MEDIUM], identifiable=known, gain=gain, offset=offset, image=fitted,
+        medium=medium, covariance=spread, identifiable=known, gain=gain, offset=offset, image=fitted,
         residual=residual, rmse=rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model,
         noise=noisier * noise, model_error=counted, nuisance=off,
         structure=structure_map(np.where(used, residual, 0.0) / (noisier * observation.noise), used),
@@ -119,7 +119,7 @@ def _stretch(
         return problem.scaling.unhidden(change[None], np.asarray(image[used], float), weight)[0, : weight.size]
 
     residual = problem.residual(coordinates)[: weight.size]
-    return stretches(medium, spread[:MEDIUM, :MEDIUM], residual, sensitivity.changes, changed)
+    return stretches(medium, spread, residual, sensitivity.changes, changed)
 
 
 def _whole(prediction: Prediction) -> bool:

@@ -20,8 +20,18 @@ STANDS_OUT = 5.0
 """Standard deviations; noise alone gets there once in two million pixels."""
 
 
-def deviations(image: Array, used: Mask) -> Array:
+def deviations(image: Array, used: Mask, flat: bool = False) -> Array:
     """Each pixel less the median of the used pixels around it along x; 0 where one isn't used.
+
+    Parameters
+    ----------
+    image
+        (rows, columns).
+    used
+        Where a pixel counts.
+    flat
+        The image has no slope, as a residual has none: then the first and last pixels of a row, which have neighbours
+        on one side only, are compared with those. Otherwise the first and the last have nothing to deviate from.
 
     Examples
     --------
@@ -30,14 +40,12 @@ def deviations(image: Array, used: Mask) -> Array:
     array([[ 0., -2., -2., -1., 86.,  0.,  0.,  0.,  0.]])
     """
     reach = ALONG // 2
-    filled = np.where(used, image, np.inf)
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(filled, ((0, 0), (reach, reach)), "edge"), ALONG, axis=1)
-    ordered = np.sort(windows, axis=2)  # what isn't used comes last
-    count = np.isfinite(ordered).sum(axis=2)
-    low, high = (np.take_along_axis(ordered, np.maximum(at, 0)[..., None], 2)[..., 0] for at in (
-        (count - 1) // 2, count // 2
-    ))  # fmt: skip
-    return np.where(used, image - 0.5 * (low + high), 0.0)
+    filled, around = np.where(used, image, np.inf), ((0, 0), (reach, reach))
+    padded = np.pad(filled, around, constant_values=np.inf) if flat else np.pad(filled, around, "edge")
+    ordered = np.sort(np.lib.stride_tricks.sliding_window_view(padded, ALONG, axis=1), axis=2)
+    count = np.isfinite(ordered).sum(axis=2)  # what isn't used comes last
+    middles = np.maximum(np.stack([(count - 1) // 2, count // 2], axis=2), 0)
+    return np.where(used, image - np.take_along_axis(ordered, middles, 2).mean(axis=2), 0.0)
 
 
 def noise_by_level(deviation: Array, level: Array, used: Mask) -> Array:

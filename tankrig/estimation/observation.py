@@ -61,7 +61,7 @@ class Observation:
         if level is None:
             noise = np.full(self.image.shape, pixel_noise(residual, self.used))
         else:
-            noise = noise_by_level(deviations(residual, self.used), level, self.used)
+            noise = noise_by_level(deviations(residual, self.used, flat=True), level, self.used)
         # No camera and no model is better than 10⁻⁵ of the peak.
         return replace(self, noise=np.maximum(noise, 1e-5 * float(np.abs(self.image[self.used]).max())))
 
@@ -72,7 +72,7 @@ class Observation:
         keep the darker ones.
         """
         residual = np.where(self.used, self.image - fitted, 0.0)
-        deviation = deviations(residual, self.used)
+        deviation = deviations(residual, self.used, flat=True)
         noise = np.maximum(self.noise, noise_by_level(deviation, fitted, self.used))
         outliers = stand_out(deviation, noise, 0.0, self.used)
         near = self.used & (fitted > self.ceiling - 3.0 * self.noise) & ~outliers

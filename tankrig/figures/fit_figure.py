@@ -33,6 +33,8 @@ OBSERVED, FULL, SINGLE = "#222222", "#0072b2", "#d55e00"
 """Colours of curves, which colour-blind readers tell apart too."""
 PROFILE_X_MM = 40.0
 """Where the profile across the light is taken."""
+NOISE_REACHES = 4.0
+"""Standard deviations that noise alone hardly exceeds anywhere: the least range of colours of a structure map."""
 
 
 def write_fit_figure(
@@ -66,16 +68,20 @@ def write_fit_figure(
     observed = estimate.image + estimate.residual
     percent = 100.0 / float(np.nanmax(observed))
     columns = [f"{kind}{index}" for kind in ("image", "residual") for index in range(4)]
-    names = [["grey", "colour", "text", "text"], columns[:4], columns[4:]]
+    beside = "grey" if estimate.structure is None else "structure"
+    names = [["colour", beside, "text", "text"], columns[:4], columns[4:]]
     if single is not None:
         names.append(["single", "single residual", "along", "across"])
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(15.0, 2.95 * len(names)), layout="constrained")
         axes: dict[str, Axes] = figure.subplot_mosaic(names)  # type: ignore[arg-type]
         scale = brightness(percent * observed)
-        draw(axes["grey"], percent * observed, scene, GREY, scale, "Observed")
         draw(axes["colour"], percent * observed, scene, FALSE_COLOUR, scale, "Observed, in false colour")
-        label_outer([[axes["grey"], axes["colour"]]])
+        if estimate.structure is None:
+            draw(axes[beside], percent * observed, scene, GREY, scale, "Observed")
+        else:
+            _draw_structure(axes[beside], scene, estimate.structure)
+        label_outer([[axes["colour"], axes[beside]]])
         _write_text(axes["text"], estimate)
         grid = [[axes[name] for name in row] for row in (columns[:4], columns[4:])]
         reach = draw_reconstructions(grid, scene, rebuilt, observed, estimate.noise)
@@ -137,6 +143,17 @@ def _write_text(axes: "Axes", estimate: Estimate) -> None:
     axes.text(0.6, 1.0, about, va="top", fontsize=10, linespacing=1.6, color="#444444", transform=axes.transAxes)
     verdict = "\n".join(textwrap.wrap(estimate.verdict, 92))
     axes.text(0.02, 0.5, verdict, va="top", fontsize=10, linespacing=1.4, color="#444444", transform=axes.transAxes)
+
+
+def _draw_structure(axes: "Axes", scene: Scene, structure: Image) -> None:
+    """Where neighbouring pixels leave something in common that noise does not."""
+    from matplotlib.colors import Normalize
+
+    reach = max(NOISE_REACHES, float(np.nanpercentile(np.abs(structure), 99.5)))
+    shown = draw(axes, structure, scene, RESIDUAL_COLOUR, Normalize(-reach, reach), "Structure of the residual, in sd")
+    figure = axes.get_figure()
+    assert figure is not None
+    figure.colorbar(shown, ax=axes, pad=0.008, aspect=22)
 
 
 def _draw_single(

@@ -23,13 +23,14 @@ COMMANDS = (
     "predict",
     "prepare",
     "benchmark",
+    "benchmark-estimates",
     "devices",
     "doctor",
     "calibrate",
     "recover",
     "report",
 )
-"""In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`."""
+"""In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -."""
 
 DISK_FAILED = {errno.ENOSPC, errno.EDQUOT, errno.EIO}
 
@@ -45,7 +46,8 @@ class Commands(click.Group):
         """Load the command, or None when there is none of this name."""
         if cmd_name not in COMMANDS:
             return super().get_command(ctx, cmd_name)
-        command: click.Command = getattr(importlib.import_module(f"ui.cli.{cmd_name}"), cmd_name)
+        name = cmd_name.replace("-", "_")
+        command: click.Command = getattr(importlib.import_module(f"ui.cli.{name}"), name)
         return command
 
 

@@ -40,6 +40,22 @@ class FreeOrNumber(click.ParamType[Any]):
         return number
 
 
+class Nuisance(click.ParamType[Any]):
+    """NAME=SD, such as z_mm=0.5."""
+
+    name = "NAME=SD"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Text to (name, standard deviation)."""
+        if isinstance(value, tuple):
+            return value
+        name, _, number = value.partition("=")
+        try:
+            return name, float(number)
+        except ValueError:
+            self.fail(f"{value!r} is not NAME=SD, such as z_mm=0.5", param, ctx)
+
+
 @click.command(epilog="Example: tankrig fit tank.png --scene scene.toml --scale 2e-8 --gain 1 --out fitted")
 @click.argument("image_file", metavar="IMAGE", type=click.Path(path_type=Path))
 @scene_option
@@ -51,7 +67,17 @@ class FreeOrNumber(click.ParamType[Any]):
 @click.option("--offset", type=FreeOrNumber(), default="free", show_default=True, help="Added to it, after --scale.")
 @click.option("--noise", type=float, help="Standard deviation of a pixel, after --scale; default: seen in the image.")
 @click.option(
-    "--model", default="tank", show_default=True, metavar="NAME", help="tank, single, convolution, diffuse, montecarlo."
+    "--model",
+    default="tank",
+    show_default=True,
+    metavar="NAME",
+    help="tank, prepared, single, convolution, diffuse, montecarlo.",
+)
+@click.option(
+    "--nuisance",
+    type=Nuisance(),
+    multiple=True,
+    help="Fit along what may be off, with its standard deviation: z_mm, y_mm, tilt_mrad, scale.",
 )
 @click.option("--max-order", type=click.IntRange(min=1), help="Fit orders of scattering 1 … N only.")
 @out_option("out", "Folder for the picture (.png), the numbers (.json) and the images (.npz).")
@@ -65,6 +91,7 @@ def fit(
     offset: Any,
     noise: float | None,
     model: str,
+    nuisance: tuple[tuple[str, float], ...],
     max_order: int | None,
     out: Path,
     as_json: bool,
@@ -86,7 +113,7 @@ def fit(
     scene = tankrig.load_scene(scene_file)
     image = read_image(image_file, array, scale)
     require_writable(out)
-    asked: dict[str, Any] = {"gain": gain, "offset": offset, "noise": noise}
+    asked: dict[str, Any] = {"gain": gain, "offset": offset, "noise": noise, "nuisance": dict(nuisance)}
     with Console(stderr=True).status("reading") as status:
         started = time.perf_counter()
         try:
@@ -96,7 +123,8 @@ def fit(
         except tankrig.ImageError as error:
             raise tankrig.ImageError(f"{image_file}: {error}") from error
         seconds = time.perf_counter() - started
-        prediction = tankrig.predict(replace(scene, medium=fitted.medium), model, FINE, max_order)
+        whole = "tank" if model == "prepared" else model  # a prepared model doesn't tell orders apart
+        prediction = tankrig.predict(replace(scene, medium=fitted.medium), whole, FINE, max_order)
         rebuilt = by_order(fitted, prediction)
         status.update("comparing with single scattering")
         single = tankrig.estimate(image, scene, **asked, model="single") if model != "single" else None
@@ -135,6 +163,7 @@ def _numbers(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "E
         "model_error": fitted.model_error,
         "rmse": fitted.rmse,
         "rmse_by_order": {one.orders: one.rmse for one in rebuilt},
+        "nuisance_found": {name: {"value": value, "sd": sd} for name, (value, sd) in fitted.nuisance.items()},
         "verdict": fitted.verdict,
     }
     if single is not None:
@@ -163,6 +192,7 @@ def _write(
         write_fit_figure(picture, scene, fitted, rebuilt, single)
         text.write_text(json.dumps(numbers, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
         images = {f"orders_{one.orders.replace('–', '_')}": one.image for one in rebuilt}
+        images |= {} if fitted.structure is None else {"structure": fitted.structure}
         np.savez_compressed(arrays, allow_pickle=False, fitted=fitted.image, residual=fitted.residual, **images)
 
 
@@ -180,6 +210,8 @@ def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Esti
         shown = [_rounded(one, sd) for one in (value, sd, low, high)]
         known = "yes" if fitted.identifiable[name] else "no"
         table.add_row(name, shown[0], shown[1], f"{shown[2]} … {shown[3]}", unit, known)
+    for name, (value, sd) in fitted.nuisance.items():
+        table.add_row(name, _rounded(value, sd), _rounded(sd, sd), "", "", "")
     console = Console()
     console.print(table)
     console.print(f"\n{fitted.verdict}\n", highlight=False)
