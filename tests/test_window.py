@@ -82,7 +82,7 @@ def test_levels_saturation_and_read_out_follow_the_picture(window):
     window.host.dose_to(800.0)
     until(lambda: window.status.target_ul is None and window.status.tank.volume_ul == 800.0)
     until(lambda: window.live.frame.pixels.max() > 1000, what="no light was seen")
-    until(lambda: window.live._tone.high > 500)
+    until(lambda: window.live._picture.tone.high > 500)
     window.live._read(QPointF(20.0, 0.0))
     assert "counts" in window.live._read_out.text()
     assert "radiance after the first fit" in window.live._read_out.text()

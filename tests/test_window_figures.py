@@ -205,30 +205,53 @@ def test_from_the_key_to_the_stop_byte(tmp_path, prepared, stops, trouble):
     assert max(times) < 100.0
 
 
+STARTED = """
+import sys, time
+from pathlib import Path
+began = float(sys.argv[2])
+if __name__ == "__main__":
+    from ui.cli import main  # as the command `tankrig` does
+    from ui.window import app
+    from PySide6.QtCore import QSettings, QTimer
+    app.settings = lambda: QSettings(sys.argv[1] + "/w.ini", QSettings.Format.IniFormat)
+    made, told = app.application, []
+
+    def look():
+        from PySide6.QtWidgets import QApplication
+        windows = [one for one in QApplication.topLevelWidgets() if one.objectName() == "tankrig"]
+        if windows and windows[0].live.displayed and not told:
+            told.append(time.time() - began)  # the picture was painted before this timer fired again
+        if windows and windows[0].furnished:
+            print(told[0], time.time() - began)
+            timer.stop()
+            windows[0].close()
+
+    timer = QTimer()
+    timer.timeout.connect(look)
+
+    def application():
+        program = made()
+        timer.start(1)
+        return program
+
+    app.application = application
+    sys.exit(main(["gui", "--runs", sys.argv[1] + "/runs"]))
+"""
+
+
 def test_from_the_start_of_the_program_to_the_first_picture(tmp_path):
     """Somebody who waits for a window starts a second one."""
-    program = (
-        "import time, sys\nfrom pathlib import Path\nbegan = float(sys.argv[2])\n"
-        "if __name__ == '__main__':\n"
-        "    import ui.cli\n    from ui.window.app import application\n    app = application()\n"
-        "    from ui.window import theme\n    theme.apply('dark')\n"
-        "    from ui.window.rig_file import RigSource\n    from ui.window.rig_host import RigHost\n"
-        "    folder = Path(sys.argv[1])\n    host = RigHost(RigSource(None, folder / 'simulated.rig'))\n"
-        "    from PySide6.QtCore import QSettings\n    from ui.window.main_window import MainWindow\n"
-        "    settings = QSettings(str(folder / 'w.ini'), QSettings.Format.IniFormat)\n"
-        "    window = MainWindow(host, folder / 'runs', settings)\n    window.show()\n"
-        "    while not window.live.displayed:\n        app.processEvents()\n        time.sleep(0.002)\n"
-        "    app.processEvents()\n    print(time.time() - began)\n    window.close()\n"
-    )
-    (tmp_path / "start.py").write_text(program)
+    (tmp_path / "start.py").write_text(STARTED)
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     taken = []
     for _ in range(6):
         command = [sys.executable, str(tmp_path / "start.py"), str(tmp_path), str(time.time())]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60)
-        taken.append(float(done.stdout))
-    warm = taken[1:]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=60)
+        assert done.returncode == 0, done.stderr
+        taken.append([float(word) for word in done.stdout.split()])
+    pictures, pages = zip(*taken[1:], strict=True)  # the first run warms the disk
     print(
-        f"\nstart to first picture: {', '.join(f'{one:.2f}' for one in warm)} s, median {statistics.median(warm):.2f}"
+        f"\nstart to first picture: {', '.join(f'{one:.2f}' for one in pictures)} s, "
+        f"median {statistics.median(pictures):.2f}; to all pages: median {statistics.median(pages):.2f}"
     )
-    assert statistics.median(warm) < 2.0
+    assert statistics.median(pictures) < 2.0

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from drivers.emulation.truth import Truth as Plunger
 from drivers.emulation.truth import read_truth
-from tankrig.montecarlo import simulate_to
 from tankrig.pattern import Pattern
 from tankrig.scene.description import Medium
 
@@ -110,6 +109,8 @@ class SimulatedTank:
         if medium.sigma_s == 0.0 or not truth.bench.wall.beams(pattern, truth.bench.tank):
             dark = np.zeros(truth.bench.camera.shape)
             return Radiance(dark, dark)
+        from tankrig.montecarlo import simulate_to  # half a second, which a dark first picture need not wait for
+
         scene = truth.bench.scene(pattern, medium)
         # With one seed for all, pictures would share their noise, and a fit of several would take it for the ink.
         seed = int.from_bytes(sha256(f"{self._seed} {pattern.hash} {medium}".encode()).digest()[:6])

@@ -5,8 +5,10 @@ The same sums are kept in shared memory while a run goes on, and in ordinary mem
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,7 @@ from tankrig.bench import Bench
 from tankrig.checked_toml import checked
 from tankrig.devices import Pixels
 from tankrig.errors import StoreError
+from tankrig.estimation.observation import pixel_noise
 from tankrig.pattern import Pattern
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run
@@ -25,6 +28,11 @@ Array = NDArray[np.float64]
 
 FIT_PIXEL_MM = 4.0
 """Frames are binned to pixels of at most this before a fit: the tank's light is smooth, and beams are as wide."""
+UNSETTLED = 0.01
+"""A frame that differs from those before it by more than this share of the picture shows ink that has not mixed yet."""
+UNSETTLED_SIGMAS = 6.0
+BLOCKS = 16
+"""Along the longer side of a frame, whose means are compared: noise is small in them, and what has not mixed is not."""
 ANY = Medium(0.001, 0.01, 0.5)
 """Of scenes whose medium is to be found."""
 
@@ -69,15 +77,15 @@ class Plan:
         Of the rig.
     patterns
         By hash, in the order of the sums.
-    doses
-        How many different ones there can be.
+    doses_ml
+        Ink in the tank, as the sequence means to dose it, rising.
     exposures
         ms times gain of each step of the sequence.
     """
 
     bench: Bench
     patterns: dict[str, Pattern]
-    doses: int
+    doses_ml: tuple[float, ...]
     exposures: tuple[float, ...]
 
     @classmethod
@@ -86,7 +94,7 @@ class Plan:
         actions = [task.action for task in sequence.tasks]
         settings = [sequence.camera_settings(one) if isinstance(one, Capture) else None for one in actions]
         exposures = tuple(one.exposure_ms * one.gain if one else 1.0 for one in settings)
-        doses = 2 + sum(isinstance(one, Dose) for one in actions)
+        doses = tuple(one.total_ul / 1000.0 for one in actions if isinstance(one, Dose))
         return cls(bench, {pattern.hash: pattern for pattern in patterns}, doses, exposures)
 
     @classmethod
@@ -97,13 +105,25 @@ class Plan:
         return cls.of(bench, sequence, list(run.patterns.values()))
 
     @property
+    def doses(self) -> int:
+        """How many different ones there can be: what the tank held before, and one that a person has set right."""
+        return 2 + len(self.doses_ml)
+
+    @cached_property
+    def scenes(self) -> dict[str, Scene]:
+        """What the fit sees of the patterns that light anything, by hash; the media mean nothing."""
+        lit = {key: pattern for key, pattern in self.patterns.items() if pattern.pixels.any()}
+        scenes = {key: self.bench.scene(pattern, ANY) for key, pattern in lit.items()}
+        return {key: Scene(scene.tank, ANY, scene.projector, self.camera) for key, scene in scenes.items()}
+
+    @cached_property
     def binning(self) -> int:
         """Pixels along a bin: as many as fit into `FIT_PIXEL_MM` and divide the frame."""
         camera = self.bench.camera
         most = max(1, int(FIT_PIXEL_MM / camera.pixel_mm))
         return max(by for by in range(1, most + 1) if camera.shape[0] % by == 0 and camera.shape[1] % by == 0)
 
-    @property
+    @cached_property
     def camera(self) -> Camera:
         """The camera as the fit sees it."""
         by, camera = self.binning, self.bench.camera
@@ -114,7 +134,7 @@ class Plan:
     def size(self) -> int:
         """Numbers that the sums take."""
         rows, columns = self.camera.shape
-        return 1 + self.doses * 2 + self.doses * len(self.patterns) * (1 + 2 * rows * columns)
+        return 2 + self.doses * 4 + self.doses * len(self.patterns) * (1 + 2 * rows * columns)
 
 
 class Exposures:
@@ -132,11 +152,13 @@ class Exposures:
         self.plan = plan
         numbers = np.zeros(plan.size) if numbers is None else numbers
         shape = (plan.doses, len(plan.patterns), *plan.camera.shape)
-        cuts = np.cumsum([1, plan.doses * 2, shape[0] * shape[1], int(np.prod(shape))])
+        cuts = np.cumsum([2, plan.doses * 4, shape[0] * shape[1], int(np.prod(shape))])
         self._now, doses, counts, sums, squares = np.split(numbers, cuts)
-        self._doses, self._counts = doses.reshape(plan.doses, 2), counts.reshape(shape[:2])
+        # Of each dose: ml, its standard deviation, frames left out, and whether the last one was.
+        self._doses, self._counts = doses.reshape(plan.doses, 4), counts.reshape(shape[:2])
         self._sums, self._squares = sums.reshape(shape), squares.reshape(shape)
         self._index = {key: index for index, key in enumerate(plan.patterns)}
+        self._lit = list(plan.scenes)
 
     @property
     def dose(self) -> int:
@@ -151,8 +173,21 @@ class Exposures:
     @property
     def frames(self) -> int:
         """Frames taken in so far, dark ones not counted."""
-        lit = [self._index[key] for key in self._lit()]
+        lit = [self._index[key] for key in self._lit]
         return int(self._counts[:, lit].sum())
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest lit frame taken in, as the run counts them."""
+        return int(self._now[1])
+
+    def left_out(self, dose: int) -> int:
+        """Frames of a dose that were left out because the ink had not mixed."""
+        return int(self._doses[dose, 2])
+
+    def settling(self, dose: int) -> bool:
+        """Whether the newest frame of a dose still differed from those before it: what there is shows no one liquid."""
+        return bool(self._doses[dose, 3])
 
     def take(self, event: Event, pixels: Pixels | None) -> bool:
         """Take a run's event in; whether there is something new to fit."""
@@ -161,11 +196,16 @@ class Exposures:
         elif event.kind == "frame" and pixels is not None and event["pattern_hash"] in self._index:
             by, pattern = self.plan.binning, self._index[event["pattern_hash"]]
             rows, columns = self.plan.camera.shape
-            binned = pixels.reshape(rows, by, columns, by).mean(axis=(1, 3)) / self.plan.exposures[event["step"]]
+            lines = pixels.reshape(rows, by, columns * by).sum(axis=1, dtype=np.uint32)  # whole rows first: 5 × faster
+            binned = lines.reshape(rows, columns, by).sum(axis=2) / (by * by * self.plan.exposures[event["step"]])
+            lit = event["pattern_hash"] in self._lit
+            if lit:
+                self._leave_out_what_had_not_mixed(pattern, binned)
+                self._now[1] = event.get("index", 0)
             self._sums[self.dose, pattern] += binned
             self._squares[self.dose, pattern] += binned**2
             self._counts[self.dose, pattern] += 1
-            return event["pattern_hash"] in self._lit()
+            return lit
         return False
 
     def photographs(self, dose: int | None = None) -> list[Photograph]:
@@ -174,7 +214,7 @@ class Exposures:
         return [
             self._photograph(one, key)
             for one in doses
-            for key in self._lit()
+            for key in self._lit
             if self._doses[one, 0] > 0.0 and self._counts[one, self._index[key]] > 0
         ]
 
@@ -182,10 +222,20 @@ class Exposures:
         if volume_ul / 1000.0 != self.dose_ml and self._counts[self.dose].any():
             self._now[0] += 1
         # Anywhere between its bounds alike: the standard deviation is the width by √12.
-        self._doses[self.dose] = volume_ul / 1000.0, (high_ul - low_ul) / 1000.0 / np.sqrt(12.0)
+        self._doses[self.dose, :2] = volume_ul / 1000.0, (high_ul - low_ul) / 1000.0 / np.sqrt(12.0)
 
-    def _lit(self) -> list[str]:
-        return [key for key, pattern in self.plan.patterns.items() if pattern.pixels.any()]
+    def _leave_out_what_had_not_mixed(self, pattern: int, binned: Array) -> None:
+        """Begin the dose anew where a frame is not of the liquid that the frames before it are of."""
+        count = int(self._counts[self.dose, pattern])
+        if count == 0:
+            return
+        changed = differs(binned, self._sums[self.dose, pattern] / count)
+        self._doses[self.dose, 3] = changed
+        if changed:
+            lit = [self._index[key] for key in self._lit]
+            self._doses[self.dose, 2] += self._counts[self.dose, lit].sum()
+            for kept in (self._counts, self._sums, self._squares):
+                kept[self.dose, lit] = 0.0
 
     def _photograph(self, dose: int, key: str) -> Photograph:
         pattern, plan = self.plan.patterns[key], self.plan
@@ -199,10 +249,8 @@ class Exposures:
             if dark_count > 1:
                 total = total + float(np.mean(dark_variance)) / dark_count
             offset = 0.0
-        scene = plan.bench.scene(pattern, ANY)
-        scene = Scene(scene.tank, ANY, scene.projector, plan.camera)
-        dose_ml, sd_ml = (float(value) for value in self._doses[dose])
-        return Photograph(pattern.name, dose_ml, sd_ml, scene, mean, np.sqrt(total), offset, count)
+        dose_ml, sd_ml = (float(value) for value in self._doses[dose, :2])
+        return Photograph(pattern.name, dose_ml, sd_ml, plan.scenes[key], mean, np.sqrt(total), offset, count)
 
     def _mean(self, dose: int, pattern: int) -> tuple[int, Array, Array]:
         """Frames, their mean, and their variance from frame to frame."""
@@ -210,6 +258,31 @@ class Exposures:
         mean = self._sums[dose, pattern] / count
         variance = np.maximum(self._squares[dose, pattern] / count - mean**2, 0.0) * count / max(count - 1, 1)
         return count, mean, variance
+
+
+def differs(frame: Array, before: Array) -> bool:
+    """Whether a frame's structure is another than before, by more than noise and by more than a share of it.
+
+    Brightness alone does not count: a lamp may flicker, and ink that mixes changes shapes.
+
+    Examples
+    --------
+    >>> rows, columns = np.mgrid[:40, :60]
+    >>> tank = 1000.0 * np.exp(-columns / 30.0)
+    >>> noise = np.random.default_rng(0).normal(0.0, 5.0, tank.shape)
+    >>> plume = 100.0 * np.exp(-((columns - 20.0) ** 2 + (rows - 20.0) ** 2) / 200.0)
+    >>> differs(1.02 * tank + noise, tank), differs(tank + plume + noise, tank)
+    (False, True)
+    """
+    change = frame - before * float(np.vdot(frame, before) / np.vdot(before, before))
+    rows, columns = frame.shape
+    scale = min(1.0, BLOCKS / max(rows, columns))
+    size = max(1, round(columns * scale)), max(1, round(rows * scale))
+    blocks, bright = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (change, before))
+    chance = pixel_noise(change, np.ones(frame.shape, bool)) ** 2 * blocks.size / frame.size
+    seen = float(np.mean(blocks**2))
+    beyond = chance * (1.0 + UNSETTLED_SIGMAS * np.sqrt(2.0 / blocks.size))
+    return bool(seen > beyond and seen > UNSETTLED**2 * float(np.mean(bright**2)))
 
 
 def _photon_transfer(mean: Array, variance: Array, count: int) -> Array:

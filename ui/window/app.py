@@ -3,20 +3,25 @@
 import signal
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, QTimer
-from PySide6.QtGui import QGuiApplication
-from PySide6.QtWidgets import QApplication
 
-from ui.window import theme
 from ui.window.rig_file import RigSource
+from ui.window.rig_host import RigHost
+
+if TYPE_CHECKING:
+    from PySide6.QtWidgets import QApplication
 
 SWITCH_S = 0.002
 """Threads hand the interpreter over this often, so that frames and fits do not hold the window up."""
 
 
-def application() -> QApplication:
+def application() -> "QApplication":
     """The one QApplication, made on first use."""
+    from PySide6.QtGui import QGuiApplication
+    from PySide6.QtWidgets import QApplication
+
     app = QApplication.instance()
     if not isinstance(app, QApplication):
         QGuiApplication.setHighDpiScaleFactorRoundingPolicy(Qt.HighDpiScaleFactorRoundingPolicy.PassThrough)
@@ -49,17 +54,14 @@ def run_window(rig: Path | None, runs: Path, sequence: Path | None) -> int:
     int
         Exit status.
     """
+    host = RigHost(RigSource(rig, runs / "simulated.rig"))  # opens the rig while all else is imported
     app = application()
-    remembered = settings()
-    theme.apply(str(remembered.value("theme") or theme.of_system()))
-    from ui.window.rig_host import RigHost
-
-    host = RigHost(RigSource(rig, runs / "simulated.rig"))  # opens the rig while the window is being made
+    from ui.window import theme
     from ui.window.main_window import MainWindow
 
-    window = MainWindow(host, runs, remembered)
-    if sequence is not None:
-        window.sequence.load(sequence)
+    remembered = settings()
+    theme.apply(str(remembered.value("theme") or theme.of_system()))
+    window = MainWindow(host, runs, remembered, sequence)
     window.show()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: QTimer.singleShot(0, window.close))

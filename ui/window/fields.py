@@ -54,6 +54,7 @@ class CheckedField(QWidget):
             label.setProperty("role", "faint")
             row.addWidget(label)
         row.addStretch(0)
+        self._row = row
         self.edit.textEdited.connect(self._typed)
         self.edit.editingFinished.connect(self._finished)
         self._committed = ""
@@ -74,6 +75,10 @@ class CheckedField(QWidget):
         if text != self.edit.text():
             self.edit.setText(text)
         self._mark()
+
+    def add(self, widget: QWidget) -> None:
+        """Put a widget behind the field."""
+        self._row.addWidget(widget)
 
     def hasFocus(self) -> bool:  # noqa: N802 - Qt's name
         """Whether a person types there."""

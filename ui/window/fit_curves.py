@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
+from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
 
 from ui.window.fit_cards import COEFFICIENTS
 from ui.window.theme import CURVES
 
 Z95 = 1.96
+TURN_MS = 40
 
 
 class FitCurves(QWidget):
@@ -39,20 +41,36 @@ class FitCurves(QWidget):
             self._plots[name] = plot, line, bars, points
             widget.setMinimumHeight(112)
             widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+        self._fits: Sequence[Mapping[str, Any]] = []
+        self._series: Mapping[str, Any] | None = None
+        self._against, self._waiting = "", list[str]()
+        self._turn = QTimer(self)
+        self._turn.timeout.connect(self._show_next)
 
     def show_fits(self, fits: Sequence[Mapping[str, Any]], against: str, series: Mapping[str, Any] | None) -> None:
         """Show fits of doses; `against` is "dose_ml" or "time_s", a key that each has."""
-        at = np.array([float(fit[against]) for fit in fits])
-        for name, (plot, line, bars, points) in self._plots.items():
-            place = COEFFICIENTS[name][1]
-            values = np.array([float(fit[name]) for fit in fits])
-            errors = Z95 * np.array([float(fit["sd"][place]) for fit in fits])
-            plot.setLabel("bottom", "ink (ml)" if against == "dose_ml" else "time (s)")
-            points.setData(at, values)
-            if len(at):
-                bars.setData(x=at, y=values, height=2.0 * errors)
-                self._frame(plot, at, values, errors, name)
-            line.setData(*self._line(name, at, series) if against == "dose_ml" and len(at) else ([], []))
+        self._fits, self._series = fits, series
+        if against != self._against:
+            self._against = against
+            for plot, *_ in self._plots.values():
+                plot.setLabel("bottom", "ink (ml)" if against == "dose_ml" else "time (s)")
+        self._waiting = list(self._plots)
+        self._turn.start(TURN_MS)
+
+    def _show_next(self) -> None:
+        """One plot at a time: to paint all three at once would hold the live picture up."""
+        name = self._waiting.pop(0)
+        if not self._waiting:
+            self._turn.stop()
+        plot, line, bars, points = self._plots[name]
+        at = np.array([float(fit[self._against]) for fit in self._fits])
+        values = np.array([float(fit[name]) for fit in self._fits])
+        errors = Z95 * np.array([float(fit["sd"][COEFFICIENTS[name][1]]) for fit in self._fits])
+        points.setData(at, values)
+        bars.setData(x=at, y=values, height=2.0 * errors)
+        if len(at):
+            self._frame(plot, at, values, errors, name)
+        line.setData(*self._line(name, at, self._series) if self._against == "dose_ml" and len(at) else ([], []))
 
     def _frame(self, plot: Any, at: Any, values: Any, errors: Any, name: str) -> None:
         """A view in which a few very long error bars do not hide the rest."""

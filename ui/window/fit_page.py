@@ -146,9 +146,9 @@ class FitPage(QWidget):
         for plot in (self._observed, self._model, self._residual):
             plot.place(one.tank, one.camera)
         same = "|residual|, same scale" if self._same.isChecked() else f"residual, ±{100.0 * reach:.2g} % of peak"
-        self._observed.plot.setTitle("observed, 0–100 %")
-        self._model.plot.setTitle("model, same scale")
-        self._residual.plot.setTitle(same)
+        self._observed.name("observed, 0–100 %")
+        self._model.name("model, same scale")
+        self._residual.name(same)
         self._bars.show_rmse(one.rmse)
         by = one.rmse["single"] / one.rmse["all"] if one.rmse["all"] > 0.0 else 1.0
         self._says.setText(

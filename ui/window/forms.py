@@ -3,12 +3,15 @@
 import dataclasses
 import types
 import typing
+from pathlib import Path
 from typing import Any, Literal
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QLineEdit, QWidget
+from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QLineEdit, QPushButton, QWidget
 
 from ui.window.fields import CheckedField, NumberField, number
+from ui.window.files import ask_for_file
+from ui.window.parts_field import PartsField
 
 UNITS = {"_ul": "µl", "_mm": "mm", "_ms": "ms", "_s": "s", "_px": "px"}
 RANGES: dict[str, tuple[float, float]] = {
@@ -19,6 +22,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "cell_px": (1, 4096), "index": (0, 2**24), "size": (2, 4096),
 }  # fmt: skip
 WIDE = (-1e6, 1e6)
+HINTS = {"until": "capture no more once the live fit knows it so well; a share such as 1 %, or a number in its unit"}
+PICTURES = "Pictures (*.png *.tif *.tiff *.bmp *.pgm)"
 
 
 def unit_of(name: str) -> str:
@@ -93,11 +98,17 @@ class Form(QWidget):
         if typing.get_origin(hint) is Literal or name in choices:
             words = choices.get(name) or [str(word) for word in typing.get_args(hint)]
             return self._choice(name, words, value if value is not None else default)
+        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+            parts = PartsField(hint, value if isinstance(value, dict) else {}, HINTS.get(name, ""))
+            parts.changed.connect(lambda found: self.edited.emit(name, found))
+            return parts
         if hint is bool:
             return self._box(name, bool(default if value is None else value))
         if hint in (float, int):
             low, high = RANGES.get(name, WIDE)
             field: CheckedField = NumberField(unit_of(name), low, high, label_of(name), optional, hint is int)
+        elif name == "path":
+            field = _file_field(name)
         elif typing.get_origin(hint) is tuple:
             field = _numbers_field(name, hint, optional)
         else:
@@ -122,6 +133,20 @@ class Form(QWidget):
         box.setChecked(value)
         box.toggled.connect(lambda on: self.edited.emit(name, on))
         return box
+
+
+def _file_field(name: str) -> CheckedField:
+    """For the name of a picture, with a button to choose one."""
+    field = CheckedField(lambda text: (text or None, "" if text else "choose a picture"), "", label_of(name))
+    choose = QPushButton("Choose…")
+
+    def take(path: Path) -> None:
+        field.set_text(str(path))
+        field.changed.emit()
+
+    choose.clicked.connect(lambda: ask_for_file(field, "Choose a picture", Path.cwd(), PICTURES, take))
+    field.add(choose)
+    return field
 
 
 def _numbers_field(name: str, hint: Any, optional: bool) -> CheckedField:

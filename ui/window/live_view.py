@@ -11,22 +11,17 @@ from PySide6.QtCore import QPointF, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from tankrig.devices import CameraSettings
-from tankrig.errors import SceneError, SequenceError
-from tankrig.image.focus import sharpness
-from tankrig.scene.outline import beam_outlines
+from ui.window.darkroom import Darkroom, Judgement, Picture, Wishes
 from ui.window.fields import NumberField
 from ui.window.histogram import Histogram
 from ui.window.radiometry import Radiometry
 from ui.window.tank_plot import TankPlot, pen
-from ui.window.tone import COLOURS, Tone, automatic
+from ui.window.theme import set_role
+from ui.window.tone import COLOURS, Tone
 from ui.window.watched import Newest, SeenFrame
 
 if TYPE_CHECKING:
     from tankrig.bench import Bench
-
-SLOW_S = 0.2
-"""Histogram, focus and read-outs follow the picture at this pace."""
-FOCUS_PX = 512
 
 
 class LiveView(QWidget):
@@ -40,38 +35,39 @@ class LiveView(QWidget):
 
     camera_asked = Signal(object)
     """CameraSettings that a person wants."""
+    first_shown = Signal()
 
     def __init__(self, source: Newest[SeenFrame]) -> None:
         super().__init__()
-        self._source = source
-        source.arrived.connect(self._show)
+        self._darkroom = Darkroom(source)
+        self._darkroom.pictures.arrived.connect(self._show)
         self._bench: Bench | None = None
-        self._frame: SeenFrame | None = None
-        self._tone = Tone()
-        self._table, self._palette = self._tone.table(), self._tone.palette()
-        self._slow_at = self._rate_at = 0.0
-        self._outlined = ""
+        self._picture: Picture | None = None
+        self._levels = (0.0, 65535.0)
+        self._rate_at = 0.0
+        self._outlined: NDArray[np.float64] | None = None
         self._cursor: QPointF | None = None
         self.displayed = 0
         self._displayed_before = 0
         self.radiometry = Radiometry()
-        self._picture = TankPlot()
+        self._plot = TankPlot()
         self._histogram = Histogram()
         self._histogram.levels_moved.connect(self._set_levels)
         self._beams = pg.PlotDataItem(pen=pen("#39d0ff", 1.2, dashed=True), connect="finite")
-        self._picture.plot.addItem(self._beams)
+        self._plot.plot.addItem(self._beams)
         self._roi = pg.RectROI((60, -20), (60, 40), pen=pen("#9cff57", 2.0))
         self._roi.hide()
-        self._picture.plot.addItem(self._roi)
+        self._plot.plot.addItem(self._roi)
+        self._roi.sigRegionChanged.connect(self._wish)
         self._lay_out()
-        self._picture.widget.scene().sigMouseMoved.connect(self._mouse_moved)
-        self._show()  # what came before there was a view
+        self._plot.widget.scene().sigMouseMoved.connect(self._mouse_moved)
 
     # -- what is shown -------------------------------------------------------------------------------------------------
 
     def set_bench(self, bench: "Bench") -> None:
         """Say where pixels lie, and where beams should be."""
-        self._bench, self._outlined = bench, ""
+        self._bench = bench
+        self._wish()
 
     def set_camera(self, settings: CameraSettings, free: bool) -> None:
         """What the camera is set to, and whether a person may change it."""
@@ -83,131 +79,115 @@ class LiveView(QWidget):
     @property
     def frame(self) -> SeenFrame | None:
         """The one that is shown."""
-        return self._frame
+        return self._picture.frame if self._picture else None
 
     def say_empty(self, words: str) -> None:
         """What to say where there is no picture."""
-        if self._frame is None:
+        if self._picture is None:
             self._read_out.setText(words)
 
+    def close_view(self) -> None:
+        """Look at no more frames."""
+        self._darkroom.close()
+
     def _show(self) -> None:
-        frame = self._source.take()
-        if frame is None or self._bench is None:
+        picture = self._darkroom.pictures.take()
+        if picture is None or self._bench is None:
             return
-        self._frame = frame
-        now = time.monotonic()
-        slow = now - self._slow_at > SLOW_S
-        if slow:
-            self._slow_at = now
-            self._judge(frame)
-        camera = self._bench.camera
-        if frame.pixels.shape != camera.shape:
-            camera = replace(camera, shape=frame.pixels.shape)
-        self._picture.show_indices(self._table[frame.pixels], self._palette)
-        self._picture.place(self._bench.tank, camera)
+        self._picture, camera = picture, self._bench.camera
+        if picture.indices.shape != camera.shape:
+            camera = replace(camera, shape=picture.indices.shape)
+        self._plot.show_indices(picture.indices, picture.palette)
+        self._plot.place(self._bench.tank, camera)
         self.displayed += 1
+        if self.displayed == 1:
+            self.first_shown.emit()
+        if picture.judgement is not None:
+            self._tell(picture.judgement)
+            self._histogram.show_counts(picture.judgement.often, picture.frame.saturation, picture.tone)
 
-    def _judge(self, frame: SeenFrame) -> None:
-        """What follows at a slower pace: levels, histogram, focus, numbers."""
-        if self._automatic.isChecked():
-            self._use(self._tone.between(*automatic(frame.pixels)))
-        if self._saturation.isChecked() != (self._tone.saturation is not None):
-            self._use(replace(self._tone, saturation=frame.saturation if self._saturation.isChecked() else None))
-        self.radiometry.see(frame)
-        self._histogram.show_counts(frame.pixels, frame.saturation, self._tone)
-        self._outline(frame)
-        self._tell(frame)
-
-    def _tell(self, frame: SeenFrame) -> None:
-        part = float((frame.pixels >= frame.saturation).mean())
+    def _tell(self, judged: Judgement) -> None:
+        """What follows at a slower pace."""
         now = time.monotonic()
         if now - self._rate_at >= 1.0:
             rate = (self.displayed - self._displayed_before) / (now - self._rate_at)
             self._rate_at, self._displayed_before = now, self.displayed
             self._rate.setText(f"{rate:.0f} pictures/s")
-        self._saturated.setText(f"saturated {part:.2%}" if part else "nothing saturated")
-        self._saturated.setProperty("role", "wrong" if part > 0.001 else "faint")
-        self._saturated.style().polish(self._saturated)
-        self._focus.setText(f"focus {sharpness(self._looked_at(frame)):.3f}")
+        self._saturated.setText(f"saturated {judged.saturated:.2%}" if judged.saturated else "nothing saturated")
+        set_role(self._saturated, "wrong" if judged.saturated > 0.001 else "faint")
+        self._focus.setText(f"focus {judged.focus:.3f}")
         if self._roi.isVisible():
-            inside = self._looked_at(frame)
-            self._roi_text.setText(f"region {inside.mean():.1f} ± {inside.std():.1f} counts")
+            self._roi_text.setText(f"region {judged.mean:.1f} ± {judged.sd:.1f} counts")
+        if judged.dark is not None:
+            self.radiometry.dark = judged.dark
+        if judged.outlines is not self._outlined:
+            self._outlined = judged.outlines
+            self._beams.setData(judged.outlines[:, 0], judged.outlines[:, 1])
         if self._cursor is not None:
             self._read(self._cursor)
 
-    def _looked_at(self, frame: SeenFrame) -> NDArray[np.unsignedinteger]:
-        """The region of interest, or the middle of the picture."""
-        rows, columns = frame.pixels.shape
-        if self._roi.isVisible() and self._bench is not None:
-            pixel_mm, low = self._bench.camera.pixel_mm, -self._bench.tank.size_mm[1] / 2
-            at, size = self._roi.pos(), self._roi.size()
-            left, right = (int(np.clip(edge / pixel_mm, 0, columns)) for edge in (at.x(), at.x() + size.x()))
-            bottom, top = (int(np.clip((edge - low) / pixel_mm, 0, rows)) for edge in (at.y(), at.y() + size.y()))
-            if right - left > 2 and top - bottom > 2:
-                return frame.pixels[bottom:top, left:right]
-        half = FOCUS_PX // 2
-        middle = (
-            slice(max(0, rows // 2 - half), rows // 2 + half),
-            slice(max(0, columns // 2 - half), columns // 2 + half),
-        )
-        return frame.pixels[middle]
-
-    def _outline(self, frame: SeenFrame) -> None:
-        """Where the beams of the pattern that is shown should be."""
-        from tankrig.live.exposures import ANY
-
-        wanted = frame.pattern.hash if frame.pattern is not None and self._overlay.isChecked() else "none"
-        if wanted == self._outlined or self._bench is None:
-            return
-        self._outlined = wanted
-        lines: list[NDArray[np.float64]] = []
-        if frame.pattern is not None and wanted != "none":
-            try:
-                outlines = beam_outlines(self._bench.scene(frame.pattern, ANY))
-            except (SceneError, SequenceError):
-                outlines = []  # a dark pattern has no beams
-            for outline in outlines if len(outlines) <= 200 else []:
-                lines += [np.vstack([outline, outline[:1], np.full((1, 2), np.nan)])]
-        points = np.vstack(lines) if lines else np.empty((0, 2))
-        self._beams.setData(points[:, 0], points[:, 1])
-
     # -- what a person does --------------------------------------------------------------------------------------------
 
-    def _use(self, tone: Tone) -> None:
-        if tone != self._tone:
-            self._tone = tone
-            self._table, self._palette = tone.table(), tone.palette()
+    def _wish(self) -> None:
+        """Have pictures as the boxes say."""
+        colours, root = self._colours.currentText(), self._scale.currentText() == "square root"
+        bench = self._bench if self._overlay.isChecked() else None
+        self._darkroom.wish(
+            Wishes(
+                Tone(*self._levels, root=root, colours=colours),
+                self._automatic.isChecked(),
+                self._saturation.isChecked(),
+                self._region(),
+                bench,
+            )
+        )
 
     def _set_levels(self, low: float, high: float) -> None:
         self._automatic.setChecked(False)
-        self._use(self._tone.between(low, high))
-        self._redraw()
+        self._levels = low, max(high, low + 1.0)
+        self._wish()
 
-    def _set_tone(self) -> None:
-        colours, root = self._colours.currentText(), self._scale.currentText() == "square root"
-        self._use(replace(self._tone, colours=colours, root=root))
-        self._redraw()
+    def _keep_levels(self, automatic: bool) -> None:
+        """Levels that followed the picture stay as they are when they no longer do."""
+        if not automatic and self._picture is not None:
+            self._levels = self._picture.tone.low, self._picture.tone.high
+        self._wish()
 
-    def _redraw(self) -> None:
-        if self._frame is not None:
-            self._picture.show_indices(self._table[self._frame.pixels], self._palette)
-            self._judge(self._frame)
+    def _show_region(self, shown: bool) -> None:
+        self._roi.setVisible(shown)
+        self._roi_text.clear()
+        self._wish()
+
+    def _region(self) -> tuple[slice, slice] | None:
+        """Rows and columns of the region of interest."""
+        if self._bench is None or not self._roi.isVisible():
+            return None
+        camera, low = self._bench.camera, -self._bench.tank.size_mm[1] / 2
+        at, size = self._roi.pos(), self._roi.size()
+        (bottom, top), (left, right) = (
+            (int(np.clip(edge / camera.pixel_mm, 0, most)) for edge in edges)
+            for edges, most in (
+                ((at.y() - low, at.y() + size.y() - low), camera.shape[0]),
+                ((at.x(), at.x() + size.x()), camera.shape[1]),
+            )
+        )
+        return (slice(bottom, top), slice(left, right)) if right - left > 2 and top - bottom > 2 else None
 
     def _mouse_moved(self, at: QPointF) -> None:
-        self._cursor = self._picture.plot.getViewBox().mapSceneToView(at)
+        self._cursor = self._plot.plot.getViewBox().mapSceneToView(at)
         self._read(self._cursor)
 
     def _read(self, at: QPointF) -> None:
-        if self._frame is None or self._bench is None:
+        if self.frame is None or self._bench is None:
             return
         pixel_mm, low = self._bench.camera.pixel_mm, -self._bench.tank.size_mm[1] / 2
-        rows, columns = self._frame.pixels.shape
+        rows, columns = self.frame.pixels.shape
         row, column = int((at.y() - low) // pixel_mm), int(at.x() // pixel_mm)
         if not (0 <= row < rows and 0 <= column < columns):
             self._read_out.setText("point at the picture to read counts and radiance")
             return
-        counts = int(self._frame.pixels[row, column])
-        radiance = self.radiometry.words(counts, self._frame)
+        counts = int(self.frame.pixels[row, column])
+        radiance = self.radiometry.words(counts, self.frame)
         self._read_out.setText(f"x {at.x():.1f} mm, y {at.y():.1f} mm: {counts} counts, {radiance}")
 
     def _ask_camera(self) -> None:
@@ -230,13 +210,14 @@ class LiveView(QWidget):
         for box in (self._automatic, self._saturation, self._overlay):
             box.setChecked(True)
         for combo in (self._colours, self._scale):
-            combo.currentTextChanged.connect(self._set_tone)
-        region.toggled.connect(self._roi.setVisible)
-        self._overlay.toggled.connect(self._redraw)
-        self._saturation.toggled.connect(self._redraw)
+            combo.currentTextChanged.connect(self._wish)
+        region.toggled.connect(self._show_region)
+        self._overlay.toggled.connect(self._wish)
+        self._saturation.toggled.connect(self._wish)
+        self._automatic.toggled.connect(self._keep_levels)
         whole = QPushButton("Whole")
         whole.setToolTip("show the whole picture again (wheel: zoom, drag: move)")
-        whole.clicked.connect(self._picture.fit)
+        whole.clicked.connect(self._plot.fit)
         self._exposure = NumberField("ms", 0.001, 100_000.0, what="exposure of a frame, outside of runs")
         self._gain = NumberField("×", 0.01, 1000.0, what="gain of the camera, outside of runs")
         self._exposure.committed.connect(self._ask_camera)
@@ -269,7 +250,7 @@ class LiveView(QWidget):
         column.setContentsMargins(8, 6, 8, 4)
         column.addLayout(first)
         column.addLayout(second)
-        column.addWidget(self._picture.widget, 1)
+        column.addWidget(self._plot.widget, 1)
         column.addWidget(self._histogram.widget)
         column.addWidget(self._read_out)
         column.addLayout(third)

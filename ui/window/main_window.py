@@ -1,34 +1,29 @@
 """The window: the live view, the pages in docks around it, and what ties them to the rig."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
-from PySide6.QtWidgets import QDockWidget, QLabel, QMainWindow, QScrollArea, QTabWidget, QToolBar, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QLabel, QMainWindow, QToolBar, QVBoxLayout, QWidget
 
 from tankrig.errors import TankrigError
 from ui.window import theme
 from ui.window.background import Background
 from ui.window.banner import Banner
-from ui.window.calibration_page import CalibrationPage
-from ui.window.doser_page import DoserPage
-from ui.window.fit_page import FitPage
+from ui.window.docks import Docks
+from ui.window.furnishing import furnish
 from ui.window.gap import GapMonitor
 from ui.window.garbage import GarbageTimer
 from ui.window.keys import BY_NAME, KeyCard
 from ui.window.live_view import LiveView
-from ui.window.log_panel import LogPanel
-from ui.window.projector_page import ProjectorPage
-from ui.window.replay import Replay
 from ui.window.rig_host import RigHost, RunOrder
-from ui.window.runs_page import RunsPage
-from ui.window.sequence_page import SequencePage
+from ui.window.rig_parts import import_ahead
 from ui.window.status import RigState, RigStatus
+from ui.window.threads import OwnedThread
 from ui.window.top_bar import TopBar
 from ui.window.words import volume
 
@@ -36,15 +31,28 @@ if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.run.reading import Run
     from tankrig.run.runner import Outcome
+    from ui.window.calibration_page import CalibrationPage
+    from ui.window.doser_page import DoserPage
+    from ui.window.fit_page import FitPage
+    from ui.window.log_panel import LogPanel
+    from ui.window.projector_page import ProjectorPage
+    from ui.window.replay import Replay
+    from ui.window.runs_page import RunsPage
+    from ui.window.sequence_page import SequencePage
 
 _log = logging.getLogger(__name__)
 
 LAYOUT = 1
 """Raised when docks are added, so that an old layout is not restored."""
+PICTURE_MS = 3000
+"""The pages are made once the first picture is on screen, or after this."""
+BREATH_MS = 15
+"""Between two pages that are made: what was shown is painted, and keys are heard."""
+END_S = 60.0
 
 
 class MainWindow(QMainWindow):
-    """One window on one rig.
+    """One window on one rig: the live view at once, and the pages around it as soon as that shows a picture.
 
     Parameters
     ----------
@@ -54,44 +62,95 @@ class MainWindow(QMainWindow):
         Folder of the runs.
     settings
         Remembers docks, theme and the last sequence.
+    sequence
+        To open, rather than the last.
     """
 
-    def __init__(self, host: RigHost, runs: Path, settings: QSettings) -> None:
+    sequence: "SequencePage"
+    fit: "FitPage"
+    doser: "DoserPage"
+    projector: "ProjectorPage"
+    runs: "RunsPage"
+    calibration: "CalibrationPage"
+    log: "LogPanel"
+
+    def __init__(self, host: RigHost, runs: Path, settings: QSettings, sequence: Path | None = None) -> None:
         super().__init__()
         self.setObjectName("tankrig")
         self.setWindowTitle("tankrig")
-        self._settings, self._runs = settings, runs
+        self._settings, self.folder, self._first_sequence = settings, runs, sequence
         self.status = RigStatus()
         self.gaps, self.background, self.host = GapMonitor(), Background(), host
-        source = host.source
         self._replay: Replay | None = None
-        self._closing = self._offered = False
-        self.top, self.banner = TopBar("rig", source.simulated), Banner()
-        self.live, self.sequence, self.fit = LiveView(self.host.frames), SequencePage(), FitPage(self.background)
-        self.doser, self.projector = DoserPage(), ProjectorPage()
-        self.runs, self.calibration = RunsPage(runs, self.background), CalibrationPage(source)
-        self.log = LogPanel()
+        self._rig: RigFile | None = None
+        self._ending: OwnedThread | None = None
+        self._offered = self.furnished = False
+        self._asked: str | None = None
+        self.top, self.banner, self.live = TopBar("rig", host.source.simulated), Banner(), LiveView(host.frames)
+        self.docks = Docks(self)
         self._lay_out()
         self._connect()
-        self._make_keys()
+        self.make_keys(
+            {"stop": self.stop, "help": self.show_keys, "quit": self.close, "theme": self._other_theme,
+             "full-screen": self._full_screen, "layout": self.docks.reset}
+        )  # fmt: skip
         self._restore()
-        self._garbage = GarbageTimer()
         host.tell_rig()  # it may have been opened meanwhile
         self.live.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.live.setFocus()
         self._pulse = QTimer(self)
-        self._pulse.timeout.connect(self.host.window_alive)
+        self._pulse.timeout.connect(host.window_alive)
         self._pulse.start(1000)
+        self._furnishing = furnish(self)
+        self.live.first_shown.connect(self._furnish_soon)
+        QTimer.singleShot(PICTURE_MS, self._go_on_furnishing)
+
+    # -- the pages -----------------------------------------------------------------------------------------------------
+
+    def furnish(self) -> None:
+        """Make the pages that are not there yet, now."""
+        for _ in self._furnishing:
+            pass
+
+    def _go_on_furnishing(self) -> None:
+        """One page at a time, and in between whatever else there is to do."""
+        if self._ending is None and next(self._furnishing, None):
+            self._furnish_soon()
+
+    def _furnish_soon(self) -> None:
+        QTimer.singleShot(BREATH_MS, self._go_on_furnishing)
+
+    def begin_with_pages(self) -> None:
+        """All pages are there: tell them what is known."""
+        self.furnished = True
+        self._opened(self._rig, afresh=True)
+        self._follow(self.status)
+        theme.paint_plots(self)
+        last = self._first_sequence or self._settings.value("sequence")
+        if last and (self._first_sequence or Path(str(last)).is_file()):
+            self.sequence.load(Path(str(last)))
+        draft = self._settings.value("draft")
+        if draft and not self._first_sequence:  # what was typed and not saved when the window was closed
+            self.sequence.document.edit_text(str(draft))
+        self._garbage = GarbageTimer()
+        OwnedThread("import-ahead", lambda _: import_ahead(), END_S)
 
     # -- the rig -------------------------------------------------------------------------------------------------------
 
-    def _opened(self, rig: "RigFile") -> None:
+    def _opened(self, rig: "RigFile | None", afresh: bool = False) -> None:
+        if rig is None:
+            return
+        new, self._rig = afresh or rig != self._rig, rig
         self.live.set_bench(rig.bench)
-        for page in (self.sequence.document, self.doser, self.projector, self.calibration):
-            page.set_rig(rig)
-        self.sequence.patterns.set_wall(rig.bench.wall)
         if not self.host.source.simulated:
             self.top.name_rig(rig.name)
+        if not self.furnished:
+            return
+        self.calibration.set_rig(rig)
+        if new:
+            for page in (self.sequence.document, self.doser, self.projector):
+                page.set_rig(rig)
+            self.sequence.patterns.set_wall(rig.bench.wall)
         if not self._offered:
             self._offered = True
             self._offer_resume(rig.name)
@@ -107,20 +166,24 @@ class MainWindow(QMainWindow):
     def _follow(self, status: RigStatus) -> None:
         before, self.status = self.status, status
         self._words.setText(status.words)
-        held = "" if status.tank is None else f"{volume(status.tank.volume_ul)} of ink in the tank"
-        self._held.setText(held)
-        for page in (self.sequence, self.doser, self.projector, self.calibration):
-            page.follow(status)
-        self.top.follow(status, self.sequence.document.plan is not None)
-        self.runs.set_busy(status.busy)
+        self._held.setText("" if status.tank is None else f"{volume(status.tank.volume_ul)} of ink in the tank")
         self.live.set_camera(self.host.camera_settings, status.state is RigState.IDLE)
         if status.trouble and status.trouble != before.trouble:
             again = status.state is RigState.FAILED
             self.banner.say(status.trouble, "bad", "Open the rig again" if again else "", self.host.reopen)
-        if status.undecided is not None and before.undecided is None:
-            self.show_page(self.doser)
         if status.state is RigState.FAILED:
             self.live.say_empty("no picture: the rig cannot be used; the line above says why")
+        if not self.furnished:
+            if status.state in (RigState.FAILED, RigState.ASKING):  # no picture will come
+                self.furnish()
+            return
+        for page in (self.sequence, self.doser, self.projector, self.calibration):
+            page.follow(status)
+        self.top.follow(status, self.sequence.document.plan is not None)
+        self.runs.set_busy(status.busy)
+        if status.undecided is not None and self._asked != status.undecided:
+            self.show_page(self.doser)
+        self._asked = status.undecided
 
     # -- runs ----------------------------------------------------------------------------------------------------------
 
@@ -133,8 +196,8 @@ class MainWindow(QMainWindow):
         elif self.status.busy:
             self.tell("a run or a dose goes on; wait for its end or stop it, then run")
         else:
-            self._leave_replay()
-            path = self._runs / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+            self.leave_replay()
+            path = self.folder / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
             self.host.start_run(RunOrder(path, sequence))
 
     def resume(self, path: Path) -> None:
@@ -142,7 +205,7 @@ class MainWindow(QMainWindow):
         if self.status.busy:
             self.tell("a run or a dose goes on; wait for its end or stop it, then resume")
         else:
-            self._leave_replay()
+            self.leave_replay()
             self.host.start_run(RunOrder(path))
 
     def pause(self) -> None:
@@ -159,14 +222,16 @@ class MainWindow(QMainWindow):
         self.host.stop()
         self.banner.say("STOP: the doser is stopped; a run that went on is being aborted and can be resumed.", "bad")
 
-    def _began(self, path: Path, sequence: object) -> None:
+    def began(self, path: Path, sequence: object) -> None:
+        """A run has begun."""
         self.banner.hide()
         self.sequence.begin(sequence)  # type: ignore[arg-type]
         self.fit.begin(f"No fit yet of {path.name}. Fits come by themselves from the first dose of ink.")
         self.show_page(self.sequence)
         _log.info("the run is recorded in %s", path)
 
-    def _ended(self, outcome: "Outcome") -> None:
+    def ended(self, outcome: "Outcome") -> None:
+        """A run is over."""
         name = outcome.path.name
         if outcome.error is not None:
             words, level = f"The run {name} {outcome.reason.value}: {outcome.error}", "bad"
@@ -190,18 +255,20 @@ class MainWindow(QMainWindow):
     def show_run(self, run: "Run") -> None:
         """Show a recorded run in the same views."""
         from tankrig.live.exposures import Plan
+        from ui.window.replay import Replay
 
         if self.status.busy:
             self.tell("a run goes on in the live view; open another when it has ended")
             return
-        self._leave_replay()
+        self.leave_replay()
         self.live.set_bench(Plan.of_run(run).bench)
         self._replay = Replay(run, self.host.frames.put)
         self.host.look_away(True)
         self.runs.bar.set_replay(self._replay)
         self.fit.show_run(run.path)
 
-    def _leave_replay(self) -> None:
+    def leave_replay(self) -> None:
+        """Back to the camera."""
         replay, self._replay = self._replay, None
         if replay is not None:
             replay.close()
@@ -216,11 +283,14 @@ class MainWindow(QMainWindow):
         _log.warning("%s", sentence)
         self.banner.say(sentence[:1].upper() + sentence[1:])
 
+    def offer_text(self, text: str) -> None:
+        """A sequence was opened over edits that no file has: offer them back."""
+        words = "The sequence that was being edited had not been saved."
+        self.banner.say(words, action="Edit it again", do=lambda: self.sequence.edit_unsaved(text))
+
     def show_page(self, page: QWidget) -> None:
         """Bring a page to the front."""
-        dock = self.docks[page]
-        dock.show()
-        dock.raise_()
+        self.docks.show(page)
 
     def set_theme(self, name: str) -> None:
         """Dark or light."""
@@ -229,47 +299,30 @@ class MainWindow(QMainWindow):
         self._settings.setValue("theme", name)
 
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802 - Qt's name
-        """Stop, end the run, let go of everything; the window stays until that is done."""
-        if self.status.running and not self._closing:
-            self._closing = True
-            self.host.stop()
-            self.banner.say("The run is being ended; the window closes when all it recorded is safe.", "bad")
-            QTimer.singleShot(100, self._close_when_ended)
+        """Stop, end the run, let go of everything; the window stays, and answers, until that is done."""
+        if self._ending is None:
+            if self.status.running:
+                self.host.stop()
+                self.banner.say("The run is being ended; the window closes when all it recorded is safe.", "bad")
+            if self._replay is not None:
+                self._replay.close()
+            self._ending = OwnedThread("end", lambda _: self.host.close(), END_S)
+        if self._ending.alive:
+            QTimer.singleShot(20, self.close)
             event.ignore()
             return
-        if self.status.running:
-            event.ignore()
-            return
-        self._leave_replay()
         self._settings.setValue("layout", self.saveState(LAYOUT))
         self._settings.setValue("geometry", self.saveGeometry())
-        if self.sequence.document.path:
-            self._settings.setValue("sequence", str(self.sequence.document.path))
         self._pulse.stop()
-        self.host.close()
+        self.live.close_view()
         self.background.close()
-        self.log.close_log()
-        self._garbage.close()
+        if self.furnished:
+            document = self.sequence.document
+            self._settings.setValue("sequence", str(document.path or ""))
+            self._settings.setValue("draft", document.text if document.unsaved else "")
+            self.log.close_log()
+            self._garbage.close()
         event.accept()
-
-    def _close_when_ended(self) -> None:
-        if self.status.running:
-            QTimer.singleShot(100, self._close_when_ended)
-        else:
-            self.close()
-
-    def reset_layout(self) -> None:
-        """All docks where they were at first."""
-        first, size = next(iter(self.docks.values())), self.size()
-        for dock in self.docks.values():
-            dock.setFloating(False)
-            self.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, dock)
-            if dock is not first:
-                self.tabifyDockWidget(first, dock)
-            dock.show()
-        self.resize(size)
-        self.resizeDocks([first], [int(self.width() * 0.54)], Qt.Orientation.Horizontal)
-        first.raise_()
 
     def _lay_out(self) -> None:
         bar = QToolBar("always there")
@@ -284,19 +337,6 @@ class MainWindow(QMainWindow):
         column.addWidget(self.live, 1)
         centre.setLayout(column)
         self.setCentralWidget(centre)
-        self.setDockOptions(QMainWindow.DockOption.AllowTabbedDocks | QMainWindow.DockOption.AnimatedDocks |
-                            QMainWindow.DockOption.AllowNestedDocks)  # fmt: skip
-        self.setTabPosition(Qt.DockWidgetArea.RightDockWidgetArea, QTabWidget.TabPosition.North)
-        self.docks: dict[QWidget, QDockWidget] = {}
-        pages: dict[str, QWidget] = {
-            "Sequence": self.sequence, "Fit": self.fit, "Doser": self.doser, "Projector": self.projector,
-            "Runs": self.runs, "Calibration": self.calibration, "Log": self.log,
-        }  # fmt: skip
-        for title, page in pages.items():
-            dock = QDockWidget(title)
-            dock.setObjectName(title)
-            dock.setWidget(_scrolled(page))
-            self.docks[page] = dock
         self._words, self._held = QLabel("opening the rig"), QLabel()
         self.statusBar().addWidget(self._words, 1)
         self.statusBar().addPermanentWidget(self._held)
@@ -304,36 +344,17 @@ class MainWindow(QMainWindow):
 
     def _connect(self) -> None:
         host, queued = self.host, Qt.ConnectionType.QueuedConnection
-        for signal, slot in (
-            (host.status_changed, self._follow), (host.rig_opened, self._opened), (host.run_began, self._began),
-            (host.run_ended, self._ended), (host.event_recorded, self.sequence.see), (host.fitted, self.fit.add),
-            (host.pattern_shown, self.projector.shown),
-        ):  # fmt: skip
-            signal.connect(slot, queued)
+        host.status_changed.connect(self._follow, queued)
+        host.rig_opened.connect(self._opened, queued)
         self.live.camera_asked.connect(host.configure)
-        self.projector.show_asked.connect(host.show)
-        self.projector.screen_asked.connect(self._use_screen)
-        self.doser.dose_asked.connect(host.dose_to)
-        self.doser.resolve_asked.connect(host.resolve)
-        self.doser.clear_asked.connect(host.clear_stop)
-        self.doser.refill_asked.connect(host.refill)
-        self.doser.give_up_asked.connect(host.reopen)
-        self.calibration.reopen_asked.connect(host.reopen)
-        self.fit.gain_found.connect(self._take_gain)
-        self.sequence.run_asked.connect(self.run)
-        self.runs.resume_asked.connect(self.resume)
-        self.runs.opened.connect(self.show_run)
-        self.runs.refitted.connect(self.fit.show_tables)
-        self.runs.bar.left.connect(self._leave_replay)
-        for teller in (self.sequence.told, self.runs.told, self.calibration.told):
-            teller.connect(self.tell)
         self.top.stop_asked.connect(self.stop)
         self.top.run_asked.connect(self.run)
         self.top.pause_asked.connect(self.pause)
         self.top.theme_asked.connect(self._other_theme)
         self.top.help_asked.connect(self.show_keys)
 
-    def _use_screen(self, identity: dict[str, str]) -> None:
+    def use_screen(self, identity: dict[str, str]) -> None:
+        """Have this screen for the projector."""
         try:
             self.host.source.choose_screen(identity)
         except TankrigError as error:
@@ -341,7 +362,8 @@ class MainWindow(QMainWindow):
         else:
             self.host.reopen()
 
-    def _take_gain(self, gain: float) -> None:
+    def take_gain(self, gain: float) -> None:
+        """What a fit has found counts to be."""
         self.live.radiometry.gain = gain
 
     def _other_theme(self) -> None:
@@ -352,15 +374,8 @@ class MainWindow(QMainWindow):
         self._card = KeyCard(self)
         self._card.show()
 
-    def _make_keys(self) -> None:
-        undo = self.sequence.document.undo
-        actions: dict[str, Callable[[], object]] = {
-            "stop": self.stop, "run": self.run, "pause": self.pause, "dry-run": self.sequence.dry_run,
-            "open": self.sequence.open_file, "save": self.sequence.save, "undo": undo.undo, "redo": undo.redo,
-            "theme": self._other_theme, "full-screen": self._full_screen, "help": self.show_keys, "quit": self.close,
-        }  # fmt: skip
-        pages = {f"page-{number}": page for number, page in enumerate(self.docks, 1)}
-        actions |= {name: partial(self.show_page, page) for name, page in pages.items()}
+    def make_keys(self, actions: Mapping[str, Callable[[], object]]) -> None:
+        """Have keys, by their names in `keys`, do something."""
         for name, do in actions.items():
             for keys in BY_NAME[name].keys:
                 shortcut = QShortcut(QKeySequence(keys), self)
@@ -374,21 +389,9 @@ class MainWindow(QMainWindow):
 
     def _restore(self) -> None:
         self.set_theme(str(self._settings.value("theme") or theme.of_system()))
-        self.reset_layout()
+        self.docks.reset()
         geometry, layout = self._settings.value("geometry"), self._settings.value("layout")
         if geometry is not None:
             self.restoreGeometry(geometry)
         if layout is not None:
             self.restoreState(layout, LAYOUT)
-        last = self._settings.value("sequence")
-        if last and Path(str(last)).is_file():
-            self.sequence.load(Path(str(last)))
-
-
-def _scrolled(page: QWidget) -> QScrollArea:
-    """A page that small screens scroll."""
-    area = QScrollArea()
-    area.setWidgetResizable(True)
-    area.setFrameShape(QScrollArea.Shape.NoFrame)
-    area.setWidget(page)
-    return area

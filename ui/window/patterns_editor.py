@@ -141,6 +141,8 @@ class PatternsEditor(QWidget):
         if chosen is not None and (kind := BY_KIND.get(str(chosen[1].get("kind")))):
             try:
                 values = {key: tuple(v) if isinstance(v, list) else v for key, v in chosen[1].items()}
+                if "path" in values:
+                    values["path"] = str(self._document.folder / str(values["path"]))
                 pattern = draw(kind(**values), self._wall, chosen[0])
             except (SequenceError, TypeError, ValueError) as error:
                 self._wrong.setText(str(error))

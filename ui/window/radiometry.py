@@ -1,7 +1,5 @@
 """From counts to radiance, as far as the last fit allows."""
 
-import numpy as np
-
 from ui.window.watched import SeenFrame
 
 
@@ -10,18 +8,13 @@ class Radiometry:
 
     def __init__(self) -> None:
         self.gain: float | None = None
-        self._dark: float | None = None
-
-    def see(self, frame: SeenFrame) -> None:
-        """Remember what no light looks like."""
-        if frame.pattern is not None and not frame.pattern.pixels.any():
-            self._dark = float(np.median(frame.pixels))
+        self.dark: float | None = None
 
     def words(self, counts: int, frame: SeenFrame) -> str:
         """The radiance of a pixel in words."""
         if self.gain is None:
             return "radiance after the first fit"
-        if self._dark is None:
+        if self.dark is None:
             return "radiance after the first dark frame"
-        per_ms = (counts - self._dark) / (frame.settings.exposure_ms * frame.settings.gain or 1.0)
+        per_ms = (counts - self.dark) / (frame.settings.exposure_ms * frame.settings.gain or 1.0)
         return f"{per_ms / self.gain:.3g} W/mm²/sr"

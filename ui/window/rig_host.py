@@ -19,7 +19,7 @@ from tankrig.pattern import Pattern
 from tankrig.run.rig import Rig
 from tankrig.run.state import RunState
 from ui.window.rig_file import RigSource
-from ui.window.rig_parts import LedgerOnly, import_ahead
+from ui.window.rig_parts import LedgerOnly
 from ui.window.status import RigState, RigStatus
 from ui.window.threads import OwnedThread, StopThread
 from ui.window.watched import Newest, SeenFrame, WatchedCamera, WatchedProjector
@@ -233,7 +233,6 @@ class RigHost(QObject):
             if self._pattern is not None and self._pattern.shape == rig.projector.shape:
                 rig.projector.show(self._pattern)
             self._set(RigState.IDLE)
-            OwnedThread("warm", lambda _: import_ahead(), END_S)
             while not (ending.is_set() or self._wake.is_set()):
                 self._serve(rig)
                 rig.camera.capture(time.monotonic_ns(), 5.0 + 2e-3 * self.camera_settings.exposure_ms)

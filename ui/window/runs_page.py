@@ -8,7 +8,6 @@ from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QCheckBox,
-    QFileDialog,
     QGridLayout,
     QHBoxLayout,
     QHeaderView,
@@ -24,6 +23,7 @@ from PySide6.QtWidgets import (
 from tankrig.errors import TankrigError
 from ui.window import jobs
 from ui.window.background import Background
+from ui.window.files import ask_where_to_save
 from ui.window.replay_bar import ReplayBar
 from ui.window.run_summary import RunSummary, summaries
 
@@ -124,14 +124,13 @@ class RunsPage(QWidget):
             self._work("writing the report…", jobs.report, chosen.path, then=self._show_report)
 
     def export(self, kind: str) -> None:
-        """Export the chosen run's frames: "NetCDF" or "TIFF"."""
+        """Ask where to, and export the chosen run's frames: "NetCDF" or "TIFF"."""
         chosen = self.chosen
         if chosen is None:
             return
-        name = f"{chosen.path}.nc" if kind == "NetCDF" else f"{chosen.path}-tiff"
-        target, _ = QFileDialog.getSaveFileName(self, f"Export as {kind}", name)
-        if target:
-            self.export_to(Path(target))
+        name = f"{chosen.path.name}.nc" if kind == "NetCDF" else f"{chosen.path.name}-tiff"
+        kinds = "NetCDF (*.nc)" if kind == "NetCDF" else "folder of TIFFs (*)"
+        ask_where_to_save(self, f"Export as {kind}", chosen.path.parent.absolute() / name, kinds, self.export_to)
 
     def export_to(self, target: Path) -> None:
         """Export the chosen run's frames to a file or folder."""

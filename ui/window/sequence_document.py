@@ -11,6 +11,7 @@ from PySide6.QtGui import QUndoCommand, QUndoStack
 from tankrig.devices import Delivered
 from tankrig.errors import SequenceError, StoreError
 from tankrig.sequence.dry_run import DryRun, dry_run
+from tankrig.sequence.sequence import Sequence
 from ui.window import sequence_text
 from ui.window.sequence_text import EMPTY, Problem, Reading
 
@@ -59,6 +60,8 @@ class SequenceDocument(QObject):
     """
 
     changed = Signal()
+    checked = Signal()
+    """What the plan takes has changed, and nothing else."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -67,6 +70,7 @@ class SequenceDocument(QObject):
         self.text = EMPTY
         self._rig: RigFile | None = None
         self._tank = Delivered(0.0, 0.0, 0.0)
+        self._text_sequence: Sequence | None = None
         self.reading = Reading({})
         self.plan: DryRun | None = None
         self.take(EMPTY)
@@ -80,6 +84,11 @@ class SequenceDocument(QObject):
     def unsaved(self) -> bool:
         """Whether there are edits that no file has."""
         return not self.undo.isClean()
+
+    @property
+    def folder(self) -> Path:
+        """Which the paths of pictures are relative to."""
+        return self.path.parent if self.path else Path.cwd()
 
     @property
     def title(self) -> str:
@@ -157,25 +166,38 @@ class SequenceDocument(QObject):
 
     def set_tank(self, tank: Delivered) -> None:
         """Check against what the tank holds now."""
-        if tank != self._tank:
-            self._tank = tank
-            self.take(self.text)
+        if tank == self._tank:
+            return
+        before, self._tank = self.problem, tank
+        if self._text_sequence is not None:
+            self._check(self._text_sequence)
+        (self.checked if self.problem == before else self.changed).emit()
 
     def _read(self) -> None:
-        folder = self.path.parent if self.path else Path.cwd()
-        self.reading, self.plan = sequence_text.read(self.text, folder), None
+        self.reading, self.plan = sequence_text.read(self.text, self.folder), None
+        self._text_sequence = self.reading.sequence
         if self.reading.sequence is None or self._rig is None:
             return
-        rows, columns = self._rig.bench.camera.shape
         try:
             self.reading.sequence.drawn(self._rig.bench.wall)
-            self.plan = self._dry_run(rows * columns * FRAME_BYTES)
         except SequenceError as error:
-            sentence = str(error).removeprefix(f"{self.reading.sequence.name}: ")
-            problem = Problem(sentence, sequence_text.line_of(self.text, sentence))
-            self.reading = replace(self.reading, sequence=None, problem=problem)
+            self._text_sequence = None
+            self._refuse(str(error).removeprefix(f"{self.reading.sequence.name}: "))
+        else:
+            self._check(self.reading.sequence)
 
-    def _dry_run(self, frame_bytes: int) -> DryRun:
-        assert self.reading.sequence is not None
-        assert self._rig is not None
-        return dry_run(self.reading.sequence, self._rig.limits, self._rig.pace, frame_bytes, self._tank)
+    def _check(self, sequence: Sequence) -> None:
+        """What the budgets say to it, with what the tank holds."""
+        if self._rig is None:
+            return
+        rows, columns = self._rig.bench.camera.shape
+        rig, frame_bytes = self._rig, rows * columns * FRAME_BYTES
+        try:
+            self.plan = dry_run(sequence, rig.limits, rig.pace, frame_bytes, self._tank)
+            self.reading = replace(self.reading, sequence=sequence, problem=None)
+        except SequenceError as error:
+            self._refuse(str(error).removeprefix(f"{sequence.name}: "))
+
+    def _refuse(self, sentence: str) -> None:
+        problem = Problem(sentence, sequence_text.line_of(self.text, sentence))
+        self.plan, self.reading = None, replace(self.reading, sequence=None, problem=problem)

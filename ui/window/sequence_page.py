@@ -4,7 +4,6 @@ from pathlib import Path
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
-    QFileDialog,
     QHBoxLayout,
     QLabel,
     QPushButton,
@@ -17,13 +16,17 @@ from tankrig.errors import TankrigError
 from tankrig.run.journal import Event
 from tankrig.sequence.sequence import Sequence
 from ui.window.fields import NumberField
+from ui.window.files import ask_for_file, ask_where_to_save
 from ui.window.marked_text import MarkedText
 from ui.window.patterns_editor import PatternsEditor
 from ui.window.run_list import RunList
 from ui.window.sequence_document import SequenceDocument
 from ui.window.status import RigStatus
 from ui.window.steps_editor import StepsEditor
+from ui.window.theme import set_role
 from ui.window.words import duration, size, volume
+
+KINDS = "Sequences (*.toml)"
 
 
 class SequencePage(QWidget):
@@ -32,6 +35,8 @@ class SequencePage(QWidget):
     told = Signal(str)
     """What a person has to know."""
     run_asked = Signal()
+    dropped = Signal(str)
+    """A text that was edited and not saved before another was opened."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -61,6 +66,7 @@ class SequencePage(QWidget):
         column.addWidget(self._says)
         column.addLayout(self._foot())
         self.document.changed.connect(self._refresh)
+        self.document.checked.connect(self._tell)
         self._busy = False
         self._refresh()
 
@@ -68,23 +74,29 @@ class SequencePage(QWidget):
 
     def open_file(self) -> None:
         """Ask for a file and open it."""
-        folder = str(self.document.path.parent if self.document.path else Path.cwd())
-        name, _ = QFileDialog.getOpenFileName(self, "Open a sequence", folder, "Sequences (*.toml)")
-        if name:
-            self.load(Path(name))
+        folder = self.document.path.parent if self.document.path else Path.cwd()
+        ask_for_file(self, "Open a sequence", folder, KINDS, self.load)
 
     def load(self, path: Path) -> None:
         """Open a file, right or wrong; a wrong one with its line marked."""
+        unsaved = self.document.text if self.document.unsaved else ""
         try:
             self.document.load(path)
         except TankrigError as error:
             self.told.emit(str(error))
             return
+        if unsaved:
+            self.dropped.emit(unsaved)
         problem = self.document.problem
         if problem is not None:
             self.tabs.setCurrentWidget(self.text)
             self.text.go_to(problem.line)
             self.told.emit(f"{path.name}: {problem.sentence}")
+
+    def edit_unsaved(self, text: str) -> None:
+        """Edit a text that no file has."""
+        self.document.path = None
+        self.document.edit_text(text)
 
     def save(self) -> None:
         """Save to the file that was opened, or to one that is asked for."""
@@ -95,10 +107,8 @@ class SequencePage(QWidget):
 
     def save_as(self) -> None:
         """Ask for a file and save."""
-        folder = str(self.document.path or Path.cwd() / "sequence.toml")
-        name, _ = QFileDialog.getSaveFileName(self, "Save the sequence", folder, "Sequences (*.toml)")
-        if name:
-            self._save(Path(name))
+        proposal = self.document.path or Path.cwd() / "sequence.toml"
+        ask_where_to_save(self, "Save the sequence", proposal, KINDS, self._save)
 
     def _save(self, path: Path) -> None:
         try:
@@ -141,22 +151,25 @@ class SequencePage(QWidget):
         self._run.setEnabled(self.document.plan is not None and not self._busy)
 
     def _refresh(self) -> None:
-        problem, plan = self.document.problem, self.document.plan
+        problem = self.document.problem
         self._title.setText(self.document.title)
         self.text.replace_text(self.document.text)
         self.text.mark(problem.line if problem else 0)
-        self.text.setProperty("wrong", problem is not None)
-        self.text.style().polish(self.text)
-        self._says.setProperty("role", "wrong" if problem else "good")
+        set_role(self.text, "true" if problem else "", "wrong")
+        if not self._exposure.hasFocus():
+            self._exposure.set_value(self.document.reading.table.get("exposure_ms", 20.0))
+        self._tell()
+
+    def _tell(self) -> None:
+        """What the sequence takes, or what is wrong with it."""
+        problem, plan = self.document.problem, self.document.plan
+        set_role(self._says, "wrong" if problem else "good")
         if problem is not None:
             self._says.setText((f"Line {problem.line}: " if problem.line else "") + problem.sentence)
         else:
             self._says.setText(
                 f"Takes {self._totals()}." if plan else "Waiting for the rig, to check against its limits."
             )
-        self._says.style().polish(self._says)
-        if not self._exposure.hasFocus():
-            self._exposure.set_value(self.document.reading.table.get("exposure_ms", 20.0))
         self._run.setEnabled(plan is not None and not self._busy)
 
     def _totals(self) -> str:

@@ -22,6 +22,19 @@ def step_table(step: dict[str, Any], nested: bool) -> Any:
     return table
 
 
+def inline(value: Any) -> Any:
+    """A value as it stands behind a key: tables on the same line.
+
+    >>> inline({"sigma_s": "1 %"}).as_string()
+    '{sigma_s = "1 %"}'
+    """
+    if not isinstance(value, dict):
+        return value
+    table = tomlkit.inline_table()
+    table.update(value)
+    return table
+
+
 def steps_in(owner: Any, nested: bool) -> Any:
     """The steps of a document or of a step; made where there are none."""
     if "steps" not in owner:

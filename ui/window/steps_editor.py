@@ -23,7 +23,7 @@ from tankrig.sequence.steps import Capture, Dose, Mix, Note, Repeat, Series, Wai
 from ui.window import theme
 from ui.window.forms import Form
 from ui.window.sequence_document import SequenceDocument
-from ui.window.sequence_tables import step_table, steps_in
+from ui.window.sequence_tables import inline, step_table, steps_in
 from ui.window.sequence_text import Path_, at, line_of
 
 STEPS: dict[str, type[Any]] = {
@@ -56,7 +56,8 @@ def words_of(step: Any) -> str:
         case "mix":
             return f"wait until mixed, looking at {step.get('pattern', 'full')}"
         case "capture":
-            return f"capture {step.get('pattern', '?')} × {step.get('frames', 1)}"
+            most = " at most, until it is known" if "until" in step else ""
+            return f"capture {step.get('pattern', '?')} × {step.get('frames', 1)}{most}"
         case "wait":
             return f"wait {step.get('seconds', '?')} s"
         case "note":
@@ -204,7 +205,7 @@ class StepsEditor(QWidget):
             if value is None:
                 step.pop(name, None)
             else:
-                step[name] = value
+                step[name] = inline(value)
 
         self._own = True
         try:

@@ -29,8 +29,8 @@ class TankPlot:
         self.plot.setAspectLocked(True)
         self.plot.hideButtons()
         self.plot.setMenuEnabled(False)
-        if title:
-            self.plot.setTitle(title)
+        self._title = ""
+        self.name(title)
         if axes:
             self.plot.setLabel("bottom", "x from the lit wall (mm)")
             self.plot.setLabel("left", "y (mm)")
@@ -56,6 +56,12 @@ class TankPlot:
         rect = QRectF(0.0, -tank.size_mm[1] / 2, columns * camera.pixel_mm, rows * camera.pixel_mm)
         self.image.setRect(rect)
         self.plot.setRange(rect, padding=0.02)
+
+    def name(self, title: str) -> None:
+        """Say above the picture what it is."""
+        if title != self._title:
+            self._title = title
+            self.plot.setTitle(title)
 
     def fit(self) -> None:
         """Show the whole picture again."""

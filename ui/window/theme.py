@@ -60,6 +60,14 @@ def apply(name: str) -> Theme:
     return theme
 
 
+def set_role(widget: QWidget, role: str, name: str = "role") -> None:
+    """Give a widget a role that the style sheet knows; styled anew only when that has changed."""
+    if widget.property(name) != role:
+        widget.setProperty(name, role)
+        widget.style().unpolish(widget)
+        widget.style().polish(widget)
+
+
 def of_system() -> str:
     """The name of the theme that the desktop asks for."""
     from PySide6.QtCore import Qt

@@ -59,10 +59,20 @@ class Tone:
         return np.vstack([colours, np.array([SATURATED], np.uint8)])
 
 
-def automatic(pixels: NDArray[np.unsignedinteger]) -> tuple[float, float]:
-    """Ends that show what is in a picture: from its darkest half percent to its brightest pixels."""
-    sample = pixels[::4, ::4] if pixels.size > 10_000 else pixels
-    low, high = np.percentile(sample, (0.5, 99.9))
+def how_often(pixels: NDArray[np.unsignedinteger]) -> NDArray[np.intp]:
+    """How often each count occurs: of every fourth row and column, where there are many."""
+    sample = pixels[::4, ::4] if pixels.size > 100_000 else pixels
+    return np.bincount(sample.ravel())
+
+
+def automatic(often: NDArray[np.intp]) -> tuple[float, float]:
+    """Ends that show what is in a picture: from its darkest half percent to its brightest pixels.
+
+    >>> automatic(how_often(np.arange(1000, dtype=np.uint16)))
+    (5.0, 999.0)
+    """
+    upto = np.cumsum(often)
+    low, high = np.searchsorted(upto, (0.005 * upto[-1], 0.999 * upto[-1]), "right")
     return float(low), float(max(high, low + LEAST))
 
 
