@@ -13,7 +13,7 @@ from tankrig.pattern import Pattern
 _PATIENCE_S = 5.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Look:
     """How a calibration is getting on; for people.
 
@@ -27,12 +27,15 @@ class Look:
         Brightest part of the last frame over saturation, hot pixels left aside.
     saturated
         Part of its pixels.
+    pixels
+        Of the last frame; None where it was not looked at.
     """
 
     doing: str
     done: float
-    filled: float
-    saturated: float
+    filled: float = 0.0
+    saturated: float = 0.0
+    pixels: Pixels | None = None
 
 
 class LitCamera:
@@ -92,7 +95,8 @@ class LitCamera:
             frame = self.camera.capture(self._after_ns, 2e-3 * settings.exposure_ms + _PATIENCE_S)
             self._after_ns = max(self._after_ns, frame.exposure_start_ns)
             taken.append(frame.pixels)
-            self._tell(Look(self.doing, self.done, self.filled(frame.pixels), self._saturated(frame.pixels)))
+            filled, saturated = self.filled(frame.pixels), self._saturated(frame.pixels)
+            self._tell(Look(self.doing, self.done, filled, saturated, frame.pixels))
         return taken, settings
 
     def filled(self, pixels: Pixels) -> float:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from ui.cli.guide import console, emit, guided, somebody, watching
+
 if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.calibration.board import Board, BoardView
@@ -106,13 +108,11 @@ class Holder:
     """
 
     def __init__(self, camera: "Camera", pictures: "Pictures", board: "Board") -> None:
-        from rich.console import Console
-
         self._hold = getattr(camera, "hold", None)
-        if self._hold is None and not sys.stdin.isatty():
+        if self._hold is None and not somebody():
             raise click.UsageError("somebody has to hold the board; run this on a terminal")
         self._camera, self._pictures, self._board = camera, pictures, board
-        self.console = Console(stderr=True)
+        self.console = console()
         self._seen: list[Any] = []
 
     def good_views(self, place: str, count: int, take: "Callable[[BoardView], _Taken | None]") -> "list[_Taken]":
@@ -167,23 +167,24 @@ class Holder:
         if self._hold is not None:
             self._hold(self._board, place, number)
             return
-        self.console.print(f"{_REQUESTS[place]} Then Enter.", highlight=False)
+        if guided():
+            emit("ask", _REQUESTS[place])
+        else:
+            self.console.print(f"{_REQUESTS[place]} Then Enter.", highlight=False)
         self._watch()
 
     def _watch(self) -> None:
         """Live feedback until somebody presses Enter."""
-        from rich.live import Live
-
         from tankrig.calibration.board import find_board
         from tankrig.errors import ImageError
 
-        with Live("", console=self.console, transient=True, auto_refresh=False) as live:
+        with watching(self.console) as show:
             while not select.select([sys.stdin], [], [], 0.0)[0]:
                 try:
                     view = find_board(self._pictures.suit(), self._board, self._camera.saturation)
-                    live.update(view.fault or f"good: {self._in_words_now(view)}", refresh=True)
+                    show(view.fault or f"good: {self._in_words_now(view)}")
                 except ImageError as error:
-                    live.update(str(error), refresh=True)
+                    show(str(error))
         sys.stdin.readline()
 
     def _in_words_now(self, view: "BoardView") -> str:

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-from ui.cli.calibrating import accept_option, described, feedback, keep, tell
+from ui.cli.calibrating import accept_option, described, keep, tell
+from ui.cli.guide import feedback
 from ui.cli.options import json_option, rig_option
 
 
@@ -22,6 +23,7 @@ def latency(rig: Path | None, flips: int, exposure_ms: float | None, accept: boo
     """
     from drivers.rig import open_light
     from tankrig.calibration.latency import latency_calibration, measure_latency
+    from tankrig.calibration.lit_camera import Look
 
     description = described(rig)
     with open_light(description) as (projector, camera), feedback() as shown:
@@ -29,7 +31,7 @@ def latency(rig: Path | None, flips: int, exposure_ms: float | None, accept: boo
         if put is not None:
             put("diffuser")
         measured = measure_latency(
-            projector, camera, flips, exposure_ms, tell=lambda done: shown.count("flips", done, flips)
+            projector, camera, flips, exposure_ms, tell=lambda done: shown.look(Look("flips", done / flips))
         )
         calibration = latency_calibration(measured, projector)
     kept = keep(calibration, description, accept, None)

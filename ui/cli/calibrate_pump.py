@@ -2,7 +2,6 @@
 
 import csv
 import json
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tankrig.errors import DeviceError
+from ui.cli.guide import ask, confirm, emit, guided, number, somebody
 from ui.cli.options import json_option, out_option, rig_option
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def pump(rig: Path | None, weights: Path | None, out: Path | None, as_json: bool
         )
     volumes, repeats = how.pop("volumes"), how.pop("repeats")
     measured = _read(weights) if weights else None
-    if measured is None and not sys.stdin.isatty():
+    if measured is None and not somebody():
         raise click.UsageError("there is no terminal to ask for weights on; give --weights FILE")
     description = _rig_file(rig)
     with _doser(description) as doser:
@@ -73,7 +73,11 @@ def pump(rig: Path | None, weights: Path | None, out: Path | None, as_json: bool
             *measured, doser=doser.identity, basis=basis, nominal_increment_ul=doser.increment_ul, **how
         )
     save_pump_calibration(found, path)
-    click.echo(json.dumps({**asdict(found), "path": str(path)}) if as_json else _told(found, path))
+    if guided():
+        rows = {"weighed": _told(found, path).replace("\n", "; ")}
+        emit("kept", {"path": str(path), "in_use": False, "doubts": [], "rows": rows})
+    else:
+        click.echo(json.dumps({**asdict(found), "path": str(path)}) if as_json else _told(found, path))
 
 
 def _rig_file(rig: Path | None) -> "RigFile":
@@ -104,7 +108,7 @@ def _initialise(doser: "Doser") -> None:
     act = getattr(doser, "initialise", None)
     if act is None:
         raise DeviceError(f"{doser.name}: needs no initialising; leave --initialise out")
-    click.confirm(f"{doser.name}: is its tube in a waste vessel? It will push out what the syringe holds.", abort=True)
+    confirm(f"{doser.name}: is its tube in a waste vessel? It will push out what the syringe holds.")
     act()
     click.echo(f"{doser.name}: initialised")
 
@@ -139,20 +143,16 @@ def _weigh(doser: "Doser", volumes: list[float], repeats: int, limit_ul: float) 
                 f"{volume_ul:g} µl is not between {doser.increment_ul:g} and the rig file's dose_ul = {limit_ul:g}",
                 param_hint="--volumes",
             )
-    click.confirm(f"{doser.name}: {_TUBE}?", abort=True)
+    confirm(f"{doser.name}: {_TUBE}?")
     if doser.stopped:
         doser.clear_stop()
     nominal: list[float] = []
     mass: list[float] = []
     for volume_ul in volumes * repeats:
-        click.prompt(
-            f"dose {len(mass) + 1} of {len(volumes) * repeats}, {volume_ul:g} µl: tare, then Enter",
-            "",
-            show_default=False,
-        )
+        ask(f"dose {len(mass) + 1} of {len(volumes) * repeats}, {volume_ul:g} µl: tare the balance.")
         before_ul = doser.delivered().volume_ul
         nominal.append(doser.dose_to(before_ul + volume_ul).volume_ul - before_ul)
-        mass.append(click.prompt("  weight in mg", type=float))
+        mass.append(number("  weight in mg"))
     return nominal, mass
 
 

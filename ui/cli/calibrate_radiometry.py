@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ui.cli.calibrating import accept_option, asker, described, feedback, keep, tell
+from ui.cli.calibrating import accept_option, asker, described, keep, tell
+from ui.cli.guide import feedback
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def radiometry(rig: Path | None, gains: str, accept: bool, as_json: bool, **expo
     description = described(rig)
     click.echo(f"takes about {plan.seconds / 60.0:.0f} minutes on the bench, handling included", err=True)
     with open_light(description) as (projector, camera), feedback() as shown:
-        measured = measure_radiometry(projector, camera, plan, asker(camera, shown.pause), shown.look)
+        measured = measure_radiometry(projector, camera, plan, asker(camera, shown), shown.look)
     kept = keep(calibration_of(measured), description, accept, lambda path: write_radiometry_figure(path, measured))
     return tell(kept, _rows(kept), as_json)
 

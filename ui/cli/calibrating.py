@@ -1,18 +1,17 @@
-"""What the calibration commands share: asking for what goes before the lens, live feedback, and keeping the result."""
+"""What the calibration commands share: asking for what goes before the lens, and keeping the result."""
 
 import json
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from ui.cli.guide import Feedback, ask, emit, guided, somebody
+
 if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.calibration.file import Calibration
-    from tankrig.calibration.lit_camera import Look
     from tankrig.devices import Camera
 
 _REQUESTS = {
@@ -36,7 +35,7 @@ def described(rig: Path | None) -> "RigFile":
     return load_rig_file(rig) if rig else simulated_rig(Path())
 
 
-def asker(camera: "Camera", pause: Callable[[], object] = lambda: None) -> Callable[[str], None]:
+def asker(camera: "Camera", shown: Feedback) -> Callable[[str], None]:
     """Ask a person to put something before the lens; a simulated camera does it by itself.
 
     Raises
@@ -44,59 +43,17 @@ def asker(camera: "Camera", pause: Callable[[], object] = lambda: None) -> Calla
     click.UsageError
         When there is nobody to ask.
     """
-    put = getattr(camera, "put", None)
-    if put is None and not sys.stdin.isatty():
+    put: Callable[[str], None] | None = getattr(camera, "put", None)
+    if put is not None:
+        return put
+    if not somebody():
         raise click.UsageError("somebody has to handle the lens; run this on a terminal")
 
-    def ask(what: str) -> None:
-        if put is not None:
-            put(what)
-            return
-        pause()
-        click.prompt(f"{_REQUESTS[what]} Then Enter", "", show_default=False, err=True)
+    def request(what: str) -> None:
+        with shown.pause():
+            ask(_REQUESTS[what])
 
-    return ask
-
-
-class Feedback:
-    """A line with how far the calibration is, and how bright the last frame was."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-        self.bar = Progress(
-            TextColumn("{task.description:42s}"),
-            BarColumn(),
-            TextColumn("{task.fields[light]}"),
-            TimeElapsedColumn(),
-            console=Console(stderr=True),
-            transient=True,
-        )
-        self._task = self.bar.add_task("", total=1.0, light="")
-
-    def look(self, look: "Look") -> None:
-        """Show how it is getting on."""
-        light = f"brightest {look.filled:4.0%}"
-        if look.saturated > 1e-3:
-            light += f", [red]{look.saturated:.1%} saturated[/red]"
-        self.bar.update(self._task, description=look.doing, completed=look.done, light=light)
-
-    def count(self, what: str, done: int, of: int) -> None:
-        """Show how many are done."""
-        self.bar.update(self._task, description=what, completed=done / of)
-
-    def pause(self) -> None:
-        """Leave the terminal to a question; `look` begins again."""
-        self.bar.refresh()
-
-
-@contextmanager
-def feedback() -> Iterator[Feedback]:
-    """Live feedback while a calibration goes on."""
-    shown = Feedback()
-    with shown.bar:
-        yield shown
+    return request
 
 
 def keep(
@@ -121,12 +78,15 @@ def tell(kept: "Calibration", rows: Mapping[str, str], as_json: bool) -> int:
     """
     path = kept.path
     assert path is not None
-    if as_json:
-        found: dict[str, Any] = {
-            "path": str(path), "sha256": kept.hash, "in_use": kept.in_use, "doubts": list(kept.doubts),
-            "how_well": dict(kept.how_well),
-        }  # fmt: skip
+    found: dict[str, Any] = {
+        "path": str(path), "sha256": kept.hash, "in_use": kept.in_use, "doubts": list(kept.doubts),
+        "how_well": dict(kept.how_well),
+    }  # fmt: skip
+    if guided():
+        emit("kept", {**found, "rows": dict(rows)})
+    elif as_json:
         click.echo(json.dumps(found, ensure_ascii=False))
+    if guided() or as_json:
         return 0 if kept.in_use else 3
     from rich.console import Console
     from rich.markup import escape
