@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, cast
 
 import click
 
@@ -146,7 +146,7 @@ def console() -> "Console":
     """For what is said on the way."""
     from rich.console import Console
 
-    return Console(file=_Said(), width=1000) if guided() else Console(stderr=True)
+    return Console(file=cast(IO[str], _Said()), width=1000) if guided() else Console(stderr=True)
 
 
 @contextmanager

@@ -93,6 +93,7 @@ class RigHost(QObject):
         self._orders: queue.SimpleQueue[Callable[[Rig], object]] = queue.SimpleQueue()
         self._run_order: RunOrder | None = None
         self._refill = False
+        self._lent: Callable[[], object] | None = None
         self._wake = threading.Event()
         self._state, self._trouble = RigState.OPENING, ""
         self._question: str | None = None
@@ -174,6 +175,11 @@ class RigHost(QObject):
         self._refill = True
         self._wake.set()
 
+    def lend(self, stop: Callable[[], object] | None) -> None:
+        """Let go of the rig for somebody who opens it and can be told to `stop`; None: take it back."""
+        self._lent = stop
+        self._wake.set()
+
     def look_away(self, away: bool) -> None:
         """Whether the window looks at something else than the camera's preview."""
         self._away = away
@@ -206,7 +212,9 @@ class RigHost(QObject):
                 if self._refill:
                     self._refill = False
                     _log.info("%s", self.source.refill())
-                if order is None:
+                if self._lent is not None:
+                    self._wait(RigState.LENT, ending)
+                elif order is None:
                     self._idle(ending)
                 else:
                     self._try_run(order)
@@ -320,17 +328,16 @@ class RigHost(QObject):
         """Wait for a person's word on the ink, or for the run to be given up."""
         self._question = question
         _log.warning("%s", question)
-        self._set(RigState.ASKING)
-        self._wait(ending)
+        self._wait(RigState.ASKING, ending)
 
     def _fail(self, sentence: str, ending: threading.Event) -> None:
         """Say what is wrong and wait for a person."""
         self._run_order = None
         self._tell(sentence)
-        self._set(RigState.FAILED)
-        self._wait(ending)
+        self._wait(RigState.FAILED, ending)
 
-    def _wait(self, ending: threading.Event) -> None:
+    def _wait(self, state: RigState, ending: threading.Event) -> None:
+        self._set(state)
         while not (ending.is_set() or self._wake.wait(RETRY_S)):
             pass
 
@@ -347,14 +354,13 @@ class RigHost(QObject):
             self._target_ul = None
 
     def _dosing(self) -> bool:
-        return self._target_ul is not None or self._runner is not None
+        return self._target_ul is not None or self._runner is not None or self._lent is not None
 
     def _stop(self) -> None:
         runner, guard = self._runner, self._guard
-        if runner is not None:
-            runner.abort()
-        elif guard is not None:
-            guard.stop()
+        stop = runner.abort if runner is not None else self._lent or (guard.stop if guard is not None else None)
+        if stop is not None:
+            stop()
         _log.warning("STOP: %s", "the run is aborted" if runner else "the doser is stopped")
 
     def _watch(self, ending: threading.Event) -> None:

@@ -16,6 +16,7 @@ class RigState(Enum):
     IDLE = "ready"
     RUNNING = "a run is going on"
     ASKING = "waiting for a person's word on the ink"
+    LENT = "a calibration goes on"
     FAILED = "the rig cannot be used"
     CLOSED = "closed"
 
@@ -62,7 +63,7 @@ class RigStatus:
     @property
     def busy(self) -> bool:
         """Whether the rig is in use for something that must not be disturbed."""
-        return self.state in (RigState.RUNNING, RigState.ASKING) or self.target_ul is not None
+        return self.state in (RigState.RUNNING, RigState.ASKING, RigState.LENT) or self.target_ul is not None
 
     @property
     def words(self) -> str:
