@@ -160,6 +160,8 @@ class CellGrid:
     scene: Scene
     symmetric: bool
     shiftable: bool
+    split: int
+    """Cells along a pixel's side; 0 where cells have nothing to do with pixels."""
 
     @classmethod
     def of(cls, scene: Scene) -> "CellGrid":
@@ -168,15 +170,18 @@ class CellGrid:
         pixel = scene.camera.pixel_mm
         finest = min(FINEST_CELL_MM, length / 100, width / 60)
         calibrated = scene.camera.kind == "calibrated"
+        split = 0
         if pixel >= finest and not calibrated:
-            rows, columns = math.ceil(width / pixel - 1e-9), math.ceil(length / pixel - 1e-9)
-            cell = (pixel, pixel)
+            # Paths that are shared out between the nearest cells want small ones.
+            split = 1 if shift_invariant(scene) else math.ceil(0.75 * pixel / finest - 1e-9)
+            rows, columns = split * math.ceil(width / pixel - 1e-9), split * math.ceil(length / pixel - 1e-9)
+            cell = (pixel / split, pixel / split)
         else:
-            finest = max(finest, pixel) if calibrated else finest
+            finest = min(max(finest, pixel), finest / 0.75) if calibrated else finest
             rows, columns = math.ceil(width / finest), math.ceil(length / finest)
             cell = (length / columns, width / rows)
         whole = abs(rows * cell[1] - width) < 1e-9 * width
-        return cls(rows, columns, cell, scene, whole and mirror_symmetric(scene), shift_invariant(scene))
+        return cls(rows, columns, cell, scene, whole and mirror_symmetric(scene), shift_invariant(scene), split)
 
     def to_pixels(self, image: Array) -> Array:
         """Cells as the camera's pixels: cut or filled up with zeros, or interpolated."""
@@ -184,9 +189,9 @@ class CellGrid:
         pixel = self.scene.camera.pixel_mm
         if self.scene.camera.kind == "calibrated":
             return to_camera(self.scene, image, self.cell_mm)
-        if self.cell_mm[0] == pixel:
+        if self.split > 0:
             result = np.zeros((rows, columns))
-            part = image[:rows, :columns]
+            part = image.reshape(self.rows // self.split, self.split, -1, self.split).mean(axis=(1, 3))[:rows, :columns]
             result[: part.shape[0], : part.shape[1]] = part
             return result
         from scipy.interpolate import RectBivariateSpline

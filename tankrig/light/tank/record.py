@@ -1,4 +1,4 @@
-"""How paths leave their marks on the image: in one cell, or on a rectangle for each beam."""
+"""How paths leave their marks on the image: on the nearest cells, or on a rectangle for each beam."""
 
 import math
 from typing import NamedTuple
@@ -54,7 +54,10 @@ def empty_marks(size: int) -> Marks:
 def mark_cells(
     cells: Array, x: Array, y: Array, value: Array, n: int, half_width: float, cell_mm: tuple[float, float]
 ) -> None:
-    """Add the values of n paths to the cells that they are seen through.
+    """Add the values of n paths to the four cells nearest to where they are seen, by distance.
+
+    What is left in one cell jumps to the next as the medium changes, and derivatives of the image by the medium were
+    rough (a sixth of what 1 % of σs changes, with pinholes). Shared out so, they are smooth.
 
     Parameters
     ----------
@@ -65,11 +68,21 @@ def mark_cells(
     value
         Power towards the camera, W/sr.
     """
+    rows, columns = cells.shape
     for i in range(n):
-        column = math.floor(x[i] / cell_mm[0])
-        row = math.floor((y[i] + half_width) / cell_mm[1])
-        if 0 <= column < cells.shape[1] and 0 <= row < cells.shape[0]:
-            cells[row, column] += value[i]
+        across, along = x[i] / cell_mm[0], (y[i] + half_width) / cell_mm[1]
+        if not (0.0 <= across <= columns and 0.0 <= along <= rows):
+            continue
+        across, along = min(max(across - 0.5, 0.0), columns - 1.0), min(max(along - 0.5, 0.0), rows - 1.0)
+        column, row = int(across), int(along)
+        after, below = min(column + 1, columns - 1), min(row + 1, rows - 1)
+        lower = value[i] * (along - row)
+        upper = value[i] - lower
+        right = across - column
+        cells[row, column] += upper * (1.0 - right)
+        cells[row, after] += upper * right
+        cells[below, column] += lower * (1.0 - right)
+        cells[below, after] += lower * right
 
 
 @kernel
