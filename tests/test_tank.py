@@ -220,3 +220,19 @@ def test_directions_stay_unit_vectors_over_thousands_of_scatterings() -> None:
     for u, v in np.random.default_rng(0).random((2000, 2)):
         direction = scattered(*direction, 0.0, u, v)
     assert np.allclose(np.reshape(direction, (2, 3)) @ np.reshape(direction, (2, 3)).T, np.eye(2), atol=1e-12)
+
+
+def test_with_pinholes_too_a_fit_can_follow_the_image_as_the_medium_changes() -> None:
+    """Paths that jumped from cell to cell, and profiles that came and went, made a sixth of a step's change random."""
+    scene, _ = load("pub09")
+    steps = np.linspace(-0.01, 0.01, 5)
+    images = np.array(
+        [
+            tank_image(replace(scene, medium=Medium(0.0002, 0.0198 * (1.0 + step), 0.5)), batches=4).orders["4-20"]
+            for step in steps
+        ]
+    ).reshape(steps.size, -1)
+    powers = np.vander(steps, 3)
+    coefficients = np.linalg.lstsq(powers, images, rcond=None)[0]
+    rough = np.linalg.norm(images - powers @ coefficients) / np.sqrt(2.0)
+    assert rough < 0.05 * np.linalg.norm(0.01 * coefficients[1])
