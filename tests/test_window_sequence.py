@@ -129,3 +129,36 @@ def test_steps_and_patterns_are_built_from_nothing():
     assert document.reading.sequence.steps[2].do == "series"
     steps.remove()
     assert "series" not in document.text
+
+
+WRONG = (
+    'exposure_ms = "much"\n',
+    "steps = 3\n",
+    "patterns = true\n",
+    "patterns = []\n[[steps]]\ndo = 1\n",
+    '[patterns.a]\nkind = "rays"\ny_mm = "wide"\n',
+    '[[steps]]\ndo = "series"\ntotal_ul = "a"\nsteps = [3, { do = "x" }]\n',
+    '[[steps]]\ndo = "capture"\npattern = ["a"]\nframes = "x"\n',
+    "[[steps]]\nsteps = { a = 1 }\n",
+    '"',
+)
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_whatever_a_file_says_it_opens_and_the_rest_can_be_edited(text):
+    """A file that brings the editor down cannot be mended in it."""
+    from ui.window.app import application
+
+    application()
+    from ui.window.sequence_page import SequencePage
+
+    page = SequencePage()
+    page.document.take(text)
+    assert page.document.problem is not None
+    for item in page.steps._items():
+        page.steps.tree.setCurrentItem(item)
+    page.steps.add()
+    page.patterns.add()
+    while page.document.undo.canUndo():
+        page.document.undo.undo()
+    assert page.document.text == text

@@ -1,7 +1,5 @@
 """What is calibrated, when and how well; and the rig file that holds it."""
 
-from collections.abc import Iterator
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +15,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tankrig.live.words import with_error
+from ui.window.calibration_known import known_of
+from ui.window.calibration_wizard import CalibrationWizard
 from ui.window.marked_text import MarkedText
 from ui.window.rig_file import RigSource
 from ui.window.sequence_text import line_of
@@ -25,8 +24,6 @@ from ui.window.status import RigState, RigStatus
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
-
-BELIEVED = "taken from the rig file; not measured by tankrig"
 
 
 class CalibrationPage(QWidget):
@@ -52,6 +49,9 @@ class CalibrationPage(QWidget):
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.addTab(area, "What is known")
+        self.wizard = CalibrationWizard(source)
+        self.wizard.told.connect(self.told)
+        self.tabs.addTab(self.wizard, "Measure")
         self.tabs.addTab(self._file_tab(), "Rig file")
         column = QVBoxLayout(self)
         column.setContentsMargins(14, 10, 14, 10)
@@ -61,29 +61,9 @@ class CalibrationPage(QWidget):
     def set_rig(self, rig: "RigFile") -> None:
         """Show this rig's calibration."""
         self._clear()
-        bench = rig.bench
-        tank, wall, camera = bench.tank, bench.wall, bench.camera
-        size = " × ".join(f"{side:g}" for side in tank.size_mm)
-        light = f"{bench.light}" + (f" from {_point(bench.light_position_mm)} mm" if bench.light_position_mm else "")
-        seen = f"{camera.kind}" + (f" from {_point(camera.position_mm)} mm" if camera.position_mm else "")
-        y, z = wall.y_mm, wall.z_mm
-        steps = f", {rig.doser['steps_per_ul']:g} steps per µl" if "steps_per_ul" in rig.doser else ""
-        limits = rig.limits
-        rows: tuple[tuple[str, ...], ...] = (
-            ("tank", f"{size} mm, {tank.surface} surface"),
-            ("light", light),
-            ("projector to wall", f"{wall.shape[1]} × {wall.shape[0]} pixels on y = {y[0]:g} … {y[1]:g} mm, "
-                                  f"z = {z[0]:g} … {z[1]:g} mm"),
-            ("projector's brightness", f"{wall.irradiance:g} W/mm² at level 255, gamma {wall.gamma:g}"),
-            ("camera", f"{seen}, {camera.shape[1]} × {camera.shape[0]} pixels of {camera.pixel_mm:g} mm"),
-            ("doser", f"driver {rig.doser['driver']}{steps}"),
-            ("limits", f"{limits.dose_ul:g} µl a dose, {limits.run_ul:g} µl a run, {limits.tank_ul:g} µl a tank"),
-        )  # fmt: skip
-        rows += tuple(self._weighed(rig))
-        when = self._when()
-        for row, (what, value, *said) in enumerate(rows):
-            name, words = QLabel(what), QLabel(value)
-            note = QLabel(said[0] if said else f"{BELIEVED}; file of {when}")
+        folder = self._source.file.parent if self._source.file is not None else self._source.folder
+        for row, known in enumerate(known_of(rig, self._path(), folder)):
+            name, words, note = QLabel(known.what), QLabel(known.value), QLabel(known.note)
             name.setProperty("role", "heading")
             note.setProperty("role", "faint")
             for label in (words, note):
@@ -93,33 +73,9 @@ class CalibrationPage(QWidget):
             self._grid.addWidget(note, 2 * row + 1, 1)
         self._read_file()
 
-    def _weighed(self, rig: "RigFile") -> Iterator[tuple[str, str, str]]:
-        """Pump calibrations beside the rig file, newest first; how to make one where there is none."""
-        from tankrig.errors import TankrigError
-
-        files = sorted(self._path().parent.glob("pump-*.toml"), reverse=True)
-        for file in files:
-            from tankrig.calibration.pump import load_pump_calibration
-
-            try:
-                one = load_pump_calibration(file)
-            except TankrigError as error:
-                yield "pump", "cannot be read", str(error)
-                continue
-            used = Path(str(rig.doser.get("calibration", ""))).name == file.name
-            factor = with_error(one.correction, one.correction_sd)
-            well = f"{factor} true µl per nominal µl, doses scatter by {one.scatter_ul:.2g} µl"
-            yield (
-                "pump, weighed",
-                well,
-                f"{one.date[:16].replace('T', ' ')} UTC, {len(one.mass_mg)} doses, "
-                + ("in use" if used else f'not in use: put calibration = "./{file.name}" into [doser]'),
-            )
-        if not files:
-            yield "pump", "not weighed yet", "weigh doses on a balance with: tankrig calibrate pump --rig FILE"
-
     def follow(self, status: RigStatus) -> None:
         """Mark the line of the rig file that is to blame, once it has failed."""
+        self.wizard.follow(status)
         failed = status.state is RigState.FAILED
         self._again.setEnabled(failed)
         if failed and status.trouble and self._source.file is not None and not self._text.marked:
@@ -128,13 +84,9 @@ class CalibrationPage(QWidget):
             self._text.mark(line)
             if line:
                 self._text.go_to(line)
-                self.tabs.setCurrentIndex(1)
+                self.tabs.setCurrentIndex(2)
         if not failed:
             self._text.mark(0)
-
-    def _when(self) -> str:
-        stamp = self._path().stat().st_mtime
-        return f"{datetime.fromtimestamp(stamp):%Y-%m-%d %H:%M}"
 
     def _path(self) -> Path:
         import drivers.simulated
@@ -191,7 +143,3 @@ class CalibrationPage(QWidget):
         empty = QLabel("The rig has not been opened yet, so nothing is known of it.")
         empty.setProperty("role", "faint")
         self._grid.addWidget(empty, 0, 0, 1, 2)
-
-
-def _point(position: tuple[float, float, float] | None) -> str:
-    return "" if position is None else f"({', '.join(f'{value:g}' for value in position)})"

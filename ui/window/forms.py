@@ -176,7 +176,7 @@ def _shown(value: Any) -> str:
     if value is None:
         return ""
     if isinstance(value, list | tuple):
-        return "  ".join(f"{one:g}" for one in value)
+        return "  ".join(_shown(one) for one in value)
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 

@@ -58,6 +58,7 @@ def _connect(window: "MainWindow") -> None:
     window.doser.refill_asked.connect(host.refill)
     window.doser.give_up_asked.connect(host.reopen)
     window.calibration.reopen_asked.connect(host.reopen)
+    window.calibration.wizard.lend_asked.connect(host.lend)
     window.fit.gain_found.connect(window.take_gain)
     window.sequence.run_asked.connect(window.run)
     window.sequence.dropped.connect(window.offer_text)

@@ -6,6 +6,7 @@ import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 from PySide6.QtCore import QObject, Signal
+from PySide6.QtWidgets import QGraphicsItem
 
 from ui.window.tone import Tone
 
@@ -28,6 +29,7 @@ class Histogram(QObject):
         plot.setMenuEnabled(False)
         plot.setMouseEnabled(False, False)
         plot.getAxis("bottom").enableAutoSIPrefix(False)
+        plot.getAxis("bottom").setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
         plot.setLabel("bottom", "counts")
         self._plot = plot
         self._curve = plot.plot(stepMode="center", fillLevel=0.0, brush=(127, 127, 127, 110), pen=None)

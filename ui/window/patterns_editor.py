@@ -22,6 +22,7 @@ from ui.window.forms import Form
 from ui.window.pattern_preview import PatternPreview
 from ui.window.sequence_document import SequenceDocument
 from ui.window.sequence_tables import pattern_table, patterns_in
+from ui.window.sequence_text import patterns_of
 
 if TYPE_CHECKING:
     from tankrig.pattern.wall import Wall
@@ -98,8 +99,7 @@ class PatternsEditor(QWidget):
         self._draw()
 
     def _tables(self) -> dict[str, Any]:
-        tables = self._document.reading.table.get("patterns", {})
-        return tables if isinstance(tables, dict) else {}
+        return patterns_of(self._document.reading.table)
 
     def _refresh(self) -> None:
         current, names = self.names.currentItem(), list(self._tables())

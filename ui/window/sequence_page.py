@@ -157,7 +157,8 @@ class SequencePage(QWidget):
         self.text.mark(problem.line if problem else 0)
         set_role(self.text, "true" if problem else "", "wrong")
         if not self._exposure.hasFocus():
-            self._exposure.set_value(self.document.reading.table.get("exposure_ms", 20.0))
+            exposure_ms = self.document.reading.table.get("exposure_ms", 20.0)
+            self._exposure.set_text(f"{exposure_ms:.10g}" if isinstance(exposure_ms, float) else str(exposure_ms))
         self._tell()
 
     def _tell(self) -> None:

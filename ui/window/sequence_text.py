@@ -83,8 +83,17 @@ def edited(text: str, change: Callable[[Any], object]) -> str:
         document = tomlkit.parse(text)
     except tomlkit.exceptions.TOMLKitError as error:
         raise SequenceError(f"the text is not TOML ({error}); mend the marked line first") from error
-    change(document)
+    try:
+        change(document)
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        raise SequenceError("what is to be changed is not there as it should be; mend the marked line first") from error
     return tomlkit.dumps(document)
+
+
+def patterns_of(table: dict[str, Any]) -> dict[str, Any]:
+    """The patterns of a parsed sequence, as far as they are patterns."""
+    patterns = table.get("patterns")
+    return {name: one for name, one in patterns.items() if isinstance(one, dict)} if isinstance(patterns, dict) else {}
 
 
 def at(document: Any, place: Path_) -> Any:

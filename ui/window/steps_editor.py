@@ -24,7 +24,7 @@ from ui.window import theme
 from ui.window.forms import Form
 from ui.window.sequence_document import SequenceDocument
 from ui.window.sequence_tables import inline, step_table, steps_in
-from ui.window.sequence_text import Path_, at, line_of
+from ui.window.sequence_text import Path_, at, line_of, patterns_of
 
 STEPS: dict[str, type[Any]] = {
     "capture": Capture, "dose": Dose, "mix": Mix, "series": Series, "repeat": Repeat, "wait": Wait, "note": Note,
@@ -176,7 +176,7 @@ class StepsEditor(QWidget):
         if place is not None:
             try:
                 table = at(self._document.reading.table, place)
-            except (KeyError, IndexError):
+            except (LookupError, TypeError):
                 table = None
         kind = STEPS.get(str(table.get("do"))) if isinstance(table, dict) else None
         if table is None or kind is None:
@@ -186,7 +186,7 @@ class StepsEditor(QWidget):
             empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
             self._form_area.setWidget(empty)
             return
-        patterns = [*ALWAYS, *self._document.reading.table.get("patterns", {})]
+        patterns = [*ALWAYS, *patterns_of(self._document.reading.table)]
         choices = {"pattern": patterns} if kind in (Capture, Mix) else {}
         form = Form(kind, table, choices, skip=("do", "steps"))
         form.edited.connect(self._edit)
@@ -217,7 +217,7 @@ class StepsEditor(QWidget):
 
     def add(self) -> None:
         """Add a step of the chosen kind behind the chosen one."""
-        place: Path_ = self.place() or ("steps", len(self._document.reading.table.get("steps", [])) - 1)
+        place: Path_ = self.place() or ("steps", self.tree.topLevelItemCount() - 1)
         kind, number = self._kind.currentText(), int(place[-1]) + 1
         self._change(f"add {kind}", lambda steps: steps.insert(number, step_table(NEW[kind], len(place) > 2)), place)
         self.choose((*place[:-1], number))

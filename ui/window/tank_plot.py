@@ -6,9 +6,34 @@ import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 from PySide6.QtCore import QRectF, Qt
-from PySide6.QtWidgets import QSizePolicy
+from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QGraphicsItem, QSizePolicy
 
 from tankrig.scene.description import Camera, Tank
+
+
+class IndexedImage(pg.ImageItem):  # type: ignore[misc]
+    """An image item of indices into a palette: what pyqtgraph looks into anew for every picture is known here."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._palette: NDArray[np.uint8] | None = None
+        self._colours: list[int] = []
+
+    def show_indices(self, indices: NDArray[np.uint8], palette: NDArray[np.uint8]) -> None:
+        """Show (rows, columns) indices into (256, 3) colours."""
+        if palette is not self._palette:
+            red, green, blue = palette.astype(np.uint32).T
+            self._palette, self._colours = palette, (0xFF000000 | red << 16 | green << 8 | blue).tolist()
+        self.setImage(np.ascontiguousarray(indices), autoLevels=False)
+
+    def render(self) -> None:
+        """The picture as Qt has it; called by `paint`."""
+        rows, columns = self.image.shape
+        self._kept = self.image  # as long as Qt reads from it
+        self.qimage = QImage(self._kept.data, columns, rows, columns, QImage.Format.Format_Indexed8)
+        self.qimage.setColorTable(self._colours)
+        self._renderRequired = self._unrenderable = False
 
 
 class TankPlot:
@@ -38,14 +63,16 @@ class TankPlot:
             self.plot.hideAxis("bottom")
             self.plot.hideAxis("left")
         for name in ("bottom", "left"):
-            self.plot.getAxis(name).enableAutoSIPrefix(False)
-        self.image = pg.ImageItem()
+            axis = self.plot.getAxis(name)
+            axis.enableAutoSIPrefix(False)
+            axis.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
+        self.image = IndexedImage()
         self.plot.addItem(self.image)
         self._place: tuple[Any, ...] = ()
 
     def show_indices(self, indices: NDArray[np.uint8], palette: NDArray[np.uint8]) -> None:
         """Show (rows, columns) indices into a (256, 3) palette."""
-        self.image.setImage(indices, autoLevels=False, levels=None, lut=palette)
+        self.image.show_indices(indices, palette)
 
     def place(self, tank: Tank, camera: Camera) -> None:
         """Say where the picture lies; the view is moved only when that has changed."""

@@ -1,0 +1,117 @@
+"""What is known of a rig, where from, since when, and how well: lines for people."""
+
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from tankrig.errors import StoreError, TankrigError
+from tankrig.live.words import with_error
+
+if TYPE_CHECKING:
+    from drivers.rig import RigFile
+    from tankrig.calibration.file import Calibration
+
+BELIEVED = "taken from the rig file; not measured by tankrig"
+
+
+class Known(NamedTuple):
+    """One thing that is known."""
+
+    what: str
+    value: str
+    note: str
+
+
+def known_of(rig: "RigFile", file: Path, folder: Path) -> Iterator[Known]:
+    """Measured things first, then what the rig file is believed in.
+
+    Parameters
+    ----------
+    rig, file
+        What the rig file says, and the file.
+    folder
+        Where pump calibrations lie.
+    """
+    yield from _measured(rig)
+    yield from _weighed(rig, folder)
+    note = f"{BELIEVED}; file of {datetime.fromtimestamp(file.stat().st_mtime):%Y-%m-%d %H:%M}"
+    for what, value in _believed(rig):
+        yield Known(what, value, note)
+
+
+def _measured(rig: "RigFile") -> Iterator[Known]:
+    from drivers.calibration_health import KINDS
+    from tankrig.calibration.file import all_in, in_force
+
+    place = Path(rig.calibration_folder)
+    for unusable in all_in(place):
+        if isinstance(unusable, StoreError):
+            yield Known("calibration file", "cannot be used", str(unusable))
+    try:
+        found = in_force(place, rig.calibration)
+    except TankrigError as error:
+        yield Known("calibration", "the one that the rig file names is not there", str(error))
+        found = {}
+    for kind in KINDS:
+        if kind not in found:
+            yield Known(f"{kind}, measured", "not yet", f"see Measure, or run: tankrig calibrate {kind} --rig FILE")
+            continue
+        one = found[kind]
+        when = f"{one.date[:16].replace('T', ' ')} UTC ({_age(one.age_days)}), {one.path and one.path.name}"
+        yield Known(f"{kind}, measured", _well(one), f"{when}; of {one.device}")
+
+
+def _well(one: "Calibration") -> str:
+    figures = ", ".join(f"{name.replace('_', ' ')} {value:.2g}" for name, value in one.how_well.items())
+    doubts = "".join(f"; doubt: {doubt}" for doubt in one.doubts)
+    return figures + doubts
+
+
+def _age(days: float) -> str:
+    return "today" if days < 1.0 else "yesterday" if days < 2.0 else f"{days:.0f} days ago"
+
+
+def _weighed(rig: "RigFile", folder: Path) -> Iterator[Known]:
+    """Pump calibrations, newest first; how to make one where there is none."""
+    from tankrig.calibration.pump import load_pump_calibration
+
+    files = sorted(folder.glob("pump-*.toml"), reverse=True)
+    for file in files:
+        try:
+            one = load_pump_calibration(file)
+        except TankrigError as error:
+            yield Known("pump", "cannot be read", str(error))
+            continue
+        used = Path(str(rig.doser.get("calibration", ""))).name == file.name
+        factor = with_error(one.correction, one.correction_sd)
+        yield Known(
+            "pump, weighed",
+            f"{factor} true µl per nominal µl, doses scatter by {one.scatter_ul:.2g} µl",
+            f"{one.date[:16].replace('T', ' ')} UTC, {len(one.mass_mg)} doses, "
+            + ("in use" if used else f'not in use: put calibration = "./{file.name}" into [doser]'),
+        )
+    if not files:
+        yield Known("pump, weighed", "not yet", "see Measure, or run: tankrig calibrate pump --rig FILE")
+
+
+def _believed(rig: "RigFile") -> Iterator[tuple[str, str]]:
+    tank, wall, camera, limits = rig.bench.tank, rig.bench.wall, rig.bench.camera, rig.limits
+    size = " × ".join(f"{side:g}" for side in tank.size_mm)
+    light, y, z = rig.bench.light_position_mm, wall.y_mm, wall.z_mm
+    steps = f", {rig.doser['steps_per_ul']:g} steps per µl" if "steps_per_ul" in rig.doser else ""
+    yield "tank", f"{size} mm, {tank.surface} surface"
+    yield "light", f"{rig.bench.light}" + (f" from {_point(light)} mm" if light else "")
+    yield (
+        "projector to wall",
+        f"{wall.shape[1]} × {wall.shape[0]} pixels on y = {y[0]:g} … {y[1]:g} mm, z = {z[0]:g} … {z[1]:g} mm",
+    )
+    yield "projector's brightness", f"{wall.irradiance:g} W/mm² at level 255, gamma {wall.gamma:g}"
+    seen = f"{camera.kind}" + (f" from {_point(camera.position_mm)} mm" if camera.position_mm else "")
+    yield "camera", f"{seen}, {camera.shape[1]} × {camera.shape[0]} pixels of {camera.pixel_mm:g} mm"
+    yield "doser", f"driver {rig.doser['driver']}{steps}"
+    yield "limits", f"{limits.dose_ul:g} µl a dose, {limits.run_ul:g} µl a run, {limits.tank_ul:g} µl a tank"
+
+
+def _point(position: tuple[float, float, float]) -> str:
+    return f"({', '.join(f'{value:g}' for value in position)})"

@@ -1,0 +1,280 @@
+"""The wizard for all calibrations: what to do now, what the camera sees meanwhile, and what came out."""
+
+import base64
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QImage, QPixmap
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QPlainTextEdit,
+    QProgressBar,
+    QPushButton,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ui.window.calibration_process import CalibrationProcess
+from ui.window.fields import number
+from ui.window.rig_file import RigSource
+from ui.window.status import RigState, RigStatus
+from ui.window.theme import set_role
+
+
+@dataclass(frozen=True)
+class Wizard:
+    """A calibration that a person can be led through.
+
+    Parameters
+    ----------
+    kind
+        Of `tankrig calibrate`.
+    title, wants
+        What it finds, and what has to be at hand.
+    options
+        That may be given, as on the command line.
+    """
+
+    kind: str
+    title: str
+    wants: str
+    options: str
+
+
+WIZARDS = (
+    Wizard("radiometry", "Radiometry: camera and projector in numbers of light",
+           "a lens cap, and a diffuser that the projector lights; about 6 minutes", "--gains 1"),
+    Wizard("latency", "Latency of the projector's light",
+           "the projector's light before the camera; about 10 seconds", "--flips 100"),
+    Wizard("camera", "Camera: its lens", "a ChArUco board, held in air; about 3 minutes", "--views 15"),
+    Wizard("tank", "Tank and water before the camera",
+           "the camera calibrated; the board on the floor, then in the water; about 6 minutes", "--views 4"),
+    Wizard("projector", "Projector: its lens and place",
+           "camera and tank calibrated; the board at a slant in the tank; about 4 minutes", "--views 8"),
+    Wizard("pump", "Pump: doses weighed on a balance",
+           "the tube in a vessel on a balance, and a balance to 0.1 mg; about 20 minutes",
+           "--volumes 50,250,500 --repeats 10 --temperature 20"),
+)  # fmt: skip
+_SEEN = (320, 200)
+
+
+class CalibrationWizard(QWidget):
+    """Leads through one calibration at a time; the rig is lent to it meanwhile.
+
+    Parameters
+    ----------
+    source
+        Which rig.
+    """
+
+    lend_asked = Signal(object)
+    """What stops the calibration, to lend the rig to it; None: it has ended."""
+    told = Signal(str)
+
+    def __init__(self, source: RigSource) -> None:
+        super().__init__()
+        self._source = source
+        self._process: CalibrationProcess | None = None
+        self._words: list[str] | None = None
+        self._picture: Path | None = None
+        self._wants_number = False
+        self.choice, self.options, self.accept = QComboBox(), QLineEdit(), QCheckBox("use it even if it is doubtful")
+        self.begin, self.cancel, self.done = QPushButton("Begin"), QPushButton("Cancel"), QPushButton("Done")
+        self.request, self.answer, self.bar = QLabel(), QLineEdit(), QProgressBar()
+        self.light, self.seen, self.result = QLabel(), QLabel(), QLabel()
+        self.said = QPlainTextEdit()
+        self._lay_out()
+        self.choice.currentIndexChanged.connect(self._chosen)
+        self.begin.clicked.connect(self._begin)
+        self.cancel.clicked.connect(self._cancel)
+        self.done.clicked.connect(self._answer)
+        self.answer.returnPressed.connect(self._answer)
+        self._chosen()
+
+    @property
+    def at_work(self) -> bool:
+        """Whether a calibration goes on."""
+        return self._words is not None or self._process is not None
+
+    def follow(self, status: RigStatus) -> None:
+        """Begin once the rig has been let go of; nothing can begin while it is in use."""
+        if self._words is not None and status.state is RigState.LENT:
+            self._start()
+        self.begin.setEnabled(not self.at_work and not status.busy and status.state is not RigState.OPENING)
+
+    def _begin(self) -> None:
+        wizard = WIZARDS[self.choice.currentIndex()]
+        rig = ["--rig", str(self._source.file)] if self._source.file is not None else []
+        accept = ["--accept"] if self.accept.isChecked() and wizard.kind != "pump" else []
+        self._words = ["calibrate", wizard.kind, *rig, *self.options.text().split(), *accept]
+        self._picture = None
+        self.said.clear()
+        self.result.clear()
+        self._ask("The rig is being let go of.", False, answered=False)
+        self.cancel.setEnabled(True)
+        self.begin.setEnabled(False)
+        self.lend_asked.emit(self._stop)
+
+    def _stop(self) -> None:
+        """STOP was pressed; from any thread."""
+        self._words = None
+        if self._process is not None:
+            self._process.stop()
+
+    def _start(self) -> None:
+        words, self._words = self._words, None
+        assert words is not None
+        self._process = process = CalibrationProcess(words, self._source.folder)
+        process.asked.connect(lambda request, wants_number: self._ask(request, wants_number, answered=True))
+        process.said.connect(self._say)
+        process.looked.connect(self._look)
+        process.kept.connect(self._keep)
+        process.ended.connect(self._end)
+        self._ask("The devices are being opened.", False, answered=False)
+
+    def _cancel(self) -> None:
+        if self._process is not None:
+            self._process.cancel()
+        elif self._words is not None:
+            self._words = None
+            self._end(1, "cancelled before it began")
+
+    def _ask(self, request: str, wants_number: bool, answered: bool) -> None:
+        self.request.setText(request)
+        self._wants_number = wants_number
+        self.answer.setVisible(wants_number)
+        self.answer.clear()
+        self.done.setVisible(answered)
+        self.done.setText("Enter" if wants_number else "Done")
+        if answered:
+            (self.answer if wants_number else self.done).setFocus()
+
+    def _answer(self) -> None:
+        text = self.answer.text() if self._wants_number else ""
+        if self._process is None or (self._wants_number and number(text) is None):
+            set_role(self.answer, "true" if text else "false", "wrong")
+            return
+        value = number(text)
+        self._ask("", False, answered=False)
+        self._process.answer("" if value is None else repr(value))
+
+    def _say(self, line: str, moment: bool) -> None:
+        if moment:
+            self.light.setText(line)
+        else:
+            self.said.appendPlainText(line)
+
+    def _look(self, look: Mapping[str, Any]) -> None:
+        if self.done.isHidden():
+            self.request.setText(f"Measuring: {look['doing']}")
+        self.bar.setValue(round(1000 * look["done"]))
+        pixels = look["pixels"]
+        if pixels is None:
+            return
+        rows, columns = pixels["shape"]
+        data = base64.b64decode(pixels["base64"])
+        image = QImage(data, columns, rows, columns, QImage.Format.Format_Grayscale8).copy()
+        self._show(QPixmap.fromImage(image))
+        light = f"brightest {look['filled']:.0%} of the range"
+        saturated = look["saturated"] > 1e-3
+        self.light.setText(light + (f", {look['saturated']:.1%} of the pixels saturated" if saturated else ""))
+        set_role(self.light, "wrong" if look["filled"] > 0.98 else "faint")
+
+    def _keep(self, kept: Mapping[str, Any]) -> None:
+        lines = [f"{name}: {value}" for name, value in kept["rows"].items()]
+        lines += [f"Doubt: {doubt}" for doubt in kept["doubts"]]
+        lines.append(f"Kept in {kept['path']}" + ("." if kept["in_use"] else "; not used yet."))
+        self.result.setText("\n".join(lines))
+        set_role(self.result, "wrong" if kept["doubts"] else "")
+        picture = Path(kept["path"]).with_suffix(".png")
+        self._picture = picture if picture.exists() else None
+
+    def _end(self, status: int, sentence: str) -> None:
+        if self._process is not None:
+            self._process.deleteLater()
+        self._process = None
+        self._ask(sentence if sentence else "Finished.", False, answered=False)
+        set_role(self.request, "wrong" if sentence else "heading")
+        if sentence:
+            self.told.emit(sentence)
+        if self._picture is not None:
+            self._show(QPixmap(str(self._picture)))
+        self.bar.setValue(1000 if status == 0 else 0)
+        self.light.clear()
+        self.cancel.setEnabled(False)
+        self.lend_asked.emit(None)
+
+    def _show(self, picture: QPixmap) -> None:
+        """As large as there is room, not blown up."""
+        width = max(_SEEN[0], self.width() - 40) if self._picture is not None else _SEEN[0]
+        smooth = Qt.TransformationMode.SmoothTransformation
+        self.seen.setPixmap(picture.scaledToWidth(min(width, max(picture.width(), _SEEN[0])), smooth))
+
+    def _chosen(self) -> None:
+        wizard = WIZARDS[self.choice.currentIndex()]
+        self.options.setText(wizard.options)
+        self.options.setToolTip(f"as on the command line: tankrig calibrate {wizard.kind} --help lists them")
+        if not self.at_work:
+            set_role(self.request, "faint")
+            self._ask(f"Wants {wizard.wants}.", False, answered=False)
+
+    def _lay_out(self) -> None:
+        for wizard in WIZARDS:
+            self.choice.addItem(wizard.title, wizard.kind)
+        self.options.setAccessibleName("options of the calibration")
+        self.accept.setToolTip("else a doubtful result, or one much worse than the last, is kept but not used")
+        self.begin.setObjectName("primary")
+        self.done.setObjectName("primary")
+        self.begin.setEnabled(False)
+        self.cancel.setEnabled(False)
+        self.answer.setMaximumWidth(160)
+        self.bar.setRange(0, 1000)
+        self.bar.setTextVisible(False)
+        for label in (self.request, self.light, self.result):
+            label.setWordWrap(True)
+        self.light.setProperty("role", "faint")
+        self.result.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.said.setReadOnly(True)
+        self.said.setMaximumHeight(110)
+        self.said.setPlaceholderText("what is said on the way")
+        inside = QWidget()
+        column = QVBoxLayout(inside)
+        column.setContentsMargins(0, 8, 0, 0)
+        column.setSpacing(8)
+        column.addWidget(self.choice)
+        column.addLayout(_row(self.options, self.accept))
+        column.addLayout(_row(self.begin, self.cancel, None))
+        column.addWidget(self.request)
+        column.addLayout(_row(self.answer, self.done, None))
+        column.addWidget(self.bar)
+        column.addWidget(self.light)
+        column.addWidget(self.seen)
+        column.addWidget(self.result)
+        column.addWidget(self.said)
+        column.addStretch(1)
+        area = QScrollArea()
+        area.setWidgetResizable(True)
+        area.setFrameShape(QScrollArea.Shape.NoFrame)
+        area.setWidget(inside)
+        outside = QVBoxLayout(self)
+        outside.setContentsMargins(0, 0, 0, 0)
+        outside.addWidget(area)
+
+
+def _row(*widgets: QWidget | None) -> QHBoxLayout:
+    """Beside each other; None: room."""
+    row = QHBoxLayout()
+    for widget in widgets:
+        if widget is None:
+            row.addStretch(1)
+        else:
+            row.addWidget(widget, 1 if isinstance(widget, QLineEdit) else 0)
+    return row
