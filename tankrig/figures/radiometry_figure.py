@@ -85,6 +85,7 @@ def _darks(axes: "Axes", sweep: Sweep) -> None:
     low, high = np.quantile(rate, (0.0005, 0.998))
     axes.hist(rate.ravel(), bins=np.linspace(low, high, 60).tolist(), color=CORRECTED, log=True)
     hot = int(sweep.dark.hot.sum())
+    axes.locator_params(axis="x", nbins=4)
     axes.set(title=f"Dark current; {hot} hot pixels", xlabel="counts per ms", ylabel="pixels")
 
 

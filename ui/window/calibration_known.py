@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 BELIEVED = "taken from the rig file; not measured by tankrig"
 
+_UNITS = {"percent": "%", "px": "px", "mm": "mm", "ms": "ms", "deg": "°"}
+
 
 class Known(NamedTuple):
     """One thing that is known."""
@@ -63,9 +65,21 @@ def _measured(rig: "RigFile") -> Iterator[Known]:
 
 
 def _well(one: "Calibration") -> str:
-    figures = ", ".join(f"{name.replace('_', ' ')} {value:.2g}" for name, value in one.how_well.items())
+    figures = ", ".join(_figure(name, value) for name, value in one.how_well.items())
     doubts = "".join(f"; doubt: {doubt}" for doubt in one.doubts)
     return figures + doubts
+
+
+def _figure(name: str, value: float) -> str:
+    """With the unit that the name ends in.
+
+    >>> _figure("linearity_error_percent", 0.1234), _figure("views", 15.0)
+    ('linearity error 0.12 %', 'views 15')
+    """
+    what, _, unit = name.rpartition("_")
+    if unit not in _UNITS:
+        return f"{name.replace('_', ' ')} {value:.3g}"
+    return f"{what.replace('_', ' ')} {value:.2g} {_UNITS[unit]}"
 
 
 def _age(days: float) -> str:

@@ -31,9 +31,9 @@ class CalibrationProcess(QObject):
     """A request, and whether it wants a number."""
     said = Signal(str, bool)
     """A line, and whether it is to be replaced by the next such."""
-    looked = Signal(dict)
+    looked = Signal(object)
     """Fields of a `Look`."""
-    kept = Signal(dict)
+    kept = Signal(object)
     """The result."""
     ended = Signal(int, str)
     """Exit status, and the sentence that says what was wrong."""

@@ -1,0 +1,106 @@
+"""The calibration page leads a person through a procedure while the rig is lent to it, and shows what is known."""
+
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+
+from tankrig.calibration.file import newest
+
+from .window_rig import until, window_on, write_rig
+
+FAST = "time_scale = 0.005"
+
+
+@pytest.fixture
+def window(tmp_path: Path):
+    rig = write_rig(tmp_path, projector=FAST, camera=f"{FAST}\nmost_per_s = 1000.0")
+    with window_on(tmp_path, rig) as made:
+        until(lambda: made.furnished and made.status.state.name == "IDLE", what="the rig opens")
+        made.show_page(made.calibration)
+        made.calibration.tabs.setCurrentIndex(1)
+        yield made
+
+
+def choose(window, kind: str, options: str):
+    wizard = window.calibration.wizard
+    wizard.choice.setCurrentIndex(wizard.choice.findData(kind))
+    wizard.options.setText(options)
+    until(wizard.begin.isEnabled)
+    QTest.mouseClick(wizard.begin, Qt.MouseButton.LeftButton)
+    return wizard
+
+
+def test_radiometry_is_measured_shown_and_known(window, tmp_path: Path) -> None:
+    wizard = choose(window, "radiometry", "--gains 1")
+    looks = []
+    until(lambda: wizard._process is not None)
+    wizard._process.looked.connect(looks.append)
+    until(lambda: not wizard.at_work, 60.0)
+    assert "counts per electron" in wizard.result.text()
+    assert wizard.seen.pixmap().width() > 300
+    assert any(look["filled"] > 0.3 for look in looks)
+    kept = newest(tmp_path / "calibration", "radiometry")
+    assert kept is not None
+    assert kept.path.name in wizard.result.text()
+    until(lambda: window.status.state.name == "IDLE", what="the rig is taken back")
+    until(lambda: kept.path.name in words_of(window.calibration), what="the page shows what is known")
+
+
+def words_of(page) -> str:
+    from PySide6.QtWidgets import QLabel
+
+    return " ".join(label.text() for label in page._table.findChildren(QLabel))
+
+
+def test_nothing_else_begins_meanwhile_and_stop_ends_it(window, tmp_path: Path) -> None:
+    """STOP is always one press away, also from a pump that is being weighed."""
+    wizard = choose(window, "pump", "--volumes 20 --repeats 3")
+    until(wizard.done.isVisible, what="asks where the tube hangs")
+    assert "vessel on the balance" in wizard.request.text()
+    assert window.status.busy
+    assert not wizard.begin.isEnabled()
+    window.host.dose_to(50.0)
+    QTest.mouseClick(wizard.done, Qt.MouseButton.LeftButton)
+    until(lambda: "tare" in wizard.request.text())
+    window.host.stop()
+    until(lambda: not wizard.at_work, what="the calibration has ended")
+    assert not list(tmp_path.glob("pump-*.toml"))
+    until(lambda: window.status.state.name == "IDLE", what="the rig is taken back")
+
+
+def test_a_pump_is_weighed_by_answering_in_the_window(window, tmp_path: Path) -> None:
+    wizard = choose(window, "pump", "--volumes 20,80 --repeats 2 --temperature 21")
+    weights = iter((20.3, 81.5, 20.3, 81.4))
+
+    def answered() -> bool:
+        if wizard.answer.isVisible():
+            QTest.keyClicks(wizard.answer, "a lot")
+            QTest.keyClick(wizard.answer, Qt.Key.Key_Return)
+            assert wizard.answer.isVisible(), "no number was taken for a weight"
+            wizard.answer.clear()
+            QTest.keyClicks(wizard.answer, str(next(weights)))
+            QTest.keyClick(wizard.answer, Qt.Key.Key_Return)
+        elif wizard.done.isVisible():
+            QTest.mouseClick(wizard.done, Qt.MouseButton.LeftButton)
+        return not wizard.at_work
+
+    until(answered, 40.0)
+    assert "a nominal µl is" in wizard.result.text()
+    (file,) = tmp_path.glob("pump-*.toml")
+    until(lambda: file.name in words_of(window.calibration))
+
+
+def test_what_goes_wrong_is_said_and_the_rig_comes_back(window, tmp_path: Path) -> None:
+    wizard = choose(window, "latency", "--flips 5")
+    until(lambda: not wizard.at_work)
+    assert "5 is not in the range" in wizard.request.text()
+    until(lambda: window.status.state.name == "IDLE")
+    assert not (tmp_path / "calibration").exists()
+    wizard = choose(window, "radiometry", "--gains 1")
+    until(lambda: wizard.bar.value() > 0)
+    QTest.mouseClick(wizard.cancel, Qt.MouseButton.LeftButton)
+    until(lambda: not wizard.at_work)
+    until(lambda: window.status.state.name == "IDLE")
+    assert not (tmp_path / "calibration").exists()
