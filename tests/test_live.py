@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +15,19 @@ import pytest
 
 from tankrig.bench import Bench
 from tankrig.estimation.series import SeriesEstimate
+from tankrig.image.prepare import Prepared
+from tankrig.light.prepared.box import Box
 from tankrig.light.tank import tank_image
 from tankrig.live import worker
 from tankrig.live.exposures import Exposures, Photograph, Plan
 from tankrig.live.live_fit import LiveFit
+from tankrig.live.prepared_fit import fit_prepared
+from tankrig.live.preparing import Preparing, box_for
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import Sheet
 from tankrig.pattern.wall import Wall
 from tankrig.run.journal import Event, Moment
-from tankrig.scene.description import Camera, Medium, Tank
+from tankrig.scene.description import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.sequence import Capture, Sequence, Series
 
 BENCH = Bench(
@@ -97,7 +102,9 @@ def test_the_newest_dose_is_fitted_first_and_the_series_only_over_doses_that_are
         asked.append(("dose", photographs[0].dose_ml))
         return {"fit": "dose"}, type("Found", (), {"ink": INK})
 
-    def fit_all(photographs: list[Photograph], _start: object) -> tuple[dict[str, object], SeriesEstimate | None]:
+    def fit_all(
+        photographs: list[Photograph], _start: object, _models: object
+    ) -> tuple[dict[str, object], SeriesEstimate | None]:
         asked.append(("series", tuple(one.dose_ml for one in photographs)))
         return {"fit": "series"}, None
 
@@ -171,6 +178,113 @@ def test_a_fit_that_is_busy_never_holds_the_run_up() -> None:
         assert not thread.is_alive()
         assert time.monotonic() - began < 5.0
         assert fit._exposures.frames == 0
+
+
+class Ready:
+    """Stands in for preparing: models are there, or not yet."""
+
+    def __init__(self) -> None:
+        self.there = False
+        self.all_models: list[object] = []
+
+    def box(self, liquid: Medium) -> Box:
+        return box_for(liquid)
+
+    def want(self, *_: object) -> None: ...
+
+    def models(self, scenes: list[Scene], _box: Box) -> list[object] | None:
+        return [object()] * len(scenes) if self.there else None
+
+    def under_way(self, *_: object) -> bool:
+        return True
+
+
+def test_a_dose_waits_for_its_models_then_each_frame_is_fitted_and_the_last_table_is_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A window and the journal need single scattering too, which takes longer than a frame may."""
+    liquid = Medium(0.0004, 0.008, 0.6)
+    quick = {"fit": "dose", "dose_ml": 0.1, "model": "prepared", "sigma_a": 4e-4, "sigma_s": 8e-3, "g": 0.6}
+    monkeypatch.setattr(worker, "fit_dose_prepared", lambda *_: (quick, liquid))
+    monkeypatch.setattr(worker, "with_single", lambda table, _: table | {"single": {"sigma_t": 0.008}})
+    earlier = {"fit": "dose", "dose_ml": 0.1, "frames": 1, "sigma_a": 4e-4, "sigma_s": 8e-3, "g": 0.6}
+    ready = Ready()
+    fitter, exposures = worker.Fitter([earlier], ready, plan()), Exposures(plan())  # type: ignore[arg-type]
+    exposures.take(dosed(100.0), None)
+    for index in (3, 4):
+        seen = frame(PATTERNS["sheet"], 2)
+        exposures.take(event("frame", **seen.fields, index=index), np.full((40, 60), 500, np.uint16))
+    assert fitter.next(exposures, last=True) is None
+    assert fitter.waiting
+    ready.there = True
+    table = fitter.next(exposures, last=True)
+    assert table is not None
+    assert (table["passing"], table["newest"]) == (True, 4)
+    assert "single" not in table
+    whole = fitter.finish()
+    assert whole is not None
+    assert whole["single"] == {"sigma_t": 0.008}
+    assert "passing" not in whole
+    assert fitter.next(exposures, last=True) is None
+
+
+def test_frames_of_ink_that_had_not_mixed_are_left_out_and_a_flickering_lamp_is_not() -> None:
+    """A plume in the first frames would bend every later estimate of the dose."""
+    exposures, (rows, columns) = Exposures(plan()), np.mgrid[:40, :60]
+    tank = 3000.0 * np.exp(-columns / 30.0)
+    plume = 1500.0 * np.exp(-((columns - 20.0) ** 2 + (rows - 20.0) ** 2) / 100.0)
+    exposures.take(dosed(100.0), None)
+    rng, settling = np.random.default_rng(2), []
+    for strength, lamp in ((1.0, 1.0), (0.5, 1.0), (0.0, 1.0), (0.0, 1.03), (0.0, 0.98)):
+        exposures.take(frame(PATTERNS["sheet"], 2), rng.poisson(lamp * (tank + strength * plume)).astype(np.uint16))
+        settling.append(exposures.settling(0))
+    assert settling == [False, True, True, False, False]
+    assert (exposures.left_out(0), exposures.photographs(0)[0].frames) == (2, 3)
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Prepared]:
+    """A model of a small tank, prepared by the thread that a run has for it."""
+    tank = Tank((80.0, 60.0, 40.0))
+    light = Projector("collimated", (Beam((-20.0, 20.0), (18.0, 22.0)),))
+    scene = Scene(tank, Medium(0.001, 0.02, 0.5), light, Camera("orthographic", (15, 20), 4.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TANKRIG_CACHE", str(tmp_path_factory.mktemp("cache")))
+        done = threading.Event()
+        preparing = Preparing(lambda _: done.set())
+        box = preparing.box(LIQUID)
+        preparing.want([scene], box)
+        assert done.wait(120.0)
+        models = preparing.models([scene], box)
+        preparing.close()
+    assert models is not None
+    return scene, models[0]
+
+
+LIQUID = Medium(0.001, 0.02, 0.55)
+
+
+def test_the_prepared_fit_finds_the_liquid_with_errors_that_hold_and_says_when_it_is_elsewhere(
+    prepared: tuple[Scene, Prepared],
+) -> None:
+    """Digits that the next frame doesn't repeat, or a liquid held at the edge of what was prepared, would mislead."""
+    scene, model = prepared
+    truth = tank_image(replace(scene, medium=LIQUID), seed=7, batches=16)
+    radiance = np.sum(list(truth.orders.values()), axis=0)
+    noise = np.full(radiance.shape, 0.002 * 5e5 * radiance.max())
+    off = []
+    for seed in range(20):
+        image = 5e5 * radiance + np.random.default_rng(seed).normal(0.0, noise)
+        photograph = Photograph("sheet", 0.1, 0.0, scene, image, noise, 0.0, 4)
+        found = fit_prepared([photograph] * 2, [model] * 2, Medium(0.0015, 0.018, 0.6))
+        assert found is not None
+        values = np.array([found.medium.sigma_a, found.medium.sigma_s, found.medium.g])
+        off.append((values - [LIQUID.sigma_a, LIQUID.sigma_s, LIQUID.g]) / np.sqrt(np.diag(found.covariance)))
+    assert np.abs(np.mean(off, axis=0)).max() < 2.0
+    assert 0.05 < np.std(off, axis=0).min() <= np.std(off, axis=0).max() < 1.5
+    elsewhere = tank_image(replace(scene, medium=Medium(0.001, 0.04, 0.55)), seed=7, batches=4)
+    image = 5e5 * np.sum(list(elsewhere.orders.values()), axis=0)
+    assert fit_prepared([replace(photograph, image=image)], [model], LIQUID) is None
 
 
 PARENT = """

@@ -99,6 +99,7 @@ def estimate_series(
     noise: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
     start: SeriesEstimate | Medium | None = None,
+    model_of: "ModelOf | None" = None,
     progress: Callable[[str], None] | None = None,
 ) -> SeriesEstimate:
     """What a ml of ink does, from images at known doses with one common gain.
@@ -121,6 +122,8 @@ def estimate_series(
         Standard deviation of a pixel, one for all images or one (scalar or per pixel) for each; None to estimate it.
     start
         An earlier estimate of the same ink, or the ink per mm and ml, to begin from, which saves the search.
+    model_of
+        What is fitted; None for the tank model.
     progress
         Told in a few words what is being done, now and then.
 
@@ -146,7 +149,8 @@ def estimate_series(
     if start is not None:
         ink, water = (start, 0.0) if isinstance(start, Medium) else (start.ink, start.water.sigma_a)
         begin = Mixture(ink, water, np.zeros(doses.ml.size))
-    return fit_series(observations, scenes, doses, scaling, tank_model, begin, progress or (lambda _: None))
+    model_of = model_of or tank_model
+    return fit_series(observations, scenes, doses, scaling, model_of, begin, progress or (lambda _: None))
 
 
 def estimate_together(

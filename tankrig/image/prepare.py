@@ -94,6 +94,7 @@ def prepare(
     tolerance: float = 0.01,
     progress: Callable[[float], object] | None = None,
     box: "Box | None" = None,
+    threads: int = 2,
 ) -> Prepared:
     """Prepare a model that gives the tank's image of any medium, and its derivatives, in about a millisecond.
 
@@ -111,6 +112,8 @@ def prepare(
     box
         Ranges of σt, albedo and g; None: σt 0.0005 … 0.12 per mm, albedo 0.5 … 0.9999, g −0.4 … 0.95. A smaller one is
         prepared sooner.
+    threads
+        That it is prepared with.
 
     Returns
     -------
@@ -136,7 +139,7 @@ def prepare(
     if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):
         raise SceneError(f"{scene.source or 'the scene'}: no beam has any irradiance; give the light that is on")
     box = box or Box()
-    answer, path = prepared(scene, box, tolerance, progress or (lambda _: None))
+    answer, path = prepared(scene, box, tolerance, progress or (lambda _: None), threads)
     mean, largest, where = answer.error_over_box()
     if largest > tolerance:
         warnings.warn(

@@ -19,8 +19,8 @@ PATIENCE_S = 240.0
 def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[LiveFit]:
     """Fit a run's frames while it goes on; enter before `Runner.run` and leave after it.
 
-    What is found stands in the journal, and `Runner.latest_fit` is the last of it. Frames and fits of a run that goes
-    on are taken in first.
+    What is found stands in the journal, once frames have stopped to come for a moment, and `Runner.latest_fit` is the
+    last of all. Frames and fits of a run that goes on are taken in first.
 
     Parameters
     ----------
@@ -32,6 +32,9 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
     run = open_run(runner.path)
 
     def record(table: dict[str, Any]) -> None:
+        if table.get("passing"):
+            runner.latest_fit = table
+            return
         with suppress(StoreError):  # it has come after the end
             runner.record("fit", **table)
 
@@ -40,6 +43,8 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
         return time.monotonic() + patience_s
 
     with LiveFit(Plan.of_run(run), record, run) as fit:
+        runner.fitted = True
+        runner.latest_fit = next((event.fields for event in reversed(run.fits)), None)
         runner.listen(fit.see)
         runner.before_end.append(lambda: fit.finished or time.monotonic() > latest_s())
         yield fit

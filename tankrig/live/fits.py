@@ -6,8 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from tankrig.estimation.series import SeriesEstimate, estimate_series, estimate_together
+from tankrig.estimation.series import SeriesEstimate, estimate_series, estimate_together, tank_model
+from tankrig.estimation.uncertainty import identifiable
+from tankrig.image.prepare import Prepared
 from tankrig.live.exposures import Photograph
+from tankrig.live.prepared_fit import fit_prepared
+from tankrig.live.prepared_series import prepared_model
 from tankrig.live.single import fit_single
 from tankrig.scene.description import Medium
 
@@ -33,29 +37,55 @@ def fit_dose(photographs: Sequence[Photograph], start: Medium | None = None) -> 
     given = [one.image for one in photographs], [one.scene for one in photographs]
     noise, offset = [one.noise for one in photographs], photographs[0].offset
     found = estimate_together(*given, offset, noise, start=start)
-    sigma_t, rmse = fit_single(photographs, found.ink)
-    sd = np.sqrt(np.diag(found.covariance))[:3]
     table = {
-        "fit": "dose",
-        "dose_ml": photographs[0].dose_ml,
-        "dose_sd_ml": photographs[0].dose_sd_ml,
-        **_medium(found.ink),
-        "sd": sd.tolist(),
-        "identifiable": {name: known for name, known in found.identifiable.items() if name != "water_sigma_a"},
+        **_dose(photographs, found.ink, found.covariance),
         "gain": found.gain,
         "rmse": float(np.sqrt(np.mean(found.rmse**2))),
-        "frames": sum(one.frames for one in photographs),
-        "patterns": [one.pattern for one in photographs],
-        "single": {"sigma_t": sigma_t, "rmse": rmse},
-        "seconds": round(time.perf_counter() - began, 3),
+        "model": "tank",
     }
-    return table, found
+    return with_single(table, photographs, began), found
+
+
+def fit_dose_prepared(
+    photographs: Sequence[Photograph], models: Sequence[Prepared], start: Medium
+) -> tuple[Table, Medium] | None:
+    """The same by prepared models, one for each photograph, in milliseconds; without single scattering.
+
+    None where the photographs want a medium that the models were not prepared for.
+
+    Raises
+    ------
+    ImageError
+        When they cannot be fitted.
+    """
+    began = time.perf_counter()
+    found = fit_prepared(photographs, models, start)
+    if found is None:
+        return None
+    table = {
+        **_dose(photographs, found.medium, found.covariance),
+        "gain": found.gain,
+        "rmse": found.rmse,
+        "model": "prepared",
+        "model_error": found.model_error,
+        "seconds": round(time.perf_counter() - began, 4),
+    }
+    return table, found.medium
+
+
+def with_single(table: Table, photographs: Sequence[Photograph], began: float | None = None) -> Table:
+    """A dose's table with single scattering beside it; `began` is when its fit did, by `time.perf_counter`."""
+    sigma_t, rmse = fit_single(photographs, Medium(table["sigma_a"], table["sigma_s"], table["g"]))
+    seconds = table["seconds"] if began is None else round(time.perf_counter() - began, 3)
+    return {**table, "single": {"sigma_t": sigma_t, "rmse": rmse}, "seconds": seconds}
 
 
 def fit_all(
-    photographs: Sequence[Photograph], start: SeriesEstimate | Medium | None = None
+    photographs: Sequence[Photograph],
+    start: SeriesEstimate | Medium | None = None,
+    models: Sequence[Prepared] = (),
 ) -> tuple[Table, SeriesEstimate]:
-    """Fit the series: all photographs of all doses.
+    """Fit the series: all photographs of all doses, by prepared models where there are any that hold the media.
 
     Raises
     ------
@@ -71,6 +101,7 @@ def fit_all(
         offset=photographs[0].offset,
         noise=[one.noise for one in photographs],
         start=start,
+        model_of=prepared_model(models) if models else tank_model,
     )
     bend = found.linearity
     table = {
@@ -95,6 +126,20 @@ def diluted(liquid: Medium, from_ml: float, to_ml: float) -> Medium:
     """About what a liquid with `from_ml` of ink would be with `to_ml`."""
     grown = to_ml / from_ml
     return Medium(liquid.sigma_a * grown, liquid.sigma_s * grown, liquid.g)
+
+
+def _dose(photographs: Sequence[Photograph], liquid: Medium, covariance: np.ndarray) -> Table:
+    spread = covariance[:3, :3]
+    return {
+        "fit": "dose",
+        "dose_ml": photographs[0].dose_ml,
+        "dose_sd_ml": photographs[0].dose_sd_ml,
+        **_medium(liquid),
+        "sd": np.sqrt(np.diag(spread)).tolist(),
+        "identifiable": identifiable(liquid, spread),
+        "frames": sum(one.frames for one in photographs),
+        "patterns": [one.pattern for one in photographs],
+    }
 
 
 def _medium(medium: Medium) -> Table:

@@ -1,6 +1,7 @@
 """The live fit's side in the experiment's process: it hands frames over, and what comes back it passes on."""
 
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -20,17 +21,24 @@ from tankrig.run.reading import Run
 _LOCK_S = 0.1
 _JOIN_S = 5.0
 _POLL_S = 0.2
+_BLAS = "OPENBLAS_NUM_THREADS"
 
 OnResult = Callable[[dict[str, Any]], object]
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
+def _inherited() -> Iterator[None]:
+    """What a process that is started now keeps for good: Ctrl-C is the run's to answer, and sums take one thread."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    threads = os.environ.get(_BLAS)
+    os.environ[_BLAS] = "1"
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        del os.environ[_BLAS]
+        if threads is not None:
+            os.environ[_BLAS] = threads
 
 
 class LiveFit:
@@ -67,7 +75,7 @@ class LiveFit:
         try:
             for event, pixels in replayed(earlier) if earlier else ():
                 self.see(event, pixels)
-            with _interrupts_held():  # for good in the new process: Ctrl-C in a terminal is the run's to answer
+            with _inherited():
                 self._process.start()
         except BaseException:
             self._release()

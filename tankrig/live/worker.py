@@ -16,11 +16,14 @@ import numpy as np
 from tankrig.errors import TankrigError
 from tankrig.estimation.series import SeriesEstimate
 from tankrig.live.exposures import Exposures, Photograph, Plan
-from tankrig.live.fits import diluted, fit_all, fit_dose
+from tankrig.live.fits import Table, diluted, fit_all, fit_dose, fit_dose_prepared, with_single
+from tankrig.live.preparing import Preparing
 from tankrig.scene.description import Medium
 
 NICENESS = 10
 LOCK_S = 5.0
+QUIET_S = 0.3
+"""Without new frames for so long, what takes longer is done too: single scattering for comparison, and the series."""
 
 
 @dataclass(frozen=True)
@@ -79,15 +82,23 @@ def _end_with_parent(memory: SharedMemory) -> None:
 
 
 def _fit(shared: Shared, memory: SharedMemory) -> None:
-    fitter = Fitter(shared.earlier)
-    while True:
-        last = shared.last.is_set()
-        shared.news.clear()
-        exposures = _copy(shared, memory)
-        if exposures is not None and not _send(shared, fitter.next(exposures, last)):
-            if last:
+    preparing = Preparing(lambda _: shared.news.set())
+    fitter = Fitter(shared.earlier, preparing, shared.plan)
+    try:
+        while True:
+            last = shared.last.is_set()
+            shared.news.clear()
+            exposures = _copy(shared, memory)
+            if exposures is not None and _send(shared, fitter.next(exposures, last)):
+                continue
+            if fitter.unfinished and (last or not shared.news.wait(QUIET_S)):
+                _send(shared, fitter.finish())
+            elif last and not fitter.waiting:
                 return
-            shared.news.wait()
+            elif not fitter.unfinished:
+                shared.news.wait()
+    finally:
+        preparing.close()
 
 
 def _copy(shared: Shared, memory: SharedMemory) -> Exposures | None:
@@ -110,50 +121,109 @@ def _send(shared: Shared, table: dict[str, Any] | None) -> bool:
 class Fitter:
     """Decides what to fit next: the dose under way first, then the series of the doses that are over.
 
+    A dose is fitted by models prepared for what is foreseen of it. Where nothing is foreseen, or they cannot be
+    prepared, it is fitted by the tank model, which takes half a minute instead of milliseconds; while they are being
+    prepared, they are waited for.
+
     Parameters
     ----------
     earlier
         Tables of what was fitted before.
+    preparing
+        Of models; None to do without.
+    plan
+        Of the run; needed for preparing.
     """
 
-    def __init__(self, earlier: Iterable[dict[str, Any]] = ()) -> None:
+    def __init__(
+        self, earlier: Iterable[Table] = (), preparing: Preparing | None = None, plan: Plan | None = None
+    ) -> None:
+        self._preparing, self._plan = preparing, plan
         self._fitted: dict[float, int] = {}
         self._liquid: dict[float, Medium] = {}
         self._latest: tuple[Medium, float] | None = None
         self._in_series = 0
         self._series: SeriesEstimate | None = None
+        self._passing: tuple[Table, list[Photograph]] | None = None
+        self.waiting = False
         for table in earlier:
             if table.get("fit") == "dose" and "error" not in table:
-                self._fitted[table["dose_ml"]] = table["frames"]
+                self._fitted[table["dose_ml"]] = table["frames"] + table.get("left_out", 0)
                 self._keep(table["dose_ml"], Medium(table["sigma_a"], table["sigma_s"], table["g"]))
 
-    def next(self, exposures: Exposures, last: bool) -> dict[str, Any] | None:
+    @property
+    def unfinished(self) -> bool:
+        """Whether the last table lacks what takes longer: `finish` gives that."""
+        return self._passing is not None
+
+    def finish(self) -> Table | None:
+        """The last passing table, whole."""
+        if self._passing is None:
+            return None
+        (table, photographs), self._passing = self._passing, None
+        return with_single({key: value for key, value in table.items() if key != "passing"}, photographs)
+
+    def next(self, exposures: Exposures, last: bool) -> Table | None:
         """Fit what is newest and not fitted yet; its table, or None when there is nothing to do."""
+        self.waiting = False
+        if self._passing is not None and self._passing[0]["dose_ml"] != exposures.dose_ml:
+            return self.finish()
         for dose in range(exposures.dose, -1, -1):
             photographs = exposures.photographs(dose)
-            frames = sum(one.frames for one in photographs)
-            if photographs and frames > self._fitted.get(photographs[0].dose_ml, 0):
-                self._fitted[photographs[0].dose_ml] = frames
-                return self._dose(photographs[0].dose_ml, photographs)
+            seen = sum(one.frames for one in photographs) + exposures.left_out(dose)
+            if not photographs or seen <= self._fitted.get(photographs[0].dose_ml, 0):
+                continue
+            if exposures.settling(dose) and not last:
+                self.waiting = True
+                continue
+            table = self._dose(photographs, exposures.left_out(dose))
+            if table is not None:
+                self._fitted[photographs[0].dose_ml] = seen
+                return table | {"newest": exposures.newest if dose == exposures.dose else -1}
+            self.waiting = True
         over = exposures.photographs() if last else [
             one for one in exposures.photographs() if one.dose_ml < exposures.dose_ml
         ]  # fmt: skip
         doses = len({one.dose_ml for one in over})
-        if doses >= 2 and doses > self._in_series:
+        if doses >= 2 and doses > self._in_series and not self.waiting and self._passing is None:
             self._in_series = doses
             return self._all(over)
         return None
 
-    def _dose(self, dose_ml: float, photographs: list[Photograph]) -> dict[str, Any]:
+    def _dose(self, photographs: list[Photograph], left_out: int) -> Table | None:
+        """The table of a dose; None while its models are being prepared."""
+        dose_ml = photographs[0].dose_ml
+        start, scenes = self._start(dose_ml), [one.scene for one in photographs]
         try:
-            table, found = fit_dose(photographs, self._start(dose_ml))
+            if start is not None and self._preparing is not None:
+                box = self._preparing.box(start)
+                models = self._preparing.models(scenes, box)
+                if models is None and self._preparing.under_way(scenes, box):
+                    self._preparing.want(scenes, box)
+                    return None
+                quick = models and fit_dose_prepared(photographs, models, start)
+                if quick:
+                    table, liquid = quick
+                    self._keep(dose_ml, liquid)
+                    self._passing = table | {"left_out": left_out}, photographs
+                    return table | {"left_out": left_out, "passing": True}
+            table, found = fit_dose(photographs, start)
         except TankrigError as error:
             return {"fit": "dose", "dose_ml": dose_ml, "error": str(error)}
+        self._passing = None
         self._keep(dose_ml, found.ink)
-        return table
+        return table | {"left_out": left_out}
 
     def _keep(self, dose_ml: float, liquid: Medium) -> None:
+        """Remember what a dose is, and have models prepared for it and for the next one."""
         self._liquid[dose_ml], self._latest = liquid, (liquid, dose_ml)
+        if self._preparing is None or self._plan is None:
+            return
+        scenes = self._plan.scenes.values()
+        following = next((one for one in self._plan.doses_ml if one > 1.001 * dose_ml), None)
+        if following is not None:
+            self._preparing.want(scenes, self._preparing.box(diluted(liquid, dose_ml, following)))
+        self._preparing.want(scenes, self._preparing.box(liquid))
 
     def _start(self, dose_ml: float) -> Medium | None:
         """Where to begin: the dose's own last fit, what the series foresees, or another dose's liquid, diluted."""
@@ -163,10 +233,11 @@ class Fitter:
             return self._series.at(dose_ml)
         return None if self._latest is None else diluted(*self._latest, dose_ml)
 
-    def _all(self, photographs: list[Photograph]) -> dict[str, Any]:
+    def _all(self, photographs: list[Photograph]) -> Table:
+        models = self._preparing.all_models if self._preparing else ()
         try:
             start = self._latest and self._series is None and diluted(*self._latest, 1.0)
-            table, self._series = fit_all(photographs, self._series or start or None)
+            table, self._series = fit_all(photographs, self._series or start or None, models)
         except TankrigError as error:
             return {"fit": "series", "error": str(error)}
         return table

@@ -22,6 +22,8 @@ from tankrig.sequence import Capture, Dose, DryRun, Mix, Note, Sequence, Wait
 _CAMERA_TIMEOUT_S = 5.0
 _MOST_SATURATED = 0.2
 _POLL_S = 0.1
+_CATCH_UP_S, _LOOK_S = 2.0, 0.01
+"""How long, in all, a step that may stop early waits for a fast live fit to have seen its frames; from look to look."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,9 @@ class Plan:
     dry_run: DryRun
     first_step: int = 0
     frames_taken: int = 0
+
+
+UNFITTED = "there is no live fit, so that no step stops early: every capture takes all its frames"
 
 
 class RunJournal:
@@ -118,8 +123,11 @@ class Runner:
         self._states = RunStates()
         self._clockwork = Clockwork(plan.dry_run, plan.first_step)
         self._camera_settings: CameraSettings | None = None
+        self._newest_lit = -1
         self.path = writer.path
         self.latest_fit: Mapping[str, Any] | None = None
+        self.fitted = False
+        """Whether a live fit is attached: without one no step stops early."""
         self.before_end: list[Callable[[], bool]] = []
         """After the last step the end is not recorded before each of these has said yes: who still has fits to record
         holds it back. They are asked again and again, and an abort ends the waiting."""
@@ -222,6 +230,8 @@ class Runner:
             delivered_low_ul=held.low_ul,
             delivered_high_ul=held.high_ul,
         )
+        if not self.fitted and any(isinstance(t.action, Capture) and t.action.until for t in self._plan.sequence.tasks):
+            self._writer.put("note", text=UNFITTED)
         if self._doser.stopped:  # a person who starts a run has seen to what it was stopped for
             self._doser.clear_stop()
             self._writer.put("note", text="the doser's stop was cleared")
@@ -288,18 +298,48 @@ class Runner:
     def _capture(self, capture: Capture, step: int) -> dict[str, Any]:
         pattern = self._plan.patterns[capture.pattern]
         taken = self._plan.frames_taken if step == self._plan.first_step else 0
-        self._clockwork.waiting_for = self._rig.camera.name
-        self._configure(self._plan.sequence.camera_settings(capture))
-        after_ns = self._rig.projector.show(pattern).bound_ns
-        previous: int | None = None
-        for _ in range(taken, capture.frames):
+        begun_s, previous = time.monotonic(), None
+        for number in range(taken, capture.frames):
+            why = self._enough(capture, begun_s)
+            if why:
+                return {"frames": number, "stopped": why}
             self._states.check()
+            if number == taken:
+                self._clockwork.waiting_for = self._rig.camera.name
+                self._configure(self._plan.sequence.camera_settings(capture))
+                after_ns = self._rig.projector.show(pattern).bound_ns
             frame = self._frame(after_ns)
             if previous is not None and frame.sequence > previous + 1:
                 self._writer.put("gap", step=step, missing=frame.sequence - previous - 1, after=previous)
-            self._writer.put_frame(frame, step, pattern.hash)
+            index = self._writer.put_frame(frame, step, pattern.hash)
+            if pattern.pixels.any():
+                self._newest_lit = index
             after_ns, previous = frame.exposure_start_ns, frame.sequence
         return {}
+
+    def _enough(self, capture: Capture, begun_s: float) -> str:
+        """Why a step takes no more frames; empty when it goes on."""
+        if capture.until is None or not self.fitted:
+            return ""
+        self._clockwork.waiting_for = "the live fit"
+        fit = self._caught_up(begun_s + _CATCH_UP_S)
+        if fit is not None and capture.until.reached(fit):
+            return f"{capture.until.found(fit)} is known"
+        if capture.timeout_s is not None and time.monotonic() - begun_s > capture.timeout_s:
+            return f"{capture.timeout_s:g} s have passed"
+        return ""
+
+    def _caught_up(self, end_s: float) -> Mapping[str, Any] | None:
+        """The live fit of the dose under way, None where there is none; a fast one is waited for."""
+        while True:
+            fit = self.latest_fit or {}
+            behind = fit.get("model") == "prepared" and fit.get("newest", -1) < self._newest_lit
+            if not behind or time.monotonic() > end_s:
+                break
+            self._states.sleep(_LOOK_S)
+        held_ml = self._doser.delivered().volume_ul / 1000
+        of_now = fit.get("fit") == "dose" and "error" not in fit and abs(fit["dose_ml"] - held_ml) < 1e-6
+        return fit if of_now else None
 
     def _configure(self, settings: CameraSettings) -> None:
         if settings != self._camera_settings:

@@ -89,8 +89,8 @@ class RunWriter:
         """Record an event; returns before it is acknowledged."""
         self._put(kind, fields, None)
 
-    def put_frame(self, frame: Frame, step: int, pattern_hash: str, **fields: Any) -> None:
-        """Record a frame; returns before it is acknowledged, and waits where the disk lags behind."""
+    def put_frame(self, frame: Frame, step: int, pattern_hash: str, **fields: Any) -> int:
+        """Record a frame; gives its number before it is acknowledged, and waits where the disk lags behind."""
         if frame.pixels.shape != self._frames.shape[1:] or frame.pixels.dtype != self._frames.dtype:
             raise StoreError(
                 f"{self.path}: a frame of {frame.pixels.shape} {frame.pixels.dtype} does not fit the run's "
@@ -98,9 +98,9 @@ class RunWriter:
             )
         times = {"exposure_start_ns": frame.exposure_start_ns, "device_ns": frame.device_ns, "host_ns": frame.host_ns}
         facts = {"step": step, "pattern_hash": pattern_hash, **times, "sequence": frame.sequence, **fields}
-        self._put("frame", facts, frame.pixels)
+        return int(self._put("frame", facts, frame.pixels)["index"])
 
-    def _put(self, kind: str, fields: Mapping[str, Any], pixels: Pixels | None) -> None:
+    def _put(self, kind: str, fields: Mapping[str, Any], pixels: Pixels | None) -> Event:
         moment = Moment.now()
         with self._change:
             room = self._change.wait_for(lambda: self._error or len(self._waiting) < self._room, _TIMEOUT_S)
@@ -119,6 +119,7 @@ class RunWriter:
             self._index += pixels is not None
             self._waiting.append(_Entry(event, pixels))
             self._change.notify_all()
+        return event
 
     def flush(self) -> None:
         """Wait until all that was put is acknowledged."""

@@ -51,13 +51,14 @@ class Pace:
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """One line of a dry run."""
+    """One line of a dry run; `at_most` where a step may stop before it has taken all frames."""
 
     label: str
     kind: type[Action]
     seconds: float
     ink_ul: float
     frames: int
+    at_most: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,11 @@ class DryRun:
     def seconds(self) -> float:
         """How long it will take."""
         return sum(step.seconds for step in self.steps)
+
+    @property
+    def at_most(self) -> bool:
+        """Whether time and frames are upper bounds, because steps may stop early."""
+        return any(step.at_most for step in self.steps)
 
     @property
     def ink_ul(self) -> float:
@@ -143,5 +149,6 @@ def dry_run(
             run_used_ul += ink_ul
             tank = Delivered(action.total_ul, action.total_ul, action.total_ul)
         frames = action.frames if isinstance(action, Capture) else 0
-        steps.append(PlannedStep(task.label, type(action), seconds, ink_ul, frames))
+        at_most = isinstance(action, Capture) and action.until is not None
+        steps.append(PlannedStep(task.label, type(action), seconds, ink_ul, frames, at_most))
     return DryRun(tuple(steps), sequence.frames * frame_bytes)

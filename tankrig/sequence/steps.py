@@ -8,6 +8,7 @@ from pydantic import Field
 
 from tankrig.errors import SequenceError
 from tankrig.scene.description import CLOSED
+from tankrig.sequence.until import Until
 
 
 def _require(condition: bool, message: str) -> None:
@@ -77,9 +78,13 @@ class Capture:
     pattern
         One of the sequence's, or "dark" or "full".
     frames
-        How many.
+        How many; with `until`, at most.
     exposure_ms, gain
         Where they differ from the sequence's.
+    until
+        No more frames, and no more projecting, once the live fit knows the liquid so well.
+    timeout_s
+        No more frames after this time either; with `until` only.
     """
 
     __pydantic_config__ = CLOSED
@@ -87,10 +92,15 @@ class Capture:
     frames: int = 1
     exposure_ms: float | None = None
     gain: float | None = None
+    until: Until | None = None
+    timeout_s: float | None = None
     do: Literal["capture"] = "capture"
 
     def __post_init__(self) -> None:
         _require(self.frames >= 1, f"frames = {self.frames} records nothing; give 1 or more")
+        if self.timeout_s is not None:
+            _require(self.until is not None, f"timeout_s = {self.timeout_s} needs until; give both or neither")
+            _require(0.0 < self.timeout_s < float("inf"), f"timeout_s = {self.timeout_s} is no time; give seconds")
         _require_positive(self)
 
 
@@ -183,8 +193,9 @@ class Task:
                 what = f"dose to {total_ul:g} µl"
             case Mix():
                 what = "wait until mixed"
-            case Capture(pattern, frames):
+            case Capture(pattern, frames, until=until):
                 what = f"capture {pattern}" + (f" × {frames}" if frames > 1 else "")
+                what += f" at most until {until}" if until else ""
             case Wait(seconds):
                 what = f"wait {seconds:g} s"
             case Note(text):

@@ -53,6 +53,7 @@ def run(
     Meanwhile a process of its own fits σa, σs and g; at the end they are told, and a report is written into the run.
     Ctrl-C stops the doser at once and ends the run, which can then be resumed.
     """
+    from tankrig.run.runner import UNFITTED
     from tankrig.run.start import require_resumable
     from tankrig.sequence import load_sequence
 
@@ -72,6 +73,8 @@ def run(
             _tell_plan(plan, as_json)
             return 0
     runner = open_runner(sequence, path, description, delivered_ul)
+    if not fit and any(step.at_most for step in runner.plan.dry_run.steps):
+        click.echo(UNFITTED, err=True)
     if rig is None:
         click.echo("no rig is configured, so this is the simulated rig", err=True)
     return tell(carry_out(runner, fit), description, fit, as_json)
@@ -112,18 +115,22 @@ def _tell_plan(plan: "DryRun", as_json: bool) -> None:
     totals = {"seconds": plan.seconds, "ink_ul": plan.ink_ul, "frames": plan.frames, "disk_bytes": plan.disk_bytes}
     if as_json:
         steps = [
-            {"label": step.label, "seconds": step.seconds, "ink_ul": step.ink_ul, "frames": step.frames}
+            {"label": step.label, "seconds": step.seconds, "ink_ul": step.ink_ul, "frames": step.frames,
+             "at_most": step.at_most}
             for step in plan.steps
-        ]
-        click.echo(json.dumps({**totals, "steps": steps}))
+        ]  # fmt: skip
+        click.echo(json.dumps({**totals, "at_most": plan.at_most, "steps": steps}))
         return
     table = Table("step", "time", "ink", "frames", box=None, show_footer=False)
     for step in plan.steps:
         ink = f"{step.ink_ul:g} µl" if step.ink_ul else ""
-        table.add_row(step.label, f"{step.seconds:.1f} s", ink, str(step.frames or ""))
+        bound = "≤ " if step.at_most else ""
+        frames = f"{bound}{step.frames}" if step.frames else ""
+        table.add_row(step.label, f"{bound}{step.seconds:.1f} s", ink, frames)
     Console().print(table)
+    most = "at most " if plan.at_most else ""
     click.echo(
-        f"in all: {_duration(plan.seconds)}, {plan.ink_ul:g} µl of ink, {plan.frames} frames, "
+        f"in all: {most}{_duration(plan.seconds)}, {plan.ink_ul:g} µl of ink, {most}{plan.frames} frames, "
         f"{plan.disk_bytes / 1e6:.1f} MB at most; nothing has moved"
     )
 

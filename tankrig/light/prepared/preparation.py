@@ -29,7 +29,9 @@ EXACT_COST = 0.7
 """Time that orders 1 and 2 take at one medium, in batches of paths."""
 
 
-def prepared(scene: Scene, box: Box, tolerance: float, progress: Progress) -> tuple[Answer, Path]:
+def prepared(
+    scene: Scene, box: Box, tolerance: float, progress: Progress, threads: int = THREADS
+) -> tuple[Answer, Path]:
     """The model of a scene's geometry and pattern, from the cache or made now, and the file that keeps it.
 
     Raises
@@ -54,7 +56,7 @@ def prepared(scene: Scene, box: Box, tolerance: float, progress: Progress) -> tu
         return unpacked(known, plan.coordinates, scene.camera.shape), place.model
     work = _Work(scene, plan, place)
     place.require_room(work.size)
-    answer = assemble(plan, work.sampling, work.images(progress), scene.camera.shape)
+    answer = assemble(plan, work.sampling, work.images(progress, threads), scene.camera.shape)
     place.keep(place.model, packed(answer))
     place.clear_parts()
     progress(1.0)
@@ -93,10 +95,10 @@ class _Work:
             + int(np.prod(self.sampling.shape)) * len(self._plan.paths) // 2
         )
 
-    def images(self, progress: Progress) -> Images:
+    def images(self, progress: Progress, threads: int) -> Images:
         """Compute, or read, all."""
         total, done, found = sum(job.cost for job in self._jobs), 0.0, {}
-        pool = ThreadPoolExecutor(THREADS)
+        pool = ThreadPoolExecutor(threads)
         try:
             running = {pool.submit(self._image, job): job for job in self._jobs}
             for future in as_completed(running):

@@ -1,0 +1,1 @@
+"""What to photograph next: which dose and pattern would tell most."""

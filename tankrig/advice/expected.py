@@ -1,0 +1,151 @@
+"""What another photograph is expected to tell, before it is taken.
+
+The ink's σa, σs per ml and g, the water's σa, the logarithm of the common gain and one error per dose are known with
+the covariance that photographs give together (`tankrig.estimation.information`); another photograph adds its
+information. That is what a fit of all of them would state, to first order.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.information import Information, Rows, total
+from tankrig.estimation.uncertainty import PATTERN
+from tankrig.scene import Medium, Scene
+
+Array = NDArray[np.float64]
+Answer = Callable[[Scene, Medium], tuple[Array, Array]]
+"""Image of a scene with a medium, and (3, rows, columns) derivatives by σa, σs, g."""
+
+NAMES = ("sigma_a", "sigma_s", "g")
+OWN = 5
+"""Coefficients before those of the doses: ink σa, σs, g, water σa, log gain."""
+WIDEST = 10.0
+"""See `tankrig.estimation.uncertainty`: a prior of ten times σt, and of as much in log gain."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One pattern at one dose: taken, or to be taken.
+
+    Parameters
+    ----------
+    pattern
+        Its name.
+    scene
+        What is seen; its medium means nothing.
+    dose_ml, dose_sd_ml
+        Ink in the tank.
+    frames
+        That are averaged.
+    """
+
+    pattern: str
+    scene: Scene
+    dose_ml: float
+    dose_sd_ml: float
+    frames: int
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known, or guessed, of ink and camera.
+
+    Parameters
+    ----------
+    ink
+        Per mm and ml.
+    water_sigma_a
+        1/mm.
+    gain
+        Counts per radiance.
+    offset_free
+        Whether each photograph has an unknown offset.
+    noise
+        From the (rows, columns) mean of a frame to its variance.
+    model_error
+        Relative L2 error of the model that will be fitted.
+    """
+
+    ink: Medium
+    water_sigma_a: float
+    gain: float
+    offset_free: bool
+    noise: Callable[[Array], Array]
+    model_error: float
+
+    def liquid(self, dose_ml: float) -> Medium:
+        """In the tank at a dose."""
+        return Medium(self.water_sigma_a + self.ink.sigma_a * dose_ml, self.ink.sigma_s * dose_ml, self.ink.g)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What is known after some photographs.
+
+    Parameters
+    ----------
+    covariance
+        (3, 3) of the ink's σa, σs per ml and g.
+    relative_sd
+        By name; of g it is absolute.
+    """
+
+    covariance: Array
+    relative_sd: dict[str, float]
+
+    def bits_to(self, better: "Expected", name: str | None = None) -> float:
+        """Information that turns this into `better`, in bits: about one coefficient, or all three (½ log₂ of the
+        ratio of the covariances' determinants)."""
+        if name is not None:
+            return math.log2(self.relative_sd[name] / better.relative_sd[name])
+        before, after = (np.linalg.slogdet(one.covariance)[1] for one in (self, better))
+        return float(before - after) / 2.0 / math.log(2.0)
+
+
+def expected(known: Known, shots: Sequence[Shot], answer: Answer) -> Expected:
+    """What a fit of all shots would state, (3, 3) and by name.
+
+    Parameters
+    ----------
+    known
+        Ink and camera.
+    shots
+        All that are fitted.
+    answer
+        The model; remember its answers where many selections of the same shots are compared.
+    """
+    doses = sorted({shot.dose_ml for shot in shots})
+    found = total(_about_ink(known, shot, doses, answer) for shot in shots)
+    ink, densest = known.ink, known.liquid(doses[-1]).sigma_t
+    widest = [WIDEST * (ink.sigma_a + ink.sigma_s)] * 2 + [1.0, WIDEST * densest, WIDEST]
+    covariance = found.covariance(np.array([*widest, *np.ones(len(doses))]))[:3, :3]
+    sd = np.sqrt(np.diag(covariance))
+    scale = (ink.sigma_a, ink.sigma_s, 1.0)
+    return Expected(covariance, {name: float(sd[k] / scale[k]) for k, name in enumerate(NAMES)})
+
+
+def _about_ink(known: Known, shot: Shot, doses: Sequence[float], answer: Answer) -> Information:
+    """A shot's information about ink, water, gain and doses."""
+    number, ink, dose = doses.index(shot.dose_ml), known.ink, shot.dose_ml
+    chain = np.zeros((OWN + len(doses), 4))
+    chain[0, 0] = chain[1, 1] = dose
+    chain[2, 2] = chain[3, 0] = chain[4, 3] = 1.0
+    chain[OWN + number, :2] = shot.dose_sd_ml * ink.sigma_a, shot.dose_sd_ml * ink.sigma_s
+    return _about_liquid(known, shot, answer).of(chain)
+
+
+def _about_liquid(known: Known, shot: Shot, answer: Answer) -> Information:
+    """A shot's information about the liquid's σa, σs and g, and log gain."""
+    radiance, slopes = answer(shot.scene, known.liquid(shot.dose_ml))
+    image = known.gain * radiance
+    noise = np.sqrt(known.noise(image) / shot.frames)
+    error = known.model_error * image
+    changes = np.vstack([known.gain * slopes.reshape(3, -1), image.reshape(1, -1)])
+    weight, used = 1.0 / np.hypot(noise, error), np.ones(image.shape, bool)
+    rows = Rows.of(changes, np.zeros(image.size), weight.ravel(), used, known.offset_free)
+    tank, camera = shot.scene.tank, shot.scene.camera
+    return rows.information(noise, PATTERN * error, max(tank.size_mm) / camera.pixel_mm)

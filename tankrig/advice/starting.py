@@ -1,0 +1,76 @@
+"""What advice starts from: a run and its fits, or a guess of the ink."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from tankrig.advice.expected import Array, Known, Shot
+from tankrig.errors import ImageError
+from tankrig.live.exposures import Photograph, exposures_of
+from tankrig.report.results import Table, recorded
+from tankrig.run.reading import Run
+from tankrig.scene import Medium
+
+MODEL_ERROR = 0.001
+"""Of the models that runs are fitted with, where a run's fits don't tell: their usual error (decision 63)."""
+
+
+def from_run(run: Run) -> tuple[Known, list[Shot], list[str]]:
+    """What a run has found, what it has photographed, and what its doses are called.
+
+    Parameters
+    ----------
+    run
+        With fits, finished or not.
+
+    Returns
+    -------
+    Known, the shots taken, and the names of the patterns in their order
+
+    Raises
+    ------
+    ImageError
+        When it has no photograph of ink, or no fit of one.
+    """
+    exposures = exposures_of(run)
+    photographs = exposures.photographs()
+    doses, series = recorded(run)
+    if not photographs or not doses:
+        lacks = "fit of one yet; make a report of it first" if photographs else "photograph of ink yet; record some"
+        raise ImageError(f"{run.path}: has no {lacks}, so there is nothing to advise from")
+    shots = [Shot(one.pattern, one.scene, one.dose_ml, one.dose_sd_ml, one.frames) for one in photographs]
+    ink, water, gain = _ink(doses, series)
+    errors = [one["model_error"] for one in doses if "model_error" in one]
+    error = float(np.median(errors)) if errors else MODEL_ERROR
+    free = photographs[0].offset == "free"
+    patterns = [exposures.plan.patterns[key].name for key in exposures.plan.scenes]
+    return Known(ink, water, gain, free, _noise_of(photographs), error), shots, patterns
+
+
+def from_guess(ink: Medium, gain: float, noise: float) -> Known:
+    """A guess, where nothing has been photographed: frames of noise `noise`, a share of their peak."""
+
+    def variance(image: Array) -> Array:
+        return np.full(image.shape, (noise * float(image.max())) ** 2)
+
+    return Known(ink, 0.0, gain, False, variance, MODEL_ERROR)
+
+
+def _ink(doses: Sequence[Table], series: Table | None) -> tuple[Medium, float, float]:
+    """Ink per ml, σa of the water, and gain, by the best fit there is."""
+    if series is not None:
+        ink = series["ink"]
+        return Medium(ink["sigma_a"], ink["sigma_s"], ink["g"]), series["water_sigma_a"], series["gain"]
+    last = doses[-1]
+    dose_ml = last["dose_ml"]
+    return Medium(last["sigma_a"] / dose_ml, last["sigma_s"] / dose_ml, last["g"]), 0.0, last["gain"]
+
+
+def _noise_of(photographs: Sequence[Photograph]) -> Callable[[Array], Array]:
+    """Variance of one frame as a straight line in its brightness, as the photographs show it."""
+    bright = np.concatenate([one.image.ravel() for one in photographs])
+    variance = np.concatenate([one.noise.ravel() ** 2 * one.frames for one in photographs])
+    design = np.stack([np.ones(bright.size), bright], axis=1)
+    base, slope = np.linalg.lstsq(design, variance, rcond=None)[0]
+    floor = max(0.1 * float(variance.mean()), 1e-300)
+    return lambda image: np.maximum(base + slope * image, floor)

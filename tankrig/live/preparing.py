@@ -1,0 +1,157 @@
+"""Models prepared while a run goes on: of its patterns, for the media that its doses can give."""
+
+import math
+import threading
+import warnings
+from collections.abc import Callable, Iterable
+
+from tankrig.image.prepare import Prepared, prepare
+from tankrig.light.prepared.box import Box
+from tankrig.scene.description import Medium, Scene
+
+TOLERANCE = 0.02
+"""Asked for; in so small a box the least work gives a tenth of that (decision 63)."""
+DENSITY_ROOM, DENSITY_GRID = 1.2, 1.1
+"""Factor beyond the density foreseen at either side; edges are then rounded outwards to powers of the grid."""
+ASYMMETRY_ROOM, ASYMMETRY_GRID = 0.07, 0.05
+ALBEDOS = (0.8, 0.5, 0.2, 0.02)
+"""Lower edges of the albedo, of which the highest is taken that leaves room for twice the absorption foreseen."""
+MOST_ALBEDO = 0.9999
+EDGES = (5e-4, 0.5), (-0.9, 0.97)
+"""Of σt and g, beyond which no model is prepared."""
+WELL_INSIDE = 1.05, 0.02
+"""Factor in σt, and distance in g, from its edges within which a box is taken to hold a liquid foreseen."""
+
+Told = Callable[[str], object]
+
+
+def box_for(liquid: Medium) -> Box:
+    """Media that a dose can give when `liquid` is foreseen.
+
+    One small box for each dose: a model for σt from 0.001 to 0.035 errs by ten times as much (decision 63). Edges are
+    rounded, so that the next run with the same ink finds its models prepared.
+
+    Examples
+    --------
+    >>> box_for(Medium(5e-4, 0.01, 0.7))
+    Box(sigma_t=(0.0086..., 0.0127...), albedo=(0.8, 0.9999), g=(0.6, 0.8))
+    """
+    (least, most), (backward, forward) = EDGES
+    step = math.log(DENSITY_GRID)
+    sigma_t = min(max(liquid.sigma_t, 1.5 * least), most / 1.5)
+    low = math.exp(math.floor(math.log(max(sigma_t / DENSITY_ROOM, least)) / step) * step)
+    high = math.exp(math.ceil(math.log(min(sigma_t * DENSITY_ROOM, most)) / step) * step)
+    g = min(max(liquid.g, backward + ASYMMETRY_ROOM), forward - ASYMMETRY_ROOM)
+    g_low = math.floor(round((g - ASYMMETRY_ROOM) / ASYMMETRY_GRID, 6)) * ASYMMETRY_GRID
+    g_high = math.ceil(round((g + ASYMMETRY_ROOM) / ASYMMETRY_GRID, 6)) * ASYMMETRY_GRID
+    asymmetry = round(max(g_low, backward), 4), round(min(g_high, forward), 4)
+    albedo = next((one for one in ALBEDOS if one < 1.0 - 2.0 * (1.0 - liquid.albedo)), ALBEDOS[-1])
+    return Box((round(low, 9), round(high, 9)), (albedo, MOST_ALBEDO), asymmetry)
+
+
+def holds(box: Box, liquid: Medium) -> bool:
+    """Whether a liquid is well inside a box."""
+    factor, distance = WELL_INSIDE
+    return (
+        box.sigma_t[0] * factor <= liquid.sigma_t <= box.sigma_t[1] / factor
+        and box.g[0] + distance <= liquid.g <= box.g[1] - distance
+        and liquid.albedo > box.albedo[0]
+    )
+
+
+class _EnoughError(Exception):
+    """Raised in the middle of a preparation that is not wanted any more."""
+
+
+class Preparing:
+    """Prepares models in a thread of its own, one computation at a time, and hands them out as they become ready.
+
+    What was begun when it is closed stays in the cache folder, and the next run goes on with it.
+
+    Parameters
+    ----------
+    told
+        Called, in that thread, with a sentence when models are ready or cannot be prepared.
+    """
+
+    def __init__(self, told: Told = lambda _: None) -> None:
+        self._told = told
+        self._closing = False
+        self._change = threading.Condition()
+        self._waiting: list[tuple[Scene, Box]] = []
+        self._models: dict[tuple[Scene, Box], Prepared] = {}
+        self._refused: set[tuple[Scene, Box]] = set()
+        self._thread = threading.Thread(target=self._work, name="preparing", daemon=True)
+        self._thread.start()
+
+    def box(self, liquid: Medium) -> Box:
+        """A box that models are or will be prepared for, if one holds the liquid well inside; else a new one."""
+        with self._change:
+            boxes = {box: None for _, box in (*self._models, *self._waiting)}
+        return next((box for box in boxes if holds(box, liquid)), box_for(liquid))
+
+    def want(self, scenes: Iterable[Scene], box: Box) -> None:
+        """Prepare models of scenes next, in their order, where they are not ready; returns at once."""
+        wanted = [(scene, box) for scene in scenes]
+        with self._change:
+            self._waiting = [
+                *(one for one in wanted if one not in self._models and one not in self._refused),
+                *(one for one in self._waiting if one not in wanted),
+            ]
+            self._change.notify_all()
+
+    def models(self, scenes: Iterable[Scene], box: Box) -> list[Prepared] | None:
+        """Models of scenes; None while one of them is not ready."""
+        with self._change:
+            found = [self._models.get((scene, box)) for scene in scenes]
+        ready = [model for model in found if model is not None]
+        return ready if len(ready) == len(found) else None
+
+    def under_way(self, scenes: Iterable[Scene], box: Box) -> bool:
+        """Whether models of scenes are going to be ready."""
+        with self._change:
+            return not any((scene, box) in self._refused for scene in scenes)
+
+    @property
+    def all_models(self) -> list[Prepared]:
+        """All that are ready."""
+        with self._change:
+            return list(self._models.values())
+
+    def close(self) -> None:
+        """End; the computation under way is finished first, which takes a second or so."""
+        with self._change:
+            self._closing = True
+            self._change.notify_all()
+        self._thread.join()
+
+    def _work(self) -> None:
+        while True:
+            with self._change:
+                self._change.wait_for(lambda: self._waiting or self._closing)
+                if self._closing:
+                    return
+                scene, box = wanted = self._waiting[0]
+            try:
+                model = self._prepared(scene, box)
+            except _EnoughError:
+                continue
+            except Exception as error:  # whatever it is, today's fit goes on
+                with self._change:
+                    self._refused.add(wanted)
+                self._told(f"no model could be prepared for the live fit: {error}")
+            else:
+                with self._change:
+                    self._models[wanted] = model
+                self._told("")
+            with self._change:
+                self._waiting = [one for one in self._waiting if one != wanted]
+
+    def _prepared(self, scene: Scene, box: Box) -> Prepared:
+        def progress(_: float) -> None:
+            if self._closing or self._waiting[:1] != [(scene, box)]:
+                raise _EnoughError
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # the error is counted in every covariance
+            return prepare(scene, TOLERANCE, progress, box, threads=1)

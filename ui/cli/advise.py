@@ -1,0 +1,190 @@
+"""`tankrig advise`: which dose and pattern to take next, by what they are expected to tell."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tankrig.errors import ImageError
+from ui.cli.options import json_option, rig_option
+
+if TYPE_CHECKING:
+    from drivers.rig import RigFile
+    from tankrig.advice.expected import Expected, Known, Shot
+    from tankrig.advice.ranking import Advice, Candidate
+    from tankrig.live.exposures import Plan
+
+GROWTH = (1.0, 1.5, 2.0, 4.0)
+"""Doses that are compared where none are named, as multiples of what the tank holds."""
+FIRST_DOSES_UL = (50.0, 100.0, 200.0, 400.0, 800.0)
+SHOWN = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
+
+
+@click.command(epilog="Example: tankrig advise runs/2026-11-20T10-00-00 --for sigma_a")
+@click.argument("run_folder", metavar="[RUN]", required=False, type=click.Path(path_type=Path))
+@click.option("--sequence", "sequence_file", type=click.Path(path_type=Path), metavar="FILE",
+              help="Patterns to choose from, without a run: those of a sequence file; needs --ink.")  # fmt: skip
+@click.option("--ink", type=(float, float, float), metavar="σa σs g",
+              help="A guess of the ink, per mm and ml, without a run.")  # fmt: skip
+@click.option("--noise", type=click.FloatRange(0.0, 1.0, min_open=True), default=0.005, show_default=True,
+              help="Of a frame, as a share of its peak, without a run.")  # fmt: skip
+@click.option("--dose-ul", "doses_ul", type=click.FloatRange(min=0.0, min_open=True), multiple=True, metavar="UL",
+              help="Ink in the tank in all, to be compared; may be given several times.")  # fmt: skip
+@click.option("--frames", type=click.IntRange(min=1), default=4, show_default=True, help="That are averaged.")
+@click.option("--for", "wanted", type=click.Choice(["all", *SHOWN]), default="all", show_default=True,
+              help="The coefficient to learn about, or all three.")  # fmt: skip
+@click.option("--by", type=click.Choice(["minute", "ul", "all"]), default="minute", show_default=True,
+              help="Rank by information per minute, per µl of ink, or in all.")  # fmt: skip
+@click.option("--limit", type=click.IntRange(min=1), default=12, show_default=True, help="Candidates to show.")
+@rig_option
+@json_option
+def advise(
+    run_folder: Path | None,
+    sequence_file: Path | None,
+    ink: tuple[float, float, float] | None,
+    noise: float,
+    doses_ul: tuple[float, ...],
+    frames: int,
+    wanted: str,
+    by: Any,
+    limit: int,
+    rig: Path | None,
+    as_json: bool,
+) -> None:
+    """Rank what to photograph next by the information expected per minute and per µl of ink.
+
+    From what RUN has photographed and fitted so far, or from a guess of the ink. The standard deviations are those
+    that a fit of everything, the candidate included, is expected to state.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from drivers.rig import load_rig_file, simulated_rig
+    from tankrig.advice.ranking import prepared_answer, ranked
+
+    if (run_folder is None) == (sequence_file is None):
+        raise click.UsageError("give the folder of a run, or --sequence and --ink")
+    if sequence_file is not None and ink is None:
+        raise click.UsageError("--sequence needs --ink: a guess of the ink's σa, σs per mm and ml, and g")
+    description = load_rig_file(rig) if rig else simulated_rig(Path("rig"))
+    if run_folder is not None:
+        known, taken, plan, exposure_ms = _of_run(run_folder)
+    else:
+        assert sequence_file is not None
+        assert ink is not None
+        known, taken, plan, exposure_ms = _of_guess(sequence_file, ink, noise, description)
+    candidates = _candidates(taken, plan, doses_ul, frames, exposure_ms, description)
+    shots = [*taken, *(one.shot for one in candidates)]
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("preparing models", total=1.0)
+        answer = prepared_answer(
+            known, [one.scene for one in shots], [one.dose_ml for one in shots],
+            lambda done: bar.update(task, completed=done),
+        )  # fmt: skip
+        bar.update(task, description="comparing", completed=1.0)
+        before, found = ranked(known, taken, candidates, answer, by, None if wanted == "all" else wanted)
+    if as_json:
+        rows = [_row(advice) for advice in found[:limit]]
+        click.echo(json.dumps({"now": before and before.relative_sd, "candidates": rows}, ensure_ascii=False))
+    else:
+        _tell(before, found[:limit])
+
+
+def _of_run(folder: Path) -> "tuple[Known, list[Shot], Plan, float]":
+    from tankrig.advice.starting import from_run
+    from tankrig.live.exposures import Plan
+    from tankrig.run.reading import open_run
+
+    run = open_run(folder)
+    known, taken, _ = from_run(run)
+    return known, taken, Plan.of_run(run), float(run.settings["sequence"]["exposure_ms"])
+
+
+def _of_guess(
+    file: Path, ink: tuple[float, float, float], noise: float, description: "RigFile"
+) -> "tuple[Known, list[Shot], Plan, float]":
+    from tankrig.advice.starting import from_guess
+    from tankrig.live.exposures import Plan
+    from tankrig.scene import Medium
+    from tankrig.sequence import load_sequence
+
+    sequence = load_sequence(file)
+    patterns = list(sequence.drawn(description.bench.wall).values())
+    plan = Plan.of(description.bench, sequence, patterns)
+    return from_guess(Medium(*ink), 1.0, noise), [], plan, sequence.exposure_ms
+
+
+def _candidates(
+    taken: "list[Shot]", plan: "Plan", doses_ul: tuple[float, ...], frames: int, exposure_ms: float,
+    description: "RigFile",
+) -> "list[Candidate]":  # fmt: skip
+    """Every lit pattern at every dose that the budgets allow."""
+    from tankrig.advice.expected import Shot
+    from tankrig.advice.ranking import Candidate
+    from tankrig.sequence import Capture, Dose, Mix, Sequence
+
+    held_ul = 1000.0 * max((shot.dose_ml for shot in taken), default=0.0)
+    totals = doses_ul or (tuple(held_ul * by for by in GROWTH) if held_ul else FIRST_DOSES_UL)
+    most_ul = description.limits.tank_ul
+    allowed = sorted({total for total in totals if held_ul <= total <= most_ul})
+    if not allowed:
+        raise ImageError(
+            f"the tank holds {held_ul:g} µl and may hold {most_ul:g} µl, so that none of the doses compared is "
+            "possible; give others with --dose-ul"
+        )
+    shares = [shot.dose_sd_ml / shot.dose_ml for shot in taken]
+    sd = max(shares, default=0.0)
+    steps, pace = Sequence("next", (Mix(), Capture("full", frames)), exposure_ms=exposure_ms), description.pace
+    found = []
+    for total in allowed:
+        dosed = total > held_ul
+        seconds = sum(pace.seconds(one, steps, held_ul) for one in (Dose(total), Mix())) if dosed else 0.0
+        seconds += pace.seconds(Capture("full", frames), steps, total)
+        for key, scene in plan.scenes.items():
+            shot = Shot(plan.patterns[key].name, scene, total / 1000.0, sd * total / 1000.0, frames)
+            found.append(Candidate(shot, seconds / 60.0, total - held_ul))
+    return found
+
+
+def _row(advice: "Advice") -> dict[str, Any]:
+    candidate = advice.candidate
+    return {
+        "dose_ul": 1000.0 * candidate.shot.dose_ml,
+        "volume_ul": candidate.volume_ul,
+        "pattern": candidate.shot.pattern,
+        "frames": candidate.shot.frames,
+        "minutes": candidate.minutes,
+        "relative_sd": advice.after.relative_sd,
+        "bits": advice.bits,
+        "bits_per_minute": advice.bits_per_minute,
+        "bits_per_ul": advice.bits_per_ul,
+    }
+
+
+def _tell(before: "Expected | None", found: "list[Advice]") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    headings = ("next", *(f"{symbol} ±" for symbol in SHOWN.values()), "min", "µl", "bits", "bits/min", "bits/µl")
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
+    if before is not None:
+        table.add_row("as it is now", *_errors(before), "", "", "", "", "", style="dim")
+    for advice in found:
+        candidate = advice.candidate
+        dosed = candidate.volume_ul > 0.0
+        what = f"{f'+{candidate.volume_ul:g} µl, ' if dosed else ''}{candidate.shot.pattern} × {candidate.shot.frames}"
+        per_ul = "–" if advice.bits_per_ul is None else f"{advice.bits_per_ul:.2g}"
+        table.add_row(
+            what, *_errors(advice.after), f"{candidate.minutes:.2f}", f"{candidate.volume_ul:g}",
+            f"{advice.bits:.2f}", f"{advice.bits_per_minute:.2g}", per_ul,
+        )  # fmt: skip
+    Console().print(table)
+    click.echo("± standard deviations expected: σs and σa relative, per ml of ink; g absolute")
+
+
+def _errors(found: "Expected") -> list[str]:
+    sd = found.relative_sd
+    return [f"{sd[name]:.4f}" if name == "g" else f"{100.0 * sd[name]:.2g} %" for name in SHOWN]

@@ -1,0 +1,140 @@
+"""`tankrig compare`: the same image explained by single scattering, more and more orders, and other models."""
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tankrig.errors import ImageError
+from ui.cli.fit import LEVEL, FreeOrNumber
+from ui.cli.options import json_option
+
+if TYPE_CHECKING:
+    from tankrig.estimation.comparison import Compared, Comparison
+    from tankrig.scene import Scene
+
+SHOWN = {"sigma_s": "σs, 1/m", "g": "g", "sigma_a": "σa, 1/m"}
+
+
+@click.command(epilog="Example: tankrig compare tank.npz --scene scene.toml")
+@click.argument("given", metavar="RUN|IMAGE", type=click.Path(path_type=Path))
+@click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE",
+              help="Scene file (TOML) of what IMAGE shows; a run knows its own.")  # fmt: skip
+@click.option("--array", metavar="NAME", help='Which array of an .npz; default: the only image, or "total".')
+@click.option("--scale", type=float, default=1.0, show_default=True, help="Radiance per count, W/mm²/sr.")
+@click.option("--gain", type=FreeOrNumber(), default="free", show_default=True, help="Image per radiance.")
+@click.option("--offset", type=FreeOrNumber(), default="free", show_default=True, help="Added to it.")
+@click.option("--noise", type=float, help="Standard deviation of a pixel; default: as seen.")
+@click.option("--dose-ml", type=float, help="Which dose of a run; default: the last.")
+@click.option("--pattern", metavar="NAME", help="Which pattern of a run; default: its first.")
+@json_option
+def compare(
+    given: Path, scene_file: Path | None, array: str | None, scale: float, gain: Any, offset: Any,
+    noise: float | None, dose_ml: float | None, pattern: str | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Fit RUN or IMAGE by several models and compare them in one table.
+
+    Single scattering, orders 1 … 3 and 1 … 20, all orders in the tank, the paper's infinite medium, and the diffuse
+    limit: what each leaves over, the coefficients it finds, and how far above the best its information criterion is.
+    """
+    from rich.console import Console
+
+    import tankrig
+    from tankrig.estimation.comparison import compare_models
+    from tankrig.image.reading import read_image
+
+    image: Any
+    sigma: Any = noise
+    if given.is_dir():
+        image, scene, sigma, offset = _photograph(given, dose_ml, pattern, noise, offset)
+    elif scene_file is None:
+        raise click.UsageError("an image needs --scene FILE")
+    else:
+        scene, image = tankrig.load_scene(scene_file), read_image(given, array, scale)
+    with Console(stderr=True).status("reading") as status:
+        try:
+            found = compare_models(image, scene, gain, offset, sigma, progress=lambda what: status.update(what))
+        except tankrig.ImageError as error:
+            raise tankrig.ImageError(f"{given}: {error}") from error
+    if as_json:
+        rows = [_row(row) for row in found.rows]
+        click.echo(json.dumps({"pixels": found.pixels, "effective_pixels": found.effective, "models": rows}))
+    else:
+        _tell(found)
+
+
+def _photograph(
+    folder: Path, dose_ml: float | None, pattern: str | None, noise: float | None, offset: Any
+) -> "tuple[Any, Scene, Any, Any]":
+    """One of a run's photographs."""
+    from tankrig.live.exposures import exposures_of
+    from tankrig.run.reading import open_run
+
+    photographs = exposures_of(open_run(folder)).photographs()
+    doses = sorted({one.dose_ml for one in photographs})
+    dose = min(doses, key=lambda one: abs(one - (dose_ml or doses[-1])), default=0.0)
+    here = [one for one in photographs if one.dose_ml == dose and pattern in (None, one.pattern)]
+    if not here or (dose_ml is not None and abs(dose - dose_ml) > 0.01 * dose):
+        there = ", ".join(sorted({f"{one.pattern} at {one.dose_ml:g} ml" for one in photographs})) or "none"
+        raise ImageError(f"{folder}: has no such photograph of ink; there is {there}")
+    one = here[0]
+    return one.image, one.scene, one.noise if noise is None else noise, one.offset if offset == "free" else offset
+
+
+def _row(row: "Compared") -> dict[str, Any]:
+    fit, contender = row.estimate, row.contender
+    head = {"name": contender.name, "model": contender.model, "max_order": contender.max_order}
+    if fit is None:
+        return {**head, "error": row.refusal, "seconds": round(row.seconds, 3)}
+    return {
+        **head,
+        "medium": {name: getattr(fit.medium, name) for name in SHOWN},
+        "interval": {"level": LEVEL, **fit.interval(LEVEL)},
+        "identifiable": fit.identifiable,
+        "gain": fit.gain,
+        "offset": fit.offset,
+        "rmse": fit.rmse,
+        "aic": row.aic,
+        "bic": row.bic,
+        "seconds": round(row.seconds, 3),
+        "verdict": fit.verdict,
+    }
+
+
+def _tell(found: "Comparison") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for number, heading in enumerate(("model", "RMSE", *SHOWN.values(), "ΔAIC", "ΔBIC", "s")):
+        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
+    for row in found.rows:
+        if row.estimate is None:
+            table.add_row(row.contender.name, "–", "", "", "", "", "", f"{row.seconds:.1f}", style="dim")
+            continue
+        table.add_row(
+            row.contender.name, f"{row.estimate.rmse:.3g}", *_cells(row),
+            f"{row.aic:.0f}", f"{row.bic:.0f}", f"{row.seconds:.1f}", style="bold" if row.bic == 0.0 else None,
+        )  # fmt: skip
+    Console().print(table)
+    click.echo(
+        f"± half of the {LEVEL:.0%} interval; a coefficient in brackets is not determined; criteria count "
+        f"{found.effective:.0f} independent pixels of {found.pixels}"
+    )
+    for row in found.rows:
+        if row.refusal:
+            click.echo(f"{row.contender.name}: {row.refusal}")
+
+
+def _cells(row: "Compared") -> list[str]:
+    assert row.estimate is not None
+    cells = []
+    for name, (low, high) in row.estimate.interval(LEVEL).items():
+        by = 1.0 if name == "g" else 1000.0
+        value, half = by * getattr(row.estimate.medium, name), by * 0.5 * (high - low)
+        digits = min(6, max(0, 1 - math.floor(math.log10(half)))) if 0.0 < half < math.inf else 3
+        text = f"{value:.{digits}f}±{half:.{digits}f}"
+        cells.append((name, text if row.estimate.identifiable[name] else f"({text})"))
+    return [dict(cells)[name] for name in SHOWN]
