@@ -179,6 +179,9 @@ def open_rig(description: RigFile) -> Rig:
             devices[kind] = open_device(settings.pop("driver"), settings)
             undo.callback(devices[kind].close)
         bench = calibrated_bench(description)
+        calibrations = in_force(Path(description.calibration_folder), description.calibration)
+        if "radiometry" in calibrations:
+            calibrations["radiometry"].require_for(devices["camera"].name, devices["camera"].shape)
         for kind, shape in (("projector", bench.wall.shape), ("camera", bench.camera.shape)):
             if tuple(devices[kind].shape) != tuple(shape):
                 raise DeviceError(
@@ -191,7 +194,7 @@ def open_rig(description: RigFile) -> Rig:
             limits=description.limits,
             ledger=description.ledger,
             pace=description.pace,
-            calibrations=in_force(Path(description.calibration_folder), description.calibration),
+            calibrations=calibrations,
             lock=lock,
             **devices,
         )

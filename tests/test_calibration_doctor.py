@@ -100,3 +100,56 @@ def test_a_gamma_that_is_ignored_is_seen_in_the_light(tmp_path: Path) -> None:
         assert level_check(projector, camera, calibrated_bench(rig).wall).passed
         camera.put("cap")  # type: ignore[attr-defined]
         assert level_check(projector, camera, rig.bench.wall).passed is None
+
+
+def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_path: Path) -> None:
+    """Non-linear, vignetted, hot: what the fit sees is the tank all the same, also when the run is read elsewhere."""
+    import shutil
+
+    import tankrig
+    from drivers.rig import open_rig
+    from drivers.simulated.sensor import gain_and_offset
+    from drivers.simulated.settings import Sensor
+    from tankrig.calibration.radiometry_plan import RadiometryPlan
+    from tankrig.calibration.radiometry_procedure import measure_radiometry
+    from tankrig.calibration.radiometry_result import calibration_of
+    from tankrig.devices import CameraSettings
+    from tankrig.live.exposures import Plan
+    from tankrig.pattern.kinds import Sheet
+    from tankrig.run.start import new_run
+    from tankrig.sequence import Capture, Dose, Wait
+    from tankrig.sequence import Sequence as Steps
+
+    from .window_rig import write_rig
+
+    worn = {"vignetting": 0.3, "nonlinear": 0.08, "hot": 0.01, "uneven": 0.02, "dark_current": 0.05}
+    written = ", ".join(f"{name} = {value}" for name, value in worn.items())
+    fast = "time_scale = 0.005"
+    file = write_rig(
+        tmp_path, projector=fast, camera=f"{fast}\nmost_per_s = 500.0\nsensor = {{ {written} }}", doser="rate = 20000.0"
+    )
+    rig = load_rig_file(file)
+    with open_light(rig) as (projector, camera):
+        measured = measure_radiometry(projector, camera, RadiometryPlan(), camera.put)  # type: ignore[attr-defined]
+    save(calibration_of(measured), Path(rig.calibration_folder))
+    sheet = {"sheet": Sheet((-60.0, 60.0), (40.0, 80.0))}
+    steps = Steps("one", steps=(Dose(500.0), Wait(1.0), Capture("sheet", frames=8)), patterns=sheet, exposure_ms=8.0)
+    opened = open_rig(rig)
+    outcome = new_run(steps, opened, tmp_path / "run").run()
+    assert outcome.error is None
+    shutil.rmtree(rig.calibration_folder)
+    run = tankrig.open_run(tmp_path / "run")
+    plan = Plan.of_run(run)
+    assert plan.radiometry is not None
+    frames = [frame for frame in run.frames if frame.pattern == "sheet"]
+    seen = np.mean([plan.radiometry.corrected(frame.values, CameraSettings(8.0)) for frame in frames], axis=0)
+    pattern = run.patterns[frames[0].pattern_hash.item()]
+    tank = opened.camera.tank  # type: ignore[attr-defined]
+    true = tank.radiance(pattern, tank.medium).image
+    raw = np.mean([frame.values for frame in frames], axis=0) - 100.0
+    errors = [
+        np.linalg.norm(one / (one * true).sum() * (true**2).sum() - true) / np.linalg.norm(true) for one in (seen, raw)
+    ]
+    assert errors[0] < 0.01 < 0.03 < errors[1]
+    dn_per_radiance, _ = gain_and_offset(Sensor(**worn), CameraSettings(1.0))
+    assert (seen * true).sum() / (true**2).sum() == pytest.approx(dn_per_radiance, rel=0.03)

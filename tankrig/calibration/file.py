@@ -174,6 +174,21 @@ def load(path: Path) -> Calibration:
         raise StoreError(f"{path}: is no calibration file ({error}); {again}") from error
 
 
+def copy_to(calibration: Calibration, folder: Path) -> None:
+    """Keep a copy of a calibration's files, so that what rests on it can be read wherever it goes.
+
+    Raises
+    ------
+    StoreError
+        When they cannot be written.
+    """
+    assert calibration.path is not None
+    for path in (calibration.path, calibration.path.with_suffix(".npz")):
+        if path.exists():
+            with whole_file(folder / path.name) as unfinished:
+                unfinished.write_bytes(path.read_bytes())
+
+
 def all_in(folder: Path, kind: str = "*") -> Iterator[Calibration | StoreError]:
     """Calibrations of a kind that count, the newest first; in place of a file that cannot be used, why not."""
     for path in sorted(folder.glob(f"{kind}-*.toml"), key=lambda path: path.stem, reverse=True):

@@ -77,6 +77,10 @@ class Radiometry:
     hot: NDArray[np.bool_]
     response: Response
 
+    def knows(self, gain: float) -> bool:
+        """Whether it was measured at a gain."""
+        return any(abs(one.gain / gain - 1.0) < _SAME_GAIN for one in self.amplified)
+
     def at(self, gain: float) -> Amplified:
         """What was measured at a gain.
 

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.bench import Bench
+from tankrig.calibration.file import FOLDER, in_force
+from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked
-from tankrig.devices import Pixels
+from tankrig.devices import CameraSettings, Pixels
 from tankrig.errors import StoreError
 from tankrig.estimation.observation import pixel_noise
 from tankrig.pattern import Pattern
@@ -79,30 +81,38 @@ class Plan:
         By hash, in the order of the sums.
     doses_ml
         Ink in the tank, as the sequence means to dose it, rising.
-    exposures
-        ms times gain of each step of the sequence.
+    settings
+        Of the camera in each step of the sequence.
+    radiometry
+        Of the camera, where it was calibrated for all of them.
     """
 
     bench: Bench
     patterns: dict[str, Pattern]
     doses_ml: tuple[float, ...]
-    exposures: tuple[float, ...]
+    settings: tuple[CameraSettings, ...]
+    radiometry: Radiometry | None = None
 
     @classmethod
-    def of(cls, bench: Bench, sequence: Sequence, patterns: list[Pattern]) -> "Plan":
+    def of(
+        cls, bench: Bench, sequence: Sequence, patterns: list[Pattern], radiometry: Radiometry | None = None
+    ) -> "Plan":
         """For a sequence on a bench."""
         actions = [task.action for task in sequence.tasks]
-        settings = [sequence.camera_settings(one) if isinstance(one, Capture) else None for one in actions]
-        exposures = tuple(one.exposure_ms * one.gain if one else 1.0 for one in settings)
+        unused = CameraSettings(1.0)
+        settings = tuple(sequence.camera_settings(one) if isinstance(one, Capture) else unused for one in actions)
+        gains = {one.gain for one in settings if one is not unused}
+        if radiometry is not None and not all(radiometry.knows(gain) for gain in gains):
+            radiometry = None
         doses = tuple(one.total_ul / 1000.0 for one in actions if isinstance(one, Dose))
-        return cls(bench, {pattern.hash: pattern for pattern in patterns}, doses, exposures)
+        return cls(bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry)
 
     @classmethod
     def of_run(cls, run: Run) -> "Plan":
         """For a run that was recorded."""
         bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
         sequence = sequence_from_table(dict(run.settings["sequence"]), str(run.path))
-        return cls.of(bench, sequence, list(run.patterns.values()))
+        return cls.of(bench, sequence, list(run.patterns.values()), radiometry_of_run(run))
 
     @property
     def doses(self) -> int:
@@ -135,6 +145,17 @@ class Plan:
         """Numbers that the sums take."""
         rows, columns = self.camera.shape
         return 2 + self.doses * 4 + self.doses * len(self.patterns) * (1 + 2 * rows * columns)
+
+    def binned(self, pixels: Pixels, step: int) -> Array:
+        """A frame as the fit sees it: counts per ms at gain 1, made proportional to radiance where that is known."""
+        by, settings = self.binning, self.settings[step]
+        rows, columns = self.camera.shape
+        if self.radiometry is not None:
+            light = self.radiometry.corrected(pixels, settings)
+            return np.asarray(light.reshape(rows, by, columns, by).mean(axis=(1, 3)))
+        lines = pixels.reshape(rows, by, columns * by).sum(axis=1, dtype=np.uint32)  # whole rows first: 5 × faster
+        bins: Array = lines.reshape(rows, columns, by).sum(axis=2) / (by * by * settings.exposure_ms * settings.gain)
+        return bins
 
 
 class Exposures:
@@ -194,10 +215,7 @@ class Exposures:
         if event.kind == "session" or event.kind == "dose_done":
             self._set_dose(event["delivered_ul"], event["delivered_low_ul"], event["delivered_high_ul"])
         elif event.kind == "frame" and pixels is not None and event["pattern_hash"] in self._index:
-            by, pattern = self.plan.binning, self._index[event["pattern_hash"]]
-            rows, columns = self.plan.camera.shape
-            lines = pixels.reshape(rows, by, columns * by).sum(axis=1, dtype=np.uint32)  # whole rows first: 5 × faster
-            binned = lines.reshape(rows, columns, by).sum(axis=2) / (by * by * self.plan.exposures[event["step"]])
+            pattern, binned = self._index[event["pattern_hash"]], self.plan.binned(pixels, event["step"])
             lit = event["pattern_hash"] in self._lit
             if lit:
                 self._leave_out_what_had_not_mixed(pattern, binned)
@@ -298,6 +316,20 @@ def _photon_transfer(mean: Array, variance: Array, count: int) -> Array:
     floor = max(0.1 * float(variance.mean()), 1e-12 * float(mean.max()) ** 2)
     spread: Array = np.maximum((design @ line).reshape(mean.shape), floor)
     return spread
+
+
+def radiometry_of_run(run: Run) -> Radiometry | None:
+    """The radiometric calibration that was in force when a run was recorded; its file is in the run's folder.
+
+    Raises
+    ------
+    StoreError
+        When there was one, and its file is gone or changed.
+    """
+    named = run.settings.get("calibrations", {})
+    if "radiometry" not in named:
+        return None
+    return Radiometry.of(in_force(run.path / FOLDER, {"radiometry": named["radiometry"]})["radiometry"])
 
 
 def exposures_of(run: Run) -> Exposures:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tankrig.calibration.file import FOLDER, copy_to
 from tankrig.dosing import DoseDone, GuardedDoser, TankLedger
 from tankrig.errors import StoreError, UndecidedError
 from tankrig.files import require_writable
@@ -67,6 +68,8 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
             "calibrations": {kind: one.hash for kind, one in rig.calibrations.items()},
         }
         create_run(path, rig.camera.shape, _dtype(rig), sequence.frames, settings, list(patterns.values()))
+        for calibration in rig.calibrations.values():
+            copy_to(calibration, path / FOLDER)
         runner = _runner(rig, doser, journal, path, Plan(sequence, patterns, took), undo)
         undo.pop_all()
         return runner
