@@ -49,6 +49,8 @@ def random_bench(folder: Path, seed: int, **sensor: float) -> RadiometryBench:
         "dark_current": draw.uniform(0.0, 0.05),
         "gain_error": draw.uniform(-0.05, 0.05),
     }
+    # As cameras are set: black far enough above 0 for the noise at gain 4.
+    drawn["black"] = max(100.0, 24.0 * (drawn | sensor)["read_noise"] * 2**bits / full_well)
     true_sensor = Sensor(bits=bits, full_well=full_well, pattern_seed=seed, **(drawn | sensor))
     shape = (30, 40)
     wall = replace(TRUE_BENCH.wall, shape=shape, response=tuple(np.asarray(curve).tolist()))

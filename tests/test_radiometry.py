@@ -222,6 +222,15 @@ def test_a_lamp_that_fades_raises_a_doubt(measured: RadiometryMeasured) -> None:
     assert "from side to side" in doubts
 
 
+def test_a_black_level_that_cuts_the_noise_off_raises_a_doubt(measured: RadiometryMeasured) -> None:
+    """Read noise would come out too small, and faint light too bright."""
+    first = measured.sweeps[0]
+    sunk = replace(first, dark=replace(first.dark, level=first.dark.level * 0.0 + 2.0))
+    assert any(
+        "raise the camera's black level" in one for one in calibration_of(replace(measured, sweeps=(sunk,))).doubts
+    )
+
+
 @pytest.mark.long
 def test_twenty_benches(tmp_path: Path) -> None:
     """Run with -s to see the figures."""

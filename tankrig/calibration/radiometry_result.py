@@ -13,6 +13,8 @@ from tankrig.calibration.radiometry_procedure import RadiometryMeasured, Sweep
 LINEAR, LEVELLED, KNOWN, STEADY, TILTED = 0.005, 0.01, 0.03, 0.01, 0.05
 """Largest errors of linearity, response, read noise and counts per electron; drift of the light; tilt of the flat."""
 _MISFIT = 5.0
+_CLEAR = 4.0
+"""Standard deviations of the read noise that black has to lie above 0."""
 
 
 def radiometry_of(measured: RadiometryMeasured) -> Radiometry:
@@ -112,6 +114,12 @@ def _doubts(measured: RadiometryMeasured) -> Iterator[str]:
             yield (
                 f"{at} the noise does not follow a straight line (χ² {transfer.misfit:.0f}); use raw frames without "
                 f"noise reduction or compression, and a steady light"
+            )
+        black, noise = float(np.median(sweep.dark.level)), float(np.sqrt(sweep.dark.read_variance))
+        if black < _CLEAR * noise:
+            yield (
+                f"{at} black is {black:.0f} counts and its noise {noise:.0f}, so that darks are cut off at 0; raise the "
+                f"camera's black level or brightness"
             )
         if transfer.read_noise_e_sd > KNOWN * transfer.read_noise_e:
             yield (
