@@ -89,7 +89,7 @@ def _depth_of(
     for _ in range(30):
         depth = (low * below - high * above) / (below - above)
         miss = _entry(geometry, x, y, vx, vy, vz, depth)[1] - level
-        if abs(miss) < 1e-10:
+        if abs(miss) < 1e-6:
             break
         if miss > 0.0:
             low, above = depth, miss

@@ -4,6 +4,7 @@ Each pixel is cut along x at its corners; at every node in x the integral along 
 that over a square pixel does.
 """
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -16,6 +17,9 @@ from tankrig.scene import Scene
 from tankrig.scene.footprint import footprints
 
 THREADS = 2
+STEPS = 64
+MARGIN_MM = 0.5
+"""More than a beam's edges bulge between its corners and between the ends of a stretch."""
 
 
 def single_scattering_in_quadrangles(scene: Scene) -> NDArray[np.float64]:
@@ -47,6 +51,8 @@ def _add_beam(
 ) -> None:  # fmt: skip
     """Add one beam's order 1, integrated over each pixel's area, to every `THREADS`-th row."""
     xs, ys, corners = np.empty(4), np.empty(4), np.empty(4)
+    first, last = _rows_seen(geometry, edges)
+    per_mm = first.size / geometry.length
     for row in range(part, image.shape[0], THREADS):
         for column in range(image.shape[1]):
             for k in range(4):  # in turn around the pixel
@@ -56,6 +62,10 @@ def _add_beam(
                 continue  # beside the tank, or NaN
             if not (ys.max() > -geometry.half_width and ys.min() < geometry.half_width):
                 continue
+            here = min(int(max(xs.min(), 0.0) * per_mm), first.size - 1)
+            there = min(int(xs.max() * per_mm), first.size - 1)
+            if ys.max() < first[here : there + 1].min() or ys.min() > last[here : there + 1].max():
+                continue
             ends = np.sort(np.minimum(np.maximum(xs, 0.0), geometry.length))
             total = 0.0
             for k in range(3):
@@ -64,6 +74,20 @@ def _add_beam(
                         geometry, xs, ys, ends[k], ends[k + 1], corners, sigma_t, g, edges, x_rule, y_rule, depth_rule
                     )
             image[row, column] += strength * total
+
+
+@kernel
+def _rows_seen(
+    geometry: Geometry, edges: tuple[float, float, float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lowest and highest y at which a beam may be seen, in `STEPS` stretches of x."""
+    first, last = np.full(STEPS, 1e30), np.full(STEPS, -1e30)
+    for step in range(STEPS + 1):
+        for k in range(4):
+            y = sighting_row(geometry, step * geometry.length / STEPS, edges[k // 2], edges[2 + k % 2])
+            for i in range(max(step - 1, 0), min(step + 1, STEPS)):
+                first[i], last[i] = min(first[i], y - MARGIN_MM), max(last[i], y + MARGIN_MM)
+    return first, last
 
 
 @kernel
@@ -77,16 +101,17 @@ def _slice(
     low_left, high_left = _span(geometry, xs, ys, left + 1e-9 * width)
     low_right, high_right = _span(geometry, xs, ys, right - 1e-9 * width)
     parts, first, last = 1 + int(sigma_t * width), 1e30, -1e30
+    whole = xs.max() - xs.min()  # a narrow slice needs fewer parts
     for k in range(4):
         at_left = sighting_row(geometry, left, edges[k // 2], edges[2 + k % 2])
         at_right = sighting_row(geometry, right, edges[k // 2], edges[2 + k % 2])
         first, last = min(first, at_left, at_right), max(last, at_left, at_right)
         if (at_left < low_left) != (at_right < low_right) or (at_left < high_left) != (at_right < high_right):
-            parts = max(parts, SLANTED_PARTS)
+            parts = max(parts, math.ceil(SLANTED_PARTS * width / whole))
     if last < min(low_left, low_right) or first > max(high_left, high_right):
         return 0.0
     if kinked(geometry, left, width, edges):
-        parts = max(parts, KINKED_PARTS)
+        parts = max(parts, math.ceil(KINKED_PARTS * width / whole))
     nodes, weights = x_rule
     total = 0.0
     for part in range(parts):

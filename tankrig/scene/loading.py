@@ -68,11 +68,38 @@ def scene_from_table(table: dict[str, Any], name: str) -> Scene:
     """
     if "source" in table:  # a field of Scene that no file may set
         raise SceneError(f'{name}: key "source" is unknown; remove it')
+    projector = table.get("projector")
+    image = None
+    if isinstance(projector, dict) and "image" in projector:
+        image = projector["image"]
+        if "beams" in projector:
+            raise SceneError(f"{name}: projector has both an image and beams; remove one of them")
+        rest = {key: value for key, value in projector.items() if key != "image"}
+        table = {**table, "projector": {**rest, "beams": [DARK]}}
     scene = checked(Scene, table, name, SceneError)
     for key, present in _written(table):
         if not present:
             raise SceneError(f'{name}: key "{key}" is missing; add it')
-    return scene
+    return scene if image is None else _lit(scene, Path(name).parent / str(image), name)
+
+
+DARK = {"y_mm": [-1e-9, 1e-9], "z_mm": [0.0, 1e-9], "irradiance": 0.0}
+"""Stands for the beams until the projector's image is read."""
+
+
+def _lit(scene: Scene, image: Path, name: str) -> Scene:
+    """The scene with the image on its projector."""
+    import cv2
+
+    from tankrig.scene.projection import lit_by
+
+    picture = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    if picture is None:
+        raise SceneError(f'{name}: projector.image = "{image}" cannot be read; give the path of a PNG beside the file')
+    try:
+        return lit_by(scene, picture)
+    except SceneError as error:
+        raise SceneError(f'{name}: projector.image = "{image.name}": {error}') from error
 
 
 def _written(table: dict[str, Any]) -> Iterator[tuple[str, bool]]:

@@ -19,6 +19,9 @@ WIDEST_MM = 12.0
 """Widest part of a beam over which J's slow change with y₀ is taken as linear."""
 
 
+MOST_HEIGHTS = 4
+"""Of beams that have a table each; more share one, as those of a projector's picture do."""
+
 COARSE_FROM = 0.005
 """Tolerance from which coarse tables do."""
 
@@ -57,11 +60,17 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
     fineness = COARSE if tolerance >= COARSE_FROM else FINE
     for geometry, beams in light_sources(scene):
         ways = (False, True) if geometry.refractive_index > 1.0 else (False,)
-        for z_mm, mirrored in product(sorted({beam.z_mm for beam in beams}), ways):
-            table, z0_weights = fill_table(scene, geometry, z_mm, mirrored, finest, fineness)
+        heights = sorted({beam.z_mm for beam in beams})
+        shared = len(heights) > MOST_HEIGHTS
+        if shared:
+            heights = [(heights[0][0], max(top for _, top in heights))]
+        for z_mm, mirrored in product(heights, ways):
+            table, z0_weights = fill_table(scene, geometry, z_mm, mirrored, finest, fineness, shared)
             rows = np.zeros((camera.shape[0], table.x_mm.size))
             for beam in beams:
-                if beam.z_mm == z_mm:
+                if shared:
+                    _add_beam(rows, scene, geometry, beam, table, _integral(table.z0_mm, beam.z_mm))
+                elif beam.z_mm == z_mm:
                     _add_beam(rows, scene, geometry, beam, table, z0_weights)
             image += rows @ _columns(table.x_mm, camera.shape[1], camera.pixel_mm, geometry.length).T
     return np.maximum(image, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
@@ -79,6 +88,15 @@ def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: 
             beam.irradiance * scene.medium.sigma_s**2, table.x_mm, table.fractions, table.values,
             _lagrange(table.y0_mm, 0.5 * (edges[part] + edges[part + 1])), table.z0_mm, z0_weights, nodes, weights,
         )  # fmt: skip
+
+
+def _integral(nodes: Array, interval: tuple[float, float]) -> Array:
+    """Weights that integrate the polynomial through all `nodes` over an interval."""
+    places, weights = np.polynomial.legendre.leggauss(nodes.size // 2 + 1)
+    half, middle = 0.5 * (interval[1] - interval[0]), 0.5 * (interval[1] + interval[0])
+    return np.asarray(
+        sum(half * w * _lagrange(nodes, middle + half * at) for at, w in zip(places, weights, strict=True))
+    )
 
 
 def _lagrange(nodes: Array, at: float) -> Array:

@@ -83,8 +83,9 @@ def fill_table(
     mirrored: bool,
     finest_mm: float,
     fineness: Fineness,
+    between: bool = False,
 ) -> tuple[Table, Array]:
-    """Compute J for beams of one height.
+    """Compute J for beams of one height, or of all within a height.
 
     Parameters
     ----------
@@ -98,6 +99,8 @@ def fill_table(
         Length below which the image need not be resolved.
     fineness
         Of nodes and panels.
+    between
+        With so many nodes in z₀ that their polynomial holds between them, not only for the whole height.
 
     Returns
     -------
@@ -110,7 +113,7 @@ def fill_table(
     # One node across a beam errs by (thickness/scale)²/24 or so, n nodes by its n-th power.
     curvature = ((high - low) * max(sigma_t, 4.0 / height)) ** 2 / 24.0
     count = 1 if curvature < fineness.curvature else 2 + math.ceil((high - low) * max(sigma_t / 3.0, 2.0 / height))
-    nodes, weights = np.polynomial.legendre.leggauss(min(count, 40))
+    nodes, weights = np.polynomial.legendre.leggauss(min(count + (3 if between else 0), 40))
     z0 = 0.5 * (low + high) + 0.5 * (high - low) * nodes
     x = _x_nodes(geometry, low, high, finest_mm)
     width = 2.0 * geometry.half_width
