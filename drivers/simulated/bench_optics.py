@@ -9,7 +9,7 @@ from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
 
 
 def camera_rays(bench: TrueBench, pixels: Array, filled: bool) -> tuple[Array, Array]:
-    """A point of each pixel's ray and its direction, (…, 3) each in the tank's frame; in the water where it is `filled`."""
+    """A point of each pixel's ray and its direction, (…, 3) each in the tank's frame; in the water if `filled`."""
     start = bench.camera.centre_mm
     way = _rays(bench.camera, pixels) @ bench.camera.rotation
     point = np.broadcast_to(start, way.shape)

@@ -85,12 +85,9 @@ def _inside(bench: TrueBench, board: Board, rotation: Array, number: int, random
     low, high = -spread.min(axis=0), -spread.max(axis=0)
     room = np.array([low + 4.0, np.array([TANK_MM[0], 0.0, bench.level_mm]) + high - 4.0])
     room[:, 1] = -TANK_MM[1] / 2 + low[1] + 2.0, TANK_MM[1] / 2 + high[1] - 2.0
-    part = random.uniform(0.0, 0.15, 3) + [
-        number * 2 % 5 / 5,
-        0.85 * (number // 2 % 2),
-        0.85 * (number // 2 + number) % 2,
-    ]
-    return room[0] + np.clip(part, 0.0, 1.0) * np.maximum(room[1] - room[0], 0.0) - rotation @ _middle(bench, board)
+    sides = np.array([number * 2 % 5 / 5, 0.85 * (number // 2 % 2), 0.85 * ((number // 2 + number) % 2)])
+    part = sides + random.uniform(0.0, 0.15, 3)
+    return room[0] + part * np.maximum(room[1] - room[0], 0.0) - rotation @ _middle(bench, board)
 
 
 def _middle(bench: TrueBench, board: Board) -> Array:

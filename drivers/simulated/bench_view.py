@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from tankrig.calibration.board import Board
 from tankrig.pattern import Pattern
 
-from .bench_poses import FILLED, Place, board_pose
 from .bench_optics import camera_rays, projector_pixels, vignetting
+from .bench_poses import FILLED, Place, board_pose
 from .bench_truth import Array, TrueBench, random_bench
 from .settings import BoardBench
 
@@ -69,7 +69,8 @@ class BoardInView:
 
         light = ((pattern.pixels / 255.0) ** self._bench.gamma).astype(np.float32)
         blurred = cv2.GaussianBlur(light, (0, 0), self._bench.projector.blur_px)
-        thrown: Map = cv2.remap(blurred, *self._from, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        x, y = self._from
+        thrown: Map = cv2.remap(blurred, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
         return thrown
 
     def _bounding_box(self) -> tuple[int, int, int, int] | None:
@@ -107,7 +108,7 @@ class BoardInView:
         step_mm = float(np.median(np.abs(np.diff(u, axis=1))) + np.median(np.abs(np.diff(v, axis=1))))
         print_out = cv2.GaussianBlur(_plate(self._board), (0, 0), max(0.35 * step_mm * _TEXELS_PER_MM, 0.1))
         self._albedo: Map = cv2.remap(
-            print_out, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=_FLOOR
+            print_out, where[0], where[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=_FLOOR
         )
         if self._lit:
             pixels, beam = projector_pixels(self._bench, points, self._filled)
@@ -133,21 +134,22 @@ class BoardInView:
 
 
 class BoardsInView:
-    """Whatever board is held before the camera of a bench; nothing at first.
+    """The board wherever it is held before the camera of a bench; nothing at first.
 
     Parameters
     ----------
     settings
-        Which bench.
+        Which bench, and which board.
     """
 
     def __init__(self, settings: BoardBench) -> None:
         self._bench = random_bench(settings.seed, settings.camera_shape, settings.projector_shape)
+        self._board = settings.board
         self._view: BoardInView | None = None
 
-    def hold(self, board: Board, place: Place, number: int) -> None:
-        """Put a board there."""
-        self._view = BoardInView(self._bench, board, place, number)
+    def hold(self, place: Place, number: int) -> None:
+        """Put the board there."""
+        self._view = BoardInView(self._bench, self._board, place, number)
 
     def radiance(self, shown: Mapping[Pattern, float]) -> Array:
         """See `BoardInView`."""
@@ -164,4 +166,4 @@ def _plate(board: Board) -> Map:
 def _spline(y: Array, x: Array, values: Array, fine: list[Array]) -> Array:
     from scipy.interpolate import RectBivariateSpline
 
-    return np.asarray(RectBivariateSpline(y, x, values)(*fine))
+    return np.asarray(RectBivariateSpline(y, x, values)(fine[0], fine[1]))

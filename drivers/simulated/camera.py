@@ -9,7 +9,6 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.calibration.board import Board
 from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
@@ -177,13 +176,11 @@ class SimulatedCamera:
         with self._my_turn("look elsewhere"):
             self._start_stream()  # none that waits was exposed to the new light
 
-    def hold(self, board: Board, place: Place, number: int) -> None:
-        """Hold a board before the camera, as a person would at a real one.
+    def hold(self, place: Place, number: int) -> None:
+        """Hold the board before the camera, as a person would at a real one.
 
         Parameters
         ----------
-        board
-            What to hold.
         place
             Where; see `Place`.
         number
@@ -196,10 +193,10 @@ class SimulatedCamera:
         """
         if self._boards is None:
             raise DeviceError(
-                f"{self.name}: no board can be held before it; give the rig file a table [camera.boards], or use the one "
-                f"that ships (leave --rig out)"
+                f"{self.name}: no board can be held before it; give the rig file a table [camera.boards], or "
+                f"leave --rig out to use the one that ships"
             )
-        self._boards.hold(board, place, number)
+        self._boards.hold(place, number)
         with self._my_turn("look elsewhere"):
             self._start_stream()
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from tankrig.bench import Bench
+from tankrig.calibration.board import Board
 from tankrig.pattern.wall import Wall
 from tankrig.scene.description import Camera, Medium, Tank
 
@@ -215,11 +216,14 @@ class BoardBench(BaseModel):
         Another one, another bench.
     camera_shape, projector_shape
         (rows, columns).
+    board
+        That is held there, whatever a calibration takes it for.
     """
 
     model_config = _CLOSED
 
     seed: int = Field(default=0, ge=0)
+    board: Board = Board()
     camera_shape: tuple[int, int] = (540, 960)
     projector_shape: tuple[int, int] = (384, 512)
 

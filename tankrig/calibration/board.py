@@ -139,7 +139,7 @@ class BoardView:
         return None
 
 
-def find_board(pixels: NDArray[np.generic], board: Board, saturation: int) -> BoardView:
+def find_board(pixels: NDArray[Any], board: Board, saturation: int) -> BoardView:
     """Find a board's corners in a picture.
 
     Parameters
@@ -162,6 +162,11 @@ def find_board(pixels: NDArray[np.generic], board: Board, saturation: int) -> Bo
     detector = cv2.aruco.CharucoDetector(board.charuco)
     corners, ids, markers, marker_ids = detector.detectBoard(picture)
     if marker_ids is None or len(marker_ids) == 0:
+        full = float((pixels >= 0.995 * saturation).mean())
+        if full > MOST_SATURATED:
+            raise ImageError(
+                f"no board is seen, and {100 * full:.0f} % of the picture is saturated; shorten the exposure"
+            )
         raise ImageError(_no_board(picture, board))
     _refuse_another(board, markers, marker_ids)
     if ids is None or len(ids) < 4:
@@ -174,7 +179,7 @@ def find_board(pixels: NDArray[np.generic], board: Board, saturation: int) -> Bo
     return BoardView(known, found, (rows, columns), *_quality(pixels, found, known, board, saturation))
 
 
-def _refined(pixels: NDArray[np.generic], corners: NDArray[np.float32], ids: NDArray[np.int64], board: Board) -> Points:
+def _refined(pixels: NDArray[Any], corners: NDArray[np.float32], ids: NDArray[np.int64], board: Board) -> Points:
     """Corners to a few hundredths of a pixel, from all bits, in windows that no marker reaches into."""
     import cv2
 
@@ -187,11 +192,12 @@ def _refined(pixels: NDArray[np.generic], corners: NDArray[np.float32], ids: NDA
     return np.asarray(better, float).reshape(-1, 2)
 
 
-def _eight_bits(pixels: NDArray[np.generic]) -> NDArray[np.uint8]:
+def _eight_bits(pixels: NDArray[Any]) -> NDArray[np.uint8]:
     """The detector's kind of picture, from the darkest to the brightest."""
     values = pixels.astype(np.float32)
     low, high = np.percentile(values[::4, ::4], (0.2, 99.8))
-    return np.clip((values - low) * (255.0 / max(float(high - low), 1.0)), 0, 255).astype(np.uint8)
+    scaled = (values - low) * (255.0 / max(float(high - low), 1.0))
+    return np.asarray(np.clip(scaled, 0, 255), np.uint8)
 
 
 def _no_board(picture: NDArray[np.uint8], board: Board) -> str:
@@ -204,7 +210,7 @@ def _no_board(picture: NDArray[np.uint8], board: Board) -> str:
             _, ids, _ = detector.detectMarkers(picture)
             if ids is not None and len(ids) >= 4:
                 return f"the markers in view are of {name}, not {board.dictionary}; describe the board that is there"
-    return "no board is seen; hold it in view, lit evenly, and check that it is the one described"
+    return "no board is seen; hold it in view, in focus, lit evenly, and check that it is the one described"
 
 
 def _refuse_another(board: Board, markers: Any, marker_ids: Any) -> None:
@@ -231,12 +237,12 @@ def _refuse_another(board: Board, markers: Any, marker_ids: Any) -> None:
     if np.median(off) > _WRONG_LAYOUT * board.square_mm:
         raise ImageError(
             f"the markers lie {np.median(off):.1f} mm from where a board of {board.columns} × {board.rows} squares of "
-            f"{board.square_mm:g} mm with markers of {board.marker_mm:g} mm has them; measure the board, and describe it"
+            f"{board.square_mm:g} mm with markers of {board.marker_mm:g} mm has them; measure and describe that board"
         )
 
 
 def _quality(
-    pixels: NDArray[np.generic], corners: Points, ids: NDArray[Any], board: Board, saturation: int
+    pixels: NDArray[Any], corners: Points, ids: NDArray[Any], board: Board, saturation: int
 ) -> tuple[float, float, float]:
     """Blur in pixels, contrast, and saturated part, in patches about the corners."""
     import cv2

@@ -29,7 +29,7 @@ def placed(pose: ArrayLike, points_mm: ArrayLike) -> Points:
     [5.0, 10.0, 0.0]
     """
     numbers = np.asarray(pose, float)
-    return np.asarray(points_mm, float) @ rotation_matrix(numbers[:3]).T + numbers[3:]
+    return np.asarray(np.asarray(points_mm, float) @ rotation_matrix(numbers[:3]).T + numbers[3:])
 
 
 def misses_px(lens: Lens, camera: Pose, view: BoardView, points_mm: Points, window: Window | None = None) -> Points:

@@ -71,7 +71,7 @@ class CameraFound:
             )
         if self.coverage < LEAST_COVERAGE:
             found.append(
-                f"the board was seen in {100 * self.coverage:.0f} % of the picture; show it in the corners and edges, too"
+                f"the board was seen in {100 * self.coverage:.0f} % of the picture; show it along its edges, too"
             )
         return tuple(found)
 
@@ -114,13 +114,13 @@ def calibrate_camera(views: Sequence[BoardView], board: Board) -> CameraFound:
     the corners' noise.
     """
     _refuse(views)
-    keep = np.arange(len(views))
-    lens, sd, errors, poses = _fit([views[k] for k in keep], board)
+    used, left_out = list(views), tuple[int, ...]()
+    lens, sd, errors, poses = _fit(used, board)
     good = errors <= max(_OUTLIER * float(np.median(errors)), 0.1)
     if not good.all() and good.sum() >= LEAST_VIEWS:
-        keep = keep[good]
-        lens, sd, errors, poses = _fit([views[k] for k in keep], board)
-    used = [views[k] for k in keep]
+        left_out = tuple(np.flatnonzero(~good).tolist())
+        used = [view for view, fits in zip(views, good, strict=True) if fits]
+        lens, sd, errors, poses = _fit(used, board)
     tilt = _largest_angle_deg(poses)
     if tilt < LEAST_TILT_DEG or not sd["fx"] < MOST_FOCAL_SD * lens.fx:
         raise CalibrationError(
@@ -129,7 +129,6 @@ def calibrate_camera(views: Sequence[BoardView], board: Board) -> CameraFound:
         )
     corners = np.concatenate([view.corners_px for view in used])
     residuals = np.concatenate([_residuals(lens, pose, view, board) for pose, view in zip(poses, used, strict=True)])
-    left_out = tuple(sorted(set(range(len(views))) - {int(k) for k in keep}))
     coverage = covered(corners, views[0].shape)
     return CameraFound(
         lens, sd, views[0].shape, tuple(errors.tolist()), left_out, corners, residuals, float(coverage.mean()), tilt

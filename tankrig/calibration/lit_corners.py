@@ -40,8 +40,8 @@ class LitBoard:
         """Why it should not be used, and what to do; None where it can be."""
         if len(self.projector_px) < LEAST_CORNERS or self.lit < LEAST_LIT:
             return (
-                f"only {100 * self.lit:.0f} % of the corners are in the projector's light; move the board into it, facing "
-                f"camera and projector, or expose longer"
+                f"only {100 * self.lit:.0f} % of the corners are in the projector's light; move the board into it, "
+                f"facing camera and projector, or expose longer"
             )
         return self.view.fault
 
@@ -93,7 +93,8 @@ def _at(x: float, y: float, decoded: Decoded, reach: int) -> tuple[float, float,
     values = np.stack([decoded.columns[box][down, across], decoded.rows[box][down, across]], axis=1).astype(float)
     within: NDArray[np.bool_] = np.ones(down.size, bool)
     for _ in range(3):
-        solution, *_ = np.linalg.lstsq(design[within], values[within], rcond=None)
+        used = design[within]
+        solution = np.linalg.solve(used.T @ used + 1e-9 * np.eye(6), used.T @ values[within])
         off = np.linalg.norm(values - design @ solution, axis=1)
         scatter = float(1.4826 * np.median(off[within]) / 1.1774)  # of one coordinate, from the median distance
         within = off < max(_CLIPPED * 1.5 * scatter, 0.05)

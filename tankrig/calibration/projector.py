@@ -69,12 +69,12 @@ class ProjectorFound:
         found = []
         if self.rms_px > MOST_RMS_PX:
             found.append(
-                f"corners lie {self.rms_px:.2f} projector px from where they should be, more than {MOST_RMS_PX:g}; hold "
-                f"the board still, and calibrate camera and tank if they were touched"
+                f"corners lie {self.rms_px:.2f} projector px from where they should be, more than {MOST_RMS_PX:g}; "
+                f"hold the board still, and calibrate camera and tank if they were touched"
             )
         if self.coverage < LEAST_COVERAGE:
             found.append(
-                f"the board was in {100 * self.coverage:.0f} % of the projector's picture; show it in the other parts, too"
+                f"the board was in {100 * self.coverage:.0f} % of the projector's picture; show it elsewhere, too"
             )
         return tuple(found)
 
@@ -215,7 +215,8 @@ class _Bundle:
 
         found = least_squares(self.misses, start, x_scale="jac", max_nfev=100)
         noise = 2.0 * found.cost / max(found.fun.size - found.x.size, 1)
-        return found.x, noise * np.linalg.pinv(found.jac.T @ found.jac)
+        jacobian = np.asarray(found.jac)
+        return found.x, noise * np.linalg.pinv(jacobian.T @ jacobian)
 
     def _placed(self, numbers: Points) -> Points:
         boards = numbers[_OWN:].reshape(-1, 6)

@@ -77,7 +77,7 @@ class TankFound:
             )
         if self.tilt_deg > max(MOST_TILT_DEG, 3.0 * self.tilt_sd_deg):
             found.append(
-                f"the water's surface leans {self.tilt_deg:.2f} ± {self.tilt_sd_deg:.2f}° from the floor; level the tank"
+                f"the water's surface leans {self.tilt_deg:.2f} ± {self.tilt_sd_deg:.2f}° from the floor; level it"
             )
         return tuple(found)
 
@@ -216,7 +216,7 @@ def _first_level(
 
 
 class _Bundle:
-    """Corners of all views as a function of camera pose (6), level (1), lean of the surface (2), boards in water (6 each).
+    """Corners of all views as a function of camera pose (6), level (1), lean of the surface (2), boards (6 each).
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class _Bundle:
     ) -> None:
         self._views, self._board, self._lens, self._index = views, board, lens, water_index
         self._laid = on_floor(board, size_mm)
-        self._middle = np.array([size_mm[0] / 2, 0.0, 0.0])
+        self._middle = (size_mm[0] / 2, 0.0)
 
     def misses(self, numbers: Points) -> list[Points]:
         """(n, 2) of each view."""
@@ -270,7 +270,8 @@ class _Bundle:
         found = least_squares(misses, start[free], x_scale=scale[free])
         covariance = np.zeros((start.size, start.size))
         noise = 2.0 * found.cost / max(found.fun.size - found.x.size, 1)
-        covariance[np.ix_(free, free)] = noise * np.linalg.inv(found.jac.T @ found.jac)
+        jacobian = np.asarray(found.jac)
+        covariance[np.ix_(free, free)] = noise * np.linalg.inv(jacobian.T @ jacobian)
         return _filled(start, free, found.x), covariance
 
     def _levelled(self, numbers: Points, points: Points) -> tuple[Pose, Points]:
@@ -278,7 +279,7 @@ class _Bundle:
         if not numbers[7:9].any():
             return _pose(numbers), points
         turn, camera = rotation_matrix([*numbers[7:9], 0.0]), _pose(numbers)
-        pivot = self._middle + [0.0, 0.0, numbers[6]]
+        pivot = np.array([*self._middle, numbers[6]])
         matrix = camera.matrix @ turn.T
         shift = np.array(camera.translation_mm) + camera.matrix @ pivot - matrix @ pivot
         return _pose(np.array([*rotation_vector(matrix), *shift])), (points - pivot) @ turn.T + pivot

@@ -146,31 +146,32 @@ class Holder:
         try:
             view = find_board(pixels, self._board, self._camera.saturation)
         except ImageError as error:
-            self.console.print(f"[red]{name}: {error}[/red]", highlight=False)
+            self._say(f"[red]{name}: {error}[/red]")
             return None
         self._seen.append(view.corners_px)
-        self.console.print(f"{name}: {self._in_words(view)}", highlight=False)
+        self._say(f"{name}: {self._in_words(view)}")
         return None if view.fault else view
+
+    def _say(self, line: str) -> None:
+        self.console.print(line, highlight=False, soft_wrap=True)
 
     def _in_words(self, view: "BoardView") -> str:
         import numpy as np
 
         from tankrig.calibration.camera import covered
 
-        parts = [
-            f"{len(view.ids)} corners", f"blur {view.blur_px:.1f} px", f"{view.saturated:.0%} saturated",
-            f"contrast {view.contrast:.0%}", f"covers {covered(np.concatenate(self._seen), view.shape).mean():.0%} so far",
-        ]  # fmt: skip
-        return ", ".join(parts) + (f" [red]not used: {view.fault}[/red]" if view.fault else "")
+        covers = covered(np.concatenate(self._seen), view.shape).mean()
+        seen = f"{self._in_words_now(view)}, contrast {view.contrast:.0%}, covers {covers:.0%} so far"
+        return seen + (f" [red]not used: {view.fault}[/red]" if view.fault else "")
 
     def _place(self, place: str, number: int) -> None:
         if self._hold is not None:
-            self._hold(self._board, place, number)
+            self._hold(place, number)
             return
         if guided():
             emit("ask", _REQUESTS[place])
         else:
-            self.console.print(f"{_REQUESTS[place]} Then Enter.", highlight=False)
+            self._say(f"{_REQUESTS[place]} Then Enter.")
         self._watch()
 
     def _watch(self) -> None:

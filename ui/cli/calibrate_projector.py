@@ -85,7 +85,9 @@ def projector(
     )
     where, sd = kept.result["position_mm"], kept.sd["position_mm"]
     rows = {f"its {axis}": f"{value:.2f} ± {error:.2g} mm" for axis, value, error in zip("xyz", where, sd, strict=True)}
-    rows |= {one: f"{getattr(found.lens, one):.6g} ± {kept.sd[one]:.2g}" for one in ("fx", "fy", "cx", "cy", "k1", "k2")}
+    rows |= {
+        one: f"{getattr(found.lens, one):.6g} ± {kept.sd[one]:.2g}" for one in ("fx", "fy", "cx", "cy", "k1", "k2")
+    }
     rows["corners off by"] = f"{found.rms_px:.3f} projector px rms, {len(found.view_rms_px)} views"
     rows["between corners"] = f"{found.coverage:.0%} of its picture"
     return tell(kept, rows, as_json)

@@ -55,7 +55,9 @@ def tank(rig: Path | None, views: int, exposure_ms: float | None, accept: bool, 
         lambda path: write_geometry_figure(path, f"{name}: tank and water", found, MOST_RMS_PX),
     )
     where, sd = kept.result["camera_position_mm"], kept.sd["camera_position_mm"]
-    rows = {f"camera's {axis}": f"{value:.2f} ± {error:.2g} mm" for axis, value, error in zip("xyz", where, sd, strict=True)}
+    rows = {
+        f"camera's {axis}": f"{value:.2f} ± {error:.2g} mm" for axis, value, error in zip("xyz", where, sd, strict=True)
+    }
     rows["water level"] = f"{found.level_mm:.2f} ± {kept.sd['level_mm']:.2g} mm"
     rows["surface leans by"] = f"{found.tilt_deg:.2f} ± {found.tilt_sd_deg:.2g}°"
     rows["corners off by"] = f"{found.rms_px:.3f} px rms, {len(found.view_rms_px)} views"

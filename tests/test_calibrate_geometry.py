@@ -1,0 +1,353 @@
+"""Camera, tank and projector are found on benches whose truth is hidden; bad pictures are named."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.rig import SIMULATED
+from drivers.simulated.bench_optics import camera_rays, projector_pixels
+from drivers.simulated.bench_truth import TANK_MM, TrueOptics, random_bench
+from drivers.simulated.bench_view import BoardInView
+from tankrig.calibration.board import Board, BoardView, find_board
+from tankrig.calibration.camera import calibrate_camera
+from tankrig.calibration.gray_code import decode, gray_code_patterns
+from tankrig.calibration.lit_corners import lit_corners
+from tankrig.calibration.projector import calibrate_projector
+from tankrig.calibration.tank import calibrate_tank
+from tankrig.errors import CalibrationError, ImageError
+from tankrig.geometry.lens import Lens
+from tankrig.geometry.pose import Pose, rotation_vector
+from tankrig.geometry.refraction import entry_wall
+from tankrig.geometry.view import pixels_of
+from ui.cli import main
+
+from .calibrated_bench import (
+    BOARD,
+    SMALL,
+    Photographer,
+    calibrated,
+    points_and_pixels,
+    position_errors_mm,
+    shortcut_errors_mm,
+)
+
+SATURATION = 4095
+
+
+@pytest.fixture(scope="module")
+def photographer() -> Photographer:
+    return Photographer(random_bench(1, *SMALL))
+
+
+@pytest.fixture(scope="module")
+def air_views(photographer: Photographer) -> list[BoardView]:
+    return [photographer.view("air", number) for number in range(9)]
+
+
+# Gray code
+
+
+def seen(shape: tuple[int, int], gamma: float, ambient: float, noise: float) -> tuple[list[np.ndarray], np.ndarray]:
+    """What a camera with twice the pixels sees of the patterns on grey paper, and the true columns."""
+    import cv2
+
+    random = np.random.default_rng(3)
+    y, x = np.mgrid[0 : 2 * shape[0], 0 : 2 * shape[1]].astype(np.float32)
+    across, down = 0.52 * x - 3.0, 0.49 * y + 0.02 * x
+    albedo = np.where((x // 37 + y // 31) % 2, 0.9, 0.25)
+    frames = []
+    for pattern in gray_code_patterns(shape):
+        light = cv2.GaussianBlur(((pattern.pixels / 255.0) ** gamma).astype(np.float32), (0, 0), 0.7)
+        lit = cv2.remap(light, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        values = albedo * (3000.0 * lit + ambient) + random.normal(0.0, noise, x.shape)
+        frames.append(np.clip(values, 0, SATURATION).astype(np.uint16))
+    return frames, across
+
+
+def test_decoding_survives_gamma_ambient_light_and_paper() -> None:
+    """Else a projector pixel would be taken for its neighbour, and the light for another ray's."""
+    frames, across = seen((96, 128), gamma=2.2, ambient=300.0, noise=8.0)
+    decoded = decode(frames, (96, 128), SATURATION)
+    inside = (across > 2) & (across < 125) & decoded.lit
+    assert decoded.known[inside].mean() > 0.97
+    assert np.quantile(np.abs(decoded.columns - across)[decoded.known], 0.999) < 0.25
+    assert np.std((decoded.columns - across)[decoded.known]) < 0.08
+    outside = (across < -2) | (across > 130)
+    assert not decoded.known[outside].any()
+    assert np.isnan(decoded.columns[~decoded.known]).all()
+
+
+def test_what_is_too_bright_is_not_decoded() -> None:
+    frames, _ = seen((48, 64), gamma=1.0, ambient=2000.0, noise=2.0)
+    decoded = decode(frames, (48, 64), SATURATION)
+    assert decoded.saturated.any()
+    assert not (decoded.known & decoded.saturated).any()
+
+
+def test_missing_frames_are_refused() -> None:
+    frames, _ = seen((48, 64), gamma=1.0, ambient=0.0, noise=2.0)
+    with pytest.raises(ImageError, match="takes 26 frames of one shape; take all of them again"):
+        decode(frames[:-1], (48, 64), SATURATION)
+
+
+# The board
+
+
+def test_corners_are_found_where_they_are(photographer: Photographer) -> None:
+    """To a tenth of a pixel, against the twin's own rays."""
+    for place, number in (("air", 3), ("flooded", 0), ("flooded slant", 1)):
+        view = photographer.view(place, number)
+        held = BoardInView(photographer.bench, BOARD, place, number)
+        on_board, _ = held._on_board(*view.corners_px.T)
+        off_mm = np.linalg.norm(on_board[:, :2] - view.points_mm(BOARD)[:, :2], axis=1)
+        assert off_mm.max() < 0.12 * 0.625 * (1.5 if "slant" in place else 1.0)
+        assert view.fault is None
+        assert 0.5 < view.blur_px < 1.3
+
+
+@pytest.mark.parametrize(
+    ("board", "reason"),
+    [
+        (Board(dictionary="DICT_6X6_50"), "the markers in view are of DICT_4X4_"),
+        (Board(columns=5, rows=7), "from where a board of 5 × 7 squares"),
+        (Board(marker_mm=12.0), "from where a board of 7 × 5 squares of 20 mm with markers of 12 mm has them"),
+        (Board(columns=5, rows=5), "give its number of squares"),
+    ],
+)
+def test_another_board_is_named(photographer: Photographer, board: Board, reason: str) -> None:
+    """A board described wrongly would make a wrong calibration that fits."""
+    frame = photographer.frames("flooded", 0)[0]
+    with pytest.raises(ImageError, match=re.escape(reason)):
+        find_board(frame, board, SATURATION)
+
+
+def test_bad_pictures_say_what_to_do(photographer: Photographer) -> None:
+    import cv2
+
+    frame = photographer.frames("air", 1)[0].astype(float)
+    bad = {
+        "shorten the exposure": np.minimum(2.0 * frame, SATURATION),
+        "expose longer": 0.05 * frame,
+        "hold the board still": cv2.GaussianBlur(cv2.resize(frame, None, fx=3, fy=3), (0, 0), 2.6),
+    }
+    for advice, pixels in bad.items():
+        fault = find_board(pixels.astype(np.uint16), BOARD, SATURATION).fault
+        assert fault is not None
+        assert advice in fault
+    with pytest.raises(ImageError, match="no board is seen"):
+        find_board(np.full(SMALL[0], 700, np.uint16), BOARD, SATURATION)
+
+
+@pytest.mark.parametrize(
+    ("how", "reason"),
+    [
+        ({"columns": 2}, "give at least 3 × 3 squares"),
+        ({"marker_mm": 25.0}, "markers smaller than squares"),
+        ({"dictionary": "DICT_9X9"}, "dictionary 'DICT_9X9' is unknown"),
+        ({"columns": 20, "rows": 20}, "has more markers than the 50 of DICT_4X4_50"),
+    ],
+)
+def test_impossible_boards_are_refused(how: dict, reason: str) -> None:
+    with pytest.raises(ImageError, match=re.escape(reason)):
+        Board(**how)
+
+
+# The camera
+
+
+def test_too_few_or_mixed_views_are_refused(air_views: list[BoardView]) -> None:
+    with pytest.raises(CalibrationError, match="3 good views are too few; take at least 6"):
+        calibrate_camera(air_views[:3], BOARD)
+    with pytest.raises(CalibrationError, match="of different resolutions"):
+        calibrate_camera([*air_views[:6], replace(air_views[6], shape=(720, 960))], BOARD)
+
+
+def test_parallel_views_are_refused(photographer: Photographer) -> None:
+    """From them focal length and distance cannot be told apart."""
+    laid = [photographer.view("floor", 0) for _ in range(7)]
+    with pytest.raises(CalibrationError, match=r"the views are too much alike.*tilt it by 30° to all four sides"):
+        calibrate_camera(laid, BOARD)
+
+
+def test_a_view_that_does_not_fit_is_left_out(air_views: list[BoardView]) -> None:
+    """The board moved while it was exposed, say."""
+    shaken = air_views[2].corners_px + np.random.default_rng(0).normal(0.0, 1.5, air_views[2].corners_px.shape)
+    found = calibrate_camera([*air_views[:2], replace(air_views[2], corners_px=shaken), *air_views[3:]], BOARD)
+    assert found.left_out == (2,)
+    assert found.rms_px < 0.1
+    assert not found.doubts
+
+
+def test_a_board_seen_in_one_corner_only_leaves_doubts(air_views: list[BoardView]) -> None:
+    near = [replace(view, shape=(1080, 1440)) for view in air_views]
+    assert any("show it along its edges" in doubt for doubt in calibrate_camera(near, BOARD).doubts)
+
+
+# The tank
+
+
+def test_a_moved_board_is_noticed(photographer: Photographer, air_views: list[BoardView]) -> None:
+    """Between the empty tank and the flooded one, by 5 mm."""
+    lens = calibrate_camera(air_views, BOARD).lens
+    floor, flooded = photographer.view("floor", 0), photographer.view("flooded", 0)
+    moved = replace(flooded, corners_px=flooded.corners_px + np.array([8.0, 0.0]))
+    with pytest.raises(CalibrationError, match="without moving board, tank or camera"):
+        calibrate_tank([("floor", floor), ("flooded", moved)], BOARD, lens, TANK_MM)
+    for views in ([("flooded", flooded)], [("floor", floor)]):
+        with pytest.raises(CalibrationError, match="one view of the board on the floor of the empty tank, and one"):
+            calibrate_tank(views, BOARD, lens, TANK_MM)
+
+
+# The projector
+
+
+def test_a_board_outside_the_light_is_not_used(photographer: Photographer) -> None:
+    patterns = gray_code_patterns(SMALL[1])
+    frames = photographer.frames("flooded slant", 1, patterns)
+    dark = [frame.copy() for frame in frames]
+    for frame in dark[1:]:
+        frame[:, :290] = dark[1][:, :290]  # to the left of it the projector's light does not fall
+    dark[0][:, :290] = dark[1][:, :290]
+    view = find_board(frames[0], BOARD, SATURATION)
+    found = lit_corners(view, decode(dark, SMALL[1], SATURATION), BOARD)
+    assert found.lit < 0.3
+    assert found.fault is not None
+    assert "move the board into it" in found.fault
+    whole = lit_corners(view, decode(frames, SMALL[1], SATURATION), BOARD)
+    assert (whole.lit, whole.fault) == (1.0, None)
+    nowhere = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    with pytest.raises(CalibrationError, match="3 good views are too few"):
+        calibrate_projector([whole] * 3, BOARD, Lens(1, 1, 0, 0), nowhere, None, entry_wall(1.33), SMALL[1])
+
+
+# All together
+
+
+def _believed(optics: TrueOptics) -> tuple[Lens, Pose]:
+    x, y, z = optics.translation_mm.tolist()
+    return Lens.of(optics.matrix, optics.distortion), Pose(rotation_vector(optics.rotation), (x, y, z))
+
+
+def test_the_twin_bends_light_as_geometry_does() -> None:
+    """Two implementations that share no formula."""
+    bench = random_bench(4, *SMALL)
+    points, seen_px, lit_px = points_and_pixels(bench, 300)
+    wall = entry_wall(bench.water_index, bench.pane_mm, bench.pane_index)
+    assert np.abs(pixels_of(*_believed(bench.projector), points, wall) - lit_px).max() < 1e-6
+    start, way = camera_rays(bench, seen_px, filled=False)
+    in_air = start + 300.0 * way
+    assert np.abs(pixels_of(*_believed(bench.camera), in_air) - seen_px).max() < 1e-6
+    empty = entry_wall(1.0, bench.pane_mm, bench.pane_index)
+    through_glass, _ = projector_pixels(bench, points, filled=False)
+    assert np.abs(pixels_of(*_believed(bench.projector), points, empty) - through_glass).max() < 1e-6
+
+
+def test_positions_in_the_water_are_known_at_any_depth() -> None:
+    """With a camera of 480 × 360 and a projector of 256 × 192 pixels; the one-plane shortcut errs by ten times more."""
+    found = calibrated(3, views=(9, 3, 6))
+    assert found.camera.rms_px < 0.1
+    assert found.tank.rms_px < 0.1
+    assert found.projector.rms_px < 0.1
+    assert abs(found.tank.level_mm - found.bench.level_mm) < 3.0 * found.tank.sd["level_mm"]
+    errors = position_errors_mm(found)
+    assert all(np.quantile(one, 0.95) < 0.8 for one in errors.values()), errors
+    assert np.quantile(shortcut_errors_mm(found.bench, 50.0), 0.95) > 5.0
+    assert found.camera.doubts + found.tank.doubts + found.projector.doubts == ()
+
+
+@pytest.mark.long
+def test_twenty_benches(capsys: pytest.CaptureFixture[str]) -> None:
+    """The figures of docs/calibration.md: a camera of 960 × 540, a projector of 512 × 384 pixels."""
+    shapes = (540, 960), (384, 512)
+    errors: dict[str, list[float]] = {"camera": [], "projector": [], "both": []}
+    rms, shortcut = [], []
+    for seed in range(20):
+        found = calibrated(seed, shapes)
+        rms.append([found.camera.rms_px, found.tank.rms_px, found.projector.rms_px])
+        at_95 = {name: float(np.quantile(one, 0.95)) for name, one in position_errors_mm(found).items()}
+        for name, value in at_95.items():
+            errors[name].append(value)
+        shortcut.append([float(np.quantile(shortcut_errors_mm(found.bench, off), 0.95)) for off in (-50.0, 50.0)])
+        with capsys.disabled():
+            level = found.tank.level_mm - found.bench.level_mm
+            print(
+                f"bench {seed:2d}: rms px camera {rms[-1][0]:.3f} tank {rms[-1][1]:.3f} projector {rms[-1][2]:.3f}; "
+                f"level {level:+.2f} mm; 95 % within mm: camera {at_95['camera']:.2f} projector "
+                f"{at_95['projector']:.2f} both {at_95['both']:.2f}; one plane's homography 50 mm off "
+                f"{max(shortcut[-1]):.1f}",
+                flush=True,
+            )
+    assert np.max(rms, axis=0)[0] <= 0.3
+    assert np.max(rms, axis=0)[2] <= 0.5
+    assert max(max(values) for values in errors.values()) <= 0.5
+    assert np.min(shortcut) > 4.0
+
+
+# The command line
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    text = SIMULATED.with_name("bench.toml").read_text(encoding="utf-8")
+    for old, new in (("[540, 960]", "[360, 480]"), ("[384, 512]", "[192, 256]"), ("0.2 ", "0.01 ")):
+        text = text.replace(old, new)
+    path = tmp_path / "rig.toml"
+    path.write_text(text.replace("time_scale = 0.2\n", "time_scale = 0.01\n"), encoding="utf-8")
+    return path
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    status = main(["calibrate", *arguments])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_camera_tank_and_projector_from_the_command_line(
+    rig: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """In this order only, each into a dated file that names those it rests on."""
+    folder = tmp_path / "simulated" / "bench-calibration"
+    for kind in ("tank", "projector"):
+        status, _, err = said(capsys, kind, "--rig", str(rig))
+        assert (status, "run tankrig calibrate camera first" in err) == (2, True)
+    status, out, err = said(capsys, "camera", "--rig", str(rig), "--views", "8", "--json")
+    assert status == 0, err
+    assert "air 8 of 8" in err
+    assert "covers" in err
+    first = json.loads(out)
+    assert first["in_use"]
+    assert Path(first["path"]).with_suffix(".png").stat().st_size > 10_000
+    status, out, err = said(capsys, "tank", "--rig", str(rig), "--views", "1")
+    assert (status, "water level" in out) == (0, True), err
+    status, out, err = said(capsys, "projector", "--rig", str(rig), "--views", "4", "--json")
+    assert status == 0, err
+    from tankrig.calibration.file import in_force
+    from tankrig.calibration.geometry_in_force import scene_tables
+    from tankrig.scene.description import Camera
+
+    found = in_force(folder)
+    assert found["projector"].rests_on == {"camera": first["sha256"], "tank": found["tank"].hash}
+    tables = scene_tables(found, TANK_MM)
+    camera = tables["camera"] | {"matrix": tuple(map(tuple, tables["camera"]["matrix"]))}
+    truth = random_bench(0, *SMALL)
+    assert np.allclose(Camera(**camera).pose.centre_mm, truth.camera.centre_mm, atol=2.0)
+    assert tables["tank"]["size_mm"][2] == pytest.approx(truth.level_mm, abs=2.0)
+
+
+def test_bad_calibrations_end_with_a_sentence_and_no_file(
+    rig: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    cases = {
+        ("--board", "seven"): "is not columns x rows",
+        ("--dictionary", "DICT_5X5_50"): "0 good views are too few",
+        ("--exposure-ms", "400"): "0 good views are too few",
+    }
+    for arguments, reason in cases.items():
+        status, _, err = said(capsys, "camera", "--rig", str(rig), "--views", "6", *arguments)
+        assert (status, reason in err) == (2, True), err
+    assert "of the picture is saturated; shorten the exposure" in err
+    assert not list((tmp_path / "simulated").rglob("*.toml"))
