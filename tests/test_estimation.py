@@ -363,13 +363,17 @@ def test_a_misaligned_set_up_is_found_and_corrected(term: str, off: float) -> No
 
 
 def test_what_may_be_off_costs_knowledge() -> None:
-    """A covariance that forgot the nuisance terms would promise what a moved camera takes away."""
-    image, noise = single_of(STRIPE, Medium(0.004, 0.006, 0.3))
+    """A sheet of light shows no size: if a pixel's is known to 2 %, then σt is, and not to a hundredth of that."""
+    sheet = replace(STRIPE, projector=Projector("collimated", (Beam((-80.0, 80.0), (56.0, 64.0)),)))
+    truth = Medium(0.004, 0.006, 0.3)
+    image, noise = single_of(sheet, truth)
     asked = {"gain": 1.0, "offset": 0.0, "noise": noise, "model": "single"}
-    tight, loose = (
-        tankrig.estimate(image, STRIPE, **asked, nuisance={"scale": sd}).covariance[:2, :2].sum() for sd in (1e-5, 0.02)
+    exact, unsure = (
+        np.sqrt(tankrig.estimate(image, sheet, **asked, nuisance={"scale": sd}).covariance[:2, :2].sum())
+        for sd in (1e-6, 0.02)
     )
-    assert loose > 2.0 * tight  # of σt, which is what single scattering tells
+    assert exact < 0.003 * truth.sigma_t
+    assert unsure == pytest.approx(0.02 * truth.sigma_t, rel=0.3)
 
 
 @pytest.mark.parametrize("nuisance", [{"x_mm": 1.0}, {"z_mm": 0.0}, {"z_mm": np.nan}, {"z_mm": "1"}])

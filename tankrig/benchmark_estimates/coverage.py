@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,35 +26,43 @@ COVERED = (0.93, 0.97)
 
 
 def coverage_section(records: Records, prepared: Prepared, media: int, draws: int) -> Section:
-    """Truth from the model itself, which tells about noise alone, and from other light paths, which the model misses."""
+    """Truth from the model itself, which tells about noise alone, and from other light paths."""
     found = []
     for truth in ("the model itself", "other light paths"):
         for gain in ("known", "free"):
             key = f"coverage/{truth.replace(' ', '-')}-{gain}-{media}x{draws}"
-            found.append(records.numbers(key, lambda truth=truth, gain=gain: _covered(  # type: ignore[misc]
-                records, prepared, truth, gain, media, draws
-            )))  # fmt: skip
-    low, high = COVERED
-    rows = tuple(
-        (Cell(one["truth"]), Cell(one["gain"]), *(Cell(f"{100 * one['covered'][name]:.1f} %", low <= one["covered"][name] <= high) for name in NAMES),
-         Cell(f"{100 * np.mean(list(one['covered'].values())):.1f} %", low <= np.mean(list(one["covered"].values())) <= high),
-         *(Cell(f"{one['rms'][name]:.2f}") for name in NAMES), Cell(str(one["failed"])))
-        for one in found
-    )  # fmt: skip
+            found.append(records.numbers(key, partial(_covered, records, prepared, truth, gain, media, draws)))
+    about = (
+        f"{media} random liquids (at most σt {_text(RANDOM.sigma_t)}, ϖ {_text(RANDOM.albedo)}, g "
+        f"{_text(RANDOM.g)}), {draws} noise draws of 0.2 % of the peak each, fitted with the prepared model. "
+        "Bound: 93 … 97 %. Where the truth is the model itself the intervals count the camera's noise alone; "
+        "where it comes from other light paths they count the prepared model's own stated error too, and are as "
+        "wide as that statement is cautious. Error is the RMS in standard deviations; it would be 1."
+    )
     return Section(
         "Coverage of 95 % intervals",
-        f"{media} random liquids (at most σt {RANDOM.sigma_t[0]} … {RANDOM.sigma_t[1]}, ϖ {RANDOM.albedo[0]} … {RANDOM.albedo[1]}, g {RANDOM.g[0]} … {RANDOM.g[1]}), {draws} noise draws of 0.2 % of the peak each, "
-        f"fitted with the prepared model. Bound: 93 … 97 %. Where the truth is the model itself the intervals count the camera's "
-        "noise alone; where it comes from other light paths they count the prepared model's own stated error too, and with "
-        "it dominating they are as wide as that statement is cautious. Error is the RMS in standard deviations; it would be 1.",
+        about,
         ("truth", "gain", "σa", "σs", "g", "all", "error of σa", "σs", "g", "failed"),
-        rows,
-        "; ".join(
-            f"{one['truth']}, gain {one['gain']}: {100 * np.mean(list(one['covered'].values())):.1f} %" for one in found
-        )
-        + ".",
+        tuple(_row(one) for one in found),
+        "; ".join(f"{one['truth']}, gain {one['gain']}: {100 * _all(one):.1f} %" for one in found) + ".",
         found,
     )
+
+
+def _text(ends: tuple[float, float]) -> str:
+    return f"{ends[0]} … {ends[1]}"
+
+
+def _all(one: dict[str, Any]) -> float:
+    return float(np.mean(list(one["covered"].values())))
+
+
+def _row(one: dict[str, Any]) -> tuple[Cell, ...]:
+    low, high = COVERED
+    shares = [*(one["covered"][name] for name in NAMES), _all(one)]
+    covered = [Cell(f"{100 * share:.1f} %", low <= share <= high) for share in shares]
+    errors = [Cell(f"{one['rms'][name]:.2f}") for name in NAMES]
+    return Cell(one["truth"]), Cell(one["gain"]), *covered, *errors, Cell(str(one["failed"]))
 
 
 def _covered(records: Records, prepared: Prepared, truth: str, gain: str, count: int, draws: int) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Many noise draws of one truth: scatter against the Cramér–Rao bound, and the bias."""
 
 from dataclasses import astuple
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,34 +33,25 @@ def scatter_section(records: Records, draws: int, quick: bool) -> Section:
     for name in ("thin",) if quick else tuple(LIQUIDS):
         image, own = monte_carlo(records, name, quick)
         for gain in ("known", "free"):
-            key = f"scatter/{name}-{gain}-{draws}"
-            one = records.numbers(key, lambda name=name, gain=gain, image=image: _drawn(name, gain, image, draws))  # type: ignore[misc]
+            one = records.numbers(f"scatter/{name}-{gain}-{draws}", partial(_drawn, name, gain, image, draws))
             found.append({**one, "own_noise": own / NOISE})
-    rows = tuple(row for one in found for row in _rows(one))
     worst = max(max(one["scatter"]) for one in found)
     furthest = max(max(np.abs(one["bias"])) for one in found)
+    about = (
+        "Stripes in three liquids, images by our Monte Carlo (which shares nothing with the fitted model), "
+        f"{draws} noise draws of 0.2 % of the peak each. Fits use a polynomial of second degree through 13 images "
+        f"of the tank model about the first full fit; the largest difference from {FULL} full fits is given in "
+        f"standard deviations. Scatter is over the Cramér–Rao bound of the camera's noise alone (bound {SCATTER}); "
+        "bias is in the standard deviations that the estimate states, and in percent (of g absolute), and holds "
+        "the model's error and the Monte Carlo's own noise."
+    )
+    headings = (
+        "liquid", "gain", "", "scatter / CR", "bias, sd", "bias, %", "stated sd, %", "CR sd, %", "within 95 %",
+        "full fits off by, sd", "Monte Carlo's noise / camera's",
+    )  # fmt: skip
+    result = f"Largest scatter {worst:.2f} times Cramér–Rao; largest bias {furthest:.1f} standard deviations."
     return Section(
-        "Repeated measurements",
-        f"Stripes in three liquids, images by our Monte Carlo (which shares nothing with the fitted model), {draws} noise draws "
-        "of 0.2 % of the peak each. Fits use a polynomial of second degree through 13 images of the tank model "
-        f"about the first full fit; the largest difference from {FULL} full fits is given in standard deviations. Scatter is "
-        f"over the Cramér–Rao bound of the camera's noise alone (bound {SCATTER}); bias is in the standard deviations that the "
-        "estimate states, and in percent (of g absolute), and holds the model's error and the Monte Carlo's own noise.",
-        (
-            "liquid",
-            "gain",
-            "",
-            "scatter / CR",
-            "bias, sd",
-            "bias, %",
-            "stated sd, %",
-            "within 95 %",
-            "full fits off by, sd",
-            "Monte Carlo's noise / camera's",
-        ),
-        rows,
-        f"Largest scatter {worst:.2f} times Cramér–Rao; largest bias {furthest:.1f} standard deviations.",
-        found,
+        "Repeated measurements", about, headings, tuple(row for one in found for row in _rows(one)), result, found
     )
 
 
@@ -117,9 +109,11 @@ def _rows(one: dict[str, Any]) -> list[tuple[Cell, ...]]:
     for k, symbol in enumerate(("σa", "σs", "g")):
         size = one["truth"][k] if k < 2 else 1.0
         rows.append((
-            Cell(one["liquid"]), Cell(one["gain"]), Cell(symbol), Cell(f"{one['scatter'][k]:.3f}", one["scatter"][k] <= SCATTER),
+            Cell(one["liquid"]), Cell(one["gain"]), Cell(symbol),
+            Cell(f"{one['scatter'][k]:.3f}", one["scatter"][k] <= SCATTER),
             Cell(f"{one['bias'][k]:+.2f}"), Cell(f"{100 * (one['mean'][k] - one['truth'][k]) / size:+.3f}"),
-            Cell(f"{100 * one['stated'][k] / size:.3f}"), Cell(f"{100 * one['inside'][k]:.1f} %"),
+            Cell(f"{100 * one['stated'][k] / size:.3f}"), Cell(f"{100 * one['cramer_rao'][k] / size:.3f}"),
+            Cell(f"{100 * one['inside'][k]:.1f} %"),
             Cell(f"{one['full_off'][k]:.2f}"), Cell(f"{one['own_noise']:.2f}"),
         ))  # fmt: skip
     return rows

@@ -1,6 +1,7 @@
 """Scenes that estimates are tried on: stripes of light in thin, medium and thick liquids, and random ones."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ def monte_carlo(records: Records, name: str, quick: bool) -> tuple[Array, float]
         tally = simulate(scene, photons, seed)
         return {"image": tally.image, "stderr": tally.stderr}
 
-    found = [records.arrays(f"truth/{name}-{seed}", lambda seed=seed: piece(seed)) for seed in range(pieces)]  # type: ignore[misc]
+    found = [records.arrays(f"truth/{name}-{seed}", partial(piece, seed)) for seed in range(pieces)]
     image = np.mean([one["image"] for one in found], axis=0)
     noise = np.sqrt(np.sum([one["stderr"] ** 2 for one in found], axis=0)) / pieces
     return image, float(np.sqrt(np.mean(noise**2)) / image.max())

@@ -18,7 +18,8 @@ from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.parameters import Range, to_coordinates, to_medium
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.result import Estimate as Estimate
-from tankrig.scene import Scene
+from tankrig.image.prediction import Prediction
+from tankrig.scene import Medium, Scene
 
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
@@ -128,9 +129,11 @@ def fit_models(
     progress("looking at a few media")
     ambient = float(np.percentile(observation.image[observation.used], 5)) if scaling.offset is None else scaling.offset
     brightness = np.maximum(observation.image - ambient, 0.0)
-    starts = first_guess(problem_of(observation, models.coarse, models.coarse, COARSE * brightness), length_mm)
+    first = problem_of(observation, models.coarse, models.coarse, COARSE * brightness)
+    starts, reserve = first_guess(first, length_mm)
     rough = float(np.clip(stated_error(models.coarse(starts[0])), 0.1 * COARSE, COARSE))
-    found = search(problem_of(observation, models.coarse, models.coarse, rough * brightness), starts, progress)
+    cheap = problem_of(observation, models.coarse, models.coarse, rough * brightness)
+    found = search(cheap, starts, progress, reserve)
 
     progress("refining")
     forward, slope = models.refine(found[0])
@@ -138,9 +141,19 @@ def fit_models(
     gain, offset = problem_of(observation, forward, slope, rough * brightness).scale(start.image)
     fitted = gain * start.image + offset
     observation = observation.with_noise_of(observation.image - fitted, fitted)
-    error = abs(gain) * np.minimum(error_map(start), COARSE * np.abs(start.image).max())
-    problem = problem_of(observation, forward, slope, error)
+
+    def limited(prediction: Prediction) -> Image:
+        return abs(gain) * np.minimum(error_map(prediction), COARSE * np.abs(prediction.image).max())
+
+    problem = problem_of(observation, forward, slope, limited(start))
     best = min((polish(problem, to_coordinates(one)) for one in found), key=lambda end: end.cost)
+    if models.exact is not None:
+        progress("correcting by one accurate image")
+        centre = to_medium(best.coordinates)
+        exact = models.exact(centre)
+        corrected = forward = _corrected(forward, centre, exact)
+        problem = replace(problem, forward=lambda medium: corrected(medium).image, error=limited(exact))
+        best = polish(problem, best.coordinates)
     if misalignment is not None:
         progress("aligning")
         moves = misalignment.at(to_medium(best.coordinates))
@@ -156,6 +169,12 @@ def fit_models(
         best = polish(problem, best.coordinates)
     progress("finding the errors")
     return described(problem, best.coordinates, scene, forward(to_medium(best.coordinates[:MEDIUM])))
+
+
+def _corrected(forward: Model, centre: Medium, exact: Prediction) -> Model:
+    """A model with the error that it shows at one medium taken off, which stays what it is nearby."""
+    error = forward(centre).image - exact.image
+    return lambda medium: replace(exact, image=forward(medium).image - error)
 
 
 def _known(name: str, value: object) -> tuple[float | None, float]:

@@ -116,23 +116,26 @@ class Problem:
         return np.concatenate([residual, self.scaling.beliefs(gain, offset), coordinates[MEDIUM:]])
 
 
-def first_guess(problem: Problem, length_mm: float) -> list[Medium]:
-    """Media to start from, the most likely first: the best of a few densities for each of a few g."""
-    starts: dict[float, Optimum] = {}
+def first_guess(problem: Problem, length_mm: float) -> tuple[list[Medium], list[Medium]]:
+    """Media to start from: the best of a few densities for each of a few g, best first; and the others."""
+    looks: dict[float, list[Optimum]] = {g: [] for g in START_ASYMMETRY}
     for g, paths in product(START_ASYMMETRY, START_MEAN_FREE_PATHS):
         sigma_s = paths / length_mm
-        at = np.clip(
-            to_coordinates(Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g)),
-            problem.range.low, problem.range.high,
-        )  # fmt: skip
+        medium = Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g)
+        at = np.clip(to_coordinates(medium), problem.range.low, problem.range.high)
         value = problem.residual(at)
-        here = Optimum(at, 0.5 * float(value @ value))
-        if g not in starts or here.cost < starts[g].cost:
-            starts[g] = here
-    return [to_medium(start.coordinates) for start in sorted(starts.values(), key=lambda start: start.cost)]
+        looks[g].append(Optimum(at, 0.5 * float(value @ value)))
+    ranked = [sorted(one, key=lambda look: look.cost) for one in looks.values()]
+    best, others = [one[0] for one in ranked], [look for one in ranked for look in one[1:]]
+    first, rest = (
+        [to_medium(look.coordinates) for look in sorted(part, key=lambda look: look.cost)] for part in (best, others)
+    )
+    return first, rest
 
 
-def search(problem: Problem, starts: Sequence[Medium], seen: Callable[[str], None]) -> list[Medium]:
+def search(
+    problem: Problem, starts: Sequence[Medium], seen: Callable[[str], None], reserve: Sequence[Medium] = ()
+) -> list[Medium]:
     """Best medium over the whole allowed range, and others that are as good as far as this problem can tell.
 
     Parameters
@@ -143,7 +146,20 @@ def search(problem: Problem, starts: Sequence[Medium], seen: Callable[[str], Non
         Where to begin.
     seen
         Told in words what is being done.
+    reserve
+        Where to begin, one after another, as long as the best ended at an edge of the range in σs or g, in a valley
+        that leads out of it (measured: one in five of single starts from anywhere does).
     """
+    ends = _descend(problem, starts, seen)
+    for other in reserve:
+        if not {"sigma_s", "g"} & set(problem.range.at_edge(to_medium(ends[0].coordinates))):
+            break
+        ends = sorted([*ends, *_descend(problem, [other], seen)], key=lambda end: end.cost)
+    return [to_medium(end.coordinates) for end in ends if end.cost < ends[0].cost + EQUAL]
+
+
+def _descend(problem: Problem, starts: Sequence[Medium], seen: Callable[[str], None]) -> list[Optimum]:
+    """Distinct optima below some starts, best first; the least promising starts are given up early."""
     tried = []
     for start in starts:
         seen(f"searching from g = {start.g:.2g}")
@@ -157,8 +173,7 @@ def search(problem: Problem, starts: Sequence[Medium], seen: Callable[[str], Non
         end = _minimise(problem, one.coordinates, COARSE_ENOUGH)
         if all(np.abs(end.coordinates - other.coordinates).max() > DISTINCT for other in ends):
             ends.append(end)
-    ends.sort(key=lambda end: end.cost)
-    return [to_medium(end.coordinates) for end in ends if end.cost < ends[0].cost + EQUAL]
+    return sorted(ends, key=lambda end: end.cost)
 
 
 def polish(problem: Problem, start: Array) -> Optimum:

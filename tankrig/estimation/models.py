@@ -35,6 +35,9 @@ FINE_NOISE, FINE_BATCHES = 0.003, 32
 SLOPE_NOISE, SLOPE_BATCHES = 0.006, 16
 """Noise (relative L2) that the images for the last steps and for derivatives aim for, and their lattices at most."""
 
+EXACT_NOISE, EXACT_BATCHES = 0.001, 128
+"""The same for the one image, at the optimum, that the others are corrected by."""
+
 ERROR_PIXELS = 4.0
 """Standard deviation of the Gaussian over which a stated noise is averaged."""
 
@@ -53,12 +56,15 @@ class Models:
         Derivatives by σa, σs, g, (3, rows, columns), of the model itself; None to take differences.
     range
         Media that it answers for; None: all.
+    exact
+        The most accurate version, for one image at the optimum; None where the accurate one is that.
     """
 
     coarse: Model
     refine: Callable[[Medium], tuple[Model, Model]]
     slopes: Slopes | None = None
     range: Range | None = None
+    exact: Model | None = None
 
 
 def models_of(scene: Scene, model: "str | Prepared", max_order: int | None) -> Models:
@@ -121,13 +127,18 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
 
     coarse = following(COARSE_BATCHES, 0)
 
-    def refine(medium: Medium) -> tuple[Model, Model]:
+    def batches(medium: Medium, noise: float, most: int) -> int:
         need = COARSE_BATCHES * stated_error(coarse(medium)) ** 2
-        fine = int(np.clip(need / FINE_NOISE**2, COARSE_BATCHES, FINE_BATCHES))
-        slope = int(np.clip(need / SLOPE_NOISE**2, COARSE_BATCHES, SLOPE_BATCHES))
+        return int(np.clip(need / noise**2, COARSE_BATCHES, most))
+
+    def refine(medium: Medium) -> tuple[Model, Model]:
+        fine, slope = batches(medium, FINE_NOISE, FINE_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
         return following(fine, 1), following(slope, 2)
 
-    return Models(coarse, refine)
+    def exact(medium: Medium) -> Prediction:
+        return following(batches(medium, EXACT_NOISE, EXACT_BATCHES), 3)(medium)
+
+    return Models(coarse, refine, exact=exact)
 
 
 def _tank(scene: Scene, max_order: int | None, batches: int, seed: int) -> Prediction:
