@@ -32,6 +32,7 @@ def choose(window, kind: str, options: str):
     return wizard
 
 
+@pytest.mark.long
 def test_radiometry_is_measured_shown_and_known(window, tmp_path: Path) -> None:
     wizard = choose(window, "radiometry", "--gains 1")
     looks = []
@@ -70,6 +71,7 @@ def test_nothing_else_begins_meanwhile_and_stop_ends_it(window, tmp_path: Path) 
     until(lambda: window.status.state.name == "IDLE", what="the rig is taken back")
 
 
+@pytest.mark.long
 def test_a_pump_is_weighed_by_answering_in_the_window(window, tmp_path: Path) -> None:
     wizard = choose(window, "pump", "--volumes 20,80 --repeats 2 --temperature 21")
     weights = iter((20.3, 81.5, 20.3, 81.4))
@@ -92,12 +94,24 @@ def test_a_pump_is_weighed_by_answering_in_the_window(window, tmp_path: Path) ->
     until(lambda: file.name in words_of(window.calibration))
 
 
-def test_what_goes_wrong_is_said_and_the_rig_comes_back(window, tmp_path: Path) -> None:
+def test_what_is_measured_is_known_and_what_goes_wrong_is_said(window, tmp_path: Path) -> None:
     wizard = choose(window, "latency", "--flips 5")
     until(lambda: not wizard.at_work)
     assert "5 is not in the range" in wizard.request.text()
     until(lambda: window.status.state.name == "IDLE")
     assert not (tmp_path / "calibration").exists()
+    wizard = choose(window, "latency", "--flips 20 --accept")
+    until(lambda: wizard.bar.value() > 0)
+    until(lambda: not wizard.at_work)
+    assert "99 % within" in wizard.result.text()
+    kept = newest(tmp_path / "calibration", "latency")
+    assert kept.path.name in wizard.result.text()
+    until(lambda: window.status.state.name == "IDLE", what="the rig is taken back")
+    until(lambda: kept.path.name in words_of(window.calibration), what="the page shows what is known")
+
+
+@pytest.mark.long
+def test_a_calibration_that_is_cancelled_leaves_nothing(window, tmp_path: Path) -> None:
     wizard = choose(window, "radiometry", "--gains 1")
     until(lambda: wizard.bar.value() > 0)
     QTest.mouseClick(wizard.cancel, Qt.MouseButton.LeftButton)
