@@ -16,6 +16,7 @@ from tankrig.calibration.board import Board, BoardView, find_board
 from tankrig.calibration.camera import calibrate_camera
 from tankrig.calibration.gray_code import decode, gray_code_patterns
 from tankrig.calibration.lit_corners import lit_corners
+from tankrig.calibration.pictures import Pictures
 from tankrig.calibration.projector import calibrate_projector
 from tankrig.calibration.tank import calibrate_tank
 from tankrig.errors import CalibrationError, ImageError
@@ -351,3 +352,74 @@ def test_bad_calibrations_end_with_a_sentence_and_no_file(
         assert (status, reason in err) == (2, True), err
     assert "of the picture is saturated; shorten the exposure" in err
     assert not list((tmp_path / "simulated").rglob("*.toml"))
+
+
+def test_another_resolution_is_refused(rig: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A lens measured in other pixels would put everything in the wrong place."""
+    from tankrig.calibration.file import Calibration, save
+
+    lens = {"fx": 800.0, "fy": 800.0, "cx": 240.0, "cy": 180.0, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0, "k3": 0.0}
+    device = f"simulated camera of {tmp_path / 'simulated' / 'bench'}"
+    folder = tmp_path / "simulated" / "bench-calibration"
+    other = save(Calibration("camera", device, (720, 960), lens), folder)
+    status, _, err = said(capsys, "tank", "--rig", str(rig))
+    assert (status, "was measured with [720, 960] pixels (rows, columns)" in err) == (2, True), err
+    camera = save(Calibration("camera", device, (360, 480), lens), folder, accept=True)
+    save(Calibration("tank", device, (360, 480), {}, rests_on={"camera": other.hash}), folder)
+    assert camera.hash != other.hash
+    status, _, err = said(capsys, "projector", "--rig", str(rig))
+    assert (status, "rests on another calibration of the camera than" in err) == (2, True), err
+
+
+def test_a_person_sees_what_the_camera_sees_until_enter(
+    photographer: Photographer, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With a real camera: the board is judged all the time, and the view is taken when Enter is pressed."""
+    import os
+    import pty
+    import sys
+
+    from tankrig.devices import CameraSettings, Frame
+    from ui.cli.boards import Holder
+
+    class Camera:
+        """Sees the board twice before Enter is pressed."""
+
+        name, shape, saturation, frames = "camera", SMALL[0], SATURATION, 0
+
+        def configure(self, settings: CameraSettings) -> CameraSettings:
+            return settings
+
+        def capture(self, after_ns: int, timeout_s: float) -> Frame:
+            del timeout_s
+            self.frames += 1
+            if self.frames == 2:
+                os.write(person, b"\n")
+            return Frame(photographer.frames("air", 3)[0], after_ns + 1, 0, 0, self.frames)
+
+    person, terminal = pty.openpty()
+    with os.fdopen(terminal) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        camera = Camera()
+        (view,) = Holder(camera, Pictures(camera), BOARD).good_views("air", 1, lambda view: view)
+    os.close(person)
+    assert len(view.ids) >= 12
+    assert camera.frames >= 3
+    assert "Hold the board before the camera" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_decoding_of_a_full_picture_takes_less_than_two_seconds(capsys: pytest.CaptureFixture[str]) -> None:
+    """A projector of 1024 × 768 seen by a camera of 1920 × 1080."""
+    import time
+
+    import cv2
+
+    patterns = gray_code_patterns((768, 1024))
+    frames = [cv2.resize(pattern.pixels, (1920, 1080)) for pattern in patterns]
+    began = time.process_time()
+    decode(frames, (768, 1024), 260)
+    took = time.process_time() - began
+    with capsys.disabled():
+        print(f"{len(frames)} frames decoded in {took:.2f} s of one core")
+    assert took < 2.0

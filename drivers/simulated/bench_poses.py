@@ -87,7 +87,7 @@ def _inside(bench: TrueBench, board: Board, rotation: Array, number: int, random
     room[:, 1] = -TANK_MM[1] / 2 + low[1] + 2.0, TANK_MM[1] / 2 + high[1] - 2.0
     sides = np.array([number * 2 % 5 / 5, 0.85 * (number // 2 % 2), 0.85 * ((number // 2 + number) % 2)])
     part = sides + random.uniform(0.0, 0.15, 3)
-    return room[0] + part * np.maximum(room[1] - room[0], 0.0) - rotation @ _middle(bench, board)
+    return np.asarray(room[0] + part * np.maximum(room[1] - room[0], 0.0) - rotation @ _middle(bench, board))
 
 
 def _middle(bench: TrueBench, board: Board) -> Array:

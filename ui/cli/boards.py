@@ -175,7 +175,7 @@ class Holder:
         self._watch()
 
     def _watch(self) -> None:
-        """Live feedback until somebody presses Enter."""
+        """Live feedback until there is an answer."""
         from tankrig.calibration.board import find_board
         from tankrig.errors import ImageError
 
@@ -186,7 +186,8 @@ class Holder:
                     show(view.fault or f"good: {self._in_words_now(view)}")
                 except ImageError as error:
                     show(str(error))
-        sys.stdin.readline()
+        if not sys.stdin.readline():  # nobody is there any more
+            raise click.Abort
 
     def _in_words_now(self, view: "BoardView") -> str:
         return f"{len(view.ids)} corners, blur {view.blur_px:.1f} px, {view.saturated:.0%} saturated"
