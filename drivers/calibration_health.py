@@ -20,6 +20,8 @@ KINDS: Mapping[str, str] = {
 }  # fmt: skip
 """What can be calibrated, and the device that it holds for."""
 STALE_DAYS = 90.0
+_CLOSE = 2.0
+"""mm, ms; by which measured and believed may differ, whatever the uncertainty."""
 _LEVEL = 128
 _OFF = 0.05
 _DIM = 0.01
@@ -52,6 +54,33 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
                 f"{kind} is calibrated", None, "has not been measured; the rig file is believed",
                 f"tankrig calibrate {kind} --rig FILE",
             )  # fmt: skip
+    yield from _as_believed(rig, found)
+
+
+def _as_believed(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Check]:
+    """Whether the bench of the rig file, which scenes of runs are made of, is the one that was measured."""
+    bench, latency_ms = rig.bench, rig.projector.get("latency_ms")
+    believed = (
+        ("tank", "level_mm", bench.tank.size_mm[2], "bench.tank.size_mm, or fill the tank to that level"),
+        ("tank", "camera_position_mm", bench.camera.position_mm, "bench.camera.position_mm"),
+        ("projector", "position_mm", bench.light_position_mm, "bench.light_position_mm"),
+        ("latency", "p99_ms", latency_ms if isinstance(latency_ms, float) else None, "projector.latency_ms"),
+    )
+    for kind, name, value, key in believed:
+        if value is None or kind not in found or name not in found[kind].result:
+            continue
+        measured, sd = (np.asarray(table.get(name, 0.0), float) for table in (found[kind].result, found[kind].sd))
+        off = measured - np.asarray(value)
+        most = np.maximum(_CLOSE, 4.0 * sd)
+        passed = bool((off <= most).all() if kind == "latency" else (np.abs(off) <= most).all())
+        yield Check(
+            f"{kind} is where the rig file has it" if kind != "latency" else "latency is within that of the rig file",
+            passed, f"{name} = {_shown(measured)} measured, {_shown(value)} in the rig file", f"correct {key}",
+        )  # fmt: skip
+
+
+def _shown(value: Any) -> str:
+    return ", ".join(f"{number:.4g}" for number in np.atleast_1d(value))
 
 
 def _fits(one: Calibration, device: Any, found: Mapping[str, Calibration], folder: Path) -> Check:

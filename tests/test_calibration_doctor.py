@@ -14,6 +14,7 @@ from drivers.simulated import __file__ as simulated
 from tankrig.calibration.file import Calibration, save
 from tankrig.calibration.radiometry import Amplified, Radiometry
 from tankrig.calibration.response import Response
+from tankrig.scene import Camera
 
 CAMERA = Calibration("camera", "camera A", (80, 120), {"f_px": 1.0}, how_well={"rms_px": 0.2})
 
@@ -65,6 +66,30 @@ def test_what_is_good_passes_and_what_is_not_says_why(rig: RigFile) -> None:
     assert any('calibration.camera = "0123"' in check.finding for check in missing.values())
     (folder / "latency-2026-01-01T00-00-00.toml").write_text("sha256 = ''\n")
     assert any("changed" in check.finding and check.passed is False for check in looked(rig).values())
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "measured", "passed"),
+    [
+        ("tank", "level_mm", 120.9, True),
+        ("tank", "level_mm", 110.0, False),
+        ("tank", "camera_position_mm", [125.0, 0.0, 620.0], False),
+        ("projector", "position_mm", [-400.0, 0.5, 60.0], True),
+        ("latency", "p99_ms", 48.0, False),
+        ("latency", "p99_ms", 21.0, True),
+    ],
+)
+def test_a_bench_that_is_not_the_one_measured_is_named(
+    rig: RigFile, kind: str, name: str, measured: object, passed: bool
+) -> None:
+    """Camera bumped by 5 mm, water 10 mm lower, a projector that got slower: since the rig file was written."""
+    camera = Camera("pinhole", (80, 120), 2.0, position_mm=(120.0, 0.0, 620.0))
+    bench = replace(rig.bench, camera=camera, light="pinhole", light_position_mm=(-400.0, 0.0, 60.0))
+    rig = replace(rig, bench=bench, projector=rig.projector | {"latency_ms": 40.0})
+    device = DEVICES["projector" if kind in ("projector", "latency") else "camera"]
+    save(Calibration(kind, device.name, device.shape, {name: measured}), Path(rig.calibration_folder))
+    (check,) = (check for check in looked(rig).values() if name in check.finding)
+    assert check.passed is passed
 
 
 def radiometry(gamma: float) -> Calibration:
