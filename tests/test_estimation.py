@@ -363,11 +363,13 @@ def test_a_misaligned_set_up_is_found_and_corrected(term: str, off: float) -> No
 
 
 def test_what_may_be_off_costs_knowledge() -> None:
-    """A sheet of light shows no size: if a pixel's is known to 2 %, then σt is, and not to a hundredth of that."""
-    sheet = replace(STRIPE, projector=Projector("collimated", (Beam((-80.0, 80.0), (56.0, 64.0)),)))
-    truth = Medium(0.004, 0.006, 0.3)
+    """A sheet of light whose edges are not seen shows no size: with pixels known to 2 %, so is σt, and no better."""
+    light, camera = Projector("collimated", (Beam((-80.0, 80.0), (56.0, 64.0)),)), Camera("orthographic", (30, 50), 4.0)
+    sheet = replace(STRIPE, projector=light, camera=camera)
+    truth, wall = Medium(0.004, 0.006, 0.3), np.zeros((30, 50), bool)
+    wall[:3] = True
     image, noise = single_of(sheet, truth)
-    asked = {"gain": 1.0, "offset": 0.0, "noise": noise, "model": "single"}
+    asked = {"gain": 1.0, "offset": 0.0, "noise": noise, "mask": wall, "model": "single"}
     exact, unsure = (
         np.sqrt(tankrig.estimate(image, sheet, **asked, nuisance={"scale": sd}).covariance[:2, :2].sum())
         for sd in (1e-6, 0.02)
@@ -433,3 +435,17 @@ def test_a_beam_that_is_missing_is_never_a_confident_number() -> None:
     found = tankrig.estimate(image, STRIPE, noise=noise, model="single")
     assert not any(found.identifiable.values())
     assert "structure" in found.verdict
+
+
+def test_a_picture_that_is_mostly_saturated_is_refused() -> None:
+    """What is left at its edges fits anything: it must be taken again."""
+    image, noise = noisy(THICK)
+    with pytest.raises(ImageError, match="saturated"):
+        fit(np.minimum(image, np.quantile(image, 0.4)), FREE, noise)
+
+
+@pytest.mark.parametrize("value", [(1.0, -0.1), (1.0, np.nan), (0.0, 0.1), (1.0, 0.1, 2.0)])
+def test_a_calibration_that_is_none_is_refused(value: tuple) -> None:
+    """A prior that is nonsense must not be read as a free gain."""
+    with pytest.raises(ImageError, match="gain"):
+        tankrig.estimate(GOOD, SCENE, gain=value)

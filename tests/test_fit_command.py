@@ -86,6 +86,21 @@ def test_json_is_one_line_that_says_it_all(
     assert Path(numbers["picture"]).is_file()
 
 
+def test_what_may_be_off_is_fitted_and_told(
+    tmp_path: Path, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A person whose camera may have moved gives that as an option, and wants to see by how much it had."""
+    np.save(tmp_path / "tank.npy", tank_photograph(load_scene(scene_file)).astype(float))
+    command = ["fit", str(tmp_path / "tank.npy"), "--scene", str(scene_file), "--model", "single"]
+    command += ["--nuisance", "y_mm=0.5", "--nuisance", "z_mm=0.5", "--out", str(tmp_path / "out")]
+    assert main([*command, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["nuisance_found"]
+    assert set(found) == {"y_mm", "z_mm"}
+    assert abs(found["y_mm"]["value"]) < 4.0 * found["y_mm"]["sd"] < 0.5
+    with np.load(tmp_path / "out" / "tank-fit.npz") as arrays:
+        assert arrays["structure"].shape == (20, 30)
+
+
 GOOD = np.linspace(1.0, 2.0, 600).reshape(20, 30)
 
 
@@ -104,6 +119,8 @@ GOOD = np.linspace(1.0, 2.0, 600).reshape(20, 30)
         (GOOD, ["--scale", "0"], "scale"),
         (GOOD, ["--array", "total"], "array"),
         (GOOD, ["--max-order", "0"], "max-order"),
+        (GOOD, ["--nuisance", "much"], "NAME=SD"),
+        (GOOD, ["--nuisance", "x_mm=1"], "x_mm"),
     ],
 )
 def test_bad_input_is_one_sentence_exit_2_and_nothing_written(

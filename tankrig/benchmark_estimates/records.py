@@ -48,6 +48,6 @@ class Records:
             found = compute()
             require_writable(self.folder)
             with whole_file(path) as unfinished:
-                np.savez(unfinished, allow_pickle=False, **found)  # type: ignore[arg-type]
+                np.savez(unfinished, allow_pickle=False, **found)
         with np.load(path) as kept:
             return {key: kept[key] for key in kept.files}

@@ -69,7 +69,7 @@ def cramer_rao(fit: Estimate, one: Observed, gain_known: bool) -> list[float]:
     slopes = slopes_of(lambda medium: slope(medium).image, max(one.scene.tank.size_mm))(fit.medium)
     pixels = int(np.prod(one.image.shape))
     weight = np.full(pixels, 1.0 / one.noise)
-    image = ((fit.image - fit.offset) / fit.gain).ravel()
+    image = np.asarray((fit.image - fit.offset) / fit.gain, float).ravel()
     changes = scaling.unhidden(fit.gain * slopes.reshape(3, -1) * weight, image, weight)
     size = np.sqrt(np.sum(changes**2, axis=1))
     return list(np.sqrt(np.diag(np.linalg.inv(changes @ changes.T / np.outer(size, size)))) / size)

@@ -23,7 +23,7 @@ SCATTER = 1.15
 """Times the Cramér–Rao bound that estimates may scatter."""
 REACH = (8.0, np.array([0.02, 0.1, 0.02]))
 """Of the polynomial: so many standard deviations, and at least so much, in log σs, logit ϖ, atanh g."""
-FULL = 3
+FULL = 2
 """Draws that are fitted with the tank model itself, to compare."""
 
 
@@ -96,7 +96,7 @@ def _inside(one: Estimate, truth: Medium) -> list[bool]:
 def cramer_rao(models: Models, medium: Medium, scaling: Scaling, noise: float, gain: float) -> Array:
     """Standard deviations of σa, σs, g that white noise in all pixels allows."""
     assert models.slopes is not None
-    image = models.coarse(medium).image.ravel()
+    image = np.asarray(models.coarse(medium).image, float).ravel()
     weight = np.full(image.size, 1.0 / noise)
     changes = scaling.unhidden(gain * models.slopes(medium).reshape(3, -1) * weight, image, weight)
     size = np.linalg.norm(changes, axis=1)
@@ -105,7 +105,7 @@ def cramer_rao(models: Models, medium: Medium, scaling: Scaling, noise: float, g
 
 
 def _rows(one: dict[str, Any]) -> list[tuple[Cell, ...]]:
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for k, symbol in enumerate(("σa", "σs", "g")):
         size = one["truth"][k] if k < 2 else 1.0
         rows.append((

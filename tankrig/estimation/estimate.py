@@ -143,7 +143,8 @@ def fit_models(
     observation = observation.with_noise_of(observation.image - fitted, fitted)
 
     def limited(prediction: Prediction) -> Image:
-        return abs(gain) * np.minimum(error_map(prediction), COARSE * np.abs(prediction.image).max())
+        error: Image = abs(gain) * np.minimum(error_map(prediction), COARSE * np.abs(prediction.image).max())
+        return error
 
     problem = problem_of(observation, forward, slope, limited(start))
     best = min((polish(problem, to_coordinates(one)) for one in found), key=lambda end: end.cost)
