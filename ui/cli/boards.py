@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from ui.cli.guide import console, emit, guided, somebody, watching
+from ui.cli.guide import console, emit, guided, picture, somebody, watching
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -128,8 +128,9 @@ class Holder:
             Called with each good view while the board is still held; None: that one is not used.
         """
         taken: list[_Taken] = []
-        number, most = 0, count if count == 1 else _TRIES * count
-        while len(taken) < count and (self._hold is None or number < most):
+        number = 0
+        # Who holds a board by himself holds it no better when asked again: not after as many failures, nor for ever.
+        while len(taken) < count and (self._hold is None or number < (_TRIES * count if taken else count)):
             self._place(place, number)
             found = self.look(self._pictures.suit(), f"{place} {len(taken) + 1} of {count}")
             made = take(found) if found is not None else None
@@ -143,6 +144,7 @@ class Holder:
         from tankrig.calibration.board import find_board
         from tankrig.errors import ImageError
 
+        picture(name, pixels, self._camera.saturation)
         try:
             view = find_board(pixels, self._board, self._camera.saturation)
         except ImageError as error:
@@ -181,8 +183,10 @@ class Holder:
 
         with watching(self.console) as show:
             while not select.select([sys.stdin], [], [], 0.0)[0]:
+                pixels = self._pictures.suit()
+                picture("the board", pixels, self._camera.saturation)
                 try:
-                    view = find_board(self._pictures.suit(), self._board, self._camera.saturation)
+                    view = find_board(pixels, self._board, self._camera.saturation)
                     show(view.fault or f"good: {self._in_words_now(view)}")
                 except ImageError as error:
                     show(str(error))
