@@ -12,7 +12,7 @@ from drivers.simulated.settings import Sensor
 from tankrig.calibration.darks import fit_darks
 from tankrig.calibration.exposed import Exposed, exposed
 from tankrig.calibration.file import load, save
-from tankrig.calibration.hdr import merge
+from tankrig.calibration.hdr import Merged, merge
 from tankrig.calibration.linearity import fit_linearity
 from tankrig.calibration.photon_transfer import photon_transfer
 from tankrig.calibration.radiometry import Radiometry
@@ -99,22 +99,26 @@ def test_corrected_frames_are_proportional_to_radiance_at_any_exposure_and_gain(
         found.corrected(np.zeros((4, 4), np.uint16), CameraSettings(1.0))
 
 
-def test_brackets_are_merged_over_four_decades_without_a_seam(
-    bench: RadiometryBench, measured: RadiometryMeasured
-) -> None:
-    """A step where one exposure takes over from another would be taken for light by a fit."""
-    found, random = radiometry_of(measured), np.random.default_rng(2)
-    rows, columns = bench.camera.shape
-    full_e, response = bench.sensor.full_well, bench.sensor.response
-    brightest = 0.7 * full_e / response
-    radiance = np.geomspace(brightest, brightest / 10**4.3, columns) * np.ones((rows, 1))
+def brackets(bench: RadiometryBench, found: Radiometry) -> tuple[Merged, np.ndarray]:
+    """Exposures of a scene that spans 4.3 decades, merged, and its radiance."""
+    random, columns = np.random.default_rng(2), bench.camera.shape[1]
+    brightest = 0.7 * bench.sensor.full_well / bench.sensor.response
+    radiance = np.geomspace(brightest, brightest / 10**4.3, columns) * np.ones((bench.camera.shape[0], 1))
     times = (1.0, 10.0, 100.0, 1000.0, 3000.0)
     frames = [
         (counts(radiance, bench.sensor, CameraSettings(one), random), CameraSettings(one))
         for one in times
         for _ in "12"
     ]
-    merged = merge(frames, found)
+    return merge(frames, found), radiance
+
+
+def test_brackets_are_merged_over_four_decades_without_a_seam(
+    bench: RadiometryBench, measured: RadiometryMeasured
+) -> None:
+    """A step where one exposure takes over from another would be taken for light by a fit."""
+    found, rows = radiometry_of(measured), bench.camera.shape[0]
+    merged, radiance = brackets(bench, found)
     ratio = np.median(merged.image / radiance, axis=0)
     noise = np.median(merged.sd / merged.image, axis=0) * 1.2533 / np.sqrt(rows)
     assert np.all(np.abs(ratio / np.median(ratio) - 1.0) < 0.003 + 5.0 * noise)
@@ -235,17 +239,25 @@ def test_a_black_level_that_cuts_the_noise_off_raises_a_doubt(measured: Radiomet
 def test_twenty_benches(tmp_path: Path) -> None:
     """Run with -s to see the figures."""
     worst: dict[str, float] = {}
+    decades = []
     for seed in range(20):
         bench = random_bench(tmp_path / str(seed), seed)
         try:
             found = measure_radiometry(bench.projector, bench.camera, PLAN, bench.camera.put)
         finally:
             bench.close()
-        for name, value in errors(bench, found).items():
+        merged, _ = brackets(bench, radiometry_of(found))
+        decades.append(merged.decades)
+        steps = {"step between exposures": float(np.abs(merged.steps).max())}
+        steps["step, less 3 sd"] = float((np.abs(merged.steps) - 3.0 * np.array(merged.steps_sd)).max())
+        for name, value in (errors(bench, found) | steps).items():
             worst[name] = max(worst.get(name, 0.0), value)
     print()
     for name, value in worst.items():
-        print(f"{name:20s} worst of 20 benches {100.0 * value:.3f} %")
+        print(f"{name:24s} worst of 20 benches {100.0 * value:.3f} %")
+    print(f"decades of merged brackets, least {min(decades):.1f}")
+    assert min(decades) > 4.0
+    assert worst["step, less 3 sd"] < 0.003
     assert worst["linearity"] < 0.005
     assert worst["response"] < 0.01
     assert max(worst["dn per e"], worst["read noise"]) < 0.03

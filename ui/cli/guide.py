@@ -131,6 +131,14 @@ def feedback() -> Iterator[Feedback]:
         yield shown
 
 
+def picture(doing: str, pixels: "Pixels", saturation: int) -> None:
+    """Show a window what the camera sees; a terminal has no place for it."""
+    if guided():
+        filled, saturated = float(pixels.max()) / saturation, float((pixels >= saturation).mean())
+        look = {"doing": doing, "done": None, "filled": filled, "saturated": saturated, "pixels": thumbnail(pixels)}
+        emit("look", look)
+
+
 def thumbnail(pixels: "Pixels | None") -> dict[str, Any] | None:
     """A small 8-bit copy of a frame, as text."""
     if pixels is None:

@@ -175,7 +175,8 @@ class CalibrationWizard(QWidget):
     def _look(self, look: Mapping[str, Any]) -> None:
         if self.done.isHidden():
             self.request.setText(f"Measuring: {look['doing']}")
-        self.bar.setValue(round(1000 * look["done"]))
+        if look["done"] is not None:
+            self.bar.setValue(round(1000 * look["done"]))
         pixels = look["pixels"]
         if pixels is None:
             return
