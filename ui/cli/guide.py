@@ -1,8 +1,8 @@
 """How a calibration talks with the person at the bench: on a terminal, or line by line with a window that shows it.
 
-With TANKRIG_GUIDED=1 in the environment each line of output is a JSON object with one key: `ask` (a request; answer with
-an empty line), `number` (answer with a number), `say`, `watch` (of the moment only), `look` (see `Look`), `kept` (the
-result). Answers are read from the input.
+With TANKRIG_GUIDED=1 in the environment each line of output is a JSON object with one key: `ask` (a request, to answer
+with an empty line), `number` (answer with a number), `say`, `watch` (of the moment only), `look` (see `Look`), `kept`
+(the result). Answers are read from the input.
 """
 
 import base64
