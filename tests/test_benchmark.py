@@ -1,6 +1,9 @@
 """`tankrig benchmark`: what it measures is written down, and what it cannot measure is refused."""
 
 import json
+import pickle
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,13 +11,16 @@ import numpy as np
 import pytest
 
 from tankrig.benchmark.contestant import Contestant
-from tankrig.benchmark.race import variations
+from tankrig.benchmark.equal import at_equal_error
+from tankrig.benchmark.mitsuba_tank import mitsuba_image
+from tankrig.benchmark.plain import plain_image
+from tankrig.benchmark.race import Result, race, variations
 from tankrig.benchmark.trial import run_trial
 from tankrig.benchmark.truth import Case, cases_of, own_cases
-from tankrig.errors import ImageError, SceneError
+from tankrig.errors import ImageError, SceneError, TankrigError
 from tankrig.montecarlo import simulate
-from tankrig.scene import Medium
-from tests.stress_scenes import medium_of, scene_of, with_camera
+from tankrig.scene import Beam, Medium
+from tests.stress_scenes import medium_of, relative, scene_of, with_camera
 from ui.cli import main
 
 TOML = """
@@ -58,9 +64,12 @@ def test_a_quick_run_writes_what_it_measured(
     assert printed == json.loads((out / "benchmark.json").read_text())
     assert (out / "benchmark.png").stat().st_size > 10_000
     by_label = {one["label"]: one for one in printed["results"]}
-    assert set(by_label) == {"tank, 10.00%", "tank, 1.00%", "single", "montecarlo, 1e+04 photons"}
+    photons = {"montecarlo, 1e+04 photons", "plain, 3e+04 photons", "plain, 1e+05 photons"}
+    assert set(by_label) == {"tank, 10.00%", "tank, 1.00%", "single"} | photons
     assert by_label["single"]["error"] > 0.3 > 0.02 > by_label["tank, 1.00%"]["error"]
     assert all(one["seconds"] > 0.0 and one["peak_mib"] > 50.0 for one in printed["results"])
+    assert {one["model"] for one in printed["equal"]} == {"montecarlo", "plain"}
+    assert not printed["missing"]
 
 
 @pytest.mark.parametrize("arguments", [["--reference", "nowhere"], ["--cases", "pub99"]])
@@ -118,3 +127,70 @@ def test_costs_vary_one_thing_at_a_time() -> None:
         assert same == scene, what
         assert (contestant.max_order is not None) == (what == "orders")
         assert (threads is not None) == (what == "processors")
+
+
+@pytest.mark.parametrize(
+    ("kind", "surface"), [("parallel", "matched"), ("pinhole", "matched"), ("parallel", "fresnel")]
+)
+def test_the_plain_monte_carlo_has_no_bias(kind: str, surface: str) -> None:
+    """A wrong image would make any other model look fast at equal error."""
+    scene = scene_of(medium_of(1.5, 0.1, 0.5), kind, surface=surface)
+    truth = simulate(scene, 100_000)
+    image = plain_image(scene, 400_000)
+    assert float(image.sum() / truth.image.sum()) == pytest.approx(1.0, abs=0.02)
+    assert relative(image, truth.image) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("kind", "surface"), [("parallel", "matched"), ("pinhole", "matched"), ("parallel", "fresnel")]
+)
+def test_mitsuba_sees_the_same_tank(kind: str, surface: str) -> None:
+    """Another pattern, another way round or another unit would make its comparison worthless."""
+    pytest.importorskip("mitsuba")
+    beams = (Beam((-20.0, 2.0), (10.0, 30.0)), Beam((6.0, 12.0), (4.0, 20.0), 0.5))
+    scene = scene_of(medium_of(1.5, 0.1, 0.5), kind, beams, surface)
+    if kind == "pinhole":
+        scene = replace(scene, camera=replace(scene.camera, position_mm=(36.0, 0.0, 200.0)))
+    scene = with_camera(scene, (6, 9), 8.0)
+    truth = simulate(scene, 100_000).image
+    image = mitsuba_image(scene, 8000)
+    assert float(image.sum() / truth.sum()) == pytest.approx(1.0, abs=0.03)
+    assert relative(image, truth) < 0.15
+
+
+def test_a_trial_beyond_its_limit_ends_and_is_stated(reference: Path) -> None:
+    """It would hold the whole run up, or be missing from its table without a word."""
+    photons = Contestant("plain", samples=10**9)
+    with pytest.raises(TankrigError, match="not done in 1 s"):
+        run_trial(photons, cases_of(reference)[0].scene, limit_s=1.0)
+    told: list[str] = []
+    measured = race(cases_of(reference), (photons,), 1, False, 1.0, lambda what, _: told.append(what))
+    assert [(one.label, one.why) for one in measured.missing] == [("plain, 1e+09 photons", "not done in 1 s")]
+    assert told[-1].endswith("not done in 1 s")
+
+
+def test_a_trial_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
+    """A benchmark that is killed would leave its trial at work for as long as that takes."""
+    scene = scene_of(medium_of(1.0, 0.1, 0.5))
+    (tmp_path / "job").write_bytes(pickle.dumps((Contestant("plain", samples=10**9), scene, None)))
+    command = [sys.executable, "-m", "tankrig.benchmark.trial", str(tmp_path / "job"), str(tmp_path / "result.npz")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as trial:
+        assert trial.stdin is not None
+        trial.stdin.close()
+        assert trial.wait(30.0) == 1
+
+
+def test_time_to_an_equal_error_follows_the_root_of_the_samples() -> None:
+    """100 times the samples for a tenth of the error, at the longest run's pace; a long enough run is not extended."""
+
+    def result(model: str, samples: int | None, error: float, seconds: float) -> Result:
+        tolerance = 0.01 if model == "tank" else None
+        return Result("one", model, model, tolerance, samples, error, 0.004, 1.0, seconds, 2.0 * seconds, 100.0)
+
+    runs = [result("plain", 100, 0.4, 1.1), result("plain", 10_000, 0.04, 11.0), result("montecarlo", 100, 0.002, 3.0)]
+    plain, quick = at_equal_error([result("tank", None, 0.004, 0.5), *runs])
+    assert (plain.error, quick.error) == (0.004, 0.004)
+    assert plain.extrapolated == pytest.approx(100.0)
+    assert plain.seconds == pytest.approx(1001.0, rel=1e-3)
+    assert plain.slower == pytest.approx(2002.0, rel=1e-3)
+    assert quick.extrapolated == pytest.approx(0.25)

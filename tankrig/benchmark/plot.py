@@ -6,7 +6,7 @@ from tankrig.benchmark.race import Race
 
 
 def plot(race: Race, path: Path) -> None:
-    """Draw every result on logarithmic axes, a panel per case.
+    """Draw every result on logarithmic axes, a panel per case; what is extrapolated is dashed.
 
     Raises
     ------
@@ -24,10 +24,15 @@ def plot(race: Race, path: Path) -> None:
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for panel, case in zip(panels, cases, strict=False):
         here = [result for result in race.results if result.case == case]
-        for model in dict.fromkeys(result.label.split(",")[0] for result in here):
-            found = sorted((one.seconds, one.error) for one in here if one.label.split(",")[0] == model)
+        for index, model in enumerate(dict.fromkeys(result.model for result in race.results)):
+            found = sorted((one.seconds, one.error) for one in here if one.model == model)
             # An error that drowns in the reference's noise is drawn at the bottom.
-            panel.loglog([x for x, _ in found], [max(100.0 * y, 0.01) for _, y in found], "o-", ms=4, label=model)
+            shown = [max(100.0 * error, 0.01) for _, error in found]
+            panel.loglog([x for x, _ in found], shown, "o-", ms=4, color=f"C{index}", label=model)
+            for equal in race.equal:
+                if found and (equal.case, equal.model) == (case, model) and equal.extrapolated > 1.0:
+                    ends = [found[-1][0], equal.seconds], [shown[-1], 100.0 * equal.error]
+                    panel.loglog(*ends, "--", lw=1.0, color=f"C{index}")
         panel.axhline(100.0 * here[0].noise, color="0.6", lw=0.8, ls=":")
         panel.set_title(case)
         panel.grid(alpha=0.3)

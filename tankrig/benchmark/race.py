@@ -5,12 +5,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 from tankrig.benchmark.contestant import Contestant
-from tankrig.benchmark.trial import run_trial
+from tankrig.benchmark.equal import Equal, at_equal_error
+from tankrig.benchmark.trial import Trial, run_trial
 from tankrig.benchmark.truth import Case
-from tankrig.errors import SceneError
+from tankrig.errors import TankrigError
 from tankrig.scene import Beam, Scene
 
-Told = Callable[[str], None]
+Told = Callable[[str, bool], object]
+"""Told what is measured next (False), and what was found (True)."""
+
+SHORT_S = 5.0
+"""Trials that take longer are not repeated."""
 
 
 @dataclass(frozen=True)
@@ -19,12 +24,16 @@ class Result:
 
     Parameters
     ----------
-    case, label
-        Names of the case and of the contestant.
+    case
+        Its name.
+    label, model, tolerance, samples
+        Of the contestant.
     error
         Relative L2 error net of the reference's noise.
     noise
         Relative L2 of that noise; errors well below it cannot be told from 0.
+    light
+        Sum of the image over that of the reference.
     seconds, cpu_seconds
         Median over the repeated trials.
     peak_mib
@@ -33,8 +42,12 @@ class Result:
 
     case: str
     label: str
+    model: str
+    tolerance: float | None
+    samples: int | None
     error: float
     noise: float
+    light: float
     seconds: float
     cpu_seconds: float
     peak_mib: float
@@ -52,24 +65,35 @@ class Cost:
 
 
 @dataclass(frozen=True)
+class Missing:
+    """A trial without a result, and why."""
+
+    case: str
+    label: str
+    why: str
+
+
+@dataclass(frozen=True)
 class Race:
     """All that was measured."""
 
     results: tuple[Result, ...]
+    equal: tuple[Equal, ...]
     costs: tuple[Cost, ...]
-    refused: tuple[tuple[str, str, str], ...]
+    missing: tuple[Missing, ...]
 
     def as_json(self) -> dict[str, object]:
         """Plain lists and dictionaries."""
-        return {
-            "results": [asdict(result) for result in self.results],
-            "costs": [asdict(cost) for cost in self.costs],
-            "refused": [dict(zip(("case", "label", "why"), item, strict=True)) for item in self.refused],
-        }
+        return {name: [asdict(one) for one in found] for name, found in vars(self).items()}
 
 
 def race(
-    cases: Sequence[Case], field: Sequence[Contestant], repeat: int = 3, costs: bool = True, tell: Told = lambda _: None
+    cases: Sequence[Case],
+    field: Sequence[Contestant],
+    repeat: int = 3,
+    costs: bool = True,
+    limit_s: float = 60.0,
+    tell: Told = lambda _, __: None,
 ) -> Race:
     """Measure, one process at a time.
 
@@ -80,42 +104,59 @@ def race(
     field
         Who takes part.
     repeat
-        Trials of each, of whose times the median counts.
+        Trials of each, of whose times the median counts; one is enough where it takes longer than `SHORT_S`.
     costs
         Also time changed versions of the first case's scene.
+    limit_s
+        A trial that takes longer, its warming up included, is given up and listed as missing.
     tell
-        Called with what is measured next.
+        Called twice for everything that is measured.
     """
-    results, refused = [], []
+    results, missing, found = [], [], []
+
+    def trials_of(
+        case: str, label: str, contestant: Contestant, scene: Scene, threads: int | None = None
+    ) -> list[Trial]:
+        tell(f"{case}: {label}", False)
+        try:
+            return _trials(contestant, scene, repeat, limit_s, threads)
+        except TankrigError as error:
+            missing.append(Missing(case, label, str(error)))
+            tell(f"{case}: {label}: {error}", True)
+            return []
+
     for case in cases:
         for contestant in field:
-            tell(f"{case.name}: {contestant.label}")
-            try:
-                results.append(_result(case, contestant, repeat))
-            except SceneError as error:
-                refused.append((case.name, contestant.label, str(error)))
-    found = []
-    if costs:
-        for what, value, scene, contestant, threads in variations(cases[0].scene):
-            tell(f"cost: {what} {value}")
-            trials = [run_trial(contestant, scene, threads) for _ in range(repeat)]
-            seconds = statistics.median(one.seconds for one in trials)
-            busy = statistics.median(one.cpu_seconds for one in trials)
-            found.append(Cost(what, value, seconds, busy, max(one.peak_bytes for one in trials) / 2**20))
-    return Race(tuple(results), tuple(found), tuple(refused))
+            if trials := trials_of(case.name, contestant.label, contestant, case.scene):
+                results.append(_result(case, contestant, trials))
+                error, seconds = results[-1].error, results[-1].seconds
+                tell(f"{case.name}: {contestant.label}: {100 * error:.2f} % in {seconds:.3f} s", True)
+    for what, value, scene, contestant, threads in variations(cases[0].scene) if costs else ():
+        if trials := trials_of("cost", f"{what} {value}", contestant, scene, threads):
+            found.append(Cost(what, value, *_figures(trials)))
+            tell(f"cost: {what} {value}: {found[-1].seconds:.3f} s", True)
+    return Race(tuple(results), at_equal_error(results), tuple(found), tuple(missing))
 
 
-def _result(case: Case, contestant: Contestant, repeat: int) -> Result:
-    trials = [run_trial(contestant, case.scene) for _ in range(repeat)]
-    return Result(
-        case.name,
-        contestant.label,
-        case.excess(trials[0].image),
-        case.noise,
-        statistics.median(one.seconds for one in trials),
-        statistics.median(one.cpu_seconds for one in trials),
-        max(one.peak_bytes for one in trials) / 2**20,
-    )
+def _trials(contestant: Contestant, scene: Scene, repeat: int, limit_s: float, threads: int | None) -> list[Trial]:
+    trials = [run_trial(contestant, scene, threads, limit_s)]
+    while len(trials) < repeat and trials[0].seconds < SHORT_S:
+        trials.append(run_trial(contestant, scene, threads, limit_s))
+    return trials
+
+
+def _figures(trials: list[Trial]) -> tuple[float, float, float]:
+    """Median seconds and CPU seconds, and most MiB."""
+    seconds = statistics.median(one.seconds for one in trials)
+    cpu_seconds = statistics.median(one.cpu_seconds for one in trials)
+    return seconds, cpu_seconds, max(one.peak_bytes for one in trials) / 2**20
+
+
+def _result(case: Case, contestant: Contestant, trials: list[Trial]) -> Result:
+    image, setting = trials[0].image, (contestant.tolerance, contestant.samples)
+    light = float(image.sum() / case.image.sum())
+    errors = case.excess(image), case.noise, light
+    return Result(case.name, contestant.label, contestant.model, *setting, *errors, *_figures(trials))
 
 
 def variations(scene: Scene) -> Iterator[tuple[str, str, Scene, Contestant, int | None]]:
@@ -126,9 +167,11 @@ def variations(scene: Scene) -> Iterator[tuple[str, str, Scene, Contestant, int 
         shape = (max(1, round(rows * factor)), max(1, round(columns * factor)))
         camera = replace(scene.camera, shape=shape, pixel_mm=scene.camera.pixel_mm / factor)
         yield "pixels", f"{shape[1]}×{shape[0]}", replace(scene, camera=camera), tank, None
+    length, width, _ = scene.tank.size_mm
+    fine = replace(scene.camera, shape=(1024, 1280), pixel_mm=max(length / 1280, width / 1024))
+    yield "pixels", "1280×1024", replace(scene, camera=fine), tank, None
     for order in (1, 2, 3, 20):
         yield "orders", f"1–{order}", scene, replace(tank, max_order=order), None
-    width = scene.tank.size_mm[1]
     for count in (1, 3, 7):
         pitch = width / (count + 1)
         middles = [(index + 1) * pitch - width / 2 for index in range(count)]
