@@ -20,7 +20,7 @@ from tankrig.estimation.projection import Scaling
 from tankrig.estimation.search import Optimum, minimise
 from tankrig.estimation.series_input import doses_of, known, observed
 from tankrig.estimation.series_verdict import Linearity, series_verdict
-from tankrig.estimation.uncertainty import by_smooth_errors, identifiable
+from tankrig.estimation.uncertainty import PATTERN, by_smooth_errors, identifiable
 from tankrig.image.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 
@@ -316,7 +316,9 @@ def _described(joint: Joint, mixture: Mixture, stated: Sequence[float], pixel_mm
     shared = np.array([structure(one, seen.used) for one, seen in zip(residuals, joint.observations, strict=True)])
     white = np.sqrt(np.maximum(rmse**2 - shared**2, 0.0))
     noisier = np.maximum(white / noise, 1.0)
-    counted = np.maximum(shared / bright, stated)
+    # The stated error is counted with what patterns do (see `PATTERN`); what the residuals show beyond it, as it is.
+    beyond_stated = np.maximum((shared / bright) ** 2 - np.square(stated), 0.0)
+    counted = np.sqrt(np.square(PATTERN * np.asarray(stated)) + beyond_stated)
 
     errors = [share * gain * np.abs(model) for share, model in zip(counted, models, strict=True)]
     spread, linearity = _spread(joint, mixture, noisier, errors, pixel_mm)

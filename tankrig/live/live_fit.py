@@ -71,7 +71,7 @@ class LiveFit:
         self._process = context.Process(target=work, args=(shared,), name="live-fit", daemon=True)
         self._on_result = on_result
         self._closing = threading.Event()
-        self._last_step = len(plan.exposures) - 1
+        self._last_step = len(plan.settings) - 1
         try:
             for event, pixels in replayed(earlier) if earlier else ():
                 self.see(event, pixels)
