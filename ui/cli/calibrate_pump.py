@@ -149,10 +149,11 @@ def _weigh(doser: "Doser", volumes: list[float], repeats: int, limit_ul: float) 
     nominal: list[float] = []
     mass: list[float] = []
     for volume_ul in volumes * repeats:
-        ask(f"dose {len(mass) + 1} of {len(volumes) * repeats}, {volume_ul:g} µl: tare the balance.")
+        which = f"dose {len(mass) + 1} of {len(volumes) * repeats}, {volume_ul:g} µl"
+        ask(f"{which}: tare the balance.")
         before_ul = doser.delivered().volume_ul
         nominal.append(doser.dose_to(before_ul + volume_ul).volume_ul - before_ul)
-        mass.append(number("  weight in mg"))
+        mass.append(number(f"  {which}: weight in mg"))
     return nominal, mass
 
 

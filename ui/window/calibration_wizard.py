@@ -149,6 +149,7 @@ class CalibrationWizard(QWidget):
 
     def _ask(self, request: str, wants_number: bool, answered: bool) -> None:
         self.request.setText(request)
+        set_role(self.request, "heading" if answered else "faint")
         self._wants_number = wants_number
         self.answer.setVisible(wants_number)
         self.answer.clear()
@@ -224,7 +225,6 @@ class CalibrationWizard(QWidget):
         self.options.setText(wizard.options)
         self.options.setToolTip(f"as on the command line: tankrig calibrate {wizard.kind} --help lists them")
         if not self.at_work:
-            set_role(self.request, "faint")
             self._ask(f"Wants {wizard.wants}.", False, answered=False)
 
     def _lay_out(self) -> None:
