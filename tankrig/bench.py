@@ -1,12 +1,14 @@
 """A bench: what stays the same from pattern to pattern and from dose to dose, and the scenes it makes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from tankrig.errors import SceneError
 from tankrig.pattern.pattern import Pattern
 from tankrig.pattern.wall import Wall
 from tankrig.scene.description import CLOSED, Camera, Medium, Projector, Scene, Tank, Vector
+from tankrig.scene.footprint import typical_pixel_mm
+from tankrig.scene.projection import beams_of
 
 
 @dataclass(frozen=True)
@@ -20,11 +22,14 @@ class Bench:
     wall
         Where the projector's pixels fall on the plane x = 0.
     light
-        "collimated", or "pinhole" from `light_position_mm`.
+        "collimated", "pinhole" from `light_position_mm`, or "calibrated" as `projector` is.
     camera
         Its frames have the camera's shape.
     light_position_mm
         Of the projector's pinhole, x < 0.
+    projector
+        As calibrated: then each of its pixels lights what it does behind the wall, whatever `wall` says, on which
+        patterns are still drawn.
 
     Examples
     --------
@@ -40,13 +45,19 @@ class Bench:
     __pydantic_config__ = CLOSED
     tank: Tank
     wall: Wall
-    light: Literal["collimated", "pinhole"]
+    light: Literal["collimated", "pinhole", "calibrated"]
     camera: Camera
     light_position_mm: Vector | None = None
+    projector: Projector | None = None
 
     def __post_init__(self) -> None:
         if self.light == "pinhole" and (self.light_position_mm is None or self.light_position_mm[0] >= 0.0):
             raise SceneError("light_position_mm is missing; a pinhole needs [x, y, z] in mm with x < 0")
+        if self.light == "calibrated" and (self.projector is None or self.projector.matrix is None):
+            raise SceneError('projector is missing; light = "calibrated" needs its matrix, rotation and position_mm')
+        if self.camera.kind == "calibrated":
+            pixel_mm = typical_pixel_mm(self.camera, self.tank)
+            object.__setattr__(self, "camera", replace(self.camera, pixel_mm=pixel_mm))
 
     def scene(self, pattern: Pattern, medium: Medium) -> Scene:
         """What the camera looks at when the projector shows `pattern`.
@@ -56,6 +67,10 @@ class Bench:
         SceneError
             When the pattern lights nothing in the tank.
         """
+        if self.light == "calibrated":
+            assert self.projector is not None
+            beams = beams_of(self.tank, self.projector, pattern.pixels)
+            return Scene(self.tank, medium, replace(self.projector, beams=beams), self.camera)
         beams = self.wall.beams(pattern, self.tank)
         if not beams:
             raise SceneError(f'pattern "{pattern.name}" lights nothing in the tank, so there is nothing to predict')

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import tankrig
+from tankrig.bench import Bench
 from tankrig.geometry.refraction import entry_wall, transmitted
 from tankrig.geometry.view import pixels_of, rays_of
 from tankrig.image.predict import predict
@@ -18,6 +19,8 @@ from tankrig.light.prepared.box import Box
 from tankrig.light.single import single_scattering
 from tankrig.light.surface import on_surface, to_camera
 from tankrig.montecarlo import first_order, simulate
+from tankrig.pattern import Pattern
+from tankrig.pattern.wall import Wall
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.footprint import footprints
 from tankrig.scene.outline import beam_outlines
@@ -144,6 +147,19 @@ def test_outlines_hold_the_light_scattered_once() -> None:
         assert near.mean() < 0.6
 
 
+@pytest.mark.parametrize("model", ["convolution", "diffuse"])
+def test_models_that_know_no_glass_say_so(model: str) -> None:
+    with pytest.raises(tankrig.SceneError, match='use model = "tank"'):
+        predict(SMALL, model=model)
+
+
+def test_the_diffuse_limit_takes_a_calibrated_camera() -> None:
+    dense = replace(PLAIN, medium=Medium(0.001, 0.2, 0.0))
+    plain = predict(dense, model="diffuse").image
+    same = predict(replace(SAME, medium=dense.medium), model="diffuse").image
+    assert relative(same[::-1] - plain, plain) < 1e-6
+
+
 # --- pictures on a projector -----------------------------------------------------------------------------------------
 
 PROJECTOR = Projector(
@@ -197,6 +213,22 @@ def test_beams_are_the_pictures_light_and_nothing_else(picture: np.ndarray) -> N
     dark = cv2.dilate(cells, np.ones((5, 5))) == 0.0
     assert (drawn[dark] == 0.0).all()
     assert np.abs(np.cumsum(cells - drawn, axis=1)).max() * 80.0 / columns < 0.5 * cells.max()  # mm that light is moved
+
+
+def test_a_bench_makes_scenes_of_patterns_as_calibrated(picture: np.ndarray) -> None:
+    wall = Wall((96, 128), (-40.0, 40.0), (0.0, 60.0))
+    bench = Bench(SMALL.tank, wall, "calibrated", SMALL.camera, projector=replace(PROJECTOR, beams=()))
+    scene = bench.scene(Pattern("spots", picture), MEDIUM)
+    assert scene.projector.beams == lit_by(BEHIND_GLASS, picture).projector.beams
+    assert scene.camera == SMALL.camera
+    assert scene.camera.binned(2).shape == (15, 23)
+    with pytest.raises(tankrig.SceneError, match="projector is missing"):
+        Bench(SMALL.tank, wall, "calibrated", SMALL.camera)
+
+
+def test_binned_pixels_look_where_theirs_do() -> None:
+    whole, binned = (footprints(camera, SMALL.tank).corners_mm for camera in (SMALL.camera, SMALL.camera.binned(2)))
+    assert np.abs(whole[::2, ::2] - binned).max() < 1e-9
 
 
 def test_a_picture_that_misses_the_tank_or_the_projector_is_refused(picture: np.ndarray) -> None:

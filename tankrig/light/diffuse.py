@@ -18,9 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
+from tankrig.errors import SceneError
 from tankrig.geometry.optics import fresnel_reflectance
-from tankrig.light.rays import Geometry, geometry_of, path_inside, sight_line
+from tankrig.light.rays import Geometry, bent, geometry_of, path_inside, sight_line
 from tankrig.light.single import single_scattering
+from tankrig.light.surface import on_surface, to_camera
 from tankrig.scene import Medium, Scene
 
 Floats = NDArray[np.float64]
@@ -61,6 +63,11 @@ def diffuse_image(scene: Scene, step_mm: float | None = None) -> Floats:
     >>> bool(image[10, 2] > image[10, 10] > image[10, 25] > 0.0)  # brightest near the projector
     True
     """
+    if bent(geometry_of(scene)):
+        raise SceneError('tank.entry = "glass" is more than the diffuse limit can treat; use model = "tank"')
+    if scene.camera.kind == "calibrated":
+        plain = on_surface(scene)
+        return to_camera(scene, diffuse_image(plain, step_mm), (plain.camera.pixel_mm, plain.camera.pixel_mm))
     kept = 1.0 - _forward_share(scene.medium.g)
     medium = replace(scene.medium, sigma_s=kept * scene.medium.sigma_s)
     image = single_scattering(replace(scene, medium=medium)) / kept
@@ -164,7 +171,7 @@ def _unscattered(scene: Scene, axes: Axes, spacing: tuple[float, float, float]) 
     x, y, z = np.ix_(*axes)
     enter, leave = (np.clip(x + side * spacing[0], 0.0, scene.tank.size_mm[0]) for side in (-0.5, 0.5))
     inside = 0.5 * (enter + leave)
-    centre = scene.projector.position_mm if scene.projector.kind == "pinhole" else None
+    centre = scene.projector.position_mm if scene.projector.kind != "collimated" else None
     # A collimated projector is a pinhole infinitely far away.
     apex_x, apex_y, apex_z = centre or (-1e13, 0.0, 0.0)
     shrink = -apex_x / (inside - apex_x)

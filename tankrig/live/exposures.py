@@ -136,9 +136,7 @@ class Plan:
     @cached_property
     def camera(self) -> Camera:
         """The camera as the fit sees it."""
-        by, camera = self.binning, self.bench.camera
-        shape = (camera.shape[0] // by, camera.shape[1] // by)
-        return Camera(camera.kind, shape, camera.pixel_mm * by, camera.position_mm)
+        return self.bench.camera.binned(self.binning)
 
     @property
     def size(self) -> int:

@@ -181,7 +181,7 @@ class Projector:
         "collimated": along +x. "pinhole": rays from `position_mm`. "calibrated": the same, and which of its pixels
         shines which way is known.
     beams
-        Rectangles of the plane x = 0; where they overlap they add.
+        Rectangles of the plane x = 0; where they overlap they add. None is needed where pictures give them.
     position_mm
         Of the pinhole, outside the tank and its wall (x < 0); ignored when collimated.
     matrix, distortion, rotation
@@ -198,7 +198,7 @@ class Projector:
 
     __pydantic_config__ = CLOSED
     kind: Literal["collimated", "pinhole", "calibrated"]
-    beams: tuple[Beam, ...]
+    beams: tuple[Beam, ...] = ()
     position_mm: Vector | None = None
     matrix: Matrix | None = None
     distortion: tuple[float, ...] = ()
@@ -213,7 +213,7 @@ class Projector:
             f'kind = "{self.kind}" is unknown; use "collimated", "pinhole" or "calibrated"',
         )
         object.__setattr__(self, "beams", tuple(self.beams))
-        require(len(self.beams) > 0, "beams = [] lights nothing; give at least one beam")
+        require(len(self.beams) > 0 or self.matrix is not None, "beams = [] lights nothing; give at least one beam")
         if self.kind != "collimated":
             require(
                 self.position_mm is not None,
@@ -359,6 +359,7 @@ class Scene:
                     f"[{bottom:g}, {top:g}] mm; move or cut the beam",
                 )
         light, camera = self.projector, self.camera
+        require(len(light.beams) > 0, "projector.beams = [] lights nothing; give a beam or a picture")
         if light.kind != "collimated" and light.position_mm is not None:
             wall = self.tank.entry_bends[1]
             require(

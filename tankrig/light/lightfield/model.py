@@ -74,8 +74,8 @@ def lightfield_orders(scene: Scene, max_order: int | None = None, tolerance: flo
 
 def _require_one_direction(scene: Scene) -> None:
     found = {
-        f'projector.kind = "{scene.projector.kind}"': scene.projector.kind == "pinhole",
-        f'camera.kind = "{scene.camera.kind}"': scene.camera.kind == "pinhole",
+        f'projector.kind = "{scene.projector.kind}"': scene.projector.kind != "collimated",
+        f'camera.kind = "{scene.camera.kind}"': scene.camera.kind != "orthographic",
         f'tank.surface = "{scene.tank.surface}"': scene.tank.surface == "fresnel",
     }
     for setting, refused in found.items():
