@@ -48,7 +48,7 @@ class Answer:
 
     def image(self, medium: Medium) -> Array:
         """(rows, columns) image, W/mm²/sr; never negative."""
-        image: Array = _combined(self.amplitudes(medium)[:1], self.patterns)
+        image: Array = _combined(self.amplitudes(medium), self.patterns)[0]
         return image.reshape(self.shape)
 
     def image_and_derivatives(self, medium: Medium) -> tuple[Array, Array]:
@@ -78,21 +78,30 @@ class Answer:
 
 @kernel
 def _combined(amplitudes: Array, patterns: NDArray[np.float32]) -> Array:
-    """amplitudes @ patterns, and nothing where the first row of that is negative.
+    """amplitudes (4, patterns) @ patterns, and nothing where the first row of that is negative.
 
-    A matrix product of a library would use threads, which wait for each other for longer than they work where other
-    programs are busy (measured on two busy cores: 7 ms instead of 0.5).
+    Two patterns at a time for all four rows, as the time goes into reading patterns (0.6 → 0.3 ms for 9600 pixels). A
+    matrix product of a library would use threads, which wait for each other for longer than they work where other
+    programs are busy (measured on two busy cores: 8 ms).
     """
-    images, pixels = amplitudes.shape[0], patterns.shape[1]
-    found = np.zeros((images, pixels))
+    count, pixels = patterns.shape
+    found = np.zeros((4, pixels))
     for start in range(0, pixels, BLOCK):
         stop = min(start + BLOCK, pixels)
-        for k in range(patterns.shape[0]):
-            pattern = patterns[k, start:stop]
-            for row in range(images):
-                amplitude, part = amplitudes[row, k], found[row, start:stop]
-                for pixel in range(pattern.size):
-                    part[pixel] += amplitude * pattern[pixel]
+        value, by_a, by_s, by_g = found[0, start:stop], found[1, start:stop], found[2, start:stop], found[3, start:stop]
+        for k in range(0, count, 2):
+            other = min(k + 1, count - 1)
+            first, second = patterns[k, start:stop], patterns[other, start:stop]
+            a, b, c, d = amplitudes[0, k], amplitudes[1, k], amplitudes[2, k], amplitudes[3, k]
+            paired = 1.0 if other > k else 0.0  # the last of an odd number has no partner
+            e, f = paired * amplitudes[0, other], paired * amplitudes[1, other]
+            g, h = paired * amplitudes[2, other], paired * amplitudes[3, other]
+            for pixel in range(first.size):
+                p, q = first[pixel], second[pixel]
+                value[pixel] += a * p + e * q
+                by_a[pixel] += b * p + f * q
+                by_s[pixel] += c * p + g * q
+                by_g[pixel] += d * p + h * q
         for pixel in range(start, stop):
             if found[0, pixel] < 0.0:
                 found[:, pixel] = 0.0

@@ -20,6 +20,10 @@ ALBEDO_RATE = 1.9
 FULLNESS = 1.2
 MEDIA_PER_PRODUCT = 8
 """Media at which paths are followed, per coefficient to be found from them."""
+FEWEST = 0.5
+"""Share of those media that is enough where the tolerance is large."""
+EFFORT = 0.6
+"""Lattices of paths per medium, of those by `Plan.paths`: what the fit leaves out as noise needs no more."""
 CHECKS = 6
 USUAL_TOLERANCE = 0.01
 SPREAD = (0.7548776662466927, 0.5698402909980532)
@@ -119,7 +123,9 @@ class Plan:
     def paths(self) -> list[Sample]:
         """Media for orders ≥ 3: spread evenly, denser towards the edges as polynomials need it."""
         effort = (USUAL_TOLERANCE / self.tolerance) ** 2
-        count = self.paths_plane.size * MEDIA_PER_PRODUCT
+        share = min(1.0, max(FEWEST, effort))
+        count = math.ceil(self.paths_plane.size * MEDIA_PER_PRODUCT * share)
+        effort *= EFFORT / share
         even = (0.5 + np.arange(count)[:, None] * SPREAD) % 1.0
         samples = []
         for index, (u, v) in enumerate(np.cos(np.pi * even)):

@@ -4,6 +4,7 @@ One light path at ϖ = 1 serves every albedo: the light of order n is ϖⁿ time
 summed for all albedos at once.
 """
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,9 +13,13 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from tankrig.light.double import double_scattering
+from tankrig.light.rays import geometry_of, sight_line
 from tankrig.light.single import single_scattering
-from tankrig.light.tank.high_orders import CellGrid, traced
-from tankrig.scene import Medium, Scene
+from tankrig.light.tank.high_orders import CellGrid
+from tankrig.light.tank.lattice import LARGE
+from tankrig.light.tank.paths import trace
+from tankrig.light.tank.record import image_of_edges
+from tankrig.scene import Beam, Medium, Scene
 
 Array = NDArray[np.float64]
 
@@ -23,6 +28,8 @@ BIN_GROWTH = 1.1
 """Ratio of successive orders at which a new image begins; within one, all orders count as equally bright (0.05 %)."""
 FAINTEST = 3e-4
 """Share of its weight at which a path ends."""
+THINNING = ((4.0, 8), (8.0, 16), (math.inf, 32))
+"""Up to which optical depth of the tank's height every doubling of the order halves the paths, from which order on."""
 DEGREES = 20
 """Polynomials along x that keep a noisy image."""
 
@@ -86,13 +93,42 @@ class PathImages:
     def sample(self, sigma_t: float, g: float, seed: int, batches: int) -> Array:
         """Mean image of several shifted lattices of paths by albedo, in rows of cells and polynomials in x."""
         lit = replace(self.scene, medium=Medium(0.0, sigma_t, g))
-        total = np.zeros((len(self._firsts) - 1, self.grid.rows, self.grid.columns))
+        beams = [beam for beam in self.scene.projector.beams if beam.irradiance > 0.0]
+        traced = self._traced_rectangles if self.grid.shiftable else self._traced_points
+        images = traced(lit, beams, seed, batches) @ self.along / batches
+        return np.asarray(0.5 * (images + images[:, ::-1]) if self.grid.symmetric else images)
+
+    def _traced_rectangles(self, lit: Scene, beams: list[Beam], seed: int, batches: int) -> Array:
+        """Sum over lattices where one path stands for every start on beams of one height."""
+        total = np.zeros((len(self.albedos), self.grid.rows, self.grid.columns))
+        transmission = sight_line(geometry_of(lit), 0.0, 0.0)[3]
+        for z_mm in sorted({beam.z_mm for beam in beams}):
+            edges = np.zeros((len(self._firsts) - 1, 2, self.grid.rows + 2, self.grid.columns + 2))
+            self._trace(lit, [beam for beam in beams if beam.z_mm == z_mm], seed, batches, edges, total[:, :0])
+            by_albedo = np.tensordot(self._shares, edges, 1)  # before edges become images: they are many more
+            image = image_of_edges(by_albedo, lit.medium.sigma_t, self.grid.cell_mm[0])
+            total += image * (transmission * (z_mm[1] - z_mm[0]) / LARGE.points)
+        return total
+
+    def _traced_points(self, lit: Scene, beams: list[Beam], seed: int, batches: int) -> Array:
+        """Sum over lattices of paths that are seen where they are."""
+        cells = np.zeros((len(self._firsts) - 1, self.grid.rows, self.grid.columns))
+        self._trace(lit, beams, seed, batches, np.zeros((len(cells), 2, 2, 2)), cells)
+        power = sum(beam.power for beam in beams)
+        area = self.grid.cell_mm[0] * self.grid.cell_mm[1]
+        return np.asarray(np.tensordot(self._shares, cells, 1) * (power / (LARGE.points * area)))
+
+    def _trace(self, lit: Scene, beams: list[Beam], seed: int, batches: int, edges: Array, cells: Array) -> None:
+        """Follow lattices of paths and add them to what `trace` fills."""
+        medium, power = lit.medium, np.array([beam.power for beam in beams])
+        corners = np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams])
+        table = np.column_stack([corners, np.cumsum(power) / power.sum()])
+        thinning = next(order for depth, order in THINNING if medium.sigma_t * lit.tank.size_mm[2] < depth)
         for batch in range(batches):
-            total += traced(lit, self.grid, (seed, batch), HIGHEST_ORDER, FAINTEST, self._bins)
-        if self.grid.symmetric:
-            total = 0.5 * (total + total[:, ::-1])
-        images = np.tensordot(self._shares, total @ self.along, 1) / batches
-        return np.asarray(images)
+            trace(
+                edges, cells, self._bins, geometry_of(lit), self.grid.shiftable, self.grid.cell_mm, medium.sigma_t, 1.0,
+                medium.g, table, LARGE.shifted((seed, batch)), 0, LARGE.points, HIGHEST_ORDER, FAINTEST, thinning,
+            )  # fmt: skip
 
     def to_pixels(self, patterns: Array) -> Array:
         """Images of cells (n, rows, degrees) as the camera's pixels, (n, pixels)."""
