@@ -101,7 +101,7 @@ def _measured(asked: list[str], cases: list[Path], quick: bool, folder: Path, pr
         if "coverage" in asked:
             found.append(coverage.coverage_section(records, prepared, 4 if quick else 60, 5 if quick else 17))
         if "robustness" in asked:
-            found.append(robustness.robustness_section(records, prepared, liquids, 3 if quick else 20))
+            found.append(robustness.robustness_section(records, prepared, liquids, 2 if quick else 5))
         if "starts" in asked:
             found.append(starts.starts_section(records, prepared, liquids, 20 if quick else 200))
     return found
