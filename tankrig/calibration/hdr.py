@@ -64,7 +64,7 @@ def merge(frames: Sequence[tuple[Pixels, CameraSettings]], radiometry: Radiometr
     if not frames:
         raise ImageError("there are no frames to merge; take at least one")
     ordered = sorted(frames, key=lambda one: one[1].exposure_ms * one[1].gain)
-    values = np.stack([radiometry.light(pixels, settings) for pixels, settings in ordered])
+    values = np.stack([radiometry.light(pixels, settings) for pixels, settings in ordered]).astype(float)
     full = np.stack([radiometry.saturated(pixels, settings) | radiometry.hot for pixels, settings in ordered])
     image = _first_guess(values, full, np.array([s.exposure_ms * s.gain for _, s in ordered]))
     variances = np.empty_like(values)

@@ -49,8 +49,13 @@ class Linearity:
 
     def linear(self, signal: Array) -> Array:
         """Counts above the dark, corrected; beyond `full` by the correction at `full`."""
-        filled = np.minimum(signal / self.full, 1.0)
-        return signal * np.polynomial.polynomial.polyval(filled, (1.0, *self.coefficients))
+        filled, factor = np.minimum(signal * (1.0 / self.full), 1.0), np.zeros_like(signal)
+        for coefficient in reversed(self.coefficients):  # Horner, in the precision of the signal
+            factor += coefficient
+            factor *= filled
+        factor += 1.0
+        factor *= signal
+        return factor
 
     def slope(self, signal: Array) -> Array:
         """Derivative of `linear`, by which noise is stretched."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from tankrig.devices import CameraSettings, Pixels
 from tankrig.errors import ImageError, StoreError
 
 _SAME_GAIN = 1e-3
+_SETTINGS_KEPT = 8
 
 
 @dataclass(frozen=True)
@@ -126,21 +128,46 @@ class Radiometry:
                 f"a frame of {list(pixels.shape)} pixels (rows, columns) cannot be corrected by a calibration of "
                 f"{list(self.flat.shape)}; calibrate anew (tankrig calibrate radiometry)"
             )
-        one = self.at(settings.gain)
-        light: Array = one.curve.linear(pixels - self._dark(one, settings)) / self.flat / self._per_ms(one, settings)
+        one, dark, scale = self._maps(settings)
+        light: Array = one.curve.linear(pixels - dark)
+        light *= scale
         return light
+
+    def _maps(self, settings: CameraSettings) -> tuple[Amplified, Array, Array]:
+        """Dark and scale of each pixel, in single precision, which is far below any noise; kept for frames to come."""
+        if settings not in self._kept:
+            one = self.at(settings.gain)
+            scale = 1.0 / (self.flat * self._per_ms(one, settings))
+            while len(self._kept) >= _SETTINGS_KEPT:
+                del self._kept[next(iter(self._kept))]
+            self._kept[settings] = one, self._dark(one, settings).astype(np.float32), scale.astype(np.float32)
+        return self._kept[settings]
+
+    @cached_property
+    def _kept(self) -> dict[CameraSettings, tuple[Amplified, Array, Array]]:
+        return {}
 
     def mended(self, image: Array) -> Array:
         """Hot pixels replaced by the median of those of their eight neighbours that are not hot."""
-        if not self.hot.any():
-            return image
-        padded = np.pad(np.where(self.hot, np.nan, image), 1, constant_values=np.nan)
-        rows, columns = np.nonzero(self.hot)
-        around = np.stack([padded[rows + dy, columns + dx] for dy in range(3) for dx in range(3)])
-        known = ~np.isnan(around).all(axis=0)
-        mended = image.copy()
-        mended[rows[known], columns[known]] = np.nanmedian(around[:, known], axis=0)
-        return mended
+        hot, around, known = self._hot_and_around
+        if hot.size:
+            mended = image.copy()
+            values = np.where(known, image.ravel()[around], np.nan)
+            mended.ravel()[hot] = np.nanmedian(values, axis=1)
+            return mended
+        return image
+
+    @cached_property
+    def _hot_and_around(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+        """(hot,) hot pixels that have good neighbours, (hot, 9) all those, and which of them are good."""
+        rows, columns = self.hot.shape
+        row, column = (place[:, None] for place in np.nonzero(self.hot))
+        down, right = (step.ravel() for step in np.mgrid[-1:2, -1:2])
+        inside = (row + down >= 0) & (row + down < rows) & (column + right >= 0) & (column + right < columns)
+        around = np.clip(row + down, 0, rows - 1) * columns + np.clip(column + right, 0, columns - 1)
+        known = inside & ~self.hot.ravel()[around]
+        mendable = known.any(axis=1)
+        return (row * columns + column)[mendable, 0], around[mendable], known[mendable]
 
     def variance(self, light: Array, settings: CameraSettings) -> Array:
         """Variance that photons and reading out give to a corrected pixel of the mean `light`."""
