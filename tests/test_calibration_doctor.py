@@ -14,6 +14,7 @@ from drivers.simulated import __file__ as simulated
 from tankrig.calibration.file import Calibration, save
 from tankrig.calibration.radiometry import Amplified, Radiometry
 from tankrig.calibration.response import Response
+from tankrig.errors import StoreError
 from tankrig.scene import Camera
 
 CAMERA = Calibration("camera", "camera A", (80, 120), {"f_px": 1.0}, how_well={"rms_px": 0.2})
@@ -139,6 +140,7 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
     from tankrig.calibration.radiometry_procedure import measure_radiometry
     from tankrig.calibration.radiometry_result import calibration_of
     from tankrig.devices import CameraSettings
+    from tankrig.live.brackets import merged_of_run
     from tankrig.live.exposures import Plan
     from tankrig.pattern.kinds import Sheet
     from tankrig.run.start import new_run
@@ -158,7 +160,10 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
         measured = measure_radiometry(projector, camera, RadiometryPlan(), camera.put)  # type: ignore[attr-defined]
     save(calibration_of(measured), Path(rig.calibration_folder))
     sheet = {"sheet": Sheet((-60.0, 60.0), (40.0, 80.0))}
-    steps = Steps("one", steps=(Dose(500.0), Wait(1.0), Capture("sheet", frames=8)), patterns=sheet, exposure_ms=8.0)
+    long = Capture("sheet", frames=2, exposure_ms=160.0)
+    steps = Steps(
+        "one", steps=(Dose(500.0), Wait(1.0), Capture("sheet", frames=8), long), patterns=sheet, exposure_ms=8.0
+    )
     opened = open_rig(rig)
     outcome = new_run(steps, opened, tmp_path / "run").run()
     assert outcome.error is None
@@ -166,7 +171,7 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
     run = tankrig.open_run(tmp_path / "run")
     plan = Plan.of_run(run)
     assert plan.radiometry is not None
-    frames = [frame for frame in run.frames if frame.pattern == "sheet"]
+    frames = [frame for frame in run.frames if frame.pattern == "sheet"][:8]
     seen = np.mean([plan.radiometry.corrected(frame.values, CameraSettings(8.0)) for frame in frames], axis=0)
     pattern = run.patterns[frames[0].pattern_hash.item()]
     tank = opened.camera.tank  # type: ignore[attr-defined]
@@ -178,3 +183,11 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
     assert errors[0] < 0.01 < 0.03 < errors[1]
     dn_per_radiance, _ = gain_and_offset(Sensor(**worn), CameraSettings(1.0))
     assert (seen * true).sum() / (true**2).sum() == pytest.approx(dn_per_radiance, rel=0.03)
+    merged = merged_of_run(run, "sheet", float(frames[0].delivered_ul))
+    assert max(frame.values.max() for frame in run.frames) > 16_000, "the long exposures are saturated"
+    assert np.linalg.norm(merged.image / dn_per_radiance - true) / np.linalg.norm(true) < 0.03
+    dim = true < np.quantile(true, 0.2)
+    alone = np.sqrt(plan.radiometry.variance(seen, CameraSettings(8.0)) / 8.0)
+    assert merged.sd[dim].mean() < 0.6 * alone[dim].mean(), "where it is dim the long exposures help"
+    with pytest.raises(StoreError, match='no frames of pattern "rays"'):
+        merged_of_run(run, "rays", 500.0)
