@@ -10,6 +10,7 @@ from typing import Any
 from drivers.registry import open_device
 from tankrig.bench import Bench
 from tankrig.calibration.file import FOLDER, in_force
+from tankrig.calibration.geometry_in_force import measured
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked, read_toml
 from tankrig.devices import Camera, Projector
@@ -130,13 +131,14 @@ def calibrated_bench(description: RigFile) -> Bench:
     Raises
     ------
     StoreError
-        When a calibration file that the rig file names cannot be used.
+        When a calibration file that the rig file names cannot be used, or those of the geometry do not belong together.
     """
     found = in_force(Path(description.calibration_folder), description.calibration)
+    bench = measured(description.bench, found)
     if "radiometry" not in found:
-        return description.bench
+        return bench
     response = tuple(Radiometry.of(found["radiometry"]).response.curve.tolist())
-    return replace(description.bench, wall=replace(description.bench.wall, response=response))
+    return replace(bench, wall=replace(bench.wall, response=response))
 
 
 @contextmanager

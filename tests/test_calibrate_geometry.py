@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.rig import SIMULATED
+from drivers.rig import SIMULATED, load_rig_file
 from drivers.simulated.bench_optics import camera_rays, projector_pixels
 from drivers.simulated.bench_truth import TANK_MM, TrueOptics, random_bench
 from drivers.simulated.bench_view import BoardInView
@@ -24,6 +24,7 @@ from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose, rotation_vector
 from tankrig.geometry.refraction import entry_wall
 from tankrig.geometry.view import pixels_of
+from tankrig.scene.description import Medium
 from ui.cli import main
 
 from .calibrated_bench import (
@@ -327,16 +328,17 @@ def test_camera_tank_and_projector_from_the_command_line(
     status, out, err = said(capsys, "projector", "--rig", str(rig), "--views", "4", "--json")
     assert status == 0, err
     from tankrig.calibration.file import in_force
-    from tankrig.calibration.geometry_in_force import scene_tables
-    from tankrig.scene.description import Camera
+    from tankrig.calibration.geometry_in_force import measured
 
     found = in_force(folder)
     assert found["projector"].rests_on == {"camera": first["sha256"], "tank": found["tank"].hash}
-    tables = scene_tables(found, TANK_MM)
-    camera = tables["camera"] | {"matrix": tuple(map(tuple, tables["camera"]["matrix"]))}
-    truth = random_bench(0, *SMALL)
-    assert np.allclose(Camera(**camera).pose.centre_mm, truth.camera.centre_mm, atol=2.0)
-    assert tables["tank"]["size_mm"][2] == pytest.approx(truth.level_mm, abs=2.0)
+    believed = load_rig_file(rig).bench
+    bench, truth = measured(believed, found), random_bench(0, *SMALL)
+    scene = bench.scene(gray_code_patterns(SMALL[1])[0], Medium(0.0, 0.001, 0.5))
+    assert np.allclose(scene.camera.pose.centre_mm, truth.camera.centre_mm, atol=2.0)
+    assert np.allclose(scene.projector.pose.centre_mm, truth.projector.centre_mm, atol=10.0)
+    assert scene.tank.size_mm[2] == pytest.approx(truth.level_mm, abs=2.0)
+    assert measured(believed, {"camera": found["camera"]}) == believed
 
 
 def test_bad_calibrations_end_with_a_sentence_and_no_file(

@@ -1,13 +1,18 @@
 """Calibrated geometry read back from files, for other procedures and for scenes."""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
+from tankrig.bench import Bench
 from tankrig.calibration.camera import INTRINSICS
 from tankrig.calibration.file import Calibration
-from tankrig.errors import StoreError
+from tankrig.checked_toml import checked
+from tankrig.errors import SceneError, StoreError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose, Vector
 from tankrig.geometry.refraction import Window, water_surface
+from tankrig.scene.description import Camera, Projector, Tank
 
 
 def require(found: Mapping[str, Calibration], kind: str) -> Calibration:
@@ -50,7 +55,7 @@ def surface_of(tank: Calibration) -> Window:
     return water_surface(float(tank.result["level_mm"]), float(tank.result["water_index"]))
 
 
-def scene_tables(found: Mapping[str, Calibration], size_mm: Vector) -> dict[str, dict[str, object]]:
+def scene_tables(found: Mapping[str, Calibration], size_mm: Vector) -> dict[str, dict[str, Any]]:
     """The tables `tank`, `projector` and `camera` of a scene file, as far as geometry goes.
 
     Parameters
@@ -80,7 +85,34 @@ def scene_tables(found: Mapping[str, Calibration], size_mm: Vector) -> dict[str,
     }
 
 
-def _device(calibration: Calibration, pose: Pose) -> dict[str, object]:
+def measured(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
+    """A bench with geometry as measured; as it was where camera, tank or projector was not.
+
+    Parameters
+    ----------
+    bench
+        As believed; what is not geometry stays.
+    found
+        Calibrations in force, by kind.
+
+    Raises
+    ------
+    StoreError
+        When they do not belong together.
+    """
+    if not {"camera", "tank", "projector"} <= found.keys():
+        return bench
+    tables = scene_tables(found, bench.tank.size_mm)
+    radiometry = found.get("radiometry")
+    tables["projector"]["gamma"] = radiometry.result["projector"]["gamma"] if radiometry else bench.wall.gamma
+    name = str(found["projector"].path)
+    tank = checked(Tank, tables["tank"], name, SceneError)
+    camera = checked(Camera, tables["camera"], name, SceneError)
+    projector = checked(Projector, tables["projector"], name, SceneError)
+    return replace(bench, tank=tank, light="calibrated", camera=camera, projector=projector)
+
+
+def _device(calibration: Calibration, pose: Pose) -> dict[str, Any]:
     lens = lens_of(calibration)
     return {
         "kind": "calibrated",
