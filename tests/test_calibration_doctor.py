@@ -160,7 +160,7 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
         measured = measure_radiometry(projector, camera, RadiometryPlan(), camera.put)  # type: ignore[attr-defined]
     save(calibration_of(measured), Path(rig.calibration_folder))
     sheet = {"sheet": Sheet((-60.0, 60.0), (40.0, 80.0))}
-    long = Capture("sheet", frames=2, exposure_ms=160.0)
+    long = Capture("sheet", frames=4, exposure_ms=50.0)
     steps = Steps(
         "one", steps=(Dose(500.0), Wait(1.0), Capture("sheet", frames=8), long), patterns=sheet, exposure_ms=8.0
     )
