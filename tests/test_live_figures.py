@@ -28,6 +28,8 @@ PATTERNS = {
 }
 LIQUID = Medium(2.6e-4, 0.0048, 0.71)
 FRAMES = 40
+COUNTS = 1e6
+"""Per radiance, so that the brightest pixel has some thousands."""
 
 
 def event(kind: str, **fields: object) -> Event:
@@ -56,7 +58,7 @@ def test_frames_become_numbers_in_time_to_be_watched(shape: tuple[int, int], pix
             else:
                 scene = replace(bench.scene(pattern, LIQUID), camera=plan.camera)
                 radiance = np.sum(list(tank_image(scene, seed=3, batches=16).orders.values()), axis=0)
-                picture = np.kron(20_000.0 * radiance / radiance.max(), np.ones((plan.binning, plan.binning)))
+                picture = np.kron(COUNTS * radiance, np.ones((plan.binning, plan.binning)))
             pictures[name] = [rng.poisson(100.0 + picture).astype(np.uint16) for _ in range(2)]
             for pixels in pictures[name]:
                 facts = {"pattern_hash": pattern.hash, "step": step + 1, "index": index}
