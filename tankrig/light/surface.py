@@ -16,8 +16,10 @@ from tankrig.scene.footprint import footprints
 
 Array = NDArray[np.float64]
 
-FINEST = 240
-"""Cells along the longer side of the surface: light scattered twice is smooth enough between them."""
+PER_PIXEL = 2.0
+"""Cells along a pixel: light scattered twice errs by 0.4 % between them, by 1–3 % with cells as large as pixels."""
+FINEST = 320
+"""Cells along the longer side of the surface, at most."""
 
 
 def on_surface(scene: Scene) -> Scene:
@@ -34,7 +36,7 @@ def on_surface(scene: Scene) -> Scene:
     if scene.camera.kind != "calibrated":
         return scene
     length, width, _ = scene.tank.size_mm
-    rows = math.ceil(width / max(scene.camera.pixel_mm, max(length, width) / FINEST) - 1e-9)
+    rows = math.ceil(width / max(scene.camera.pixel_mm / PER_PIXEL, max(length, width) / FINEST) - 1e-9)
     cell = width / rows  # whole cells across, so that symmetry is kept
     columns = math.ceil(length / cell - 1e-9)
     return replace(scene, camera=Camera("pinhole", (rows, columns), cell, scene.camera.position_mm))
