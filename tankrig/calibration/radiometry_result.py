@@ -118,7 +118,7 @@ def _doubts(measured: RadiometryMeasured) -> Iterator[str]:
         black, noise = float(np.median(sweep.dark.level)), float(np.sqrt(sweep.dark.read_variance))
         if black < _CLEAR * noise:
             yield (
-                f"{at} black is {black:.0f} counts and its noise {noise:.0f}, so that darks are cut off at 0; raise the "
+                f"{at} black is {black:.0f} counts and its noise {noise:.0f}, so darks are cut off at 0; raise the "
                 f"camera's black level or brightness"
             )
         if transfer.read_noise_e_sd > KNOWN * transfer.read_noise_e:
