@@ -142,7 +142,7 @@ def moved(scene: Scene, off: Mapping[str, float]) -> Scene:
     kind, position = light.kind, light.position_mm
     if kind == "collimated" and tilt:
         kind, position = "pinhole", (-FAR_MM, 0.0, 0.5 * height)
-    if kind == "pinhole" and position is not None:
+    if kind != "collimated" and position is not None:
         x, y, z = position
         position = (x, y + y_mm + tilt * x, z + z_mm)
     seen_from = camera.position_mm

@@ -11,6 +11,7 @@ import numpy as np
 from tankrig.files import whole_file
 from tankrig.image.prediction import Prediction
 from tankrig.scene import Scene
+from tankrig.scene.footprint import footprints
 
 ARRAY_NAMES: Mapping[int | str, str] = {
     1: "order1",
@@ -29,7 +30,8 @@ def write_prediction(path: Path, prediction: Prediction, scene: Scene, about: Ma
     ----------
     path
         The .npz file. Arrays, (rows, columns), W/mm²/sr: `total`; `order1` … `order_gt20` and `stderr` where the
-        prediction has them. `x_mm`, `y_mm`: pixel centres. `metadata`: JSON text.
+        prediction has them. `x_mm`, `y_mm`: pixel centres on the plane z = Lz, (columns,) and (rows,), or of a
+        calibrated camera (rows, columns) both. `metadata`: JSON text.
     prediction, scene
         What was predicted, and of what.
     about
@@ -40,13 +42,13 @@ def write_prediction(path: Path, prediction: Prediction, scene: Scene, about: Ma
     StoreError
         When the file cannot be written.
     """
-    rows, columns = prediction.image.shape
-    pixel_mm = scene.camera.pixel_mm
+    centres = footprints(scene.camera, scene.tank).centres_mm
+    plain = scene.camera.kind != "calibrated"
     arrays = {
         "total": prediction.image,
         **{ARRAY_NAMES[order]: image for order, image in prediction.orders.items()},
-        "x_mm": (np.arange(columns) + 0.5) * pixel_mm,
-        "y_mm": (np.arange(rows) + 0.5) * pixel_mm - scene.tank.size_mm[1] / 2,
+        "x_mm": centres[0, :, 0] if plain else centres[..., 0],
+        "y_mm": centres[:, 0, 1] if plain else centres[..., 1],
         "metadata": np.array(json.dumps({"model": prediction.model, **about, "scene": asdict(scene)})),
     }
     if prediction.stderr is not None:
