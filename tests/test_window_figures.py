@@ -1,6 +1,6 @@
 """The window's figures, on a machine that does nothing else: `pytest -m long -s tests/test_window_figures.py`.
 
-TANKRIG_RUN_S gives the length of the long run in seconds; the issue's own is 300.
+TANKRIG_RUN_S gives the length of the long run in seconds: 300 for its gaps, 1800 for its memory.
 """
 
 import os
@@ -25,7 +25,7 @@ from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
 from tests.window_rig import until, window_on, write_rig
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(2400)]
 
 SHAPE, PIXEL_MM, RATE = (1024, 1280), 0.15625, 30.0
 RUN_S = float(os.environ.get("TANKRIG_RUN_S", "60"))
@@ -106,9 +106,11 @@ def ring(runs: Path):
 
     thread = threading.Thread(target=work)
     thread.start()
-    yield
-    ending.set()
-    thread.join()
+    try:
+        yield
+    finally:
+        ending.set()
+        thread.join()
 
 
 def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepared):
@@ -126,10 +128,12 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
         QTest.qWait(3000)
         ended: list[Any] = []
         window.host.run_ended.connect(ended.append)
+        window.gaps.reset()
         window.run()
         until(lambda: window.status.running and window.status.progress.step > 3, 60.0)
         window.show_page(window.fit)
         QTest.qWait(10_000)
+        at_start = window.gaps.worst_ms
         memory = psutil.Process()
         window.gaps.reset()
         began, displayed, held = time.monotonic(), window.live.displayed, memory.memory_info().rss
@@ -142,13 +146,16 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
         window.stop()
         until(lambda: ended, 60.0)
     print(
-        f"\n{seconds:.0f} s of {SHAPE[1]} × {SHAPE[0]} 16-bit at {RATE:g} Hz, {fits} fits: worst gap {worst:.0f} ms "
-        f"(the longest of the last 20 s: {', '.join(f'{gap:.0f}' for gap in longest)}), "
-        f"{rate:.1f} pictures/s, memory {grown:+.1f} MB"
+        f"\n{seconds:.0f} s of {SHAPE[1]} × {SHAPE[0]} 16-bit at {RATE:g} Hz, {fits} fits: worst gap {worst:.0f} ms, "
+        f"{at_start:.0f} ms while the run began "
+        f"(the longest of the last 20 s: {', '.join(f'{gap:.0f}' for gap in longest)}), {rate:.1f} pictures/s, memory {grown:+.1f} MB"
     )
     assert ended[0].reason.value == "aborted", ended[0].error
     assert rate > 29.0
     assert fits > 1
+    if RUN_S >= 300.0:
+        assert worst <= 33.0
+        assert grown <= 20.0
 
 
 @pytest.fixture

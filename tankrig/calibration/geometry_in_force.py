@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tankrig.bench import Bench
 from tankrig.calibration.camera import INTRINSICS
@@ -11,8 +11,10 @@ from tankrig.checked_toml import checked
 from tankrig.errors import SceneError, StoreError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose, Vector
-from tankrig.geometry.refraction import Window, water_surface
 from tankrig.scene.description import Camera, Projector, Tank
+
+if TYPE_CHECKING:
+    from tankrig.geometry.refraction import Window
 
 
 def require(found: Mapping[str, Calibration], kind: str) -> Calibration:
@@ -50,8 +52,10 @@ def projector_pose(projector: Calibration) -> Pose:
     return Pose(_vector(projector, "rotation"), _vector(projector, "translation_mm"))
 
 
-def surface_of(tank: Calibration) -> Window:
+def surface_of(tank: Calibration) -> "Window":
     """Of the water."""
+    from tankrig.geometry.refraction import water_surface  # numba: half a second that opening a rig need not wait for
+
     return water_surface(float(tank.result["level_mm"]), float(tank.result["water_index"]))
 
 
