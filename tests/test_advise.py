@@ -115,6 +115,9 @@ def test_more_ink_ranks_by_what_it_tells_for_its_time_and_volume() -> None:
     assert by_bits[0].candidate is candidates[2]
     assert by_bits[0].bits_per_ul == pytest.approx(by_bits[0].bits / 500.0)
     assert by_time[0].bits_per_ul is None
+    frames = [expected(state, [*taken, shot(0.5, frames)], answer) for frames in (4, 10**9)]
+    assert before.bits_to(frames[0]) > 0.0
+    assert frames[1].relative_sd["sigma_s"] > 0.0002  # the model's error is in every frame alike
     _, for_absorption = ranked(state, taken, candidates, answer, "all", "sigma_a")
     best = for_absorption[0]
     assert best.bits == pytest.approx(np.log2(before.relative_sd["sigma_a"] / best.after.relative_sd["sigma_a"]))

@@ -44,7 +44,7 @@ def test_stopping_when_enough_is_known_saves_frames_and_patterns(
     for name, until in (("all", None), ("until", Until(sigma_s="0.2 %", g=0.002))):
         path = tmp_path / name
         runner = open_runner(sequence(until), path, demo._rig(path))
-        with fitted_live(runner):
+        with fitted_live(runner, patience_s=900.0):
             assert runner.run().reason is FinishReason.COMPLETED
         run = open_run(path)
         _, series = recorded(run)

@@ -7,7 +7,7 @@ information. That is what a fit of all of them would state, to first order.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,13 +119,23 @@ def expected(known: Known, shots: Sequence[Shot], answer: Answer) -> Expected:
         The model; remember its answers where many selections of the same shots are compared.
     """
     doses = sorted({shot.dose_ml for shot in shots})
-    found = total(_about_ink(known, shot, doses, answer) for shot in shots)
+    found = total(_about_ink(known, shot, doses, answer) for shot in _averaged(shots))
     ink, densest = known.ink, known.liquid(doses[-1]).sigma_t
     widest = [WIDEST * (ink.sigma_a + ink.sigma_s)] * 2 + [1.0, WIDEST * densest, WIDEST]
     covariance = found.covariance(np.array([*widest, *np.ones(len(doses))]))[:3, :3]
     sd = np.sqrt(np.diag(covariance))
     scale = (ink.sigma_a, ink.sigma_s, 1.0)
     return Expected(covariance, {name: float(sd[k] / scale[k]) for k, name in enumerate(NAMES)})
+
+
+def _averaged(shots: Sequence[Shot]) -> list[Shot]:
+    """Frames of one pattern and dose are one photograph: the model errs in all of them alike."""
+    found: dict[tuple[Scene, float], Shot] = {}
+    for shot in shots:
+        before = found.get((shot.scene, shot.dose_ml))
+        frames = shot.frames + (before.frames if before else 0)
+        found[shot.scene, shot.dose_ml] = replace(before or shot, frames=frames)
+    return list(found.values())
 
 
 def _about_ink(known: Known, shot: Shot, doses: Sequence[float], answer: Answer) -> Information:

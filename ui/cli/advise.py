@@ -166,25 +166,27 @@ def _tell(before: "Expected | None", found: "list[Advice]") -> None:
     from rich.console import Console
     from rich.table import Table
 
-    headings = ("next", *(f"{symbol} ±" for symbol in SHOWN.values()), "min", "µl", "bits", "bits/min", "bits/µl")
-    table = Table(box=None, pad_edge=False, header_style="bold")
+    headings = ("next", "+µl", "min", *(f"{symbol} ±" for symbol in SHOWN.values()), "bits", "bits/min", "bits/ml")
+    table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="bold")
     for number, heading in enumerate(headings):
         table.add_column(heading, justify="right" if number else "left", no_wrap=True)
     if before is not None:
-        table.add_row("as it is now", *_errors(before), "", "", "", "", "", style="dim")
+        table.add_row("as it is now", "", "", *_errors(before), "", "", "", style="dim")
     for advice in found:
         candidate = advice.candidate
-        dosed = candidate.volume_ul > 0.0
-        what = f"{f'+{candidate.volume_ul:g} µl, ' if dosed else ''}{candidate.shot.pattern} × {candidate.shot.frames}"
-        per_ul = "–" if advice.bits_per_ul is None else f"{advice.bits_per_ul:.2g}"
+        per_ml = "–" if advice.bits_per_ul is None else f"{1000.0 * advice.bits_per_ul:.2f}"
         table.add_row(
-            what, *_errors(advice.after), f"{candidate.minutes:.2f}", f"{candidate.volume_ul:g}",
-            f"{advice.bits:.2f}", f"{advice.bits_per_minute:.2g}", per_ul,
+            f"{candidate.shot.pattern} × {candidate.shot.frames}", f"{candidate.volume_ul:g}",
+            f"{candidate.minutes:.2f}", *_errors(advice.after), f"{advice.bits:.2f}",
+            f"{advice.bits_per_minute:.2f}", per_ml,
         )  # fmt: skip
     Console().print(table)
-    click.echo("± standard deviations expected: σs and σa relative, per ml of ink; g absolute")
+    click.echo(
+        "± standard deviations expected: σs and σa relative, per ml of ink; g absolute. Bits below zero: a photograph "
+        "in which the model's error outweighs what it tells"
+    )
 
 
 def _errors(found: "Expected") -> list[str]:
     sd = found.relative_sd
-    return [f"{sd[name]:.4f}" if name == "g" else f"{100.0 * sd[name]:.2g} %" for name in SHOWN]
+    return [f"{sd[name]:.5f}" if name == "g" else f"{100.0 * sd[name]:.2g} %" for name in SHOWN]
