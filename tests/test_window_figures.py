@@ -148,7 +148,8 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
     print(
         f"\n{seconds:.0f} s of {SHAPE[1]} × {SHAPE[0]} 16-bit at {RATE:g} Hz, {fits} fits: worst gap {worst:.0f} ms, "
         f"{at_start:.0f} ms while the run began "
-        f"(the longest of the last 20 s: {', '.join(f'{gap:.0f}' for gap in longest)}), {rate:.1f} pictures/s, memory {grown:+.1f} MB"
+        f"(the longest of the last 20 s: {', '.join(f'{gap:.0f}' for gap in longest)}), "
+        f"{rate:.1f} pictures/s, memory {grown:+.1f} MB"
     )
     assert ended[0].reason.value == "aborted", ended[0].error
     assert rate > 29.0

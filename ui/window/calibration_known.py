@@ -88,10 +88,10 @@ def _age(days: float) -> str:
 
 def _weighed(rig: "RigFile", folder: Path) -> Iterator[Known]:
     """Pump calibrations, newest first; how to make one where there is none."""
-    from tankrig.calibration.pump import load_pump_calibration
-
     files = sorted(folder.glob("pump-*.toml"), reverse=True)
     for file in files:
+        from tankrig.calibration.pump import load_pump_calibration  # a second, where there is nothing to read
+
         try:
             one = load_pump_calibration(file)
         except TankrigError as error:
