@@ -71,3 +71,15 @@ def noise_by_level(deviation: Array, level: Array, used: Mask) -> Array:
 def stand_out(deviation: Array, noise: Array, allowed: Array | float, used: Mask) -> Mask:
     """Pixels that deviate by more than noise does and what is allowed besides."""
     return used & (np.abs(deviation) > STANDS_OUT * noise + allowed)
+
+
+def beyond_neighbours(image: Array, by: Array, trusted: Mask) -> Mask:
+    """Pixels brighter than every trusted one of the eight around them, or darker, by some amount.
+
+    A beam that crosses rows at an angle lights a few pixels of a row, but not more than the rows beside it.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    brightest = maximum_filter(np.where(trusted, image, -np.inf), 3, mode="nearest")
+    darkest = minimum_filter(np.where(trusted, image, np.inf), 3, mode="nearest")
+    return np.asarray((image > brightest + by) | (image < darkest - by))

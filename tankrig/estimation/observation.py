@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.neighbours import deviations, noise_by_level, stand_out
+from tankrig.estimation.neighbours import STANDS_OUT, beyond_neighbours, deviations, noise_by_level, stand_out
 
 PLATEAU = 4
 """Pixels at exactly the highest value are saturated from so many on, and this times those at any other bright value."""
@@ -136,6 +136,7 @@ def _without_specks(observed: Observation) -> Observation:
     level = observed.image - deviation
     noise = np.maximum(observed.noise, noise_by_level(deviation, level, used))
     specks = stand_out(deviation, noise, PEAKED * np.abs(level), used)
+    specks &= beyond_neighbours(observed.image, STANDS_OUT * noise, used & ~specks)
     _require_some(used & ~specks, used, "unlike its neighbours", "check that it is a picture of light in a tank")
     _check_values(observed.image, used & ~specks)
     return replace(observed, used=used & ~specks, outliers=int(specks.sum()))
