@@ -183,4 +183,4 @@ def effective_pixels(residual: Array) -> float:
                 break
             total += 2.0 * correlation
         shares *= total
-    return max(float(used.sum()) / shares, 10.0)
+    return max(float(used.sum() / shares), 10.0)

@@ -34,7 +34,7 @@ def box_for(liquid: Medium) -> Box:
     Examples
     --------
     >>> box_for(Medium(5e-4, 0.01, 0.7))
-    Box(sigma_t=(0.0086..., 0.0127...), albedo=(0.8, 0.9999), g=(0.6, 0.8))
+    Box(sigma_t=(0.0085..., 0.0137...), albedo=(0.8, 0.9999), g=(0.6, 0.8))
     """
     (least, most), (backward, forward) = EDGES
     step = math.log(DENSITY_GRID)

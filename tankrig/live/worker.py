@@ -98,6 +98,7 @@ def _fit(shared: Shared, memory: SharedMemory) -> None:
             elif not fitter.unfinished:
                 shared.news.wait()
     finally:
+        shared.results.close()  # the run need not wait for what is being computed
         preparing.close()
 
 
