@@ -31,7 +31,7 @@ COARSE, FINE = 0.05, 0.01
 """Tolerance of cheap and of accurate images."""
 COARSE_BATCHES, SMOOTHED_BATCHES = 2, 6
 """Shifted lattices of light paths of the tank model's cheap images: where every path stands for all starts, and where
-it doesn't and noise is told from light by how lattices differ (two of them err by 7 % and don't know, four by 1.5 %)."""
+it does not and noise is told from light by their scatter (two of them err by 7 % unseen, four by 1.5 %)."""
 FINE_NOISE, FINE_BATCHES = 0.003, 32
 SLOPE_NOISE, SLOPE_BATCHES = 0.006, 16
 """Noise (relative L2) that the images for the last steps and for derivatives aim for, and their lattices at most."""
