@@ -1,6 +1,6 @@
 """Searches from anywhere in the allowed range: whether they end at one optimum."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from functools import partial
 from typing import Any
 
@@ -14,8 +14,12 @@ from tankrig.estimation.models import models_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.parameters import Range, to_coordinates, to_medium
 from tankrig.estimation.projection import Scaling
+from tankrig.estimation.uncertainty import covariance
 from tankrig.image.prepare import Prepared
+from tankrig.scene import Medium
 
+SAME_SD = 0.5
+"""Stated standard deviations within which two ends are one optimum."""
 SAME = 0.99
 """Share of the searches that shall end at the best optimum found."""
 
@@ -36,10 +40,10 @@ def starts_section(records: Records, prepared: Prepared, liquids: tuple[str, ...
         for one in found
     )  # fmt: skip
     about = (
-        f"{starts} searches from media drawn evenly over the prepared model's whole range of log σs, logit ϖ and "
-        "atanh g. The same optimum: χ²/2 within 1 of the best, after the last steps. Alone: from that one start. "
-        "As in `estimate`: what ends at an edge of the range in σs or g goes on from the media that `estimate` "
-        "looks at first."
+        f"{starts} searches from media drawn evenly over the prepared model's whole range of log σs, logit ϖ "
+        "and atanh g. The same optimum: every coefficient within half a stated standard deviation of the best "
+        "end's. Alone: from that one start. As in estimate: what is stuck (at an edge of the range, or seven "
+        "standard deviations off all over) goes on from the media that `estimate` looks at first."
     )
     return Section(
         "Random starts",
@@ -70,13 +74,22 @@ def _started(records: Records, prepared: Prepared, name: str, gain: str, starts:
     problem = Problem(forward, models.slopes, observation, scaling, error, reach)
     random = np.random.default_rng(2)
     reserve = [medium for part in first_guess(problem, max(STRIPES.tank.size_mm)) for medium in part]
-    costs = []
+    costs, found = [], []
     for _ in range(starts):
         start = to_medium(random.uniform(reach.low, reach.high))
         ends = [search(problem, [start], _silently, others)[0] for others in ((), reserve)]
-        costs.append([polish(problem, to_coordinates(end)).cost for end in ends])
-    alone, same = (np.array(costs) < np.min(costs) + 1.0).mean(axis=0)
+        polished = [polish(problem, to_coordinates(end)) for end in ends]
+        costs.append([end.cost for end in polished])
+        found.append([astuple(to_medium(end.coordinates)) for end in polished])
     failed = int((~np.isfinite(costs)).sum())
+    values = np.array(found)
+    best = np.unravel_index(np.argmin(costs), (starts, 2))
+    medium, at = Medium(*values[best]), to_coordinates(Medium(*values[best]))
+    sensitivity = problem.sensitivity(at, problem.image(at))
+    spread = covariance(
+        sensitivity, medium, observation.noise, error, STRIPES.camera.pixel_mm, max(STRIPES.tank.size_mm)
+    )  # fmt: skip
+    alone, same = (np.abs(values - values[best]) < SAME_SD * np.sqrt(np.diag(spread))).all(axis=2).mean(axis=0)
     return {
         "liquid": name, "gain": gain, "alone": float(alone), "same": float(same), "failed": failed,
         "evaluations": asked / (2 * starts),

@@ -32,6 +32,8 @@ of the model, which the weights count pixel by pixel, move the optimum by more t
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
 """Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
 by less than EQUAL, are left for the accurate model to tell apart."""
+STUCK = 50.0
+"""Mean squared residual, in standard deviations, from which on another optimum is looked for."""
 FURTHEST_OFF, LONGEST_MOVE = 6.0, 2.0
 """Standard deviations by which anything may be misaligned, at most and in one step."""
 
@@ -147,12 +149,13 @@ def search(
     seen
         Told in words what is being done.
     reserve
-        Where to begin, one after another, as long as the best ended at an edge of the range in σs or g, in a valley
-        that leads out of it (measured: one in five of single starts from anywhere does).
+        Where to begin, one after another, as long as the best is stuck: at an edge of the range in σs or g, in a valley
+        that leads out of it (measured: up to one in four of single starts from anywhere is), or `STUCK` times off.
     """
     ends = _descend(problem, starts, seen)
     for other in reserve:
-        if not {"sigma_s", "g"} & set(problem.range.at_edge(to_medium(ends[0].coordinates))):
+        at_edge = {"sigma_s", "g"} & set(problem.range.at_edge(to_medium(ends[0].coordinates)))
+        if not at_edge and 2.0 * ends[0].cost < STUCK * problem.observation.used.sum():
             break
         ends = sorted([*ends, *_descend(problem, [other], seen)], key=lambda end: end.cost)
     return [to_medium(end.coordinates) for end in ends if end.cost < ends[0].cost + EQUAL]
