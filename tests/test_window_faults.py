@@ -67,6 +67,30 @@ def test_closing_in_a_dose_stops_it_and_the_run_is_offered_again(tmp_path):
         assert steps_of(tmp_path) == 9000
 
 
+def test_a_run_whose_fit_cannot_begin_is_ended_and_can_be_resumed(tmp_path, monkeypatch):
+    """No room for shared memory: a run that is neither going on nor over keeps its folder locked."""
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("tankrig.live.attached.LiveFit", full)
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        (tmp_path / "sequence.toml").write_text(LONG_DOSE)
+        window.sequence.load(tmp_path / "sequence.toml")
+        until(lambda: window.top.run.isEnabled())
+        window.run()
+        until(lambda: "No space left" in window.banner.text, 40.0)
+        monkeypatch.undo()
+        window.host.reopen()
+        until(lambda: window.status.state.value == "ready", 40.0)
+        ended = []
+        window.host.run_ended.connect(ended.append)
+        window.resume(only_run(tmp_path))
+        until(lambda: ended, 60.0)
+        assert ended[0].reason.value == "completed", ended[0].error
+    assert steps_of(tmp_path) == 9000
+
+
 @pytest.mark.long
 def test_an_unplugged_camera_ends_the_run_and_is_named(tmp_path):
     """A person must know which cable to look at, and what was recorded."""

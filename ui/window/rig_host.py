@@ -311,6 +311,9 @@ class RigHost(QObject):
                     self.run_began.emit(order.path, runner.plan.sequence)
                     outcome = runner.run()
             finally:
+                if runner.state is RunState.READY:  # the fit could not begin: end the run, so that it can be resumed
+                    runner.abort()
+                    runner.run()
                 self._fit = self._runner = self._guard = None
         self._trouble = ""
         self.run_ended.emit(outcome)
