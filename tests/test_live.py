@@ -68,10 +68,6 @@ def photographed(dose_ml: float, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).poisson(counts).astype(np.uint16)
 
 
-def shared_names() -> set[str]:
-    return {path.name for path in Path("/dev/shm").glob("psm_*")}
-
-
 def test_photographs_are_the_mean_less_the_dark_with_the_noise_that_frames_differ_by() -> None:
     """A wrong noise would make every error bar wrong, and a dark that stays in looks like scattered light."""
     exposures = Exposures(plan())
@@ -144,11 +140,10 @@ def test_a_run_that_goes_on_is_not_fitted_again_where_it_was_fitted(monkeypatch:
 
 def test_frames_become_coefficients_in_another_process_that_ends_and_leaves_nothing() -> None:
     """The whole way: shared memory, spawned process, results, an orderly end."""
-    before = shared_names()
     results: list[dict[str, object]] = []
     with LiveFit(plan(), results.append) as fit:
         assert fit.pid is not None
-        process = psutil.Process(fit.pid)
+        process, name = psutil.Process(fit.pid), fit._memory.name
         fit.see(dosed(100.0), None)
         for _ in range(2):
             fit.see(frame(PATTERNS["dark"], 1), np.full((40, 60), 100, np.uint16))
@@ -164,7 +159,7 @@ def test_frames_become_coefficients_in_another_process_that_ends_and_leaves_noth
     assert results[-1]["frames"] == 3
     assert results[-1]["sigma_s"] == pytest.approx(0.1 * INK.sigma_s, rel=0.1)
     assert results[-1]["g"] == pytest.approx(INK.g, abs=0.1)
-    assert shared_names() <= before
+    assert not Path("/dev/shm", name).exists()
 
 
 def test_a_fit_that_is_busy_never_holds_the_run_up() -> None:

@@ -1,5 +1,6 @@
 """Steps that stop early: no more light than it takes to know what a person asked for, and the journal says why."""
 
+import threading
 from pathlib import Path
 
 import pytest
@@ -77,6 +78,22 @@ def test_time_ends_a_step_too(tmp_path: Path) -> None:
     run = tankrig.open_run(tmp_path / "run")
     assert done(run)[1]["stopped"] == "0.05 s have passed"
     assert 1 <= done(run)[1]["frames"] == len(run.events("frame")) < 1000
+
+
+def test_with_a_timeout_a_slow_fit_is_waited_for(tmp_path: Path) -> None:
+    """At the first dose the fit is slow, and frames taken meanwhile would all be wasted."""
+    step = Capture("full", 50, until=WISH, timeout_s=20.0)
+    runner = new_run(Sequence("slow", (Dose(10.0), step), exposure_ms=1.0), memory_rig(tmp_path), tmp_path / "run")
+    runner.fitted = True
+    fit = {"fit": "dose", "dose_ml": 0.01, "sigma_a": 1e-3, "sigma_s": 0.02, "g": 0.5, "sd": [1.0, 1e-5, 1e-3]}
+
+    def later(event, _):
+        if event.kind == "frame" and event["index"] == 1:
+            threading.Timer(0.3, lambda: setattr(runner, "latest_fit", fit | {"model": "tank", "newest": 1})).start()
+
+    runner.listen(later)
+    assert runner.run().reason is FinishReason.COMPLETED
+    assert len(tankrig.open_run(tmp_path / "run").events("frame")) == 2
 
 
 def test_a_resumed_run_counts_the_frames_it_has_and_stops_all_the_same(tmp_path: Path) -> None:

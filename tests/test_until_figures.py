@@ -29,7 +29,9 @@ def sequence(until: Until | None) -> Sequence:
     (series,) = whole.steps
     assert isinstance(series, Series)
     steps = tuple(
-        replace(step, frames=FRAMES, until=until) if isinstance(step, Capture) and step.pattern != "dark" else step
+        replace(step, frames=FRAMES, until=until, timeout_s=until and 300.0)
+        if isinstance(step, Capture) and step.pattern != "dark"
+        else step
         for step in series.steps
     )
     return replace(whole, steps=(replace(series, steps=steps),))

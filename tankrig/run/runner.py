@@ -23,7 +23,7 @@ _CAMERA_TIMEOUT_S = 5.0
 _MOST_SATURATED = 0.2
 _POLL_S = 0.1
 _CATCH_UP_S, _LOOK_S = 2.0, 0.01
-"""How long, in all, a step that may stop early waits for a fast live fit to have seen its frames; from look to look."""
+"""How long, in all, a step without a timeout waits for a fast live fit to have seen its frames; from look to look."""
 
 
 @dataclass(frozen=True)
@@ -300,7 +300,7 @@ class Runner:
         taken = self._plan.frames_taken if step == self._plan.first_step else 0
         begun_s, previous = time.monotonic(), None
         for number in range(taken, capture.frames):
-            why = self._enough(capture, begun_s)
+            why = self._enough(capture, begun_s, number)
             if why:
                 return {"frames": number, "stopped": why}
             self._states.check()
@@ -317,23 +317,24 @@ class Runner:
             after_ns, previous = frame.exposure_start_ns, frame.sequence
         return {}
 
-    def _enough(self, capture: Capture, begun_s: float) -> str:
+    def _enough(self, capture: Capture, begun_s: float, frames: int) -> str:
         """Why a step takes no more frames; empty when it goes on."""
         if capture.until is None or not self.fitted:
             return ""
         self._clockwork.waiting_for = "the live fit"
-        fit = self._caught_up(begun_s + _CATCH_UP_S)
+        patient = capture.timeout_s is not None and frames != 1  # two frames tell the noise
+        fit = self._caught_up(begun_s + (capture.timeout_s or _CATCH_UP_S), patient)
         if fit is not None and capture.until.reached(fit):
             return f"{capture.until.found(fit)} is known"
         if capture.timeout_s is not None and time.monotonic() - begun_s > capture.timeout_s:
             return f"{capture.timeout_s:g} s have passed"
         return ""
 
-    def _caught_up(self, end_s: float) -> Mapping[str, Any] | None:
-        """The live fit of the dose under way, None where there is none; a fast one is waited for."""
+    def _caught_up(self, end_s: float, patient: bool) -> Mapping[str, Any] | None:
+        """The live fit of the dose under way, None where there is none; a fast one is waited for, or any."""
         while True:
             fit = self.latest_fit or {}
-            behind = fit.get("model") == "prepared" and fit.get("newest", -1) < self._newest_lit
+            behind = (patient or fit.get("model") == "prepared") and fit.get("newest", -1) < self._newest_lit
             if not behind or time.monotonic() > end_s:
                 break
             self._states.sleep(_LOOK_S)

@@ -84,7 +84,7 @@ class Capture:
     until
         No more frames, and no more projecting, once the live fit knows the liquid so well.
     timeout_s
-        No more frames after this time either; with `until` only.
+        With `until` only: the live fit is waited for, for so long at most, and then no more frames are taken either.
     """
 
     __pydantic_config__ = CLOSED
