@@ -71,7 +71,7 @@ def at_equal_error(results: Sequence["Result"], tolerance: float = 0.01) -> tupl
                 _line(samples, np.array([getattr(one, name) for _, one in runs]), needed)
                 for name in ("seconds", "cpu_seconds")
             )
-            found.append(Equal(case, model, aim, seconds, cpu, cpu / tank[0].cpu_seconds, needed / samples[-1]))
+            found.append(Equal(case, model, aim, seconds, cpu, cpu / tank[0].cpu_seconds, needed / float(samples[-1])))
     return tuple(found)
 
 
