@@ -19,13 +19,14 @@ _TEXELS_PER_MM = 10
 _WHITE, _BLACK, _FLOOR = 0.85, 0.05, 0.03
 _DIMMED = 0.05
 """The room's light when the projector is looked at."""
-_NODE_PX = 12
+_NODE_PX, _SAMPLES = 12, 2
+"""From node to node, and samples along each side of a pixel."""
 
 
 class BoardInView:
     """One placing of a board; works out once where each camera pixel looks, then pictures for whatever is projected.
 
-    Light is followed from the camera's pixels, four or nine to each, to the board and from there to the projector's
+    Light is followed from the camera's pixels, four to each, to the board and from there to the projector's
     pixels: exactly on a grid of nodes, between them by cubic splines (error below 1e-4 pixels). Not in the picture are
     reflections, and what else the tank holds.
 
@@ -39,7 +40,6 @@ class BoardInView:
         self._bench, self._board, self._filled = bench, board, place in FILLED
         self._lit = place.endswith("slant")
         self._rotation, self._origin = board_pose(bench, board, place, number)
-        self._samples = 2 if bench.camera.shape[1] > 1000 else 3
         self._fade = vignetting(
             bench.camera, *np.meshgrid(*(np.arange(n, dtype=float) for n in bench.camera.shape[::-1]))
         )
@@ -98,7 +98,7 @@ class BoardInView:
             for low, high in ((top, bottom), (left, right))
         )
         fine = [
-            (np.arange((high - low) * self._samples) + 0.5) / self._samples + low - 0.5
+            (np.arange((high - low) * _SAMPLES) + 0.5) / _SAMPLES + low - 0.5
             for low, high in ((top, bottom), (left, right))
         ]
         board, points = self._on_board(*np.meshgrid(nodes_x, nodes_y))
