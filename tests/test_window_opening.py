@@ -7,7 +7,7 @@ import tomllib
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QFileDialog
 
 from tankrig.errors import SceneError
 from tests.window_rig import LONG_DOSE, until, window_on, write_rig
@@ -32,6 +32,31 @@ def test_theme_and_docks_are_remembered(tmp_path):
     with window_on(tmp_path, rig) as second:
         assert second.dockWidgetArea(second.docks[second.log]) == Qt.DockWidgetArea.LeftDockWidgetArea
         assert QApplication.instance().property("theme") == "light"
+
+
+def test_edits_that_were_not_saved_are_kept(tmp_path):
+    """Opening another file, or closing the window, must not cost an hour of typing; and STOP works meanwhile."""
+    rig = write_rig(tmp_path)
+    (tmp_path / "long.toml").write_text(LONG_DOSE)
+    (tmp_path / "other.toml").write_text(LONG_DOSE.replace("long", "other"))
+    with window_on(tmp_path, rig) as first:
+        until(lambda: first.live.displayed)
+        document = first.sequence.document
+        first.sequence.load(tmp_path / "long.toml")
+        document.edit_text(LONG_DOSE.replace("900", "800"))
+        QTest.keyClick(first, Qt.Key.Key_O, Qt.KeyboardModifier.ControlModifier)
+        (question,) = first.findChildren(QFileDialog)
+        assert not question.isModal()
+        QTest.keyClick(question, Qt.Key.Key_F12)
+        until(lambda: "STOP" in first.banner.text)
+        question.selectFile(str(tmp_path / "other.toml"))
+        question.accept()
+        until(lambda: document.path == tmp_path / "other.toml")
+        first.banner._action.click()
+        assert document.text == LONG_DOSE.replace("900", "800")
+    with window_on(tmp_path, rig) as second:
+        assert second.sequence.document.text == LONG_DOSE.replace("900", "800")
+        assert second.sequence.document.unsaved
 
 
 def test_a_wrong_rig_file_opens_with_its_line_marked_and_the_rest_usable(tmp_path):

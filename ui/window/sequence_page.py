@@ -85,13 +85,13 @@ class SequencePage(QWidget):
         except TankrigError as error:
             self.told.emit(str(error))
             return
-        if unsaved:
-            self.dropped.emit(unsaved)
         problem = self.document.problem
         if problem is not None:
             self.tabs.setCurrentWidget(self.text)
             self.text.go_to(problem.line)
             self.told.emit(f"{path.name}: {problem.sentence}")
+        if unsaved:
+            self.dropped.emit(unsaved)  # last, for it can be put right now only
 
     def edit_unsaved(self, text: str) -> None:
         """Edit a text that no file has."""
