@@ -20,8 +20,8 @@ from ui.window.gap import GapMonitor
 from ui.window.garbage import GarbageTimer
 from ui.window.keys import BY_NAME, KeyCard
 from ui.window.live_view import LiveView
-from ui.window.rig_host import RigHost, RunOrder
-from ui.window.rig_parts import import_ahead
+from ui.window.rig_host import RigHost
+from ui.window.rig_parts import RunOrder, import_ahead
 from ui.window.status import RigState, RigStatus
 from ui.window.threads import OwnedThread
 from ui.window.top_bar import TopBar

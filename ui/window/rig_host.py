@@ -6,8 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
@@ -19,7 +18,7 @@ from tankrig.pattern import Pattern
 from tankrig.run.rig import Rig
 from tankrig.run.state import RunState
 from ui.window.rig_file import RigSource
-from ui.window.rig_parts import LedgerOnly
+from ui.window.rig_parts import LedgerOnly, RunOrder
 from ui.window.status import RigState, RigStatus
 from ui.window.threads import OwnedThread, StopThread
 from ui.window.watched import Newest, SeenFrame, WatchedCamera, WatchedProjector
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from tankrig.live.live_fit import LiveFit
     from tankrig.run.journal import Event
     from tankrig.run.runner import Runner
-    from tankrig.sequence import Sequence
 
 _log = logging.getLogger(__name__)
 
@@ -38,25 +36,6 @@ WATCH_S = 0.2
 END_S = 40.0
 FIT_PATIENCE_S = 120.0
 RETRY_S = 0.2
-
-
-@dataclass(frozen=True)
-class RunOrder:
-    """A run that is to be carried out.
-
-    Parameters
-    ----------
-    path
-        Its folder.
-    sequence
-        What to do; None to go on with the run that is there.
-    delivered_ul
-        A person's word on what the tank holds, where one was asked for.
-    """
-
-    path: Path
-    sequence: "Sequence | None" = None
-    delivered_ul: float | None = None
 
 
 class RigHost(QObject):

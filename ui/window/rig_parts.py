@@ -1,10 +1,35 @@
-"""Small parts of the rig's owner: the journal of doses by hand, and imports made ahead of a run."""
+"""Small parts of the rig's owner: a run that is ordered, the journal of doses by hand, and imports made ahead."""
 
 import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tankrig.dosing.records import DoseDone, DoseIntent
 
+if TYPE_CHECKING:
+    from tankrig.sequence import Sequence
+
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class RunOrder:
+    """A run that is to be carried out.
+
+    Parameters
+    ----------
+    path
+        Its folder.
+    sequence
+        What to do; None to go on with the run that is there.
+    delivered_ul
+        A person's word on what the tank holds, where one was asked for.
+    """
+
+    path: Path
+    sequence: "Sequence | None" = None
+    delivered_ul: float | None = None
 
 
 class LedgerOnly:
