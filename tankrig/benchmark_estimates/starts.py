@@ -42,8 +42,8 @@ def starts_section(records: Records, prepared: Prepared, liquids: tuple[str, ...
     about = (
         f"{starts} searches from media drawn evenly over the prepared model's whole range of log σs, logit ϖ "
         "and atanh g. The same optimum: every coefficient within half a stated standard deviation of the best "
-        "end's. Alone: from that one start. As in estimate: what is stuck (at an edge of the range, or seven "
-        "standard deviations off all over) goes on from the media that `estimate` looks at first."
+        "end's. Alone: from that one start. As in estimate: what ended at an edge of the range, or leaves twice "
+        "what noise does, goes on from the media that `estimate` looks at first."
     )
     return Section(
         "Random starts",

@@ -32,8 +32,8 @@ of the model, which the weights count pixel by pixel, move the optimum by more t
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
 """Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
 by less than EQUAL, are left for the accurate model to tell apart."""
-STUCK = 50.0
-"""Mean squared residual, in standard deviations, from which on another optimum is looked for."""
+MISFIT = 4.0
+"""Mean squared residual, in standard deviations that count the cheap model's error, that a good optimum stays below."""
 FURTHEST_OFF, LONGEST_MOVE = 6.0, 2.0
 """Standard deviations by which anything may be misaligned, at most and in one step."""
 
@@ -149,15 +149,19 @@ def search(
     seen
         Told in words what is being done.
     reserve
-        Where to begin, one after another, as long as the best is stuck: at an edge of the range in σs or g, in a valley
-        that leads out of it (measured: up to one in four of single starts from anywhere is), or `STUCK` times off.
+        Where to begin, one after another, as long as the best ended at an edge of the range in σs or g, in a valley
+        that leads out of it (measured: up to one in four of single starts from anywhere does), or leaves `MISFIT` and
+        nothing else has ended there (a thin liquid's g = 0.25 has a twin at −0.31).
     """
-    ends = _descend(problem, starts, seen)
+    ends, agreed = _descend(problem, starts, seen), False
     for other in reserve:
         at_edge = {"sigma_s", "g"} & set(problem.range.at_edge(to_medium(ends[0].coordinates)))
-        if not at_edge and 2.0 * ends[0].cost < STUCK * problem.observation.used.sum():
+        misfit = 2.0 * ends[0].cost > MISFIT * problem.observation.used.sum()
+        if not at_edge and (agreed or not misfit):
             break
-        ends = sorted([*ends, *_descend(problem, [other], seen)], key=lambda end: end.cost)
+        more = _descend(problem, [other], seen)
+        agreed = not _distinct(more[0], ends[0])
+        ends = sorted([*ends, *more], key=lambda end: end.cost)
     return [to_medium(end.coordinates) for end in ends if end.cost < ends[0].cost + EQUAL]
 
 
@@ -174,9 +178,13 @@ def _descend(problem: Problem, starts: Sequence[Medium], seen: Callable[[str], N
         if ends and one.cost > RIVAL * ends[0].cost:
             break
         end = _minimise(problem, one.coordinates, COARSE_ENOUGH)
-        if all(np.abs(end.coordinates - other.coordinates).max() > DISTINCT for other in ends):
+        if all(_distinct(end, other) for other in ends):
             ends.append(end)
     return sorted(ends, key=lambda end: end.cost)
+
+
+def _distinct(one: Optimum, other: Optimum) -> bool:
+    return bool(np.abs(one.coordinates - other.coordinates).max() > DISTINCT)
 
 
 def polish(problem: Problem, start: Array) -> Optimum:
