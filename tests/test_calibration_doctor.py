@@ -160,7 +160,7 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
         measured = measure_radiometry(projector, camera, RadiometryPlan(), camera.put)  # type: ignore[attr-defined]
     save(calibration_of(measured), Path(rig.calibration_folder))
     sheet = {"sheet": Sheet((-60.0, 60.0), (40.0, 80.0))}
-    long = Capture("sheet", frames=4, exposure_ms=50.0)
+    long = Capture("sheet", frames=6, exposure_ms=30.0)
     steps = Steps(
         "one", steps=(Dose(500.0), Wait(1.0), Capture("sheet", frames=8), long), patterns=sheet, exposure_ms=8.0
     )
@@ -188,6 +188,6 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
     assert np.linalg.norm(merged.image / dn_per_radiance - true) / np.linalg.norm(true) < 0.03
     dim = true < np.quantile(true, 0.2)
     alone = np.sqrt(plan.radiometry.variance(seen, CameraSettings(8.0)) / 8.0)
-    assert np.median((merged.sd / alone)[dim]) < 0.6, "where it is dim the long exposures help"
+    assert np.median((merged.sd / alone)[dim]) < 0.75, "where it is dim the long exposures help"
     with pytest.raises(StoreError, match='no frames of pattern "rays"'):
         merged_of_run(run, "rays", 500.0)
