@@ -29,6 +29,8 @@ Free = Literal["free"]
 
 CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
+ALIGNINGS, ALIGNED = 5, 2.0
+"""Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
 
 
 def estimate(
@@ -157,9 +159,14 @@ def fit_models(
         best = polish(problem, best.coordinates)
     if misalignment is not None:
         progress("aligning")
-        moves = misalignment.at(to_medium(best.coordinates))
-        problem = replace(problem, misalignment=moves)
-        best = polish(problem, np.concatenate([best.coordinates, np.zeros(len(moves.names))]))
+        best = replace(best, coordinates=np.concatenate([best.coordinates, np.zeros(len(misalignment.names))]))
+        # Edges that come off pixels' edges bend the way: a search that gave up goes on from where it is.
+        for _ in range(ALIGNINGS):
+            before = best.cost
+            problem = replace(problem, misalignment=misalignment.at(to_medium(best.coordinates[:MEDIUM])))
+            best = polish(problem, best.coordinates)
+            if before - best.cost < ALIGNED:
+                break
     for _ in range(CLEANINGS):
         image = problem.image(best.coordinates)
         gain, offset = problem.scale(image)
