@@ -125,7 +125,8 @@ class Runner:
         self._camera_settings: CameraSettings | None = None
         self._newest_lit = -1
         self.path = writer.path
-        self.latest_fit: Mapping[str, Any] | None = None
+        self._latest_fit: Mapping[str, Any] | None = None
+        self._dose_fit: Mapping[str, Any] = {}
         self.fitted = False
         """Whether a live fit is attached: without one no step stops early."""
         self.before_end: list[Callable[[], bool]] = []
@@ -146,6 +147,17 @@ class Runner:
     def plan(self) -> Plan:
         """What it has to do."""
         return self._plan
+
+    @property
+    def latest_fit(self) -> Mapping[str, Any] | None:
+        """What the live fit has found last, as it tells it."""
+        return self._latest_fit
+
+    @latest_fit.setter
+    def latest_fit(self, table: Mapping[str, Any] | None) -> None:
+        self._latest_fit = table
+        if table and table.get("fit") == "dose":
+            self._dose_fit = table
 
     def progress(self) -> Progress:
         """How far the run is."""
@@ -324,7 +336,7 @@ class Runner:
         self._clockwork.waiting_for = "the live fit"
         patient = capture.timeout_s is not None and frames != 1  # two frames tell the noise
         fit = self._caught_up(begun_s + (capture.timeout_s or _CATCH_UP_S), patient)
-        if fit is not None and capture.until.reached(fit):
+        if fit and capture.until.reached(fit):
             return f"{capture.until.found(fit)} is known"
         if capture.timeout_s is not None and time.monotonic() - begun_s > capture.timeout_s:
             return f"{capture.timeout_s:g} s have passed"
@@ -332,15 +344,13 @@ class Runner:
 
     def _caught_up(self, end_s: float, patient: bool) -> Mapping[str, Any] | None:
         """The live fit of the dose under way, None where there is none; a fast one is waited for, or any."""
-        while True:
-            fit = self.latest_fit or {}
-            behind = (patient or fit.get("model") == "prepared") and fit.get("newest", -1) < self._newest_lit
-            if not behind or time.monotonic() > end_s:
+        while (patient or self._dose_fit.get("model") == "prepared") and time.monotonic() < end_s:
+            if self._dose_fit.get("newest", -1) >= self._newest_lit:
                 break
             self._states.sleep(_LOOK_S)
-        held_ml = self._doser.delivered().volume_ul / 1000
-        of_now = fit.get("fit") == "dose" and "error" not in fit and abs(fit["dose_ml"] - held_ml) < 1e-6
-        return fit if of_now else None
+        fit = self._dose_fit
+        of_now = abs(fit.get("dose_ml", -1.0) - self._doser.delivered().volume_ul / 1000) < 1e-6
+        return fit if of_now and "error" not in fit else None
 
     def _configure(self, settings: CameraSettings) -> None:
         if settings != self._camera_settings:
