@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError
 from tankrig.estimation.estimate import Free
 from tankrig.estimation.joint import INK, Array, Doses, Image, Joint, Mixture, slopes_of
+from tankrig.estimation.models import SMOOTHED_BATCHES
 from tankrig.estimation.observation import Observation, structure
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.search import Optimum, minimise
@@ -216,7 +217,11 @@ def fit_series(
 
 def tank_model(scene: Scene, batches: int, seed: int) -> Model:
     """The tank's image by a fixed number of lattices of light paths: a smooth function of the medium."""
+    from tankrig.light.rays import shift_invariant
     from tankrig.light.tank import tank_image
+
+    if not shift_invariant(scene):
+        batches = max(batches, SMOOTHED_BATCHES)
 
     def image(medium: Medium) -> Prediction:
         result = tank_image(replace(scene, medium=medium), seed=seed, batches=batches)

@@ -1,0 +1,74 @@
+"""Misalignments: what is off in the set-up is found along with the medium, and costs what it must."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import tankrig
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+
+STRIPE = Scene(
+    Tank(),
+    Medium(0.01, 0.01, 0.0),
+    Projector("collimated", (Beam((-6.0, 6.0), (56.0, 64.0)), Beam((30.0, 37.0), (50.0, 60.0)))),
+    Camera("orthographic", (40, 60), 4.0),
+)
+THICK = Medium(0.001, 0.1, 0.8)
+
+
+def single_of(scene: Scene, medium: Medium, seed: int = 0) -> tuple[NDArray[np.float64], float]:
+    image = tankrig.predict(replace(scene, medium=medium), "single").image
+    noise = 0.002 * float(image.max())
+    return image + np.random.default_rng(seed).normal(0.0, noise, image.shape), noise
+
+
+@pytest.mark.parametrize(("term", "off"), [("y_mm", 0.7), ("tilt_mrad", 6.0), ("scale", -0.006)])
+def test_a_misaligned_set_up_is_found_and_corrected(term: str, off: float) -> None:
+    """A beam half a millimetre aside spoils thousands of pixels; its own term must take that, with an honest error."""
+    from tankrig.estimation.misalignment import USUAL, moved
+
+    truth = Medium(0.004, 0.006, 0.3)
+    image, noise = single_of(moved(STRIPE, {term: off}), truth)
+    asked = {"gain": 1.0, "offset": 0.0, "noise": noise, "model": "single"}
+    found = tankrig.estimate(image, STRIPE, **asked, nuisance={term: USUAL[term]})
+    value, sd = found.nuisance[term]
+    assert value == pytest.approx(off, abs=max(4.0 * sd, 0.05 * abs(off)))
+    assert found.medium.sigma_t == pytest.approx(truth.sigma_t, rel=0.01)
+    assert found.rmse == pytest.approx(noise, rel=0.1)
+    assert "not as described" in found.verdict
+    assert tankrig.estimate(image, STRIPE, **asked).rmse > 1.1 * found.rmse
+
+
+def test_what_may_be_off_costs_knowledge() -> None:
+    """A sheet of light whose edges are not seen shows no size: with pixels known to 2 %, so is σt, and no better."""
+    light, camera = Projector("collimated", (Beam((-80.0, 80.0), (56.0, 64.0)),)), Camera("orthographic", (30, 50), 4.0)
+    sheet = replace(STRIPE, projector=light, camera=camera)
+    truth, wall = Medium(0.004, 0.006, 0.3), np.zeros((30, 50), bool)
+    wall[:3] = True
+    image, noise = single_of(sheet, truth)
+    asked = {"gain": 1.0, "offset": 0.0, "noise": noise, "mask": wall, "model": "single"}
+    exact, unsure = (
+        np.sqrt(tankrig.estimate(image, sheet, **asked, nuisance={"scale": sd}).covariance[:2, :2].sum())
+        for sd in (1e-6, 0.02)
+    )
+    assert exact < 0.003 * truth.sigma_t
+    assert unsure == pytest.approx(0.02 * truth.sigma_t, rel=0.3)
+
+
+@pytest.mark.parametrize("nuisance", [{"x_mm": 1.0}, {"z_mm": 0.0}, {"z_mm": np.nan}, {"z_mm": "1"}])
+def test_a_nuisance_that_is_none_is_refused(nuisance: dict) -> None:
+    """A typo would silently leave the set-up as it is."""
+    with pytest.raises(tankrig.SceneError, match="nuisance"):
+        tankrig.estimate(np.ones(STRIPE.camera.shape), STRIPE, nuisance=nuisance)
+
+
+def test_a_beam_that_is_missing_is_never_a_confident_number() -> None:
+    """A blocked beam, or the wrong scene file, fits nothing: no coefficient may then count as determined."""
+    image, noise = single_of(
+        replace(STRIPE, projector=replace(STRIPE.projector, beams=STRIPE.projector.beams[:1])), THICK
+    )
+    found = tankrig.estimate(image, STRIPE, noise=noise, model="single")
+    assert not any(found.identifiable.values())
+    assert "structure" in found.verdict
