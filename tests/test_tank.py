@@ -236,3 +236,22 @@ def test_with_pinholes_too_a_fit_can_follow_the_image_as_the_medium_changes() ->
     coefficients = np.linalg.lstsq(powers, images, rcond=None)[0]
     rough = np.linalg.norm(images - powers @ coefficients) / np.sqrt(2.0)
     assert rough < 0.05 * np.linalg.norm(0.01 * coefficients[1])
+
+
+@pytest.mark.parametrize("beam", [(0.0, 20.0), (60.0, 76.0)])
+def test_order_2_beside_the_walls_is_the_sum_over_rays(beam: tuple[float, float]) -> None:
+    """Where light, and lines of sight, leave through a side wall, order 2 was up to nine times too bright."""
+    from tankrig.light.double.pair import pair_radiance
+    from tankrig.light.rays import geometry_of
+
+    light = Projector("pinhole", (Beam(beam, (58.0, 62.0)),), (-400.0, 0.0, 60.0))
+    camera = Camera("pinhole", (40, 60), 4.0, (120.0, 0.0, 620.0))
+    scene = Scene(Tank(), Medium(0.0002, 0.0098, 0.5), light, camera)
+    image, geometry, rule = double_scattering(scene), geometry_of(scene), np.polynomial.legendre.leggauss(5)
+    rays = beam[0] + (np.arange(60) + 0.5) * (beam[1] - beam[0]) / 60
+    for row, column in ((39, 30), (38, 45), (30, 30)):
+        rows = -80.0 + 4.0 * row + np.arange(0.5, 4.0)
+        pairs = [pair_radiance(geometry, 0.01, 0.5, 4.0 * column + 2.0, y, y0, 60.0, False, *rule)
+                 for y in rows for y0 in rays]  # fmt: skip
+        power_per_ray = 0.0098**2 * (beam[1] - beam[0]) * 4.0
+        assert image[row, column] == pytest.approx(np.mean(pairs) * power_per_ray, rel=0.1)

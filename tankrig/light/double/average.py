@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
+from tankrig.light.double.pair import depth_seen
 from tankrig.light.rays import Geometry, sighting_row
 
 Array = NDArray[np.float64]
@@ -22,7 +23,7 @@ FAR = 3.0
 @kernel
 def average_rows(
     rows: Array, geometry: Geometry, pixel_mm: float, decay: float, low: float, high: float, strength: float,
-    x: Array, fractions: Array, values: Array, y0_weights: Array, z0: Array, z0_weights: Array,
+    x: Array, fractions: Array, margin: float, values: Array, y0_weights: Array, z0: Array, z0_weights: Array,
     nodes: Array, weights: Array,
 ) -> None:  # fmt: skip
     """Add one beam's rows, at every node in x.
@@ -35,7 +36,7 @@ def average_rows(
         Edges of the beam on the plane x = 0, mm; a beam should not be much wider than the change of J with y₀ allows.
     strength
         Irradiance times σs².
-    x, fractions, values
+    x, fractions, margin, values
         Of the table.
     y0_weights
         (ny,) weights that interpolate the table to the beam's middle.
@@ -45,8 +46,8 @@ def average_rows(
         Gauss–Legendre rule on [−1, 1].
     """
     count = fractions.size
-    first = math.log(fractions[0])
-    spacing = -first / (count - 1)
+    first = math.log(fractions[0] / (1.0 + margin - fractions[0]))
+    spacing = (-math.log(margin) - first) / (count - 1)
     profile = np.empty((2, count))
     cuts = np.empty(5)
     middle = 0.5 * (low + high)
@@ -76,8 +77,8 @@ def average_rows(
                 total = 0.0
                 if abs(centre) > FAR * (pixel + seen):
                     spread = math.sqrt((pixel * pixel + seen * seen) / 12.0)
-                    near = _profile(profile, spans, centre - spread, first, spacing, decay)
-                    far = _profile(profile, spans, centre + spread, first, spacing, decay)
+                    near = _profile(profile, spans, centre - spread, first, spacing, margin, decay)
+                    far = _profile(profile, spans, centre + spread, first, spacing, margin, decay)
                     total = 0.5 * (near + far) * pixel * seen
                 else:
                     cuts[0], cuts[1] = pixel_low - beam_high, pixel_low - beam_low
@@ -95,10 +96,14 @@ def average_rows(
                                 overlap = min(pixel_high - delta, beam_high) - max(pixel_low - delta, beam_low)
                                 total += (
                                     half * weights[n] * max(overlap, 0.0)
-                                    * _profile(profile, spans, delta, first, spacing, decay)
+                                    * _profile(profile, spans, delta, first, spacing, margin, decay)
                                 )  # fmt: skip
                             panel_start = panel_end
-                rows[row, i] += scale * total
+                depth = 0.0
+                for n in range(nodes.size):
+                    y = 0.5 * (pixel_low + pixel_high + pixel * nodes[n])
+                    depth += 0.5 * weights[n] * depth_seen(geometry, x[i], y)
+                rows[row, i] += scale * total * depth
 
 
 @kernel
@@ -115,13 +120,14 @@ def _panel_end(start: float, end: float, pixel: float) -> float:
 
 @kernel
 def _profile(
-    profile: Array, spans: tuple[float, float], delta: float, first: float, spacing: float, decay: float
+    profile: Array, spans: tuple[float, float], delta: float, first: float, spacing: float, margin: float, decay: float
 ) -> float:
-    """J at δ by cubic interpolation in ln|δ|; nearer than the first node it grows like −ln|δ|."""
+    """J at δ by cubic interpolation between the nodes; nearer than the first it grows like −ln|δ|."""
     side = 1 if delta > 0.0 else 0
     distance = abs(delta)
     count = profile.shape[1]
-    place = (math.log(max(distance, 1e-12) / spans[side]) - first) / spacing
+    share = min(max(distance, 1e-12) / spans[side], 1.0)
+    place = (math.log(share / (1.0 + margin - share)) - first) / spacing
     if place < 0.0:
         near: float = profile[side, 0] + place * (profile[side, 1] - profile[side, 0])
         return near * math.exp(-decay * distance)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.double.average import average_rows
-from tankrig.light.double.table import COARSE, FINE, Table, fill_table
+from tankrig.light.double.table import COARSE, FINE, MOST_SMOOTH, Table, fill_table, lagrange, y_weights
 from tankrig.light.rays import Geometry, light_sources, shift_invariant
 from tankrig.light.surface import on_surface, to_camera
 from tankrig.scene import Beam, Scene
@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 WIDEST_MM = 12.0
 """Widest part of a beam over which J's slow change with y₀ is taken as linear."""
+NARROW_MM = 3.0
+"""The same where light leaves through a side wall, and J changes at once."""
 
 
 MOST_HEIGHTS = 4
@@ -80,13 +82,14 @@ def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: 
     """Add one beam, cut into parts narrow enough where J is not shift-invariant."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     low, high = beam.y_mm
-    parts = 1 if shift_invariant(scene) else math.ceil((high - low) / WIDEST_MM)
+    widest = WIDEST_MM if table.y0_mm.size <= MOST_SMOOTH else NARROW_MM
+    parts = 1 if shift_invariant(scene) else math.ceil((high - low) / widest)
     edges = np.linspace(low, high, parts + 1)
     for part in range(parts):
         average_rows(
             rows, geometry, scene.camera.pixel_mm, table.decay, edges[part], edges[part + 1],
-            beam.irradiance * scene.medium.sigma_s**2, table.x_mm, table.fractions, table.values,
-            _lagrange(table.y0_mm, 0.5 * (edges[part] + edges[part + 1])), table.z0_mm, z0_weights, nodes, weights,
+            beam.irradiance * scene.medium.sigma_s**2, table.x_mm, table.fractions, table.margin, table.values,
+            y_weights(table.y0_mm, 0.5 * (edges[part] + edges[part + 1])), table.z0_mm, z0_weights, nodes, weights,
         )  # fmt: skip
 
 
@@ -95,17 +98,8 @@ def _integral(nodes: Array, interval: tuple[float, float]) -> Array:
     places, weights = np.polynomial.legendre.leggauss(nodes.size // 2 + 1)
     half, middle = 0.5 * (interval[1] - interval[0]), 0.5 * (interval[1] + interval[0])
     return np.asarray(
-        sum(half * w * _lagrange(nodes, middle + half * at) for at, w in zip(places, weights, strict=True))
+        sum(half * w * lagrange(nodes, middle + half * at) for at, w in zip(places, weights, strict=True))
     )
-
-
-def _lagrange(nodes: Array, at: float) -> Array:
-    """Weights of the polynomial through all `nodes` at one place."""
-    weights = np.ones(nodes.size)
-    for k in range(nodes.size):
-        others = np.delete(nodes, k)
-        weights[k] = np.prod((at - others) / (nodes[k] - others))
-    return weights
 
 
 def _columns(x: Array, columns: int, pixel_mm: float, length: float) -> Array:

@@ -120,6 +120,17 @@ def pair_radiance(
 
 
 @kernel
+def depth_seen(geometry: Geometry, x: float, y: float) -> float:
+    """Share of the water's depth that the line of sight through (x, y, Lz) passes before it leaves through a wall.
+
+    Towards a side wall J falls with it, wherever the light is.
+    """
+    vx, vy, vz, _ = sight_line(geometry, x, y)
+    _, t_max = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
+    return max(t_max, 0.0) * vz / geometry.height
+
+
+@kernel
 def _cuts(
     cuts: NDArray[np.float64], low: float, high: float, distance: float, g: float, cos_out: float, lobe: float
 ) -> int:

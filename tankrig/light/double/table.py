@@ -13,12 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.double.pair import pair_radiance
+from tankrig.light.double.pair import depth_seen, pair_radiance
 from tankrig.light.rays import Geometry, light_ray, shift_invariant, sight_line, sighting_row
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
 
+WALL, STRAIGHT = 0.02, 1e6
+"""Margins: where lines of sight slant, they leave the tank through its side walls, and J falls to 0 in a small share
+of the way there; where they don't, nodes are graded towards the crossing only."""
+CLOSE = 0.05
+"""Of nodes in y₀ where light leaves through the side walls: their distance over half the tank's width."""
+MOST_SMOOTH = 6
+"""Nodes in y₀ that one polynomial goes through."""
 STEEPEST = 300.0
 """Largest exponent that is taken out of J before it is interpolated."""
 
@@ -60,15 +67,18 @@ class Table:
         (nx,) where lines of sight leave the surface.
     fractions
         (nk,) |δ| as a share of the distance from the crossing to the side wall.
+    margin
+        The shares f are even steps of ln(f / (1 + margin − f)).
     y0_mm, z0_mm
         (ny,), (nz,) where light rays enter.
     values
-        (nz, ny, 2, nx, nk): J·exp(κ (x + |δ|)), which changes little; the third axis is the side
-        of the crossing, y below or above it.
+        (nz, ny, 2, nx, nk): J·exp(κ (x + |δ|)) over the share of the depth seen, which changes little; the third axis
+        is the side of the crossing, y below or above it.
     """
 
     x_mm: Array
     fractions: Array
+    margin: float
     y0_mm: Array
     z0_mm: Array
     values: Array
@@ -119,15 +129,15 @@ def fill_table(
     width = 2.0 * geometry.half_width
     decades = math.log(width / (0.02 * finest_mm))
     ratio = fineness.ratio if shift_invariant(scene) else fineness.slanted_ratio
-    fractions = np.exp(np.linspace(-decades, 0.0, 1 + math.ceil(decades / math.log(ratio))))
+    margin = STRAIGHT if shift_invariant(scene) else WALL
+    first, last = -decades - math.log(1.0 + margin), -math.log(margin)
+    nodes_y = np.exp(np.linspace(first, last, 1 + math.ceil((last - first) / math.log(ratio))))
+    fractions = (1.0 + margin) * nodes_y / (1.0 + nodes_y)
     if shift_invariant(scene):
         y0 = np.zeros(1)
     else:
         edges = [edge for beam in scene.projector.beams for edge in beam.y_mm]
-        spread = max(edges) - min(edges)
-        many = 3 + math.ceil(3 * spread / width)
-        cosines = np.cos(np.pi * (np.arange(many) + 0.5) / many)
-        y0 = 0.5 * (max(edges) + min(edges)) + 0.5 * spread * cosines
+        y0 = _y_nodes(geometry, min(edges), max(edges), 0.5 * (low + high))
     decay = min(sigma_t, STEEPEST / (geometry.length + width))
     rule = np.polynomial.legendre.leggauss(fineness.nodes)
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
@@ -141,7 +151,21 @@ def fill_table(
         ]
         for part in parts:
             part.result()
-    return Table(x, fractions, y0, z0, values, decay), 0.5 * (high - low) * weights
+    return Table(x, fractions, margin, y0, z0, values, decay), 0.5 * (high - low) * weights
+
+
+def _y_nodes(geometry: Geometry, low: float, high: float, z0: float) -> Array:
+    """Nodes in y₀, ascending: few, for one polynomial, or close to each other where light leaves through a side wall.
+
+    There J changes at once from what a ray that passes near by scatters to what one does that has left.
+    """
+    spread, middle = high - low, 0.5 * (high + low)
+    for edge in (low, high):
+        ux, uy, _ = light_ray(geometry, edge, z0)
+        if abs(edge + uy / ux * geometry.length) > geometry.half_width:
+            return np.linspace(low, high, 1 + math.ceil(spread / (CLOSE * geometry.half_width)))
+    many = 3 + math.ceil(1.5 * spread / geometry.half_width)
+    return middle - 0.5 * spread * np.cos(np.pi * (np.arange(many) + 0.5) / many)
 
 
 def _x_nodes(geometry: Geometry, low: float, high: float, finest_mm: float) -> Array:
@@ -177,6 +201,26 @@ def _seen_from_above(geometry: Geometry, x: float, z: float) -> float:
     return float(seen)
 
 
+def y_weights(nodes: Array, at: float) -> Array:
+    """Weights that interpolate between the nodes in y₀: a polynomial through few, straight between many."""
+    if nodes.size <= MOST_SMOOTH:
+        return lagrange(nodes, at)
+    weights = np.zeros(nodes.size)
+    k = int(np.clip(np.searchsorted(nodes, at) - 1, 0, nodes.size - 2))
+    weights[k + 1] = (at - nodes[k]) / (nodes[k + 1] - nodes[k])
+    weights[k] = 1.0 - weights[k + 1]
+    return weights
+
+
+def lagrange(nodes: Array, at: float) -> Array:
+    """Weights of the polynomial through all `nodes` at one place."""
+    weights = np.ones(nodes.size)
+    for k in range(nodes.size):
+        others = np.delete(nodes, k)
+        weights[k] = np.prod((at - others) / (nodes[k] - others))
+    return weights
+
+
 @kernel
 def _fill_shifted(
     values: Array, geometry: Geometry, decay: float, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array,
@@ -209,7 +253,8 @@ def _fill_slanted(
     values: Array, geometry: Geometry, decay: float, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array,
     z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int,
 ) -> None:  # fmt: skip
-    """Every second x, with nodes between the crossing and either side wall."""
+    """Every second x, with nodes between the crossing and either side wall; J over `depth_seen`."""
+    inside = 0.999 * geometry.half_width  # at the wall itself both are 0
     for i in range(part, x.size, 2):
         for j in range(z0.size):
             for m in range(y0.size):
@@ -219,6 +264,7 @@ def _fill_slanted(
                     for k in range(fractions.size):
                         delta = max(span, 1e-6) * fractions[k]
                         y = crossing + delta if side == 1 else crossing - delta
-                        y = min(max(y, -geometry.half_width), geometry.half_width)
+                        y = min(max(y, -inside), inside)
                         value = pair_radiance(geometry, sigma_t, g, x[i], y, y0[m], z0[j], mirrored, nodes, weights)
-                        values[j, m, side, i, k] = value * math.exp(decay * (x[i] + delta))
+                        value *= math.exp(decay * (x[i] + delta)) / max(depth_seen(geometry, x[i], y), 1e-9)
+                        values[j, m, side, i, k] = value
