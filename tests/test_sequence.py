@@ -40,7 +40,7 @@ def test_the_example_loads_draws_and_keeps_its_budget():
 
 def test_the_documentation_shows_one_sequence_twice(tmp_path):
     page = (EXAMPLE.parents[1] / "sequences.md").read_text()
-    ((toml,), (code,)) = (re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL) for language in ("toml", "python"))
+    toml, code = (re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)[0] for language in ("toml", "python"))
     names: dict[str, object] = {}
     exec(code, names)
     assert load_sequence(written(tmp_path, toml)) == names["sequence"]
