@@ -1,17 +1,18 @@
 """The image of order 2, put together from tables of J."""
 
 import math
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.double.average import average_rows
-from tankrig.light.double.table import COARSE, FINE, MOST_SMOOTH, Table, fill_table, lagrange, y_weights
+from tankrig.light.double.table import COARSE, FINE, Table, fill_table, lagrange, y_weights
 from tankrig.light.rays import Geometry, light_sources, shift_invariant
 from tankrig.light.surface import on_surface, to_camera
 from tankrig.scene import Beam, Scene
+from tankrig.scene.description import Interval
 
 Array = NDArray[np.float64]
 
@@ -81,16 +82,25 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
 def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, z0_weights: Array) -> None:
     """Add one beam, cut into parts narrow enough where J is not shift-invariant."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
-    low, high = beam.y_mm
-    widest = WIDEST_MM if table.y0_mm.size <= MOST_SMOOTH else NARROW_MM
-    parts = 1 if shift_invariant(scene) else math.ceil((high - low) / widest)
-    edges = np.linspace(low, high, parts + 1)
-    for part in range(parts):
+    for low, high in _parts(beam.y_mm, table.inner_mm, shift_invariant(scene)):
         average_rows(
-            rows, geometry, scene.camera.pixel_mm, table.decay, edges[part], edges[part + 1],
+            rows, geometry, scene.camera.pixel_mm, table.decay, low, high,
             beam.irradiance * scene.medium.sigma_s**2, table.x_mm, table.fractions, table.margin, table.values,
-            y_weights(table.y0_mm, 0.5 * (edges[part] + edges[part + 1])), table.z0_mm, z0_weights, nodes, weights,
+            y_weights(table, 0.5 * (low + high)), table.z0_mm, z0_weights, nodes, weights,
         )  # fmt: skip
+
+
+def _parts(y_mm: Interval, inner_mm: Interval, whole: bool) -> list[Interval]:
+    """A beam cut where its light begins to leave through a side wall, and into parts that are narrow enough."""
+    if whole:
+        return [y_mm]
+    cuts = np.clip([y_mm[0], *inner_mm, y_mm[1]], *y_mm)
+    parts: list[Interval] = []
+    for low, high, widest in zip(cuts[:-1], cuts[1:], (NARROW_MM, WIDEST_MM, NARROW_MM), strict=True):
+        if high > low:
+            edges = np.linspace(low, high, 1 + math.ceil((high - low) / widest))
+            parts += pairwise(edges.tolist())
+    return parts
 
 
 def _integral(nodes: Array, interval: tuple[float, float]) -> Array:

@@ -24,8 +24,6 @@ WALL, STRAIGHT = 0.02, 1e6
 of the way there; where they don't, nodes are graded towards the crossing only."""
 CLOSE = 0.05
 """Of nodes in y₀ where light leaves through the side walls: their distance over half the tank's width."""
-MOST_SMOOTH = 6
-"""Nodes in y₀ that one polynomial goes through."""
 STEEPEST = 300.0
 """Largest exponent that is taken out of J before it is interpolated."""
 
@@ -71,6 +69,8 @@ class Table:
         The shares f are even steps of ln(f / (1 + margin − f)).
     y0_mm, z0_mm
         (ny,), (nz,) where light rays enter.
+    inner_mm
+        The y₀ between which light doesn't reach the side walls.
     values
         (nz, ny, 2, nx, nk): J·exp(κ (x + |δ|)) over the share of the depth seen, which changes little; the third axis
         is the side of the crossing, y below or above it.
@@ -80,6 +80,7 @@ class Table:
     fractions: Array
     margin: float
     y0_mm: Array
+    inner_mm: tuple[float, float]
     z0_mm: Array
     values: Array
     decay: float
@@ -134,10 +135,10 @@ def fill_table(
     nodes_y = np.exp(np.linspace(first, last, 1 + math.ceil((last - first) / math.log(ratio))))
     fractions = (1.0 + margin) * nodes_y / (1.0 + nodes_y)
     if shift_invariant(scene):
-        y0 = np.zeros(1)
+        y0, inner = np.zeros(1), (-math.inf, math.inf)
     else:
         edges = [edge for beam in scene.projector.beams for edge in beam.y_mm]
-        y0 = _y_nodes(geometry, min(edges), max(edges), 0.5 * (low + high))
+        y0, inner = _y_nodes(geometry, min(edges), max(edges), 0.5 * (low + high))
     decay = min(sigma_t, STEEPEST / (geometry.length + width))
     rule = np.polynomial.legendre.leggauss(fineness.nodes)
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
@@ -151,21 +152,38 @@ def fill_table(
         ]
         for part in parts:
             part.result()
-    return Table(x, fractions, margin, y0, z0, values, decay), 0.5 * (high - low) * weights
+    return Table(x, fractions, margin, y0, inner, z0, values, decay), 0.5 * (high - low) * weights
 
 
-def _y_nodes(geometry: Geometry, low: float, high: float, z0: float) -> Array:
-    """Nodes in y₀, ascending: few, for one polynomial, or close to each other where light leaves through a side wall.
+def _y_nodes(geometry: Geometry, low: float, high: float, z0: float) -> tuple[Array, tuple[float, float]]:
+    """Nodes in y₀, ascending, and within which of them light stays between the side walls.
 
-    There J changes at once from what a ray that passes near by scatters to what one does that has left.
+    There few nodes make one polynomial. Beyond, J changes at once from what a ray that passes near by scatters to what
+    one does that has left the tank, and nodes are close to each other.
     """
-    spread, middle = high - low, 0.5 * (high + low)
-    for edge in (low, high):
-        ux, uy, _ = light_ray(geometry, edge, z0)
-        if abs(edge + uy / ux * geometry.length) > geometry.half_width:
-            return np.linspace(low, high, 1 + math.ceil(spread / (CLOSE * geometry.half_width)))
-    many = 3 + math.ceil(1.5 * spread / geometry.half_width)
-    return middle - 0.5 * spread * np.cos(np.pi * (np.arange(many) + 0.5) / many)
+    inner_low, inner_high = _staying(geometry, low, z0, high), _staying(geometry, high, z0, low)
+    spread, middle = inner_high - inner_low, 0.5 * (inner_high + inner_low)
+    many = 3 + math.ceil(1.5 * spread / geometry.half_width) if spread > 0.0 else 0
+    inner = middle - 0.5 * spread * np.cos(np.pi * (np.arange(many) + 0.5) / max(many, 1))
+    close = CLOSE * geometry.half_width
+    below = np.linspace(low, inner_low, 2 + math.ceil((inner_low - low) / close))[: None if inner_low > low else 0]
+    above = np.linspace(inner_high, high, 2 + math.ceil((high - inner_high) / close))[
+        : None if inner_high < high else 0
+    ]
+    return np.concatenate([below, inner, above]), (inner_low, inner_high)
+
+
+def _staying(geometry: Geometry, edge: float, z0: float, other: float) -> float:
+    """The y₀ nearest to `edge` and no farther than `other` whose light doesn't reach a side wall."""
+    from scipy.optimize import brentq
+
+    def beyond(y0: float) -> float:
+        ux, uy, _ = light_ray(geometry, y0, z0)
+        return float(math.copysign(1.0, edge - other) * (y0 + uy / ux * geometry.length) - geometry.half_width)
+
+    if beyond(edge) <= 0.0:
+        return edge
+    return other if beyond(other) >= 0.0 else float(brentq(beyond, min(edge, other), max(edge, other)))
 
 
 def _x_nodes(geometry: Geometry, low: float, high: float, finest_mm: float) -> Array:
@@ -201,14 +219,18 @@ def _seen_from_above(geometry: Geometry, x: float, z: float) -> float:
     return float(seen)
 
 
-def y_weights(nodes: Array, at: float) -> Array:
-    """Weights that interpolate between the nodes in y₀: a polynomial through few, straight between many."""
-    if nodes.size <= MOST_SMOOTH:
-        return lagrange(nodes, at)
-    weights = np.zeros(nodes.size)
-    k = int(np.clip(np.searchsorted(nodes, at) - 1, 0, nodes.size - 2))
-    weights[k + 1] = (at - nodes[k]) / (nodes[k + 1] - nodes[k])
-    weights[k] = 1.0 - weights[k + 1]
+def y_weights(table: Table, at: float) -> Array:
+    """Weights that interpolate between the nodes in y₀: a polynomial where light stays inside, straight elsewhere."""
+    nodes, weights = table.y0_mm, np.zeros(table.y0_mm.size)
+    inner = (nodes > table.inner_mm[0]) & (nodes < table.inner_mm[1])
+    if table.inner_mm[0] <= at <= table.inner_mm[1]:
+        weights[inner] = lagrange(nodes[inner], at)
+        return weights
+    outer = np.flatnonzero(~inner)
+    k = int(np.clip(np.searchsorted(nodes[outer], at) - 1, 0, outer.size - 2))
+    before, after = outer[k], outer[k + 1]
+    weights[after] = (at - nodes[before]) / (nodes[after] - nodes[before])
+    weights[before] = 1.0 - weights[after]
     return weights
 
 
