@@ -151,7 +151,8 @@ def _octant(
     double = 2 * degree
     radius = NEAR_CELLS * max(size_mm)
     result = np.zeros(((double + 1) ** 2, *counts))
-    _fill_far(result, double, size_mm, sigma_t, index, radius)
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(lambda part: _fill_far(result, double, size_mm, sigma_t, index, radius, part), range(THREADS)))
     directions, weights = sphere(24, octant=True)
     nodes, lengths = np.polynomial.legendre.leggauss(16)
     reach = [math.ceil(radius / side) + 2 for side in size_mm]
@@ -176,12 +177,17 @@ def _window(squared: float) -> float:
 
 @kernel
 def _fill_far(
-    result: Array, degree: int, size_mm: tuple[float, float, float], sigma_t: float, index: float, radius: float
-) -> None:
+    result: Array, degree: int, size_mm: tuple[float, float, float], sigma_t: float, index: float, radius: float,
+    part: int,
+) -> None:  # fmt: skip
+    """Every `THREADS`th displacement along x."""
     values = np.empty(result.shape[0])
     volume = size_mm[0] * size_mm[1] * size_mm[2]
     offset = math.sqrt(1.0 / 6.0)  # in cells: a two-point rule for the displacements between two cells' points
-    for i, j, k, corner in np.ndindex(result.shape[1], result.shape[2], result.shape[3], 8):
+    for nth, j, k, corner in np.ndindex(result.shape[1] // THREADS + 1, result.shape[2], result.shape[3], 8):
+        i = nth * THREADS + part
+        if i >= result.shape[1]:
+            continue
         x = (i + (offset if corner & 1 else -offset)) * size_mm[0]
         y = (j + (offset if corner & 2 else -offset)) * size_mm[1]
         z = (k + (offset if corner & 4 else -offset)) * size_mm[2]
