@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tankrig.geometry.optics import fresnel_reflectance, mirror, refract
 from tankrig.montecarlo import Tally, first_order, simulate, simulate_to
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank, load_scene
-from tankrig.geometry.optics import fresnel_reflectance, mirror, refract
 from tankrig.scene.phase import phase_function
 
 REFERENCE = Path(__file__).parent / "data" / "reference"

@@ -39,7 +39,7 @@ DEFAULT_CASES = ("pub01", "pub02", "pub07", "pub09")
     "--repeat", type=click.IntRange(min=1), default=3, show_default=True, help="Processes to take a median of."
 )
 @click.option(
-    "--limit", type=click.FloatRange(min=1.0), default=60.0, show_default=True, help="Longest time of a trial, s."
+    "--limit", type=click.FloatRange(min=1.0), default=120.0, show_default=True, help="Longest time of a trial, s."
 )
 @click.option("--prepared", is_flag=True, help="Prepared models too: minutes for each case that isn't in the cache.")
 @click.option("--quick", is_flag=True, help="One case, few models, no table of costs: less than a minute.")
