@@ -55,7 +55,7 @@ def test_latency_is_found_within_a_millisecond(tmp_path: Path) -> None:
     file = tmp_path / "rig.toml"
     file.write_text(Path(simulated).with_name("rig.toml").read_text(encoding="utf-8"), encoding="utf-8")
     with open_light(load_rig_file(file)) as (projector, camera):
-        camera.put("diffuser")  # type: ignore[attr-defined]
+        camera.put("diffuser")
         true_ms = watched_latencies(projector, camera)
         found = measure_latency(projector, camera, flips=20)
     off = np.array(found.samples_ms) - np.array(true_ms[-20:])
@@ -83,10 +83,10 @@ def watched_latencies(projector, camera) -> list[float]:
 
 def test_a_camera_that_is_saturated_or_sees_nothing_measures_no_latency(rig_file: Path) -> None:
     with open_light(load_rig_file(rig_file)) as (projector, camera):
-        camera.put("cap")  # type: ignore[attr-defined]
+        camera.put("cap")
         with pytest.raises(DeviceError, match="sees no difference"):
             measure_latency(projector, camera, flips=2)
-        camera.put("diffuser")  # type: ignore[attr-defined]
+        camera.put("diffuser")
         with pytest.raises(DeviceError, match="is saturated by"):
             measure_latency(projector, camera, flips=2, exposure_ms=8000.0)
 

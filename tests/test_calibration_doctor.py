@@ -117,14 +117,14 @@ def test_a_gamma_that_is_ignored_is_seen_in_the_light(tmp_path: Path) -> None:
     file.write_text(text.replace('"simulated-projector"\n', '"simulated-projector"\n' + fast), encoding="utf-8")
     rig = load_rig_file(file)
     with open_light(rig) as (projector, camera):
-        camera.put("diffuser")  # type: ignore[attr-defined]
+        camera.put("diffuser")
         ignored = level_check(projector, camera, calibrated_bench(rig).wall)
         assert ignored.passed is False
         assert "as with gamma 2.2" in ignored.finding
         assert "calibrate radiometry" in ignored.remedy
         save(radiometry(2.2), Path(rig.calibration_folder))
         assert level_check(projector, camera, calibrated_bench(rig).wall).passed
-        camera.put("cap")  # type: ignore[attr-defined]
+        camera.put("cap")
         assert level_check(projector, camera, rig.bench.wall).passed is None
 
 
@@ -157,7 +157,7 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
     )
     rig = load_rig_file(file)
     with open_light(rig) as (projector, camera):
-        measured = measure_radiometry(projector, camera, RadiometryPlan(), camera.put)  # type: ignore[attr-defined]
+        measured = measure_radiometry(projector, camera, RadiometryPlan(), camera.put)
     save(calibration_of(measured), Path(rig.calibration_folder))
     sheet = {"sheet": Sheet((-60.0, 60.0), (40.0, 80.0))}
     long = Capture("sheet", frames=6, exposure_ms=30.0)
@@ -174,7 +174,7 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
     frames = [frame for frame in run.frames if frame.pattern == "sheet"][:8]
     seen = np.mean([plan.radiometry.corrected(frame.values, CameraSettings(8.0)) for frame in frames], axis=0)
     pattern = run.patterns[frames[0].pattern_hash.item()]
-    tank = opened.camera.tank  # type: ignore[attr-defined]
+    tank = opened.camera.tank
     true = tank.radiance(pattern, tank.medium).image
     raw = np.mean([frame.values for frame in frames], axis=0) - 100.0
     errors = [

@@ -150,7 +150,7 @@ def test_a_cap_left_off_is_named(bench: RadiometryBench) -> None:
     lit = replace(PLAN, gains=(1.0,), dark_frames=2)
     bench.camera.put("nothing")
     with pytest.raises(ImageError, match="cap the lens"):
-        measure_radiometry(_Lit(bench), bench.camera, lit, ask)  # type: ignore[arg-type]
+        measure_radiometry(_Lit(bench), bench.camera, lit, ask)
     bench.camera.put("nothing")
 
 
@@ -161,7 +161,7 @@ class _Lit:
         self._projector = bench.projector
         self.shape, self.name = bench.projector.shape, bench.projector.name
 
-    def show(self, pattern):  # type: ignore[no-untyped-def]
+    def show(self, pattern):
         from tankrig.pattern import Pattern
 
         return self._projector.show(Pattern("lit", np.full_like(pattern.pixels, 160)))

@@ -13,6 +13,7 @@ import pytest
 import tankrig
 from drivers.emulation.truth import read_truth
 from tests.window_rig import LONG_DOSE, write_rig
+from tests.xserver import start_x_server, stop_x_server
 
 pytestmark = pytest.mark.skipif(
     not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="needs Xvfb and xdotool (./start test installs them)"
@@ -22,15 +23,10 @@ pytestmark = pytest.mark.skipif(
 @pytest.fixture
 def display() -> Iterator[str]:
     """An X server of the test's own."""
-    read, write = os.pipe()
-    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp"]
-    server = subprocess.Popen(command, pass_fds=[write], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    os.close(write)
-    with os.fdopen(read) as number:
-        name = f":{number.readline().strip()}"
+    server, name = start_x_server("Xvfb", "-screen", "0", "1280x800x24", "-nolisten", "tcp")
+    assert name, "Xvfb does not start"
     yield name
-    server.terminate()
-    server.wait(10)
+    stop_x_server(server)
 
 
 def until(true: Callable[[], object], timeout_s: float = 40.0) -> None:

@@ -2,6 +2,7 @@
 
 import ctypes
 import ctypes.util
+import itertools
 import os
 import shutil
 import subprocess
@@ -40,6 +41,30 @@ EndSection
 """
 OPERATOR, PROJECTOR = "DUMMY0", "DUMMY1"
 _ARGUMENTS = "-noreset -novtswitch -sharevts -nolisten tcp -ac".split()  # noqa: SIM905
+# Numbers of this worker's own: of two servers that look for a free one at a time, one that ends takes the other's
+# socket away.
+_NUMBERS = itertools.count(100 + 200 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")))
+
+
+def start_x_server(program: str, *arguments: str | Path) -> tuple[subprocess.Popen, str]:
+    """The server's process, and its display's name; the name is empty if it doesn't start."""
+    for number in itertools.islice(_NUMBERS, 20):
+        if Path(f"/tmp/.X{number}-lock").exists():
+            continue
+        reader, writer = os.pipe()
+        command = [program, f":{number}", "-displayfd", str(writer), *arguments]
+        server = subprocess.Popen(command, pass_fds=(writer,), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        os.close(writer)
+        with os.fdopen(reader) as ready:
+            if ready.readline().strip():
+                return server, f":{number}"
+        stop_x_server(server)
+    return server, ""
+
+
+def stop_x_server(server: subprocess.Popen) -> None:
+    server.terminate()
+    server.wait(10.0)
 
 
 class XServer:
@@ -49,18 +74,10 @@ class XServer:
         if not (shutil.which("Xorg") and shutil.which("xrandr")):
             pytest.skip("needs Xorg with its dummy driver, and xrandr")
         (folder / "xorg.conf").write_text(CONFIGURATION)
-        reader, writer = os.pipe()
-        command = ["Xorg", "-displayfd", str(writer), "-config", folder / "xorg.conf", "-logfile", folder / "xorg.log"]
-        self._process = subprocess.Popen(
-            [*command, *_ARGUMENTS], pass_fds=(writer,), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        os.close(writer)
-        with os.fdopen(reader) as pipe:
-            number = pipe.readline().strip()
-        if not number:
-            self.close()
+        files = "-config", folder / "xorg.conf", "-logfile", folder / "xorg.log"
+        self._process, self.display = start_x_server("Xorg", *files, *_ARGUMENTS)
+        if not self.display:
             pytest.skip(f"Xorg does not start here; see {folder}/xorg.log")
-        self.display = f":{number}"
         self.environment = {**os.environ, "DISPLAY": self.display, "QT_QPA_PLATFORM": "xcb"}
         timing = map(str, (320, 328, 360, 400, 240, 242, 244, 250))
         self.xrandr("--newmode", "projector", "6.0", *timing)
@@ -95,8 +112,7 @@ class XServer:
             return display.screen_saver_is_on()
 
     def close(self) -> None:
-        self._process.terminate()
-        self._process.wait(10.0)
+        stop_x_server(self._process)
 
 
 def until(condition, timeout_s: float = 10.0) -> None:
