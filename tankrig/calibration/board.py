@@ -139,6 +139,17 @@ class BoardView:
         return None
 
 
+def rms_length(vectors: Points) -> float:
+    """Root mean square length of vectors, (n, 2) or (n, 3), in their unit.
+
+    Examples
+    --------
+    >>> rms_length(np.array([[3.0, 4.0], [0.0, 5.0]]))
+    5.0
+    """
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+
+
 def find_board(pixels: NDArray[Any], board: Board, saturation: int) -> BoardView:
     """Find a board's corners in a picture.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.calibration.board import Board, BoardView, Points
+from tankrig.calibration.board import Board, BoardView, Points, rms_length
 from tankrig.calibration.file import Calibration
 from tankrig.errors import CalibrationError
 from tankrig.geometry.lens import Lens
@@ -58,7 +58,7 @@ class CameraFound:
     @property
     def rms_px(self) -> float:
         """Root mean square distance of corners from where the lens has them."""
-        return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
+        return rms_length(self.residuals_px)
 
     @property
     def doubts(self) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tankrig.calibration.board import Board, Points
+from tankrig.calibration.board import Board, Points, rms_length
 from tankrig.calibration.board_pose import NOWHERE_PX, in_tank, placed
 from tankrig.calibration.camera import INTRINSICS
 from tankrig.calibration.file import Calibration
@@ -61,7 +61,7 @@ class ProjectorFound:
     @property
     def rms_px(self) -> float:
         """Root mean square distance of corners from where they should be."""
-        return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
+        return rms_length(self.residuals_px)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -159,7 +159,7 @@ def calibrate_projector(
         wall=wall,
         shape=shape,
         sd=sd,
-        view_rms_px=tuple(float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) for miss in of_views),
+        view_rms_px=tuple(rms_length(miss) for miss in of_views),
         corners_px=corners,
         residuals_px=-misses,
         coverage=_between(corners, shape),

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from tankrig.calibration.board import Board, BoardView, Points
+from tankrig.calibration.board import Board, BoardView, Points, rms_length
 from tankrig.calibration.board_pose import before_camera, in_tank, misses_px, placed
 from tankrig.calibration.file import Calibration
 from tankrig.errors import CalibrationError
@@ -59,7 +59,7 @@ class TankFound:
     @property
     def rms_px(self) -> float:
         """Root mean square distance of corners from where they should be."""
-        return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
+        return rms_length(self.residuals_px)
 
     @property
     def surface(self) -> Window:
@@ -162,7 +162,7 @@ def calibrate_tank(
         sd=sd,
         tilt_deg=float(np.rad2deg(tilt)),
         tilt_sd_deg=float(np.rad2deg(tilt_sd)),
-        view_rms_px=tuple(float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) for miss in misses),
+        view_rms_px=tuple(rms_length(miss) for miss in misses),
         corners_px=np.concatenate([view.corners_px for _, view in views]),
         residuals_px=-np.concatenate(misses),
         shape=floors[0].shape,
@@ -202,7 +202,7 @@ def _first_level(
 
     def miss_px(level: float) -> float:
         through = misses_px(lens, camera, flooded[0], points, water_surface(level, water_index))
-        return float(np.sqrt(np.mean(np.sum(through**2, axis=1))))
+        return rms_length(through)
 
     levels = np.linspace(board.thickness_mm + 1.0, size_mm[2], 120)
     misses = [miss_px(float(level)) for level in levels]

@@ -59,12 +59,10 @@ def write_geometry_figure(path: Path, title: str, found: Found, allowed_px: floa
         When the picture cannot be written.
     """
     from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     with rc_context(STYLE):
         figure = Figure(figsize=(12.0, 4.2), layout="constrained")
-        FigureCanvasAgg(figure)
         axes = figure.subplots(1, 3, width_ratios=(1.8, 1.0, 1.0)).ravel().tolist()
         _where(axes[0], found)
         _about_zero(axes[1], found)

@@ -32,12 +32,10 @@ def write_radiometry_figure(path: Path, measured: RadiometryMeasured) -> None:
         When the picture cannot be written.
     """
     from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     with rc_context(STYLE):
         figure = Figure(figsize=(12.0, 7.0), layout="constrained")
-        FigureCanvasAgg(figure)
         axes = figure.subplots(2, 3).ravel().tolist()
         first = measured.sweeps[0]
         _linearity(axes[0], first)

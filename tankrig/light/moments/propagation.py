@@ -184,21 +184,19 @@ def _fill_far(
     values = np.empty(result.shape[0])
     volume = size_mm[0] * size_mm[1] * size_mm[2]
     offset = math.sqrt(1.0 / 6.0)  # in cells: a two-point rule for the displacements between two cells' points
-    for nth, j, k, corner in np.ndindex(result.shape[1] // THREADS + 1, result.shape[2], result.shape[3], 8):
-        i = nth * THREADS + part
-        if i >= result.shape[1]:
-            continue
-        x = (i + (offset if corner & 1 else -offset)) * size_mm[0]
-        y = (j + (offset if corner & 2 else -offset)) * size_mm[1]
-        z = (k + (offset if corner & 4 else -offset)) * size_mm[2]
-        squared = x * x + y * y + z * z
-        r = math.sqrt(squared)
-        value = 0.125 * volume * math.exp(-sigma_t * r) / squared * (1.0 - _window(squared / (radius * radius)))
-        if index > 0.0:
-            value *= reflectance(abs(z) / r, index)
-        fill_harmonics(degree, x / r, y / r, z / r, values)
-        for moment in range(values.size):
-            result[moment, i, j, k] += value * values[moment]
+    for i in range(part, result.shape[1], THREADS):
+        for j, k, corner in np.ndindex(result.shape[2], result.shape[3], 8):
+            x = (i + (offset if corner & 1 else -offset)) * size_mm[0]
+            y = (j + (offset if corner & 2 else -offset)) * size_mm[1]
+            z = (k + (offset if corner & 4 else -offset)) * size_mm[2]
+            squared = x * x + y * y + z * z
+            r = math.sqrt(squared)
+            value = 0.125 * volume * math.exp(-sigma_t * r) / squared * (1.0 - _window(squared / (radius * radius)))
+            if index > 0.0:
+                value *= reflectance(abs(z) / r, index)
+            fill_harmonics(degree, x / r, y / r, z / r, values)
+            for moment in range(values.size):
+                result[moment, i, j, k] += value * values[moment]
 
 
 @kernel

@@ -123,7 +123,7 @@ def _record(
     edges: Array, values: Array, sigma_t: float, x: float, y: float, x_low: float, x_high: float, y_low: float,
     y_high: float, beams: Array, cell_x: float, cell_y: float,
 ) -> None:  # fmt: skip
-    """`record_rectangles` for all moments at once; `y` counts from the tank's side."""
+    """`mark_rectangles` for all moments at once; `y` counts from the tank's side."""
     for beam in range(beams.shape[0]):
         low, high = max(beams[beam, 0], y_low), min(beams[beam, 1], y_high)
         for corner in range(4):

@@ -140,7 +140,7 @@ def column_of(start: float, x: float, sigma_t: float, value: float, cell_mm: flo
 
 
 def image_of_edges(edges: Array, sigma_t: float, cell_mm: float) -> Array:
-    """Averages over cells from the changes that `record_rectangles` wrote.
+    """Averages over cells from the changes that `mark_rectangles` wrote.
 
     Parameters
     ----------
