@@ -93,6 +93,17 @@ def shift_invariant(scene: Scene) -> bool:
     return scene.projector.kind == "collimated" and scene.camera.kind == "orthographic"
 
 
+def mirror_symmetric(scene: Scene) -> bool:
+    """Whether the scene is its own mirror image in the plane y = 0."""
+    mirrored = {Beam((-beam.y_mm[1], -beam.y_mm[0]), beam.z_mm, beam.irradiance) for beam in scene.projector.beams}
+    light, camera = scene.projector, scene.camera
+    return (
+        mirrored == set(light.beams)
+        and (light.kind == "collimated" or (light.position_mm is not None and light.position_mm[1] == 0.0))
+        and (camera.kind == "orthographic" or (camera.position_mm is not None and camera.position_mm[1] == 0.0))
+    )
+
+
 @kernel
 def sight_line(geometry: Geometry, x: float, y: float) -> tuple[float, float, float, float]:
     """Direction of travel in the water of the light that leaves (x, y, Lz) towards the camera, and what gets out.

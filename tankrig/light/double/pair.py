@@ -8,6 +8,8 @@ Every millimetre of radius around r = 0 counts equally, so J is integrated in th
 h = d tan α along the light ray (h the way from first collision to the foot of C on the ray, d its distance), and
 t − t₀ = (d₀/sin γ) sinh τ along the line of sight (d₀ the lines' closest distance, γ their angle).
 What is left is smooth but for the lobes of p about u and v, about which the panels of the quadrature are graded.
+In T = tan(α/2) all of it is rational but for one exponential: sin α = 2T/(1 + T²), and the way back along the ray and
+across to C is d (1 − T)/(1 + T) longer than h.
 """
 
 import math
@@ -15,16 +17,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.compiled import kernel
+from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
+from tankrig.light.elementary import exponential
 from tankrig.light.rays import Geometry, light_kept, light_ray, path_inside, sight_line
 from tankrig.scene.phase import henyey_greenstein
 
 PANEL = 2.5
 """Width in τ of one panel of the outer quadrature."""
 
-GRAZING = -0.5 * math.pi + 0.15
-"""Below this α the way back along the ray is many times d, and the attenuation changes fast."""
+GRAZING = math.tan(0.5 * (-0.5 * math.pi + 0.15))
+"""Below this T the way back along the ray is many times d, and the attenuation changes fast."""
+
+FARTHEST = 0.7
+"""From a lobe's middle, in T, to which panels are graded about it."""
 
 MOST_CUTS = 24
 
@@ -84,6 +90,7 @@ def pair_radiance(
     cos_out = ux * ax + uy * ay + uz * az
     tau_low, tau_high = math.asinh(-t0 * sine / closest), math.asinh((t_max - t0) * sine / closest)
     cuts = np.empty(MOST_CUTS)
+    at, share = np.empty(MOST_CUTS * nodes.size), np.empty(MOST_CUTS * nodes.size)
     total = 0.0
     for side in range(2):
         start = tau_low if side == 0 else max(0.0, tau_low)
@@ -94,9 +101,9 @@ def pair_radiance(
         half = 0.5 * (end - start) / panels
         for panel in range(panels):
             for i in range(nodes.size):
-                tau = start + half * (2 * panel + 1.0 + nodes[i])
-                t = t0 + closest / sine * math.sinh(tau)
-                distance = closest * math.cosh(tau)
+                growth = math.exp(start + half * (2 * panel + 1.0 + nodes[i]))
+                t = t0 + closest / sine * 0.5 * (growth - 1.0 / growth)
+                distance = closest * 0.5 * (growth + 1.0 / growth)
                 foot = foot0 + along * t
                 # Unit vector from the light ray to C, perpendicular to the ray.
                 dx, dy, dz = (qx + t * px) / distance, (qy + t * py) / distance, (qz + t * pz) / distance
@@ -104,19 +111,38 @@ def pair_radiance(
                 count = _cuts(cuts, foot - s_max, foot - s_min, distance, g, cos_out, lobe)
                 if mirrored:
                     count = _cut_at_critical_angle(cuts, count, geometry.refractive_index, uz, dz)
-                inner = 0.0
+                used = 0
                 for k in range(count - 1):
                     middle, width = 0.5 * (cuts[k] + cuts[k + 1]), 0.5 * (cuts[k + 1] - cuts[k])
                     for j in range(nodes.size):
-                        alpha = middle + width * nodes[j]
-                        s, c = math.sin(alpha), math.cos(alpha)
-                        value = henyey_greenstein(s, g) * henyey_greenstein(s * cos_out + c * lobe, g)
-                        value *= math.exp(-sigma_t * distance * c / (1.0 + s))  # sec α − tan α = cos α/(1 + sin α)
-                        if mirrored:
-                            value *= reflectance(abs(s * uz + c * dz), geometry.refractive_index)
-                        inner += width * weights[j] * value
+                        at[used] = middle + width * nodes[j]
+                        share[used] = width * weights[j]
+                        used += 1
+                if mirrored:
+                    for k in range(used):
+                        s, c = _circle(at[k])
+                        share[k] *= reflectance(abs(s * uz + c * dz), geometry.refractive_index)
+                inner = 0.0
+                for k in range(used):
+                    s, c = _circle(at[k])
+                    value = henyey_greenstein(s, g) * henyey_greenstein(s * cos_out + c * lobe, g)
+                    kept = exponential(-sigma_t * distance * (1.0 - at[k]) / (1.0 + at[k]))
+                    inner += share[k] * 2.0 / (1.0 + at[k] * at[k]) * value * kept
                 total += half * weights[i] * inner * math.exp(-sigma_t * (foot + t))
     return transmission * light_kept(geometry, uz) * total / sine
+
+
+@part
+def _circle(half_tangent: float) -> tuple[float, float]:
+    """Sine and cosine of α from tan(α/2)."""
+    scale = 1.0 / (1.0 + half_tangent * half_tangent)
+    return 2.0 * half_tangent * scale, (1.0 - half_tangent * half_tangent) * scale
+
+
+@part
+def _half_tangent(sine: float, cosine: float) -> float:
+    """tan(α/2) from numbers in proportion to sin α and cos α ≥ 0."""
+    return sine / (cosine + math.sqrt(sine * sine + cosine * cosine))
 
 
 @kernel
@@ -134,52 +160,58 @@ def depth_seen(geometry: Geometry, x: float, y: float) -> float:
 def _cuts(
     cuts: NDArray[np.float64], low: float, high: float, distance: float, g: float, cos_out: float, lobe: float
 ) -> int:
-    """Fill `cuts` with ascending ends of panels in α between atan(low/d) and atan(high/d); return how many."""
-    first, last = math.atan2(low, distance), math.atan2(high, distance)
+    """Fill `cuts` with ascending ends of panels in T between tan α = low/d and high/d; return how many."""
+    first, last = _half_tangent(low, distance), _half_tangent(high, distance)
     cuts[0], cuts[1] = first, last
     count = 2
-    peak = math.atan2(cos_out, lobe) if lobe >= 0.0 else math.atan2(-cos_out, -lobe)
+    peak = _half_tangent(math.copysign(1.0, lobe) * cos_out, abs(lobe))
     if first < peak < last:
-        cuts[count] = peak
-        count += 1
+        count = _insert(cuts, count, peak)
     if first < GRAZING < last:
-        cuts[count] = GRAZING
-        count += 1
-    width = 1.0 - abs(g)
-    if width < 0.7:
-        forward = 0.5 * math.pi if g > 0.0 else -0.5 * math.pi
+        count = _insert(cuts, count, GRAZING)
+    width = 0.5 * (1.0 - abs(g))
+    if width < 0.35:
+        forward = math.copysign(1.0, g)
         reach = width
-        while reach < 1.4:
-            at = forward - math.copysign(reach, g)
+        while reach < FARTHEST:
+            at = forward * (1.0 - reach) / (1.0 + reach)
             if first < at < last:
-                cuts[count] = at
-                count += 1
+                count = _insert(cuts, count, at)
             reach *= 3.0
         if g * lobe > 0.0:
             largest = math.sqrt(cos_out * cos_out + lobe * lobe)
-            reach = math.sqrt(width * width + 2.0 * max(0.0, 1.0 - largest))
-            while reach < 1.4:
-                for at in (peak - reach, peak + reach):
+            reach = math.sqrt(width * width + 0.5 * max(0.0, 1.0 - largest))
+            while reach < FARTHEST:
+                for step in (-reach, reach):
+                    at = (peak + step) / (1.0 - peak * step)
                     if first < at < last and count < MOST_CUTS - 3:
-                        cuts[count] = at
-                        count += 1
+                        count = _insert(cuts, count, at)
                 reach *= 3.0
-    cuts[:count].sort()
     return count
+
+
+@part
+def _insert(cuts: NDArray[np.float64], count: int, at: float) -> int:
+    """Put one cut in its place among those that ascend, and return how many there are now."""
+    place = count
+    while place > 0 and cuts[place - 1] > at:
+        cuts[place] = cuts[place - 1]
+        place -= 1
+    cuts[place] = at
+    return count + 1
 
 
 @kernel
 def _cut_at_critical_angle(cuts: NDArray[np.float64], count: int, index: float, uz: float, dz: float) -> int:
-    """Add to `cuts` the α at which reflection becomes total, where R(ξ) has a kink."""
+    """Add to `cuts` the T at which reflection becomes total, where R(ξ) has a kink."""
     largest = math.sqrt(uz * uz + dz * dz)
     critical = math.sqrt(1.0 - 1.0 / (index * index))
     if critical >= largest:
         return count
     centre, reach = math.atan2(uz, dz), math.acos(critical / largest)
     first, last = cuts[0], cuts[count - 1]
-    for at in (centre - reach, centre + reach):
-        if first < at < last:
-            cuts[count] = at
-            count += 1
-    cuts[:count].sort()
+    for angle in (centre - reach, centre + reach):
+        at = math.tan(0.5 * angle)
+        if abs(angle) < 0.5 * math.pi and first < at < last:
+            count = _insert(cuts, count, at)
     return count

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.double.pair import depth_seen, pair_radiance
-from tankrig.light.rays import Geometry, light_ray, shift_invariant, sight_line, sighting_row
+from tankrig.light.rays import Geometry, light_ray, mirror_symmetric, shift_invariant, sight_line, sighting_row
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -143,15 +143,18 @@ def fill_table(
     rule = np.polynomial.legendre.leggauss(fineness.nodes)
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
+    half = y0.size // 2 if mirror_symmetric(scene) else 0
+    some, one_sided = y0[: y0.size - half], values[:, : y0.size - half]
     with ThreadPoolExecutor(2) as pool:
         parts = [
             pool.submit(
-                fill, values, geometry, decay, sigma_t, scene.medium.g, x, fractions, y0, z0, mirrored, *rule, part
+                fill, one_sided, geometry, decay, sigma_t, scene.medium.g, x, fractions, some, z0, mirrored, *rule, part
             )
             for part in range(2)
         ]
         for part in parts:
             part.result()
+    values[:, y0.size - half :] = values[:, :half, ::-1][:, ::-1]  # the other side is the mirror image
     return Table(x, fractions, margin, y0, inner, z0, values, decay), 0.5 * (high - low) * weights
 
 

@@ -11,8 +11,7 @@ from tankrig.light.moments.harmonics import degrees, harmonics, parities
 from tankrig.light.moments.propagation import Propagation, Single, propagation
 from tankrig.light.moments.source import emission_moments
 from tankrig.light.moments.way import Way
-from tankrig.light.rays import geometry_of, sight_line
-from tankrig.light.tank.high_orders import mirror_symmetric
+from tankrig.light.rays import geometry_of, mirror_symmetric, sight_line
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ import math
 
 from tankrig.compiled import part
 from tankrig.geometry.optics import reflectance
-from tankrig.light.tank.elementary import circle, log_one_minus, one_minus_exponential
+from tankrig.light.elementary import circle, log_one_minus, one_minus_exponential
 
 
 @part

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.rays import geometry_of, shift_invariant, sight_line
+from tankrig.light.rays import geometry_of, mirror_symmetric, shift_invariant, sight_line
 from tankrig.light.surface import to_camera
 from tankrig.light.tank.lattice import LARGE, SMALL, Lattice
 from tankrig.light.tank.paths import trace
 from tankrig.light.tank.record import CLASSES, GROUPS, Bins, image_of_edges
 from tankrig.light.tank.smoothing import smoothed
-from tankrig.scene import Beam, Scene
+from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -204,17 +204,6 @@ class CellGrid:
         # What a pixel has beyond the tank is dark.
         result *= np.clip((width - y) / pixel + 0.5, 0.0, 1.0)[:, None] * np.clip((length - x) / pixel + 0.5, 0.0, 1.0)
         return result
-
-
-def mirror_symmetric(scene: Scene) -> bool:
-    """Whether the scene is its own mirror image in the plane y = 0."""
-    mirrored = {Beam((-beam.y_mm[1], -beam.y_mm[0]), beam.z_mm, beam.irradiance) for beam in scene.projector.beams}
-    light, camera = scene.projector, scene.camera
-    return (
-        mirrored == set(light.beams)
-        and (light.kind == "collimated" or (light.position_mm is not None and light.position_mm[1] == 0.0))
-        and (camera.kind == "orthographic" or (camera.position_mm is not None and camera.position_mm[1] == 0.0))
-    )
 
 
 def traced(

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
+from tankrig.light.elementary import exponential
 from tankrig.light.rays import Geometry
 from tankrig.light.tank.block import (
     BLOCK,
@@ -39,7 +40,6 @@ from tankrig.light.tank.block import (
     empty_block,
     thin,
 )
-from tankrig.light.tank.elementary import exponential
 from tankrig.light.tank.flight import fly, scattered
 from tankrig.light.tank.record import Bins, Marks, column_of, empty_marks, mark_cells, mark_rectangles
 from tankrig.light.tank.sighting import seen_from

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.light.tank.elementary import exponential, one_minus_exponential
+from tankrig.light.elementary import exponential, one_minus_exponential
 
 Array = NDArray[np.float64]
 Bins = NDArray[np.int64]
