@@ -6,7 +6,7 @@ import pytest
 from PySide6.QtCore import QPointF, Qt
 from PySide6.QtTest import QTest
 
-from tests.window_rig import until, window_on, write_rig
+from tests.window_rig import until, wait_ms, window_on, write_rig
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def test_stop_works_from_a_text_field_while_ink_flows(window):
     assert 20.0 < held < 700.0
     assert not window.doser._dose.isEnabled()
     assert "stopped" in window._words.text()
-    QTest.qWait(300)
+    wait_ms(300)
     assert window.status.tank.volume_ul == held
     window.host.clear_stop()
     until(lambda: not window.status.stopped)

@@ -8,7 +8,6 @@ import time
 from pathlib import Path
 
 import pytest
-from PySide6.QtTest import QTest
 
 import tankrig
 from drivers.emulation.truth import read_truth
@@ -18,7 +17,7 @@ from tankrig.dosing import TankLedger
 from tankrig.dosing.records import Joint
 from tankrig.run import disk
 from tankrig.run.recovery import recover
-from tests.window_rig import LONG_DOSE, until, window_on, write_rig
+from tests.window_rig import LONG_DOSE, until, wait_ms, window_on, write_rig
 
 FRAMES = 'name = "frames"\nexposure_ms = 2.0\n[[steps]]\ndo = "capture"\npattern = "dark"\nframes = 400\n'
 
@@ -192,4 +191,4 @@ def test_a_killed_program_stops_the_pump_and_loses_nothing(tmp_path):
         until(lambda: ended, 60.0)
         assert ended[0].reason.value == "completed", ended[0].error
     assert steps_of(tmp_path) == 9000
-    QTest.qWait(1)
+    wait_ms(1)

@@ -23,7 +23,7 @@ from PySide6.QtTest import QTest
 import drivers.rig
 from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
-from tests.window_rig import until, window_on, write_rig
+from tests.window_rig import until, wait_ms, window_on, write_rig
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(2400)]
 
@@ -125,14 +125,14 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
     with window_on(tmp_path, rig) as window, ring(tmp_path / "runs"):
         window.sequence.load(tmp_path / "sequence.toml")
         until(lambda: window.top.run.isEnabled())
-        QTest.qWait(3000)
+        wait_ms(3000)
         ended: list[Any] = []
         window.host.run_ended.connect(ended.append)
         window.gaps.reset()
         window.run()
         until(lambda: window.status.running and window.status.progress.step > 3, 60.0)
         window.show_page(window.fit)
-        QTest.qWait(10_000)
+        wait_ms(10_000)
         at_start = window.gaps.worst_ms
         memory = psutil.Process()
         window.gaps.reset()

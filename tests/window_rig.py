@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import QSettings
+from PySide6.QtCore import QEventLoop, QSettings, QTimer
 from PySide6.QtTest import QTest
 
 RIG = """
@@ -91,8 +91,15 @@ def window_on(folder: Path, rig: Path | None) -> Iterator[Any]:
         window.close()
         until(lambda: not window.isVisible())
         window.deleteLater()
-        QTest.qWait(1)
+        wait_ms(1)
         gc.collect()
+
+
+def wait_ms(milliseconds: int) -> None:
+    """Let the window work for a while, and all other threads, which `QTest.qWait` would keep the interpreter from."""
+    loop = QEventLoop()
+    QTimer.singleShot(milliseconds, loop.quit)
+    loop.exec()
 
 
 def until(true: Callable[[], object], timeout_s: float = 20.0, what: str = "") -> None:
@@ -100,4 +107,4 @@ def until(true: Callable[[], object], timeout_s: float = 20.0, what: str = "") -
     deadline = time.monotonic() + timeout_s
     while not true():
         assert time.monotonic() < deadline, what or "it did not come true in time"
-        QTest.qWait(10)
+        wait_ms(10)
