@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
+import zarr
 
 import tankrig
 from tankrig import StoreError
@@ -98,6 +99,17 @@ def test_a_run_opens_directly_in_xarray_and_dask_without_a_warning(tmp_path):
     assert sorted(file.name for file in (path / "frames").iterdir()) == sorted(
         [f"c.{index}.0.0" for index in range(7)] + ["zarr.json"]
     )
+
+
+@pytest.mark.parametrize("index", [0, 4], ids=["light", "dark"])
+def test_chunks_are_those_that_zarr_would_write(tmp_path, index):
+    """Frames are encoded without Zarr; the folder must be the one that Zarr would have made."""
+    path = new_run(tmp_path)
+    record(path, index + 1)
+    chunk = path / "frames" / f"c.{index}.0.0"
+    ours = chunk.read_bytes()
+    zarr.open_array(path, path="frames", mode="r+").with_config({"write_empty_chunks": True})[index] = pixels(index)
+    assert chunk.read_bytes() == ours
 
 
 def test_more_frames_than_planned_find_room(tmp_path):

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -18,13 +19,15 @@ from tankrig.devices import Frame, Pixels
 from tankrig.errors import StoreError
 from tankrig.run import disk
 from tankrig.run.facts import JOURNAL, read_journal, read_settings
-from tankrig.run.folder import frames_for_writing, resize_frames, storing
+from tankrig.run.folder import frames_for_writing, resize_frames, storing, write_frame
 from tankrig.run.journal import Event, Kind, Moment
 
 Announce = Callable[[Event, Pixels | None], object]
 
 _QUEUE_BYTES = 64 * 2**20
 _FRAMES_PER_COMMIT = 8
+_THREADS = 3
+"""One takes checksums while the others write, and wait for the disk."""
 _TIMEOUT_S = 30.0
 
 
@@ -81,7 +84,7 @@ class RunWriter:
         self._busy = False
         self._closing = False
         self._error: Exception | None = None
-        self._hasher = ThreadPoolExecutor(1, "run-hasher")
+        self._pool = ThreadPoolExecutor(_THREADS, "run-frames")
         self._thread = threading.Thread(target=self._work, name="run-writer", daemon=True)
         self._thread.start()
 
@@ -145,7 +148,7 @@ class RunWriter:
             self._closing = True
             self._change.notify_all()
         self._thread.join(_TIMEOUT_S)
-        self._hasher.shutdown(wait=False)
+        self._pool.shutdown(wait=False)
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
@@ -194,14 +197,13 @@ class RunWriter:
 
     def _commit(self, batch: list[_Entry]) -> list[_Entry]:
         """Chunks, their folder, then the journal's lines: no line speaks of a frame that is not there."""
-        frames = [entry.pixels for entry in batch if entry.pixels is not None]
+        frames = {entry.event["index"]: entry.pixels for entry in batch if entry.pixels is not None}
         if frames:
-            digests = self._hasher.map(digest, frames)
-            first = next(entry.event["index"] for entry in batch if entry.pixels is not None)
-            end = first + len(frames)
+            end = max(frames) + 1
             if end > self._frames.shape[0]:
                 resize_frames(self.path, self._frames, end)
-            self._frames[first:end] = np.stack(frames)
+            digests = self._pool.map(digest, frames.values())
+            list(self._pool.map(partial(write_frame, self.path), frames, frames.values()))
             disk.sync_folder(self.path / "frames")
             batch = [entry if entry.pixels is None else _signed(entry, next(digests)) for entry in batch]
         disk.append(self.path / JOURNAL, b"".join(entry.event.line() for entry in batch))
