@@ -69,7 +69,11 @@ class Bench:
         """
         if self.light == "calibrated":
             assert self.projector is not None
-            beams = beams_of(self.tank, self.projector, pattern.pixels)
+            if self.wall.response:  # measured, and truer than any power law
+                linear = replace(self.projector, gamma=1.0)
+                beams = beams_of(self.tank, linear, self.wall.fractions[pattern.pixels])
+            else:
+                beams = beams_of(self.tank, self.projector, pattern.pixels)
             return Scene(self.tank, medium, replace(self.projector, beams=beams), self.camera)
         beams = self.wall.beams(pattern, self.tank)
         if not beams:

@@ -7,6 +7,8 @@ import numpy as np
 
 from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
 
+_STEP_MM = 0.05
+
 
 def camera_rays(bench: TrueBench, pixels: Array, filled: bool) -> tuple[Array, Array]:
     """A point of each pixel's ray and its direction, (…, 3) each in the tank's frame; in the water if `filled`."""
@@ -30,6 +32,33 @@ def projector_pixels(bench: TrueBench, points: Array, filled: bool) -> tuple[Arr
     aside = across / np.maximum(offset, 1e-12)[..., None]
     in_air, inside = (np.concatenate([np.sqrt(1.0 - one**2), one * aside], axis=-1) for one in (sine, sine / index))
     return _pixels(bench.projector, in_air @ bench.projector.rotation.T), inside
+
+
+def illumination(bench: TrueBench, points: Array, across: Array, filled: bool) -> tuple[Array, Array]:
+    """Projector pixels (…, 2) that light a surface, and its irradiance by white (…), 1 on the wall before the lens.
+
+    Each pixel has its own power, less towards the corners; the irradiance is the pixels' density on the surface.
+
+    Parameters
+    ----------
+    bench, filled
+        See `projector_pixels`.
+    points
+        (…, 3) of the surface.
+    across
+        (2, 3) unit vectors that span it; their cross product points to where light goes on.
+    """
+    pixels, way = projector_pixels(bench, points, filled)
+    along = [
+        projector_pixels(bench, points + _STEP_MM * one, filled)[0]
+        - projector_pixels(bench, points - _STEP_MM * one, filled)[0]
+        for one in across
+    ]
+    density = np.abs(along[0][..., 0] * along[1][..., 1] - along[0][..., 1] * along[1][..., 0]) / (2.0 * _STEP_MM) ** 2
+    matrix, distance = bench.projector.matrix, bench.projector.centre_mm[0]
+    lit = way @ np.cross(across[0], across[1]) > 0.0
+    power = vignetting(bench.projector, pixels[..., 0], pixels[..., 1])
+    return pixels, lit * power * density * distance**2 / (matrix[0, 0] * matrix[1, 1])
 
 
 def vignetting(optics: TrueOptics, x: Array, y: Array) -> Array:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tankrig.calibration.board import Board
 from tankrig.pattern import Pattern
 
-from .bench_optics import camera_rays, projector_pixels, vignetting
+from .bench_optics import camera_rays, illumination, vignetting
 from .bench_poses import FILLED, Place, board_pose
 from .bench_truth import Array, TrueBench, random_bench
 from .settings import BoardBench
@@ -111,12 +111,7 @@ class BoardInView:
             print_out, where[0], where[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=_FLOOR
         )
         if self._lit:
-            pixels, beam = projector_pixels(self._bench, points, self._filled)
-            farther = np.linalg.norm(self._bench.projector.centre_mm) / np.linalg.norm(
-                points - self._bench.projector.centre_mm, axis=-1
-            )
-            incident = np.maximum(beam @ self._rotation[:, 2], 0.0)
-            strength = farther**2 * incident * vignetting(self._bench.projector, pixels[..., 0], pixels[..., 1])
+            pixels, strength = illumination(self._bench, points, self._rotation.T[:2], self._filled)
             self._from = [_spline(nodes_y, nodes_x, pixels[..., k], fine).astype(np.float32) for k in range(2)]
             self._beam: Map = _spline(nodes_y, nodes_x, strength, fine).astype(np.float32)
 
@@ -143,17 +138,17 @@ class BoardsInView:
     """
 
     def __init__(self, settings: BoardBench) -> None:
-        self._bench = random_bench(settings.seed, settings.camera_shape, settings.projector_shape)
+        self.bench = random_bench(settings.seed, settings.camera_shape, settings.projector_shape)
         self._board = settings.board
         self._view: BoardInView | None = None
 
     def hold(self, place: Place, number: int) -> None:
         """Put the board there."""
-        self._view = BoardInView(self._bench, self._board, place, number)
+        self._view = BoardInView(self.bench, self._board, place, number)
 
     def radiance(self, shown: Mapping[Pattern, float]) -> Array:
         """See `BoardInView`."""
-        return np.zeros(self._bench.camera.shape) if self._view is None else self._view.radiance(shown)
+        return np.zeros(self.bench.camera.shape) if self._view is None else self._view.radiance(shown)
 
 
 def _plate(board: Board) -> Map:

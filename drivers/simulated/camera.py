@@ -207,7 +207,8 @@ class SimulatedCamera:
             return self.tank.seen(shown, start_ns)
         if self.before_lens == "cap":
             return np.zeros(self.shape)
-        return behind_diffuser(shown, self._settings.truth, turned=self.before_lens == "diffuser turned")
+        bench = self._boards.bench if self._boards else None
+        return behind_diffuser(shown, self._settings.truth, self.before_lens == "diffuser turned", bench)
 
     @contextmanager
     def _my_turn(self, what: str) -> Iterator[None]:

@@ -84,7 +84,10 @@ def scene_tables(found: Mapping[str, Calibration], size_mm: Vector) -> dict[str,
             "wall_mm": float(projector.result["pane_mm"]),
             "wall_index": float(projector.result["pane_index"]),
         },
-        "projector": _device(projector, projector_pose(projector)),
+        "projector": {
+            **_device(projector, projector_pose(projector)),
+            "shading": list(projector.result.get("shading", ())),
+        },
         "camera": _device(camera, camera_pose(tank)),
     }
 

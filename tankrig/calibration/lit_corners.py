@@ -28,12 +28,16 @@ class LitBoard:
         Median over corners of the scatter of decoded pixels about them.
     lit
         Part of the corners that the camera saw and that are in the projector's light.
+    light
+        (camera rows, camera columns) the projector's white less its black, in proportion to radiance; None where the
+        camera's radiometry is not known.
     """
 
     view: BoardView
     projector_px: Points
     scatter_px: float
     lit: float
+    light: NDArray[np.float32] | None = None
 
     @property
     def fault(self) -> str | None:
@@ -46,7 +50,7 @@ class LitBoard:
         return self.view.fault
 
 
-def lit_corners(view: BoardView, decoded: Decoded, board: Board) -> LitBoard:
+def lit_corners(view: BoardView, decoded: Decoded, board: Board, light: NDArray[np.float32] | None = None) -> LitBoard:
     """Find the corners in the projector's picture.
 
     Parameters
@@ -57,6 +61,8 @@ def lit_corners(view: BoardView, decoded: Decoded, board: Board) -> LitBoard:
         Of the same placing.
     board
         What was held.
+    light
+        See `LitBoard`.
 
     Notes
     -----
@@ -74,7 +80,7 @@ def lit_corners(view: BoardView, decoded: Decoded, board: Board) -> LitBoard:
     corners = BoardView(
         view.ids[known], view.corners_px[known], view.shape, view.blur_px, view.contrast, view.saturated
     )
-    return LitBoard(corners, pixels, scatter, float(known.mean()))
+    return LitBoard(corners, pixels, scatter, float(known.mean()), light)
 
 
 def _at(x: float, y: float, decoded: Decoded, reach: int) -> tuple[float, float, float] | None:

@@ -23,15 +23,20 @@ class Pictures:
         Open.
     exposure_ms
         Of all pictures; None: what suits the first one after each `suit`.
+
+    Attributes
+    ----------
+    settings
+        Of the next picture, as read back.
     """
 
     def __init__(self, camera: Camera, exposure_ms: float | None = None) -> None:
         self.camera, self._fixed = camera, exposure_ms is not None
-        self._exposure_ms = camera.configure(CameraSettings(exposure_ms or 20.0)).exposure_ms
+        self.settings = camera.configure(CameraSettings(exposure_ms or 20.0))
 
     def take(self, after_ns: int | None = None) -> Pixels:
         """A picture exposed after a time, or after now."""
-        timeout_s = 2e-3 * self._exposure_ms + _PATIENCE_S
+        timeout_s = 2e-3 * self.settings.exposure_ms + _PATIENCE_S
         return self.camera.capture(time.monotonic_ns() if after_ns is None else after_ns, timeout_s).pixels
 
     def suit(self) -> Pixels:
@@ -39,13 +44,13 @@ class Pictures:
         picture = self.take()
         for _ in range(6):
             filled = float(np.quantile(picture, 0.995)) / self.camera.saturation
-            wanted_ms = min(self._exposure_ms * (_FILLED / max(filled, 0.02) if filled < 0.97 else 0.3), _LONGEST_MS)
-            if self._fixed or abs(wanted_ms / self._exposure_ms - 1.0) < 0.15:
+            exposure_ms = self.settings.exposure_ms
+            wanted_ms = min(exposure_ms * (_FILLED / max(filled, 0.02) if filled < 0.97 else 0.3), _LONGEST_MS)
+            if self._fixed or abs(wanted_ms / exposure_ms - 1.0) < 0.15:
                 break
-            set_ms = self.camera.configure(CameraSettings(wanted_ms)).exposure_ms
-            if set_ms == self._exposure_ms:
+            self.settings = self.camera.configure(CameraSettings(wanted_ms))
+            if self.settings.exposure_ms == exposure_ms:
                 break  # as far as it goes
-            self._exposure_ms = set_ms
             picture = self.take()
         return picture
 

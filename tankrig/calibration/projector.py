@@ -1,13 +1,14 @@
 """A projector's lens and pose, from boards that its light is decoded on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tankrig.calibration.board import Board, Points, rms_length
 from tankrig.calibration.board_pose import NOWHERE_PX, in_tank, placed
 from tankrig.calibration.camera import INTRINSICS
+from tankrig.calibration.evenness import Evenness, measure_evenness
 from tankrig.calibration.file import Calibration
 from tankrig.calibration.lit_corners import LitBoard
 from tankrig.errors import CalibrationError
@@ -19,6 +20,8 @@ from tankrig.geometry.view import pixels_of
 LEAST_VIEWS = 4
 LEAST_COVERAGE = 0.12
 MOST_RMS_PX = 0.8
+MOST_UNEVEN = 0.03
+"""Scatter of the light of points about the smooth fall-off that is fitted to them."""
 _LENS = len(INTRINSICS) - 1  # k3 is held at zero
 _OWN = _LENS + 6
 _USUAL = np.array([0.3, 0.1, 0.003, 0.003])
@@ -46,6 +49,8 @@ class ProjectorFound:
         (n, 2) in the projector's picture.
     coverage
         Part of the projector's picture that lies between corners.
+    evenness
+        Of its light; None where that was not measured.
     """
 
     lens: Lens
@@ -57,6 +62,7 @@ class ProjectorFound:
     corners_px: Points
     residuals_px: Points
     coverage: float
+    evenness: Evenness | None = None
 
     @property
     def rms_px(self) -> float:
@@ -76,6 +82,11 @@ class ProjectorFound:
             found.append(
                 f"the board was in {100 * self.coverage:.0f} % of the projector's picture; show it elsewhere, too"
             )
+        if self.evenness and self.evenness.scatter > MOST_UNEVEN:
+            found.append(
+                f"the white of the board is unlike a smooth light by {self.evenness.scatter:.1%}; use a clean, matt "
+                f"board, and calibrate the radiometry anew if the camera's lens was touched"
+            )
         return tuple(found)
 
     def calibration(self, device: str, rests_on: dict[str, str]) -> Calibration:
@@ -89,9 +100,13 @@ class ProjectorFound:
             "pane_index": self.wall.pane_index,
         }
         how_well = {"rms_px": self.rms_px, "coverage": self.coverage, "views": len(self.view_rms_px)}
+        sd = dict(self.sd)
+        if self.evenness:
+            result["shading"], sd["shading"] = list(self.evenness.coefficients), list(self.evenness.sd)
+            how_well["light_scatter_percent"] = 100.0 * self.evenness.scatter
         arrays = {"corners_px": self.corners_px, "residuals_px": self.residuals_px}
         return Calibration(
-            "projector", device, self.shape, result, self.sd, how_well, self.doubts, rests_on=rests_on, arrays=arrays
+            "projector", device, self.shape, result, sd, how_well, self.doubts, rests_on=rests_on, arrays=arrays
         )
 
 
@@ -109,7 +124,7 @@ def calibrate_projector(
     Parameters
     ----------
     views
-        Of the board in the tank, at different depths and slants.
+        Of the board in the tank, at different depths and slants. Where all have their light, its evenness is measured.
     board
         That was held.
     lens, camera
@@ -153,7 +168,7 @@ def calibrate_projector(
     sd: dict[str, float | list[float]] = dict(zip(INTRINSICS, [*spread[:_LENS].tolist(), 0.0], strict=True))
     sd |= {"rotation": spread[_LENS : _LENS + 3].tolist(), "position_mm": np.sqrt(np.diag(turned)).tolist()}
     corners = np.concatenate([one.projector_px for one in views])
-    return ProjectorFound(
+    projector = ProjectorFound(
         lens=found,
         pose=pose,
         wall=wall,
@@ -163,6 +178,11 @@ def calibrate_projector(
         corners_px=corners,
         residuals_px=-misses,
         coverage=_between(corners, shape),
+    )
+    if any(one.light is None for one in views):
+        return projector
+    return replace(
+        projector, evenness=measure_evenness(views, board, (lens, camera, surface), (found, pose, wall), shape)
     )
 
 

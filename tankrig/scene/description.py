@@ -6,6 +6,7 @@ from typing import Literal
 from tankrig.errors import SceneError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
+from tankrig.geometry.shading import TERMS
 from tankrig.scene.fields import finite, number, numbers, require
 
 Vector = tuple[float, float, float]
@@ -194,6 +195,8 @@ class Projector:
         W that leave a white pixel of a calibrated projector.
     gamma
         A pixel at level v of 255 has (v/255)^gamma of it.
+    shading
+        How its light falls off over the picture: coefficients of `tankrig.geometry.shading`; empty for even light.
     """
 
     __pydantic_config__ = CLOSED
@@ -206,6 +209,7 @@ class Projector:
     shape: tuple[int, int] | None = None
     pixel_power: float = 1.0
     gamma: float = 1.0
+    shading: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         require(
@@ -226,6 +230,8 @@ class Projector:
             )
         for name in ("pixel_power", "gamma"):
             require(number(self, name) > 0.0, f"{name} = {getattr(self, name)} is not positive; measure it")
+        if self.shading:
+            object.__setattr__(self, "shading", numbers(self, "shading", TERMS))
         if self.kind == "calibrated" and self.matrix is not None:
             _calibration(self)
             _shape(self)

@@ -86,6 +86,7 @@ def irradiance_on_wall(tank: Tank, projector: Projector, picture: NDArray[np.gen
         counts as an upright rectangle with its variances.
     """
     from tankrig.geometry.refraction import entry_wall, transmitted
+    from tankrig.geometry.shading import shading
     from tankrig.geometry.view import rays_of
     from tankrig.scene.spreading import spread_over_cells
 
@@ -101,6 +102,8 @@ def irradiance_on_wall(tank: Tank, projector: Projector, picture: NDArray[np.gen
         share = share / np.iinfo(picture.dtype).max  # type: ignore[type-var]
     require(bool((share >= 0.0).all() and (share <= 1.0).all()), "the picture has levels outside 0 … 1; scale them")
     power = projector.pixel_power * share**projector.gamma
+    if projector.shading:
+        power = power * shading(projector.shading, shape)
     window = entry_wall(*tank.entry_bends)
     rows, columns = shape
     corners = np.stack(np.meshgrid(np.arange(columns + 1) - 0.5, np.arange(rows + 1) - 0.5), axis=-1)

@@ -12,6 +12,7 @@ from ui.cli.options import json_option, rig_option
 if TYPE_CHECKING:
     from tankrig.calibration.board import BoardView
     from tankrig.calibration.lit_corners import LitBoard
+    from tankrig.calibration.projector import ProjectorFound
 
 _SECONDS_A_PICTURE, _SECONDS_A_VIEW = 0.12, 20.0
 
@@ -28,8 +29,9 @@ def projector(
 ) -> int:
     """Find the projector's lens and place by Gray code and phase shift on a board held at a slant in the tank.
 
-    Wants camera and tank calibrated; the wall's thickness and index are those of the rig file. The result is a dated
-    file in the folder calibration/ beside the rig file, used from then on.
+    Wants camera and tank calibrated, and the radiometry, without which the projector is taken to light its picture
+    evenly; the wall's thickness and index are those of the rig file. The result is a dated file in the folder
+    calibration/ beside the rig file, used from then on.
     """
     from tankrig.calibration.file import in_force
     from tankrig.calibration.geometry_in_force import camera_pose, lens_of, require, surface_of
@@ -37,6 +39,7 @@ def projector(
     from tankrig.calibration.lit_corners import lit_corners
     from tankrig.calibration.pictures import Pictures
     from tankrig.calibration.projector import MOST_RMS_PX, calibrate_projector
+    from tankrig.calibration.radiometry import Radiometry
     from tankrig.figures.geometry_figure import write_geometry_figure
     from tankrig.geometry.refraction import entry_wall
 
@@ -44,8 +47,11 @@ def projector(
     description = described_bench(rig)
     force = in_force(Path(description.calibration_folder), description.calibration)
     known = {kind: require(force, kind) for kind in ("camera", "tank")}
+    radiometry = Radiometry.of(force["radiometry"]) if "radiometry" in force else None
     with opened(description, "projector", "camera") as (device, camera):
         known["camera"].require_for(camera.name, camera.shape)
+        if radiometry:
+            force["radiometry"].require_for(camera.name, camera.shape)
         patterns = gray_code_patterns(device.shape)
         seconds = views * (len(patterns) * _SECONDS_A_PICTURE + _SECONDS_A_VIEW)
         click.echo(f"takes about {seconds / 60.0:.0f} minutes on the bench, handling included", err=True)
@@ -61,7 +67,11 @@ def projector(
             view = holder.look(frames[0], "  with the patterns")
             if view is None:
                 return None
-            found = lit_corners(view, decode(frames, device.shape, camera.saturation), described)
+            light = None
+            if radiometry and radiometry.knows(pictures.settings.gain):
+                white, black = (radiometry.corrected(frame, pictures.settings) for frame in frames[:2])
+                light = (white - black).astype("f4")
+            found = lit_corners(view, decode(frames, device.shape, camera.saturation), described, light)
             if found.fault:
                 holder.console.print(f"  [red]not used: {found.fault}[/red]", highlight=False)
                 return None
@@ -90,4 +100,17 @@ def projector(
     }
     rows["corners off by"] = f"{found.rms_px:.3f} projector px rms, {len(found.view_rms_px)} views"
     rows["between corners"] = f"{found.coverage:.0%} of its picture"
+    rows["light"] = _evenness(found)
     return tell(kept, rows, as_json)
+
+
+def _evenness(found: "ProjectorFound") -> str:
+    """In words."""
+    from tankrig.geometry.shading import shading
+
+    if found.evenness is None:
+        return "taken to be even; calibrate the radiometry first, and its fall-off is measured"
+    map_ = shading(found.evenness.coefficients, found.shape)
+    return f"{map_.min() / map_.max():.0%} of its brightest pixel's in the darkest; points scatter by " + (
+        f"{found.evenness.scatter:.1%}"
+    )

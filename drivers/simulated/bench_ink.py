@@ -1,0 +1,80 @@
+"""A simulated bench with ink in its tank: the scene that is really there, for the Monte Carlo to look at."""
+
+import numpy as np
+
+from tankrig.geometry.pose import rotation_vector
+from tankrig.pattern import Pattern
+from tankrig.scene.description import Beam, Camera, Medium, Projector, Scene, Tank
+
+from .bench_optics import illumination
+from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
+
+_CELL_MM, _SAMPLES = 1.0, 4
+"""Side of the cells in which the wall is lit evenly, and samples along it."""
+_DARK = 1e-4
+
+
+def true_scene(bench: TrueBench, pattern: Pattern, medium: Medium, binning: int = 1) -> Scene:
+    """What the camera of a bench looks at.
+
+    The light on the wall is followed by the bench's own optics, not by `tankrig.scene.projection`. Not in it are the
+    projector's light at level 0, how the level surface leans from the tank's floor (it moves sight by 0.02 mm), and
+    what the wall reflects, which is the same share of all light to 0.1 %.
+
+    Parameters
+    ----------
+    bench
+        Its truth.
+    pattern
+        On the projector.
+    medium
+        In the tank.
+    binning
+        Side, in pixels, of the blocks that the camera's pixels are put together to.
+    """
+    projector = Projector("pinhole", _beams(bench, pattern), _vector(bench.projector.centre_mm))
+    tank = Tank(
+        (TANK_MM[0], TANK_MM[1], bench.level_mm), "fresnel", bench.water_index, "glass", bench.pane_mm, bench.pane_index
+    )
+    return Scene(tank, medium, projector, _camera(bench.camera).binned(binning))
+
+
+def _beams(bench: TrueBench, pattern: Pattern) -> tuple[Beam, ...]:
+    """Small squares of the wall, each evenly lit; W/mm² by white paper's radiance π · `TrueBench.full`."""
+    import cv2
+
+    rows, columns = int(bench.level_mm / _CELL_MM), int(TANK_MM[1] / _CELL_MM)
+    y = (np.arange(columns * _SAMPLES) + 0.5) * (_CELL_MM / _SAMPLES) - TANK_MM[1] / 2
+    z = (np.arange(rows * _SAMPLES) + 0.5) * (_CELL_MM / _SAMPLES)
+    points = np.stack([np.zeros((z.size, y.size)), *np.meshgrid(y, z)], axis=-1)
+    pixels, strength = illumination(bench, points, np.eye(3)[1:], filled=True)
+    thrown = cv2.GaussianBlur((pattern.pixels / 255.0) ** bench.gamma, (0, 0), bench.projector.blur_px)
+    u, v = np.moveaxis(pixels.astype(np.float32), -1, 0)
+    light = cv2.remap(thrown, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    cells = (light * strength).reshape(rows, _SAMPLES, columns, _SAMPLES).mean(axis=(1, 3)) * np.pi * bench.full
+    low = y[0] - 0.5 * _CELL_MM / _SAMPLES
+    return tuple(
+        Beam(
+            (low + column * _CELL_MM, low + (column + 1) * _CELL_MM),
+            (row * _CELL_MM, (row + 1) * _CELL_MM),
+            float(cells[row, column]),
+        )
+        for row, column in np.argwhere(cells > _DARK * cells.max()).tolist()
+    )
+
+
+def _camera(optics: TrueOptics) -> Camera:
+    (a, b, c), (d, e, f), (g, h, i) = optics.matrix.tolist()
+    return Camera(
+        "calibrated",
+        optics.shape,
+        position_mm=_vector(optics.centre_mm),
+        matrix=((a, b, c), (d, e, f), (g, h, i)),
+        distortion=tuple(optics.distortion.tolist()),
+        rotation=rotation_vector(optics.rotation),
+    )
+
+
+def _vector(of: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in of)
+    return x, y, z

@@ -1,0 +1,139 @@
+"""How evenly a projector lights its picture, from the white of boards that stood in it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.calibration.board import Board, Points
+from tankrig.calibration.board_pose import in_tank, placed
+from tankrig.errors import CalibrationError
+from tankrig.geometry.lens import Lens
+from tankrig.geometry.pose import Pose
+from tankrig.geometry.refraction import Window
+from tankrig.geometry.shading import TERMS, shading_terms
+from tankrig.geometry.view import pixels_of
+
+if TYPE_CHECKING:
+    from tankrig.calibration.lit_corners import LitBoard
+
+Light = NDArray[np.float32]
+
+_STEP_MM = 0.1
+_ALONG = (-0.25, 0.0, 0.25)
+_CLIPPED = 3.0
+_LEAST_POINTS = 60
+
+
+@dataclass(frozen=True)
+class Evenness:
+    """Light of a projector's pixels over that of the one in its middle.
+
+    Parameters
+    ----------
+    coefficients, sd
+        (6,) of `tankrig.geometry.shading.shading_terms`, and their standard deviations.
+    scatter
+        Standard deviation of a point's light about them, as a share.
+    """
+
+    coefficients: tuple[float, ...]
+    sd: tuple[float, ...]
+    scatter: float
+
+
+def measure_evenness(
+    views: Sequence["LitBoard"],
+    board: Board,
+    camera: tuple[Lens, Pose, Window | None],
+    projector: tuple[Lens, Pose, Window],
+    shape: tuple[int, int],
+) -> Evenness:
+    """Fit the light of a projector's pixels.
+
+    Parameters
+    ----------
+    views
+        Of the board, all with their `light`.
+    board
+        That was held.
+    camera, projector
+        Lens, pose in the tank's frame, and what they look and shine through.
+    shape
+        (rows, columns) of the projector.
+
+    Raises
+    ------
+    CalibrationError
+        When too little of the board was lit.
+
+    Notes
+    -----
+    White paper's radiance is in proportion to a pixel's light times the pixels per area of the board, which geometry
+    knows, |∂(u, v)/∂(x, y)|. Each placing has a factor of its own: paper is no ideal diffuser, and lamps drift; what
+    differs within a placing is the projector's. What wall and surface reflect differs by 0.1 % within a picture.
+    """
+    designs, logs = [], []
+    for number, view in enumerate(views):
+        assert view.light is not None
+        pixels, light = _white(view, board, camera, projector, shape)
+        which = np.zeros((len(light), len(views)))
+        which[:, number] = 1.0
+        designs.append(np.hstack([shading_terms(pixels, shape), which]))
+        logs.append(np.log(light))
+    design, value = np.concatenate(designs), np.concatenate(logs)
+    kept = np.ones(value.size, bool)
+    for _ in range(3):
+        if kept.sum() < _LEAST_POINTS:
+            raise CalibrationError("too little of the board's white was in the projector's light; expose longer")
+        solution = np.linalg.lstsq(design[kept], value[kept], rcond=None)[0]
+        off = value - design @ solution
+        scatter = 1.4826 * float(np.median(np.abs(off[kept])))
+        kept = np.abs(off) <= _CLIPPED * scatter
+    covariance = scatter**2 * np.linalg.pinv(design[kept].T @ design[kept])
+    sd = np.sqrt(np.diag(covariance))[:TERMS]
+    return Evenness(tuple(solution[:TERMS].tolist()), tuple(sd.tolist()), scatter)
+
+
+def _white(
+    view: "LitBoard",
+    board: Board,
+    camera: tuple[Lens, Pose, Window | None],
+    projector: tuple[Lens, Pose, Window],
+    shape: tuple[int, int],
+) -> tuple[Points, Points]:
+    """Projector pixels of white places of the board, and what light those would give by their density alone."""
+    import cv2
+
+    assert view.light is not None
+    on_board = _white_places(board)
+    lens, pose, surface = camera
+    stands = in_tank(view.view, board, lens, pose, surface)
+    seen = pixels_of(lens, pose, placed(stands, on_board), surface).astype(np.float32)
+    light = cv2.remap(
+        view.light, seen[:, 0], seen[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
+    )
+
+    def lit_from(points: Points) -> Points:
+        return pixels_of(projector[0], projector[1], placed(stands, points), projector[2])
+
+    steps = _STEP_MM * np.eye(3)[:2]
+    (ux, vx), (uy, vy) = ((lit_from(on_board + step) - lit_from(on_board - step)).T for step in steps)
+    pixels, density = lit_from(on_board), np.abs(ux * vy - uy * vx)
+    rows, columns = shape
+    with np.errstate(invalid="ignore"):  # NaN: where nothing is seen
+        inside = (np.abs(pixels - [(columns - 1) / 2, (rows - 1) / 2]) < [columns / 2 - 2, rows / 2 - 2]).all(axis=1)
+        bright = light.ravel() > 0.2 * np.median(light)
+    good = inside & bright & (density > 0.0)
+    return pixels[good], light.ravel()[good] / density[good]
+
+
+def _white_places(board: Board) -> Points:
+    """(n, 3) in the white between markers and the edges of their squares."""
+    middles = np.array([np.mean(marker, axis=0) for marker in board.charuco.getObjPoints()])
+    away = 0.25 * (board.square_mm + board.marker_mm)
+    offsets = [[side * away, along * board.square_mm, 0.0] for side in (-1.0, 1.0) for along in _ALONG]
+    offsets += [[y, x, 0.0] for x, y, _ in offsets]
+    return np.asarray((middles[:, None] + np.array(offsets)).reshape(-1, 3), float)
