@@ -9,6 +9,9 @@ from tankrig.scene.description import Scene
 
 Polygon = NDArray[np.float64]
 
+_FINE = 8
+"""Parts of a pixel in which edges are drawn."""
+
 
 def beam_outlines(scene: Scene) -> list[Polygon]:
     """Outline of the lit volume of each beam, as the camera sees it.
@@ -83,3 +86,43 @@ def _seen(scene: Scene, point: Polygon) -> tuple[float, float]:
         return float(sight.entry_mm[0]), float(sight.entry_mm[1])
     column, row = to_pixels(camera.lens, directions_to_device(camera.pose, sight.in_air))
     return (float(column) + 0.5) * camera.pixel_mm, (float(row) + 0.5) * camera.pixel_mm - scene.tank.size_mm[1] / 2.0
+
+
+def edges_of_light(scene: Scene, reach_mm: float = 1.2) -> NDArray[np.bool_]:
+    """Pixels that look at the sides of beams: there, lenses' blur is not in the model.
+
+    Blur spreads light to where only scattered light should be, and a fit takes it for scattering: with a projector that
+    blurs by 0.3 mm, σs of thin ink came out 5 % too high. `tankrig.estimate` leaves out what its `mask` names.
+
+    Parameters
+    ----------
+    scene
+        Its medium does not matter.
+    reach_mm
+        To either side of an edge, on the plane z = Lz.
+
+    Returns
+    -------
+    (rows, columns) bool
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Tank
+    >>> light = Projector("collimated", (Beam((-20.0, 20.0), (58.0, 62.0)),))
+    >>> mask = edges_of_light(Scene(Tank(), Medium(0.0, 0.01, 0.0), light, Camera("orthographic", (80, 120), 2.0)))
+    >>> np.flatnonzero(mask[:, 60]).tolist()
+    [29, 30, 49, 50]
+    """
+    import cv2
+
+    camera, half_width = scene.camera, scene.tank.size_mm[1] / 2.0
+    rows, columns = camera.shape
+    canvas = np.zeros((rows * _FINE, columns * _FINE), np.uint8)
+    for beam in scene.projector.beams:
+        for y_mm in beam.y_mm:
+            ends = np.array([_ray(scene, y_mm, z_mm) for z_mm in beam.z_mm])
+            corners = ends[[0, 0, 1, 1], [0, 1, 1, 0]] + [0.0, half_width]
+            cv2.fillConvexPoly(canvas, np.rint(corners * (_FINE / camera.pixel_mm) - 0.5).astype(np.int32), 1)
+    reach = round(reach_mm * _FINE / camera.pixel_mm)
+    near = cv2.dilate(canvas, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)))
+    return np.asarray(near.reshape(rows, _FINE, columns, _FINE).any(axis=(1, 3)))

@@ -4,7 +4,6 @@ import select
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -59,16 +58,6 @@ def board_of(squares: str, **how: Any) -> "Board":
     except ValueError:
         raise click.BadParameter(f"{squares!r} is not columns x rows, such as 7x5", param_hint="--board") from None
     return Board(columns, rows, **how)
-
-
-def described_bench(rig: Path | None) -> "RigFile":
-    """What the rig file says; without one the simulated bench that can be calibrated."""
-    from drivers.rig import SIMULATED, load_rig_file
-
-    if rig is not None:
-        return load_rig_file(rig)
-    click.echo("no rig is configured, so this is the simulated bench", err=True)
-    return load_rig_file(SIMULATED.with_name("bench.toml"), beside=Path().absolute())
 
 
 @contextmanager

@@ -5,8 +5,8 @@ from typing import Any
 
 import click
 
-from ui.cli.boards import Holder, board_of, board_options, described_bench, opened
-from ui.cli.calibrating import accept_option, keep, tell
+from ui.cli.boards import Holder, board_of, board_options, opened
+from ui.cli.calibrating import accept_option, described, keep, tell
 from ui.cli.options import json_option, rig_option
 
 _SECONDS_A_VIEW = 12.0
@@ -27,12 +27,12 @@ def camera(rig: Path | None, views: int, exposure_ms: float | None, accept: bool
     from tankrig.calibration.pictures import Pictures
     from tankrig.figures.geometry_figure import write_geometry_figure
 
-    described = board_of(**board)
-    description = described_bench(rig)
+    held = board_of(**board)
+    description = described(rig)
     click.echo(f"takes about {views * _SECONDS_A_VIEW / 60.0:.0f} minutes on the bench, handling included", err=True)
     with opened(description, "camera") as (device,):
-        holder = Holder(device, Pictures(device, exposure_ms), described)
-        found = calibrate_camera(holder.good_views("air", views, lambda view: view), described)
+        holder = Holder(device, Pictures(device, exposure_ms), held)
+        found = calibrate_camera(holder.good_views("air", views, lambda view: view), held)
         name = device.name
     kept = keep(
         found.calibration(name),

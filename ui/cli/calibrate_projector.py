@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ui.cli.boards import Holder, board_of, board_options, described_bench, opened
-from ui.cli.calibrating import accept_option, keep, tell
+from ui.cli.boards import Holder, board_of, board_options, opened
+from ui.cli.calibrating import accept_option, described, keep, tell
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
@@ -43,8 +43,8 @@ def projector(
     from tankrig.figures.geometry_figure import write_geometry_figure
     from tankrig.geometry.refraction import entry_wall
 
-    described = board_of(**board)
-    description = described_bench(rig)
+    held = board_of(**board)
+    description = described(rig)
     force = in_force(Path(description.calibration_folder), description.calibration)
     known = {kind: require(force, kind) for kind in ("camera", "tank")}
     radiometry = Radiometry.of(force["radiometry"]) if "radiometry" in force else None
@@ -56,7 +56,7 @@ def projector(
         seconds = views * (len(patterns) * _SECONDS_A_PICTURE + _SECONDS_A_VIEW)
         click.echo(f"takes about {seconds / 60.0:.0f} minutes on the bench, handling included", err=True)
         pictures = Pictures(camera, exposure_ms)
-        holder = Holder(camera, pictures, described)
+        holder = Holder(camera, pictures, held)
 
         def lit(_: "BoardView") -> "LitBoard | None":
             with holder.console.status("patterns") as status:
@@ -71,7 +71,7 @@ def projector(
             if radiometry and radiometry.knows(pictures.settings.gain):
                 white, black = (radiometry.corrected(frame, pictures.settings) for frame in frames[:2])
                 light = (white - black).astype("f4")
-            found = lit_corners(view, decode(frames, device.shape, camera.saturation), described, light)
+            found = lit_corners(view, decode(frames, device.shape, camera.saturation), held, light)
             if found.fault:
                 holder.console.print(f"  [red]not used: {found.fault}[/red]", highlight=False)
                 return None
@@ -85,7 +85,7 @@ def projector(
     surface = None if empty else surface_of(known["tank"])
     wall = entry_wall(surface.water_index if surface else 1.0, *pane)
     found = calibrate_projector(
-        boards, described, lens_of(known["camera"]), camera_pose(known["tank"]), surface, wall, shape
+        boards, held, lens_of(known["camera"]), camera_pose(known["tank"]), surface, wall, shape
     )
     kept = keep(
         found.calibration(name, {kind: one.hash for kind, one in known.items()}),

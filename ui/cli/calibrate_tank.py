@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ui.cli.boards import Holder, board_of, board_options, described_bench, opened
-from ui.cli.calibrating import accept_option, keep, tell
+from ui.cli.boards import Holder, board_of, board_options, opened
+from ui.cli.calibrating import accept_option, described, keep, tell
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
@@ -34,20 +34,20 @@ def tank(rig: Path | None, views: int, exposure_ms: float | None, accept: bool, 
     from tankrig.calibration.tank import MOST_RMS_PX, calibrate_tank
     from tankrig.figures.geometry_figure import write_geometry_figure
 
-    described = board_of(**board)
-    description = described_bench(rig)
+    held = board_of(**board)
+    description = described(rig)
     known = require(in_force(Path(description.calibration_folder), description.calibration), "camera")
     click.echo(f"takes about {_MINUTES} minutes on the bench, filling not included", err=True)
     with opened(description, "camera") as (device,):
         known.require_for(device.name, device.shape)
-        holder = Holder(device, Pictures(device, exposure_ms), described)
+        holder = Holder(device, Pictures(device, exposure_ms), held)
         seen: list[tuple[Place, BoardView]] = []
         places: tuple[tuple[Place, int], ...] = (("floor", 1), ("flooded", 1), ("water", views))
         for place, count in places:
             seen += [(place, view) for view in holder.good_views(place, count, lambda view: view)]
         name = device.name
     believed = description.bench.tank
-    found = calibrate_tank(seen, described, lens_of(known), believed.size_mm, believed.refractive_index)
+    found = calibrate_tank(seen, held, lens_of(known), believed.size_mm, believed.refractive_index)
     kept = keep(
         found.calibration(name, {"camera": known.hash}),
         description,

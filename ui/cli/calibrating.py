@@ -27,12 +27,17 @@ accept_option = click.option(
 
 
 def described(rig: Path | None) -> "RigFile":
-    """What the rig file says; without one the simulated rig, beside which its calibrations are kept."""
-    from drivers.rig import load_rig_file, simulated_rig
+    """What the rig file says; without one the simulated bench, all of which can be calibrated.
 
-    if rig is None:
-        click.echo("no rig is configured, so this is the simulated rig", err=True)
-    return load_rig_file(rig) if rig else simulated_rig(Path())
+    A `rig.toml` in the working folder stands in for the bench that ships, as it does for the simulated rig.
+    """
+    from drivers.rig import SIMULATED, load_rig_file
+
+    if rig is not None:
+        return load_rig_file(rig)
+    click.echo("no rig is configured, so this is the simulated bench", err=True)
+    own = Path("rig.toml")
+    return load_rig_file(own if own.exists() else SIMULATED.with_name("bench.toml"), beside=Path().absolute())
 
 
 def asker(camera: "Camera", shown: Feedback) -> Callable[[str], None]:
