@@ -29,6 +29,9 @@ Free = Literal["free"]
 
 CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
+CORRECTIONS, CORRECTED = 4, 0.3
+"""Accurate images at most that an optimum is corrected by, each at the last one's, and the gain in χ²/2 below which
+that is over."""
 ALIGNINGS, ALIGNED = 5, 2.0
 """Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
 
@@ -142,7 +145,7 @@ def fit_models(
     start = forward(found[0])
     gain, offset = problem_of(observation, forward, slope, rough * brightness).scale(start.image)
     fitted = gain * start.image + offset
-    observation = observation.with_noise_of(observation.image - fitted, fitted)
+    observation = observation.with_noise_of(observation.image - fitted, by_level=True)
 
     def limited(prediction: Prediction) -> Image:
         error: Image = abs(gain) * np.minimum(error_map(prediction), COARSE * np.abs(prediction.image).max())
@@ -151,12 +154,17 @@ def fit_models(
     problem = problem_of(observation, forward, slope, limited(start))
     best = min((polish(problem, to_coordinates(one)) for one in found), key=lambda end: end.cost)
     if models.exact is not None:
-        progress("correcting by one accurate image")
-        centre = to_medium(best.coordinates)
-        exact = models.exact(centre)
-        corrected = forward = _corrected(forward, centre, exact)
-        problem = replace(problem, forward=lambda medium: corrected(medium).image, error=limited(exact))
-        best = polish(problem, best.coordinates)
+        for _ in range(CORRECTIONS):
+            progress("correcting by an accurate image")
+            centre = to_medium(best.coordinates)
+            exact = models.exact(centre)
+            near = replace(problem, forward=_straight(exact, problem.slopes(centre), centre), error=limited(exact))
+            before = near.residual(best.coordinates)
+            best = polish(near, best.coordinates)
+            if 0.5 * float(before @ before) - best.cost < CORRECTED:
+                break
+        forward = _corrected(slope, centre, exact)
+        problem = replace(problem, forward=_image_of(forward), error=limited(exact))
     if misalignment is not None:
         progress("aligning")
         best = replace(best, coordinates=np.concatenate([best.coordinates, np.zeros(len(misalignment.names))]))
@@ -177,6 +185,27 @@ def fit_models(
         best = polish(problem, best.coordinates)
     progress("finding the errors")
     return described(problem, best.coordinates, scene, forward(to_medium(best.coordinates[:MEDIUM])))
+
+
+def _image_of(forward: Model) -> Callable[[Medium], Image]:
+    return lambda medium: forward(medium).image
+
+
+def _straight(exact: Prediction, slopes: Image, centre: Medium) -> Callable[[Medium], Image]:
+    """Image near a medium, to first order: what is left of paths' noise in it is smooth."""
+
+    def image(medium: Medium) -> Image:
+        changes = [medium.sigma_a - centre.sigma_a, medium.sigma_s - centre.sigma_s, medium.g - centre.g]
+        changed: Image = exact.image + np.tensordot(changes, slopes, 1)
+        return changed
+
+    return image
+
+
+def corrected_at(centre: Medium, models: Models) -> Model:
+    """What a fit that ended at a medium has used there: the accurate image, and changes that are smooth."""
+    _, slope = models.refine(centre)
+    return slope if models.exact is None else _corrected(slope, centre, models.exact(centre))
 
 
 def _corrected(forward: Model, centre: Medium, exact: Prediction) -> Model:

@@ -35,6 +35,9 @@ it does not and noise is told from light by their scatter (two of them err by 7 
 FINE_NOISE, FINE_BATCHES = 0.003, 32
 SLOPE_NOISE, SLOPE_BATCHES = 0.006, 16
 """Noise (relative L2) that the images for the last steps and for derivatives aim for, and their lattices at most."""
+SLOPE_BLUR_MM = 4.0
+"""Standard deviation of the Gaussian over which orders ≥ 3 are averaged where changes of the image matter and not the
+image: paths take other ways in another medium, and the noise of the difference passes for knowledge."""
 
 EXACT_NOISE, EXACT_BATCHES = 0.001, 128
 """The same for the one image, at the optimum, that the others are corrected by."""
@@ -123,8 +126,8 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None) -> 
 
 
 def _tank_models(scene: Scene, max_order: int | None) -> Models:
-    def following(batches: int, seed: int) -> Model:
-        return remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, batches, seed))
+    def following(batches: int, seed: int, blur_mm: float = 0.0) -> Model:
+        return remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, batches, seed, blur_mm))
 
     from tankrig.light.rays import shift_invariant
 
@@ -137,7 +140,7 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
 
     def refine(medium: Medium) -> tuple[Model, Model]:
         fine, slope = batches(medium, FINE_NOISE, FINE_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
-        return following(fine, 1), following(slope, 2)
+        return following(fine, 1), following(slope, 2, SLOPE_BLUR_MM)
 
     def exact(medium: Medium) -> Prediction:
         return following(batches(medium, EXACT_NOISE, EXACT_BATCHES), 3)(medium)
@@ -145,12 +148,17 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
     return Models(coarse, refine, exact=exact)
 
 
-def _tank(scene: Scene, max_order: int | None, batches: int, seed: int) -> Prediction:
+def _tank(scene: Scene, max_order: int | None, batches: int, seed: int, blur_mm: float) -> Prediction:
+    from scipy.ndimage import gaussian_filter
+
     from tankrig.light.tank import tank_image
 
     result = tank_image(scene, FINE, max_order, seed, batches)
     skipped = tuple(Skipped(*item) for item in result.skipped)
-    return Prediction(np.sum(list(result.orders.values()), axis=0), "tank", stderr=result.stderr, skipped=skipped)
+    exact = result.orders[1] + result.orders[2]
+    followed = np.sum([image for order, image in result.orders.items() if order not in (1, 2)], axis=0)
+    image = exact + gaussian_filter(followed, blur_mm / scene.camera.pixel_mm, mode="nearest")
+    return Prediction(image, "tank", stderr=result.stderr, skipped=skipped)
 
 
 def stated_error(prediction: Prediction) -> float:

@@ -48,6 +48,11 @@ def deviations(image: Array, used: Mask, flat: bool = False) -> Array:
     return np.where(used, image - np.take_along_axis(ordered, middles, 2).mean(axis=2), 0.0)
 
 
+def neighbouring(image: Array, used: Mask) -> Array:
+    """Median of the used pixels around each one along x, as `deviations` takes it from a flat image."""
+    return np.where(used, image, 0.0) - deviations(image, used, flat=True)
+
+
 def noise_by_level(deviation: Array, level: Array, used: Mask) -> Array:
     """Standard deviation of what deviates, as a function of the brightness, (rows, columns).
 
@@ -71,6 +76,21 @@ def noise_by_level(deviation: Array, level: Array, used: Mask) -> Array:
 def stand_out(deviation: Array, noise: Array, allowed: Array | float, used: Mask) -> Mask:
     """Pixels that deviate by more than noise does and what is allowed besides."""
     return used & (np.abs(deviation) > STANDS_OUT * noise + allowed)
+
+
+def small(found: Mask, most: int) -> Mask:
+    """Pixels whose patch, corners touching, is of so many pixels at most.
+
+    Examples
+    --------
+    >>> small(np.array([[True, True, True, False, True]]), 2)
+    array([[False, False, False, False,  True]])
+    """
+    from scipy.ndimage import label
+
+    patches, _ = label(found, np.ones((3, 3)))
+    sizes = np.bincount(patches.ravel())
+    return np.asarray(found & (sizes[patches] <= most))
 
 
 def beyond_neighbours(image: Array, by: Array, trusted: Mask) -> Mask:

@@ -6,7 +6,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.neighbours import STANDS_OUT, beyond_neighbours, deviations, noise_by_level, stand_out
+from tankrig.estimation.neighbours import (
+    STANDS_OUT,
+    beyond_neighbours,
+    deviations,
+    neighbouring,
+    noise_by_level,
+    small,
+    stand_out,
+)
 
 PLATEAU = 4
 """Pixels at exactly the highest value are saturated from so many on, and this times those at any other bright value."""
@@ -16,6 +24,10 @@ MOST_SATURATED = 0.5
 """Share of the image beyond which nothing can be made of it."""
 PEAKED = 0.05
 """Share of its own brightness by which a pixel may stand out where the light has a crest."""
+MISFITS = 3.0
+"""Times its neighbours' residual, beyond the noise, by which a pixel may stand out where the model does not hold."""
+SPECK = 40
+"""Pixels of a patch that may be a bubble's or a reflection's."""
 
 
 @dataclass(frozen=True)
@@ -46,22 +58,23 @@ class Observation:
     outliers: int = 0
     ceiling: float = np.inf
 
-    def with_noise_of(self, residual: NDArray[np.float64], level: NDArray[np.floating] | None = None) -> "Observation":
+    def with_noise_of(self, residual: NDArray[np.float64], by_level: bool = False) -> "Observation":
         """The same, its noise estimated anew from a fit's residual; unchanged where the noise is known.
 
         Parameters
         ----------
         residual
             Observed less fitted.
-        level
-            The fitted image, of which the noise is then a function; None where it is not to be.
+        by_level
+            Whether the noise is a function of the brightness.
         """
         if self.noise_known:
             return self
-        if level is None:
-            noise = np.full(self.image.shape, pixel_noise(residual, self.used))
+        if by_level:
+            deviation = deviations(residual, self.used, flat=True)
+            noise = noise_by_level(deviation, self.image - deviation, self.used)
         else:
-            noise = noise_by_level(deviations(residual, self.used, flat=True), level, self.used)
+            noise = np.full(self.image.shape, pixel_noise(residual, self.used))
         # No camera and no model is better than 10⁻⁵ of the peak.
         return replace(self, noise=np.maximum(noise, 1e-5 * float(np.abs(self.image[self.used]).max())))
 
@@ -69,12 +82,14 @@ class Observation:
         """The same without pixels that a fitted image shows to be outliers, or that noise may have saturated.
 
         Which of the pixels near the ceiling are below it is up to their noise: leaving out those at it alone would
-        keep the darker ones.
+        keep the darker ones. A model that does not hold is off by as much beside a pixel as in it, and in one piece:
+        what does not stand out from that, or is larger than a speck, stays, so that the verdict can tell.
         """
         residual = np.where(self.used, self.image - fitted, 0.0)
         deviation = deviations(residual, self.used, flat=True)
-        noise = np.maximum(self.noise, noise_by_level(deviation, fitted, self.used))
-        outliers = stand_out(deviation, noise, 0.0, self.used)
+        noise = np.maximum(self.noise, noise_by_level(deviation, self.image - deviation, self.used))
+        misfit = np.maximum(neighbouring(np.abs(residual), self.used) - noise, 0.0)
+        outliers = small(stand_out(deviation, noise, MISFITS * misfit, self.used), SPECK)
         near = self.used & (fitted > self.ceiling - 3.0 * self.noise) & ~outliers
         return replace(
             self, used=self.used & ~outliers & ~near, outliers=self.outliers + int(outliers.sum()),
