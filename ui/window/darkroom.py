@@ -43,6 +43,8 @@ class Wishes:
         Rows and columns that mean and focus are taken of; None for the middle.
     bench
         Where beams should be; None where they are not to be outlined.
+    every
+        Of so many rows and columns one is shown: the screen has no more.
     """
 
     tone: Tone = field(default_factory=Tone)
@@ -50,6 +52,7 @@ class Wishes:
     saturation: bool = True
     region: tuple[slice, slice] | None = None
     bench: "Bench | None" = None
+    every: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,7 @@ class Picture:
     frame
         What it is of.
     indices
-        (rows, columns) into `palette`.
+        Into `palette`, of the rows and columns that were wished.
     palette
         (256, 3) colours.
     tone
@@ -154,7 +157,7 @@ class Darkroom:
                 judgement = judge(frame, wishes)
             tone = _tone(wishes, frame, tone, judgement)
             table, palette = _developed(tone)
-            indices = np.take(table, frame.pixels, mode="clip")
+            indices = np.take(table, frame.pixels[:: wishes.every, :: wishes.every], mode="clip")
             self.pictures.put(Picture(frame, indices, palette, tone, judgement))
 
 

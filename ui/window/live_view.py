@@ -60,6 +60,7 @@ class LiveView(QWidget):
         self._plot.plot.addItem(self._roi)
         self._roi.sigRegionChanged.connect(self._wish)
         self._lay_out()
+        self._plot.plot.getViewBox().sigTransformChanged.connect(self._wish)
         self._plot.widget.scene().sigMouseMoved.connect(self._mouse_moved)
 
     # -- what is shown -------------------------------------------------------------------------------------------------
@@ -95,8 +96,8 @@ class LiveView(QWidget):
         if picture is None or self._bench is None:
             return
         self._picture, camera = picture, self._bench.camera
-        if picture.indices.shape != camera.shape:
-            camera = replace(camera, shape=picture.indices.shape)
+        if picture.frame.pixels.shape != camera.shape:
+            camera = replace(camera, shape=picture.frame.pixels.shape)
         self._plot.show_indices(picture.indices, picture.palette)
         self._plot.place(self._bench.tank, camera)
         self.displayed += 1
@@ -132,6 +133,7 @@ class LiveView(QWidget):
         """Have pictures as the boxes say."""
         colours, root = self._colours.currentText(), self._scale.currentText() == "square root"
         bench = self._bench if self._overlay.isChecked() else None
+        every = max(1, int(self._plot.dot_mm / self._bench.camera.pixel_mm)) if self._bench else 1
         self._darkroom.wish(
             Wishes(
                 Tone(*self._levels, root=root, colours=colours),
@@ -139,6 +141,7 @@ class LiveView(QWidget):
                 self._saturation.isChecked(),
                 self._region(),
                 bench,
+                every,
             )
         )
 

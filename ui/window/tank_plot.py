@@ -68,21 +68,28 @@ class TankPlot:
             axis.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
         self.image = IndexedImage()
         self.plot.addItem(self.image)
-        self._place: tuple[Any, ...] = ()
+        self._place: tuple[Any, ...] = (None, None)
 
     def show_indices(self, indices: NDArray[np.uint8], palette: NDArray[np.uint8]) -> None:
         """Show (rows, columns) indices into a (256, 3) palette."""
         self.image.show_indices(indices, palette)
 
     def place(self, tank: Tank, camera: Camera) -> None:
-        """Say where the picture lies; the view is moved only when that has changed."""
-        if self._place == (tank, camera):
+        """Say where the picture lies, whole or thinned; the view is moved only when that has changed."""
+        place, shape = (tank, camera), self.image.image.shape
+        if (place, shape) == self._place:
             return
-        self._place = (tank, camera)
+        moved, self._place = self._place[0] != place, (place, shape)
         rows, columns = camera.shape
         rect = QRectF(0.0, -tank.size_mm[1] / 2, columns * camera.pixel_mm, rows * camera.pixel_mm)
         self.image.setRect(rect)
-        self.plot.setRange(rect, padding=0.02)
+        if moved:
+            self.plot.setRange(rect, padding=0.02)
+
+    @property
+    def dot_mm(self) -> float:
+        """Side of a pixel of the screen."""
+        return float(self.plot.getViewBox().viewPixelSize()[0] / self.widget.devicePixelRatioF())
 
     def name(self, title: str) -> None:
         """Say above the picture what it is."""
