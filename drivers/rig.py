@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -175,11 +176,17 @@ def open_rig(description: RigFile) -> Rig:
     with ExitStack() as undo:
         lock = RigLock(description.lock, description.name)
         undo.callback(lock.close)
-        devices = {}
-        for kind in ("doser", "projector", "camera"):
+
+        def opened(kind: str) -> Any:
             settings = dict(getattr(description, kind))
-            devices[kind] = open_device(settings.pop("driver"), settings)
-            undo.callback(devices[kind].close)
+            device = open_device(settings.pop("driver"), settings)
+            undo.callback(device.close)
+            return device
+
+        with ThreadPoolExecutor(1, "open-doser") as beside:
+            doser = beside.submit(opened, "doser")  # it boots while the others are opened
+            devices = {kind: opened(kind) for kind in ("projector", "camera")}
+            devices["doser"] = doser.result()
         bench = calibrated_bench(description)
         calibrations = in_force(Path(description.calibration_folder), description.calibration)
         if "radiometry" in calibrations:
