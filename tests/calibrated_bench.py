@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.simulated.bench_optics import camera_rays, projector_pixels
+from drivers.simulated.bench_optics import camera_rays, projector_pixels, vignetting
 from drivers.simulated.bench_poses import Place
 from drivers.simulated.bench_truth import TANK_MM, TrueBench, random_bench
 from drivers.simulated.bench_view import BoardInView
@@ -16,6 +16,7 @@ from tankrig.calibration.lit_corners import LitBoard, lit_corners
 from tankrig.calibration.projector import ProjectorFound, calibrate_projector
 from tankrig.calibration.tank import TankFound, calibrate_tank
 from tankrig.geometry.refraction import entry_wall
+from tankrig.geometry.shading import shading_terms
 from tankrig.geometry.view import rays_of
 from tankrig.pattern import Pattern
 
@@ -53,7 +54,10 @@ class Photographer:
         shape = self.bench.projector.shape
         frames = self.frames(place, number, gray_code_patterns(shape))
         view = find_board(frames[0], BOARD, self.sensor.saturation)
-        return lit_corners(view, decode(frames, shape, self.sensor.saturation), BOARD)
+        y, x = np.mgrid[: view.shape[0], : view.shape[1]].astype(float)
+        flat = vignetting(self.bench.camera, x, y)  # which radiometry finds
+        light = ((frames[0].astype(float) - frames[1]) / flat).astype(np.float32)
+        return lit_corners(view, decode(frames, shape, self.sensor.saturation), BOARD, light)
 
 
 @dataclass
@@ -121,6 +125,17 @@ def shortcut_errors_mm(bench: TrueBench, off_mm: float) -> np.ndarray:
     true = at(middle + off_mm)
     inside = (true[:, 0] > 0) & (true[:, 0] < TANK_MM[0]) & (np.abs(true[:, 1]) < TANK_MM[1] / 2)
     return np.linalg.norm(cv2.perspectiveTransform(grid[None], homography)[0] - true, axis=1)[inside]
+
+
+def light_errors(found: Calibrated) -> np.ndarray:
+    """Of the projector's light all over the lit wall, relative to the mean, as shares."""
+    y, z = np.meshgrid(np.linspace(-70.0, 70.0, 30), np.linspace(5.0, 95.0, 20))
+    pixels, _ = projector_pixels(found.bench, np.stack([np.zeros_like(y), y, z], axis=-1), filled=True)
+    assert found.projector.evenness is not None
+    terms = shading_terms(pixels, found.bench.projector.shape)
+    ratio = np.exp(terms @ found.projector.evenness.coefficients)
+    ratio /= vignetting(found.bench.projector, pixels[..., 0], pixels[..., 1])
+    return np.asarray(ratio / ratio.mean() - 1.0)
 
 
 def _nearest(a: np.ndarray, u: np.ndarray, b: np.ndarray, v: np.ndarray) -> np.ndarray:

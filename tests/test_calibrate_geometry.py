@@ -30,6 +30,7 @@ from .calibrated_bench import (
     SMALL,
     Photographer,
     calibrated,
+    light_errors,
     points_and_pixels,
     position_errors_mm,
     shortcut_errors_mm,
@@ -149,6 +150,7 @@ def test_positions_in_the_water_are_known_at_any_depth() -> None:
     assert all(np.quantile(one, 0.95) < 0.8 for one in errors.values()), errors
     assert np.quantile(shortcut_errors_mm(found.bench, 50.0), 0.95) > 5.0
     assert found.camera.doubts + found.tank.doubts + found.projector.doubts == ()
+    assert np.sqrt(np.mean(light_errors(found) ** 2)) < 0.005  # of light that falls off by a third
 
 
 @pytest.mark.long
@@ -156,13 +158,14 @@ def test_twenty_benches(capsys: pytest.CaptureFixture[str]) -> None:
     """The figures of docs/calibration.md: a camera of 960 × 540, a projector of 512 × 384 pixels."""
     shapes = (540, 960), (384, 512)
     errors: dict[str, list[float]] = {"camera": [], "projector": [], "both": []}
-    rms, shortcut = [], []
+    rms, shortcut, light = [], [], []
     for seed in range(20):
         found = calibrated(seed, shapes)
         rms.append([found.camera.rms_px, found.tank.rms_px, found.projector.rms_px])
         at_95 = {name: float(np.quantile(one, 0.95)) for name, one in position_errors_mm(found).items()}
         for name, value in at_95.items():
             errors[name].append(value)
+        light.append(float(np.sqrt(np.mean(light_errors(found) ** 2))))
         shortcut.append([float(np.quantile(shortcut_errors_mm(found.bench, off), 0.95)) for off in (-50.0, 50.0)])
         with capsys.disabled():
             level = found.tank.level_mm - found.bench.level_mm
@@ -170,13 +173,14 @@ def test_twenty_benches(capsys: pytest.CaptureFixture[str]) -> None:
                 f"bench {seed:2d}: rms px camera {rms[-1][0]:.3f} tank {rms[-1][1]:.3f} projector {rms[-1][2]:.3f}; "
                 f"level {level:+.2f} mm; 95 % within mm: camera {at_95['camera']:.2f} projector "
                 f"{at_95['projector']:.2f} both {at_95['both']:.2f}; one plane's homography 50 mm off "
-                f"{max(shortcut[-1]):.1f}",
+                f"{max(shortcut[-1]):.1f}; light {light[-1]:.2%}",
                 flush=True,
             )
     assert np.max(rms, axis=0)[0] <= 0.3
     assert np.max(rms, axis=0)[2] <= 0.5
     assert max(max(values) for values in errors.values()) <= 0.5
     assert np.min(shortcut) > 4.0
+    assert max(light) < 0.02
 
 
 # The command line

@@ -23,6 +23,8 @@ Light = NDArray[np.float32]
 
 _STEP_MM = 0.1
 _ALONG = (-0.25, 0.0, 0.25)
+_LEAST_WIDE_PX = 4.0
+"""Width of a white stripe in whose middle no black is seen through blur."""
 _CLIPPED = 3.0
 _LEAST_POINTS = 60
 
@@ -93,7 +95,7 @@ def measure_evenness(
         scatter = 1.4826 * float(np.median(np.abs(off[kept])))
         kept = np.abs(off) <= _CLIPPED * scatter
     covariance = scatter**2 * np.linalg.pinv(design[kept].T @ design[kept])
-    sd = np.sqrt(np.diag(covariance))[:TERMS]
+    sd = np.sqrt(np.maximum(np.diag(covariance)[:TERMS], 0.0))
     return Evenness(tuple(solution[:TERMS].tolist()), tuple(sd.tolist()), scatter)
 
 
@@ -108,10 +110,12 @@ def _white(
     import cv2
 
     assert view.light is not None
-    on_board = _white_places(board)
+    on_board, across = _white_places(board)
     lens, pose, surface = camera
     stands = in_tank(view.view, board, lens, pose, surface)
-    seen = pixels_of(lens, pose, placed(stands, on_board), surface).astype(np.float32)
+    left, seen, right = (
+        pixels_of(lens, pose, placed(stands, on_board + by * across), surface).astype(np.float32) for by in (-1, 0, 1)
+    )
     light = cv2.remap(
         view.light, seen[:, 0], seen[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
     )
@@ -126,14 +130,31 @@ def _white(
     with np.errstate(invalid="ignore"):  # NaN: where nothing is seen
         inside = (np.abs(pixels - [(columns - 1) / 2, (rows - 1) / 2]) < [columns / 2 - 2, rows / 2 - 2]).all(axis=1)
         bright = light.ravel() > 0.2 * np.median(light)
-    good = inside & bright & (density > 0.0)
+        wide = np.linalg.norm(right - left, axis=1) > _LEAST_WIDE_PX
+    good = inside & bright & wide & (density > 0.0)
     return pixels[good], light.ravel()[good] / density[good]
 
 
-def _white_places(board: Board) -> Points:
-    """(n, 3) in the white between markers and the edges of their squares."""
+def _white_places(board: Board) -> tuple[Points, Points]:
+    """(n, 3) in the white about markers and about all squares, and (n, 3) from each to the edge of its stripe."""
     middles = np.array([np.mean(marker, axis=0) for marker in board.charuco.getObjPoints()])
-    away = 0.25 * (board.square_mm + board.marker_mm)
-    offsets = [[side * away, along * board.square_mm, 0.0] for side in (-1.0, 1.0) for along in _ALONG]
-    offsets += [[y, x, 0.0] for x, y, _ in offsets]
-    return np.asarray((middles[:, None] + np.array(offsets)).reshape(-1, 3), float)
+    squares = np.full(2, board.square_mm)
+    rims = _around(squares / 2, (board.square_mm - board.marker_mm) / 2, np.array(_ALONG) * 2.0)
+    size = np.array(board.size_mm)
+    margin = _around(size / 2 + board.margin_mm, board.margin_mm, np.linspace(-1.0, 1.0, 2 * board.columns + 1))
+    middle = np.append(size / 2, 0.0)
+    places = np.concatenate([*(rims[0] + one for one in middles), margin[0] + middle])
+    return places, np.concatenate([*[rims[1]] * len(middles), margin[1]])
+
+
+def _around(half: Points, wide: float, along: Points) -> tuple[Points, Points]:
+    """Along the middle of a frame `wide` mm inside a rectangle of half sides `half` about 0; and half across it."""
+    places, across = [], []
+    for axis in (0, 1):
+        for side in (-1.0, 1.0):
+            for part in along * (1.0 - wide / half[1 - axis]):
+                place = np.zeros(3)
+                place[axis], place[1 - axis] = side * (half[axis] - wide / 2), part * half[1 - axis]
+                places.append(place)
+                across.append(np.eye(3)[axis] * wide / 2)
+    return np.array(places), np.array(across)
