@@ -58,7 +58,8 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
 
 
 def _as_believed(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Check]:
-    """Whether the bench of the rig file, which scenes of runs are made of, is the one that was measured."""
+    """Whether the bench of the rig file is the one that was measured, which runs use once all its geometry was."""
+    in_use = {"camera", "tank", "projector"} <= found.keys()
     bench, latency_ms = rig.bench, rig.projector.get("latency_ms")
     believed = (
         ("tank", "level_mm", bench.tank.size_mm[2], "bench.tank.size_mm, or fill the tank to that level"),
@@ -75,7 +76,10 @@ def _as_believed(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Che
         passed = bool((off <= most).all() if kind == "latency" else (np.abs(off) <= most).all())
         yield Check(
             f"{kind} is where the rig file has it" if kind != "latency" else "latency is within that of the rig file",
-            passed, f"{name} = {_shown(measured)} measured, {_shown(value)} in the rig file", f"correct {key}",
+            None if in_use and not passed and kind != "latency" else passed,
+            f"{name} = {_shown(measured)} measured, {_shown(value)} in the rig file"
+            + ("; what was measured is used" if in_use and kind != "latency" else ""),
+            f"correct {key}",
         )  # fmt: skip
 
 

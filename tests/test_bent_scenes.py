@@ -23,7 +23,7 @@ from tankrig.pattern import Pattern
 from tankrig.pattern.wall import Wall
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.footprint import footprints
-from tankrig.scene.outline import beam_outlines
+from tankrig.scene.outline import beam_outlines, edges_of_light
 from tankrig.scene.projection import irradiance_on_wall, lit_by
 from tests import bent_scenes as scenes
 
@@ -145,6 +145,17 @@ def test_outlines_hold_the_light_scattered_once() -> None:
         near = cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0
         assert image[near].sum() > 0.9 * image.sum()
         assert near.mean() < 0.6
+
+
+def test_edges_of_light_are_where_wider_beams_would_be_seen() -> None:
+    """Blur changes the picture there and nowhere else; a fit that leaves those pixels out does not see it."""
+    clear = replace(scenes.bench(MEDIUM), medium=Medium(0.0, 1e-4, 0.0))
+    wider = [replace(one, y_mm=(one.y_mm[0] - 0.3, one.y_mm[1] + 0.3)) for one in clear.projector.beams]
+    blurred = replace(clear, projector=replace(clear.projector, beams=tuple(wider)))
+    change = np.abs(single_scattering(blurred) - single_scattering(clear))
+    edges = edges_of_light(clear)
+    assert change[edges].sum() > 0.97 * change.sum()
+    assert edges.mean() < 0.25
 
 
 @pytest.mark.parametrize("model", ["convolution", "diffuse"])

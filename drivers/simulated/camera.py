@@ -158,9 +158,10 @@ class SimulatedCamera:
         began_ns = time.monotonic_ns()
         shown = self._buffer.shown(start_ns, start_ns + self._exposure_ns())
         radiance = self._radiance(shown, start_ns)
-        self._stream.hold(time.monotonic_ns() - began_ns)
         random = np.random.default_rng((self._settings.seed, 3, number))
-        return counts(radiance, self._settings.sensor, self._configured, random)
+        pixels = counts(radiance, self._settings.sensor, self._configured, random)
+        self._stream.hold(time.monotonic_ns() - began_ns)
+        return pixels
 
     def put(self, what: str) -> None:
         """Put one of `BEFORE_LENS` before the lens, as a person would at a real camera.
