@@ -37,7 +37,7 @@ class DenseOrders:
         return self.to_20 + self.beyond_20
 
 
-def dense_orders(scene: Scene, way: Way, seed: int = 0, residual: float = 5e-4) -> DenseOrders:
+def dense_orders(scene: Scene, way: Way, seed: int = 0, residual: float = 2e-4) -> DenseOrders:
     """Image of all orders above `way.above`.
 
     The emission Q after that many scatterings is followed on in a scaled medium (delta-M: the forward peak g^{L+1}

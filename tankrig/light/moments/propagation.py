@@ -11,6 +11,7 @@ the emission as even within each cell would spread it by h²/12 too much along e
 """
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.light.moments.cells import Cells
-from tankrig.light.moments.harmonics import fill_harmonics, harmonics, parities, products, sphere
+from tankrig.light.moments.harmonics import degrees, fill_harmonics, harmonics, parities, products, sphere
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -45,15 +46,16 @@ class Propagation:
     padded
         Shape of the Fourier transforms.
     direct
-        (pairs of moments a ≥ b, wave numbers) spectra.
+        (pairs of moments a ≥ b, wave numbers) spectra. What a kernel is at −r it is at r but for (−1)^(la + lb), so
+        spectra are real or purely imaginary; i is taken out of them and left to moments of odd degree.
     reflected
-        The same for light that meets the Fresnel surface on its way; empty when the surface is matched.
+        Complex spectra for light that meets the Fresnel surface on its way; empty when the surface is matched.
     """
 
     degree: int
     cells: Cells
     padded: tuple[int, int, int]
-    direct: Spectra
+    direct: Single
     reflected: Spectra
 
     def __call__(self, emission: Single) -> Single:
@@ -68,23 +70,61 @@ class Propagation:
             rows = np.moveaxis(sharp, axis, 0)
             rows[:-1] -= slope
             rows[1:] += slope
-        spectrum = self._sent(self.direct, sharp)
+        spectrum = self._straight(self._transformed(sharp))
         if self.reflected.size:
-            mirrored = (sharp * parities(self.degree)[2][:, None, None, None])[..., ::-1]
-            spectrum += self._sent(self.reflected, mirrored)
-        field: Single = scipy.fft.irfftn(
-            spectrum.reshape(len(emission), *self.padded[:2], -1), self.padded, axes=(1, 2, 3), workers=THREADS
-        )
-        return field[:, :nx, :ny, :nz]
+            mirrored = self._transformed((sharp * parities(self.degree)[2][:, None, None, None])[..., ::-1])
+            _in_parts(lambda low, high: _multiply(spectrum, self.reflected, mirrored, low, high), mirrored.shape[1])
+        field = spectrum.reshape(len(emission), *self.padded[:2], -1)
+        # Axis by axis, without the transforms of what is thrown away; so on the way there, without those of nothing.
+        field = scipy.fft.ifft(field, axis=1, workers=THREADS, overwrite_x=True)[:, :nx]
+        field = scipy.fft.ifft(field, axis=2, workers=THREADS, overwrite_x=True)[:, :, :ny]
+        seen: Single = scipy.fft.irfft(field, self.padded[2], axis=3, workers=THREADS)[..., :nz]
+        return seen
 
-    def _sent(self, kernels: Spectra, source: Single) -> Spectra:
-        """(moments, wave numbers) spectra of what a source sends."""
-        transform = scipy.fft.rfftn(source, self.padded, axes=(1, 2, 3), workers=THREADS).reshape(len(source), -1)
-        result = np.zeros_like(transform)
-        edges = np.linspace(0, result.shape[1], THREADS + 1).astype(int)
-        with ThreadPoolExecutor(THREADS) as pool:
-            list(pool.map(lambda low, high: _multiply(result, kernels, transform, low, high), edges[:-1], edges[1:]))
-        return result
+    def _transformed(self, emission: Single) -> Spectra:
+        """(moments, wave numbers) spectra of the emission."""
+        transform: Spectra = scipy.fft.rfft(emission, self.padded[2], axis=3, workers=THREADS)
+        transform = scipy.fft.fft(transform, self.padded[1], axis=2, workers=THREADS)
+        return scipy.fft.fft(transform, self.padded[0], axis=1, workers=THREADS).reshape(len(emission), -1)
+
+    def _straight(self, source: Spectra) -> Spectra:
+        """(moments, wave numbers) spectra of the light that comes straight."""
+        phase = np.where(degrees(self.degree) % 2 == 1, 1j, 1.0).astype(np.complex64)[:, None]
+        source = source * phase
+        planes = np.stack([source.real, source.imag])
+        result = np.zeros_like(planes)
+        _in_parts(lambda low, high: _multiply_real(result, self.direct, planes, low, high), source.shape[1])
+        source.real, source.imag = result
+        source *= phase
+        return source
+
+
+def _in_parts(work: Callable[[int, int], None], count: int) -> None:
+    """Do work on ranges that make up 0 … count, one in each thread."""
+    edges = np.linspace(0, count, THREADS + 1).astype(int)
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(work, edges[:-1], edges[1:]))
+
+
+@kernel
+def _multiply_real(result: Single, kernels: Single, source: Single, start: int, stop: int) -> None:
+    """`_multiply` for real kernels; result and source are (2, moments, wave numbers), real and imaginary parts."""
+    block = 512
+    for low in range(start, stop, block):
+        high = min(low + block, stop)
+        pair = 0
+        for a in range(source.shape[1]):
+            for b in range(a + 1):
+                factor = kernels[pair, low:high]
+                for plane in range(2):
+                    into, come = result[plane, a, low:high], source[plane, b, low:high]
+                    for k in range(factor.size):
+                        into[k] += factor[k] * come[k]
+                    if b < a:
+                        into, come = result[plane, b, low:high], source[plane, a, low:high]
+                        for k in range(factor.size):
+                            into[k] += factor[k] * come[k]
+                pair += 1
 
 
 @kernel
@@ -129,13 +169,18 @@ def propagation(degree: int, cells: Cells, sigma_t: float, refractive_index: flo
     """
     nx, ny, nz = (scipy.fft.next_fast_len(2 * count, real=True) for count in cells.counts)
     padded = (nx, ny, nz)
+    a, b = np.tril_indices((degree + 1) ** 2)
+    pairs = products(degree)[a, b].astype(np.float32)
     octant = _octant(degree, cells.counts, cells.size_mm, sigma_t, 0.0)
-    direct = _spectra(degree, octant, padded, reflected=False)
+    straight = _spectra(degree, octant, padded, reflected=False)
+    real = np.where((degrees(2 * degree) % 2 == 1)[:, None], straight.imag, straight.real)
+    level = degrees(degree) % 2
+    direct = (pairs * (1.0 - 2.0 * level[a] * level[b]).astype(np.float32)[:, None]) @ real
     reflected = np.zeros((0, 0), np.complex64)
     if refractive_index > 1.0:
         across, along, up = cells.counts
         octant = _octant(degree, (across, along, 2 * up), cells.size_mm, sigma_t, refractive_index)
-        reflected = _spectra(degree, octant, padded, reflected=True)
+        reflected = (pairs @ _spectra(degree, octant, padded, reflected=True).view(np.float32)).view(np.complex64)
     return Propagation(degree, cells, padded, direct, reflected)
 
 
@@ -171,8 +216,13 @@ def _octant(
 
 @part
 def _window(squared: float) -> float:
-    """From 1 at r = 0, where it is flat to fourth order, down to 0 at r = R; argument r²/R²."""
-    return (1.0 - squared) * (1.0 - squared) * (1.0 + 2.0 * squared) if squared < 1.0 else 0.0
+    """From 1 at r = 0, where it is flat to fourth order, down to 0 at r = R; argument r²/R².
+
+    Where it ends its curvature is continuous: with a kink there the sum over cells exceeds ∫ K by .03 %, 13 scatterings
+    deep in thick water.
+    """
+    left = 1.0 - squared
+    return left * left * left * (1.0 + 3.0 * squared) if squared < 1.0 else 0.0
 
 
 @kernel
@@ -224,7 +274,7 @@ def _fill_near(
 
 
 def _spectra(degree: int, octant: Array, padded: tuple[int, int, int], reflected: bool) -> Spectra:
-    """Spectra of the kernels of all pairs of moments from one octant of the scalar kernels.
+    """Spectra of the scalar kernels from one octant of them.
 
     Of light that the surface reflects, the way up and down is a displacement below: only those are filled in.
     """
@@ -244,6 +294,4 @@ def _spectra(degree: int, octant: Array, padded: tuple[int, int, int], reflected
     if reflected:
         full = np.roll(full, octant.shape[3] // 2, axis=3)  # from the mirror image of cell j to cell n − 1 − j itself
     spectra = scipy.fft.rfftn(full, axes=(1, 2, 3), workers=THREADS).reshape(len(octant), -1)
-    lower = np.tril_indices((degree + 1) ** 2)
-    mixed = products(degree)[lower].astype(np.float32) @ spectra.astype(np.complex64).view(np.float32)
-    return mixed.view(np.complex64)
+    return spectra.astype(np.complex64)

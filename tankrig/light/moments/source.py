@@ -10,9 +10,10 @@ from tankrig.compiled import kernel, part
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.harmonics import degrees, fill_harmonics
 from tankrig.light.rays import Geometry, geometry_of
-from tankrig.light.tank.flight import fly, scattered
-from tankrig.light.tank.lattice import LARGE, coordinate
-from tankrig.light.tank.record import image_of_edges
+from tankrig.light.tank.block import BLOCK, Water, alive, begin, begin_at_origin, draw, empty_block
+from tankrig.light.tank.lattice import LARGE
+from tankrig.light.tank.paths import advance, narrow, scatter
+from tankrig.light.tank.record import column_of, image_of_edges
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -82,40 +83,31 @@ def _follow(
 
     `edges` is (nz, 2, ny + 2, nx + 2, moments); `beams` (n, 5): y low, y high, z low, z high, irradiance.
     """
-    length, half_width, height = geometry.length, geometry.half_width, geometry.height
-    hull_low, hull_high = beams[:, 0].min(), beams[:, 1].max()
-    values = np.empty((degree + 1) ** 2)
-    for point in range(points):
-        x_low, x_high, y_low, y_high = 0.0, min(length, 40.0 / sigma_t), hull_low, hull_high
-        x = y = 0.0
-        z = beams[0, 2] + coordinate(point, 0, lattice) * (beams[0, 3] - beams[0, 2])
-        dx, dy, dz, ex, ey, ez = 1.0, 0.0, 0.0, 0.0, 0.0, 1.0
-        weight = albedo * sigma_t
+    water = Water(sigma_t, albedo, g, False, 0.0)
+    block, values = empty_block(), np.empty((degree + 1) ** 2)
+    u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    for start in range(0, points, BLOCK):
+        n = min(BLOCK, points - start)
+        begin_at_origin(block, n, start, geometry, water, beams, lattice)
+        begin(block, n, start, water, lattice, 0.0)
         for order in range(1, last):
-            first = 1 + (order - 1) * FLIGHT_COORDINATES
-            u, v, w = (
-                coordinate(point, first, lattice),
-                coordinate(point, first + 1, lattice),
-                coordinate(point, first + 2, lattice),
-            )
-            dx, dy, dz, ex, ey, ez = scattered(dx, dy, dz, ex, ey, ez, g, u, v)
-            walls = (-x_high, length - x_low, -half_width - y_high, half_width - y_low)
-            x, y, z, after, chance = fly(
-                walls, height, geometry.refractive_index, sigma_t, x, y, z, dx, dy, dz, w
-            )  # fmt: skip
-            if after != dz:  # reflected at the surface
-                dz, ez = after, -ez
-            weight *= chance * albedo
-            x_low, x_high = max(x_low, -x), min(x_high, length - x)
-            y_low, y_high = max(y_low, -half_width - y), min(y_high, half_width - y)
-        layer = min(max(math.floor(z / cell_mm[2]), 0), edges.shape[0] - 1)
-        fill_harmonics(degree, dx, dy, dz, values)
-        values *= weight
-        if x_high > x_low and y_high > y_low:
-            _record(
-                edges[layer], values, sigma_t, x, y + half_width, x_low, x_high, y_low, y_high, beams,
-                cell_mm[0], cell_mm[1],
-            )  # fmt: skip
+            dimension = 1 + (order - 1) * FLIGHT_COORDINATES
+            draw(u, block.point, n, dimension, lattice)
+            draw(v, block.point, n, dimension + 1, lattice)
+            draw(w, block.point, n, dimension + 2, lattice)
+            scatter(block, u, v, n, water, order, 1.0)
+            advance(block, w, n, geometry, water)
+            narrow(block, n, geometry)
+            n = alive(block, n, True)
+        for i in range(n):
+            if block.weight[i] > 0.0:
+                layer = min(max(math.floor(block.z[i] / cell_mm[2]), 0), edges.shape[0] - 1)
+                fill_harmonics(degree, block.dx[i], block.dy[i], block.dz[i], values)
+                values *= block.weight[i]
+                _record(
+                    edges[layer], values, sigma_t, block.x[i], block.y[i] + geometry.half_width, block.x_low[i],
+                    block.x_high[i], block.y_low[i], block.y_high[i], beams, cell_mm[0], cell_mm[1],
+                )  # fmt: skip
 
 
 @part
@@ -124,23 +116,23 @@ def _record(
     y_high: float, beams: Array, cell_x: float, cell_y: float,
 ) -> None:  # fmt: skip
     """`mark_rectangles` for all moments at once; `y` counts from the tank's side."""
-    for beam in range(beams.shape[0]):
-        low, high = max(beams[beam, 0], y_low), min(beams[beam, 1], y_high)
-        for corner in range(4):
+    for side in range(2):
+        start = x_low if side == 0 else x_high
+        column, here, there = column_of(start, x, sigma_t, 1.0 if side == 0 else -1.0, cell_x)
+        column = int(column)
+        for beam in range(beams.shape[0]):
+            low, high = max(beams[beam, 0], y_low), min(beams[beam, 1], y_high)
             if high <= low:
                 continue
-            start = x_low if corner < 2 else x_high
-            place = max(start + x, 0.0) / cell_x
-            column = int(place)
-            change = beams[beam, 4] * math.exp(-sigma_t * start) * (1.0 if corner == 0 or corner == 3 else -1.0)
-            on = math.exp(-sigma_t * cell_x * (column + 1.0 - place))
-            here = change * (1.0 - on) / (sigma_t * cell_x)
-            there = change * on
-            place = ((low if corner % 2 == 0 else high) + y) / cell_y
-            row = int(place)
-            after = place - row
-            for moment in range(values.size):
-                edges[0, row, column, moment] += values[moment] * here * (1.0 - after)
-                edges[0, row + 1, column, moment] += values[moment] * here * after
-                edges[1, row, column + 1, moment] += values[moment] * there * (1.0 - after)
-                edges[1, row + 1, column + 1, moment] += values[moment] * there * after
+            for end in range(2):
+                place = ((low if end == 0 else high) + y) / cell_y
+                row = int(place)
+                change = beams[beam, 4] if end == 0 else -beams[beam, 4]
+                after = (place - row) * change
+                before = change - after
+                for moment in range(values.size):
+                    value = values[moment]
+                    edges[0, row, column, moment] += value * here * before
+                    edges[0, row + 1, column, moment] += value * here * after
+                    edges[1, row, column + 1, moment] += value * there * before
+                    edges[1, row + 1, column + 1, moment] += value * there * after

@@ -7,10 +7,12 @@ from tankrig.light.rays import shift_invariant
 from tankrig.scene import Scene
 
 DENSEST_CELL = 0.5
-"""Sides of cells in free paths; measured error in the worst case (σt = .1, ϖ = .999, g = 0): .4 % at .5, .8 % at .6."""
+"""Sides of cells in free paths; error in the worst case (σt = .1, ϖ = .999, g = 0): .35 % at .5, .1 % at .34."""
 FEWEST_CELLS = 15
-MOST_CELLS = 26
-"""Cells along the tank's shortest side."""
+MOST_CELLS = (50, 38, 32, 28, 26)
+"""Cells along the tank's shortest side, at most by degree: so many take some 10 s of one core and 300 MiB."""
+NOISE_SHARE = 0.48
+"""Share of the tolerance that the source's noise may use up."""
 
 
 @dataclass(frozen=True)
@@ -57,27 +59,28 @@ def dense_way(scene: Scene, tolerance: float) -> Way | None:
     >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
     >>> camera = Camera("orthographic", (80, 120), 2.0)
     >>> dense_way(Scene(Tank(), Medium(0.0001, 0.0999, 0.5), light, camera), 0.01).degree
-    2
+    3
     >>> dense_way(Scene(Tank(), Medium(0.0001, 0.0099, 0.5), light, camera), 0.01) is None
     True
     """
     medium, g = scene.medium, abs(scene.medium.g)
     shortest = min(scene.tank.size_mm)
     depth = medium.sigma_t * shortest
-    degree = 0 if g < 0.02 else 1 if g < 0.3 else 2 if g < 0.72 else 3 if g < 0.8 else 4
-    shallow = depth < (5.0 if degree < 2 else 7.0) or depth * (1.0 - medium.g) < 1.5
+    degree = 0 if g < 0.02 else 1 if g < 0.3 else 2 if g < 0.4 else 3 if g < 0.8 else 4
+    shallow = depth < (5.0 if degree < 2 else 5.5 if degree > 3 else 7.0) or depth * (1.0 - medium.g) < 0.85
     if shallow or not -0.02 < medium.g < 0.87 or not shift_invariant(scene):
         return None
     above = 3 if degree == 0 else 5  # fewer scatterings leave beams narrower than cells
     while above < 12 and g ** ((degree + 1) * above) > 0.004:
         above += 1
     scaled = medium.sigma_t - medium.g ** (degree + 1) * medium.sigma_s
-    cells = min(max(shortest * scaled / DENSEST_CELL, FEWEST_CELLS), MOST_CELLS)
+    cells = min(max(shortest * scaled / DENSEST_CELL, FEWEST_CELLS), MOST_CELLS[degree])
     side = shortest / cells
-    batches = 6 if g < 0.6 else 12 if g < 0.8 else 24
-    angular, spatial = 0.6 * g ** ((degree + 1) * above), 0.002 + 0.036 * (side * scaled) ** 3
-    if 0.55 < g < 0.8:
-        angular += 0.009  # measured 1 % at σt = .12, ϖ = .999, g = .7 with degree 2
-    noise = 0.015 * (g / 0.85) ** 4 / math.sqrt(batches)
-    bound = math.hypot(math.hypot(angular, spatial), noise)
+    noise = 0.02 * (g / 0.85) ** 4 * medium.albedo**above  # of one lattice (measured)
+    batches = max(4, math.ceil((noise / (NOISE_SHARE * tolerance)) ** 2))
+    angular, spatial = 0.6 * g ** ((degree + 1) * above), 0.001 + 0.03 * (side * scaled) ** 3
+    # Light that fades away from the beams like exp(−κr) is spread over cells: 2 % at σt = .2, ϖ = .9, g = .2.
+    fading = 3.0 * medium.sigma_a * (medium.sigma_a + medium.sigma_s * (1.0 - medium.g))
+    spatial += 0.008 * (0.5 * fading * side * shortest) ** 2
+    bound = math.hypot(angular, spatial, noise / math.sqrt(batches))
     return Way(above, degree, side, batches, bound) if bound <= 0.75 * tolerance else None

@@ -124,10 +124,10 @@ def trace(
             draw(u, block.point, n, dimension, lattice)
             draw(v, block.point, n, dimension + 1, lattice)
             draw(w, block.point, n, dimension + 2, lattice)
-            _scatter(block, u, v, n, water, order, remaining)
-            _fly(block, w, n, geometry, water)
+            scatter(block, u, v, n, water, order, remaining)
+            advance(block, w, n, geometry, water)
             if shiftable:
-                _narrow(block, n, geometry)
+                narrow(block, n, geometry)
             else:
                 _look(block, n, geometry, sigma_t)
             if order == 1:
@@ -151,7 +151,7 @@ def _look(block: Block, n: int, geometry: Geometry, sigma_t: float) -> None:
 
 
 @kernel
-def _narrow(block: Block, n: int, geometry: Geometry) -> None:
+def narrow(block: Block, n: int, geometry: Geometry) -> None:
     """Leave out the starts for which the path has left the tank."""
     for i in range(n):
         block.x_low[i] = max(block.x_low[i], -block.x[i])
@@ -244,7 +244,7 @@ def _cover(marks: Marks, ends: Ends, block: Block, n: int, geometry: Geometry, w
 
 
 @kernel
-def _scatter(block: Block, u: Array, v: Array, n: int, water: Water, order: int, remaining: float) -> None:
+def scatter(block: Block, u: Array, v: Array, n: int, water: Water, order: int, remaining: float) -> None:
     """Draw new directions."""
     g = water.g
     per_turn = water.per_turn if water.guided and order <= TURNS else 0.0
@@ -270,7 +270,7 @@ def _scatter(block: Block, u: Array, v: Array, n: int, water: Water, order: int,
 
 
 @kernel
-def _fly(block: Block, w: Array, n: int, geometry: Geometry, water: Water) -> None:
+def advance(block: Block, w: Array, n: int, geometry: Geometry, water: Water) -> None:
     """Follow paths to their next collision."""
     for i in range(n):
         dz = block.dz[i]
