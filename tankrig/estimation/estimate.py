@@ -159,9 +159,9 @@ def fit_models(
             centre = to_medium(best.coordinates)
             exact = models.exact(centre)
             near = replace(problem, forward=_straight(exact, problem.slopes(centre), centre), error=limited(exact))
-            before = near.residual(best.coordinates)
+            misfit = near.residual(best.coordinates)
             best = polish(near, best.coordinates)
-            if 0.5 * float(before @ before) - best.cost < CORRECTED:
+            if 0.5 * float(misfit @ misfit) - best.cost < CORRECTED:
                 break
         forward = _corrected(slope, centre, exact)
         problem = replace(problem, forward=_image_of(forward), error=limited(exact))

@@ -15,19 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError
 from tankrig.estimation.estimate import Free
 from tankrig.estimation.joint import INK, Array, Doses, Image, Joint, Mixture, slopes_of
-from tankrig.estimation.models import SMOOTHED_BATCHES
 from tankrig.estimation.observation import Observation, structure
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.search import Optimum, minimise
 from tankrig.estimation.series_input import doses_of, known, observed
+from tankrig.estimation.series_model import Model, ModelOf, in_water, tank_model
 from tankrig.estimation.series_verdict import Linearity, series_verdict
 from tankrig.estimation.uncertainty import PATTERN, by_smooth_errors, identifiable
-from tankrig.image.prediction import Prediction, Skipped
+from tankrig.image.prediction import Prediction
 from tankrig.scene import Medium, Scene
-
-Model = Callable[[Medium], Prediction]
-ModelOf = Callable[[Scene, int, int], Model]
-"""From a scene, a number of batches and a seed to a model; many batches are accurate, and few are quick."""
 
 COARSE_BATCHES, FINE_BATCHES = 2, 8
 """Lattices of light paths of the images that steps are made with, and of those that correct them near the end."""
@@ -101,6 +97,7 @@ def estimate_series(
     *,
     start: SeriesEstimate | Medium | None = None,
     model_of: "ModelOf | None" = None,
+    water_sigma_s: float = 0.0,
     progress: Callable[[str], None] | None = None,
 ) -> SeriesEstimate:
     """What a ml of ink does, from images at known doses with one common gain.
@@ -125,6 +122,9 @@ def estimate_series(
         An earlier estimate of the same ink, or the ink per mm and ml, to begin from, which saves the search.
     model_of
         What is fitted; None for the tank model.
+    water_sigma_s
+        What the water scatters without ink, 1/mm, evenly forwards and backwards; `PURE_WATER_SIGMA_S` where it is
+        clean. At a tenth of a ml it makes half a per cent of the image, which would pass for absorption.
     progress
         Told in a few words what is being done, now and then.
 
@@ -150,7 +150,7 @@ def estimate_series(
     if start is not None:
         ink, water = (start, 0.0) if isinstance(start, Medium) else (start.ink, start.water.sigma_a)
         begin = Mixture(ink, water, np.zeros(doses.ml.size))
-    model_of = model_of or tank_model
+    model_of = in_water(model_of or tank_model, water_sigma_s)
     return fit_series(observations, scenes, doses, scaling, model_of, begin, progress or (lambda _: None))
 
 
@@ -213,22 +213,6 @@ def fit_series(
             break
     progress("finding the errors")
     return _described(joint, joint.mixture(at), [_stated(one) for one in predictions], scenes[0].camera.pixel_mm)
-
-
-def tank_model(scene: Scene, batches: int, seed: int) -> Model:
-    """The tank's image by a fixed number of lattices of light paths: a smooth function of the medium."""
-    from tankrig.light.rays import shift_invariant
-    from tankrig.light.tank import tank_image
-
-    if not shift_invariant(scene):
-        batches = max(batches, SMOOTHED_BATCHES)
-
-    def image(medium: Medium) -> Prediction:
-        result = tank_image(replace(scene, medium=medium), seed=seed, batches=batches)
-        skipped = tuple(Skipped(*item) for item in result.skipped)
-        return Prediction(np.sum(list(result.orders.values()), axis=0), "tank", stderr=result.stderr, skipped=skipped)
-
-    return image
 
 
 def _models(scenes: Sequence[Scene], model_of: ModelOf, batches: int, seed: int) -> list[Model]:

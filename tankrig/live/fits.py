@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from tankrig.estimation.series import SeriesEstimate, estimate_series, estimate_together, tank_model
+from tankrig.estimation.series import SeriesEstimate, estimate_series, estimate_together
+from tankrig.estimation.series_model import PURE_WATER_SIGMA_S, tank_model
 from tankrig.estimation.uncertainty import identifiable
 from tankrig.image.prepare import Prepared
 from tankrig.live.exposures import Photograph
@@ -102,6 +103,7 @@ def fit_all(
         noise=[one.noise for one in photographs],
         start=start,
         model_of=prepared_model(models) if models else tank_model,
+        water_sigma_s=PURE_WATER_SIGMA_S,
     )
     bend = found.linearity
     table = {
