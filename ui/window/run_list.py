@@ -1,6 +1,6 @@
 """The steps of the run under way: done, going on, to come, and what it waits for."""
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QEvent, Qt
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QProgressBar, QVBoxLayout, QWidget
 
@@ -55,8 +55,7 @@ class RunList(QWidget):
     def see(self, event: Event) -> None:
         """Take in what the run has recorded."""
         if event.kind == "step" and event["step"] < len(self._labels):
-            done = event["state"] == "done"
-            self._mark(event["step"], "✓" if done else "▶", theme.current().good if done else theme.current().accent)
+            self._mark(event["step"], "✓" if event["state"] == "done" else "▶")
 
     def follow(self, status: RigStatus) -> None:
         """Show how far the run is."""
@@ -71,9 +70,22 @@ class RunList(QWidget):
         self._what.setText(words)
         self._left.clear()
 
-    def _mark(self, step: int, sign: str, colour: str) -> None:
+    def changeEvent(self, event: QEvent) -> None:  # noqa: N802 - Qt's name
+        """Another theme has other colours."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange:
+            for step in range(self._steps.count()):
+                self._colour(step)
+
+    def _mark(self, step: int, sign: str) -> None:
         item = self._steps.item(step)
         item.setText(f"{sign}  {self._labels[step]}")
-        item.setForeground(QColor(colour))
+        self._colour(step)
         self._steps.scrollToItem(item)
         item.setTextAlignment(Qt.AlignmentFlag.AlignLeft)
+
+    def _colour(self, step: int) -> None:
+        item = self._steps.item(step)
+        colour = {"✓": theme.current().good, "▶": theme.current().accent}.get(item.text()[:1])
+        if colour is not None:
+            item.setForeground(QColor(colour))
