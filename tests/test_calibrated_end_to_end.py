@@ -8,6 +8,7 @@ import pytest
 
 import tankrig
 from tankrig.image.prepare import Prepared
+from tankrig.light.prepared.box import Box
 from tankrig.scene import Medium
 from tankrig.scene.outline import edges_of_light
 
@@ -29,7 +30,8 @@ def ink(tmp_path_factory: pytest.TempPathFactory) -> CalibratedInk:
 
 @pytest.fixture(scope="module")
 def model(ink: CalibratedInk) -> Prepared:
-    return tankrig.prepare(ink.believed())
+    """For anything like ink in water."""
+    return tankrig.prepare(ink.believed(), box=Box((0.002, 0.08), (0.85, 0.9999), (0.0, 0.9)))
 
 
 def fitted(ink: CalibratedInk, model: Prepared, image: np.ndarray) -> tankrig.Estimate:
