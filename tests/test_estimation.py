@@ -289,36 +289,6 @@ def test_bubbles_and_dust_do_not_move_the_answer(truth: Medium) -> None:
     assert "unlike their neighbours" in dusty.verdict
 
 
-@pytest.mark.parametrize("size", [(1, 1), (2, 4), (5, 4)])
-def test_bubbles_of_several_pixels_are_left_out_wherever_they_are(size: tuple[int, int]) -> None:
-    """A bubble is a patch, and one at a row's end has neighbours on one side only."""
-    image, noise = noisy(MEDIUM)
-    clean = fit(image, FREE, noise)
-    rows, columns = size
-    where = np.zeros(image.shape, bool)
-    for top, left in ((3, 12), (15, 30), (30, 45), (8, 58), (24, 0)):
-        where[top : top + rows, left : left + min(columns, 2 if left in (0, 58) else columns)] = True
-    found = fit(image + 0.4 * image.max() * where, FREE, noise)
-    assert np.isnan(found.residual[where]).all()
-    assert np.isnan(found.residual).sum() <= where.sum() + 5
-    assert found.medium.sigma_s == pytest.approx(clean.medium.sigma_s, rel=0.01)
-
-
-@pytest.mark.parametrize("noise_known", [True, False])
-def test_what_a_wrong_model_leaves_is_no_outlier(noise_known: bool) -> None:
-    """Cleaned away, a misfit would look like bubbles, and the coefficients of a wrong model like good ones."""
-
-    def beams_alone(medium: Medium) -> Prediction:
-        whole = tank_like(medium).image
-        return Prediction(np.where(np.abs(np.arange(40) * 4.0 - 78.0)[:, None] < 3.0, whole, 0.0), "beams alone")
-
-    image, noise = noisy(MEDIUM)
-    found = fit(image, FREE, noise if noise_known else None, beams_alone)
-    assert not np.isnan(found.residual).any()
-    assert "structure" in found.verdict
-    assert not any(found.identifiable.values())
-
-
 def test_a_clean_image_keeps_all_its_pixels() -> None:
     """A robust fit that throws good pixels away would be biased and promise too little."""
     for seed in range(3):

@@ -1,4 +1,4 @@
-"""Misalignments: what is off in the set-up is found along with the medium, and costs what it must."""
+"""What is off in the set-up is found along with the medium; what the model lacks is no bubble, and bubbles are."""
 
 from dataclasses import replace
 
@@ -72,3 +72,30 @@ def test_a_beam_that_is_missing_is_never_a_confident_number() -> None:
     found = tankrig.estimate(image, STRIPE, noise=noise, model="single")
     assert not any(found.identifiable.values())
     assert "structure" in found.verdict
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 4), (5, 2)])
+def test_bubbles_of_several_pixels_are_left_out_wherever_they_are(size: tuple[int, int]) -> None:
+    """A bubble is a patch, and one at a row's end has neighbours on one side only."""
+    truth = Medium(0.004, 0.006, 0.3)
+    image, noise = single_of(STRIPE, truth)
+    rows, columns = size
+    bubbles = np.zeros(image.shape, bool)
+    for top, left in ((3, 12), (15, 30), (30, 45), (8, 58), (24, 0)):
+        bubbles[top : top + rows, left : left + min(columns, 2 if left in (0, 58) else columns)] = True
+    found = tankrig.estimate(image + 0.4 * image.max() * bubbles, STRIPE, 1.0, 0.0, noise, model="single")
+    assert np.isnan(found.residual[bubbles]).all()
+    assert np.isnan(found.residual).sum() <= bubbles.sum() + 5
+    assert found.medium.sigma_t == pytest.approx(truth.sigma_t, rel=0.01)
+
+
+@pytest.mark.parametrize("noise_known", [True, False])
+def test_what_a_wrong_model_leaves_is_no_bubble(noise_known: bool) -> None:
+    """Cleaned away, a misfit would look like bubbles, and the coefficients of a wrong model like good ones."""
+    image, noise = single_of(STRIPE, Medium(0.004, 0.006, 0.3))
+    y, x = np.mgrid[:40, :60]
+    glow = 0.3 * image.max() * (x + 4.0) / 12.0 * np.exp(-x / 12.0 - ((y - 20.0) / 9.0) ** 2)
+    found = tankrig.estimate(image + glow, STRIPE, noise=noise if noise_known else None, model="single")
+    assert not np.isnan(found.residual).any()
+    assert "holds structure" in found.verdict
+    assert not any(found.identifiable.values())

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 ADDED = 0.01
 """Relative error of σs that each may add."""
-FLAGS = ("structure", "not as described", "left out", "neither", ", not")
+FLAGS = ("holds structure", "not as described", "left out", "neither", ", not")
 """Words of a verdict that warns."""
 OFF = {"z_mm": 0.5, "y_mm": 0.5}
 

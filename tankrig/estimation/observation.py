@@ -26,6 +26,8 @@ PEAKED = 0.05
 """Share of its own brightness by which a pixel may stand out where the light has a crest."""
 MISFITS = 3.0
 """Times its neighbours' residual, beyond the noise, by which a pixel may stand out where the model does not hold."""
+BUBBLE = (7, 9)
+"""Rows and columns of which a bubble fills less than half."""
 SPECK = 40
 """Pixels of a patch that may be a bubble's or a reflection's."""
 
@@ -72,11 +74,18 @@ class Observation:
             return self
         if by_level:
             deviation = deviations(residual, self.used, flat=True)
-            noise = noise_by_level(deviation, self.image - deviation, self.used)
+            noise = noise_by_level(deviation, self._level(residual), self.used)
         else:
             noise = np.full(self.image.shape, pixel_noise(residual, self.used))
         # No camera and no model is better than 10⁻⁵ of the peak.
         return replace(self, noise=np.maximum(noise, 1e-5 * float(np.abs(self.image[self.used]).max())))
+
+    def _level(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Brightness without noise and bubbles: what was fitted, and what is left over there at large."""
+        from scipy.ndimage import median_filter
+
+        left: NDArray[np.float64] = np.where(self.used, residual, 0.0)
+        return self.image - left + median_filter(left, BUBBLE)
 
     def cleaned(self, fitted: NDArray[np.floating]) -> "Observation":
         """The same without pixels that a fitted image shows to be outliers, or that noise may have saturated.
@@ -87,7 +96,7 @@ class Observation:
         """
         residual = np.where(self.used, self.image - fitted, 0.0)
         deviation = deviations(residual, self.used, flat=True)
-        noise = np.maximum(self.noise, noise_by_level(deviation, self.image - deviation, self.used))
+        noise = np.maximum(self.noise, noise_by_level(deviation, self._level(residual), self.used))
         misfit = np.maximum(neighbouring(np.abs(residual), self.used) - noise, 0.0)
         outliers = small(stand_out(deviation, noise, MISFITS * misfit, self.used), SPECK)
         near = self.used & (fitted > self.ceiling - 3.0 * self.noise) & ~outliers
