@@ -23,6 +23,8 @@ MEDIA = {
 }
 PHOTONS = 1_500_000
 
+pytestmark = pytest.mark.timeout(3600)  # calibrates a bench and prepares a model: ten minutes of a quiet machine
+
 
 @pytest.fixture(scope="module")
 def ink(tmp_path_factory: pytest.TempPathFactory) -> CalibratedInk:

@@ -1,5 +1,6 @@
 """Estimates: right coefficients, errors that mean what they say, and no confident wrong number."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -317,6 +318,15 @@ def test_a_prior_on_the_gain_is_worth_what_it_says() -> None:
     assert sds[1] == pytest.approx(sds[0], rel=1e-3)
     assert sds[0] < sds[2] < free
     assert sds[3] == pytest.approx(free, rel=1e-2)
+
+
+def test_what_stands_out_in_one_place_is_told() -> None:
+    """A reflection in a corner is too small a part of the image to count as structure, and still wrong."""
+    for seed in range(5):
+        image, noise = noisy(MEDIUM, seed=seed)
+        assert "holds structure" not in fit(image, KNOWN, noise).verdict
+        image[2:6, 30:34] += 3.0 * noise
+        assert re.search(r"holds structure around row [34], column 3[0-4]", fit(image, KNOWN, noise).verdict)
 
 
 def test_structure_is_a_map_that_shows_where() -> None:

@@ -99,3 +99,47 @@ def test_what_a_wrong_model_leaves_is_no_bubble(noise_known: bool) -> None:
     assert not np.isnan(found.residual).any()
     assert "holds structure" in found.verdict
     assert not any(found.identifiable.values())
+
+
+def test_pixels_left_out_at_beams_edges_are_told_from_bubbles() -> None:
+    """A camera that was bumped shows at the ends and sides of beams; who reads “7 bubbles” would believe the answer."""
+    from tankrig.estimation.causes import misalignment_left_out
+    from tankrig.estimation.misalignment import moved
+    from tankrig.estimation.observation import observe
+
+    medium = Medium(0.001, 0.004, 0.6)
+    fitted, noise = single_of(STRIPE, medium)
+    bumped, _ = single_of(moved(STRIPE, {"y_mm": 0.3, "scale": 0.01}), medium, seed=1)
+    random = np.random.default_rng(4)
+    dusty = fitted.copy()
+    dusty.flat[random.choice(dusty.size, 20, replace=False)] += 0.5 * fitted.max()
+    for image, misaligned in ((bumped, True), (dusty, False)):
+        seen = observe(image, STRIPE.camera.shape, noise)
+        specks = seen.specks | (np.abs(image - fitted) > 8.0 * noise)
+        assert specks.sum() > 10
+        told = misalignment_left_out(
+            replace(seen, used=seen.used & ~specks, specks=specks), fitted, STRIPE, medium, 1.0
+        )
+        assert told is misaligned
+
+
+def test_a_belief_weighs_more_where_the_models_error_looks_like_what_may_be_off() -> None:
+    """White weights make thousands of pixels tell what a smooth error of the model says; ± 0.5 mm must still count."""
+    from tankrig.estimation.uncertainty import Sensitivity, overconfidence
+
+    random = np.random.default_rng(3)
+    rows, columns = np.mgrid[:40, :60]
+    medium = np.stack([np.exp(-columns / 20), np.exp(-columns / 30) * rows, rows**2 / 100.0])
+    smooth, rough = np.cos(columns / 25.0) * rows / 10.0, random.standard_normal((40, 60))
+    everywhere, noise = np.ones((40, 60), bool), np.full((40, 60), 0.1)
+    changes = np.stack([*medium, smooth, rough]).reshape(5, -1)
+
+    def told(error: float) -> NDArray[np.float64]:
+        weight = np.full(2400, 1.0 / np.hypot(0.1, error))
+        seen = Sensitivity(changes * weight, np.zeros((5, 0)), weight, everywhere, np.ones(2))
+        return overconfidence(seen, THICK, noise, np.full((40, 60), error), 4.0, 240.0)
+
+    assert told(0.0) == pytest.approx([1.0, 1.0])
+    by_smooth, by_rough = told(0.2)
+    assert by_smooth > 50.0
+    assert by_rough < 5.0

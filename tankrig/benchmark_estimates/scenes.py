@@ -24,8 +24,8 @@ STRIPES = Scene(
 """Seven stripes of period 16 mm, 40 × 60 pixels of 4 mm."""
 RANDOM = Box((0.0015, 0.04), (0.7, 0.998), (-0.1, 0.85))
 """That random liquids are drawn from."""
-PHOTONS = {"thin": (5_000_000, 1), "medium": (13_000_000, 4), "thick": (12_000_000, 3)}
-"""Per piece, and pieces, of the Monte Carlo: noise of 0.06 % of the peak, in the thick liquid 0.23 %."""
+PHOTONS = {"thin": (5_000_000, 1), "medium": (13_000_000, 4), "thick": (24_000_000, 19)}
+"""Per piece, and pieces, of the Monte Carlo: noise of at most 0.06 % of the peak."""
 
 
 def monte_carlo(records: Records, name: str, quick: bool) -> tuple[Array, float]:

@@ -1,20 +1,18 @@
 """The estimate at an optimum: its errors, what the residual says, and the verdict."""
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import ImageError
+from tankrig.estimation.causes import WHOLE, cause_of, misalignment_left_out
 from tankrig.estimation.fitting import MEDIUM, Problem
-from tankrig.estimation.misalignment import USUAL, Misalignment
 from tankrig.estimation.models import error_map, stated_error
 from tankrig.estimation.observation import structure
 from tankrig.estimation.parameters import to_medium
 from tankrig.estimation.profile import stretches
-from tankrig.estimation.residual_map import likely_cause, structure_map
+from tankrig.estimation.residual_map import standing_out, structure_map
 from tankrig.estimation.result import Estimate
 from tankrig.estimation.uncertainty import Sensitivity, covariance, identifiable
 from tankrig.estimation.verdict import what_is_determined, what_is_left, what_is_misaligned, what_was_left_out
@@ -25,10 +23,6 @@ Array = NDArray[np.float64]
 
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
-MOST_BEAMS = 16
-"""That are looked at one by one."""
-WHOLE = ("tank", "prepared", "montecarlo")
-"""Models that describe all light, so that what they leave has another cause."""
 
 
 def described(problem: Problem, coordinates: Array, scene: Scene, prediction: Prediction) -> Estimate:
@@ -80,19 +74,24 @@ def described(problem: Problem, coordinates: Array, scene: Scene, prediction: Pr
     edges = problem.range.at_edge(medium)
     hopeless = unexplained > max(HOPELESS, stated)
     known = {name: yes and name not in edges and not hopeless for name, yes in identifiable(medium, spread).items()}
+    white_noise = noisier * observation.noise
+    place = standing_out(np.where(used, residual, 0.0) / white_noise, used, error / white_noise)
+    whole = prediction.model in WHOLE
+    held = unexplained <= stated and place is None
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
-    cause = _cause(problem, sensitivity, coordinates, scene) if unexplained > stated and _whole(prediction) else None
+    cause = cause_of(problem, sensitivity, coordinates, scene) if not held and whole else None
+    aside = whole and misalignment_left_out(observation, fitted, scene, medium, gain)
     sentences = [
         what_is_determined(medium, spread, known, edges),
-        what_is_left(unexplained, stated, noisier if observation.noise_known else 1.0, cause),
+        what_is_left(unexplained, stated, noisier if observation.noise_known else 1.0, cause, place, aside),
         what_is_misaligned(off),
-        what_was_left_out(observation.saturated, observation.outliers, left_out, prediction.model),
+        what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
     ]
     return Estimate(
         medium=medium, covariance=spread, identifiable=known, gain=gain, offset=offset, image=fitted,
         residual=residual, rmse=rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model,
         noise=noisier * noise, model_error=counted, nuisance=off,
-        structure=structure_map(np.where(used, residual, 0.0) / (noisier * observation.noise), used),
+        structure=structure_map(np.where(used, residual, 0.0) / white_noise, used),
         stretch=_stretch(problem, sensitivity, coordinates, spread),
     )  # fmt: skip
 
@@ -120,46 +119,6 @@ def _stretch(
 
     residual = problem.residual(coordinates)[: weight.size]
     return stretches(medium, spread, residual, sensitivity.changes, changed)
-
-
-def _whole(prediction: Prediction) -> bool:
-    return prediction.model in WHOLE
-
-
-def _cause(problem: Problem, sensitivity: Sensitivity, coordinates: Array, scene: Scene) -> tuple[str, float] | None:
-    """What the structure of the residual looks like."""
-    from tankrig.light.double import double_scattering
-    from tankrig.light.single import single_scattering
-
-    used, weight = sensitivity.used, sensitivity.weight
-    scene = replace(scene, medium=to_medium(coordinates[:MEDIUM]))
-    image = problem.image(coordinates)
-    fitted = np.linalg.qr(sensitivity.changes.T)[0]
-
-    def unhidden(changes: Array) -> Array:
-        left = problem.scaling.unhidden(changes[:, used] * weight, np.asarray(image[used], float), weight)
-        left = left[:, : weight.size]
-        new: Array = left - (left @ fitted) @ fitted.T
-        return new
-
-    def uneven() -> list[Array]:
-        rows, columns = scene.camera.shape
-        y, x = np.linspace(-1.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)
-        return [image * way for way in (x, y, x**2, y**2, x * y)]
-
-    def beams() -> list[Array]:
-        light = scene.projector
-        alone = [replace(scene, projector=replace(light, beams=(beam,))) for beam in light.beams[:MOST_BEAMS]]
-        return [single_scattering(one) for one in alone]
-
-    causes: dict[str, Callable[[], list[Array]]] = {
-        "uneven ink": uneven,
-        "a misaligned beam or camera": lambda: list(Misalignment(scene, USUAL).slopes(scene.medium, np.zeros(4))),
-        "another phase function": lambda: [single_scattering(scene), double_scattering(scene, 0.01)],
-        "beams of another brightness than described, or missing": beams,
-    }
-    residual = problem.residual(coordinates)[: weight.size]
-    return likely_cause(residual, unhidden, causes)
 
 
 def _rms(values: NDArray[np.floating]) -> float:

@@ -18,6 +18,7 @@ from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.parameters import Range, to_coordinates, to_medium
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.result import Estimate as Estimate
+from tankrig.estimation.uncertainty import overconfidence
 from tankrig.image.prediction import Prediction
 from tankrig.scene import Medium, Scene
 
@@ -171,7 +172,7 @@ def fit_models(
         # Edges that come off pixels' edges bend the way: a search that gave up goes on from where it is.
         for _ in range(ALIGNINGS):
             before = best.cost
-            problem = replace(problem, misalignment=misalignment.at(to_medium(best.coordinates[:MEDIUM])))
+            problem = _believing(problem, misalignment, best.coordinates, scene)
             best = polish(problem, best.coordinates)
             if before - best.cost < ALIGNED:
                 break
@@ -185,6 +186,16 @@ def fit_models(
         best = polish(problem, best.coordinates)
     progress("finding the errors")
     return described(problem, best.coordinates, scene, forward(to_medium(best.coordinates[:MEDIUM])))
+
+
+def _believing(problem: Problem, misalignment: Misalignment, coordinates: NDArray[np.float64], scene: Scene) -> Problem:
+    """The problem with what may be off near some coordinates, and as firm a belief in it as the model's error asks."""
+    medium = to_medium(coordinates[:MEDIUM])
+    near = replace(problem, misalignment=misalignment.at(medium), firmness=np.ones(len(misalignment.names)))
+    sensitivity = near.sensitivity(coordinates, near.image(coordinates))
+    noise, error = problem.observation.noise, np.asarray(problem.error, float)
+    length_mm = max(scene.tank.size_mm)
+    return replace(near, firmness=overconfidence(sensitivity, medium, noise, error, scene.camera.pixel_mm, length_mm))
 
 
 def _image_of(forward: Model) -> Callable[[Medium], Image]:

@@ -1,7 +1,7 @@
 """One image, one forward model: the fit itself, from a coarse look at many media to one optimum."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -56,6 +56,8 @@ class Problem:
         Where to search.
     misalignment
         What may be off in the set-up; None where nothing is.
+    firmness
+        (k,) how many times its own precision the belief in each misalignment weighs, see `overconfidence`.
     """
 
     forward: Forward
@@ -65,6 +67,7 @@ class Problem:
     error: Image
     range: Range
     misalignment: Misalignment | None = None
+    firmness: Array = field(default_factory=lambda: np.ones(0))
 
     @property
     def weight(self) -> Array:
@@ -97,7 +100,7 @@ class Problem:
         jacobian = np.zeros((by_coefficients.shape[0] + off, coordinates.size))
         jacobian[: len(by_coefficients)] = by_coefficients
         jacobian[:, :MEDIUM] = jacobian[:, :MEDIUM] @ slopes(to_medium(coordinates[:MEDIUM]))
-        jacobian[len(by_coefficients) :, MEDIUM:] = np.eye(off)
+        jacobian[len(by_coefficients) :, MEDIUM:] = np.diag(np.sqrt(self.firmness))
         return self._residual(image, coordinates), jacobian
 
     def sensitivity(self, coordinates: Array, image: Image) -> Sensitivity:
@@ -109,13 +112,15 @@ class Problem:
             moves = self.misalignment.slopes(medium, coordinates[MEDIUM:])
             raw = np.concatenate([raw, moves[:, used]])
         changes = self.scaling.unhidden(gain * raw * weight, np.asarray(image[used], float), weight)
-        return Sensitivity(changes[:, : weight.size], changes[:, weight.size :], weight, used)
+        return Sensitivity(changes[:, : weight.size], changes[:, weight.size :], weight, used, self.firmness)
 
     def _residual(self, image: Image, coordinates: Array) -> Array:
         gain, offset = self.scale(image)
         used = self.observation.used
         residual: Array = (self.observation.image[used] - gain * image[used] - offset) * self.weight
-        return np.concatenate([residual, self.scaling.beliefs(gain, offset), coordinates[MEDIUM:]])
+        return np.concatenate(
+            [residual, self.scaling.beliefs(gain, offset), coordinates[MEDIUM:] * np.sqrt(self.firmness)]
+        )
 
 
 def first_guess(problem: Problem, length_mm: float) -> tuple[list[Medium], list[Medium]]:

@@ -46,8 +46,10 @@ class Observation:
         True where a pixel counts, (rows, columns).
     noise_known
         False where `noise` was estimated from the image itself.
-    saturated, outliers
-        Number of pixels left out because they are saturated, or unlike their neighbours along the light.
+    specks
+        Pixels left out because they are unlike their neighbours along the light, (rows, columns).
+    saturated
+        Number of pixels left out because they are saturated.
     ceiling
         The value of saturated pixels; infinite where there are none.
     """
@@ -56,8 +58,8 @@ class Observation:
     noise: NDArray[np.float64]
     used: NDArray[np.bool_]
     noise_known: bool
+    specks: NDArray[np.bool_]
     saturated: int = 0
-    outliers: int = 0
     ceiling: float = np.inf
 
     def with_noise_of(self, residual: NDArray[np.float64], by_level: bool = False) -> "Observation":
@@ -101,7 +103,7 @@ class Observation:
         outliers = small(stand_out(deviation, noise, MISFITS * misfit, self.used), SPECK)
         near = self.used & (fitted > self.ceiling - 3.0 * self.noise) & ~outliers
         return replace(
-            self, used=self.used & ~outliers & ~near, outliers=self.outliers + int(outliers.sum()),
+            self, used=self.used & ~outliers & ~near, specks=self.specks | outliers,
             saturated=self.saturated + int(near.sum()),
         )  # fmt: skip
 
@@ -147,9 +149,9 @@ def observe(
     _require_some(~saturated & used, used, "saturated", "shorten the exposure")
     ceiling = float(values[saturated].max()) if saturated.any() else np.inf
     used &= ~saturated
-    observed = Observation(
-        np.where(np.isfinite(values), values, 0.0), sigma, used, known, int(saturated.sum()), 0, ceiling
-    ).with_noise_of(np.where(used, values, 0.0))  # fmt: skip
+    finite, none = np.where(np.isfinite(values), values, 0.0), np.zeros_like(used)
+    observed = Observation(finite, sigma, used, known, none, int(saturated.sum()), ceiling)
+    observed = observed.with_noise_of(np.where(used, values, 0.0))
     return _without_specks(observed)
 
 
@@ -163,7 +165,7 @@ def _without_specks(observed: Observation) -> Observation:
     specks &= beyond_neighbours(observed.image, STANDS_OUT * noise, used & ~specks)
     _require_some(used & ~specks, used, "unlike its neighbours", "check that it is a picture of light in a tank")
     _check_values(observed.image, used & ~specks)
-    return replace(observed, used=used & ~specks, outliers=int(specks.sum()))
+    return replace(observed, used=used & ~specks, specks=specks)
 
 
 def _require_some(left: NDArray[np.bool_], of: NDArray[np.bool_], what: str, remedy: str) -> None:

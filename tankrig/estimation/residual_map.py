@@ -12,6 +12,8 @@ SMOOTHED = 1.5
 """Standard deviation, in pixels, of the Gaussian over which the map is averaged."""
 TELLING = 0.3
 """Share of a residual's structure that a cause explains before it is named."""
+LOCAL = 6.0
+"""Standard deviations of the averaged residual, model's error counted, that are no chance at any place of an image."""
 
 
 def structure_map(residual: Array, used: Mask) -> Array:
@@ -37,14 +39,52 @@ def structure_map(residual: Array, used: Mask) -> Array:
     >>> float(structure_map(noise + 0.7, everywhere).mean().round())
     4.0
     """
+    return averaged(residual, used, np.zeros(used.shape))
+
+
+def averaged(residual: Array, used: Mask, error: Array) -> Array:
+    """As `structure_map`, in standard deviations of white noise and of the model's error, alike over neighbours.
+
+    Parameters
+    ----------
+    residual
+        (rows, columns) in standard deviations of the noise; anything where it isn't used.
+    used
+        Where it counts.
+    error
+        Of the model, (rows, columns), in the same unit.
+    """
     from scipy.ndimage import gaussian_filter
 
     near = gaussian_filter(used.astype(float), SMOOTHED)
     total = gaussian_filter(np.where(used, residual, 0.0), SMOOTHED)
     # The kernel's square is a Gaussian narrower by √2, with a total of 1/(4π width²).
     variance = gaussian_filter(used.astype(float), SMOOTHED / np.sqrt(2.0)) / (4.0 * np.pi * SMOOTHED**2)
+    variance += gaussian_filter(np.where(used, error, 0.0), SMOOTHED) ** 2
     found: Array = np.where(near > 0.1, total / np.sqrt(np.maximum(variance, 1e-12)), np.nan)
     return found
+
+
+def standing_out(residual: Array, used: Mask, error: Array) -> tuple[float, int, int] | None:
+    """Where a residual stands out most, for `averaged`; None where chance may do that.
+
+    Returns
+    -------
+    Standard deviations, row, column.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(1).normal(0, 1, (60, 80))
+    >>> everywhere, exact = np.ones((60, 80), bool), np.zeros((60, 80))
+    >>> standing_out(noise, everywhere, exact)
+    >>> noise[20:23, 0:3] += 5.0
+    >>> standing_out(noise, everywhere, exact)[1:]
+    (21, 1)
+    """
+    sizes = np.nan_to_num(np.abs(averaged(residual, used, error)))
+    row, column = np.unravel_index(np.argmax(sizes), sizes.shape)
+    size = float(sizes[row, column])
+    return (size, int(row), int(column)) if size > LOCAL else None
 
 
 def likely_cause(

@@ -6,6 +6,9 @@ derivatives less what gain and offset can imitate, W the weights, and P a weak p
 
     A ⟨noise²⟩ Aᵀ + A ⟨model error²⟩ Aᵀ + F⁻¹ P F⁻¹,        F = J W Jᵀ + P.
 
+(What may be misaligned is believed to a standard deviation of 1; a belief that weighs t times as much, see
+`overconfidence`, puts t into P and t² between the F⁻¹.)
+
 The model's error is taken to be random, of the size that the model states pixel by pixel (or that the residual shows,
 where that is more, in proportion to the image), counted twice, and smooth: one third of its power at each of the
 correlation lengths 1/32, 1/8 and 1/2 of the tank's length. White errors of that size would average out over thousands
@@ -13,7 +16,7 @@ of pixels, which errors of a model don't; intervals that leave it out are fictio
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +36,9 @@ DETERMINED = 0.2
 DETERMINED_G = 0.1
 """The same for g, absolute."""
 
+UNBELIEVED = 1e-4
+"""Weight of a belief that has no say."""
+
 
 @dataclass(frozen=True)
 class Sensitivity:
@@ -49,12 +55,15 @@ class Sensitivity:
         (n,) weights, 1 over the standard deviation that the fit assumed.
     used
         (rows, columns), n of them True.
+    firmness
+        (k − 3,) how many times its precision the belief in each misalignment weighs.
     """
 
     changes: Array
     beliefs: Array
     weight: Array
     used: NDArray[np.bool_]
+    firmness: Array = field(default_factory=lambda: np.ones(0))
 
 
 def covariance(
@@ -78,14 +87,39 @@ def covariance(
     count = len(sensitivity.changes)
     scale = np.array([10.0 * medium.sigma_t, 10.0 * medium.sigma_t, 1.0, *np.ones(count - 3)])
     changes, beliefs = sensitivity.changes * scale[:, None], sensitivity.beliefs * scale[:, None]
-    priors = beliefs @ beliefs.T + np.eye(count)
-    inverse = np.linalg.inv(changes @ changes.T + priors)
+    firmness = np.array([1.0, 1.0, 1.0, *sensitivity.firmness])
+    known = beliefs @ beliefs.T
+    inverse = np.linalg.inv(changes @ changes.T + known + np.diag(firmness))
     response = (inverse @ changes) * sensitivity.weight
     by_noise = response * noise[sensitivity.used]
-    total = by_noise @ by_noise.T + inverse @ priors @ inverse
+    total = by_noise @ by_noise.T + inverse @ (known + np.diag(firmness**2)) @ inverse
     total += by_smooth_errors(response, sensitivity.used, PATTERN * error, length_mm / pixel_mm)
     spread: Array = total * np.outer(scale, scale)
     return 0.5 * (spread + spread.T)
+
+
+def overconfidence(
+    sensitivity: Sensitivity, medium: Medium, noise: Array, error: Array, pixel_mm: float, length_mm: float
+) -> Array:
+    """How many times more an image seems to tell about each misalignment than it does, (k − 3,).
+
+    A fit weighs pixels as if the model's error were another in each. It is smooth, as a misalignment's own image is: in
+    a medium liquid that of light too high is nearly another gain and absorption, an error of 0.3 % looked like
+    1.2 ± 0.1 mm, and the belief in ± 0.5 mm had no say. Beliefs must weigh more by as much
+    as the image weighs too much.
+
+    Parameters
+    ----------
+    sensitivity, medium, noise, error, pixel_mm, length_mm
+        As for `covariance`.
+    """
+    alone = replace(sensitivity, firmness=np.full(len(sensitivity.changes) - 3, UNBELIEVED))
+    white = np.hypot(noise, error)
+    seems, is_so = (
+        np.diag(covariance(alone, medium, one, other, pixel_mm, length_mm))[3:]
+        for one, other in ((white, np.zeros_like(error)), (noise, error))
+    )
+    return np.asarray(np.maximum(is_so / seems, 1.0))
 
 
 def by_smooth_errors(response: Array, used: NDArray[np.bool_], error: Array, length: float) -> Array:

@@ -41,7 +41,14 @@ def what_is_determined(
     return f"{text}.{edge}"
 
 
-def what_is_left(structure: float, stated: float, noisier: float, cause: tuple[str, float] | None = None) -> str:
+def what_is_left(
+    structure: float,
+    stated: float,
+    noisier: float,
+    cause: tuple[str, float] | None = None,
+    place: tuple[float, int, int] | None = None,
+    aside: bool = False,
+) -> str:
     """What the residual says, in one or two sentences.
 
     Parameters
@@ -54,6 +61,10 @@ def what_is_left(structure: float, stated: float, noisier: float, cause: tuple[s
         The residual's white part over the noise assumed; 1 where they agree.
     cause
         What the structure looks like, and the share of it that this explains; None where it looks like nothing known.
+    place
+        Where it stands out most: standard deviations, row and column; None where it does so nowhere.
+    aside
+        Whether pixels that were left out hold structure.
     """
     sentences = []
     if structure > stated:
@@ -62,25 +73,52 @@ def what_is_left(structure: float, stated: float, noisier: float, cause: tuple[s
             f"own error of {_percent(stated)} explains: the model does not hold as described (uneven ink, a misaligned "
             "beam, another phase function, a wrong gain or offset), and the intervals are widened by it."
         )
-        if cause:
-            sentences.append(f"It looks most like {cause[0]}, which would explain {100.0 * cause[1]:.0f} % of it.")
+    elif place is not None:
+        sentences.append(
+            f"The residual holds structure around row {place[1]}, column {place[2]}: it stands out there by "
+            f"{place[0]:.2g} standard deviations of noise and the model's own error. Something is not as described "
+            "(a misaligned beam or camera, a reflection, a bubble), and the intervals do not count that."
+        )
     elif structure > 0.0:
         sentences.append(
             f"The residual's structure, {_percent(structure)} of the image, is within the model's own error of "
             f"{_percent(stated)}."
         )
+    if cause:
+        sentences.append(f"It looks most like {cause[0]}, which would explain {100.0 * cause[1]:.0f} % of it.")
     if noisier > 1.0:
         sentences.append(f"The noise is {noisier:.3g} times what was assumed, and counted so.")
-    return " ".join(sentences) or "The residual is noise, as expected."
+    return " ".join(sentences) or (
+        "The residual of the pixels that count is noise." if aside else "The residual is noise, as expected."
+    )
 
 
-def what_was_left_out(saturated: int, outliers: int, share_left_out: float, model: str) -> str:
-    """Sentences about pixels that don't count and light that the model does not describe; empty when there are none."""
+def what_was_left_out(
+    saturated: int, outliers: int, share_left_out: float, model: str, misaligned: bool = False
+) -> str:
+    """Sentences about pixels that don't count and light that the model does not describe; empty when there are none.
+
+    Parameters
+    ----------
+    saturated, outliers
+        Numbers of pixels.
+    share_left_out
+        Of the light, by the model.
+    model
+        Its name.
+    misaligned
+        Whether the outliers look like what a misaligned beam or camera shows.
+    """
     sentences = []
     if outliers:
         sentences.append(
             f"{outliers} pixels unlike their neighbours along the light (bubbles, dust, reflections, dead pixels) were "
             "left out."
+        )
+    if misaligned:
+        sentences.append(
+            "The residual holds structure there: most of what they are off by is what a misaligned beam or camera "
+            "shows, not bubbles."
         )
     if saturated:
         sentences.append(
