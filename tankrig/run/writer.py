@@ -3,6 +3,7 @@
 import fcntl
 import hashlib
 import os
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -28,6 +29,7 @@ _QUEUE_BYTES = 64 * 2**20
 _FRAMES_PER_COMMIT = 8
 _THREADS = 3
 """One takes checksums while the others write, and wait for the disk."""
+_NICENESS = 5
 _TIMEOUT_S = 30.0
 
 
@@ -84,7 +86,7 @@ class RunWriter:
         self._busy = False
         self._closing = False
         self._error: Exception | None = None
-        self._pool = ThreadPoolExecutor(_THREADS, "run-frames")
+        self._pool = ThreadPoolExecutor(_THREADS, "run-frames", _give_way)
         self._thread = threading.Thread(target=self._work, name="run-writer", daemon=True)
         self._thread.start()
 
@@ -208,6 +210,13 @@ class RunWriter:
             batch = [entry if entry.pixels is None else _signed(entry, next(digests)) for entry in batch]
         disk.append(self.path / JOURNAL, b"".join(entry.event.line() for entry in batch))
         return batch
+
+
+def _give_way() -> None:
+    """Encoding has a second's time, a window or a camera's thread has not: where threads have priorities, theirs is
+    lowered."""
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
 
 
 def digest(pixels: Pixels) -> str:

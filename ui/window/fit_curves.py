@@ -1,18 +1,18 @@
 """σs, σa and g against dose or time, with 95 % error bars."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
 
 from ui.window.fit_cards import COEFFICIENTS
 from ui.window.theme import CURVES
+from ui.window.turns import Turns
 
 Z95 = 1.96
-TURN_MS = 40
 
 
 class FitCurves(QWidget):
@@ -43,9 +43,7 @@ class FitCurves(QWidget):
             widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._fits: Sequence[Mapping[str, Any]] = []
         self._series: Mapping[str, Any] | None = None
-        self._against, self._waiting = "", list[str]()
-        self._turn = QTimer(self)
-        self._turn.timeout.connect(self._show_next)
+        self._against, self._turns = "", Turns()
 
     def show_fits(self, fits: Sequence[Mapping[str, Any]], against: str, series: Mapping[str, Any] | None) -> None:
         """Show fits of doses; `against` is "dose_ml" or "time_s", a key that each has."""
@@ -54,14 +52,9 @@ class FitCurves(QWidget):
             self._against = against
             for plot, *_ in self._plots.values():
                 plot.setLabel("bottom", "ink (ml)" if against == "dose_ml" else "time (s)")
-        self._waiting = list(self._plots)
-        self._turn.start(TURN_MS)
+        self._turns.take(partial(self._show, name) for name in self._plots)
 
-    def _show_next(self) -> None:
-        """One plot at a time: to paint all three at once would hold the live picture up."""
-        name = self._waiting.pop(0)
-        if not self._waiting:
-            self._turn.stop()
+    def _show(self, name: str) -> None:
         plot, line, bars, points = self._plots[name]
         at = np.array([float(fit[self._against]) for fit in self._fits])
         values = np.array([float(fit[name]) for fit in self._fits])

@@ -2,10 +2,12 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
@@ -15,11 +17,17 @@ from ui.window.fit_cards import Coefficients, OrderBars
 from ui.window.fit_curves import FitCurves
 from ui.window.tank_plot import TankPlot
 from ui.window.tone import Tone, residual_palette
+from ui.window.turns import Turns
 
 if TYPE_CHECKING:
     from tankrig.live.exposures import Photograph
 
+Image = NDArray[np.floating]
+Indices = NDArray[np.uint8]
+
 SYMBOLS = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
+TOP = 60_000.0
+"""Where the brightest pixel observed lies on the scale of tones."""
 AGAINST = {"against dose": "dose_ml", "against time": "time_s"}
 
 
@@ -37,6 +45,7 @@ class FitPage(QWidget):
         self._photographs: dict[str, tuple[Photograph, Mapping[str, Any]]] = {}
         self._compared: jobs.Comparison | None = None
         self._asked = self._again = False
+        self._turns = Turns()
         self._began_s = time.monotonic()
         self._lay_out()
 
@@ -130,25 +139,34 @@ class FitPage(QWidget):
         if one is None:
             return
         peak = float(one.observed.max()) or 1.0
-        scale = 60_000.0 / peak
-        tone = Tone(0.0, 60_000.0, root=True)
+        tone = Tone(0.0, TOP, root=True)
         table, palette = tone.table(), tone.palette()
-        for plot, image in ((self._observed, one.observed), (self._model, one.model)):
-            plot.show_indices(table[np.clip(image * scale, 0.0, 65_535.0).astype(np.uint16)], palette)
+
+        def toned(image: Image) -> Indices:
+            indices: Indices = table[np.clip(image * (TOP / peak), 0.0, 65_535.0).astype(np.uint16)]
+            return indices
+
+        reach = float(np.percentile(np.abs(one.residual), 99.5)) / peak or 1e-6
         if self._same.isChecked():
-            shown = table[np.clip(np.abs(one.residual) * scale, 0.0, 65_535.0).astype(np.uint16)]
-            self._residual.show_indices(shown, palette)
-            reach = 1.0
+            left, colours, same = toned(np.abs(one.residual)), palette, "|residual|, same scale"
         else:
-            reach = float(np.percentile(np.abs(one.residual), 99.5)) / peak or 1e-6
             part = np.clip(one.residual / (peak * reach), -1.0, 1.0)
-            self._residual.show_indices((127.5 * (1.0 + part)).astype(np.uint8), residual_palette())
-        for plot in (self._observed, self._model, self._residual):
+            left, colours = (127.5 * (1.0 + part)).astype(np.uint8), residual_palette()
+            same = f"residual, ±{100.0 * reach:.2g} % of peak"
+
+        def show(plot: TankPlot, name: str, indices: Indices, colours: Indices) -> None:
+            plot.show_indices(indices, colours)
             plot.place(one.tank, one.camera)
-        same = "|residual|, same scale" if self._same.isChecked() else f"residual, ±{100.0 * reach:.2g} % of peak"
-        self._observed.name("observed, 0–100 %")
-        self._model.name("model, same scale")
-        self._residual.name(same)
+            plot.name(name)
+
+        self._turns.take((
+            partial(show, self._observed, "observed, 0–100 %", toned(one.observed), palette),
+            partial(show, self._model, "model, same scale", toned(one.model), palette),
+            partial(show, self._residual, same, left, colours),
+            partial(self._sum_up, one),
+        ))  # fmt: skip
+
+    def _sum_up(self, one: jobs.Comparison) -> None:
         self._bars.show_rmse(one.rmse)
         by = one.rmse["single"] / one.rmse["all"] if one.rmse["all"] > 0.0 else 1.0
         self._says.setText(

@@ -1,0 +1,28 @@
+"""Painting in parts: what would hold the live picture up if it were painted at once takes turns with it."""
+
+from collections.abc import Callable, Iterable
+
+from PySide6.QtCore import QObject, QTimer
+
+TURN_MS = 40
+
+
+class Turns(QObject):
+    """Calls one thing after another, with the event loop free in between."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._waiting: list[Callable[[], None]] = []
+        self._timer = QTimer(self)
+        self._timer.timeout.connect(self._next)
+
+    def take(self, calls: Iterable[Callable[[], None]]) -> None:
+        """Call these, instead of what still waits."""
+        self._waiting = list(calls)
+        self._timer.start(TURN_MS)
+
+    def _next(self) -> None:
+        if not self._waiting:
+            self._timer.stop()
+            return
+        self._waiting.pop(0)()
