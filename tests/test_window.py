@@ -103,4 +103,7 @@ def _full(window):
 
 def test_an_empty_list_of_runs_says_so(window):
     """An empty page that says nothing looks broken."""
-    assert window.runs._empty.text() == f"No runs in {window.runs.folder} yet. Run a sequence, and it will be here."
+    assert (
+        window.runs._empty.text()
+        == f"No runs in {window.runs.folder} yet. Run a sequence, and when it has ended it will be here."
+    )

@@ -18,7 +18,7 @@ from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.parameters import Range, to_coordinates, to_medium
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.result import Estimate as Estimate
-from tankrig.estimation.uncertainty import overconfidence
+from tankrig.estimation.uncertainty import Sensitivity, held_back, overconfidence
 from tankrig.image.prediction import Prediction
 from tankrig.scene import Medium, Scene
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
 
 Image = NDArray[np.floating]
+Array = NDArray[np.float64]
 Free = Literal["free"]
 
 CLEANINGS = 3
@@ -33,6 +34,8 @@ CLEANINGS = 3
 CORRECTIONS, CORRECTED = 4, 0.3
 """Accurate images at most that an optimum is corrected by, each at the last one's, and the gain in χ²/2 below which
 that is over."""
+SHARPER = 4
+"""Times as many light paths in the last accurate image, where the model's error hides what the photograph shows."""
 ALIGNINGS, ALIGNED = 5, 2.0
 """Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
 
@@ -158,12 +161,17 @@ def fit_models(
         for _ in range(CORRECTIONS):
             progress("correcting by an accurate image")
             centre = to_medium(best.coordinates)
-            exact = models.exact(centre)
+            exact = models.exact(centre, 1)
             near = replace(problem, forward=_straight(exact, problem.slopes(centre), centre), error=limited(exact))
             misfit = near.residual(best.coordinates)
             best = polish(near, best.coordinates)
             if 0.5 * float(misfit @ misfit) - best.cost < CORRECTED:
                 break
+        if held_back(*_known_by(near, best.coordinates, scene)):
+            progress("correcting by an image as accurate as the photograph")
+            exact = models.exact(centre, SHARPER)
+            near = replace(near, forward=_straight(exact, problem.slopes(centre), centre), error=limited(exact))
+            best = polish(near, best.coordinates)
         forward = _corrected(slope, centre, exact)
         problem = replace(problem, forward=_image_of(forward), error=limited(exact))
     if misalignment is not None:
@@ -188,14 +196,22 @@ def fit_models(
     return described(problem, best.coordinates, scene, forward(to_medium(best.coordinates[:MEDIUM])))
 
 
-def _believing(problem: Problem, misalignment: Misalignment, coordinates: NDArray[np.float64], scene: Scene) -> Problem:
+def _believing(problem: Problem, misalignment: Misalignment, coordinates: Array, scene: Scene) -> Problem:
     """The problem with what may be off near some coordinates, and as firm a belief in it as the model's error asks."""
     medium = to_medium(coordinates[:MEDIUM])
     near = replace(problem, misalignment=misalignment.at(medium), firmness=np.ones(len(misalignment.names)))
-    sensitivity = near.sensitivity(coordinates, near.image(coordinates))
-    noise, error = problem.observation.noise, np.asarray(problem.error, float)
-    length_mm = max(scene.tank.size_mm)
-    return replace(near, firmness=overconfidence(sensitivity, medium, noise, error, scene.camera.pixel_mm, length_mm))
+    return replace(near, firmness=overconfidence(*_known_by(near, coordinates, scene)))
+
+
+def _known_by(
+    problem: Problem, coordinates: Array, scene: Scene
+) -> tuple[Sensitivity, Medium, Array, Array, float, float]:
+    """What errors at some coordinates follow from."""
+    error = np.asarray(problem.error, float)
+    return (
+        problem.sensitivity(coordinates, problem.image(coordinates)), to_medium(coordinates[:MEDIUM]),
+        problem.observation.noise, error, scene.camera.pixel_mm, max(scene.tank.size_mm),
+    )  # fmt: skip
 
 
 def _image_of(forward: Model) -> Callable[[Medium], Image]:
@@ -216,7 +232,7 @@ def _straight(exact: Prediction, slopes: Image, centre: Medium) -> Callable[[Med
 def corrected_at(centre: Medium, models: Models) -> Model:
     """What a fit that ended at a medium has used there: the accurate image, and changes that are smooth."""
     _, slope = models.refine(centre)
-    return slope if models.exact is None else _corrected(slope, centre, models.exact(centre))
+    return slope if models.exact is None else _corrected(slope, centre, models.exact(centre, 1))
 
 
 def _corrected(forward: Model, centre: Medium, exact: Prediction) -> Model:

@@ -61,14 +61,15 @@ class Models:
     range
         Media that it answers for; None: all.
     exact
-        The most accurate version, for one image at the optimum; None where the accurate one is that.
+        The most accurate version, for one image at the optimum, and with so many times its paths; None where the
+        accurate one is that.
     """
 
     coarse: Model
     refine: Callable[[Medium], tuple[Model, Model]]
     slopes: Slopes | None = None
     range: Range | None = None
-    exact: Model | None = None
+    exact: Callable[[Medium, int], Prediction] | None = None
 
 
 def models_of(scene: Scene, model: "str | Prepared", max_order: int | None) -> Models:
@@ -142,8 +143,8 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
         fine, slope = batches(medium, FINE_NOISE, FINE_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
         return following(fine, 1), following(slope, 2, SLOPE_BLUR_MM)
 
-    def exact(medium: Medium) -> Prediction:
-        return following(batches(medium, EXACT_NOISE, EXACT_BATCHES), 3)(medium)
+    def exact(medium: Medium, times: int) -> Prediction:
+        return following(times * batches(medium, EXACT_NOISE, EXACT_BATCHES), 3)(medium)
 
     return Models(coarse, refine, exact=exact)
 

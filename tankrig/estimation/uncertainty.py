@@ -168,6 +168,23 @@ def identifiable(medium: Medium, spread: Array) -> dict[str, bool]:
     }
 
 
+def held_back(
+    sensitivity: Sensitivity, medium: Medium, noise: Array, error: Array, pixel_mm: float, length_mm: float
+) -> bool:
+    """Whether the model's error leaves a coefficient undetermined that noise alone would not.
+
+    Parameters
+    ----------
+    sensitivity, medium, noise, error, pixel_mm, length_mm
+        As for `covariance`.
+    """
+    with_error, without = (
+        identifiable(medium, covariance(sensitivity, medium, noise, one, pixel_mm, length_mm))
+        for one in (error, np.zeros_like(error))
+    )
+    return with_error != without
+
+
 def reduced_scattering(medium: Medium, spread: Array) -> tuple[float, float]:
     """σs(1 − g) and its standard deviation: what thick media tell even where σs and g are lost."""
     slope = np.array([0.0, 1.0 - medium.g, -medium.sigma_s])

@@ -73,12 +73,12 @@ class FitCurves(QWidget):
             low, high = max(-1.0, min(low, 0.0)), 1.0
         margin = 0.05 * (high - low or 1.0)
         plot.setYRange(min(low, 0.0) - margin if name != "g" else low, high + margin, padding=0)
-        plot.setXRange(0.0, float(at.max()) * 1.06 or 1.0, padding=0)
+        plot.setXRange(0.0, float(at.max()) * 1.1 or 1.0, padding=0)
 
     def _line(self, name: str, at: Any, series: Mapping[str, Any] | None) -> tuple[Any, Any]:
         if series is None:
             return [], []
-        x = np.array([0.0, float(at.max()) * 1.06])
+        x = np.array([0.0, float(at.max()) * 1.1])
         ink = series["ink"]
         if name == "g":
             return x, np.full(2, ink["g"])

@@ -216,7 +216,7 @@ class RunsPage(QWidget):
         head = QHBoxLayout()
         head.addWidget(self._filter, 1)
         head.addWidget(again)
-        self._empty = QLabel(f"No runs in {self.folder} yet. Run a sequence, and it will be here.")
+        self._empty = QLabel(f"No runs in {self.folder} yet. Run a sequence, and when it has ended it will be here.")
         self._empty.setProperty("role", "faint")
         self._empty.setWordWrap(True)
         self._says = QLabel()
