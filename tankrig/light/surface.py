@@ -95,8 +95,11 @@ def _looked_up(camera: Camera, tank: Tank, cell: float) -> tuple[Array, Array]:
     apart = np.sqrt(np.clip(1.0 - cell**2 / areas, 0.0, None) / 3.0)[:, None]
     middle = quads.mean(axis=0)
     points = middle + apart * (quads - middle)
+    # Pixels that lie over the tank in part look at the middle of that part: light fades towards its walls.
     half = 0.5 * tank.size_mm[1]
-    return np.clip(points, (0.0, -half), (tank.size_mm[0], half)), inside
+    low, high = quads.min(axis=0), quads.max(axis=0)
+    inner_low, inner_high = (np.clip(one, (0.0, -half), (tank.size_mm[0], half)) for one in (low, high))
+    return inner_low + (points - low) * ((inner_high - inner_low) / (high - low)), inside
 
 
 def _share_inside(quads: Array, length: float, half_width: float) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.double.pair import depth_seen
+from tankrig.light.double.pair import depth_below, share_seen
 from tankrig.light.rays import Geometry, sighting_row
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ FAR = 3.0
 def average_rows(
     rows: Array, geometry: Geometry, pixel_mm: float, decay: float, low: float, high: float, strength: float,
     x: Array, fractions: Array, margin: float, values: Array, y0_weights: Array, z0: Array, z0_weights: Array,
-    nodes: Array, weights: Array,
+    mirrored: bool, nodes: Array, weights: Array,
 ) -> None:  # fmt: skip
     """Add one beam's rows, at every node in x.
 
@@ -42,6 +42,8 @@ def average_rows(
         (ny,) weights that interpolate the table to the beam's middle.
     z0, z0_weights
         Where the beam's rays enter, and the weights that integrate over its height.
+    mirrored
+        Whether the table is of light by way of the surface.
     nodes, weights
         Gauss–Legendre rule on [−1, 1].
     """
@@ -62,6 +64,7 @@ def average_rows(
             beam_low = sighting_row(geometry, x[i], low, z0[j])
             beam_high = sighting_row(geometry, x[i], high, z0[j])
             seen = beam_high - beam_low
+            below = depth_below(geometry, x[i], middle, z0[j], mirrored)
             spans = (max(geometry.half_width + crossing, 1e-6), max(geometry.half_width - crossing, 1e-6))
             if values[j, 0, 0, i, 0] == values[j, 0, 1, i, 0]:
                 spans = (2.0 * geometry.half_width, 2.0 * geometry.half_width)
@@ -99,11 +102,11 @@ def average_rows(
                                     * _profile(profile, spans, delta, first, spacing, margin, decay)
                                 )  # fmt: skip
                             panel_start = panel_end
-                depth = 0.0
+                share = 0.0
                 for n in range(nodes.size):
                     y = 0.5 * (pixel_low + pixel_high + pixel * nodes[n])
-                    depth += 0.5 * weights[n] * depth_seen(geometry, x[i], y)
-                rows[row, i] += scale * total * depth
+                    share += 0.5 * weights[n] * share_seen(geometry, x[i], y, abs(y - crossing), below)
+                rows[row, i] += scale * total * share
 
 
 @kernel

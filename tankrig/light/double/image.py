@@ -16,7 +16,7 @@ from tankrig.scene.description import Interval
 
 Array = NDArray[np.float64]
 
-WIDEST_MM = 12.0
+WIDEST_MM = 5.0
 """Widest part of a beam over which J's slow change with y₀ is taken as linear."""
 NARROW_MM = 3.0
 """The same where light leaves through a side wall, and J changes at once."""
@@ -86,7 +86,8 @@ def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: 
         average_rows(
             rows, geometry, scene.camera.pixel_mm, table.decay, low, high,
             beam.irradiance * scene.medium.sigma_s**2, table.x_mm, table.fractions, table.margin, table.values,
-            y_weights(table, 0.5 * (low + high)), table.z0_mm, z0_weights, nodes, weights,
+            y_weights(table, 0.5 * (low + high)), table.z0_mm, z0_weights, table.mirrored,
+            nodes, weights,
         )  # fmt: skip
 
 

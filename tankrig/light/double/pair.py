@@ -34,6 +34,9 @@ FARTHEST = 0.7
 
 MOST_CUTS = 24
 
+SPREAD = 0.05
+"""Of the water's depth: so far apart line and ray are taken to be at least, where only the share of light counts."""
+
 
 @kernel
 def pair_radiance(
@@ -146,14 +149,37 @@ def _half_tangent(sine: float, cosine: float) -> float:
 
 
 @kernel
-def depth_seen(geometry: Geometry, x: float, y: float) -> float:
-    """Share of the water's depth that the line of sight through (x, y, Lz) passes before it leaves through a wall.
+def share_seen(geometry: Geometry, x: float, y: float, apart: float, depth: float) -> float:
+    """Share of the light along the line of sight through (x, y, Lz) that it passes before it leaves through a wall.
 
-    Towards a side wall J falls with it, wherever the light is.
+    What a whole light ray scatters to a point of the line is about 1/√(w² + (t − D)²) at the depth t, D the ray's own
+    depth and w how far apart they are; J over the integral of that changes little where a side wall cuts lines short.
+
+    Parameters
+    ----------
+    geometry
+        Numbers of the scene.
+    x, y
+        Where the line of sight leaves the surface, mm.
+    apart
+        Of line and ray, mm.
+    depth
+        Of the ray below the surface, mm; negative where it is seen mirrored in it.
     """
     vx, vy, vz, _ = sight_line(geometry, x, y)
     _, t_max = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
-    return max(t_max, 0.0) * vz / geometry.height
+    wide = math.hypot(apart, SPREAD * geometry.height)
+    top = math.asinh(-depth / wide)
+    seen = math.asinh((max(t_max, 0.0) * vz - depth) / wide) - top
+    return seen / (math.asinh((geometry.height - depth) / wide) - top)
+
+
+@kernel
+def depth_below(geometry: Geometry, x: float, y0: float, z0: float, mirrored: bool) -> float:
+    """Depth of a light ray below the surface at x, mm, for `share_seen`."""
+    ux, _, uz = light_ray(geometry, y0, z0)
+    depth = min(max(geometry.height - z0 - x * uz / ux, 0.0), geometry.height)
+    return -depth if mirrored else depth
 
 
 @kernel

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.double.pair import depth_seen, pair_radiance
+from tankrig.light.double.pair import depth_below, pair_radiance, share_seen
 from tankrig.light.rays import Geometry, light_ray, mirror_symmetric, shift_invariant, sight_line, sighting_row
 from tankrig.scene import Scene
 
@@ -72,7 +72,7 @@ class Table:
     inner_mm
         The y₀ between which light doesn't reach the side walls.
     values
-        (nz, ny, 2, nx, nk): J·exp(κ (x + |δ|)) over the share of the depth seen, which changes little; the third axis
+        (nz, ny, 2, nx, nk): J·exp(κ (x + |δ|)) over the share of the light seen, which changes little; the third axis
         is the side of the crossing, y below or above it.
     """
 
@@ -85,6 +85,8 @@ class Table:
     values: Array
     decay: float
     """κ in 1/mm: σt, or less where exp(σt x) would overflow."""
+    mirrored: bool
+    """Whether the light goes by way of the surface."""
 
 
 def fill_table(
@@ -155,7 +157,7 @@ def fill_table(
         for part in parts:
             part.result()
     values[:, y0.size - half :] = values[:, :half, ::-1][:, ::-1]  # the other side is the mirror image
-    return Table(x, fractions, margin, y0, inner, z0, values, decay), 0.5 * (high - low) * weights
+    return Table(x, fractions, margin, y0, inner, z0, values, decay, mirrored), 0.5 * (high - low) * weights
 
 
 def _y_nodes(geometry: Geometry, low: float, high: float, z0: float) -> tuple[Array, tuple[float, float]]:
@@ -166,7 +168,8 @@ def _y_nodes(geometry: Geometry, low: float, high: float, z0: float) -> tuple[Ar
     """
     inner_low, inner_high = _staying(geometry, low, z0, high), _staying(geometry, high, z0, low)
     spread, middle = inner_high - inner_low, 0.5 * (inner_high + inner_low)
-    many = 3 + math.ceil(1.5 * spread / geometry.half_width) if spread > 0.0 else 0
+    near_wall = math.sqrt(max(1.0 - max(abs(low), abs(high)) / geometry.half_width, 0.1))
+    many = 3 + math.ceil(1.5 * spread / geometry.half_width / near_wall) if spread > 0.0 else 0
     inner = middle - 0.5 * spread * np.cos(np.pi * (np.arange(many) + 0.5) / max(many, 1))
     close = CLOSE * geometry.half_width
     below = np.linspace(low, inner_low, 2 + math.ceil((inner_low - low) / close))[: None if inner_low > low else 0]
@@ -278,12 +281,13 @@ def _fill_slanted(
     values: Array, geometry: Geometry, decay: float, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array,
     z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int,
 ) -> None:  # fmt: skip
-    """Every second x, with nodes between the crossing and either side wall; J over `depth_seen`."""
+    """Every second x, with nodes between the crossing and either side wall; J over `share_seen`."""
     inside = 0.999 * geometry.half_width  # at the wall itself both are 0
     for i in range(part, x.size, 2):
         for j in range(z0.size):
             for m in range(y0.size):
                 crossing = sighting_row(geometry, x[i], y0[m], z0[j])
+                depth = depth_below(geometry, x[i], y0[m], z0[j], mirrored)
                 for side in range(2):
                     span = geometry.half_width - crossing if side == 1 else geometry.half_width + crossing
                     for k in range(fractions.size):
@@ -291,5 +295,6 @@ def _fill_slanted(
                         y = crossing + delta if side == 1 else crossing - delta
                         y = min(max(y, -inside), inside)
                         value = pair_radiance(geometry, sigma_t, g, x[i], y, y0[m], z0[j], mirrored, nodes, weights)
-                        value *= math.exp(decay * (x[i] + delta)) / max(depth_seen(geometry, x[i], y), 1e-9)
+                        share = max(share_seen(geometry, x[i], y, abs(y - crossing), depth), 1e-9)
+                        value *= math.exp(decay * (x[i] + delta)) / share
                         values[j, m, side, i, k] = value

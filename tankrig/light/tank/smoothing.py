@@ -29,7 +29,7 @@ def smoothed(batches: Array) -> tuple[Array, Array]:
     Returns
     -------
     images
-        (classes, rows, columns); all classes are projected alike, so that sums stay sums.
+        (classes, rows, columns); their sum is the sum's own projection.
     stderr
         (rows, columns) one-sigma error of the classes' sum.
 
@@ -49,22 +49,40 @@ def smoothed(batches: Array) -> tuple[Array, Array]:
     along = _legendre(columns)
     coefficients = batches @ along
     totals = coefficients.sum(axis=1)
-    mean = totals.mean(axis=0)
-    variance = totals.var(axis=0, ddof=1) / count
+    project = _projection(totals)
+    if project is None:
+        return batches.mean(axis=0), np.zeros((rows, columns))
+    spread = (project @ totals @ along.T).std(axis=0, ddof=1) / np.sqrt(count)
+    classes = coefficients.mean(axis=0)
+    whole = project @ classes.sum(axis=0)
+    # What stands out in a class need not in the sum: order 3 alone lost 14 % beside a wall where the sum lost 1 %.
+    largest = int(np.argmax(np.abs(classes).sum(axis=(1, 2))))
+    for k in range(len(classes)):
+        own = _projection(coefficients[:, k])
+        if k != largest and own is not None:
+            classes[k] = own @ classes[k]
+    classes[largest] += whole - classes.sum(axis=0)
+    return classes @ along.T, UNSEEN * spread
+
+
+def _projection(batches: Array) -> Array | None:
+    """(rows, rows) that keeps of batches' mean (n, rows, degrees) the profiles that stand out; None without noise.
+
+    Scaled so that the noise is about 1 everywhere, singular values above its largest one are signal. What is just above
+    is kept in part: a profile that came and went as the medium changes would make the image jump.
+    """
+    count, rows, degrees = batches.shape
+    variance = batches.var(axis=0, ddof=1) / count
     overall = variance.mean()
     if overall <= 0.0:
-        return batches.mean(axis=0), np.zeros((rows, columns))
-    # Scaled so that the noise is about 1 everywhere; then singular values above its largest one are signal. What is
-    # just above is kept in part: a profile that came and went as the medium changes would make the image jump.
+        return None
     by_row = np.sqrt(variance.mean(axis=1) + 1e-6 * overall)[:, None]
     by_degree = np.sqrt(variance.mean(axis=0) / overall + 1e-6)
-    profiles, strength, _ = np.linalg.svd(mean / (by_row * by_degree), full_matrices=False)
-    noise = np.sqrt(rows) + np.sqrt(along.shape[1])
+    profiles, strength, _ = np.linalg.svd(batches.mean(axis=0) / (by_row * by_degree), full_matrices=False)
+    noise = np.sqrt(rows) + np.sqrt(degrees)
     kept = 1.0 - (noise / np.maximum(strength, noise)) ** 2
-    project = by_row * ((profiles * kept) @ profiles.T) / by_row.T
-    images = project @ coefficients.mean(axis=0) @ along.T
-    spread = (project @ totals @ along.T).std(axis=0, ddof=1) / np.sqrt(count)
-    return images, UNSEEN * spread
+    project: Array = by_row * ((profiles * kept) @ profiles.T) / by_row.T
+    return project
 
 
 def _legendre(columns: int) -> Array:
