@@ -39,7 +39,7 @@ SLOPE_BLUR_MM = 4.0
 """Standard deviation of the Gaussian over which orders ≥ 3 are averaged where changes of the image matter and not the
 image: paths take other ways in another medium, and the noise of the difference passes for knowledge."""
 
-EXACT_NOISE, EXACT_BATCHES = 0.001, 128
+EXACT_NOISE, EXACT_BATCHES = 0.0005, 128
 """The same for the one image, at the optimum, that the others are corrected by."""
 
 ERROR_PIXELS = 4.0
