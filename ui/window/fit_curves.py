@@ -13,6 +13,8 @@ from ui.window.theme import CURVES
 from ui.window.turns import Turns
 
 Z95 = 1.96
+ROOM = 1.5
+"""Times what is shown: an axis that is at most so long stays as it is."""
 
 
 class FitCurves(QWidget):
@@ -72,8 +74,15 @@ class FitCurves(QWidget):
         if name == "g":
             low, high = max(-1.0, min(low, 0.0)), 1.0
         margin = 0.05 * (high - low or 1.0)
-        plot.setYRange(min(low, 0.0) - margin if name != "g" else low, high + margin, padding=0)
-        plot.setXRange(0.0, float(at.max()) * 1.1 or 1.0, padding=0)
+        if name != "g":
+            low = min(low, 0.0) - margin
+        (left, right), (bottom, top) = plot.viewRange()
+        furthest = float(at.max()) * 1.05 or 1.0
+        # Axes that stay as they are need not be drawn again.
+        if not (abs(left) < 1e-6 * right and furthest <= right <= ROOM * furthest):
+            plot.setXRange(0.0, 1.05 * furthest, padding=0)
+        if not (bottom <= low and high + margin <= top and top - bottom <= ROOM * (high + margin - low)):
+            plot.setYRange(low - 0.5 * margin, high + 1.5 * margin, padding=0)
 
     def _line(self, name: str, at: Any, series: Mapping[str, Any] | None) -> tuple[Any, Any]:
         if series is None:

@@ -1,6 +1,7 @@
 """Python's garbage is collected in the window's thread only, for Qt's objects may not end in another."""
 
 import gc
+from collections.abc import Callable
 
 from PySide6.QtCore import QObject, QTimer
 
@@ -9,10 +10,18 @@ OLDEST_EVERY = 60
 
 
 class GarbageTimer(QObject):
-    """Takes over from Python's own collector, which runs in whatever thread happens to allocate, until `close`."""
+    """Takes over from Python's own collector, which runs in whatever thread happens to allocate, until `close`.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    idle
+        Whether nobody minds if the window stands still for a moment: then all there is is looked at, and otherwise
+        only what has come since, as that takes a few milliseconds and all of it takes forty.
+    """
+
+    def __init__(self, idle: Callable[[], bool]) -> None:
         super().__init__()
+        self._idle = idle
         gc.collect()
         gc.freeze()  # what was imported stays; without it a collection takes longer than a person may wait
         gc.disable()
@@ -29,4 +38,10 @@ class GarbageTimer(QObject):
 
     def _collect(self) -> None:
         self._count += 1
-        gc.collect(2 if self._count % OLDEST_EVERY == 0 else 1)
+        if self._count % OLDEST_EVERY:
+            gc.collect(1)
+            return
+        if self._idle():
+            gc.unfreeze()
+        gc.collect(2)
+        gc.freeze()

@@ -11,6 +11,8 @@ from PySide6.QtWidgets import QGraphicsItem
 from ui.window.tone import Tone
 
 BINS = 256
+SEEN = 0.002
+"""Of the axis: a smaller move of the colours' ends is not seen."""
 
 
 class Histogram(QObject):
@@ -28,6 +30,7 @@ class Histogram(QObject):
         plot.hideButtons()
         plot.setMenuEnabled(False)
         plot.setMouseEnabled(False, False)
+        plot.setYRange(0.0, 1.0, padding=0.02)  # a view that follows the highest bar is laid out anew every time
         plot.getAxis("bottom").enableAutoSIPrefix(False)
         plot.getAxis("bottom").setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
         plot.setLabel("bottom", "counts")
@@ -48,12 +51,15 @@ class Histogram(QObject):
         width = max(1, math.ceil(most / BINS))
         counts = np.add.reduceat(often, np.arange(0, len(often), width))
         self._silent = True
-        self._curve.setData(width * np.arange(len(counts) + 1), np.log1p(counts))
+        heights = np.log1p(counts)
+        self._curve.setData(width * np.arange(len(counts) + 1), heights / max(float(heights.max()), 1.0))
         if (most, saturation) != self._range:
             self._range = most, saturation
             self._plot.setXRange(0.0, most, padding=0.01)
             self._full.setValue(saturation)
-        self._region.setRegion((tone.low, min(tone.high, most)))
+        ends = tone.low, min(tone.high, most)
+        if max(abs(old - new) for old, new in zip(self._region.getRegion(), ends, strict=True)) > SEEN * most:
+            self._region.setRegion(ends)
         self._silent = False
 
     def _moved(self) -> None:

@@ -132,7 +132,7 @@ class MainWindow(QMainWindow):
         draft = self._settings.value("draft")
         if draft and not self._first_sequence:  # what was typed and not saved when the window was closed
             self.sequence.document.edit_text(str(draft))
-        self._garbage = GarbageTimer()
+        self._garbage = GarbageTimer(lambda: not self.status.running)
         OwnedThread("import-ahead", lambda _: import_ahead(), END_S)
 
     # -- the rig -------------------------------------------------------------------------------------------------------
