@@ -26,7 +26,7 @@ START_ASYMMETRY = (0.0, 0.5, 0.85)
 """Media looked at first: every pair of scatterings along the tank and g; the best for each g is a start."""
 FIRST_STEPS, LAST_STEPS = 5, 40
 """Steps that every start gets before only the best go on, and steps with the accurate model at most."""
-COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 2.0
+COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
 """Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's, and errors
 of the model, which the weights count pixel by pixel, move the optimum by more than the weights say."""
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
