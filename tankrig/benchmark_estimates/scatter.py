@@ -11,9 +11,10 @@ from tankrig.benchmark_estimates.records import Records
 from tankrig.benchmark_estimates.scenes import LIQUIDS, NOISE, STRIPES, monte_carlo
 from tankrig.benchmark_estimates.section import Cell, Section
 from tankrig.benchmark_estimates.surrogate import near
-from tankrig.estimation.estimate import Estimate, corrected_at, estimate, fit_models
+from tankrig.estimation.estimate import Estimate, estimate, fit_models
 from tankrig.estimation.models import Models, models_of
 from tankrig.estimation.observation import observe
+from tankrig.estimation.polishing import corrected_at
 from tankrig.estimation.projection import Scaling
 from tankrig.scene import Medium
 

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -13,31 +12,19 @@ from tankrig.estimation.description import described
 from tankrig.estimation.fitting import MEDIUM, Problem, first_guess, polish, search
 from tankrig.estimation.forward import slopes_of
 from tankrig.estimation.misalignment import Misalignment
-from tankrig.estimation.models import COARSE, Model, Models, error_map, models_of, stated_error
+from tankrig.estimation.models import COARSE, Model, Models, models_of, stated_error
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.parameters import Range, to_coordinates, to_medium
+from tankrig.estimation.polishing import aligned, corrected, limited_error, without_outliers
 from tankrig.estimation.projection import Scaling
 from tankrig.estimation.result import Estimate as Estimate
-from tankrig.estimation.uncertainty import Sensitivity, held_back, overconfidence
-from tankrig.image.prediction import Prediction
-from tankrig.scene import Medium, Scene
+from tankrig.scene import Scene
 
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
 
 Image = NDArray[np.floating]
-Array = NDArray[np.float64]
 Free = Literal["free"]
-
-CLEANINGS = 3
-"""Times at most that a fit is repeated without the pixels that it shows to be outliers."""
-CORRECTIONS, CORRECTED = 4, 0.3
-"""Accurate images at most that an optimum is corrected by, each at the last one's, and the gain in χ²/2 below which
-that is over."""
-SHARPER = 4
-"""Times as many light paths in the last accurate image, where the model's error hides what the photograph shows."""
-ALIGNINGS, ALIGNED = 5, 2.0
-"""Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
 
 
 def estimate(
@@ -151,94 +138,16 @@ def fit_models(
     fitted = gain * start.image + offset
     observation = observation.with_noise_of(observation.image - fitted, by_level=True)
 
-    def limited(prediction: Prediction) -> Image:
-        error: Image = abs(gain) * np.minimum(error_map(prediction), COARSE * np.abs(prediction.image).max())
-        return error
-
-    problem = problem_of(observation, forward, slope, limited(start))
+    problem = problem_of(observation, forward, slope, limited_error(start, gain))
     best = min((polish(problem, to_coordinates(one)) for one in found), key=lambda end: end.cost)
     if models.exact is not None:
-        for _ in range(CORRECTIONS):
-            progress("correcting by an accurate image")
-            centre = to_medium(best.coordinates)
-            exact = models.exact(centre, 1)
-            near = replace(problem, forward=_straight(exact, problem.slopes(centre), centre), error=limited(exact))
-            misfit = near.residual(best.coordinates)
-            best = polish(near, best.coordinates)
-            if 0.5 * float(misfit @ misfit) - best.cost < CORRECTED:
-                break
-        if held_back(*_known_by(near, best.coordinates, scene)):
-            progress("correcting by an image as accurate as the photograph")
-            exact = models.exact(centre, SHARPER)
-            near = replace(near, forward=_straight(exact, problem.slopes(centre), centre), error=limited(exact))
-            best = polish(near, best.coordinates)
-        forward = _corrected(slope, centre, exact)
-        problem = replace(problem, forward=_image_of(forward), error=limited(exact))
+        problem, best, forward = corrected(problem, best, models.exact, slope, scene, gain, progress)
     if misalignment is not None:
         progress("aligning")
-        best = replace(best, coordinates=np.concatenate([best.coordinates, np.zeros(len(misalignment.names))]))
-        # Edges that come off pixels' edges bend the way: a search that gave up goes on from where it is.
-        for _ in range(ALIGNINGS):
-            before = best.cost
-            problem = _believing(problem, misalignment, best.coordinates, scene)
-            best = polish(problem, best.coordinates)
-            if before - best.cost < ALIGNED:
-                break
-    for _ in range(CLEANINGS):
-        image = problem.image(best.coordinates)
-        gain, offset = problem.scale(image)
-        cleaned = problem.observation.cleaned(gain * image + offset)
-        if cleaned.used.sum() == problem.observation.used.sum():
-            break
-        problem = replace(problem, observation=cleaned)
-        best = polish(problem, best.coordinates)
+        problem, best = aligned(problem, best, misalignment, scene)
+    problem, best = without_outliers(problem, best)
     progress("finding the errors")
     return described(problem, best.coordinates, scene, forward(to_medium(best.coordinates[:MEDIUM])))
-
-
-def _believing(problem: Problem, misalignment: Misalignment, coordinates: Array, scene: Scene) -> Problem:
-    """The problem with what may be off near some coordinates, and as firm a belief in it as the model's error asks."""
-    medium = to_medium(coordinates[:MEDIUM])
-    near = replace(problem, misalignment=misalignment.at(medium), firmness=np.ones(len(misalignment.names)))
-    return replace(near, firmness=overconfidence(*_known_by(near, coordinates, scene)))
-
-
-def _known_by(
-    problem: Problem, coordinates: Array, scene: Scene
-) -> tuple[Sensitivity, Medium, Array, Array, float, float]:
-    """What errors at some coordinates follow from."""
-    error = np.asarray(problem.error, float)
-    return (
-        problem.sensitivity(coordinates, problem.image(coordinates)), to_medium(coordinates[:MEDIUM]),
-        problem.observation.noise, error, scene.camera.pixel_mm, max(scene.tank.size_mm),
-    )  # fmt: skip
-
-
-def _image_of(forward: Model) -> Callable[[Medium], Image]:
-    return lambda medium: forward(medium).image
-
-
-def _straight(exact: Prediction, slopes: Image, centre: Medium) -> Callable[[Medium], Image]:
-    """Image near a medium, to first order: what is left of paths' noise in it is smooth."""
-
-    def image(medium: Medium) -> Image:
-        changes = [medium.sigma_a - centre.sigma_a, medium.sigma_s - centre.sigma_s, medium.g - centre.g]
-        changed: Image = exact.image + np.tensordot(changes, slopes, 1)
-        return changed
-
-    return image
-
-
-def corrected_at(centre: Medium, models: Models) -> Model:
-    """What a fit that ended at a medium has used there: the accurate image, and changes that are smooth."""
-    _, slope = models.refine(centre)
-    return slope if models.exact is None else _corrected(slope, centre, models.exact(centre, 1))
-
-
-def _corrected(forward: Model, centre: Medium, exact: Prediction) -> Model:
-    """A model with the error that it shows at one medium taken off, which stays what it is nearby."""
-    error = forward(centre).image - exact.image
-    return lambda medium: replace(exact, image=forward(medium).image - error)
 
 
 def _known(name: str, value: object) -> tuple[float | None, float]:

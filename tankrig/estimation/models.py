@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 Model = Callable[[Medium], Prediction]
 """What the camera would see with a medium in the tank."""
+Exact = Callable[[Medium, int], Prediction]
+"""The same as accurately as can be, with so many times as many light paths."""
 
 COARSE, FINE = 0.05, 0.01
 """Tolerance of cheap and of accurate images."""
@@ -69,7 +71,7 @@ class Models:
     refine: Callable[[Medium], tuple[Model, Model]]
     slopes: Slopes | None = None
     range: Range | None = None
-    exact: Callable[[Medium, int], Prediction] | None = None
+    exact: Exact | None = None
 
 
 def models_of(scene: Scene, model: "str | Prepared", max_order: int | None) -> Models:
