@@ -45,7 +45,7 @@ def test_radiometry_from_the_command_line_is_what_the_rig_uses(rig_file: Path, c
 
 def test_a_bad_option_is_told_before_anything_is_opened(rig_file: Path, capsys) -> None:
     for option, reason in (("--gains=1,many", "is not numbers"), ("--longest-ms=20", "are no sweep")):
-        assert main(["calibrate", "radiometry", "--rig", str(rig_file), option]) in (1, 2)
+        assert main(["calibrate", "radiometry", "--rig", str(rig_file), option]) == 2
         assert reason in capsys.readouterr().err
     assert not rig_file.with_name("calibration").exists()
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tankrig.calibration.response import LEVELS
-from tankrig.errors import DeviceError
+from tankrig.errors import CalibrationError
 
 CHECKED_LEVELS = (22, 38, 92, 140, 188, 236)
 """Measured besides, and left out of the fit of the response: what it predicts there is its error."""
@@ -44,12 +44,12 @@ class RadiometryPlan:
 
     def __post_init__(self) -> None:
         if not (0.0 < self.shortest_ms < self.longest_ms and self.longest_ms >= 20.0 * self.shortest_ms):
-            raise DeviceError(
+            raise CalibrationError(
                 f"exposures from {self.shortest_ms:g} to {self.longest_ms:g} ms are no sweep; let the longest be 100 "
                 f"times the shortest"
             )
         if not self.gains or min(self.gains) <= 0.0:
-            raise DeviceError(f"gains {list(self.gains)} cannot be set; give positive numbers")
+            raise CalibrationError(f"gains {list(self.gains)} cannot be set; give positive numbers")
 
     @property
     def exposures_ms(self) -> tuple[float, ...]:
