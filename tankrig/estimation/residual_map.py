@@ -77,9 +77,9 @@ def standing_out(residual: Array, used: Mask, error: Array) -> tuple[float, int,
     >>> noise = np.random.default_rng(1).normal(0, 1, (60, 80))
     >>> everywhere, exact = np.ones((60, 80), bool), np.zeros((60, 80))
     >>> standing_out(noise, everywhere, exact)
-    >>> noise[20:23, 0:3] += 5.0
+    >>> noise[20:23, 40:43] += 5.0
     >>> standing_out(noise, everywhere, exact)[1:]
-    (21, 1)
+    (21, 41)
     """
     sizes = np.nan_to_num(np.abs(averaged(residual, used, error)))
     row, column = np.unravel_index(np.argmax(sizes), sizes.shape)
