@@ -107,3 +107,14 @@ def test_an_empty_list_of_runs_says_so(window):
         window.runs._empty.text()
         == f"No runs in {window.runs.folder} yet. Run a sequence, and when it has ended it will be here."
     )
+
+
+def test_what_waits_to_be_painted_goes_with_its_page(window):
+    """A window closed just after a fit would end in a traceback: its plots are gone when their turn comes."""
+    from ui.window.fit_curves import FitCurves
+
+    curves = FitCurves()
+    fit = {"dose_ml": 1.0, "sigma_s": 0.01, "sigma_a": 1e-4, "g": 0.7, "sd": [1e-5, 1e-4, 0.01]}
+    curves.show_fits([fit], "dose_ml", None)
+    curves.deleteLater()
+    wait_ms(200)

@@ -45,7 +45,7 @@ class FitCurves(QWidget):
             widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._fits: Sequence[Mapping[str, Any]] = []
         self._series: Mapping[str, Any] | None = None
-        self._against, self._turns = "", Turns()
+        self._against, self._turns = "", Turns(self)
 
     def show_fits(self, fits: Sequence[Mapping[str, Any]], against: str, series: Mapping[str, Any] | None) -> None:
         """Show fits of doses; `against` is "dose_ml" or "time_s", a key that each has."""

@@ -45,7 +45,7 @@ class FitPage(QWidget):
         self._photographs: dict[str, tuple[Photograph, Mapping[str, Any]]] = {}
         self._compared: jobs.Comparison | None = None
         self._asked = self._again = False
-        self._turns = Turns()
+        self._turns = Turns(self)
         self._began_s = time.monotonic()
         self._lay_out()
 

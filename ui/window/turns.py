@@ -8,10 +8,16 @@ TURN_MS = 40
 
 
 class Turns(QObject):
-    """Calls one thing after another, with the event loop free in between."""
+    """Calls one thing after another, with the event loop free in between.
 
-    def __init__(self) -> None:
-        super().__init__()
+    Parameters
+    ----------
+    owner
+        What is painted on: when that goes, what still waits goes with it.
+    """
+
+    def __init__(self, owner: QObject) -> None:
+        super().__init__(owner)
         self._waiting: list[Callable[[], None]] = []
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._next)
