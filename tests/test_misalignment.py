@@ -103,7 +103,7 @@ def test_what_a_wrong_model_leaves_is_no_bubble(noise_known: bool) -> None:
 
 def test_pixels_left_out_at_beams_edges_are_told_from_bubbles() -> None:
     """A camera that was bumped shows at the ends and sides of beams; who reads “7 bubbles” would believe the answer."""
-    from tankrig.estimation.causes import misalignment_left_out
+    from tankrig.estimation.causes import misalignment_left_out, misalignments
     from tankrig.estimation.misalignment import moved
     from tankrig.estimation.observation import observe
 
@@ -118,7 +118,7 @@ def test_pixels_left_out_at_beams_edges_are_told_from_bubbles() -> None:
         specks = seen.specks | (np.abs(image - fitted) > 8.0 * noise)
         assert specks.sum() > 10
         told = misalignment_left_out(
-            replace(seen, used=seen.used & ~specks, specks=specks), fitted, STRIPE, medium, 1.0
+            replace(seen, used=seen.used & ~specks, specks=specks), fitted, 1.0, lambda: misalignments(STRIPE, medium)
         )
         assert told is misaligned
 

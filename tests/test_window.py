@@ -109,7 +109,8 @@ def test_an_empty_list_of_runs_says_so(window):
     )
 
 
-def test_what_waits_to_be_painted_goes_with_its_page(window):
+@pytest.mark.usefixtures("window")
+def test_what_waits_to_be_painted_goes_with_its_page():
     """A window closed just after a fit would end in a traceback: its plots are gone when their turn comes."""
     from ui.window.fit_curves import FitCurves
 

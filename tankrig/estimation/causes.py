@@ -26,7 +26,9 @@ MOSTLY = 0.5
 """Share of what pixels left out are off by that a misalignment explains before it is named."""
 
 
-def cause_of(problem: Problem, sensitivity: Sensitivity, coordinates: Array, scene: Scene) -> tuple[str, float] | None:
+def cause_of(
+    problem: Problem, sensitivity: Sensitivity, coordinates: Array, scene: Scene, misaligned: Callable[[], Array]
+) -> tuple[str, float] | None:
     """What the structure of the residual looks like, and the share of it that this explains.
 
     Parameters
@@ -37,6 +39,8 @@ def cause_of(problem: Problem, sensitivity: Sensitivity, coordinates: Array, sce
         Of the fit there.
     scene
         As described.
+    misaligned
+        Gives `misalignments` of that scene with the fitted medium.
     """
     from tankrig.light.double import double_scattering
     from tankrig.light.single import single_scattering
@@ -64,7 +68,7 @@ def cause_of(problem: Problem, sensitivity: Sensitivity, coordinates: Array, sce
 
     causes: dict[str, Callable[[], list[Array]]] = {
         "uneven ink": uneven,
-        "a misaligned beam or camera": lambda: list(_misalignments(scene, scene.medium)),
+        "a misaligned beam or camera": lambda: list(misaligned()),
         "another phase function": lambda: [single_scattering(scene), double_scattering(scene, 0.01)],
         "beams of another brightness than described, or missing": beams,
     }
@@ -73,7 +77,7 @@ def cause_of(problem: Problem, sensitivity: Sensitivity, coordinates: Array, sce
 
 
 def misalignment_left_out(
-    observation: Observation, fitted: NDArray[np.floating], scene: Scene, medium: Medium, gain: float
+    observation: Observation, fitted: NDArray[np.floating], gain: float, misaligned: Callable[[], Array]
 ) -> bool:
     """Whether the pixels that were left out as specks are what a misaligned beam or camera shows at beams' edges.
 
@@ -83,22 +87,22 @@ def misalignment_left_out(
         As it was fitted.
     fitted
         Image, in its units.
-    scene
-        As described.
-    medium, gain
+    gain
         Fitted.
+    misaligned
+        Gives `misalignments` of the scene as described with the fitted medium.
     """
     specks = observation.specks
     if specks.sum() < FEWEST:
         return False
     seen = observation.used | specks
-    changes = gain * _misalignments(scene, medium)[:, seen] / observation.noise[seen]
+    changes = gain * misaligned()[:, seen] / observation.noise[seen]
     off = ((observation.image - fitted) / observation.noise)[seen]
     moved = changes.T @ np.linalg.lstsq(changes.T, off, rcond=None)[0]
     left, were = (float(np.sum(one[specks[seen]] ** 2)) for one in (off - moved, off))
     return left < (1.0 - MOSTLY) * were
 
 
-def _misalignments(scene: Scene, medium: Medium) -> Array:
-    """(terms, rows, columns) what each usual misalignment changes."""
-    return Misalignment(scene, USUAL).slopes(medium, np.zeros(len(USUAL)))
+def misalignments(scene: Scene, medium: Medium) -> Array:
+    """(terms, rows, columns) what each usual misalignment changes in order 1, which carries the edges it is told by."""
+    return Misalignment(scene, USUAL, max_order=1).slopes(medium, np.zeros(len(USUAL)))

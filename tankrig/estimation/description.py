@@ -1,12 +1,13 @@
 """The estimate at an optimum: its errors, what the residual says, and the verdict."""
 
 import math
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.causes import WHOLE, cause_of, misalignment_left_out
+from tankrig.estimation.causes import WHOLE, cause_of, misalignment_left_out, misalignments
 from tankrig.estimation.fitting import MEDIUM, Problem
 from tankrig.estimation.models import error_map, stated_error
 from tankrig.estimation.observation import structure
@@ -79,8 +80,9 @@ def described(problem: Problem, coordinates: Array, scene: Scene, prediction: Pr
     whole = prediction.model in WHOLE
     held = unexplained <= stated and place is None
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
-    cause = cause_of(problem, sensitivity, coordinates, scene) if not held and whole else None
-    aside = whole and misalignment_left_out(observation, fitted, scene, medium, gain)
+    misaligned = cache(partial(misalignments, scene, medium))  # eight images, and two may ask
+    cause = cause_of(problem, sensitivity, coordinates, scene, misaligned) if not held and whole else None
+    aside = whole and misalignment_left_out(observation, fitted, gain, misaligned)
     sentences = [
         what_is_determined(medium, spread, known, edges),
         what_is_left(unexplained, stated, noisier if observation.noise_known else 1.0, cause, place, aside),

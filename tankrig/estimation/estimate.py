@@ -61,7 +61,8 @@ def estimate(
         (rows, columns), True where a pixel is to be left out.
     model
         "tank", "single", "convolution", "diffuse" or "montecarlo"; what `tankrig.prepare` gave for the same scene, or
-        "prepared" to have that done: a fit then takes a fraction of a second.
+        "prepared" to have that done: a fit then takes a fraction of a second, or some seconds where the residual holds
+        structure whose cause is looked for.
     max_order
         Fit orders of scattering 1 … max_order only; None for all.
     nuisance

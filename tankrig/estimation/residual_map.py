@@ -16,8 +16,8 @@ LOCAL = 6.0
 """Standard deviations of the averaged residual, model's error counted, that are no chance at any place of an image."""
 
 
-def structure_map(residual: Array, used: Mask) -> Array:
-    """Residual averaged over neighbouring pixels, in standard deviations of what white noise leaves of it.
+def structure_map(residual: Array, used: Mask, error: Array | None = None) -> Array:
+    """Residual averaged over neighbouring pixels, in standard deviations of what noise and model leave of it.
 
     Parameters
     ----------
@@ -25,6 +25,9 @@ def structure_map(residual: Array, used: Mask) -> Array:
         (rows, columns) in standard deviations of the noise; anything where it isn't used.
     used
         Where it counts.
+    error
+        Of the model, (rows, columns), in the unit of `residual` and alike over neighbours, so that it does not average
+        out; none where not given.
 
     Returns
     -------
@@ -39,34 +42,20 @@ def structure_map(residual: Array, used: Mask) -> Array:
     >>> float(structure_map(noise + 0.7, everywhere).mean().round())
     4.0
     """
-    return averaged(residual, used, np.zeros(used.shape))
-
-
-def averaged(residual: Array, used: Mask, error: Array) -> Array:
-    """As `structure_map`, in standard deviations of white noise and of the model's error, alike over neighbours.
-
-    Parameters
-    ----------
-    residual
-        (rows, columns) in standard deviations of the noise; anything where it isn't used.
-    used
-        Where it counts.
-    error
-        Of the model, (rows, columns), in the same unit.
-    """
     from scipy.ndimage import gaussian_filter
 
     near = gaussian_filter(used.astype(float), SMOOTHED)
     total = gaussian_filter(np.where(used, residual, 0.0), SMOOTHED)
     # The kernel's square is a Gaussian narrower by √2, with a total of 1/(4π width²).
     variance = gaussian_filter(used.astype(float), SMOOTHED / np.sqrt(2.0)) / (4.0 * np.pi * SMOOTHED**2)
-    variance += gaussian_filter(np.where(used, error, 0.0), SMOOTHED) ** 2
+    if error is not None:
+        variance += gaussian_filter(np.where(used, error, 0.0), SMOOTHED) ** 2
     found: Array = np.where(near > 0.1, total / np.sqrt(np.maximum(variance, 1e-12)), np.nan)
     return found
 
 
 def standing_out(residual: Array, used: Mask, error: Array) -> tuple[float, int, int] | None:
-    """Where a residual stands out most, for `averaged`; None where chance may do that.
+    """Where a residual stands out most, as in `structure_map`; None where chance may do that.
 
     Returns
     -------
@@ -81,7 +70,7 @@ def standing_out(residual: Array, used: Mask, error: Array) -> tuple[float, int,
     >>> standing_out(noise, everywhere, exact)[1:]
     (21, 41)
     """
-    sizes = np.nan_to_num(np.abs(averaged(residual, used, error)))
+    sizes = np.nan_to_num(np.abs(structure_map(residual, used, error)))
     row, column = np.unravel_index(np.argmax(sizes), sizes.shape)
     size = float(sizes[row, column])
     return (size, int(row), int(column)) if size > LOCAL else None

@@ -27,20 +27,18 @@ def single_scattering_in_quadrangles(scene: Scene) -> NDArray[np.float64]:
     medium, seen = scene.medium, footprints(scene.camera, scene.tank)
     image = np.zeros(scene.camera.shape)
     x_rule, y_rule, depth_rule = (np.polynomial.legendre.leggauss(count) for count in (2, 3, 4))
-    for geometry, beams in light_sources(scene):
-        for beam in beams:
-            if beam.irradiance > 0.0:
-                strength, edges = medium.sigma_s * beam.irradiance, (*beam.y_mm, *beam.z_mm)
-                with ThreadPoolExecutor(THREADS) as pool:
-                    parts = [
-                        pool.submit(
-                            _add_beam, image, geometry, seen.corners_mm, medium.sigma_t, strength, medium.g, edges,
-                            x_rule, y_rule, depth_rule, part,
-                        )
-                        for part in range(THREADS)
-                    ]  # fmt: skip
-                    for done in parts:
-                        done.result()
+    lit = [(geometry, beam) for geometry, beams in light_sources(scene) for beam in beams if beam.irradiance > 0.0]
+
+    def add_rows(part: int) -> None:
+        for geometry, beam in lit:
+            strength, edges = medium.sigma_s * beam.irradiance, (*beam.y_mm, *beam.z_mm)
+            _add_beam(
+                image, geometry, seen.corners_mm, medium.sigma_t, strength, medium.g, edges, x_rule, y_rule, depth_rule,
+                part,
+            )  # fmt: skip
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(add_rows, range(THREADS)))
     return np.where(seen.areas_mm2 > 0.0, image / seen.areas_mm2, 0.0)
 
 

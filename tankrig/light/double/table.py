@@ -66,7 +66,7 @@ COARSE = Fineness(
     nodes=3, ratio=1.6, slanted_ratio=1.45, curvature=0.004,
     more_rays=1, slanted_finest=2.0, slanted_near=0.05, mirrored=2.0,
 )  # fmt: skip
-"""Errs by 0.1 % at most, in less than half the time, and in a quarter of it where lines slant."""
+"""Errs by 0.1 % at most, in less than half the time, and in a third of it where lines slant."""
 
 
 @dataclass(frozen=True)
