@@ -150,7 +150,7 @@ def test_abort_reaches_the_doser_at_once_while_the_camera_hangs(tmp_path):
 def test_a_failing_device_stops_the_doser_first_then_goes_dark(tmp_path, monkeypatch):
     rig = memory_rig(tmp_path)
     order = []
-    monkeypatch.setattr("tankrig.run.runner._CAMERA_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("tankrig.run.shown._CAMERA_TIMEOUT_S", 0.05)
     real_show = rig.projector.show
     real_stop = rig.doser.stop
     rig.projector.show = lambda pattern: (order.append(f"show {pattern.name}"), real_show(pattern))[1]
@@ -204,25 +204,6 @@ def test_a_run_is_not_resumed_on_another_bench(tmp_path):
     other = replace(rig, bench=replace(rig.bench, light="pinhole", light_position_mm=(-400.0, 0.0, 60.0)))
     with pytest.raises(StoreError, match="recorded on another bench"):
         resumed_run(tmp_path / "run", other)
-
-
-def test_a_frame_that_may_show_an_older_pattern_fails_the_run(tmp_path):
-    rig = memory_rig(tmp_path)
-    rig.camera.early = True
-    outcome = new_run(SERIES, rig, tmp_path / "run").run()
-    assert outcome.reason is FinishReason.FAILED
-    assert "too early to be of the pattern" in str(outcome.error)
-    assert len(tankrig.open_run(tmp_path / "run").frames) == 0
-
-
-def test_a_dropped_frame_is_a_gap_in_the_journal_and_the_step_gets_its_frames(tmp_path):
-    rig = memory_rig(tmp_path)
-    rig.camera.drop = {2, 3}
-    sequence = Sequence("frames", (Capture("full", frames=5),), exposure_ms=1.0)
-    assert new_run(sequence, rig, tmp_path / "run").run().reason is FinishReason.COMPLETED
-    run = tankrig.open_run(tmp_path / "run")
-    assert len(run.frames) == 5
-    assert [(gap["missing"], gap["after"]) for gap in run.events("gap")] == [(2, 1)]
 
 
 def test_a_full_disk_ends_the_run_with_a_sentence_and_the_doser_stopped(tmp_path, monkeypatch):

@@ -159,8 +159,8 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
         f"{rate:.2f} pictures/s of the {taken:.2f} that the run takes, memory {grown:+.1f} MB"
     )
     assert ended[0].reason.value == "aborted", ended[0].error
-    assert rate > 29.0
-    assert rate > 0.995 * taken  # between two steps, which may show another pattern, a run lets two frames go by
+    assert rate > 29.5
+    assert rate > 0.995 * taken
     assert fits > 1
     if RUN_S >= 300.0:
         assert worst <= 33.0

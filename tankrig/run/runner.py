@@ -7,7 +7,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from tankrig.devices import CameraSettings, Confirming, Frame
 from tankrig.dosing import DoseDone, DoseIntent, GuardedDoser
 from tankrig.errors import DeviceError, SequenceError, StoreError, TankrigError
 from tankrig.pattern import Pattern
@@ -15,11 +14,11 @@ from tankrig.run.announcer import Announcer, Listener
 from tankrig.run.mixing import MixingWatch
 from tankrig.run.progress import Clockwork, Progress
 from tankrig.run.rig import Rig
+from tankrig.run.shown import Shown
 from tankrig.run.state import FinishReason, RunState, RunStates
 from tankrig.run.writer import RunWriter
 from tankrig.sequence import Capture, Dose, DryRun, Mix, Note, Sequence, Wait
 
-_CAMERA_TIMEOUT_S = 5.0
 _MOST_SATURATED = 0.2
 _POLL_S = 0.1
 _CATCH_UP_S, _LOOK_S = 2.0, 0.01
@@ -122,7 +121,7 @@ class Runner:
         self._journal, self._plan = journal, plan
         self._states = RunStates()
         self._clockwork = Clockwork(plan.dry_run, plan.first_step)
-        self._camera_settings: CameraSettings | None = None
+        self._shown = Shown(rig, writer)
         self._newest_lit = -1
         self.path = writer.path
         self._latest_fit: Mapping[str, Any] | None = None
@@ -206,7 +205,7 @@ class Runner:
             self._begin()
             tasks = self._plan.sequence.tasks
             for step in range(self._plan.first_step, len(tasks)):
-                self._states.step_boundary(self._note_of("paused"), self._note_of("resumed"))
+                self._states.step_boundary(self._note_of("paused"), self._resumed)
                 self._do(step)
             self._wait_for_the_rest()
             self._writer.flush()
@@ -230,6 +229,10 @@ class Runner:
     def _note_of(self, text: str) -> Callable[[], None]:
         return lambda: self._writer.put("note", text=text)
 
+    def _resumed(self) -> None:
+        self._shown.forget()  # a person may have had another pattern there
+        self._writer.put("note", text="resumed")
+
     def _begin(self) -> None:
         held, rig = self._doser.delivered(), self._rig
         self._writer.put(
@@ -252,6 +255,8 @@ class Runner:
     def _do(self, step: int) -> None:
         task = self._plan.sequence.tasks[step]
         self._journal.step = step
+        if not isinstance(task.action, Capture | Note):
+            self._shown.forget()
         self._clockwork.begin(step)
         self._writer.put("step", step=step, state="begun", label=task.label)
         match task.action:
@@ -281,12 +286,11 @@ class Runner:
     def _mix(self, mix: Mix, label: str) -> dict[str, Any]:
         pattern = self._plan.patterns[mix.pattern]
         self._clockwork.waiting_for = "the first pictures of the ink"
-        self._configure(self._plan.sequence.camera_settings(mix))
-        after_ns = self._rig.projector.show(pattern).bound_ns
+        self._shown.show(pattern, self._plan.sequence.camera_settings(mix))
         watch, start_s = MixingWatch(), time.monotonic()
         while True:
             self._states.check()
-            frame = self._frame(after_ns)
+            frame = self._shown.frame()
             saturated = float((frame.pixels >= self._rig.camera.saturation).mean())
             if saturated > _MOST_SATURATED:
                 raise SequenceError(
@@ -304,7 +308,6 @@ class Runner:
                 )
             if mixing.remaining < 1.0:
                 self._clockwork.waiting_for = f"the ink to mix: up to {mixing.remaining:.1%} of the picture changes"
-            after_ns = frame.exposure_start_ns
             self._states.sleep(mix.every_s)
 
     def _capture(self, capture: Capture, step: int) -> dict[str, Any]:
@@ -318,15 +321,14 @@ class Runner:
             self._states.check()
             if number == taken:
                 self._clockwork.waiting_for = self._rig.camera.name
-                self._configure(self._plan.sequence.camera_settings(capture))
-                after_ns = self._rig.projector.show(pattern).bound_ns
-            frame = self._frame(after_ns)
+                self._shown.show(pattern, self._plan.sequence.camera_settings(capture))
+            frame = self._shown.frame()
             if previous is not None and frame.sequence > previous + 1:
                 self._writer.put("gap", step=step, missing=frame.sequence - previous - 1, after=previous)
             index = self._writer.put_frame(frame, step, pattern.hash)
             if pattern.pixels.any():
                 self._newest_lit = index
-            after_ns, previous = frame.exposure_start_ns, frame.sequence
+            previous = frame.sequence
         return {}
 
     def _enough(self, capture: Capture, begun_s: float, frames: int) -> str:
@@ -351,31 +353,6 @@ class Runner:
         fit = self._dose_fit
         of_now = abs(fit.get("dose_ml", -1.0) - self._doser.delivered().volume_ul / 1000) < 1e-6
         return fit if of_now and "error" not in fit else None
-
-    def _configure(self, settings: CameraSettings) -> None:
-        if settings != self._camera_settings:
-            actual = self._rig.camera.configure(settings)
-            self._writer.put("note", text="camera", asked=asdict(settings), **asdict(actual))
-            self._camera_settings = settings
-
-    def _frame(self, after_ns: int) -> Frame:
-        """The next frame, once it is proven to be of the pattern that is shown."""
-        exposure_s = self._camera_settings.exposure_ms / 1000 if self._camera_settings else 0.0
-        frame = self._rig.camera.capture(after_ns, 2 * exposure_s + _CAMERA_TIMEOUT_S)
-        if isinstance(self._rig.projector, Confirming):
-            self._rig.projector.confirm()
-        if frame.exposure_start_ns <= after_ns:
-            early_ms = (after_ns - frame.exposure_start_ns) / 1e6
-            raise DeviceError(
-                f"{self._rig.camera.name}: gave a frame whose exposure began {early_ms:g} ms too early to be of the "
-                f"pattern that is shown; check its timestamps (tankrig doctor)"
-            )
-        if frame.pixels.shape != self._rig.camera.shape:
-            raise DeviceError(
-                f"{self._rig.camera.name}: gave a frame of shape {list(frame.pixels.shape)} rather than "
-                f"{list(self._rig.camera.shape)}; set its format again, and check its cable"
-            )
-        return frame
 
     def _end(self, reason: FinishReason, error: TankrigError | None) -> TankrigError | None:
         """Stop the doser unless all went well, go dark, record the end, let go of everything; the first error."""
