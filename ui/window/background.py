@@ -11,6 +11,8 @@ from typing import Any
 
 from PySide6.QtCore import QObject, Signal
 
+from tankrig.leftover_time import take_leftover_time
+
 _log = logging.getLogger(__name__)
 
 NICENESS = 12
@@ -73,7 +75,7 @@ class Background(QObject):
 
 
 def _begin() -> None:
-    os.nice(NICENESS)
+    take_leftover_time(NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

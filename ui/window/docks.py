@@ -1,7 +1,12 @@
 """The docks that pages live in: there from the beginning, filled when their pages are made."""
 
+from functools import partial
+
+import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDockWidget, QFrame, QMainWindow, QScrollArea, QTabWidget, QWidget
+
+from ui.window.turns import Turns
 
 TITLES = ("Sequence", "Fit", "Doser", "Projector", "Runs", "Calibration", "Log")
 PART = 0.54
@@ -46,6 +51,7 @@ class Docks:
         assert isinstance(area, QScrollArea)
         area.setWidget(page)
         self._by_page[page] = dock
+        dock.visibilityChanged.connect(partial(_appear, page.findChildren(pg.PlotWidget), Turns(page)))
 
     def show(self, page: QWidget) -> None:
         """Bring a page to the front."""
@@ -65,3 +71,11 @@ class Docks:
         window.resize(size)
         window.resizeDocks([first], [int(window.width() * PART)], Qt.Orientation.Horizontal)
         first.raise_()
+
+
+def _appear(plots: list[pg.PlotWidget], turns: Turns, visible: bool) -> None:
+    """Paint a page's plots one after another: all at once they would hold the live picture up."""
+    if visible:
+        for plot in plots:
+            plot.setUpdatesEnabled(False)
+        turns.take([partial(plot.setUpdatesEnabled, True) for plot in plots])

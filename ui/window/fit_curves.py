@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
+from PySide6.QtWidgets import QGraphicsItem, QHBoxLayout, QSizePolicy, QWidget
 
 from ui.window.fit_cards import COEFFICIENTS
 from ui.window.theme import CURVES
@@ -15,6 +15,8 @@ from ui.window.turns import Turns
 Z95 = 1.96
 ROOM = 1.5
 """Times what is shown: an axis that is at most so long stays as it is."""
+AXIS_PX = 50
+"""Width of the axis at the left: one that follows its numbers has the plot laid out and painted twice."""
 
 
 class FitCurves(QWidget):
@@ -32,7 +34,11 @@ class FitCurves(QWidget):
             plot.hideButtons()
             plot.setMenuEnabled(False)
             for side in ("left", "bottom"):
-                plot.getAxis(side).enableAutoSIPrefix(False)
+                axis = plot.getAxis(side)
+                axis.enableAutoSIPrefix(False)
+                axis.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
+            plot.getAxis("left").setWidth(AXIS_PX)
+            plot.getAxis("bottom").setTickDensity(0.6)  # side by side, numbers have little room
             plot.showGrid(x=True, y=True, alpha=0.2)
             line = plot.plot(pen=pg.mkPen("#888888", width=1.5))
             bars = pg.ErrorBarItem(pen=pg.mkPen(colour, width=2), beam=0.0)

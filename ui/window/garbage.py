@@ -25,7 +25,7 @@ class GarbageTimer(QObject):
         gc.collect()
         gc.freeze()  # what was imported stays; without it a collection takes longer than a person may wait
         gc.disable()
-        self._count = 0
+        self._count, self._was_idle = 0, True
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._collect)
         self._timer.start(EVERY_MS)
@@ -37,11 +37,14 @@ class GarbageTimer(QObject):
         gc.enable()
 
     def _collect(self) -> None:
+        was_idle, self._was_idle = self._was_idle, self._idle()
+        if was_idle and not self._was_idle:
+            gc.freeze()  # all that came before the run waits for its end
         self._count += 1
         if self._count % OLDEST_EVERY:
             gc.collect(1)
             return
-        if self._idle():
+        if self._was_idle:
             gc.unfreeze()
         gc.collect(2)
         gc.freeze()
