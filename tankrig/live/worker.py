@@ -15,7 +15,6 @@ import numpy as np
 
 from tankrig.errors import TankrigError
 from tankrig.estimation.series import SeriesEstimate
-from tankrig.leftover_time import take_leftover_time
 from tankrig.live.exposures import Exposures, Photograph, Plan
 from tankrig.live.fits import Table, diluted, fit_all, fit_dose, fit_dose_prepared, with_single
 from tankrig.live.preparing import Preparing
@@ -58,7 +57,7 @@ class Shared:
 
 def work(shared: Shared) -> None:
     """Fit until told that the last frame is in and all is fitted, or until the program that started this is gone."""
-    take_leftover_time(NICENESS)
+    os.nice(NICENESS)
     memory = SharedMemory(shared.memory)
     threading.Thread(target=_end_with_parent, args=(memory,), name="live-guard", daemon=True).start()
     try:

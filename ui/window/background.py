@@ -11,8 +11,6 @@ from typing import Any
 
 from PySide6.QtCore import QObject, Signal
 
-from tankrig.leftover_time import take_leftover_time
-
 _log = logging.getLogger(__name__)
 
 NICENESS = 12
@@ -75,7 +73,7 @@ class Background(QObject):
 
 
 def _begin() -> None:
-    take_leftover_time(NICENESS)
+    os.nice(NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
