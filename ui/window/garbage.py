@@ -38,9 +38,9 @@ class GarbageTimer(QObject):
 
     def _collect(self) -> None:
         was_idle, self._was_idle = self._was_idle, self._idle()
-        if was_idle and not self._was_idle:
-            gc.freeze()  # all that came before the run waits for its end
         self._count += 1
+        if was_idle and not self._was_idle:
+            self._count = 0  # a run begins: the last moment in which all that came before it may be looked at
         if self._count % OLDEST_EVERY:
             gc.collect(1)
             return
