@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -205,7 +206,7 @@ class Runner:
             self._begin()
             tasks = self._plan.sequence.tasks
             for step in range(self._plan.first_step, len(tasks)):
-                self._states.step_boundary(self._note_of("paused"), self._resumed)
+                self._states.step_boundary(partial(self._writer.put, "note", text="paused"), self._resumed)
                 self._do(step)
             self._wait_for_the_rest()
             self._writer.flush()
@@ -225,9 +226,6 @@ class Runner:
         for ready in self.before_end:
             while not ready():
                 self._states.sleep(_POLL_S)
-
-    def _note_of(self, text: str) -> Callable[[], None]:
-        return lambda: self._writer.put("note", text=text)
 
     def _resumed(self) -> None:
         self._shown.forget()  # a person may have had another pattern there
