@@ -42,7 +42,11 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
     def latest_s() -> float:
         return time.monotonic() + patience_s
 
-    with LiveFit(Plan.of_run(run), record, run) as fit:
+    def tell(sentence: str) -> None:
+        with suppress(StoreError):
+            runner.record("note", text=sentence, warning=True)
+
+    with LiveFit(Plan.of_run(run), record, run, tell) as fit:
         runner.fitted = True
         runner.latest_fit = next((event.fields for event in reversed(run.fits)), None)
         runner.listen(fit.see)

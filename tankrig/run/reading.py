@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tankrig.devices import Pixels
+from tankrig.devices import Delivered, Pixels
 from tankrig.errors import StoreError
 from tankrig.pattern import Pattern
+from tankrig.run.conditions import Conditions, with_conditions
 from tankrig.run.facts import read_journal, read_settings
 from tankrig.run.journal import Event
 
@@ -51,6 +52,17 @@ class Run:
         """How the run ended; None while it goes on or when it was cut off."""
         return self.journal[-1] if self.journal and self.journal[-1].kind == "end" else None
 
+    @property
+    def tank(self) -> Delivered | None:
+        """What the tank held when the run last knew; None when it never did."""
+        known = [then for event, then in with_conditions(self.journal) if event.kind in ("session", "dose_done")]
+        return known[-1].tank if known else None
+
+    @cached_property
+    def conditions(self) -> dict[int, Conditions]:
+        """What was true of each acknowledged frame when it was exposed, by its number."""
+        return {event["index"]: then for event, then in with_conditions(self.journal) if event.kind == "frame"}
+
     @cached_property
     def patterns(self) -> dict[str, Pattern]:
         """The pictures that were to be projected, by hash."""
@@ -67,45 +79,32 @@ class Run:
         """The acknowledged frames.
 
         (frame, y, x) uint8 or uint16 counts, read from disk as they are used; with the coordinates `step`, `pattern`
-        (name), `pattern_hash`, `exposure_start_ns`, `utc`, and `delivered_ul`, the ink that the run had put into the
-        tank, with its bounds `delivered_low_ul` and `delivered_high_ul`.
+        (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held when the frame was
+        exposed, with its bounds `delivered_low_ul` and `delivered_high_ul`; and `exposure_ms` and `gain`, as they were
+        read back from the camera (NaN where a run does not say).
         """
         import xarray
 
         array = xarray.open_zarr(self.path, drop_variables="patterns")["frames"]
-        rows = [_Row(event, dose) for event, dose in _with_dose(self.journal) if event.kind == "frame"]
-        array = array.isel(frame=[row.event["index"] for row in rows])
+        rows = [(event, then) for event, then in with_conditions(self.journal) if event.kind == "frame"]
+        array = array.isel(frame=[event["index"] for event, _ in rows])
         names = {key: pattern.name for key, pattern in self.patterns.items()}
         columns: dict[str, Any] = {
-            "step": np.array([row.event["step"] for row in rows], int),
-            "pattern": np.array([names.get(row.event["pattern_hash"], "") for row in rows], object),
-            "pattern_hash": np.array([row.event["pattern_hash"] for row in rows], object),
-            "exposure_start_ns": np.array([row.event["exposure_start_ns"] for row in rows], np.int64),
-            "utc": np.array([row.event.moment.utc.split("+")[0] for row in rows], "datetime64[us]").astype(
+            "step": np.array([event["step"] for event, _ in rows], int),
+            "pattern": np.array([names.get(event["pattern_hash"], "") for event, _ in rows], object),
+            "pattern_hash": np.array([event["pattern_hash"] for event, _ in rows], object),
+            "exposure_start_ns": np.array([event["exposure_start_ns"] for event, _ in rows], np.int64),
+            "utc": np.array([event.moment.utc.split("+")[0] for event, _ in rows], "datetime64[us]").astype(
                 "datetime64[ns]"
             ),
+            "delivered_ul": np.array([then.tank.volume_ul for _, then in rows], float),
+            "delivered_low_ul": np.array([then.tank.low_ul for _, then in rows], float),
+            "delivered_high_ul": np.array([then.tank.high_ul for _, then in rows], float),
+            "exposure_ms": np.array([then.camera.exposure_ms if then.camera else np.nan for _, then in rows], float),
+            "gain": np.array([then.camera.gain if then.camera else np.nan for _, then in rows], float),
         }
-        for name in ("delivered_ul", "delivered_low_ul", "delivered_high_ul"):
-            columns[name] = np.array([row.dose.get(name, 0.0) for row in rows], float)
         labelled: xarray.DataArray = array.assign_coords({name: ("frame", values) for name, values in columns.items()})
         return labelled
-
-
-@dataclass(frozen=True)
-class _Row:
-    event: Event
-    dose: Mapping[str, Any]
-
-
-def _with_dose(journal: tuple[Event, ...]) -> list[tuple[Event, Mapping[str, Any]]]:
-    """Each event with the last dose that was done before it."""
-    dose: Mapping[str, Any] = {}
-    rows = []
-    for event in journal:
-        if event.kind == "dose_done":
-            dose = event.fields
-        rows.append((event, dose))
-    return rows
 
 
 def open_run(path: str | os.PathLike[str]) -> Run:

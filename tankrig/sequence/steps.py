@@ -107,7 +107,7 @@ class Capture:
 def _require_positive(step: Mix | Capture) -> None:
     for name in ("exposure_ms", "gain"):
         value = getattr(step, name)
-        _require(value is None or value > 0.0, f"{name} = {value} is not positive; give a positive number")
+        _require(value is None or 0.0 < value < float("inf"), f"{name} = {value} is no number above 0; give a positive one")
 
 
 @dataclass(frozen=True)
