@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.bench import Bench
-from tankrig.calibration.file import FOLDER, in_force
+from tankrig.calibration.file import FOLDER, usable
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked
 from tankrig.devices import CameraSettings, Delivered, Pixels
@@ -238,7 +238,7 @@ class Exposures:
     @property
     def doses(self) -> list[int]:
         """Numbers of the doses that frames were taken at, and of the one under way; the newest first."""
-        taken = np.flatnonzero(self._counts.any(axis=1)).tolist()
+        taken = np.flatnonzero(np.any(self._counts, axis=1)).tolist()
         return [self.dose, *sorted(set(taken) - {self.dose}, reverse=True)]
 
     def left_out(self, dose: int) -> int:
@@ -294,7 +294,7 @@ class Exposures:
         dose_ml = tank.volume_ul / 1000.0
         # Anywhere between its bounds alike: the standard deviation is the width by √12.
         sd_ml = (tank.high_ul - tank.low_ul) / 1000.0 / np.sqrt(12.0)
-        taken = self._counts.any(axis=1)
+        taken: NDArray[np.bool_] = np.any(self._counts, axis=1)
         if not taken[self.dose] or abs(self.dose_ml - dose_ml) > SAME_ML:
             same = taken & (np.abs(self._doses[:, 0] - dose_ml) <= SAME_ML)
             free = np.flatnonzero(same if same.any() else ~taken)
@@ -401,7 +401,7 @@ def radiometry_of_run(run: Run) -> Radiometry | None:
     named = run.settings.get("calibrations", {})
     if "radiometry" not in named:
         return None
-    return Radiometry.of(in_force(run.path / FOLDER, {"radiometry": named["radiometry"]})["radiometry"])
+    return Radiometry.of(usable(run.path / FOLDER, {"radiometry": named["radiometry"]})["radiometry"])
 
 
 def fits_that_hold(run: Run) -> tuple[Event, ...]:

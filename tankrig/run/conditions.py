@@ -31,8 +31,8 @@ class Conditions:
         Its settings as read back; None where nobody has set it yet.
     """
 
-    tank: Delivered = Delivered(0.0, 0.0, 0.0)
-    camera: CameraSettings | None = None
+    tank: Delivered
+    camera: CameraSettings | None
 
     def line(self) -> dict[str, float | None]:
         """Keys of a frame's line in the journal; a bound that is not known is None, since JSON has no infinity.
@@ -60,7 +60,7 @@ class Following:
     """
 
     def __init__(self) -> None:
-        self.now = Conditions()
+        self.now = Conditions(Delivered(0.0, 0.0, 0.0), None)
 
     def at(self, event: Event) -> Conditions:
         """What was true at the event that comes next; of a frame, when it was exposed."""

@@ -79,9 +79,9 @@ class Run:
         """The acknowledged frames.
 
         (frame, y, x) uint8 or uint16 counts, read from disk as they are used; with the coordinates `step`, `pattern`
-        (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held when the frame was
-        exposed, with its bounds `delivered_low_ul` and `delivered_high_ul`; and `exposure_ms` and `gain`, as they were
-        read back from the camera (NaN where a run does not say).
+        (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held when the frame
+        was exposed, with its bounds `delivered_low_ul` and `delivered_high_ul`; and `exposure_ms` and `gain`, as they
+        were read back from the camera (NaN where a run does not say).
         """
         import xarray
 

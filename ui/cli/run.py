@@ -70,7 +70,7 @@ def run(
         require_resumable(path)
     else:
         sequence = load_sequence(sequence_file)
-        plan = _planned(sequence, description, path)
+        plan = _planned(sequence, description, path, fit)
         if dry_run:
             _tell_plan(plan, as_json)
             return 0
@@ -91,17 +91,23 @@ def _described(rig: Path | None, run_folder: Path) -> "RigFile":
     return simulated_rig(run_folder.with_name(f"{run_folder.name}.rig"))
 
 
-def _planned(sequence: "Sequence", description: "RigFile", run_folder: Path) -> "DryRun":
+def _planned(sequence: "Sequence", description: "RigFile", run_folder: Path, fit: bool) -> "DryRun":
     """The dry run, which checks all that can be checked before a device is touched."""
+    from drivers.rig import calibrated_bench
     from tankrig.devices import Delivered
     from tankrig.dosing import TankLedger
+    from tankrig.live.attached import require_fittable
     from tankrig.run.start import require_place
     from tankrig.sequence import dry_run
 
-    rows, columns = description.bench.camera.shape
+    bench = calibrated_bench(description)
+    rows, columns = bench.camera.shape
     frame_bytes = rows * columns * 2
     require_place(run_folder, sequence.frames * frame_bytes)
-    sequence.drawn(description.bench.wall)
+    if fit:
+        require_fittable(sequence, bench)
+    else:
+        sequence.drawn(bench.wall)
     tank = Delivered(0.0, 0.0, 0.0)
     if description.ledger.exists():
         ledger = TankLedger(description.ledger)
@@ -181,10 +187,10 @@ def carry_out(runner: "Runner", fit: bool) -> "Outcome":
             _draw(runner, thread, fit)
         except BaseException:
             _abort(runner)  # nobody sees any more what it does
+            _wait_for(thread)
+            with suppress(OSError):  # a terminal that is gone
+                click.echo(f"the display failed, so the run was ended; {_how_to_resume(runner.path)}", err=True)
             raise
-        finally:
-            while thread.is_alive():
-                thread.join(_POLL_S)
     (outcome,) = outcomes
     if isinstance(outcome, BaseException):
         raise outcome
@@ -222,6 +228,11 @@ def _draw(runner: "Runner", thread: threading.Thread, fit: bool) -> None:
                 console.print(Text(warnings.get()), soft_wrap=True)
     while not warnings.empty():
         click.echo(warnings.get(), err=True)
+
+
+def _wait_for(thread: threading.Thread) -> None:
+    while thread.is_alive():  # a join without an end would not hear signals
+        thread.join(_POLL_S)
 
 
 def _abort(runner: "Runner") -> None:
@@ -270,7 +281,7 @@ def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -
         ink = f", the tank holds {delivered_ul:g} µl" if delivered_ul is not None else ""
         click.echo(f"{outcome.reason.value}: {path}, {frames} frames{ink}")
         if not completed:
-            click.echo(f"resume with: tankrig run --resume {path}")
+            click.echo(_how_to_resume(path))
         elif report:
             click.echo(f"report: {report}")
         elif frames:
@@ -278,6 +289,10 @@ def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -
     if outcome.error is not None:
         raise outcome.error
     return 0 if completed else 1
+
+
+def _how_to_resume(path: Path) -> str:
+    return f"resume with: tankrig run --resume {path}"
 
 
 def _reported(path: Path) -> str:
