@@ -1,7 +1,6 @@
 """A frame says what was true when it was exposed: the ink in the tank then, and the exposure that the camera had."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -234,13 +233,13 @@ def as_earlier_versions_wrote_it(new: Path, old: Path) -> tankrig.Run:
 
 
 @pytest.fixture
-def both(tmp_path: Path) -> Iterator[tuple[tankrig.Run, tankrig.Run]]:
-    """A run in a tank with ink, with a camera that clamps to a tenth of what is asked for; and as it was once written."""
+def both(tmp_path: Path) -> tuple[tankrig.Run, tankrig.Run]:
+    """A run in a tank with ink, by a camera that clamps to a tenth of what is asked for; and as it was once written."""
     fill(tmp_path, "before", 5.0)
     rig = memory_rig(tmp_path)
     clamping(rig, 5.0)
     assert new_run(SWEPT, rig, tmp_path / "new").run().error is None
-    yield tankrig.open_run(tmp_path / "new"), as_earlier_versions_wrote_it(tmp_path / "new", tmp_path / "old")
+    return tankrig.open_run(tmp_path / "new"), as_earlier_versions_wrote_it(tmp_path / "new", tmp_path / "old")
 
 
 def test_runs_of_earlier_versions_have_the_same_labels_and_are_fitted_alike(both) -> None:
