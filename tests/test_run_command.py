@@ -6,8 +6,10 @@ import re
 import signal
 import subprocess
 import sys
+import termios
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -237,13 +239,33 @@ def test_peoples_words_are_drawn_as_they_stand(folder, capsys):
     words = [json.dumps(label) for label in LABELS]
     patterns = "".join(f'[patterns.{word}]\nkind = "full"\n' for word in words)
     steps = "".join(
-        f'[[steps]]\ndo = "note"\ntext = {word}\n[[steps]]\ndo = "capture"\npattern = {word}\nframes = 12\n'
-        for word in words
+        f'[[steps]]\ndo = "note"\ntext = {word}\n[[steps]]\ndo = "capture"\npattern = {word}\n' for word in words
     )
-    (folder / "notes.toml").write_text(f"name = {words[0]}\nexposure_ms = 2\n{patterns}{steps}")
+    (folder / "notes.toml").write_text(f"name = {words[0]}\nexposure_ms = 200\n{patterns}{steps}")
     assert main(["run", "notes.toml", "--dry-run", "--out", "run"]) == 0
-    assert all(label in capsys.readouterr().out for label in LABELS[:1])
-    assert main(["run", "notes.toml", "--out", "run", "--no-fit"]) == 0
+    assert LABELS[0] in capsys.readouterr().out
+    terminal, end = os.openpty()
+    termios.tcsetwinsize(end, (40, 160))
+    drawn: list[bytes] = []
+
+    def watch() -> None:
+        with suppress(OSError):  # the other end is closed
+            while seen := os.read(terminal, 65536):
+                drawn.append(seen)
+
+    (watcher := threading.Thread(target=watch)).start()
+    command = [sys.executable, "-c", RUN, "run", "notes.toml", "--out", "run", "--no-fit"]
+    program = subprocess.run(
+        command, stdout=subprocess.DEVNULL, stderr=end, stdin=subprocess.DEVNULL, timeout=90, check=False,
+        env=os.environ | {"TERM": "xterm"},
+    )  # fmt: skip
+    os.close(end)
+    watcher.join(10)
+    os.close(terminal)
+    seen = b"".join(drawn).decode(errors="replace")
+    assert program.returncode == 0, seen
+    assert LABELS[0] in seen
+    assert "[red]stirred[/blue]" in seen
     assert [note["text"] for note in tankrig.open_run("run").events("note") if note["text"] in LABELS] == LABELS
 
 
