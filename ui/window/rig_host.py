@@ -214,7 +214,7 @@ class RigHost(QObject):
         with ExitStack() as opened:
             description, rig = self._open(opened, looking=True)
             for over in passed_over(Path(description.calibration_folder), description.calibration):
-                _log.warning("%s", over)
+                self._tell(str(over))
             ledger = TankLedger(rig.ledger)
             opened.callback(ledger.close)
             self._guard = GuardedDoser(rig.doser, rig.limits, ledger, LedgerOnly(), "bench")
@@ -270,7 +270,7 @@ class RigHost(QObject):
         except UndecidedError:
             raise
         except TankrigError as error:
-            self._tell(str(error))
+            self._tell(f"the run did not begin: {error}")
         self._run_order = None
 
     def _carry_out(self, order: RunOrder) -> None:
