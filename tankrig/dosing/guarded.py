@@ -2,15 +2,17 @@
 
 import math
 import threading
-from contextlib import ExitStack, suppress
-from typing import Protocol
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any, Protocol
 
 from tankrig.devices import Delivered, Doser
-from tankrig.errors import DeviceError, StoreError, UndecidedError
+from tankrig.errors import DeviceError, TankrigError, UndecidedError
 
+from .evidence import Account, Evidence, Judgement, between, judge
 from .ledger import TankLedger
 from .limits import DoseLimits, Remaining
-from .records import DoseDone, DoseIntent, Joint
+from .records import COUNT_KEYS, DoseDone, DoseIntent, Joint
 
 _CLOSE_S = 60.0
 
@@ -28,10 +30,10 @@ class DoseJournal(Protocol):
 class GuardedDoser:
     """A doser that keeps to budgets and accounts for the ink in the tank; itself a `tankrig.devices.Doser`.
 
-    Volumes are what the *tank* holds, counted by its ledger since it was filled, not the doser's own count. On opening
-    it reconciles: a dose that was begun and is not known to have ended is settled by the doser's count where that lies
-    between the dose's two ends; otherwise `undecided` is a sentence that says what a person has to decide, and nothing
-    moves before `resolve`.
+    Volumes are what the *tank* holds, counted by its ledger since it was filled, not the doser's own count. On opening,
+    and before each dose, ledger, doser and the journal of a run that goes on are asked together what it holds
+    (`tankrig.dosing.evidence`): where they agree a dose that was cut off is settled; otherwise `undecided` is a
+    sentence that says what a person has to decide, and nothing moves before `resolve`.
 
     Whenever a journal holds an intent without its end and nothing is undecided, `account` is the entry that it lacks.
 
@@ -47,12 +49,25 @@ class GuardedDoser:
         Of the run.
     run
         Names the run in the ledger, the same when it is resumed.
+    known
+        What the journal of a run that goes on knew last of the tank; None for a new run.
     """
 
-    def __init__(self, doser: Doser, limits: DoseLimits, ledger: TankLedger, journal: DoseJournal, run: str) -> None:
+    def __init__(
+        self,
+        doser: Doser,
+        limits: DoseLimits,
+        ledger: TankLedger,
+        journal: DoseJournal,
+        run: str,
+        known: Account | None = None,
+    ) -> None:
         self._doser, self._limits, self._ledger, self._journal, self._run = doser, limits, ledger, journal, run
+        self._known_by_journal, self._count = known, Delivered(0.0, 0.0, 0.0)
+        self._decided: dict[str, Any] = {}
         self._dosing = threading.Lock()
-        self.undecided = self._reconciled()
+        self._judgement = Judgement(ledger.tank)
+        self._ask()
 
     # -- who and what ------------------------------------------------------------------------------------------------
 
@@ -79,7 +94,26 @@ class GuardedDoser:
     @property
     def unknown(self) -> bool:
         """Whether a person has to say what the tank holds."""
-        return self.undecided is not None
+        return self._judgement.question is not None
+
+    @property
+    def undecided(self) -> str | None:
+        """What a person has to decide before anything moves, in a sentence with its numbers; None if nothing is."""
+        why, dose = self._judgement.question, self._ledger.open_dose
+        if why is None:
+            return None
+        run = f" (run {dose.run})" if dose else ""
+        held = between(self._judgement.tank).removeprefix("it is ")
+        return f"{self._ledger.path}: {why}; the tank holds {held}{run}: say how much it is in all (--delivered-ul)"
+
+    @property
+    def noted(self) -> dict[str, Any]:
+        """What a run's journal notes beside the tank's content, so that it can be compared later."""
+        return {**self._counted, "filled_utc": self._ledger.filled_utc, **self._decided}
+
+    @property
+    def _counted(self) -> dict[str, float]:
+        return dict(zip(COUNT_KEYS, self._count, strict=True))
 
     # -- dosing ------------------------------------------------------------------------------------------------------
 
@@ -98,33 +132,74 @@ class GuardedDoser:
         StoreError
             If it cannot be written down.
         """
+        with self._alone(f"dose to {total_ul:g} µl"):
+            joint = self._known()
+            before = self._ledger.tank
+            self._refuse_unless_allowed(total_ul, before)
+            self._journal.dose_intent(DoseIntent(total_ul, before.volume_ul, self.identity))
+            self._ledger.begin(self._run, total_ul, self._count)
+            with self._stopped_on_trouble():
+                self._doser.dose_to(max(self._count.volume_ul, joint.count_at(total_ul)))
+            return self._settled(total_ul)
+
+    def dose_aside(self, volume_ul: float) -> Delivered:
+        """Deliver `volume_ul` into a waste vessel, to prime or to rinse; the tank holds what it held.
+
+        Returns
+        -------
+        Delivered
+            What the doser has counted in all, not what the tank holds.
+
+        Raises
+        ------
+        UndecidedError
+            If it is not known what the tank holds, before or after.
+        DeviceError
+            If it is refused (nothing has moved), stopped or interrupted.
+        """
+        if not 0.0 < volume_ul <= self._limits.dose_ul:
+            raise DeviceError(
+                f"{self.name}: asked for {volume_ul:g} µl into a waste vessel; give more than 0 and no more than the "
+                f"{self._limits.dose_ul:g} µl that one dose may have"
+            )
+        with self.aside(volume_ul, "into a waste vessel") as doser:
+            return doser.dose_to(self._count.volume_ul + volume_ul)
+
+    @contextmanager
+    def aside(self, most_ul: float, why: str) -> Iterator[Doser]:
+        """Lend the bare doser for movements by `most_ul` at most that do not go into the tank, such as calibrating.
+
+        The ledger says so before anything moves, so that a crash in the middle is settled too.
+
+        Raises
+        ------
+        UndecidedError
+            If it is not known what the tank holds, before or after.
+        StoreError
+            If it cannot be written down.
+        """
+        with self._alone(f"move, {why},"):
+            self._known()
+            self._ledger.begin_aside(most_ul, why)
+            with self._stopped_on_trouble():
+                yield self._doser
+            self._ask()
+            if self.undecided:
+                raise UndecidedError(self.undecided)
+
+    @contextmanager
+    def _alone(self, what: str) -> Iterator[None]:
         if not self._dosing.acquire(blocking=False):
-            raise DeviceError(f"{self.name}: asked to dose to {total_ul:g} µl while it doses; wait for it or stop it")
+            raise DeviceError(f"{self.name}: asked to {what} while it doses; wait for it or stop it")
         try:
-            return self._dose(total_ul)
+            yield
         finally:
             self._dosing.release()
 
-    def _dose(self, total_ul: float) -> Delivered:
-        joint = self._known()
-        count = self._doser.delivered()
-        before = joint.tank_at(count)
-        self._refuse_unless_allowed(total_ul, before)
-        self._journal.dose_intent(DoseIntent(total_ul, before.volume_ul, self.identity))
-        self._ledger.begin(self._run, total_ul)
-        try:
-            self._doser.dose_to(max(count.volume_ul, joint.count_at(total_ul)))
-        except BaseException:
-            self._doser.stop()
-            with suppress(DeviceError, StoreError):
-                self._settle(joint, total_ul)
-            raise
-        return self._settle(joint, total_ul)
-
     def _known(self) -> Joint:
-        if self.undecided or self._ledger.open_dose or self._doser.unknown:
-            self.undecided = self._reconciled()
-        if self.undecided is not None or self._ledger.joint is None:
+        """Ask again what the tank holds; where the doser's count and the tank's are put together."""
+        self._ask()
+        if self.undecided or self._ledger.joint is None:
             raise UndecidedError(self.undecided)
         return self._ledger.joint
 
@@ -139,27 +214,41 @@ class GuardedDoser:
         if refusal := self._limits.refusal(total_ul, before, self._ledger.used_ul(self._run)):
             raise DeviceError(f"{asked} {refusal}")
 
-    def _settle(self, joint: Joint, total_ul: float) -> Delivered:
+    @contextmanager
+    def _stopped_on_trouble(self) -> Iterator[None]:
+        """Whatever goes wrong while the doser moves, it is stopped, and what is known of it is written down."""
+        try:
+            yield
+        except BaseException:
+            with suppress(TankrigError, OSError):
+                self._doser.stop()
+            with suppress(TankrigError, OSError):
+                dose = self._ledger.open_dose
+                if dose:
+                    self._settled(dose.total_ul)
+                else:
+                    self._ask()
+            raise
+
+    def _settled(self, total_ul: float) -> Delivered:
         """Write down what a dose delivered, or that it is not known."""
-        self.undecided = self._question("the end of the last dose is not known")
-        if self._doser.unknown:
+        tank = self._ledger.tank
+        in_doubt = tank._replace(high_ul=max(total_ul, tank.high_ul))
+        self._judgement = Judgement(in_doubt, "the end of the last dose is not known")
+        self._ask()
+        if self.undecided:
             raise UndecidedError(self.undecided)
-        tank = joint.tank_at(self._doser.delivered())
-        self._ledger.end(tank)
-        self.undecided = None
-        self._journal.dose_done(self._entry(tank, total_ul))
-        return tank
+        self._journal.dose_done(self._entry(total_ul))
+        return self._ledger.tank
 
     # -- asking, stopping, deciding ----------------------------------------------------------------------------------
 
     def delivered(self) -> Delivered:
         """What the tank holds, with hard bounds."""
-        if self._dosing.locked() and self._ledger.joint:
-            return self._ledger.joint.tank_at(self._doser.delivered())
-        tank, dose = self._ledger.tank, self._ledger.open_dose
-        if dose:
-            return tank._replace(high_ul=max(dose.total_ul, tank.high_ul))
-        return tank._replace(high_ul=math.inf) if self.undecided else tank
+        dose, joint = self._ledger.open_dose, self._ledger.joint
+        if self._dosing.locked() and dose and joint:
+            return joint.tank_at(self._doser.delivered())
+        return self._judgement.tank
 
     def remaining(self) -> Remaining:
         """What the budgets still allow, µl."""
@@ -174,7 +263,7 @@ class GuardedDoser:
             If a person has to say it first.
         """
         self._known()
-        return self._entry(self._ledger.tank, total_ul)
+        return self._entry(total_ul)
 
     def stop(self) -> None:
         """Stop at once, from any thread; latched until `clear_stop`."""
@@ -185,29 +274,33 @@ class GuardedDoser:
         self._doser.clear_stop()
 
     def resolve(self, volume_ul: float) -> None:
-        """A person says what the tank holds in all.
+        """A person says what the tank holds in all; what the doser knows by now is asked first.
 
         Raises
         ------
+        UndecidedError
+            If the tank cannot hold that.
         DeviceError
-            If nothing is undecided, or if the tank cannot hold that.
+            If nothing is undecided, or if the doser does not answer.
         """
-        if self.undecided is None:
+        question = self._judgement.question
+        if question is None:
             raise DeviceError(f"{self.name}: nothing is undecided; the tank holds {self.delivered().volume_ul:g} µl")
-        bounds = self.delivered()
-        slack_ul = self.increment_ul
-        if not bounds.low_ul - slack_ul <= volume_ul <= bounds.high_ul + slack_ul or math.isinf(volume_ul):
-            raise DeviceError(
-                f"{self.name}: the tank cannot hold {volume_ul:g} µl; "
-                f"it is between {bounds.low_ul:g} and {bounds.high_ul:g} µl"
-            )
-        count, joint = self._doser.delivered(), self._ledger.joint
+        self._ask()
+        try:
+            exactly = self._judgement.answered(volume_ul, self.increment_ul)
+        except UndecidedError as error:
+            raise UndecidedError(f"{self.name}: {error}") from None
+        self._decided = {"said_ul": volume_ul, "asked": question}
+        if self._judgement.question is None:  # the doser has come to know meanwhile, and agrees
+            return
         if self._doser.unknown:
-            wanted_ul = joint.count_at(volume_ul) if joint else count.low_ul
+            count, joint = self._count, self._ledger.joint
+            wanted_ul = joint.count_at(exactly.volume_ul) if joint else count.low_ul
             self._doser.resolve(min(max(wanted_ul, count.low_ul), count.high_ul))
-        exactly = Delivered(volume_ul, volume_ul, volume_ul)
-        self._ledger.join(Joint(self.identity, exactly, self._doser.delivered()))
-        self.undecided = None
+            self._count = self._doser.delivered()
+        self._ledger.join(Joint(self.identity, exactly, self._count), **self._decided)
+        self._known_by_journal, self._judgement = None, Judgement(self._ledger.tank)
 
     def close(self) -> None:
         """Stop a dose that runs, write down what it delivered, and let go of doser and ledger."""
@@ -221,34 +314,31 @@ class GuardedDoser:
                 last_first.callback(self._ledger.close)
                 last_first.callback(self._doser.close)
 
-    # -- reconciling -------------------------------------------------------------------------------------------------
+    # -- one question ------------------------------------------------------------------------------------------------
 
-    def _reconciled(self) -> str | None:
-        """Settle by the doser's count what was left open; what a person has to decide if that cannot be done."""
-        joint, dose = self._ledger.joint, self._ledger.open_dose
-        if self._doser.unknown:
-            return self._question(f"{self.name} does not know what it has delivered")
-        count = self._doser.delivered()
-        if joint is None or (dose is None and joint.doser != self.identity):
-            self._ledger.join(Joint(self.identity, self._ledger.tank, count))
-            return None
-        tank, slack_ul = joint.tank_at(count), 0.5 * self.increment_ul
-        low_ul = self._ledger.tank.volume_ul - slack_ul
-        high_ul = (dose.total_ul if dose else self._ledger.tank.volume_ul) + slack_ul
-        if joint.doser != self.identity:
-            return self._question(f"a dose was begun with {joint.doser}, not with {self.identity}")
-        if not low_ul <= tank.volume_ul <= high_ul:
-            return self._question(f"{self.name} has moved since without this tank's ledger")
-        if dose:
-            self._ledger.end(tank)
-        return None
+    def _ask(self) -> None:
+        """Ask all that know something, and write down what was open and is settled now."""
+        ledger = self._ledger
+        self._count = self._doser.delivered()
+        evidence = Evidence(
+            self.identity,
+            self._count,
+            self._doser.unknown,
+            self.increment_ul,
+            ledger.account(self.identity),
+            self._known_by_journal,
+            ledger.after_run(self._run),
+        )
+        judgement = judge(evidence)
+        if judgement.question is None:
+            if ledger.open_dose:
+                ledger.end(judgement.tank, self._count)
+            elif ledger.joint is None or ledger.joint.doser != self.identity or ledger.aside_ul is not None:
+                ledger.join(Joint(self.identity, judgement.tank, self._count))
+            self._known_by_journal = None
+        self._judgement = judgement
 
-    def _question(self, what: str) -> str:
-        tank, dose = self._ledger.tank, self._ledger.open_dose
-        held = f"at least {tank.low_ul:g} µl"
-        if dose:
-            held = f"between {tank.low_ul:g} and {dose.total_ul:g} µl (run {dose.run})"
-        return f"{self._ledger.path}: {what}; the tank holds {held}: say how much it is in all (--delivered-ul)"
-
-    def _entry(self, tank: Delivered, total_ul: float) -> DoseDone:
-        return DoseDone(*tank, complete=tank.volume_ul > total_ul - self.increment_ul)
+    def _entry(self, total_ul: float) -> DoseDone:
+        tank = self._ledger.tank
+        complete = tank.volume_ul > total_ul - self.increment_ul
+        return DoseDone(*tank, complete=complete, doser=self.identity, **self._counted)

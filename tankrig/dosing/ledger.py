@@ -11,7 +11,8 @@ from typing import Any
 from tankrig.devices import Delivered
 from tankrig.errors import StoreError
 
-from .records import Joint
+from .evidence import Account
+from .records import Joint, Noted, device_of
 
 FORMAT = 1
 _FIRST = b'{"number": 1'
@@ -19,11 +20,12 @@ _FIRST = b'{"number": 1'
 
 @dataclass(frozen=True)
 class OpenDose:
-    """A dose that was begun and is not known to have ended: the tank before it, its target, and its run."""
+    """A dose that was begun and is not known to have ended: its run, the tank before it, its target, and the count."""
 
     run: str
     tank: Delivered
     total_ul: float
+    noted: Noted | None = None
 
 
 class TankLedger:
@@ -32,7 +34,8 @@ class TankLedger:
     Parameters
     ----------
     path
-        Made, with its folder, if it does not exist.
+        Made, with its folder, if it does not exist. It is locked as the file that it is, whatever links lead to it;
+        when its name comes to mean another file nothing more is written, and so nothing moves.
 
     Attributes
     ----------
@@ -42,6 +45,10 @@ class TankLedger:
         What the tank held when it was last known.
     open_dose
         The dose that was begun last, if it is not known to have ended.
+    aside_ul
+        The most of a movement that does not go into the tank, if one was begun and is not known to have ended.
+    filled_utc
+        When it was begun; names the filling of the tank.
 
     Raises
     ------
@@ -54,7 +61,11 @@ class TankLedger:
         self.joint: Joint | None = None
         self.tank = Delivered(0.0, 0.0, 0.0)
         self.open_dose: OpenDose | None = None
+        self.aside_ul: float | None = None
+        self.filled_utc = ""
         self._used_ul: dict[str, float] = {}
+        self._after_run: dict[str, Delivered] = {}
+        self._noted: dict[str, Noted] = {}
         self._number = self._length = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -72,17 +83,41 @@ class TankLedger:
         """Ink that `run` has put into the tank, at most, µl."""
         return self._used_ul.get(run, 0.0)
 
-    def join(self, joint: Joint) -> None:
-        """From now on the doser's count and the tank's go up together."""
-        self._append("joint", doser=joint.doser, tank=joint.tank, count=joint.count)
+    def after_run(self, run: str) -> Delivered | None:
+        """What the tank held after the last dose of `run`, or before one that is open; None if it has had none."""
+        return self._after_run.get(run)
 
-    def begin(self, run: str, total_ul: float) -> None:
-        """`run` is about to dose until the tank holds `total_ul`."""
-        self._append("intent", run=run, total_ul=total_ul)
+    def account(self, doser: str) -> Account:
+        """What the ledger knows, for comparing with the count of `doser`."""
+        dose, joint = self.open_dose, self.joint
+        return Account(
+            self.tank,
+            self._noted.get(device_of(doser)),
+            joint,
+            dose.total_ul if dose else None,
+            joint.doser if dose and joint else None,
+            self.aside_ul,
+            self.filled_utc,
+        )
 
-    def end(self, tank: Delivered) -> None:
-        """The dose is over; the tank holds `tank`."""
-        self._append("done", tank=tank)
+    def join(self, joint: Joint, **why: Any) -> None:
+        """From now on the doser's count and the tank's go up together; `why` is written beside it.
+
+        Ends what is open: a dose, or a movement that did not go into the tank.
+        """
+        self._append("joint", doser=joint.doser, tank=joint.tank, count=joint.count, **why)
+
+    def begin(self, run: str, total_ul: float, count: Delivered) -> None:
+        """`run` is about to dose until the tank holds `total_ul`; the doser has counted `count`."""
+        self._append("intent", run=run, total_ul=total_ul, count=count)
+
+    def end(self, tank: Delivered, count: Delivered) -> None:
+        """The dose is over; the tank holds `tank`, and the doser has counted `count`."""
+        self._append("done", tank=tank, count=count)
+
+    def begin_aside(self, most_ul: float, why: str) -> None:
+        """The doser is about to move by `most_ul` at most, and not into the tank; `join` ends it."""
+        self._append("aside", most_ul=most_ul, why=why)
 
     def close(self) -> None:
         """Let go of the ledger; may be called again."""
@@ -95,6 +130,19 @@ class TankLedger:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise StoreError(f"{self.path}: another program doses into this tank; end it first") from error
+        self._require_same_file()
+
+    def _require_same_file(self) -> None:
+        """Refuse to write where nobody would read: the file was renamed, replaced or deleted while it was held."""
+        try:
+            same = os.path.samestat(os.stat(self.path), os.fstat(self._fd))  # noqa: PTH116 - a pair with fstat
+        except OSError:
+            same = False
+        if not same:
+            raise StoreError(
+                f"{self.path}: the tank's ledger was renamed, replaced or deleted while it was in use; put it back, or "
+                "end this program and begin again"
+            )
 
     def _read(self) -> None:
         lines = self.path.read_bytes().splitlines(keepends=True)
@@ -120,22 +168,56 @@ class TankLedger:
             raise ValueError(kind)
         if kind == "tank" and entry["format"] != FORMAT:
             raise StoreError(f"{self.path}: was written by a newer version of tankrig; use that version")
-        if kind == "intent":
-            self.open_dose = OpenDose(entry["run"], self.tank, entry["total_ul"])
-            return
+        if kind == "tank":
+            self.filled_utc = str(entry.get("utc", ""))
+        elif kind == "intent":
+            self._take_intent(entry)
+        elif kind == "aside":
+            self.aside_ul = float(entry["most_ul"])
         if "tank" in entry:
-            tank = Delivered(*entry["tank"])
-            if self.open_dose:
-                run = self.open_dose.run
-                self._used_ul[run] = self.used_ul(run) + max(0.0, tank.high_ul - self.open_dose.tank.low_ul)
-                self.open_dose = None
-            self.tank = tank
-        if kind == "joint":
-            self.joint = Joint(entry["doser"], self.tank, Delivered(*entry["count"]))
+            self._take_tank(entry)
+
+    def _take_intent(self, entry: dict[str, Any]) -> None:
+        run = entry["run"]
+        noted = self._note(entry)
+        self.open_dose = OpenDose(run, self.tank, entry["total_ul"], noted)
+        self._after_run[run] = self.tank
+
+    def _take_tank(self, entry: dict[str, Any]) -> None:
+        """An entry that says what the tank holds; it ends what was open."""
+        tank, dose = Delivered(*entry["tank"]), self.open_dose
+        self.tank, self.open_dose, self.aside_ul = tank, None, None
+        if entry["kind"] == "joint":
+            self.joint = Joint(entry["doser"], tank, Delivered(*entry["count"]))
+        noted = self._note(entry)
+        if dose is None:
+            return
+        used_ul = tank.high_ul - dose.tank.low_ul
+        if entry["kind"] == "done" and dose.noted and "count" in entry and noted:  # sharper: the tank's doubt is older
+            used_ul = noted.count.high_ul - dose.noted.count.low_ul
+        self._used_ul[dose.run] = self.used_ul(dose.run) + max(0.0, used_ul)
+        self._after_run[dose.run] = tank
+
+    def _note(self, entry: dict[str, Any]) -> Noted | None:
+        """What the doser has counted by now; entries of earlier versions leave it to be worked out from the joint."""
+        joint = self.joint
+        if joint is None:
+            return None
+        if "count" in entry:
+            count = Delivered(*entry["count"])
+        else:
+            added_ul = self.tank.volume_ul - joint.tank.volume_ul
+            count = Delivered(*(value + added_ul for value in joint.count))
+        noted = Noted(joint.doser, count)
+        self._noted[noted.device] = noted
+        return noted
 
     def _append(self, kind: str, **fields: Any) -> None:
         entry = {"number": self._number + 1, "kind": kind, "utc": datetime.now(UTC).isoformat(timespec="milliseconds")}
-        line = json.dumps(entry | fields, ensure_ascii=False).encode() + b"\n"
+        text = json.dumps(entry | fields, ensure_ascii=False)
+        line = text.encode("utf-8", "backslashreplace") + b"\n"  # a name that is no UTF-8 comes back as it was
+        if self._fd >= 0:
+            self._require_same_file()
         try:
             if os.write(self._fd, line) < len(line):
                 raise OSError("disk full")

@@ -1,8 +1,11 @@
 """What is written down about doses."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from tankrig.devices import Delivered
+
+COUNT_KEYS = ("count_ul", "count_low_ul", "count_high_ul")
+"""Keys under which a run's journal notes what the doser had counted, µl: best value and bounds."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,86 @@ class DoseDone:
         Ink that the tank holds now, with hard bounds, µl.
     complete
         Whether it is what was wanted.
+    doser
+        Identity of the doser.
+    count_ul, count_low_ul, count_high_ul
+        What the doser had counted then, µl, by which a lost ledger can be judged. Journals of earlier versions have
+        neither these nor the identity.
     """
 
     delivered_ul: float
     delivered_low_ul: float
     delivered_high_ul: float
     complete: bool
+    doser: str | None = field(default=None, compare=False)
+    count_ul: float | None = field(default=None, compare=False)
+    count_low_ul: float | None = field(default=None, compare=False)
+    count_high_ul: float | None = field(default=None, compare=False)
+
+
+@dataclass(frozen=True)
+class Noted:
+    """What a doser had counted when something was written down.
+
+    Parameters
+    ----------
+    doser
+        Its identity.
+    count
+        What it had counted, µl.
+    """
+
+    doser: str
+    count: Delivered
+
+    @property
+    def device(self) -> str:
+        """The doser itself, whatever correction its volumes have.
+
+        >>> Noted("cavro 1f ×1.02", Delivered(0.0, 0.0, 0.0)).device
+        'cavro 1f'
+        """
+        return _device_and_correction(self.doser)[0]
+
+    def on_scale_of(self, doser: str) -> Delivered | None:
+        """The count in the µl of `doser`, which may be the same device with another correction; None if it is another.
+
+        A correction stands in an identity with six digits: the bounds are widened by that rounding.
+
+        >>> Noted("cavro 1f", Delivered(100.0, 100.0, 100.0)).on_scale_of("cavro 1f ×1.02").volume_ul
+        102.0
+        >>> Noted("cavro 1f", Delivered(100.0, 100.0, 100.0)).on_scale_of("cavro 20")
+        """
+        if doser == self.doser:
+            return self.count
+        device, correction = _device_and_correction(doser)
+        own_device, own_correction = _device_and_correction(self.doser)
+        if device != own_device:
+            return None
+        volume_ul, low_ul, high_ul = (correction / own_correction * value for value in self.count)
+        rounding_ul = SCALE_ROUNDING * abs(high_ul)
+        return Delivered(volume_ul, low_ul - rounding_ul, high_ul + rounding_ul)
+
+
+SCALE_ROUNDING = 1e-5
+"""Relative error of a count that was brought to another correction's scale."""
+
+
+def device_of(doser: str) -> str:
+    """The device that an identity names, whatever correction its volumes have.
+
+    >>> device_of("rig-doser 7 ×0.98"), device_of("rig-doser 7")
+    ('rig-doser 7', 'rig-doser 7')
+    """
+    return _device_and_correction(doser)[0]
+
+
+def _device_and_correction(doser: str) -> tuple[str, float]:
+    device, mark, factor = doser.rpartition(" ×")
+    try:
+        return (device, float(factor)) if mark else (doser, 1.0)
+    except ValueError:
+        return doser, 1.0
 
 
 @dataclass(frozen=True)

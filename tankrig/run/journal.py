@@ -85,7 +85,7 @@ class Event:
         head = {"seq": self.seq, "kind": self.kind, "utc": moment.utc, "mono_ns": moment.mono_ns, "boot": moment.boot}
         table = head | dict(self.fields)
         text = json.dumps(table, ensure_ascii=False, separators=(",", ":"), allow_nan=False, default=_plain)
-        return text.encode() + b"\n"
+        return text.encode("utf-8", "backslashreplace") + b"\n"  # a path that is no UTF-8 comes back as it was
 
     @classmethod
     def parse(cls, line: bytes) -> "Event":

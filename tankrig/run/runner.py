@@ -289,6 +289,7 @@ class Runner:
             delivered_ul=held.volume_ul,
             delivered_low_ul=held.low_ul,
             delivered_high_ul=held.high_ul,
+            **self._doser.noted,
         )
         if not self.fitted and any(isinstance(t.action, Capture) and t.action.until for t in self._plan.sequence.tasks):
             self._writer.put("note", text=UNFITTED)

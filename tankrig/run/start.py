@@ -7,11 +7,17 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from tankrig.bench import Bench
 from tankrig.calibration.file import FOLDER, copy_to
+from tankrig.checked_toml import checked
+from tankrig.devices import Delivered
 from tankrig.dosing import DoseDone, GuardedDoser, TankLedger
+from tankrig.dosing.evidence import Account
+from tankrig.dosing.records import COUNT_KEYS, Noted
 from tankrig.errors import StoreError, UndecidedError
 from tankrig.files import require_writable
 from tankrig.pattern import Pattern
@@ -55,7 +61,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
         patterns = sequence.drawn(rig.bench.wall)
         run_id = f"{path.name}-{uuid.uuid4().hex[:8]}"
         doser, journal = _guarded(rig, run_id, undo)
-        _settled(doser, None, delivered_ul, path)
+        _settled(doser, None, delivered_ul)
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), doser.delivered())
         require_place(path, took.disk_bytes)
         settings = {
@@ -86,14 +92,15 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
     rig
         The rig that it was begun with; closed when the run ends, or cannot go on.
     delivered_ul
-        A person's word on what the tank holds, where the run was interrupted in a dose.
+        A person's word on what the tank holds, where it is asked for.
 
     Raises
     ------
     StoreError
         When the folder is no run, has come to its end, or was made with another rig.
     UndecidedError
-        When it was interrupted in a dose, and nobody has said what that delivered.
+        When a person has to say first what the tank holds: it was interrupted in a dose, or its journal, the tank's
+        ledger and the doser do not agree.
     """
     with ExitStack() as undo:
         undo.callback(rig.close)
@@ -102,8 +109,8 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         patterns = sequence.drawn(rig.bench.wall)
         _require_same(run, rig, patterns)
         first_step, frames_taken = _where(run)
-        doser, journal = _guarded(rig, run.settings["id"], undo)
-        done = _settled(doser, open_dose(run), delivered_ul, path)
+        doser, journal = _guarded(rig, run.settings["id"], undo, run)
+        done = _settled(doser, open_dose(run), delivered_ul)
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), doser.delivered(), resume_at=first_step)
         _require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
         runner = _runner(rig, doser, journal, path, Plan(sequence, patterns, took, first_step, frames_taken), undo)
@@ -113,33 +120,38 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         return runner
 
 
-def _guarded(rig: Rig, run_id: str, undo: ExitStack) -> tuple[GuardedDoser, RunJournal]:
+def _guarded(rig: Rig, run_id: str, undo: ExitStack, run: Run | None = None) -> tuple[GuardedDoser, RunJournal]:
     ledger = TankLedger(rig.ledger)
     undo.callback(ledger.close)
     journal = RunJournal()
-    doser = GuardedDoser(rig.doser, rig.limits, ledger, journal, run_id)
+    doser = GuardedDoser(rig.doser, rig.limits, ledger, journal, run_id, _known_by_journal(run) if run else None)
     undo.callback(doser.close)
     return doser, journal
 
 
-def _settled(doser: GuardedDoser, target_ul: float | None, delivered_ul: float | None, path: Path) -> DoseDone | None:
-    """Settle a dose to `target_ul` that was not seen to end, by a person's word; its entry for the journal."""
-    if target_ul is None and doser.undecided is None and delivered_ul is None:
+def _known_by_journal(run: Run) -> Account | None:
+    """What a run's journal knew last of the tank; None if it was never begun."""
+    told = run.events("session", "dose_done")
+    if not told:
         return None
-    held = doser.delivered()
-    if delivered_ul is None:
-        raise UndecidedError(
-            doser.undecided
-            or f"{path}: was interrupted in a dose to {target_ul:g} µl; by {doser.name} the tank holds "
-            f"{held.volume_ul:g} µl ({held.low_ul:g} to {held.high_ul:g}): say how much it is in all (--delivered-ul)"
-        )
-    if target_ul is None or doser.undecided is not None:
+    last, session = told[-1], run.events("session")[-1]
+    doser = last.get("doser") or session["devices"]["doser"]
+    target_ul = open_dose(run)
+    return Account(
+        Delivered(last["delivered_ul"], last["delivered_low_ul"], last["delivered_high_ul"]),
+        Noted(doser, Delivered(*(last[key] for key in COUNT_KEYS))) if last.get(COUNT_KEYS[0]) is not None else None,
+        target_ul=target_ul,
+        begun_with=run.events("dose_intent")[-1]["doser"] if target_ul is not None else None,
+        filled_utc=session.get("filled_utc"),
+    )
+
+
+def _settled(doser: GuardedDoser, target_ul: float | None, delivered_ul: float | None) -> DoseDone | None:
+    """Have a person's word taken where one is needed; the entry of an open dose to `target_ul` for the journal."""
+    if delivered_ul is not None:
         doser.resolve(delivered_ul)
-    elif not held.low_ul - doser.increment_ul <= delivered_ul <= held.high_ul + doser.increment_ul:
-        raise UndecidedError(
-            f"{path}: by {doser.name} the tank holds {held.low_ul:g} to {held.high_ul:g} µl, and --delivered-ul says "
-            f"{delivered_ul:g}; find out which is true"
-        )
+    if doser.undecided is not None:
+        raise UndecidedError(doser.undecided)
     return None if target_ul is None else doser.account(target_ul)
 
 
@@ -161,11 +173,20 @@ def _where(run: Run) -> tuple[int, int]:
 
 def _require_same(run: Run, rig: Rig, patterns: Mapping[str, Pattern]) -> None:
     """Refuse to go on with what would not be the same experiment."""
-    if run.settings["bench"] != json.loads(json.dumps(asdict(rig.bench))):
+    if not _is_of(rig.bench, run.settings["bench"]):
         raise StoreError(f"{run.path}: was recorded on another bench than rig {rig.name} has; resume it on its own")
     for name, pattern in patterns.items():
         if pattern.hash not in run.patterns:
             raise StoreError(f'{run.path}: pattern "{name}" is not what it was; restore its file, or start a new run')
+
+
+def _is_of(bench: Bench, stored: Mapping[str, Any]) -> bool:
+    """Whether a run's settings describe this bench; keys that its version did not have yet count at their defaults."""
+    try:
+        recorded = checked(Bench, dict(stored), "bench", StoreError)
+    except StoreError:
+        return False
+    return json.dumps(asdict(recorded)) == json.dumps(asdict(bench))
 
 
 def _dtype(rig: Rig) -> str:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from tankrig.devices import Delivered
-from tankrig.dosing import DoseLimits
+from tankrig.dosing.limits import DoseLimits, dosed_to
 from tankrig.errors import SequenceError
 from tankrig.scene.description import CLOSED
 from tankrig.sequence.sequence import Sequence
@@ -146,8 +146,8 @@ def dry_run(
                 )
             if refusal := limits.refusal(action.total_ul, tank, run_used_ul):
                 raise SequenceError(f"{sequence.name}: {task.label}: {refusal}")
-            run_used_ul += ink_ul
-            tank = Delivered(action.total_ul, action.total_ul, action.total_ul)
+            run_used_ul += action.total_ul - tank.low_ul
+            tank = dosed_to(action.total_ul, tank)
         frames = action.frames if isinstance(action, Capture) else 0
         at_most = isinstance(action, Capture) and action.until is not None
         steps.append(PlannedStep(task.label, type(action), seconds, ink_ul, frames, at_most))
