@@ -116,13 +116,19 @@ def test_every_pump_doses_by_its_calibration(tmp_path: Path, kind: type[AnyBench
         doser = bench.open(calibration=file)
         assert doser.identity != plain_identity
         assert doser.delivered().volume_ul == pytest.approx(100.0 * calibration.correction, abs=1.2)
+        ledger = TankLedger(tank.path)
+        guard = GuardedDoser(doser, DoseLimits(500.0, 500.0, 500.0), ledger, Nowhere(), "run")
+        assert guard.undecided is None, "another scale of volumes was taken for ink"
+        ledger.close()
         before_ul, nominal_ul = doser.delivered().volume_ul, bench.true_ul
         after = doser.dose_to(before_ul + 200.0)
         assert (bench.true_ul - nominal_ul) * calibration.correction == pytest.approx(
             after.volume_ul - before_ul, abs=0.3
         )
         guard = GuardedDoser(doser, DoseLimits(500.0, 500.0, 500.0), TankLedger(tank.path), Nowhere(), "run")
-        assert guard.undecided is None, "another scale of volumes was taken for ink"
+        assert guard.undecided, "200 µl that nobody had written down were lost with the change of scale"
+        held = guard.delivered()
+        assert (held.low_ul, held.high_ul) == (0.0, pytest.approx(200.0, abs=1.0))
         guard.close()
 
 

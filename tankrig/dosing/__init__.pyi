@@ -1,5 +1,6 @@
 from .guarded import DoseJournal as DoseJournal
 from .guarded import GuardedDoser as GuardedDoser
+from .guarded import NoRun as NoRun
 from .ledger import TankLedger as TankLedger
 from .limits import DoseLimits as DoseLimits
 from .limits import Remaining as Remaining

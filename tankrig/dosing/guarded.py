@@ -27,6 +27,16 @@ class DoseJournal(Protocol):
         """It is over."""
 
 
+class NoRun:
+    """The journal of doses outside of runs: the tank's ledger has them already."""
+
+    def dose_intent(self, intent: DoseIntent) -> None:
+        """A dose is about to begin."""
+
+    def dose_done(self, done: DoseDone) -> None:
+        """It is over."""
+
+
 class GuardedDoser:
     """A doser that keeps to budgets and accounts for the ink in the tank; itself a `tankrig.devices.Doser`.
 
@@ -142,13 +152,20 @@ class GuardedDoser:
                 self._doser.dose_to(max(self._count.volume_ul, joint.count_at(total_ul)))
             return self._settled(total_ul)
 
-    def dose_aside(self, volume_ul: float) -> Delivered:
-        """Deliver `volume_ul` into a waste vessel, to prime or to rinse; the tank holds what it held.
+    def dose_aside(self, volume_ul: float, why: str = "into a waste vessel") -> float:
+        """Deliver `volume_ul` beside the tank, to prime, to rinse or to weigh it; the tank holds what it held.
+
+        Parameters
+        ----------
+        volume_ul
+            How much; no more than one dose may have.
+        why
+            Written into the ledger.
 
         Returns
         -------
-        Delivered
-            What the doser has counted in all, not what the tank holds.
+        float
+            What was delivered, µl, as the doser counts it.
 
         Raises
         ------
@@ -159,11 +176,12 @@ class GuardedDoser:
         """
         if not 0.0 < volume_ul <= self._limits.dose_ul:
             raise DeviceError(
-                f"{self.name}: asked for {volume_ul:g} µl into a waste vessel; give more than 0 and no more than the "
+                f"{self.name}: asked for {volume_ul:g} µl beside the tank; give more than 0 and no more than the "
                 f"{self._limits.dose_ul:g} µl that one dose may have"
             )
-        with self.aside(volume_ul, "into a waste vessel") as doser:
-            return doser.dose_to(self._count.volume_ul + volume_ul)
+        with self.aside(volume_ul, why) as doser:
+            before_ul = self._count.volume_ul
+            return doser.dose_to(before_ul + volume_ul).volume_ul - before_ul
 
     @contextmanager
     def aside(self, most_ul: float, why: str) -> Iterator[Doser]:
@@ -178,7 +196,7 @@ class GuardedDoser:
         StoreError
             If it cannot be written down.
         """
-        with self._alone(f"move, {why},"):
+        with self._alone("move beside the tank"):
             self._known()
             self._ledger.begin_aside(most_ul, why)
             with self._stopped_on_trouble():

@@ -3,7 +3,7 @@
 import csv
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.calibration.pump import PumpCalibration
     from tankrig.devices import Doser
+    from tankrig.dosing import GuardedDoser
 
 BASIS = ("diameter_mm", "syringe_ul", "steps_per_ul")
 _TUBE = "its tube hangs in a vessel on the balance, not in the tank"
@@ -40,6 +41,12 @@ _TUBE = "its tube hangs in a vessel on the balance, not in the tank"
 )
 @click.option("--evaporation", "evaporation_mg", default=0.0, show_default=True, help="Lost from each dose, mg.")
 @click.option(
+    "--delivered-ul",
+    type=click.FloatRange(min=0.0),
+    metavar="X",
+    help="Ink that the tank holds in all, where only a person can say before the pump may move.",
+)
+@click.option(
     "--initialise", is_flag=True, help="Only let a pump with a valve find its zero, which empties its syringe."
 )
 @out_option(None, "File to write; default: pump-DATE.toml beside the rig file.")
@@ -48,7 +55,8 @@ def pump(rig: Path | None, weights: Path | None, out: Path | None, as_json: bool
     """Weigh doses and find what a nominal µl of the pump really is.
 
     Doses into a vessel on a balance and asks for the weight of each, or takes the weights from a file. The file it
-    writes goes into the rig file: calibration = "./pump-….toml" in the table [doser].
+    writes goes into the rig file: calibration = "./pump-….toml" in the table [doser]. The tank's ledger notes what was
+    dosed as not in the tank.
     """
     from tankrig.calibration.pump import calibrate_pump, save_pump_calibration
 
@@ -58,16 +66,20 @@ def pump(rig: Path | None, weights: Path | None, out: Path | None, as_json: bool
             f"{path} is there already and is not overwritten; give another name", param_hint="--out"
         )
     volumes, repeats = how.pop("volumes"), how.pop("repeats")
+    delivered_ul = how.pop("delivered_ul")
     measured = _read(weights) if weights else None
     if measured is None and not somebody():
         raise click.UsageError("there is no terminal to ask for weights on; give --weights FILE")
     description = _rig_file(rig)
+    limit_ul = description.limits.dose_ul
     with _doser(description) as doser:
         if initialise:
             _initialise(doser)
             return
         if measured is None:
-            measured = _weigh(doser, _volumes(volumes, description.limits.dose_ul), repeats, description.limits.dose_ul)
+            chosen = _chosen(doser, _volumes(volumes, limit_ul), limit_ul)
+            with closing(_guarded(doser, description, delivered_ul)) as guard:
+                measured = _weigh(guard, chosen, repeats)
         basis = {key: float(value) for key, value in description.doser.items() if key in BASIS}
         found = calibrate_pump(
             *measured, doser=doser.identity, basis=basis, nominal_increment_ul=doser.increment_ul, **how
@@ -104,12 +116,35 @@ def _doser(description: "RigFile") -> "Iterator[Doser]":
         lock.close()
 
 
+def _guarded(doser: "Doser", description: "RigFile", delivered_ul: float | None) -> "GuardedDoser":
+    """The doser with the tank's ledger, which is told what does not go into the tank; a person's word is taken first.
+
+    Raises
+    ------
+    UndecidedError
+        When a person has to say first what the tank holds.
+    """
+    from tankrig.dosing import GuardedDoser, NoRun, TankLedger
+    from tankrig.errors import UndecidedError
+
+    guard = GuardedDoser(doser, description.limits, TankLedger(description.ledger), NoRun(), "calibrating the pump")
+    try:
+        if delivered_ul is not None:
+            guard.resolve(delivered_ul)
+        if guard.undecided:
+            raise UndecidedError(guard.undecided)
+    except BaseException:
+        guard.close()
+        raise
+    return guard
+
+
 def _initialise(doser: "Doser") -> None:
     act = getattr(doser, "initialise", None)
     if act is None:
         raise DeviceError(f"{doser.name}: needs no initialising; leave --initialise out")
     confirm(f"{doser.name}: is its tube in a waste vessel? It will push out what the syringe holds.")
-    act()
+    act()  # it empties the syringe into the vessel and counts nothing, so that the tank's ledger has nothing to note
     click.echo(f"{doser.name}: initialised")
 
 
@@ -135,24 +170,27 @@ def _read(path: Path) -> tuple[list[float], list[float]]:
         raise click.BadParameter(f"{path} is not {wanted} ({error})", param_hint="--weights") from error
 
 
-def _weigh(doser: "Doser", volumes: list[float], repeats: int, limit_ul: float) -> tuple[list[float], list[float]]:
-    """Dose, and ask for the weight of each dose."""
+def _chosen(doser: "Doser", volumes: list[float], limit_ul: float) -> list[float]:
     for volume_ul in volumes:
         if not doser.increment_ul <= volume_ul <= limit_ul:
             raise click.BadParameter(
                 f"{volume_ul:g} µl is not between {doser.increment_ul:g} and the rig file's dose_ul = {limit_ul:g}",
                 param_hint="--volumes",
             )
-    confirm(f"{doser.name}: {_TUBE}?")
-    if doser.stopped:
-        doser.clear_stop()
+    return volumes
+
+
+def _weigh(guard: "GuardedDoser", volumes: list[float], repeats: int) -> tuple[list[float], list[float]]:
+    """Dose, and ask for the weight of each dose."""
+    confirm(f"{guard.name}: {_TUBE}?")
+    if guard.stopped:
+        guard.clear_stop()
     nominal: list[float] = []
     mass: list[float] = []
     for volume_ul in volumes * repeats:
         which = f"dose {len(mass) + 1} of {len(volumes) * repeats}, {volume_ul:g} µl"
         ask(f"{which}: tare the balance.")
-        before_ul = doser.delivered().volume_ul
-        nominal.append(doser.dose_to(before_ul + volume_ul).volume_ul - before_ul)
+        nominal.append(guard.dose_aside(volume_ul, "weighed to calibrate the pump"))
         mass.append(number(f"  {which}: weight in mg"))
     return nominal, mass
 
