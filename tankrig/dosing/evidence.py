@@ -40,6 +40,8 @@ class Account:
         Of a movement that was begun, is not known to have ended, and does not go into the tank: at most so much.
     filled_utc
         When the ledger was begun: names the filling of the tank.
+    used_ul
+        Ink that the run had put into the tank by its journal, at most.
     """
 
     tank: Delivered
@@ -49,6 +51,7 @@ class Account:
     begun_with: str | None = None
     aside_ul: float | None = None
     filled_utc: str | None = None
+    used_ul: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,7 @@ def judge(evidence: Evidence) -> Judgement:
     journal = evidence.journal
     if journal is None:
         return by_ledger
-    if _is_the_runs_own(evidence, journal):
+    if _is_the_runs_own(evidence):
         return _with_the_runs_ledger(by_ledger, journal, evidence.increment_ul)
     return _with_another_ledger(by_ledger, journal, evidence)
 
@@ -235,9 +238,20 @@ def _asked(tank: Delivered, low_ul: float, high_ul: float, why: str) -> Judgemen
 # -- the ledger and the run's journal ----------------------------------------------------------------------------------
 
 
-def _is_the_runs_own(evidence: Evidence, journal: Account) -> bool:
+def used_elsewhere_ul(evidence: Evidence) -> float:
+    """Ink that the run had put in by its journal, at most, where the ledger cannot know of it."""
+    journal = evidence.journal
+    if journal is None or _is_the_runs_own(evidence):
+        return 0.0
+    open_ul = 0.0 if journal.target_ul is None else max(0.0, journal.target_ul - journal.tank.low_ul)
+    return journal.used_ul + open_ul
+
+
+def _is_the_runs_own(evidence: Evidence) -> bool:
     """Whether the ledger is of the filling that the run was begun in, and knows all that its journal knows."""
-    ledger, slack_ul = evidence.ledger, evidence.increment_ul
+    ledger, journal, slack_ul = evidence.ledger, evidence.journal, evidence.increment_ul
+    if journal is None:
+        return True
     if ledger.tank.high_ul < journal.tank.low_ul - slack_ul:  # ink never comes back: an older copy, or another filling
         return False
     if journal.filled_utc is not None:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from tankrig.devices import Delivered, Doser
 from tankrig.errors import DeviceError, TankrigError, UndecidedError
 
-from .evidence import Account, Evidence, Judgement, between, judge
+from .evidence import Account, Evidence, Judgement, between, judge, used_elsewhere_ul
 from .ledger import TankLedger
 from .limits import DoseLimits, Remaining
 from .records import COUNT_KEYS, DoseDone, DoseIntent, Joint
@@ -75,6 +75,7 @@ class GuardedDoser:
         self._doser, self._limits, self._ledger, self._journal, self._run = doser, limits, ledger, journal, run
         self._known_by_journal, self._count = known, Delivered(0.0, 0.0, 0.0)
         self._decided: dict[str, Any] = {}
+        self._used_elsewhere_ul = 0.0
         self._dosing = threading.Lock()
         self._judgement = Judgement(ledger.tank)
         self._ask()
@@ -229,7 +230,7 @@ class GuardedDoser:
             raise DeviceError(f"{asked} a stop is latched; clear it first")
         if total_ul < before.volume_ul - self.increment_ul:
             raise DeviceError(f"{asked} it holds {before.volume_ul:g} µl already; fill it anew and start a new ledger")
-        if refusal := self._limits.refusal(total_ul, before, self._ledger.used_ul(self._run)):
+        if refusal := self._limits.refusal(total_ul, before, self.used_ul):
             raise DeviceError(f"{asked} {refusal}")
 
     @contextmanager
@@ -270,7 +271,12 @@ class GuardedDoser:
 
     def remaining(self) -> Remaining:
         """What the budgets still allow, µl."""
-        return self._limits.remaining(self.delivered(), self._ledger.used_ul(self._run))
+        return self._limits.remaining(self.delivered(), self.used_ul)
+
+    @property
+    def used_ul(self) -> float:
+        """Ink that the run has put into the tank, at most, µl."""
+        return max(self._ledger.used_ul(self._run), self._used_elsewhere_ul)
 
     def account(self, total_ul: float) -> DoseDone:
         """The end of the run's last dose, to `total_ul`, for a journal that was cut off before it was written.
@@ -317,7 +323,7 @@ class GuardedDoser:
             wanted_ul = joint.count_at(exactly.volume_ul) if joint else count.low_ul
             self._doser.resolve(min(max(wanted_ul, count.low_ul), count.high_ul))
             self._count = self._doser.delivered()
-        self._ledger.join(Joint(self.identity, exactly, self._count), **self._decided)
+        self._join(exactly, **self._decided)
         self._known_by_journal, self._judgement = None, Judgement(self._ledger.tank)
 
     def close(self) -> None:
@@ -347,14 +353,30 @@ class GuardedDoser:
             self._known_by_journal,
             ledger.after_run(self._run),
         )
-        judgement = judge(evidence)
+        judgement, self._used_elsewhere_ul = judge(evidence), used_elsewhere_ul(evidence)
         if judgement.question is None:
-            if ledger.open_dose:
-                ledger.end(judgement.tank, self._count)
-            elif ledger.joint is None or ledger.joint.doser != self.identity or ledger.aside_ul is not None:
-                ledger.join(Joint(self.identity, judgement.tank, self._count))
+            self._write_down(judgement)
             self._known_by_journal = None
         self._judgement = judgement
+
+    def _write_down(self, judgement: Judgement) -> None:
+        """Close what is open in the ledger, and put the doser's count and the tank's together where they are not."""
+        ledger = self._ledger
+        anew = ledger.joint is None or ledger.joint.doser != self.identity or ledger.aside_ul is not None
+        try:
+            if ledger.open_dose:
+                ledger.end(judgement.tank, self._count)
+            elif anew or self._used_elsewhere_ul > ledger.used_ul(self._run):
+                self._join(judgement.tank)
+        except BaseException:
+            if self._judgement.question is None:
+                self._judgement = Judgement(judgement.tank, "it could not be written down")
+            raise
+
+    def _join(self, tank: Delivered, **why: Any) -> None:
+        if self._used_elsewhere_ul > self._ledger.used_ul(self._run):
+            why |= {"run": self._run, "run_used_ul": self._used_elsewhere_ul}
+        self._ledger.join(Joint(self.identity, tank, self._count), **why)
 
     def _entry(self, total_ul: float) -> DoseDone:
         tank = self._ledger.tank

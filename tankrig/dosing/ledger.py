@@ -189,6 +189,8 @@ class TankLedger:
         self.tank, self.open_dose, self.aside_ul = tank, None, None
         if entry["kind"] == "joint":
             self.joint = Joint(entry["doser"], tank, Delivered(*entry["count"]))
+            if "run_used_ul" in entry:  # by the run's journal, where another ledger counted it
+                self._used_ul[entry["run"]] = max(self.used_ul(entry["run"]), entry["run_used_ul"])
         noted = self._note(entry)
         if dose is None:
             return

@@ -111,7 +111,8 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         first_step, frames_taken = _where(run)
         doser, journal = _guarded(rig, run.settings["id"], undo, run)
         done = _settled(doser, open_dose(run), delivered_ul)
-        took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), doser.delivered(), resume_at=first_step)
+        tank, used_ul = doser.delivered(), doser.used_ul
+        took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), tank, used_ul, resume_at=first_step)
         _require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
         runner = _runner(rig, doser, journal, path, Plan(sequence, patterns, took, first_step, frames_taken), undo)
         if done:
@@ -124,12 +125,12 @@ def _guarded(rig: Rig, run_id: str, undo: ExitStack, run: Run | None = None) -> 
     ledger = TankLedger(rig.ledger)
     undo.callback(ledger.close)
     journal = RunJournal()
-    doser = GuardedDoser(rig.doser, rig.limits, ledger, journal, run_id, _known_by_journal(run) if run else None)
+    doser = GuardedDoser(rig.doser, rig.limits, ledger, journal, run_id, known_by_journal(run) if run else None)
     undo.callback(doser.close)
     return doser, journal
 
 
-def _known_by_journal(run: Run) -> Account | None:
+def known_by_journal(run: Run) -> Account | None:
     """What a run's journal knew last of the tank; None if it was never begun."""
     told = run.events("session", "dose_done")
     if not told:
@@ -143,7 +144,22 @@ def _known_by_journal(run: Run) -> Account | None:
         target_ul=target_ul,
         begun_with=run.events("dose_intent")[-1]["doser"] if target_ul is not None else None,
         filled_utc=session.get("filled_utc"),
+        used_ul=_used_ul(run),
     )
+
+
+def _used_ul(run: Run) -> float:
+    """What the doses of a run that are done put into the tank, at most."""
+    used_ul, low_ul, begun = 0.0, 0.0, False
+    for event in run.events("session", "dose_intent", "dose_done"):
+        if event.kind == "dose_intent":
+            begun = True
+            continue
+        if begun and event.kind == "dose_done":
+            used_ul += max(0.0, event["delivered_high_ul"] - low_ul)
+            begun = False
+        low_ul = event["delivered_low_ul"]
+    return used_ul
 
 
 def _settled(doser: GuardedDoser, target_ul: float | None, delivered_ul: float | None) -> DoseDone | None:
