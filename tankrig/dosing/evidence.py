@@ -120,7 +120,11 @@ def between(tank: Delivered) -> str:
 
     >>> between(Delivered(1.0, 0.0, 2.5)), between(Delivered(1.0, 0.0, math.inf))
     ('it is between 0 and 2.5 µl', 'it is at least 0 µl')
+    >>> between(Delivered(150.0, 150.0, 150.0))
+    'it is 150 µl'
     """
+    if tank.high_ul - tank.low_ul < 1e-6:
+        return f"it is {tank.volume_ul:g} µl"
     if math.isinf(tank.high_ul):
         return f"it is at least {tank.low_ul:g} µl"
     return f"it is between {tank.low_ul:g} and {tank.high_ul:g} µl"
