@@ -147,6 +147,78 @@ def test_an_unknown_tank_is_explained_and_resolved(tmp_path):
         assert not window.doser._unknown.isVisibleTo(window.doser)
 
 
+TWO_DOSES = (
+    'name = "two"\n[[steps]]\ndo = "dose"\ntotal_ul = 100\n[[steps]]\ndo = "wait"\nseconds = 4\n'
+    '[[steps]]\ndo = "dose"\ntotal_ul = 200\n'
+)
+
+
+def interrupted_in_the_wait(window, folder: Path) -> Path:
+    """A run that was stopped when the tank held 100 µl and 200 were to come."""
+    began(window, folder, TWO_DOSES)
+    until(lambda: only_run(folder).exists() and tankrig.open_run(only_run(folder)).events("dose_done"))
+    window.stop()
+    until(lambda: not window.status.busy and window.status.tank is not None and window.status.tank.volume_ul == 100.0)
+    return only_run(folder)
+
+
+def test_a_run_that_would_go_on_in_fresh_water_is_asked_about_with_the_numbers(tmp_path):
+    """Its second dose would make another concentration than its journal says, without a word."""
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        run = interrupted_in_the_wait(window, tmp_path)
+        window.doser._ask_refill()
+        window.doser._ask_refill()
+        until(lambda: window.status.tank is not None and window.status.tank.volume_ul == 0.0)
+        window.resume(run)
+        until(lambda: window.status.undecided is not None)
+        asked = window.doser._question.text()
+        assert "the run's journal says that the tank holds 100 µl" in asked
+        assert "between 0 and 100 µl" in asked
+        window.doser._truth.edit.setText("130")
+        window.doser._ask_resolve()
+        until(lambda: "cannot hold 130 µl" in window.doser._question.text())
+        assert steps_of(tmp_path) == 1000
+        ended = []
+        window.host.run_ended.connect(ended.append)
+        window.doser._truth.edit.setText("0")
+        window.doser._ask_resolve()
+        until(lambda: ended, 60.0)
+        assert ended[0].reason.value == "completed", ended[0].error
+    assert steps_of(tmp_path) == 3000, "the fresh water has 200 µl now"
+    session = tankrig.open_run(run).events("session")[-1]
+    assert (session["said_ul"], session["delivered_ul"]) == (0.0, 0.0)
+
+
+def test_a_run_goes_on_without_a_question_where_all_agree(tmp_path):
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        run = interrupted_in_the_wait(window, tmp_path)
+        ended = []
+        window.host.run_ended.connect(ended.append)
+        window.resume(run)
+        until(lambda: ended or window.status.undecided, 60.0)
+        assert ended, window.status.undecided
+    assert steps_of(tmp_path) == 2000
+
+
+def test_a_lost_ledger_is_asked_about_before_a_run_goes_on(tmp_path):
+    """The journal knows of 100 µl and the new ledger does not; dosing 200 more would make 300."""
+    rig = write_rig(tmp_path)
+    with window_on(tmp_path, rig) as window:
+        run = interrupted_in_the_wait(window, tmp_path)
+    load_rig_file(rig).ledger.unlink()
+    with window_on(tmp_path, rig) as window:
+        until(lambda: window.status.tank is not None and not window.status.busy)
+        window.resume(run)
+        until(lambda: window.status.undecided is not None)
+        assert "or its ledger was lost" in window.doser._question.text()
+        ended = []
+        window.host.run_ended.connect(ended.append)
+        window.doser._truth.edit.setText("100")
+        window.doser._ask_resolve()
+        until(lambda: ended, 60.0)
+    assert steps_of(tmp_path) == 2000
+
+
 @pytest.mark.long
 def test_a_killed_program_stops_the_pump_and_loses_nothing(tmp_path):
     """kill -9 is what a power switch, or an impatient person, does."""

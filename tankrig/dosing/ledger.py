@@ -107,13 +107,13 @@ class TankLedger:
         """
         self._append("joint", doser=joint.doser, tank=joint.tank, count=joint.count, **why)
 
-    def begin(self, run: str, total_ul: float, count: Delivered) -> None:
-        """`run` is about to dose until the tank holds `total_ul`; the doser has counted `count`."""
-        self._append("intent", run=run, total_ul=total_ul, count=count)
+    def begin(self, run: str, total_ul: float, count: Delivered | None = None) -> None:
+        """`run` is about to dose until the tank holds `total_ul`; the doser has counted `count`, if that is known."""
+        self._append("intent", run=run, total_ul=total_ul, **_if_known(count))
 
-    def end(self, tank: Delivered, count: Delivered) -> None:
-        """The dose is over; the tank holds `tank`, and the doser has counted `count`."""
-        self._append("done", tank=tank, count=count)
+    def end(self, tank: Delivered, count: Delivered | None = None) -> None:
+        """The dose is over; the tank holds `tank`, and the doser has counted `count`, if that is known."""
+        self._append("done", tank=tank, **_if_known(count))
 
     def begin_aside(self, most_ul: float, why: str) -> None:
         """The doser is about to move by `most_ul` at most, and not into the tank; `join` ends it."""
@@ -243,6 +243,10 @@ class TankLedger:
             os.fsync(folder)
         finally:
             os.close(folder)
+
+
+def _if_known(count: Delivered | None) -> dict[str, Delivered]:
+    return {} if count is None else {"count": count}
 
 
 def _entry(line: bytes, number: int) -> dict[str, Any]:

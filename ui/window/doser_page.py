@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from drivers.rig import RigFile
 
 UNKNOWN = (
-    "<b>It is not known how much ink the tank holds.</b> A dose was begun and nobody saw it end, or the doser moved "
-    "without tankrig. Nothing moves until a person decides. Safe ways out:<ol>"
+    "<b>It is not known how much ink the tank holds.</b> A dose was begun and nobody saw it end, the doser moved "
+    "without tankrig, or the run, the tank's ledger and the doser do not say the same. Nothing moves until a person "
+    "decides. Safe ways out:<ol>"
     "<li><b>Read the syringe</b>, or weigh what is left of the ink, and enter below what the tank holds <b>in all</b> "
     "since it was filled.</li>"
     "<li><b>Empty the tank</b>, fill it with fresh water, and begin a new ledger with the button at the bottom.</li>"
