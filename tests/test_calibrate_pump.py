@@ -204,6 +204,12 @@ def test_guided_at_a_terminal(tmp_path: Path) -> None:
     assert found.mass_mg == tuple(weights)
     assert found.correction == pytest.approx(1.0216, abs=0.003)
     assert "4 doses" in told
+    (ledger,) = tmp_path.rglob("tank.ledger")
+    entries = [json.loads(line) for line in ledger.read_text().splitlines()]
+    assert [entry["most_ul"] for entry in entries if entry["kind"] == "aside"] == [20.0, 80.0, 20.0, 80.0]
+    assert entries[-1]["kind"] == "joint", "each is booked as over"
+    assert entries[-1]["tank"] == [0.0, 0.0, 0.0], "what was weighed is not in the tank"
+    assert entries[-1]["count"][0] == pytest.approx(200.0)
 
 
 def tankrig(folder: Path, stdin: int, *options: str, stderr: int = subprocess.PIPE) -> subprocess.Popen[bytes]:

@@ -5,12 +5,16 @@ import math
 import os
 from pathlib import Path
 
+import hypothesis.strategies as st
 import pytest
+from hypothesis import given, settings
 
 from tankrig.devices import Delivered
 from tankrig.dosing import DoseDone, DoseIntent, DoseLimits, GuardedDoser, TankLedger
-from tankrig.dosing.limits import Remaining
+from tankrig.dosing.limits import Remaining, dosed_to
+from tankrig.dosing.records import Joint
 from tankrig.errors import DeviceError, SequenceError, StoreError, UndecidedError
+from tankrig.sequence import Note, Pace, Sequence, Series, dry_run
 
 LIMITS = DoseLimits(dose_ul=50.0, run_ul=120.0, tank_ul=200.0)
 
@@ -343,3 +347,204 @@ def test_a_budget_that_is_none_is_refused(wrong: float) -> None:
 def test_nothing_undecided_is_nothing_to_resolve(lab: Lab) -> None:
     with pytest.raises(DeviceError, match="nothing is undecided"):
         lab.open().resolve(3.0)
+
+
+# -- budgets count the worst case --------------------------------------------------------------------------------------
+
+
+@st.composite
+def tanks(draw: st.DrawFn) -> Delivered:
+    volume_ul = draw(st.floats(0.0, 250.0))
+    below_ul, above_ul = draw(st.floats(0.0, 30.0)), draw(st.floats(0.0, 30.0))
+    return Delivered(volume_ul, max(0.0, volume_ul - below_ul), volume_ul + above_ul)
+
+
+@settings(max_examples=1000, deadline=None, derandomize=True)
+@given(tank=tanks(), part_ul=st.floats(0.01, 60.0), used_ul=st.floats(0.0, 130.0), near=st.booleans())
+def test_no_dose_that_is_allowed_exceeds_a_budget_in_the_worst_case_and_what_remains_is_what_is_allowed(
+    tank: Delivered, part_ul: float, used_ul: float, near: bool
+) -> None:
+    left_ul = LIMITS.remaining(tank, used_ul).dose_ul
+    if near and left_ul > 0.01:
+        part_ul = left_ul * (1.0 if part_ul > 30.0 else 1.0 + 1e-3)
+    total_ul = tank.volume_ul + part_ul
+    refused = LIMITS.refusal(total_ul, tank, used_ul) is not None
+    if not refused:
+        worst_dose_ul, worst_tank_ul = total_ul - tank.low_ul, dosed_to(total_ul, tank).high_ul
+        assert worst_dose_ul <= LIMITS.dose_ul + 1e-5
+        assert used_ul + worst_dose_ul <= LIMITS.run_ul + 1e-5
+        assert worst_tank_ul <= LIMITS.tank_ul + 1e-5
+    if abs(part_ul - left_ul) > 1e-5:
+        assert refused == (part_ul > left_ul)
+
+
+@settings(max_examples=1000, deadline=None, derandomize=True)
+@given(tank=tanks(), parts_ul=st.lists(st.floats(1.0, 60.0), min_size=1, max_size=5), used_ul=st.floats(0.0, 60.0))
+def test_the_dry_run_allows_what_the_guard_would(tank: Delivered, parts_ul: list[float], used_ul: float) -> None:
+    totals = [tank.volume_ul + sum(parts_ul[: number + 1]) for number in range(len(parts_ul))]
+    held, used, allowed = tank, used_ul, True
+    for total_ul in totals:
+        allowed = allowed and LIMITS.refusal(total_ul, held, used) is None
+        used, held = used + total_ul - held.low_ul, dosed_to(total_ul, held)
+    sequence = Sequence("doses", (Series(tuple(totals), (Note("x"),)),))
+    try:
+        dry_run(sequence, LIMITS, Pace(), 1, tank, used_ul)
+    except SequenceError:
+        assert not allowed
+    else:
+        assert allowed
+
+
+def test_a_tank_of_90_to_110_is_not_dosed_to_200_under_a_budget_of_200(lab: Lab) -> None:
+    """By its high bound it would hold 210."""
+    guard = lab.open("first")
+    guard.dose_to(50.0)
+    guard.dose_to(100.0)
+    guard.close()
+    lab.guard = None
+    ledger = TankLedger(lab.path)
+    ledger.join(Joint("syringe 1", Delivered(100.0, 90.0, 110.0), lab.syringe.delivered()))
+    ledger.close()
+    guard = lab.open()
+    assert guard.remaining().tank_ul == pytest.approx(90.0)
+    assert guard.dose_to(140.0) == Delivered(pytest.approx(140.0), pytest.approx(130.0), pytest.approx(150.0))
+    guard.dose_to(179.0)
+    with pytest.raises(DeviceError, match="would hold up to 210"):
+        guard.dose_to(200.0)
+    guard.dose_to(190.0)
+    assert guard.delivered().high_ul == pytest.approx(200.0)
+
+
+# -- a person's word and what the doser knows --------------------------------------------------------------------------
+
+
+def test_a_doser_that_answers_again_is_asked_before_a_person_is_believed(lab: Lab) -> None:
+    lab.open()
+    lab.kill_in_dose(40.0, after_ul=30.0)
+    lab.syringe.unknown = True
+    guard = lab.open()
+    assert guard.undecided
+    lab.syringe.unknown = False
+    with pytest.raises(UndecidedError, match="it is 30 µl: find out which is true"):
+        guard.resolve(6.0)
+    assert guard.delivered() == exactly(30.0)
+    assert guard.dose_to(40.0) == exactly(40.0)
+    assert lab.syringe.count_ul == pytest.approx(1040.0)
+
+
+def test_a_count_that_survived_bounds_what_a_person_may_say(lab: Lab) -> None:
+    """The doser is not sure of the end, but it is of the first 30 µl: 15 cannot be true."""
+    lab.open()
+    lab.kill_in_dose(40.0, after_ul=30.0)
+    lab.syringe.unknown = True
+    lab.syringe.delivered = lambda: Delivered(1035.0, 1030.0, 1040.0)
+    guard = lab.open()
+    with pytest.raises(UndecidedError, match="between 30 and 40"):
+        guard.resolve(15.0)
+
+
+def test_the_answer_and_the_question_are_written_down(lab: Lab) -> None:
+    lab.open().dose_to(10.0)
+    lab.syringe.count_ul += 5.0
+    guard = lab.open()
+    guard.resolve(12.0)
+    entry = json.loads(lab.path.read_text().splitlines()[-1])
+    assert entry["said_ul"] == 12.0
+    assert "has moved since" in entry["asked"]
+    assert guard.noted["said_ul"] == 12.0
+
+
+# -- beside the tank ---------------------------------------------------------------------------------------------------
+
+
+def test_what_is_primed_is_not_in_the_tank_and_needs_no_person(lab: Lab) -> None:
+    guard = lab.open()
+    guard.dose_to(30.0)
+    seen = []
+    lab.syringe.before_moving = lambda: seen.append(lab.kinds()[-1])
+    assert guard.dose_aside(45.0) == pytest.approx(45.0)
+    assert seen == ["aside"], "it is written down before anything moves"
+    assert guard.delivered() == exactly(30.0)
+    assert lab.open().dose_to(50.0) == exactly(50.0)
+    assert lab.syringe.count_ul == pytest.approx(1095.0)
+
+
+def test_a_crash_while_priming_is_settled_and_a_push_beyond_it_is_asked_about(lab: Lab) -> None:
+    guard = lab.open()
+    guard.dose_to(30.0)
+    lab.syringe.breaks_after_ul = 7.0
+    with pytest.raises(DeviceError, match="broken"):
+        guard.dose_aside(45.0)
+    assert lab.syringe.stops == 1
+    guard = lab.open()
+    assert guard.undecided is None
+    assert guard.delivered() == exactly(30.0)
+    ledger = lab.path.read_bytes()
+    lab.open().close()
+    with lab.path.open("ab") as file:
+        entry = {"number": len(ledger.splitlines()) + 1, "kind": "aside", "utc": "", "most_ul": 20.0, "why": "priming"}
+        file.write(json.dumps(entry).encode() + b"\n")
+    lab.syringe.count_ul += 26.0
+    guard = lab.open()
+    assert guard.undecided
+    assert guard.delivered()[1:] == (30.0, pytest.approx(56.0))
+
+
+@pytest.mark.parametrize("volume_ul", [0.0, -1.0, 51.0, math.nan, math.inf])
+def test_what_is_no_volume_beside_the_tank_is_refused(lab: Lab, volume_ul: float) -> None:
+    guard = lab.open()
+    with pytest.raises(DeviceError, match="beside the tank"):
+        guard.dose_aside(volume_ul)
+    assert lab.syringe.count_ul == 1000.0
+
+
+# -- one ledger --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("link", ["symbolic", "hard", "folder"])
+def test_a_ledger_is_locked_whatever_name_leads_to_it(lab: Lab, tmp_path: Path, link: str) -> None:
+    lab.open()
+    other = tmp_path / "other.jsonl"
+    if link == "symbolic":
+        other.symlink_to(lab.path)
+    elif link == "hard":
+        other.hardlink_to(lab.path)
+    else:
+        (tmp_path / "again").symlink_to(lab.path.parent)
+        other = tmp_path / "again" / lab.path.name
+    with pytest.raises(StoreError, match="another program"):
+        TankLedger(other)
+
+
+@pytest.mark.parametrize("how", ["renamed", "replaced", "deleted"])
+def test_nothing_moves_when_the_ledger_is_no_longer_the_file_that_is_held(lab: Lab, how: str) -> None:
+    """A second program would open the new file and dose beside the first one."""
+    guard = lab.open()
+    guard.dose_to(10.0)
+    kept = lab.path.with_name("kept")
+    lab.path.rename(kept)
+    if how == "replaced":
+        TankLedger(lab.path).close()
+    elif how == "deleted":
+        kept.unlink()
+    with pytest.raises(StoreError, match="renamed, replaced or deleted"):
+        guard.dose_to(20.0)
+    assert lab.syringe.count_ul == pytest.approx(1010.0)
+
+
+def test_two_ledgers_of_one_doser_are_told_by_its_count(lab: Lab, tmp_path: Path) -> None:
+    """Two rig files in two folders name the same doser: each asks for what went in by the other."""
+    guard = lab.open()
+    guard.dose_to(10.0)
+    other = GuardedDoser(lab.syringe, LIMITS, TankLedger(tmp_path / "other.jsonl"), Journal(), "other run")
+    other.dose_to(25.0)
+    with pytest.raises(UndecidedError, match="between 10 and 35"):
+        guard.dose_to(20.0)
+    assert lab.open().undecided
+
+
+def test_a_run_whose_name_is_no_utf8_is_booked_like_any_other(lab: Lab) -> None:
+    guard = lab.open(os.fsdecode(b"run \xff"))
+    guard.dose_to(10.0)
+    assert lab.open(os.fsdecode(b"run \xff")).remaining().run_ul == pytest.approx(110.0)
+    assert lab.kinds().count("done") == 1

@@ -4,6 +4,7 @@ import json
 import os
 import threading
 import time
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,12 @@ import pytest
 
 import tankrig
 from tankrig import DeviceError, SequenceError, StoreError
+from tankrig.bench import Bench
+from tankrig.checked_toml import checked
 from tankrig.errors import UndecidedError
 from tankrig.run.recovery import recover
 from tankrig.run.rig import RigLock
-from tankrig.run.start import new_run, resumed_run
+from tankrig.run.start import is_of, new_run, resumed_run
 from tankrig.run.state import FinishReason, RunState
 from tankrig.sequence import Capture, Dose, Mix, Note, Sequence, Series, Wait
 
@@ -275,6 +278,131 @@ def test_a_dose_left_open_by_a_crash_is_asked_about_and_never_repeated(tmp_path)
     assert rig.doser.count_ul == 40
     run = tankrig.open_run(tmp_path / "run")
     assert [event["delivered_ul"] for event in run.events("dose_done")] == [25.0, 40.0]
+
+
+DOSES = Sequence("doses", (Dose(100.0), Note("wait"), Dose(200.0), Note("after")))
+
+
+def cut_off_in_the_wait(folder: Path) -> Path:
+    """As a kill after the first dose leaves it: the tank holds 100 µl, 200 are to come."""
+    assert new_run(DOSES, memory_rig(folder), folder / "run").run().reason is FinishReason.COMPLETED
+    journal, ledger = folder / "run" / "journal.jsonl", folder / "tank.ledger"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    second = [i for i, line in enumerate(lines) if json.loads(line)["kind"] == "dose_intent"][1]
+    journal.write_bytes(b"".join(lines[: second - 1]))
+    ledger.write_bytes(b"".join(ledger.read_bytes().splitlines(keepends=True)[:-2]))
+    (folder / "doser.count").write_text("100")
+    return folder / "run"
+
+
+def test_a_run_that_was_cut_off_in_a_wait_goes_on_without_a_question(tmp_path):
+    run = cut_off_in_the_wait(tmp_path)
+    rig = memory_rig(tmp_path)
+    assert resumed_run(run, rig).run().reason is FinishReason.COMPLETED
+    assert rig.doser.count_ul == 200
+
+
+def test_a_run_without_its_ledger_is_asked_about_before_it_goes_on(tmp_path):
+    """It would dose 200 µl into the 100 that are there, and say that the tank holds 200."""
+    run = cut_off_in_the_wait(tmp_path)
+    (tmp_path / "tank.ledger").unlink()
+    with pytest.raises(UndecidedError, match=r"journal says that the tank holds 100 µl.* says 0 µl.*between 0 and 100"):
+        resumed_run(run, memory_rig(tmp_path))
+    with pytest.raises(UndecidedError, match="cannot hold 140"):
+        resumed_run(run, memory_rig(tmp_path), delivered_ul=140.0)
+    rig = memory_rig(tmp_path)
+    assert rig.doser.count_ul == 100
+    assert resumed_run(run, rig, delivered_ul=100.0).run().reason is FinishReason.COMPLETED
+    assert rig.doser.count_ul == 200
+    session = tankrig.open_run(run).events("session")[-1]
+    assert session["said_ul"] == 100.0
+    assert "ledger was lost" in session["asked"]
+    assert json.loads((tmp_path / "tank.ledger").read_text().splitlines()[1])["said_ul"] == 100.0
+
+
+def test_a_run_whose_tank_another_run_dosed_into_is_asked_about(tmp_path):
+    run = cut_off_in_the_wait(tmp_path)
+    other = new_run(Sequence("other", (Dose(150.0),)), memory_rig(tmp_path), tmp_path / "other")
+    assert other.run().reason is FinishReason.COMPLETED
+    with pytest.raises(UndecidedError, match=r"journal says that the tank holds 100 µl.*say 150"):
+        resumed_run(run, memory_rig(tmp_path))
+    with pytest.raises(UndecidedError, match="cannot hold 100"):
+        resumed_run(run, memory_rig(tmp_path), delivered_ul=100.0)
+    rig = memory_rig(tmp_path)
+    assert resumed_run(run, rig, delivered_ul=150.0).run().reason is FinishReason.COMPLETED
+    assert rig.doser.count_ul == 200
+
+
+def test_the_runs_budget_outlives_its_ledger(tmp_path):
+    """What the journal knows to have gone in counts, though the new ledger has never heard of it."""
+    run = cut_off_in_the_wait(tmp_path)
+    (tmp_path / "tank.ledger").unlink()
+    with pytest.raises(SequenceError, match="the run may have 150 µl at most and has had 100"):
+        resumed_run(run, memory_rig(tmp_path, run_ul=150.0), delivered_ul=100.0)
+    with pytest.raises(SequenceError, match="has had 100"):
+        resumed_run(run, memory_rig(tmp_path, run_ul=150.0))
+
+
+def test_a_journal_of_an_earlier_version_is_judged_by_what_it_has(tmp_path):
+    """It notes neither count nor filling."""
+    run = cut_off_in_the_wait(tmp_path)
+    journal = run / "journal.jsonl"
+    new_keys = {"count_ul", "count_low_ul", "count_high_ul", "filled_utc"}
+    lines = [json.loads(line) for line in journal.read_text().splitlines()]
+    assert new_keys <= set(lines[0])
+    old = [{key: value for key, value in line.items() if key not in new_keys} for line in lines]
+    journal.write_text("".join(f"{json.dumps(line)}\n" for line in old))
+    before = journal.read_bytes()
+    ledger = (tmp_path / "tank.ledger").read_bytes()
+    (tmp_path / "tank.ledger").unlink()
+    with pytest.raises(UndecidedError, match=r"journal says that the tank holds 100 µl.*at least 0 µl"):
+        resumed_run(run, memory_rig(tmp_path))
+    assert journal.read_bytes() == before
+    (tmp_path / "tank.ledger").write_bytes(ledger)
+    rig = memory_rig(tmp_path)
+    assert resumed_run(run, rig).run().reason is FinishReason.COMPLETED
+    assert rig.doser.count_ul == 200
+
+
+def leaves(table: dict, path: tuple = ()):
+    for key, value in table.items():
+        yield (*path, key)
+        if isinstance(value, dict):
+            yield from leaves(value, (*path, key))
+
+
+def test_a_key_that_a_run_does_not_have_yet_counts_at_its_default(tmp_path):
+    """A later version adds keys to the bench; the runs that were interrupted before must still go on."""
+    bench = memory_rig(tmp_path).bench
+    stored = json.loads(json.dumps(asdict(bench)))
+    optional = 0
+    for path in list(leaves(stored)):
+        older = json.loads(json.dumps(stored))
+        place = older
+        for key in path[:-1]:
+            place = place[key]
+        value = place.pop(path[-1])
+        try:
+            default_is_meant = asdict(checked(Bench, older, "bench", StoreError)) == asdict(bench)
+        except StoreError:
+            default_is_meant = False  # it has no default: every version wrote it
+        optional += default_is_meant
+        assert is_of(bench, older) == default_is_meant, (path, value)
+    assert optional >= 5
+
+
+def test_a_bench_with_a_field_of_a_later_version_is_still_the_bench_of_an_older_run(tmp_path):
+    bench = memory_rig(tmp_path).bench
+    stored = json.loads(json.dumps(asdict(bench)))
+
+    @dataclass(frozen=True)
+    class LaterBench(Bench):
+        stirrer_rpm: float = 0.0
+
+    fields = {name: getattr(bench, name) for name in vars(bench)}
+    assert is_of(LaterBench(**fields), stored)
+    assert not is_of(LaterBench(**fields, stirrer_rpm=30.0), stored)
+    assert not is_of(bench, stored | {"light": "pinhole", "light_position_mm": [-400.0, 0.0, 60.0]})
 
 
 def test_it_waits_until_the_ink_has_mixed_and_records_the_time_scale(tmp_path):
