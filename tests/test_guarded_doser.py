@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import hypothesis.strategies as st
@@ -359,11 +360,20 @@ def tanks(draw: st.DrawFn) -> Delivered:
     return Delivered(volume_ul, max(0.0, volume_ul - below_ul), volume_ul + above_ul)
 
 
-@settings(max_examples=1000, deadline=None, derandomize=True)
-@given(tank=tanks(), part_ul=st.floats(0.01, 60.0), used_ul=st.floats(0.0, 130.0), near=st.booleans())
-def test_no_dose_that_is_allowed_exceeds_a_budget_in_the_worst_case_and_what_remains_is_what_is_allowed(
-    tank: Delivered, part_ul: float, used_ul: float, near: bool
-) -> None:
+CASES = pytest.mark.parametrize("cases", [150, pytest.param(5000, marks=pytest.mark.long)])
+
+
+def drawn(cases: int, check: Callable[..., None], **strategies: st.SearchStrategy) -> None:
+    settings(max_examples=cases, deadline=None, derandomize=True, database=None)(given(**strategies)(check))()
+
+
+@CASES
+def test_no_allowed_dose_exceeds_a_budget_in_the_worst_case_and_what_remains_is_allowed(cases: int) -> None:
+    part_ul, used_ul = st.floats(0.01, 60.0), st.floats(0.0, 130.0)
+    drawn(cases, keeps_its_budgets, tank=tanks(), part_ul=part_ul, used_ul=used_ul, near=st.booleans())
+
+
+def keeps_its_budgets(tank: Delivered, part_ul: float, used_ul: float, near: bool) -> None:
     left_ul = LIMITS.remaining(tank, used_ul).dose_ul
     if near and left_ul > 0.01:
         part_ul = left_ul * (1.0 if part_ul > 30.0 else 1.0 + 1e-3)
@@ -378,9 +388,13 @@ def test_no_dose_that_is_allowed_exceeds_a_budget_in_the_worst_case_and_what_rem
         assert refused == (part_ul > left_ul)
 
 
-@settings(max_examples=1000, deadline=None, derandomize=True)
-@given(tank=tanks(), parts_ul=st.lists(st.floats(1.0, 60.0), min_size=1, max_size=5), used_ul=st.floats(0.0, 60.0))
-def test_the_dry_run_allows_what_the_guard_would(tank: Delivered, parts_ul: list[float], used_ul: float) -> None:
+@CASES
+def test_the_dry_run_allows_what_the_guard_would(cases: int) -> None:
+    parts_ul = st.lists(st.floats(1.0, 60.0), min_size=1, max_size=5)
+    drawn(cases, dry_run_agrees, tank=tanks(), parts_ul=parts_ul, used_ul=st.floats(0.0, 60.0))
+
+
+def dry_run_agrees(tank: Delivered, parts_ul: list[float], used_ul: float) -> None:
     totals = [tank.volume_ul + sum(parts_ul[: number + 1]) for number in range(len(parts_ul))]
     held, used, allowed = tank, used_ul, True
     for total_ul in totals:
