@@ -294,6 +294,40 @@ def test_a_camera_that_clamps_is_told_to_the_person(capsys, monkeypatch):
     assert set(tankrig.open_run("run").frames.exposure_ms.values.tolist()) == {2.0}
 
 
+def interrupt_once_it_says(journal: Path, words: bytes) -> None:
+    """Ctrl-C, as soon as the journal has these words."""
+
+    def interrupt():
+        while not journal.exists() or words not in journal.read_bytes():
+            time.sleep(0.01)
+        time.sleep(0.3)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+
+
+def test_a_run_whose_tank_is_not_what_its_journal_knows_needs_a_persons_word(folder, capsys):
+    """Without its ledger it would dose 40 µl on top of the 20 that are there, and call that 40."""
+    (folder / "two.toml").write_text(
+        'name = "two"\n[[steps]]\ndo = "dose"\ntotal_ul = 20\n[[steps]]\ndo = "wait"\nseconds = 3\n'
+        '[[steps]]\ndo = "dose"\ntotal_ul = 40\n'
+    )
+    interrupt_once_it_says(folder / "run" / "journal.jsonl", b"dose_done")
+    assert main(["run", "two.toml", "--out", "run", "--no-fit"]) == 1
+    (ledger,) = folder.rglob("tank.ledger")
+    ledger.unlink()
+    capsys.readouterr()
+    assert main(["run", "--resume", "run", "--no-fit"]) == 3
+    said = capsys.readouterr().err
+    assert "the run's journal says that the tank holds 20 µl" in said
+    assert "the tank holds between 0 and 20 µl: say how much it is in all (--delivered-ul)" in said
+    assert main(["run", "--resume", "run", "--no-fit", "--delivered-ul", "25"]) == 3
+    assert "the tank cannot hold 25 µl; it is between 0 and 20 µl" in capsys.readouterr().err
+    assert true_ul(folder / "run") == 20.0, "nothing moved before the answer"
+    assert main(["run", "--resume", "run", "--no-fit", "--delivered-ul", "20"]) == 0
+    assert true_ul(folder / "run") == 40.0
+
+
 def test_a_killed_dose_needs_a_persons_word(folder, capsys):
     program = subprocess.Popen(
         [
