@@ -286,17 +286,16 @@ def _with_the_runs_ledger(by_ledger: Judgement, journal: Account, slack_ul: floa
 
 
 def _with_another_ledger(by_ledger: Judgement, journal: Account, evidence: Evidence) -> Judgement:
-    by_journal, slack_ul = _by_count(journal, evidence), evidence.increment_ul
+    by_journal = _by_count(journal, evidence)
     if journal.noted is None and not _nothing_dosed(journal):  # of an earlier version: no count to go by
         by_journal = Judgement(by_journal.tank._replace(high_ul=math.inf), by_journal.question)
-    agree = abs(by_ledger.tank.volume_ul - by_journal.tank.volume_ul) <= slack_ul
-    known = by_ledger.question is None and by_journal.question is None
-    if agree and known and journal.target_ul is None:
-        return by_ledger
     tanks = (by_ledger.tank, by_journal.tank)
     tank = by_ledger.tank._replace(low_ul=min(one.low_ul for one in tanks), high_ul=max(one.high_ul for one in tanks))
-    if agree and known:
-        return Judgement(tank, _cut_off(journal, by_ledger.tank))
+    agree = abs(by_ledger.tank.volume_ul - by_journal.tank.volume_ul) <= _slack_ul(evidence)
+    if agree and by_ledger.question is None and by_journal.question is None:
+        if journal.target_ul is not None:
+            return Judgement(tank, _cut_off(journal, by_ledger.tank))
+        return by_ledger if math.isinf(tank.high_ul) else Judgement(tank)
     by_doser = f", by the doser {by_journal.tank.volume_ul:g}" if journal.noted else ""
     why = (
         f"the run's journal says that the tank holds {_held(journal)}{by_doser}, and this ledger, which is not known "
