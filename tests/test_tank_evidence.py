@@ -319,7 +319,7 @@ class Tank(RuleBasedStateMachine):
         if again and self.guard and not self.pump.stopped:
             self.dose(self.true_ul + part_ul)
 
-    @rule(part_ul=st.sampled_from([20.0, 41.5]), after=st.integers(0, 12), low=st.booleans())
+    @rule(part_ul=st.sampled_from([20.0, 41.5]), after=st.one_of(st.just(6), st.integers(0, 12)), low=st.booleans())
     def killed_and_the_pump_does_not_know(self, part_ul: float, after: int, low: bool) -> None:
         self.ready()
         start_ul = self.pump.nominal_ul

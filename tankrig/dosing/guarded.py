@@ -366,7 +366,7 @@ class GuardedDoser:
         try:
             if ledger.open_dose:
                 ledger.end(judgement.tank, self._count)
-            elif anew or self._used_elsewhere_ul > ledger.used_ul(self._run):
+            elif anew or judgement.tank != ledger.tank or self._used_elsewhere_ul > ledger.used_ul(self._run):
                 self._join(judgement.tank)
         except BaseException:
             if self._judgement.question is None:
