@@ -191,7 +191,7 @@ def _with_dose(account: Account, moved: Delivered, evidence: Evidence) -> Delive
         after = joint.tank_at(evidence.count)
     else:
         after = Delivered(*(held_ul + moved_ul for held_ul, moved_ul in zip(tank, moved, strict=True)))
-    return after._replace(low_ul=max(after.low_ul, tank.low_ul))
+    return Delivered(*(max(value_ul, tank.low_ul) for value_ul in after))  # ink never comes back
 
 
 def _of_a_doser_that_does_not_know(account: Account, moved: Delivered | None, evidence: Evidence) -> Judgement:
