@@ -292,10 +292,11 @@ def _with_another_ledger(by_ledger: Judgement, journal: Account, evidence: Evide
     tanks = (by_ledger.tank, by_journal.tank)
     tank = by_ledger.tank._replace(low_ul=min(one.low_ul for one in tanks), high_ul=max(one.high_ul for one in tanks))
     agree = abs(by_ledger.tank.volume_ul - by_journal.tank.volume_ul) <= _slack_ul(evidence)
-    if agree and by_ledger.question is None and by_journal.question is None:
-        if journal.target_ul is not None:
-            return Judgement(tank, _cut_off(journal, by_ledger.tank))
-        return by_ledger if math.isinf(tank.high_ul) else Judgement(tank)
+    if agree:
+        why = by_ledger.question or by_journal.question
+        if why is None and journal.target_ul is not None:
+            why = _cut_off(journal, by_ledger.tank)
+        return by_ledger if why is None and math.isinf(tank.high_ul) else Judgement(tank, why)
     by_doser = f", by the doser {by_journal.tank.volume_ul:g}" if journal.noted else ""
     why = (
         f"the run's journal says that the tank holds {_held(journal)}{by_doser}, and this ledger, which is not known "

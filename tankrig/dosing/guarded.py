@@ -362,11 +362,11 @@ class GuardedDoser:
     def _write_down(self, judgement: Judgement) -> None:
         """Close what is open in the ledger, and put the doser's count and the tank's together where they are not."""
         ledger = self._ledger
-        anew = ledger.joint is None or ledger.joint.doser != self.identity or ledger.aside_ul is not None
         try:
             if ledger.open_dose:
                 ledger.end(judgement.tank, self._count)
-            elif anew or judgement.tank != ledger.tank or self._used_elsewhere_ul > ledger.used_ul(self._run):
+            anew = ledger.joint is None or ledger.joint.doser != self.identity or ledger.aside_ul is not None
+            if anew or judgement.tank != ledger.tank or self._used_elsewhere_ul > ledger.used_ul(self._run):
                 self._join(judgement.tank)
         except BaseException:
             if self._judgement.question is None:
