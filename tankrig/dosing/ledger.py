@@ -215,7 +215,7 @@ class TankLedger:
         return noted
 
     def _append(self, kind: str, **fields: Any) -> None:
-        entry = {"number": self._number + 1, "kind": kind, "utc": datetime.now(UTC).isoformat(timespec="milliseconds")}
+        entry = {"number": self._number + 1, "kind": kind, "utc": datetime.now(UTC).isoformat(timespec="microseconds")}
         text = json.dumps(entry | fields, ensure_ascii=False)
         line = text.encode("utf-8", "backslashreplace") + b"\n"  # a name that is no UTF-8 comes back as it was
         if self._fd >= 0:
