@@ -507,5 +507,5 @@ def test_whatever_happens_the_tanks_ink_is_known_or_asked_for() -> None:
 @pytest.mark.timeout(3600)
 def test_the_tanks_ink_in_thousands_of_cases() -> None:
     Tank.tally = tally = Counter()
-    run_state_machine_as_test(Tank, settings=settings(max_examples=2500, stateful_step_count=12, **QUIET))
+    run_state_machine_as_test(Tank, settings=settings(max_examples=4500, stateful_step_count=12, **QUIET))
     print(", ".join(f"{count} {what}" for what, count in tally.most_common()))
