@@ -18,7 +18,7 @@ from tankrig.pattern import Pattern
 from tankrig.run.announcer import Announcer
 from tankrig.run.folder import create_run, require_new
 from tankrig.run.reading import Run, open_run
-from tankrig.run.recovery import open_dose
+from tankrig.run.recovery import dose_doubt, open_dose
 from tankrig.run.rig import Rig
 from tankrig.run.runner import Plan, RunJournal, Runner
 from tankrig.run.state import FinishReason
@@ -102,7 +102,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         _require_same(run, rig, patterns)
         first_step, frames_taken = _where(run)
         doser, journal = _guarded(rig, run.settings["id"], undo)
-        done = _settled(doser, open_dose(run), delivered_ul, path)
+        done = _settled(doser, open_dose(run), delivered_ul, path, dose_doubt(run))
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), doser.delivered(), resume_at=first_step)
         _require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
         runner = _runner(rig, doser, journal, path, Plan(sequence, patterns, took, first_step, frames_taken), undo)
@@ -121,25 +121,30 @@ def _guarded(rig: Rig, run_id: str, undo: ExitStack) -> tuple[GuardedDoser, RunJ
     return doser, journal
 
 
-def _settled(doser: GuardedDoser, target_ul: float | None, delivered_ul: float | None, path: Path) -> DoseDone | None:
-    """Settle a dose to `target_ul` that was not seen to end, by a person's word; its entry for the journal."""
-    if target_ul is None and doser.undecided is None and delivered_ul is None:
+def _settled(
+    doser: GuardedDoser, target_ul: float | None, delivered_ul: float | None, path: Path, doubt: str | None = None
+) -> DoseDone | None:
+    """Settle what the journal cannot tell (`dose_doubt`), by a person's word; its entry for the journal.
+
+    That is a dose to `target_ul` that was not seen to end, or lines that may have been about one and are lost.
+    """
+    if doubt is None and doser.undecided is None and delivered_ul is None:
         return None
     held = doser.delivered()
     if delivered_ul is None:
         raise UndecidedError(
             doser.undecided
-            or f"{path}: was interrupted in a dose to {target_ul:g} µl; by {doser.name} the tank holds "
+            or f"{doubt}; by {doser.name} the tank holds "
             f"{held.volume_ul:g} µl ({held.low_ul:g} to {held.high_ul:g}): say how much it is in all (--delivered-ul)"
         )
-    if target_ul is None or doser.undecided is not None:
+    if doubt is None or doser.undecided is not None:
         doser.resolve(delivered_ul)
     elif not held.low_ul - doser.increment_ul <= delivered_ul <= held.high_ul + doser.increment_ul:
         raise UndecidedError(
             f"{path}: by {doser.name} the tank holds {held.low_ul:g} to {held.high_ul:g} µl, and --delivered-ul says "
             f"{delivered_ul:g}; find out which is true"
         )
-    return None if target_ul is None else doser.account(target_ul)
+    return None if doubt is None else doser.account(delivered_ul if target_ul is None else target_ul)
 
 
 def _runner(rig: Rig, doser: GuardedDoser, journal: RunJournal, path: Path, plan: Plan, undo: ExitStack) -> Runner:
