@@ -8,7 +8,7 @@ import re
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 from tankrig.run.journal import KINDS, Event, is_sealed
 
@@ -20,7 +20,7 @@ _SHORTEST_LINE = 96
 """Bytes; a damaged stretch cannot have held more lines than fit into it."""
 
 _BEGINNING = b'{"seq":'
-_KIND = re.compile(rb'"kind":"([^"]{3,11})"')
+_HEAD = re.compile(rb'"seq":(\d{1,18}),"kind":"([^"]{3,11})"')
 
 
 @dataclass(frozen=True)
@@ -122,6 +122,12 @@ class _Piece:
     data: bytes
     event: Event | None = None
     sealed: bool = False
+    repeats: bool = False
+
+    @property
+    def counts(self) -> bool:
+        """Whether it may be what is left of a lost line; a lone byte is a damaged newline."""
+        return self.event is None and not self.repeats and len(self.data) > 1
 
 
 def read_lines(data: bytes, checked: bool) -> JournalText:
@@ -199,7 +205,7 @@ def _in_order(pieces: list[_Piece]) -> list[_Piece]:
     if all(one.event.seq < two.event.seq for one, two in pairwise(whole) if one.event and two.event):
         return pieces
     seen: dict[int, _Piece] = {}
-    refused: set[int] = set()
+    refused: dict[int, bool] = {}
     for piece in whole:
         assert piece.event is not None
         seq = piece.event.seq
@@ -207,12 +213,14 @@ def _in_order(pieces: list[_Piece]) -> list[_Piece]:
         if before is piece or (piece.sealed and before.sealed and piece.data != before.data):
             continue
         better = (piece.sealed, -abs(piece.line - 1 - seq)) > (before.sealed, -abs(before.line - 1 - seq))
-        refused.add(id(before if better else piece))
+        refused[id(before if better else piece)] = piece.data == before.data
         seen[seq] = piece if better else before
     left = [piece for piece in whole if id(piece) not in refused]
     rising = _longest_rising([piece.event.seq for piece in left if piece.event])
-    refused |= {id(piece) for i, piece in enumerate(left) if i not in rising and not piece.sealed}
-    return [replace(piece, event=None) if id(piece) in refused else piece for piece in pieces]
+    refused |= {id(piece): False for i, piece in enumerate(left) if i not in rising and not piece.sealed}
+    return [
+        replace(piece, event=None, repeats=refused[id(piece)]) if id(piece) in refused else piece for piece in pieces
+    ]
 
 
 def _longest_rising(values: Sequence[int]) -> set[int]:
@@ -260,20 +268,19 @@ def _named(pieces: Iterable[_Piece]) -> tuple[list[Lost], int]:
 
 
 def _most_lines(piece: _Piece) -> int:
-    if _told(piece):
-        return 1
-    return max(int(len(piece.data) > 1), len(piece.data) // _SHORTEST_LINE)
+    if not piece.counts:
+        return 0
+    return 1 if _told(piece) else max(1, len(piece.data) // _SHORTEST_LINE)
 
 
 def _lost(damaged: list[_Piece], before: Event | None, after: Event | None, events: list[Event]) -> Lost:
     first = damaged[0]
     last_seq = before.seq if before else -1
-    told = [kind for piece in damaged if (kind := _told(piece))]
-    if after is not None:
-        count = max(0, after.seq - last_seq - 1)
-    else:
-        count = max(len(told), 1) if any(len(piece.data) > 1 for piece in damaged) else 0
-    kinds = tuple(told) if len(told) == count else ()
+    left = [piece for piece in damaged if piece.counts]
+    told = [_told(piece) for piece in left]
+    count = _lines_lost(left, last_seq, after)
+    numbered = [(last_seq + 1 + i, one[1]) for i, one in enumerate(told) if one]
+    kinds = tuple(kind for _, kind in numbered) if told == numbered and len(told) == count else ()
     missing = not any(piece.data for piece in damaged) and count > 0
     return Lost(
         line=first.line,
@@ -288,13 +295,22 @@ def _lost(damaged: list[_Piece], before: Event | None, after: Event | None, even
     )
 
 
-def _told(piece: _Piece) -> str | None:
-    """The kind of a damaged line, where its text still tells it but for one byte."""
-    words = _KIND.findall(piece.data)
+def _lines_lost(left: list[_Piece], last_seq: int, after: Event | None) -> int:
+    """How many, where a whole line follows; else how many at least."""
+    if after is not None:
+        return max(0, after.seq - last_seq - 1)
+    return len(left) if all(_told(piece) for piece in left) else 1
+
+
+def _told(piece: _Piece) -> tuple[int, str] | None:
+    """Number and kind of a damaged line, where its text still tells them, the kind but for one byte."""
+    words = _HEAD.findall(piece.data)
     if len(words) != 1:
         return None
-    alike = [kind for kind in KINDS if len(kind) == len(words[0])]
-    return next((kind for kind in alike if sum(a != b for a, b in zip(kind.encode(), words[0], strict=True)) < 2), None)
+    number, word = int(words[0][0]), words[0][1]
+    alike = [kind for kind in KINDS if len(kind) == len(word)]
+    kinds = [kind for kind in alike if sum(a != b for a, b in zip(kind.encode(), word, strict=True)) < 2]
+    return (number, kinds[0]) if kinds else None
 
 
 def _may_be_dose(kinds: tuple[str, ...], count: int, last_seq: int, after: Event | None, events: list[Event]) -> bool:
@@ -311,22 +327,21 @@ def _may_be_dose(kinds: tuple[str, ...], count: int, last_seq: int, after: Event
 
 
 def _with_frames(found: list[Lost], events: list[Event]) -> list[Lost]:
-    """Number the frames that are lost, by those that are not."""
+    """Number the frames that are lost, by those that are not and by what the damaged text still tells."""
     frames = [(event.seq, int(event["index"])) for event in events if event.kind == "frame"]
     named: list[Lost] = []
-    for lost in found:
-        if lost.seqs is None:
-            named.append(lost)
-            continue
-        here = [one for one in found if one.seqs and _between(one, frames) == _between(lost, frames)]
-        before, after = _between(lost, frames)
-        told = sum(kind == "frame" for kind in lost.kinds)
-        taken = sum(len(one.frames) for one in named if one.seqs and _between(one, frames) == (before, after))
-        first = before + 1 + taken
-        room = told if after is None else after - first
-        count = lost.seqs[1] - lost.seqs[0] + 1
-        most = told if lost.kinds else count if len(here) == 1 or after is not None else 0
-        named.append(replace(lost, frames=tuple(range(first, first + max(0, min(room, most))))))
+    for (before, after), group in groupby(found, key=lambda lost: _between(lost, frames)):
+        places = list(group)
+        told = sum(lost.kinds.count("frame") for lost in places)
+        untold = 0 if after is None else max(0, after - before - 1 - told)
+        index = before + 1
+        for lost in places:
+            count = lost.kinds.count("frame")
+            if lost.seqs and not lost.kinds:
+                count = min(untold, lost.seqs[1] - lost.seqs[0] + 1)
+                untold -= count
+            named.append(replace(lost, frames=tuple(range(index, index + count))))
+            index += count
     return named
 
 

@@ -21,7 +21,7 @@ def export_netcdf(run: Run, target: Path) -> None:
     Raises
     ------
     StoreError
-        When there are no frames, or the file cannot be written.
+        When there are no frames, or one is damaged, or the file cannot be written.
     """
     frames = _frames(run)
     frames.attrs = {"units": "counts", "settings": json.dumps(dict(run.settings), default=str, ensure_ascii=False)}
@@ -47,7 +47,7 @@ def export_tiff(run: Run, folder: Path) -> None:
     Raises
     ------
     StoreError
-        When there are no frames, or the folder exists or cannot be written.
+        When there are no frames, or one is damaged, or the folder exists or cannot be written.
     """
     import cv2
 
@@ -67,4 +67,6 @@ def _frames(run: Run):  # type: ignore[no-untyped-def]  # an xarray.DataArray, w
     frames = run.frames
     if not frames.sizes["frame"]:
         raise StoreError(f"{run.path}: has no frames, so there is nothing to export; record some first")
+    for event in run.events("frame"):
+        run.pixels(event)  # a damaged one is said before anything is written
     return frames.copy()

@@ -191,8 +191,15 @@ class _Stack:
         self.dtype, self.ndim = stored.array.dtype, 3
 
     def __getitem__(self, key: tuple[Any, ...]) -> Pixels:
-        pictures = [self._stored.read(event)[key[1:]] for event in self._events[key[0]]]
-        return np.stack(pictures) if pictures else np.zeros(self.shape, self.dtype)[(slice(0), *key[1:])]
+        wanted, *within = key
+        numbers = np.arange(len(self._events))[wanted]
+        if numbers.ndim == 0:
+            one: Pixels = self._stored.read(self._events[int(numbers)])[tuple(within)]
+            return one
+        stack = np.empty((len(numbers), *self.shape[1:]), self.dtype)
+        for place, number in enumerate(numbers):
+            stack[place] = self._stored.read(self._events[number])
+        return stack[(slice(None), *within)]
 
 
 @dataclass(frozen=True)

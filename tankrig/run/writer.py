@@ -76,9 +76,9 @@ class RunWriter:
         self.path = path
         self._announce = announce or (lambda *_: None)
         with storing(path, "open it for recording"):
+            require_no_links(path)
             self._lock = lock_journal(path)
             try:
-                require_no_links(path)
                 text = read_journal(path)
                 set_torn_end_aside(path, text)
                 if not text.ended:
