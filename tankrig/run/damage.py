@@ -21,6 +21,7 @@ _SHORTEST_LINE = 96
 
 _BEGINNING = b'{"seq":'
 _HEAD = re.compile(rb'"seq":(\d{1,18}),"kind":"([^"]{3,11})"')
+_FRAME_KEYS = (b'"pattern_hash":', b'"sha256":')
 
 
 @dataclass(frozen=True)
@@ -264,7 +265,8 @@ def _named(pieces: Iterable[_Piece]) -> tuple[list[Lost], int]:
     if damaged:
         places.append((damaged, before, None))
     found = [_lost(*place, events) for place in places]
-    return _with_frames(found, events), sum(_most_lines(piece) for piece in damaged)
+    likely = [sum(any(key in piece.data for key in _FRAME_KEYS) for piece in place[0]) for place in places]
+    return _with_frames(found, likely, events), sum(_most_lines(piece) for piece in damaged)
 
 
 def _most_lines(piece: _Piece) -> int:
@@ -326,20 +328,20 @@ def _may_be_dose(kinds: tuple[str, ...], count: int, last_seq: int, after: Event
     return one.get("step") is None or one.get("step") != two.get("step")
 
 
-def _with_frames(found: list[Lost], events: list[Event]) -> list[Lost]:
+def _with_frames(found: list[Lost], likely: list[int], events: list[Event]) -> list[Lost]:
     """Number the frames that are lost, by those that are not and by what the damaged text still tells."""
     frames = [(event.seq, int(event["index"])) for event in events if event.kind == "frame"]
     named: list[Lost] = []
-    for (before, after), group in groupby(found, key=lambda lost: _between(lost, frames)):
+    for (before, after), group in groupby(zip(found, likely, strict=True), key=lambda one: _between(one[0], frames)):
         places = list(group)
-        told = sum(lost.kinds.count("frame") for lost in places)
-        untold = 0 if after is None else max(0, after - before - 1 - told)
+        told = sum(lost.kinds.count("frame") for lost, _ in places)
+        untold = None if after is None else max(0, after - before - 1 - told)
         index = before + 1
-        for lost in places:
+        for lost, looks in places:
             count = lost.kinds.count("frame")
             if lost.seqs and not lost.kinds:
-                count = min(untold, lost.seqs[1] - lost.seqs[0] + 1)
-                untold -= count
+                count = min(looks if untold is None else untold, lost.seqs[1] - lost.seqs[0] + 1)
+                untold = None if untold is None else untold - count
             named.append(replace(lost, frames=tuple(range(index, index + count))))
             index += count
     return named
