@@ -9,6 +9,7 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
+from typing import NamedTuple
 
 from tankrig.run.journal import KINDS, Event, is_sealed
 
@@ -114,8 +115,7 @@ class JournalText:
     next_seq: int
 
 
-@dataclass(frozen=True)
-class _Piece:
+class _Piece(NamedTuple):
     """A stretch of bytes within one line of the file: a whole event, or not."""
 
     line: int
@@ -220,7 +220,7 @@ def _in_order(pieces: list[_Piece]) -> list[_Piece]:
     rising = _longest_rising([piece.event.seq for piece in left if piece.event])
     refused |= {id(piece): False for i, piece in enumerate(left) if i not in rising and not piece.sealed}
     return [
-        replace(piece, event=None, repeats=refused[id(piece)]) if id(piece) in refused else piece for piece in pieces
+        piece._replace(event=None, repeats=refused[id(piece)]) if id(piece) in refused else piece for piece in pieces
     ]
 
 
