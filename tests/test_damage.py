@@ -20,6 +20,7 @@ import tankrig
 from tankrig import StoreError
 from tankrig.devices import Frame
 from tankrig.errors import UndecidedError
+from tankrig.live.exposures import replayed
 from tankrig.pattern import Pattern
 from tankrig.run.damage import Lost, read_lines
 from tankrig.run.export import export_netcdf, export_tiff
@@ -343,6 +344,7 @@ def test_a_missing_chunk_is_never_a_black_frame(run_path, tmp_path, capsys):
     np.testing.assert_array_equal(left.frames.values, [pixels(i) for i in range(20) if i != 4])
     assert left.end is not None
     export_netcdf(left, tmp_path / "frames.nc")
+    assert xarray.open_dataset(tmp_path / "frames.nc").frames.missing == "frame 4 is left out, being damaged"
     assert main(["recover", str(run_path)]) == 0
     assert recover(run_path, leave_out=True).left_out == (4,)
     assert journal_of(run_path).count(b"left out") == 1
@@ -494,6 +496,19 @@ def test_a_damaged_dose_line_asks_a_person_once(tmp_path):
     assert resumed_run(path, rig, delivered_ul=20.0).run().reason is FinishReason.COMPLETED
     assert rig.doser.count_ul == 20
     assert dose_doubt(tankrig.open_run(path)) is None
+
+
+def test_frames_after_a_lost_dose_are_not_given_the_dose_before(run_path):
+    """A frame whose dose nobody knows is not fitted as one of another dose."""
+    lines = journal_of(run_path).splitlines(keepends=True)
+    kinds = [json.loads(line)["kind"] for line in lines]
+    second = [i for i, kind in enumerate(kinds) if kind == "dose_done"][1]
+    (run_path / "journal.jsonl").write_bytes(b"".join([*lines[: second - 1], *lines[second + 1 :]]))
+    run = tankrig.open_run(run_path)
+    assert run.unsure_doses == frozenset(range(10, 20))
+    np.testing.assert_array_equal(run.frames.delivered_ul.values, [10.0] * 10 + [np.nan] * 10)
+    assert [pixels is None for event, pixels in replayed(run) if event.kind == "frame"] == [False] * 10 + [True] * 10
+    assert recover(run_path).unsure_doses == tuple(range(10, 20))
 
 
 def test_a_lost_frame_asks_nothing_about_doses(recorded):

@@ -25,6 +25,9 @@ def export_netcdf(run: Run, target: Path) -> None:
     """
     frames = _frames(run)
     frames.attrs = {"units": "counts", "settings": json.dumps(dict(run.settings), default=str, ensure_ascii=False)}
+    left_out = [f"frame {index} is left out, being damaged" for index in run.left_out]
+    if missing := [str(lost) for lost in run.lost if lost.seqs] + left_out:
+        frames.attrs["missing"] = "; ".join(missing)
     for name in ("pattern", "pattern_hash"):
         frames[name] = frames[name].astype(str)
     frames["delivered_ul"].attrs["units"] = "µl"

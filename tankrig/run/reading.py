@@ -106,8 +106,28 @@ class Run:
         }
         for name in ("delivered_ul", "delivered_low_ul", "delivered_high_ul"):
             columns[name] = np.array([row.dose.get(name, 0.0) for row in rows], float)
+        unsure = np.array([row.event["index"] in self.unsure_doses for row in rows], bool)
+        for name in ("delivered_ul", "delivered_low_ul", "delivered_high_ul"):
+            columns[name] = np.where(unsure, np.nan, columns[name])
         labelled: xarray.DataArray = array.assign_coords({name: ("frame", values) for name, values in columns.items()})
         return labelled
+
+    @cached_property
+    def unsure_doses(self) -> frozenset[int]:
+        """Numbers of the frames of which nobody knows what the tank held.
+
+        A line before them may have been about a dose and is lost, and their own lines, being from before frames told
+        it themselves, do not say. Their `delivered_ul` is NaN, and they are not fitted.
+        """
+        lost = [one.after_seq for one in self.lost if one.may_be_dose]
+        unsure, found = False, set[int]()
+        for before, event in zip((-1, *(event.seq for event in self.journal)), self.journal, strict=False):
+            unsure |= any(before <= seq < event.seq for seq in lost)
+            if event.kind in ("session", "dose_done") and "delivered_ul" in event.fields:
+                unsure = False
+            elif event.kind == "frame" and unsure and "delivered_ul" not in event.fields:
+                found.add(event["index"])
+        return frozenset(found)
 
     def pixels(self, frame: Event) -> Pixels:
         """The pixels of a frame of the journal, checked.

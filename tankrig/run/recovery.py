@@ -48,6 +48,8 @@ class Recovery:
         Why a person has to say what the tank holds before the run can go on, or None.
     mended
         What was put right.
+    unsure_doses
+        Numbers of frames of which nobody knows what the tank held, a line that may have been about a dose being lost.
     read_only
         Whether the run cannot be written, so that nothing was put right.
     """
@@ -64,6 +66,7 @@ class Recovery:
     left_out: tuple[int, ...] = ()
     dose_doubt: str | None = None
     mended: tuple[str, ...] = ()
+    unsure_doses: tuple[int, ...] = ()
     read_only: bool = False
 
     @property
@@ -128,6 +131,7 @@ def recover(path: str | os.PathLike[str], leave_out: bool = False) -> Recovery:
         run.left_out,
         dose_doubt(run),
         tuple(mended),
+        tuple(sorted(run.unsure_doses)),
         not writable,
     )
 

@@ -52,6 +52,10 @@ def tell(found: "Recovery") -> None:
         click.echo(str(lost))
     if len(found.lost) > _SHOWN:
         click.echo(f"… and {len(found.lost) - _SHOWN} more damaged places (--json lists them all)")
+    if found.unsure_doses:
+        click.echo(
+            f"frames at a dose that is not known any more, and that are not fitted: {_listed(found.unsure_doses)}"
+        )
     if found.unverified_lines:
         click.echo(f"{found.unverified_lines} lines of the journal are from before checksums: whole, but unverified")
     if found.unlisted_frames:
