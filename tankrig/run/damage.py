@@ -22,6 +22,7 @@ _SHORTEST_LINE = 96
 
 _BEGINNING = b'{"seq":'
 _HEAD = re.compile(rb'"seq":(\d{1,18}),"kind":"([^"]{3,11})"')
+_END = re.compile(rb',"crc32c":"[0-9a-f]{8}"\}')
 _FRAME_KEYS = (b'"pattern_hash":', b'"sha256":')
 
 
@@ -182,7 +183,9 @@ def _split(line: bytes, number: int, offset: int, checked: bool) -> Iterator[_Pi
     starts = [match.start() for match in re.finditer(re.escape(_BEGINNING), line)]
     for start, end in pairwise(sorted({0, *starts, len(line)})) if line else [(0, 0)]:
         part = line[start:end]
-        body = part[: part.rfind(b"}") + 1]
+        ends = [match.end() for match in _END.finditer(part)]
+        bodies = [part[:end] for end in [*ends, part.rfind(b"}") + 1]]
+        body = next((body for body in bodies if _event(body, checked)), b"")
         if one := _event(body, checked):
             yield _Piece(number, offset + start, body, one, is_sealed(body))
             part, start = part[len(body) :], start + len(body)
