@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.check import Check, failed
 from drivers.rig import RigFile
-from tankrig.calibration.file import Calibration, all_in, in_force
+from tankrig.calibration.file import Calibration, all_in, passed_over, usable
 from tankrig.devices import Camera, CameraSettings, Projector
 from tankrig.errors import StoreError, TankrigError
 from tankrig.pattern import Pattern
@@ -42,10 +42,13 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
         if isinstance(unusable, StoreError):
             yield failed("calibration file can be used", unusable)
     try:
-        found = in_force(folder, rig.calibration)
+        found = usable(folder, rig.calibration)
     except StoreError as error:
         yield failed("calibration that the rig file names is there", error)
         return
+    for over in passed_over(folder, rig.calibration):
+        what = f"newest calibration of the {over.kind} can be used"
+        yield Check(what, False, f"runs are refused: {over.question}", over.remedy)
     for kind, device in KINDS.items():
         if kind in found:
             yield _fits(found[kind], devices.get(device), found, folder)

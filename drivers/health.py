@@ -16,7 +16,7 @@ from drivers.registry import open_device
 from drivers.rig import RigFile, calibrated_bench
 from tankrig.bench import Bench
 from tankrig.devices import Camera, CameraSettings, Doser, Projector
-from tankrig.errors import DeviceError, StoreError, TankrigError
+from tankrig.errors import DeviceError, TankrigError
 
 GROUP = "tankrig.health"
 
@@ -97,7 +97,7 @@ def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
 def _believed(rig: RigFile) -> Bench:
     try:
         return calibrated_bench(rig)
-    except StoreError:  # told by the checks of the calibration
+    except TankrigError:  # told by the checks of the calibration
         return rig.bench
 
 

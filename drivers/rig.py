@@ -1,7 +1,7 @@
 """Rig files: from TOML to three open devices."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -10,7 +10,7 @@ from typing import Any
 
 from drivers.registry import open_device
 from tankrig.bench import Bench
-from tankrig.calibration.file import FOLDER, in_force
+from tankrig.calibration.file import FOLDER, Calibration, in_force, usable
 from tankrig.calibration.geometry_in_force import measured
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked, read_toml
@@ -133,8 +133,13 @@ def calibrated_bench(description: RigFile) -> Bench:
     ------
     StoreError
         When a calibration file that the rig file names cannot be used, or those of the geometry do not belong together.
+    DecisionError
+        When the newest calibration file of a kind is damaged, and nobody has said that an older one is to be used.
     """
-    found = in_force(Path(description.calibration_folder), description.calibration)
+    return _measured(description, in_force(Path(description.calibration_folder), description.calibration))
+
+
+def _measured(description: RigFile, found: Mapping[str, Calibration]) -> Bench:
     bench = measured(description.bench, found)
     if "radiometry" not in found:
         return bench
@@ -163,16 +168,29 @@ def open_light(description: RigFile) -> Iterator[tuple[Projector, Camera]]:
         yield devices[0], devices[1]
 
 
-def open_rig(description: RigFile) -> Rig:
+def open_rig(description: RigFile, looking: bool = False) -> Rig:
     """Take the rig for this program and open its devices.
+
+    Parameters
+    ----------
+    description
+        What the rig file says.
+    looking
+        Only to look and to dose by hand: what a run would have to ask about its calibrations is left open, and the
+        newest ones that can be used are.
 
     Raises
     ------
     StoreError
         When another program uses the rig, or a calibration file that the rig file names cannot be used.
+    DecisionError
+        When the newest calibration file of a kind is damaged, and nobody has said that an older one is to be used.
     DeviceError
         When a device cannot be opened, or is not what the rig file describes; those that were opened are closed.
     """
+    folder, named = Path(description.calibration_folder), description.calibration
+    calibrations = usable(folder, named) if looking else in_force(folder, named)
+    bench = _measured(description, calibrations)
     with ExitStack() as undo:
         lock = RigLock(description.lock, description.name)
         undo.callback(lock.close)
@@ -187,8 +205,6 @@ def open_rig(description: RigFile) -> Rig:
             doser = beside.submit(opened, "doser")  # it boots while the others are opened
             devices = {kind: opened(kind) for kind in ("projector", "camera")}
             devices["doser"] = doser.result()
-        bench = calibrated_bench(description)
-        calibrations = in_force(Path(description.calibration_folder), description.calibration)
         if "radiometry" in calibrations:
             calibrations["radiometry"].require_for(devices["camera"].name, devices["camera"].shape)
         for kind, shape in (("projector", bench.wall.shape), ("camera", bench.camera.shape)):

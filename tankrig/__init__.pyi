@@ -1,4 +1,5 @@
 from .errors import CacheError as CacheError
+from .errors import DecisionError as DecisionError
 from .errors import DeviceError as DeviceError
 from .errors import ImageError as ImageError
 from .errors import SceneError as SceneError

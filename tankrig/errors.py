@@ -33,6 +33,10 @@ class UndecidedError(DeviceError):
     """A doser of which only a person can say what it has delivered; nothing moves until then (exit code 3)."""
 
 
+class DecisionError(TankrigError):
+    """What only a person can decide, and has to before anything is made or moves (exit code 3)."""
+
+
 class StoreError(TankrigError, OSError):
     """A run folder that cannot be written, or that is not what it should be."""
 

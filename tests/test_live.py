@@ -6,14 +6,18 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from tankrig.bench import Bench
+from tankrig.devices import CameraSettings, Delivered, Frame
 from tankrig.estimation.series import SeriesEstimate
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
@@ -26,7 +30,11 @@ from tankrig.live.preparing import Preparing, box_for
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import Sheet
 from tankrig.pattern.wall import Wall
+from tankrig.run.conditions import Conditions
+from tankrig.run.folder import create_run
 from tankrig.run.journal import Event, Moment
+from tankrig.run.reading import open_run
+from tankrig.run.writer import RunWriter
 from tankrig.scene.description import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.sequence import Capture, Sequence, Series
 
@@ -162,17 +170,118 @@ def test_frames_become_coefficients_in_another_process_that_ends_and_leaves_noth
     assert not Path("/dev/shm", name).exists()
 
 
-def test_a_fit_that_is_busy_never_holds_the_run_up() -> None:
-    """The announcer's thread calls `see`; a stuck fit must cost a preview, not the run."""
+def test_a_fit_that_is_busy_neither_holds_the_run_up_nor_loses_what_happened_meanwhile() -> None:
+    """The announcer's thread calls `see`: a stuck fit must not stop the run, and no frame may count at another dose."""
     with LiveFit(plan(), lambda _: None) as fit:
+        fit.see(dosed(100.0), None)
+        fit.see(frame(PATTERNS["sheet"], 2), photographed(0.1, 0))
+        assert until(lambda: fit._exposures.frames == 1)
+        later = photographed(0.2, 0)
         with fit._lock:  # as a worker that was stopped in the middle of a copy would hold it
             began = time.monotonic()
-            thread = threading.Thread(target=fit.see, args=(frame(PATTERNS["sheet"], 2), photographed(0.1, 0)))
-            thread.start()
-            thread.join(5.0)
-        assert not thread.is_alive()
-        assert time.monotonic() - began < 5.0
-        assert fit._exposures.frames == 0
+            fit.see(dosed(200.0), None)
+            fit.see(frame(PATTERNS["sheet"], 5), later)
+            assert time.monotonic() - began < 0.05
+            time.sleep(1.0)
+            assert fit._exposures.frames == 1
+        assert until(lambda: fit._exposures.frames == 2)
+        assert [(one.dose_ml, one.frames) for one in fit._exposures.photographs()] == [(0.1, 1), (0.2, 1)]
+
+
+def until(true: Callable[[], bool], timeout_s: float = 20.0) -> bool:
+    deadline = time.monotonic() + timeout_s
+    while not true() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return true()
+
+
+class NoProcess:
+    """In place of the process that fits, where only what it would be given matters."""
+
+    pid = None
+
+    def __init__(self, **_: object) -> None: ...
+
+    def start(self) -> None: ...
+
+    def join(self, _: float) -> None: ...
+
+    def is_alive(self) -> bool:
+        return False
+
+
+HAPPENING = st.one_of(
+    st.tuples(st.just("dose"), st.sampled_from([50.0, 100.0, 150.0, 200.0])),
+    st.tuples(st.sampled_from(["sheet", "dark"]), st.booleans()),
+    st.tuples(st.just("busy"), st.floats(0.0, 0.25)),
+)
+
+
+@given(st.lists(HAPPENING, min_size=1, max_size=40), st.booleans())
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_however_slow_the_fit_every_event_is_taken_in_in_order_and_each_frame_at_its_dose(
+    tmp_path_factory: pytest.TempPathFactory, happening: list, labelled: bool
+) -> None:
+    """The sums are those of a fit that is never late: nothing is dropped, swapped or counted at another dose."""
+    path = tmp_path_factory.mktemp("live") / "run"
+    create_run(path, (40, 60), "uint16", 4, {}, list(PATTERNS.values()))
+    rng, told = np.random.default_rng(0), []
+    prompt, held_ul = Exposures(plan()), 0.0
+    with RunWriter(path, lambda event, pixels: told.append((event, pixels))) as writer:
+        for kind, value in happening:
+            if kind == "dose":
+                held_ul = value
+                writer.put("dose_done", **dosed(value).fields)
+            elif kind != "busy":
+                pixels = rng.integers(0, 4000, (40, 60)).astype(np.uint16)
+                then = Conditions(Delivered(held_ul, max(0.0, held_ul - 1), held_ul + 1), CameraSettings(10.0))
+                writer.put_frame(Frame(pixels, 1, 1, 1, 1), 2, PATTERNS[kind].hash, **then.line() if labelled else {})
+        writer.flush()
+    for event, pixels in told:
+        prompt.take(event, pixels)
+    troubles: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("multiprocessing.context.SpawnContext.Process", NoProcess)
+        empty = replace(open_run(path), journal=())
+        with LiveFit(plan(), lambda _: None, empty, troubles.append) as fit:
+            waiting = iter(told)
+            for kind, value in happening:
+                if kind == "busy":
+                    fit._lock.acquire()
+                    threading.Timer(value, fit._lock.release).start()
+                else:
+                    event, pixels = next(waiting)
+                    preview = value if event.kind == "frame" else True  # the announcer has let half of the pixels go
+                    fit.see(event, pixels if preview else None)
+                    assert event.kind != "frame" or pixels is not None
+            assert until(lambda: not fit._taking._waiting)
+            fit._taking.close()
+            np.testing.assert_array_equal(fit._exposures._sums, prompt._sums)
+            np.testing.assert_array_equal(fit._exposures._counts, prompt._counts)
+            np.testing.assert_array_equal(fit._exposures._doses, prompt._doses)
+            assert fit._exposures.not_seen == 0
+    assert troubles == []
+
+
+def test_a_frame_that_cannot_be_read_back_is_counted_and_said_and_the_others_are_fitted(tmp_path: Path) -> None:
+    """A fit that quietly lacks frames is surer of itself than a person would be who knew."""
+    path = tmp_path / "run"
+    create_run(path, (40, 60), "uint16", 4, {}, list(PATTERNS.values()))
+    events: list[Event] = []
+    with RunWriter(path, lambda event, _: events.append(event)) as writer:
+        for _ in range(3):
+            writer.put_frame(Frame(photographed(0.1, 0), 1, 1, 1, 1), 2, PATTERNS["sheet"].hash, **dosed(100.0).fields)
+        writer.flush()
+    (path / "frames" / "c.1.0.0").unlink()
+    troubles: list[str] = []
+    with LiveFit(plan(), lambda _: None, replace(open_run(path), journal=()), troubles.append) as fit:
+        for one in events:
+            fit.see(one, None)
+        assert until(lambda: fit._exposures.frames + fit._exposures.not_seen == 3)
+        assert (fit._exposures.not_seen, fit._exposures.newest) == (1, 2)
+    (trouble,) = troubles
+    assert "the live fit goes on without frame 1:" in trouble
+    assert "is missing" in trouble
 
 
 class Ready:

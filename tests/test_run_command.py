@@ -6,8 +6,10 @@ import re
 import signal
 import subprocess
 import sys
+import termios
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -167,6 +169,129 @@ def test_ctrl_c_stops_the_dose_and_the_resumed_run_doses_the_rest(folder, capsys
     assert 0.0 < true_ul(folder / "run") < 900.0
     assert main(["run", "--resume", "run", "--no-fit"]) == 0
     assert true_ul(folder / "run") == 900.0
+
+
+RUN = "import sys; from ui.cli import main; sys.exit(main())"
+FAILING_DISPLAY = """
+import sys
+from rich.progress import Progress
+from ui.cli import main
+real, calls = Progress.update, []
+def update(self, *given, **named):
+    calls.append(1)
+    if "dose" in named.get("description", "") and len(calls) > 5:
+        raise ERROR
+    return real(self, *given, **named)
+Progress.update = update
+sys.exit(main())
+"""
+
+
+def started(program: str, *words: str) -> subprocess.Popen[str]:
+    """The real command in a process of its own."""
+    command = [sys.executable, "-c", program, *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def in_dose(program: subprocess.Popen[str], run: Path) -> None:
+    journal = run / "journal.jsonl"
+    while not journal.exists() or b"dose_intent" not in journal.read_bytes():
+        assert program.poll() is None, program.communicate()
+        time.sleep(0.01)
+    time.sleep(0.3)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_every_request_to_end_stops_the_dose_and_the_run_has_an_end(folder, number):
+    """A terminal that is closed in a dose must not leave ink flowing, or a dose that a person has to settle."""
+    with started(RUN, "run", "long.toml", "--out", "run", "--no-fit") as program:
+        in_dose(program, folder / "run")
+        program.send_signal(number)
+        out, err = program.communicate(timeout=30)
+    assert program.returncode == 1, err
+    assert "aborted: run" in out
+    run = tankrig.open_run("run")
+    assert run.end["reason"] == "aborted"
+    (done,) = run.events("dose_done")
+    assert done["delivered_ul"] == pytest.approx(true_ul(folder / "run"), abs=0.1)
+    assert done["delivered_ul"] < 900.0
+
+
+@pytest.mark.parametrize("error", ['RuntimeError("a bug")', "KeyboardInterrupt"])
+def test_an_error_in_the_display_ends_the_run_and_is_told(folder, error):
+    """Whatever goes wrong on the screen: nobody sees the run any more, so it must not go on dosing."""
+    with started(FAILING_DISPLAY.replace("ERROR", error), "run", "long.toml", "--out", "run", "--no-fit") as program:
+        _, err = program.communicate(timeout=60)
+    assert program.returncode == 1
+    assert "the display failed, so the run was ended; resume with: tankrig run --resume run" in err
+    assert "Traceback" not in err
+    run = tankrig.open_run("run")
+    assert run.end["reason"] == "aborted"
+    assert run.events("dose_done")[-1]["delivered_ul"] == pytest.approx(true_ul(folder / "run"), abs=0.1)
+    assert true_ul(folder / "run") < 900.0
+
+
+LABELS = ["cable moved to [/dev/ttyACM0]", "[/]", "[bold", "[red]stirred[/blue]", "\\[", "{task.description}", "a\nb"]
+
+
+def test_peoples_words_are_drawn_as_they_stand(folder, capsys):
+    """A note with brackets in it used to end the display in the middle of a run."""
+    words = [json.dumps(label) for label in LABELS]
+    patterns = "".join(f'[patterns.{word}]\nkind = "full"\n' for word in words)
+    steps = "".join(
+        f'[[steps]]\ndo = "note"\ntext = {word}\n[[steps]]\ndo = "capture"\npattern = {word}\n' for word in words
+    )
+    (folder / "notes.toml").write_text(f"name = {words[0]}\nexposure_ms = 200\n{patterns}{steps}")
+    assert main(["run", "notes.toml", "--dry-run", "--out", "run"]) == 0
+    assert LABELS[0] in capsys.readouterr().out
+    terminal, end = os.openpty()
+    termios.tcsetwinsize(end, (40, 160))
+    drawn: list[bytes] = []
+
+    def watch() -> None:
+        with suppress(OSError):  # the other end is closed
+            while seen := os.read(terminal, 65536):
+                drawn.append(seen)
+
+    (watcher := threading.Thread(target=watch)).start()
+    command = [sys.executable, "-c", RUN, "run", "notes.toml", "--out", "run", "--no-fit"]
+    program = subprocess.run(
+        command, stdout=subprocess.DEVNULL, stderr=end, stdin=subprocess.DEVNULL, timeout=90, check=False,
+        env=os.environ | {"TERM": "xterm"},
+    )  # fmt: skip
+    os.close(end)
+    watcher.join(10)
+    os.close(terminal)
+    seen = b"".join(drawn).decode(errors="replace")
+    assert program.returncode == 0, seen
+    assert LABELS[0] in seen
+    assert "[red]stirred[/blue]" in seen
+    assert [note["text"] for note in tankrig.open_run("run").events("note") if note["text"] in LABELS] == LABELS
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_fit_that_cannot_begin_ends_the_run_and_its_journal_says_why(capsys, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tankrig.live.attached.LiveFit", full)
+    assert main(["run", "short.toml", "--out", "run"]) == 1
+    assert "No space left" in capsys.readouterr().err
+    assert "No space left" in tankrig.open_run("run").end["message"]
+    assert main(["run", "--resume", "run", "--no-fit"]) == 0
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_camera_that_clamps_is_told_to_the_person(capsys, monkeypatch):
+    from drivers.simulated.camera import SimulatedCamera
+    from tankrig.devices import CameraSettings
+
+    real = SimulatedCamera.configure
+    monkeypatch.setattr(SimulatedCamera, "configure", lambda self, asked: real(self, CameraSettings(2.0, asked.gain)))
+    assert main(["run", "short.toml", "--out", "run", "--no-fit"]) == 0
+    said = capsys.readouterr().err
+    assert said.count("was asked for 5 ms at gain 1 and has set 2 ms at gain 1") == 1
+    assert set(tankrig.open_run("run").frames.exposure_ms.values.tolist()) == {2.0}
 
 
 def test_a_killed_dose_needs_a_persons_word(folder, capsys):

@@ -147,6 +147,7 @@ def pattern(*lines: str) -> str:
         (step('do = "capture"'), 'key "steps[0].pattern" is missing; add it'),
         (step('do = "capture"', 'pattern = "dark"', "frames = 0"), "steps[0].frames = 0 records nothing"),
         (step('do = "capture"', 'pattern = "dark"', 'frames = "2"'), 'steps[0].frames = "2" is not a whole number'),
+        (step('do = "mix"', "exposure_ms = inf"), "steps[0].exposure_ms = inf is not positive, or has no end"),
         (step('do = "capture"', 'pattern = "dark"', "exposure_ms = -1"), "steps[0].exposure_ms = -1.0 is not positive"),
         (step('do = "dose"', "total_ul = -5"), "steps[0].total_ul = -5.0 is no volume"),
         (step('do = "dose"', "total_ul = nan"), "steps[0].total_ul"),

@@ -2,7 +2,7 @@
 
 import os
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.errors import StoreError
+from tankrig.errors import DecisionError, StoreError
 from tankrig.files import whole_file
 
 FORMAT = 1
@@ -191,11 +191,8 @@ def copy_to(calibration: Calibration, folder: Path) -> None:
 
 def all_in(folder: Path, kind: str = "*") -> Iterator[Calibration | StoreError]:
     """Calibrations of a kind that count, the newest first; in place of a file that cannot be used, why not."""
-    for path in sorted(folder.glob(f"{kind}-*.toml"), key=lambda path: path.stem, reverse=True):
-        try:
-            yield load(path)
-        except StoreError as error:
-            yield error
+    for _, one in _read(folder, kind):
+        yield one
 
 
 def newest(folder: Path, kind: str) -> Calibration | None:
@@ -203,8 +200,55 @@ def newest(folder: Path, kind: str) -> Calibration | None:
     return next((one for one in all_in(folder, kind) if isinstance(one, Calibration)), None)
 
 
-def in_force(folder: Path, named: Mapping[str, str] | None = None) -> dict[str, Calibration]:
-    """Of each kind the calibration that counts: the one that the rig file names, else the newest that can be read.
+@dataclass(frozen=True)
+class PassedOver:
+    """A calibration file that cannot be used although it is the newest of its kind, so that an older one would count.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    why
+        It cannot be used.
+    instead
+        What would count; None where there is nothing older.
+    """
+
+    path: Path
+    why: StoreError
+    instead: Calibration | None
+
+    @property
+    def kind(self) -> str:
+        """Of what."""
+        return _kind(self.path)
+
+    @property
+    def question(self) -> str:
+        """What a person has to decide."""
+        if self.instead is None:
+            return (
+                f"{self.why}; there is no other calibration of the {self.kind}, and a person has to decide whether to "
+                f"go on as if there had never been one"
+            )
+        return (
+            f"{self.why}; it is the newest calibration of the {self.kind}, and a person has to decide whether to go on "
+            f"with the older one in {self.instead.path}"
+        )
+
+    @property
+    def remedy(self) -> str:
+        """How to go on all the same."""
+        if self.instead is None:
+            return f"move {self.path.name} to another folder"
+        return f'name the older one in the rig file, calibration.{self.kind} = "{self.instead.hash[:12]}"'
+
+    def __str__(self) -> str:
+        return f"{self.question}: {self.remedy}"
+
+
+def usable(folder: Path, named: Mapping[str, str] | None = None) -> dict[str, Calibration]:
+    """Of each kind the calibration that can be used: the one that the rig file names, else the newest that can be read.
 
     Parameters
     ----------
@@ -229,6 +273,55 @@ def in_force(folder: Path, named: Mapping[str, str] | None = None) -> dict[str, 
             f'"{named[kind]}"; restore that file, or take the line out to use the newest'
         )
     return found
+
+
+def passed_over(folder: Path, named: Mapping[str, str] | None = None) -> list[PassedOver]:
+    """Files that cannot be used, of kinds that nobody has named one of, and are newer than what would count instead."""
+    found = usable(folder, named)
+    over = []
+    for path, one in _read(folder):
+        instead = found.get(_kind(path))
+        older = instead is not None and instead.path is not None and path.stem < instead.path.stem
+        if isinstance(one, StoreError) and not older and _kind(path) not in (named or {}):
+            over.append(PassedOver(path, one, instead))
+    return over
+
+
+def in_force(
+    folder: Path, named: Mapping[str, str] | None = None, kinds: Collection[str] | None = None
+) -> dict[str, Calibration]:
+    """Of each kind the calibration that counts, once nothing about that is left to decide; see `usable`.
+
+    Parameters
+    ----------
+    folder, named
+        As for `usable`.
+    kinds
+        That are needed; all where left out.
+
+    Raises
+    ------
+    StoreError
+        When one that is named cannot be found or used.
+    DecisionError
+        When the newest of a kind is damaged: whether an older one is good enough, a person has to say, by naming it.
+    """
+    for over in passed_over(folder, named):
+        if kinds is None or over.kind in kinds:
+            raise DecisionError(str(over))
+    return usable(folder, named)
+
+
+def _read(folder: Path, kind: str = "*") -> Iterator[tuple[Path, Calibration | StoreError]]:
+    for path in sorted(folder.glob(f"{kind}-*.toml"), key=lambda path: path.stem, reverse=True):
+        try:
+            yield path, load(path)
+        except StoreError as error:
+            yield path, error
+
+
+def _kind(path: Path) -> str:
+    return path.stem.partition("-")[0]
 
 
 def _worse(new: Calibration, old: Calibration | None) -> Iterator[str]:

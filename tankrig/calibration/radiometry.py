@@ -214,7 +214,7 @@ class Radiometry:
             )
             response = Response(np.array(curve, float), np.array(calibration.sd["projector"]["response"]), float(leak))
             maps = (arrays["flat"], arrays["dark_excess"], arrays["black_excess"], arrays["hot"])
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise StoreError(
                 f"{where}: is no radiometric calibration ({error}); give a file of tankrig calibrate radiometry"
             ) from error

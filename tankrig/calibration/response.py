@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tankrig.calibration.exposed import Array
 from tankrig.errors import ImageError
+from tankrig.pattern.wall import fractions_of_white
 
 LEVELS = (*range(16), *range(16, 64, 4), *range(64, 255, 8), 255)
 """Levels to measure: dense where the curve is steep in relative terms."""
@@ -21,9 +22,14 @@ class Response:
     Parameters
     ----------
     curve, curve_sd
-        (256,); rises from 0 to 1.
+        (256,); rises from 0 to 1. What rounding has put outside of that is taken back.
     leak
         Light at level 0, as a part of level 255's.
+
+    Raises
+    ------
+    SequenceError
+        When the curve leaves 0 … 1 by more than rounding, or has not 256 values.
 
     Examples
     --------
@@ -35,6 +41,9 @@ class Response:
     curve: Array
     curve_sd: Array
     leak: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "curve", fractions_of_white(self.curve))
 
     def levels_for(self, wanted: Array) -> NDArray[np.uint8]:
         """The levels that come nearest to the `wanted` parts of the light of level 255: the inverse of the curve."""
@@ -95,5 +104,6 @@ def fit_response(levels: Sequence[int], radiance: Sequence[float], sd: Sequence[
         )
     parts = (rising - rising[0]) / full
     curve = PchipInterpolator(at, parts**_STRAIGHTENED)(np.arange(256)) ** (1.0 / _STRAIGHTENED)
+    curve[[0, -1]] = 0.0, 1.0  # by what they are parts of, whatever the powers round to
     relative = np.hypot(spread, spread[0]) / full
     return Response(np.maximum.accumulate(curve), np.interp(np.arange(256), at, relative), float(rising[0] / full))

@@ -2,7 +2,7 @@
 
 import math
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Protocol
 
 from tankrig.devices import Delivered, Doser
@@ -211,13 +211,15 @@ class GuardedDoser:
 
     def close(self) -> None:
         """Stop a dose that runs, write down what it delivered, and let go of doser and ledger."""
-        if self._dosing.locked():
-            self._doser.stop()
-        ended = self._dosing.acquire(timeout=_CLOSE_S)
-        self._doser.close()
-        self._ledger.close()
-        if ended:
-            self._dosing.release()
+        with ExitStack() as last_first:
+            try:
+                if self._dosing.locked():
+                    self._doser.stop()
+            finally:  # a device that fails to stop or to close must not keep the ledger from other programs
+                if self._dosing.acquire(timeout=_CLOSE_S):
+                    last_first.callback(self._dosing.release)
+                last_first.callback(self._ledger.close)
+                last_first.callback(self._doser.close)
 
     # -- reconciling -------------------------------------------------------------------------------------------------
 

@@ -6,13 +6,30 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from typing import Any
 
-from tankrig.errors import StoreError
+from tankrig.bench import Bench
+from tankrig.errors import SceneError, SequenceError, StoreError
 from tankrig.live.exposures import Plan
 from tankrig.live.live_fit import LiveFit
 from tankrig.run.reading import open_run
 from tankrig.run.runner import Runner
+from tankrig.sequence import Sequence
 
 PATIENCE_S = 240.0
+
+
+def require_fittable(sequence: Sequence, bench: Bench) -> None:
+    """Refuse a sequence whose photographs could not be fitted, before anything is made or moves.
+
+    Raises
+    ------
+    SequenceError
+        When a pattern cannot be drawn, or what it lights cannot be modelled.
+    """
+    for name, pattern in sequence.drawn(bench.wall).items():
+        try:
+            _ = Plan.of(bench, sequence, [pattern]).scenes
+        except SceneError as error:
+            raise SequenceError(f'{sequence.name}: pattern "{name}" cannot be fitted: {error}') from error
 
 
 @contextmanager
@@ -42,7 +59,11 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
     def latest_s() -> float:
         return time.monotonic() + patience_s
 
-    with LiveFit(Plan.of_run(run), record, run) as fit:
+    def tell(sentence: str) -> None:
+        with suppress(StoreError):
+            runner.record("note", text=sentence, warning=True)
+
+    with LiveFit(Plan.of_run(run), record, run, tell) as fit:
         runner.fitted = True
         runner.latest_fit = next((event.fields for event in reversed(run.fits)), None)
         runner.listen(fit.see)

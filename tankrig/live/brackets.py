@@ -1,6 +1,9 @@
 """Exposure brackets that a run has recorded, merged into one picture of more range than a frame has."""
 
+import numpy as np
+
 from tankrig.calibration.hdr import Merged, merge
+from tankrig.devices import CameraSettings
 from tankrig.errors import StoreError
 from tankrig.live.exposures import Plan
 from tankrig.run.reading import Run
@@ -34,4 +37,10 @@ def merged_of_run(run: Run, pattern: str, delivered_ul: float) -> Merged:
     wanted = frames[(frames.pattern == pattern).values & (frames.delivered_ul == delivered_ul).values]
     if not wanted.size:
         raise StoreError(f'{run.path}: has no frames of pattern "{pattern}" at {delivered_ul:g} µl; name others')
-    return merge([(frame.values, plan.settings[int(frame.step)]) for frame in wanted], plan.radiometry)
+    settings = [
+        CameraSettings(float(one.exposure_ms), float(one.gain))
+        if np.isfinite(one.exposure_ms)
+        else plan.settings[int(one.step)]
+        for one in wanted
+    ]
+    return merge([(frame.values, one) for frame, one in zip(wanted, settings, strict=True)], plan.radiometry)

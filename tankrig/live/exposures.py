@@ -4,7 +4,7 @@ The same sums are kept in shared memory while a run goes on, and in ordinary mem
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.bench import Bench
-from tankrig.calibration.file import FOLDER, in_force
+from tankrig.calibration.file import FOLDER, usable
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked
-from tankrig.devices import CameraSettings, Pixels
+from tankrig.devices import CameraSettings, Delivered, Pixels
 from tankrig.errors import StoreError
 from tankrig.estimation.observation import pixel_noise
 from tankrig.pattern import Pattern
+from tankrig.run.conditions import Following, clamped
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run
 from tankrig.scene.description import Camera, Medium, Scene
@@ -35,6 +36,8 @@ UNSETTLED = 0.01
 UNSETTLED_SIGMAS = 6.0
 BLOCKS = 16
 """Along the longer side of a frame, whose means are compared: noise is small in them, and what has not mixed is not."""
+SAME_ML = 1e-6
+"""Volumes that differ by no more are one dose: a nanolitre is less than any doser tells apart."""
 ANY = Medium(0.001, 0.01, 0.5)
 """Of scenes whose medium is to be found."""
 
@@ -85,6 +88,8 @@ class Plan:
         Of the camera in each step of the sequence.
     radiometry
         Of the camera, where it was calibrated for all of them.
+    more_doses
+        How many different ones a run has recorded already, foreseen or not.
     """
 
     bench: Bench
@@ -92,10 +97,15 @@ class Plan:
     doses_ml: tuple[float, ...]
     settings: tuple[CameraSettings, ...]
     radiometry: Radiometry | None = None
+    more_doses: int = 0
 
     @classmethod
     def of(
-        cls, bench: Bench, sequence: Sequence, patterns: list[Pattern], radiometry: Radiometry | None = None
+        cls,
+        bench: Bench,
+        sequence: Sequence,
+        patterns: list[Pattern],
+        radiometry: Radiometry | None = None,
     ) -> "Plan":
         """For a sequence on a bench."""
         actions = [task.action for task in sequence.tasks]
@@ -112,12 +122,18 @@ class Plan:
         """For a run that was recorded."""
         bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
         sequence = sequence_from_table(dict(run.settings["sequence"]), str(run.path))
-        return cls.of(bench, sequence, list(run.patterns.values()), radiometry_of_run(run))
+        conditions = run.conditions.values()
+        radiometry = radiometry_of_run(run)
+        if radiometry is not None and not all(radiometry.knows(one.camera.gain) for one in conditions if one.camera):
+            radiometry = None
+        plan = cls.of(bench, sequence, list(run.patterns.values()), radiometry)
+        return replace(plan, more_doses=len({one.tank.volume_ul for one in conditions}))
 
     @property
     def doses(self) -> int:
-        """How many different ones there can be: what the tank held before, and one that a person has set right."""
-        return 2 + len(self.doses_ml)
+        """How many different ones there can be: those recorded, those to come, what the tank held before, and one that
+        a person has set right."""
+        return 2 + len(self.doses_ml) + self.more_doses
 
     @cached_property
     def scenes(self) -> dict[str, Scene]:
@@ -142,12 +158,24 @@ class Plan:
     def size(self) -> int:
         """Numbers that the sums take."""
         rows, columns = self.camera.shape
-        return 2 + self.doses * 4 + self.doses * len(self.patterns) * (1 + 2 * rows * columns)
+        return 3 + self.doses * 4 + self.doses * len(self.patterns) * (1 + 2 * rows * columns)
 
-    def binned(self, pixels: Pixels, step: int) -> Array:
-        """A frame as the fit sees it: counts per ms at gain 1, made proportional to radiance where that is known."""
-        by, settings = self.binning, self.settings[step]
-        rows, columns = self.camera.shape
+    def binned(self, pixels: Pixels, settings: CameraSettings) -> Array:
+        """A frame as the fit sees it: counts per ms at gain 1, made proportional to radiance where that is known.
+
+        Parameters
+        ----------
+        pixels
+            (rows, columns) counts.
+        settings
+            Of the camera, as read back.
+
+        Raises
+        ------
+        StoreError
+            When the camera was calibrated, but not at this gain.
+        """
+        by, (rows, columns) = self.binning, self.camera.shape
         if self.radiometry is not None:
             light = self.radiometry.corrected(pixels, settings)
             return np.asarray(light.reshape(rows, by, columns, by).mean(axis=(1, 3)))
@@ -157,7 +185,7 @@ class Plan:
 
 
 class Exposures:
-    """Sums of frames by dose and pattern.
+    """Sums of frames by dose and pattern, each frame at the dose and with the exposure that were true of it.
 
     Parameters
     ----------
@@ -171,13 +199,15 @@ class Exposures:
         self.plan = plan
         numbers = np.zeros(plan.size) if numbers is None else numbers
         shape = (plan.doses, len(plan.patterns), *plan.camera.shape)
-        cuts = np.cumsum([2, plan.doses * 4, shape[0] * shape[1], int(np.prod(shape))])
+        cuts = np.cumsum([3, plan.doses * 4, shape[0] * shape[1], int(np.prod(shape))])
+        # The dose under way, the newest frame, and frames that could not be taken in.
         self._now, doses, counts, sums, squares = np.split(numbers, cuts)
         # Of each dose: ml, its standard deviation, frames left out, and whether the last one was.
         self._doses, self._counts = doses.reshape(plan.doses, 4), counts.reshape(shape[:2])
         self._sums, self._squares = sums.reshape(shape), squares.reshape(shape)
         self._index = {key: index for index, key in enumerate(plan.patterns)}
         self._lit = list(plan.scenes)
+        self._conditions = Following()
 
     @property
     def dose(self) -> int:
@@ -197,8 +227,19 @@ class Exposures:
 
     @property
     def newest(self) -> int:
-        """Number of the newest lit frame taken in, as the run counts them."""
+        """Number of the newest lit frame, as the run counts them."""
         return int(self._now[1])
+
+    @property
+    def not_seen(self) -> int:
+        """Frames that could not be taken in: their pixels could not be had, or nobody has foreseen them."""
+        return int(self._now[2])
+
+    @property
+    def doses(self) -> list[int]:
+        """Numbers of the doses that frames were taken at, and of the one under way; the newest first."""
+        taken = np.flatnonzero(np.any(self._counts, axis=1)).tolist()
+        return [self.dose, *sorted(set(taken) - {self.dose}, reverse=True)]
 
     def left_out(self, dose: int) -> int:
         """Frames of a dose that were left out because the ink had not mixed."""
@@ -209,24 +250,33 @@ class Exposures:
         return bool(self._doses[dose, 3])
 
     def take(self, event: Event, pixels: Pixels | None) -> bool:
-        """Take a run's event in; whether there is something new to fit."""
+        """Take a run's event in; whether there is something new to fit.
+
+        Parameters
+        ----------
+        event
+            The next of the run's journal: none may be left out, for lines of earlier versions rest on those before.
+        pixels
+            Of a frame; None where they cannot be had, and the frame is counted as not seen.
+        """
+        then = self._conditions.at(event)
         if event.kind == "session" or event.kind == "dose_done":
-            self._set_dose(event["delivered_ul"], event["delivered_low_ul"], event["delivered_high_ul"])
-        elif event.kind == "frame" and pixels is not None and event["pattern_hash"] in self._index:
-            pattern, binned = self._index[event["pattern_hash"]], self.plan.binned(pixels, event["step"])
+            self._enter(then.tank)
+        elif event.kind == "frame" and event["pattern_hash"] in self._index:
             lit = event["pattern_hash"] in self._lit
             if lit:
-                self._leave_out_what_had_not_mixed(pattern, binned)
                 self._now[1] = event.get("index", 0)
-            self._sums[self.dose, pattern] += binned
-            self._squares[self.dose, pattern] += binned**2
-            self._counts[self.dose, pattern] += 1
+            settings = then.camera or self.plan.settings[event["step"]]
+            if pixels is None or not self._sees(settings) or not self._enter(then.tank):
+                self._now[2] += 1
+                return False
+            self._add(self._index[event["pattern_hash"]], lit, self.plan.binned(pixels, settings))
             return lit
         return False
 
     def photographs(self, dose: int | None = None) -> list[Photograph]:
         """What has been photographed with ink in the tank, of one dose or of all, in the order of the doses."""
-        doses = range(self.dose + 1) if dose is None else (dose,)
+        doses = sorted(self.doses, key=lambda one: float(self._doses[one, 0])) if dose is None else (dose,)
         return [
             self._photograph(one, key)
             for one in doses
@@ -234,11 +284,35 @@ class Exposures:
             if self._doses[one, 0] > 0.0 and self._counts[one, self._index[key]] > 0
         ]
 
-    def _set_dose(self, volume_ul: float, low_ul: float, high_ul: float) -> None:
-        if volume_ul / 1000.0 != self.dose_ml and self._counts[self.dose].any():
-            self._now[0] += 1
+    def _sees(self, settings: CameraSettings) -> bool:
+        return self.plan.radiometry is None or self.plan.radiometry.knows(settings.gain)
+
+    def _enter(self, tank: Delivered) -> bool:
+        """Make what the tank holds the dose under way; False when nobody knows that, or there is no room for it."""
+        if not np.isfinite(tank.high_ul):
+            return False
+        dose_ml = tank.volume_ul / 1000.0
         # Anywhere between its bounds alike: the standard deviation is the width by √12.
-        self._doses[self.dose, :2] = volume_ul / 1000.0, (high_ul - low_ul) / 1000.0 / np.sqrt(12.0)
+        sd_ml = (tank.high_ul - tank.low_ul) / 1000.0 / np.sqrt(12.0)
+        taken: NDArray[np.bool_] = np.any(self._counts, axis=1)
+        if not taken[self.dose] or abs(self.dose_ml - dose_ml) > SAME_ML:
+            same = taken & (np.abs(self._doses[:, 0] - dose_ml) <= SAME_ML)
+            free = np.flatnonzero(same if same.any() else ~taken)
+            if not free.size:
+                return False
+            self._now[0] = free[0]
+        if taken[self.dose]:
+            self._doses[self.dose, 1] = max(sd_ml, self._doses[self.dose, 1])
+        else:
+            self._doses[self.dose] = dose_ml, sd_ml, 0.0, 0.0
+        return True
+
+    def _add(self, pattern: int, lit: bool, binned: Array) -> None:
+        if lit:
+            self._leave_out_what_had_not_mixed(pattern, binned)
+        self._sums[self.dose, pattern] += binned
+        self._squares[self.dose, pattern] += binned**2
+        self._counts[self.dose, pattern] += 1
 
     def _leave_out_what_had_not_mixed(self, pattern: int, binned: Array) -> None:
         """Begin the dose anew where a frame is not of the liquid that the frames before it are of."""
@@ -327,7 +401,21 @@ def radiometry_of_run(run: Run) -> Radiometry | None:
     named = run.settings.get("calibrations", {})
     if "radiometry" not in named:
         return None
-    return Radiometry.of(in_force(run.path / FOLDER, {"radiometry": named["radiometry"]})["radiometry"])
+    return Radiometry.of(usable(run.path / FOLDER, {"radiometry": named["radiometry"]})["radiometry"])
+
+
+def fits_that_hold(run: Run) -> tuple[Event, ...]:
+    """The fits that a run recorded, but for those of a tankrig that took the exposure that was asked for.
+
+    Where the camera had set another one, and the frames' lines do not say so, they are wrong and are made anew.
+    """
+    older = [event for event in run.events("frame") if event.get("exposure_ms") is None]
+    asked = Plan.of_run(run).settings if older and run.fits else ()
+    for event in older if asked else ():
+        actual = run.conditions[event["index"]].camera
+        if actual is not None and clamped(asked[event["step"]], actual):
+            return ()
+    return run.fits
 
 
 def exposures_of(run: Run) -> Exposures:

@@ -1,5 +1,6 @@
 """The live fit's side in the experiment's process: it hands frames over, and what comes back it passes on."""
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -13,10 +14,14 @@ from typing import Any, Self
 import numpy as np
 
 from tankrig.devices import Pixels
-from tankrig.live.exposures import Exposures, Photograph, Plan, replayed
+from tankrig.errors import StoreError
+from tankrig.live.exposures import Exposures, Photograph, Plan, fits_that_hold
 from tankrig.live.worker import Shared, work
+from tankrig.run.announcer import Announcer
 from tankrig.run.journal import Event
-from tankrig.run.reading import Run
+from tankrig.run.reading import Run, StoredFrames
+
+_log = logging.getLogger(__name__)
 
 _LOCK_S = 0.1
 _JOIN_S = 5.0
@@ -44,9 +49,10 @@ def _inherited() -> Iterator[None]:
 class LiveFit:
     """Fits the frames of a run in a niced process of its own while the run goes on.
 
-    Frames are added to sums in shared memory, so that nothing queues: the process looks at all there is by then, and
-    fits the newest. It never makes the run wait. When this program dies, the process ends within two seconds and takes
-    the shared memory along.
+    Frames are added to sums in shared memory: the process looks at all there is by then, and fits the newest. A thread
+    of this object adds them, so that nobody else waits while the process reads. It takes in every event, in the order
+    of the journal; where it has fallen behind, pixels are let go and read back from the disk. When this program dies,
+    the process ends within two seconds and takes the shared memory along.
 
     Parameters
     ----------
@@ -54,11 +60,20 @@ class LiveFit:
         What the run is going to photograph.
     on_result
         Called with each fit's table, in a thread of this object.
-    earlier
-        A run that goes on: its frames are taken in first, and what it has fitted is not fitted again.
+    run
+        Where frames can be read back from. What it holds already is taken in first, and what it has fitted is not
+        fitted again.
+    on_trouble
+        Called, in a thread of this object, with a sentence for each frame that could not be taken in.
     """
 
-    def __init__(self, plan: Plan, on_result: OnResult, earlier: Run | None = None) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        on_result: OnResult,
+        run: Run | None = None,
+        on_trouble: Callable[[str], object] = lambda _: None,
+    ) -> None:
         context = multiprocessing.get_context("spawn")
         self._memory = SharedMemory(create=True, size=plan.size * 8)
         self._numbers: Any = np.ndarray((plan.size,), np.float64, self._memory.buf)
@@ -66,21 +81,24 @@ class LiveFit:
         self._exposures = Exposures(plan, self._numbers)
         self._results, results = context.Pipe(duplex=False)
         self._lock, self._news, self._last = context.Lock(), context.Event(), context.Event()
-        fits = tuple(dict(event.fields) for event in earlier.fits) if earlier else ()
+        fits = tuple(dict(event.fields) for event in fits_that_hold(run)) if run else ()
         shared = Shared(self._memory.name, plan, self._lock, self._news, self._last, results, fits)
         self._process = context.Process(target=work, args=(shared,), name="live-fit", daemon=True)
-        self._on_result = on_result
+        self._on_result, self._on_trouble = on_result, on_trouble
+        self._path = run.path if run else None
         self._closing = threading.Event()
         self._last_step = len(plan.settings) - 1
         try:
-            for event, pixels in replayed(earlier) if earlier else ():
-                self.see(event, pixels)
+            for event in run.journal if run else ():
+                self._take(event, None)
             with _inherited():
                 self._process.start()
         except BaseException:
             self._release()
             raise
         results.close()
+        self._taking = Announcer()
+        self._taking.listen(self._take)
         self._thread = threading.Thread(target=self._listen, name="live-fit-results", daemon=True)
         self._thread.start()
 
@@ -90,18 +108,47 @@ class LiveFit:
         return self._process.pid
 
     def see(self, event: Event, pixels: Pixels | None) -> None:
-        """Take a recorded event of the run in; give this to `Runner.listen`."""
-        if event.kind == "step" and event["state"] == "done" and event["step"] == self._last_step:
-            self._last.set()
-            self._news.set()
-        if self._closing.is_set() or not self._lock.acquire(timeout=_LOCK_S):
-            return  # a preview may be lost; what was recorded is on disk
+        """Take a recorded event of the run in, and return at once; give this to `Runner.listen`."""
+        self._taking.announce(event, pixels)
+
+    def _take(self, event: Event, pixels: Pixels | None) -> None:
+        """Add an event to the sums, however long that has to wait for the process that reads them."""
+        if self._closing.is_set():
+            return
+        why = ""
+        if event.kind == "frame" and pixels is None:
+            pixels, why = self._read_back(event)
+        while not self._lock.acquire(timeout=_LOCK_S):
+            if self._closing.is_set():
+                return
+        new = False
         try:
-            new = self._exposures.take(event, pixels)
+            if self._closing.is_set():
+                return
+            before, new = self._exposures.not_seen, self._exposures.take(event, pixels)
+            if self._exposures.not_seen > before:
+                why = why or "its dose, its gain or its pixels are none that the fit was told of"
+        except Exception as error:  # the next events are taken in all the same
+            _log.exception("the live fit could not take an event in")
+            why = f"{type(error).__name__}: {error}"
         finally:
             self._lock.release()
-        if new:
+        if why:
+            self._on_trouble(f"the live fit goes on without {event.kind} {event.get('index', event.seq)}: {why}")
+        last = event.kind == "step" and event["state"] == "done" and event["step"] == self._last_step
+        if last:
+            self._last.set()
+        if new or last:
             self._news.set()
+
+    def _read_back(self, event: Event) -> tuple[Pixels | None, str]:
+        """The pixels of a frame that had to be let go, or why they cannot be had."""
+        if self._path is None:
+            return None, "its pixels were let go"
+        try:
+            return StoredFrames(self._path).read(event), ""
+        except StoreError as error:
+            return None, str(error)
 
     def photographs(self, dose_ml: float) -> list[Photograph]:
         """What has been photographed so far with so much ink in the tank; empty when that cannot be told at once."""
@@ -123,6 +170,7 @@ class LiveFit:
         if self._closing.is_set():
             return
         self._closing.set()
+        self._taking.close()
         if self._process.is_alive():
             self._process.terminate()
         self._process.join(_JOIN_S)
@@ -149,7 +197,12 @@ class LiveFit:
         """Pass results on until the process has closed its end."""
         while not self._closing.is_set():
             try:
-                if self._results.poll(_POLL_S):
-                    self._on_result(self._results.recv())
+                if not self._results.poll(_POLL_S):
+                    continue
+                table = self._results.recv()
             except (EOFError, OSError):
                 return
+            try:
+                self._on_result(table)
+            except Exception:
+                _log.exception("a fit could not be passed on; the next ones are")

@@ -169,7 +169,7 @@ class Fitter:
         self.waiting = False
         if self._passing is not None and self._passing[0]["dose_ml"] != exposures.dose_ml:
             return self.finish()
-        for dose in range(exposures.dose, -1, -1):
+        for dose in exposures.doses:
             photographs = exposures.photographs(dose)
             seen = sum(one.frames for one in photographs) + exposures.left_out(dose)
             if not photographs or seen <= self._fitted.get(photographs[0].dose_ml, 0):
@@ -177,7 +177,8 @@ class Fitter:
             if exposures.settling(dose) and not last:
                 self.waiting = True
                 continue
-            table = self._dose(photographs, exposures.left_out(dose))
+            without = {"left_out": exposures.left_out(dose), "not_seen": exposures.not_seen}
+            table = self._dose(photographs, without)
             if table is not None:
                 self._fitted[photographs[0].dose_ml] = seen
                 return table | {"newest": exposures.newest if dose == exposures.dose else -1}
@@ -191,8 +192,8 @@ class Fitter:
             return self._all(over)
         return None
 
-    def _dose(self, photographs: list[Photograph], left_out: int) -> Table | None:
-        """The table of a dose; None while its models are being prepared."""
+    def _dose(self, photographs: list[Photograph], without: Table) -> Table | None:
+        """The table of a dose, and what it is `without`; None while its models are being prepared."""
         dose_ml = photographs[0].dose_ml
         start, scenes = self._start(dose_ml), [one.scene for one in photographs]
         try:
@@ -206,14 +207,14 @@ class Fitter:
                 if quick:
                     table, liquid = quick
                     self._keep(dose_ml, liquid)
-                    self._passing = table | {"left_out": left_out}, photographs
-                    return table | {"left_out": left_out, "passing": True}
+                    self._passing = table | without, photographs
+                    return table | without | {"passing": True}
             table, found = fit_dose(photographs, start)
         except TankrigError as error:
             return {"fit": "dose", "dose_ml": dose_ml, "error": str(error)}
         self._passing = None
         self._keep(dose_ml, found.ink)
-        return table | {"left_out": left_out}
+        return table | without
 
     def _keep(self, dose_ml: float, liquid: Medium) -> None:
         """Remember what a dose is, and have models prepared for it and for the next one."""

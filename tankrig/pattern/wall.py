@@ -1,5 +1,6 @@
 """The map from the projector's pixels to the wall that the light enters, the plane x = 0."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -9,6 +10,33 @@ from numpy.typing import NDArray
 from tankrig.errors import SequenceError
 from tankrig.pattern.pattern import Pattern
 from tankrig.scene.description import CLOSED, Beam, Interval, Tank
+
+ROUNDING = 1e-9
+"""By which a fraction may lie outside 0 … 1: a curve that was computed and written down ends at 1.0000000000000004."""
+
+
+def fractions_of_white(values: Iterable[float]) -> NDArray[np.float64]:
+    """Fractions of level 255's light that the levels 0 … 255 make, without what rounding has put outside of 0 … 1.
+
+    Raises
+    ------
+    SequenceError
+        When they are not 256, or not all of them lie in 0 … 1.
+
+    Examples
+    --------
+    >>> fractions_of_white([*np.arange(255) / 255.0, 1.0000000000000004])[-1].item()
+    1.0
+    """
+    found = np.array(list(values), float)
+    if found.shape != (256,):
+        raise SequenceError(f"response has {found.size} entries; give one fraction, 0 to 1, for each level 0 … 255")
+    wrong = ~((found >= -ROUNDING) & (found <= 1.0 + ROUNDING))
+    if wrong.any():
+        level = int(np.flatnonzero(wrong)[0])
+        raise SequenceError(f"response has {found[level]:.6g} at level {level}; give a fraction of the light, 0 to 1")
+    inside: NDArray[np.float64] = np.clip(found, 0.0, 1.0)
+    return inside
 
 
 @dataclass(frozen=True)
@@ -60,10 +88,8 @@ class Wall:
             raise SequenceError(
                 f"irradiance = {self.irradiance}, gamma = {self.gamma} has a value that is not positive; measure both"
             )
-        if self.response and (len(self.response) != 256 or min(self.response) < 0.0):
-            raise SequenceError(
-                f"response has {len(self.response)} entries; give one fraction, 0 to 1, for each level 0 … 255"
-            )
+        if self.response:
+            object.__setattr__(self, "response", tuple(fractions_of_white(self.response).tolist()))
 
     @property
     def fractions(self) -> NDArray[np.float64]:

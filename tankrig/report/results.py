@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tankrig.errors import ImageError
-from tankrig.live.exposures import Photograph, exposures_of
+from tankrig.live.exposures import Photograph, exposures_of, fits_that_hold
 from tankrig.live.fits import diluted, fit_all, fit_dose
 from tankrig.run.reading import Run
 from tankrig.scene.description import Medium
@@ -71,7 +71,7 @@ def results_of(run: Run, progress: Callable[[str], None] = lambda _: None) -> Re
 
 def recorded(run: Run) -> tuple[list[Table], Table | None]:
     """The last fit of each dose that the run made while it went on, by dose, and its last fit of the series."""
-    tables = [dict(event.fields) for event in run.fits if "error" not in event.fields]
+    tables = [dict(event.fields) for event in fits_that_hold(run) if "error" not in event.fields]
     doses = {one["dose_ml"]: one for one in tables if one["fit"] == "dose"}
     return [doses[dose_ml] for dose_ml in sorted(doses)], next(
         (one for one in reversed(tables) if one["fit"] == "series"), None

@@ -18,8 +18,9 @@ def settings_of(run: Run) -> list[Pairs]:
         ("run", run.path.name),
         ("sequence", str(sequence.get("name", ""))),
         ("frames", f"{len(run.events('frame'))} of {run.frames.shape[1:][1]} × {run.frames.shape[1:][0]} pixels"),
-        ("exposure", f"{sequence.get('exposure_ms', '?')} ms at gain {sequence.get('gain', '?')}"),
-        ("doses", ", ".join(f"{event['delivered_ul']:g}" for event in doses) + " µl in all"),
+        ("exposure", _exposures(run, sequence)),
+        ("ink at the beginning", f"{sessions[0].get('delivered_ul', 0.0):g} µl" if sessions else "?"),
+        ("doses", ", ".join(f"{event['delivered_ul']:g}" for event in doses) + " µl in all" if doses else "none"),
         ("patterns", ", ".join(pattern.name for pattern in run.patterns.values())),
         ("devices", ", ".join(dict(sessions[0]["devices"]).values()) if sessions else "?"),
         ("program", str(sessions[0]["program"]) if sessions else "?"),
@@ -36,6 +37,15 @@ def settings_of(run: Run) -> list[Pairs]:
         ("camera", f"{camera['kind']}{_at(camera.get('position_mm'))}, pixels of {camera['pixel_mm']:g} mm"),
     ]  # fmt: skip
     return [experiment, geometry]
+
+
+def _exposures(run: Run, sequence: dict[str, Any]) -> str:
+    """As they were read back from the camera; as they were asked for where a run does not say."""
+    actual = {then.camera for then in run.conditions.values() if then.camera is not None}
+    if not actual:
+        return f"{sequence.get('exposure_ms', '?')} ms at gain {sequence.get('gain', '?')}, as asked for"
+    each = sorted((one.exposure_ms, one.gain) for one in actual)
+    return ", ".join(f"{exposure_ms:g} ms at gain {gain:g}" for exposure_ms, gain in each)
 
 
 def skipped_of(run: Run, plan: Plan, faintest: float) -> list[str]:

@@ -67,7 +67,7 @@ class Announcer:
     def _tell(self, listener: Listener, event: Event, pixels: Pixels | None) -> None:
         try:
             listener(event, pixels)
-        except Exception:
+        except BaseException:  # whatever it is, the others still hear the run
             _log.exception("a listener failed and hears no more of the run")
             with self._change:
                 self._listeners = tuple(other for other in self._listeners if other is not listener)

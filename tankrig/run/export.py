@@ -30,7 +30,9 @@ def export_netcdf(run: Run, target: Path) -> None:
         frames.attrs["missing"] = "; ".join(missing)
     for name in ("pattern", "pattern_hash"):
         frames[name] = frames[name].astype(str)
-    frames["delivered_ul"].attrs["units"] = "µl"
+    for name in ("delivered_ul", "delivered_low_ul", "delivered_high_ul"):
+        frames[name].attrs["units"] = "µl"
+    frames["exposure_ms"].attrs["units"] = "ms"
     encoding = {"frames": {"zlib": True, "complevel": 1, "chunksizes": (1, *frames.shape[1:])}}
     require_writable(target.parent)
     with whole_file(target) as unfinished:

@@ -113,9 +113,10 @@ def create_run(
 
     require_new(path)
     fresh = path.with_name(f".{path.name}.new")
-    with storing(path, "make the run's folder"):
+    with contextlib.ExitStack() as undo, storing(path, "make the run's folder"):
         path.parent.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(fresh, ignore_errors=True)
+        undo.callback(shutil.rmtree, fresh, ignore_errors=True)
         disk.make_folder(fresh)
         mark = {"format": FORMAT, "version": version("tankrig"), "settings": dict(settings)}
         group = zarr.create_group(DurableStore(fresh), attributes={MARK: mark})

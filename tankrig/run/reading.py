@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tankrig.devices import Pixels
+from tankrig.devices import Delivered, Pixels
 from tankrig.errors import StoreError
 from tankrig.pattern import Pattern
+from tankrig.run.conditions import Conditions, with_conditions
 from tankrig.run.damage import Lost
 from tankrig.run.facts import read_journal, read_settings
 from tankrig.run.journal import Event
@@ -66,6 +67,17 @@ class Run:
         last = next((event for event in reversed(self.journal) if event.kind != "note"), None)
         return last if last is not None and last.kind == "end" else None
 
+    @property
+    def tank(self) -> Delivered | None:
+        """What the tank held when the run last knew; None when it never did."""
+        known = [then for event, then in with_conditions(self.journal) if event.kind in ("session", "dose_done")]
+        return known[-1].tank if known else None
+
+    @cached_property
+    def conditions(self) -> dict[int, Conditions]:
+        """What was true of each acknowledged frame when it was exposed, by its number."""
+        return {event["index"]: then for event, then in with_conditions(self.journal) if event.kind == "frame"}
+
     @cached_property
     def patterns(self) -> dict[str, Pattern]:
         """The pictures that were to be projected, by hash."""
@@ -82,31 +94,35 @@ class Run:
         """The acknowledged frames.
 
         (frame, y, x) uint8 or uint16 counts, read from disk as they are used; with the coordinates `step`, `pattern`
-        (name), `pattern_hash`, `exposure_start_ns`, `utc`, and `delivered_ul`, the ink that the run had put into the
-        tank, with its bounds `delivered_low_ul` and `delivered_high_ul`. Reading the pixels of a frame that is missing
-        or damaged raises `StoreError` with its number.
+        (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held when the frame
+        was exposed, with its bounds `delivered_low_ul` and `delivered_high_ul`; and `exposure_ms` and `gain`, as they
+        were read back from the camera (NaN where a run does not say). Reading the pixels of a
+        frame that is missing or damaged raises `StoreError` with its number.
         """
         import dask.array
         import xarray
 
-        rows = [_Row(event, dose) for event, dose in _with_dose(self.journal) if event.kind == "frame"]
-        stack = _Stack(self._stored, tuple(row.event for row in rows))
+        rows = [(event, then) for event, then in with_conditions(self.journal) if event.kind == "frame"]
+        stack = _Stack(self._stored, tuple(event for event, _ in rows))
         chunks = (1, *stack.shape[1:])
         pictures = dask.array.from_array(stack, chunks=chunks, name=False)  # type: ignore[no-untyped-call]
         array = xarray.DataArray(pictures, dims=("frame", "y", "x"), name="frames")
         names = {key: pattern.name for key, pattern in self.patterns.items()}
         columns: dict[str, Any] = {
-            "step": np.array([row.event["step"] for row in rows], int),
-            "pattern": np.array([names.get(row.event["pattern_hash"], "") for row in rows], object),
-            "pattern_hash": np.array([row.event["pattern_hash"] for row in rows], object),
-            "exposure_start_ns": np.array([row.event["exposure_start_ns"] for row in rows], np.int64),
-            "utc": np.array([row.event.moment.utc.split("+")[0] for row in rows], "datetime64[us]").astype(
+            "step": np.array([event["step"] for event, _ in rows], int),
+            "pattern": np.array([names.get(event["pattern_hash"], "") for event, _ in rows], object),
+            "pattern_hash": np.array([event["pattern_hash"] for event, _ in rows], object),
+            "exposure_start_ns": np.array([event["exposure_start_ns"] for event, _ in rows], np.int64),
+            "utc": np.array([event.moment.utc.split("+")[0] for event, _ in rows], "datetime64[us]").astype(
                 "datetime64[ns]"
             ),
+            "delivered_ul": np.array([then.tank.volume_ul for _, then in rows], float),
+            "delivered_low_ul": np.array([then.tank.low_ul for _, then in rows], float),
+            "delivered_high_ul": np.array([then.tank.high_ul for _, then in rows], float),
+            "exposure_ms": np.array([then.camera.exposure_ms if then.camera else np.nan for _, then in rows], float),
+            "gain": np.array([then.camera.gain if then.camera else np.nan for _, then in rows], float),
         }
-        for name in ("delivered_ul", "delivered_low_ul", "delivered_high_ul"):
-            columns[name] = np.array([row.dose.get(name, 0.0) for row in rows], float)
-        unsure = np.array([row.event["index"] in self.unsure_doses for row in rows], bool)
+        unsure = np.array([event["index"] in self.unsure_doses for event, _ in rows], bool)
         for name in ("delivered_ul", "delivered_low_ul", "delivered_high_ul"):
             columns[name] = np.where(unsure, np.nan, columns[name])
         labelled: xarray.DataArray = array.assign_coords({name: ("frame", values) for name, values in columns.items()})
@@ -220,23 +236,6 @@ class _Stack:
         for place, number in enumerate(numbers):
             stack[place] = self._stored.read(self._events[number])
         return stack[(slice(None), *within)]
-
-
-@dataclass(frozen=True)
-class _Row:
-    event: Event
-    dose: Mapping[str, Any]
-
-
-def _with_dose(journal: tuple[Event, ...]) -> list[tuple[Event, Mapping[str, Any]]]:
-    """Each event with the last dose that was done before it."""
-    dose: Mapping[str, Any] = {}
-    rows = []
-    for event in journal:
-        if event.kind == "dose_done":
-            dose = event.fields
-        rows.append((event, dose))
-    return rows
 
 
 def open_run(path: str | os.PathLike[str]) -> Run:

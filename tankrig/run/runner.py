@@ -1,5 +1,6 @@
 """The runner: carries out a sequence on a rig, step by step, and records it."""
 
+import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -19,6 +20,8 @@ from tankrig.run.shown import Shown
 from tankrig.run.state import FinishReason, RunState, RunStates
 from tankrig.run.writer import RunWriter
 from tankrig.sequence import Capture, Dose, DryRun, Mix, Note, Sequence, Wait
+
+_log = logging.getLogger(__name__)
 
 _MOST_SATURATED = 0.2
 _POLL_S = 0.1
@@ -122,8 +125,9 @@ class Runner:
         self._journal, self._plan = journal, plan
         self._states = RunStates()
         self._clockwork = Clockwork(plan.dry_run, plan.first_step)
-        self._shown = Shown(rig, writer)
+        self._shown = Shown(rig, writer, doser)
         self._newest_lit = -1
+        self._taken_up = False
         self.path = writer.path
         self._latest_fit: Mapping[str, Any] | None = None
         self._dose_fit: Mapping[str, Any] = {}
@@ -197,35 +201,78 @@ class Runner:
         Returns
         -------
         Outcome
-            Also when devices, the disk or the sequence fail; other errors are raised. In each case the doser has been
-            stopped first, and what was recorded is safe.
+            Also when devices, the disk or the sequence fail. Other errors are raised when all is cleaned up. In each
+            case the doser has been stopped first, and what was recorded is safe.
         """
-        reason, error = FinishReason.FAILED, None
+        if self._taken_up:
+            raise SequenceError(f"{self.path}: this runner has done its work; resume the run with another")
+        self._taken_up, error = True, None
         try:
             self._states.move(RunState.RUNNING)
-            self._begin()
-            tasks = self._plan.sequence.tasks
-            for step in range(self._plan.first_step, len(tasks)):
-                self._states.step_boundary(partial(self._writer.put, "note", text="paused"), self._resumed)
-                self._do(step)
-            self._wait_for_the_rest()
-            self._writer.flush()
+            self._carry_out()
+        except BaseException as caught:  # whatever it was: it is told when all is cleaned up
+            error = caught
+        return self._ended(error)
+
+    def give_up(self, error: BaseException | None = None) -> None:
+        """Let go of everything when `run` was never called, and record why; nothing to do when it was.
+
+        Parameters
+        ----------
+        error
+            What kept the run from beginning.
+        """
+        if not self._taken_up:
+            self._taken_up = True
+            self._states.request_abort()
+            self._end(FinishReason.FAILED if error else FinishReason.ABORTED, error)
+
+    def _carry_out(self) -> None:
+        self._begin()
+        tasks = self._plan.sequence.tasks
+        for step in range(self._plan.first_step, len(tasks)):
+            self._states.step_boundary(partial(self._writer.put, "note", text="paused"), self._resumed)
+            self._do(step)
+        self._wait_for_the_rest()
+        self._writer.flush()
+
+    def _ended(self, error: BaseException | None) -> Outcome:
+        """Clean up after what happened, and tell it; what is no error of tankrig's is raised."""
+        if error is None:
             reason = FinishReason.COMPLETED
-        except TankrigError as caught:
-            aborted = self._states.now is RunState.ABORTING
-            reason = FinishReason.ABORTED if aborted else FinishReason.FAILED
-            error = None if aborted and not self._doser.unknown else caught  # devices that were stopped complain
-        finally:
-            trouble = self._end(reason, error)
+        elif isinstance(error, TankrigError) and self._states.now is RunState.ABORTING:
+            reason = FinishReason.ABORTED
+            error = error if self._undecided() else None  # devices that were stopped complain
+        else:
+            reason = FinishReason.FAILED
+        trouble = self._end(reason, error)
+        if trouble is not None and not isinstance(trouble, TankrigError):
+            raise trouble
         if trouble and reason is FinishReason.COMPLETED:
             reason = FinishReason.FAILED
         return Outcome(reason, self.path, trouble)
 
+    def _undecided(self) -> bool:
+        try:
+            return self._doser.unknown
+        except Exception:  # a doser that cannot be asked
+            return True
+
     def _wait_for_the_rest(self) -> None:
         self._clockwork.waiting_for = "the last fits"
         for ready in self.before_end:
-            while not ready():
+            while not self._says_yes(ready):
                 self._states.sleep(_POLL_S)
+
+    def _says_yes(self, ready: Callable[[], bool]) -> bool:
+        """One that fails is not waited for: what the run recorded is complete without it."""
+        try:
+            return ready()
+        except Exception as error:
+            _log.exception("what the run's end waited for has failed")
+            text = f"what the run's end waited for has failed ({type(error).__name__}: {error}); it is not waited for"
+            self._writer.put("note", text=text, warning=True)
+            return True
 
     def _resumed(self) -> None:
         self._shown.forget()  # a person may have had another pattern there
@@ -288,7 +335,7 @@ class Runner:
         watch, start_s = MixingWatch(), time.monotonic()
         while True:
             self._states.check()
-            frame = self._shown.frame()
+            frame, _ = self._shown.frame()
             saturated = float((frame.pixels >= self._rig.camera.saturation).mean())
             if saturated > _MOST_SATURATED:
                 raise SequenceError(
@@ -320,10 +367,10 @@ class Runner:
             if number == taken:
                 self._clockwork.waiting_for = self._rig.camera.name
                 self._shown.show(pattern, self._plan.sequence.camera_settings(capture))
-            frame = self._shown.frame()
+            frame, conditions = self._shown.frame()
             if previous is not None and frame.sequence > previous + 1:
                 self._writer.put("gap", step=step, missing=frame.sequence - previous - 1, after=previous)
-            index = self._writer.put_frame(frame, step, pattern.hash)
+            index = self._writer.put_frame(frame, step, pattern.hash, **conditions.line())
             if pattern.pixels.any():
                 self._newest_lit = index
             previous = frame.sequence
@@ -352,23 +399,36 @@ class Runner:
         of_now = abs(fit.get("dose_ml", -1.0) - self._doser.delivered().volume_ul / 1000) < 1e-6
         return fit if of_now and "error" not in fit else None
 
-    def _end(self, reason: FinishReason, error: TankrigError | None) -> TankrigError | None:
-        """Stop the doser unless all went well, go dark, record the end, let go of everything; the first error."""
-        errors = [error] if error else []
+    def _end(self, reason: FinishReason, error: BaseException | None) -> BaseException | None:
+        """Stop the doser unless all went well, go dark, record the end, let go of everything; the first error.
+
+        Whatever one of these raises, the others are still done.
+        """
+        errors = [error] if error is not None else []
 
         def attempt(action: Callable[[], object]) -> None:
             try:
                 action()
-            except TankrigError as caught:
+            except BaseException as caught:
                 errors.append(caught)
+
+        def record() -> None:
+            self._writer.finish(reason=reason.value, message=_sentence(errors[0]) if errors else "")
 
         if reason is not FinishReason.COMPLETED:
             attempt(self._doser.stop)
         attempt(lambda: self._rig.projector.show(self._plan.patterns["dark"]))
         attempt(self._doser.close)
-        attempt(lambda: self._writer.finish(reason=reason.value, message=str(errors[0]) if errors else ""))
+        attempt(record)
         attempt(self._rig.close)
-        self._writer.close()
-        self._announcer.close()
-        self._states.move(RunState.FINISHED)
+        attempt(self._writer.close)
+        attempt(self._announcer.close)
+        attempt(lambda: self._states.move(RunState.FINISHED))
+        for later in errors[1:]:
+            _log.error("while the run was ended: %s", _sentence(later))
         return errors[0] if errors else None
+
+
+def _sentence(error: BaseException) -> str:
+    """An error in words; of one that is not tankrig's own, its name too."""
+    return str(error) if isinstance(error, TankrigError) else f"failed unexpectedly ({type(error).__name__}: {error})"

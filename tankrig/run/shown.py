@@ -1,14 +1,23 @@
-"""The pattern on the wall, and frames that are proven to be of it."""
+"""The pattern on the wall, and frames that are proven to be of it, each with what was true when it was exposed."""
 
 from dataclasses import asdict
+from typing import Protocol
 
-from tankrig.devices import CameraSettings, Confirming, Frame
+from tankrig.devices import CameraSettings, Confirming, Delivered, Frame
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
+from tankrig.run.conditions import Conditions, clamped, spanning
 from tankrig.run.rig import Rig
 from tankrig.run.writer import RunWriter
 
 _CAMERA_TIMEOUT_S = 5.0
+
+
+class Tank(Protocol):
+    """Whoever knows what the tank holds."""
+
+    def delivered(self) -> Delivered:
+        """Ink in the tank now."""
 
 
 class Shown:
@@ -19,32 +28,52 @@ class Shown:
     rig
         Its projector shows, its camera looks.
     writer
-        Told how the camera was set.
+        Told how the camera was set, and with a warning, once for each setting, where it set something else than was
+        asked for.
+    tank
+        Asked what it holds, around each exposure.
     """
 
-    def __init__(self, rig: Rig, writer: RunWriter) -> None:
-        self._rig, self._writer = rig, writer
-        self._settings: CameraSettings | None = None
+    def __init__(self, rig: Rig, writer: RunWriter, tank: Tank) -> None:
+        self._rig, self._writer, self._tank = rig, writer, tank
+        self._asked: CameraSettings | None = None
+        self._set = CameraSettings(0.0)
+        self._told: set[CameraSettings] = set()
         self._pattern = ""
         self._after_ns = 0
+        self._held = Delivered(0.0, 0.0, 0.0)
 
     def show(self, pattern: Pattern, settings: CameraSettings) -> None:
         """Show a pattern; one that was there for the frame before is left there, and no frame is lost for it."""
-        if (pattern.hash, settings) == (self._pattern, self._settings):
+        if (pattern.hash, settings) == (self._pattern, self._asked):
             return
-        if settings != self._settings:
-            actual = self._rig.camera.configure(settings)
-            self._writer.put("note", text="camera", asked=asdict(settings), **asdict(actual))
-            self._settings = settings
+        if settings != self._asked:
+            self._configure(settings)
+        self._held = self._tank.delivered()  # exposures that count begin after this
         self._after_ns = self._rig.projector.show(pattern).bound_ns
         self._pattern = pattern.hash
+
+    def _configure(self, settings: CameraSettings) -> None:
+        camera = self._rig.camera
+        self._asked, self._set = None, camera.configure(settings)
+        self._writer.put("note", text="camera", asked=asdict(settings), **asdict(self._set))
+        self._asked = settings
+        if clamped(settings, self._set) and settings not in self._told:
+            self._told.add(settings)
+            asked, actual = (f"{one.exposure_ms:g} ms at gain {one.gain:g}" for one in (settings, self._set))
+            self._writer.put(
+                "note",
+                text=f"{camera.name}: was asked for {asked} and has set {actual}, with which its frames are recorded "
+                f"and fitted; ask for what it can do to be rid of this line",
+                warning=True,
+            )
 
     def forget(self) -> None:
         """Time goes by, or others may use the rig: show the next pattern anew, whichever it is."""
         self._pattern = ""
 
-    def frame(self) -> Frame:
-        """The next frame.
+    def frame(self) -> tuple[Frame, Conditions]:
+        """The next frame, and what was true when it was exposed.
 
         Raises
         ------
@@ -52,8 +81,7 @@ class Shown:
             When the camera gives none, or one that cannot be of the pattern, or of another shape.
         """
         camera = self._rig.camera
-        exposure_s = self._settings.exposure_ms / 1000 if self._settings else 0.0
-        frame = camera.capture(self._after_ns, 2 * exposure_s + _CAMERA_TIMEOUT_S)
+        frame = camera.capture(self._after_ns, 2e-3 * self._set.exposure_ms + _CAMERA_TIMEOUT_S)
         if isinstance(self._rig.projector, Confirming):
             self._rig.projector.confirm()
         if frame.exposure_start_ns <= self._after_ns:
@@ -68,4 +96,5 @@ class Shown:
                 f"set its format again, and check its cable"
             )
         self._after_ns = frame.exposure_start_ns
-        return frame
+        before, self._held = self._held, self._tank.delivered()
+        return frame, Conditions(spanning(before, self._held), self._set)

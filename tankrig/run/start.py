@@ -68,6 +68,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
             "calibrations": {kind: one.hash for kind, one in rig.calibrations.items()},
         }
         create_run(path, rig.camera.shape, _dtype(rig), sequence.frames, settings, list(patterns.values()))
+        undo.callback(shutil.rmtree, path, ignore_errors=True)  # nothing is recorded in it yet
         for calibration in rig.calibrations.values():
             copy_to(calibration, path / FOLDER)
         runner = _runner(rig, doser, journal, path, Plan(sequence, patterns, took), undo)

@@ -153,10 +153,12 @@ class RunWriter:
     def finish(self, **fields: Any) -> None:
         """Trim the array to the frames there are and record the end of the run."""
         self.flush()
-        with storing(self.path, "trim the finished run"):
-            resize_frames(self.path, self._frames, self._index)
-        self.put("end", **fields)
-        self.flush()
+        try:
+            with storing(self.path, "trim the finished run"):
+                resize_frames(self.path, self._frames, self._index)
+        finally:  # a run that cannot be trimmed has come to its end all the same
+            self.put("end", **fields)
+            self.flush()
 
     def close(self) -> None:
         """Put what is waiting on disk and let go of the run; may be called any number of times."""

@@ -107,7 +107,8 @@ class Capture:
 def _require_positive(step: Mix | Capture) -> None:
     for name in ("exposure_ms", "gain"):
         value = getattr(step, name)
-        _require(value is None or value > 0.0, f"{name} = {value} is not positive; give a positive number")
+        good = value is None or 0.0 < value < float("inf")
+        _require(good, f"{name} = {value} is not positive, or has no end; give a positive number")
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from tankrig.errors import DeviceError, StoreError, TankrigError, UndecidedError
+from tankrig.errors import DecisionError, DeviceError, StoreError, TankrigError, UndecidedError
 
 DONE, FAILURE, BAD_INPUT, DECISION = 0, 1, 2, 3
 
@@ -102,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _status(error: TankrigError) -> int:
-    if isinstance(error, UndecidedError):
+    if isinstance(error, UndecidedError | DecisionError):
         return DECISION
     cause = error.__cause__
     disk_failed = isinstance(error, StoreError) and isinstance(cause, OSError) and cause.errno in DISK_FAILED

@@ -165,6 +165,7 @@ def _row(advice: "Advice") -> dict[str, Any]:
 def _tell(before: "Expected | None", found: "list[Advice]") -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     headings = ("next", "+µl", "min", *(f"{symbol} ±" for symbol in SHOWN.values()), "bits", "bits/min", "bits/ml")
     table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="bold")
@@ -176,7 +177,7 @@ def _tell(before: "Expected | None", found: "list[Advice]") -> None:
         candidate = advice.candidate
         per_ml = "–" if advice.bits_per_ul is None else f"{1000.0 * advice.bits_per_ul:.2f}"
         table.add_row(
-            f"{candidate.shot.pattern} × {candidate.shot.frames}", f"{candidate.volume_ul:g}",
+            Text(f"{candidate.shot.pattern} × {candidate.shot.frames}"), f"{candidate.volume_ul:g}",
             f"{candidate.minutes:.2f}", *_errors(advice.after), f"{advice.bits:.2f}",
             f"{advice.bits_per_minute:.2f}", per_ml,
         )  # fmt: skip

@@ -130,6 +130,8 @@ class Holder:
 
     def look(self, pixels: Any, name: str) -> "BoardView | None":
         """Say how well a picture shows the board; the view, where it can be used."""
+        from rich.markup import escape
+
         from tankrig.calibration.board import find_board
         from tankrig.errors import ImageError
 
@@ -137,7 +139,7 @@ class Holder:
         try:
             view = find_board(pixels, self._board, self._camera.saturation)
         except ImageError as error:
-            self._say(f"[red]{name}: {error}[/red]")
+            self._say(f"[red]{escape(f'{name}: {error}')}[/red]")
             return None
         self._seen.append(view.corners_px)
         self._say(f"{name}: {self._in_words(view)}")
@@ -148,12 +150,13 @@ class Holder:
 
     def _in_words(self, view: "BoardView") -> str:
         import numpy as np
+        from rich.markup import escape
 
         from tankrig.calibration.camera import covered
 
         covers = covered(np.concatenate(self._seen), view.shape).mean()
         seen = f"{self._in_words_now(view)}, contrast {view.contrast:.0%}, covers {covers:.0%} so far"
-        return seen + (f" [red]not used: {view.fault}[/red]" if view.fault else "")
+        return seen + (f" [red]not used: {escape(view.fault)}[/red]" if view.fault else "")
 
     def _place(self, place: str, number: int) -> None:
         if self._hold is not None:

@@ -33,6 +33,8 @@ def projector(
     evenly; the wall's thickness and index are those of the rig file. The result is a dated file in the folder
     calibration/ beside the rig file, used from then on.
     """
+    from rich.markup import escape
+
     from tankrig.calibration.file import in_force
     from tankrig.calibration.geometry_in_force import camera_pose, lens_of, require, surface_of
     from tankrig.calibration.gray_code import decode, gray_code_patterns
@@ -45,7 +47,7 @@ def projector(
 
     held = board_of(**board)
     description = described(rig)
-    force = in_force(Path(description.calibration_folder), description.calibration)
+    force = in_force(Path(description.calibration_folder), description.calibration, ("camera", "tank", "radiometry"))
     known = {kind: require(force, kind) for kind in ("camera", "tank")}
     radiometry = Radiometry.of(force["radiometry"]) if "radiometry" in force else None
     with opened(description, "projector", "camera") as (device, camera):
@@ -73,7 +75,7 @@ def projector(
                 light = (white - black).astype("f4")
             found = lit_corners(view, decode(frames, device.shape, camera.saturation), held, light)
             if found.fault:
-                holder.console.print(f"  [red]not used: {found.fault}[/red]", highlight=False)
+                holder.console.print(f"  [red]not used: {escape(found.fault)}[/red]", highlight=False)
                 return None
             return found
 

@@ -36,7 +36,7 @@ def tank(rig: Path | None, views: int, exposure_ms: float | None, accept: bool, 
 
     held = board_of(**board)
     description = described(rig)
-    known = require(in_force(Path(description.calibration_folder), description.calibration), "camera")
+    known = require(in_force(Path(description.calibration_folder), description.calibration, ("camera",)), "camera")
     click.echo(f"takes about {_MINUTES} minutes on the bench, filling not included", err=True)
     with opened(description, "camera") as (device,):
         known.require_for(device.name, device.shape)

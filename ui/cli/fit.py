@@ -214,7 +214,7 @@ def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Esti
         table.add_row(name, _rounded(value, sd), _rounded(sd, sd), "", "", "")
     console = Console()
     console.print(table)
-    console.print(f"\n{fitted.verdict}\n", highlight=False)
+    console.print(f"\n{fitted.verdict}\n", highlight=False, markup=False)
     by_order = ",  ".join(f"{one.orders}: {one.rmse:.3g}" for one in rebuilt)
     console.print(
         f"model    {fitted.model}, {seconds:.1f} s; gain {fitted.gain:.5g}, offset {fitted.offset:.3g}", highlight=False

@@ -63,7 +63,7 @@ def tell_fits(found: dict[str, Any]) -> None:
     console = Console()
     console.print(table)
     if "verdict" in found:
-        console.print(f"\n{found['verdict']}", highlight=False)
+        console.print(f"\n{found['verdict']}", highlight=False, markup=False)
     click.echo()
 
 

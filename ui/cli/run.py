@@ -1,6 +1,7 @@
 """`tankrig run`: carry out a sequence on a rig."""
 
 import json
+import math
 import signal
 import sys
 import threading
@@ -8,16 +9,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
 import click
 
-from tankrig.errors import TankrigError
 from ui.cli.fits import fits_of, tell_fits
 from ui.cli.options import json_option, out_option, rig_option
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
+    from tankrig.run.journal import Event
     from tankrig.run.runner import Outcome, Runner
     from tankrig.sequence import DryRun, Sequence
 
@@ -68,7 +70,7 @@ def run(
         require_resumable(path)
     else:
         sequence = load_sequence(sequence_file)
-        plan = _planned(sequence, description, path)
+        plan = _planned(sequence, description, path, fit)
         if dry_run:
             _tell_plan(plan, as_json)
             return 0
@@ -89,17 +91,23 @@ def _described(rig: Path | None, run_folder: Path) -> "RigFile":
     return simulated_rig(run_folder.with_name(f"{run_folder.name}.rig"))
 
 
-def _planned(sequence: "Sequence", description: "RigFile", run_folder: Path) -> "DryRun":
+def _planned(sequence: "Sequence", description: "RigFile", run_folder: Path, fit: bool) -> "DryRun":
     """The dry run, which checks all that can be checked before a device is touched."""
+    from drivers.rig import calibrated_bench
     from tankrig.devices import Delivered
     from tankrig.dosing import TankLedger
+    from tankrig.live.attached import require_fittable
     from tankrig.run.start import require_place
     from tankrig.sequence import dry_run
 
-    rows, columns = description.bench.camera.shape
+    bench = calibrated_bench(description)
+    rows, columns = bench.camera.shape
     frame_bytes = rows * columns * 2
     require_place(run_folder, sequence.frames * frame_bytes)
-    sequence.drawn(description.bench.wall)
+    if fit:
+        require_fittable(sequence, bench)
+    else:
+        sequence.drawn(bench.wall)
     tank = Delivered(0.0, 0.0, 0.0)
     if description.ledger.exists():
         ledger = TankLedger(description.ledger)
@@ -111,6 +119,7 @@ def _planned(sequence: "Sequence", description: "RigFile", run_folder: Path) -> 
 def _tell_plan(plan: "DryRun", as_json: bool) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     totals = {"seconds": plan.seconds, "ink_ul": plan.ink_ul, "frames": plan.frames, "disk_bytes": plan.disk_bytes}
     if as_json:
@@ -126,7 +135,7 @@ def _tell_plan(plan: "DryRun", as_json: bool) -> None:
         ink = f"{step.ink_ul:g} µl" if step.ink_ul else ""
         bound = "≤ " if step.at_most else ""
         frames = f"{bound}{step.frames}" if step.frames else ""
-        table.add_row(step.label, f"{bound}{step.seconds:.1f} s", ink, frames)
+        table.add_row(Text(step.label), f"{bound}{step.seconds:.1f} s", ink, frames)
     Console().print(table)
     most = "at most " if plan.at_most else ""
     click.echo(
@@ -157,14 +166,11 @@ def open_runner(
 
 
 def carry_out(runner: "Runner", fit: bool) -> "Outcome":
-    """Run in a thread of its own, so that progress is drawn and Ctrl-C heard while a device is waited for."""
-    from rich.console import Console, Group
-    from rich.live import Live
-    from rich.progress import BarColumn, Progress, TextColumn
-    from rich.text import Text
+    """Run in a thread of its own, so that progress is drawn and signals heard while a device is waited for.
 
+    Whatever happens meanwhile, the run has ended when this returns or raises, and its thread too.
+    """
     from tankrig.live.attached import fitted_live
-    from tankrig.live.words import fit_in_words
 
     outcomes: list[Outcome | BaseException] = []
 
@@ -175,35 +181,80 @@ def carry_out(runner: "Runner", fit: bool) -> "Outcome":
             outcomes.append(error)
 
     thread = threading.Thread(target=work, name="run")
-    bar = Progress(BarColumn(), TextColumn("{task.completed}/{task.total}"), TextColumn("{task.description}"))
-    task, beneath = bar.add_task("", total=runner.progress().steps), Text()
-    with (
-        fitted_live(runner) if fit else nullcontext(),
-        Live(Group(bar, beneath), console=Console(stderr=True), transient=True),
-        _aborting_on_signals(runner),
-    ):
+    with _aborting_on_signals(runner), _given_up_unless_begun(runner), fitted_live(runner) if fit else nullcontext():
         thread.start()
-        while thread.is_alive():
-            thread.join(_POLL_S)
-            now = runner.progress()
-            bar.update(task, completed=now.step, description=f"{now.label}, {_duration(now.remaining_s)} left")
-            fitted = f"\n{fit_in_words(runner.latest_fit)}" if fit else ""
-            beneath.plain = f"waiting for {now.waiting_for or 'the rig'}{fitted}"
+        try:
+            _draw(runner, thread, fit)
+        except BaseException:
+            _abort(runner)  # nobody sees any more what it does
+            _wait_for(thread)
+            with suppress(OSError):  # a terminal that is gone
+                click.echo(f"the display failed, so the run was ended; {_how_to_resume(runner.path)}", err=True)
+            raise
     (outcome,) = outcomes
     if isinstance(outcome, BaseException):
         raise outcome
     return outcome
 
 
+def _draw(runner: "Runner", thread: threading.Thread, fit: bool) -> None:
+    """Show how far the run is until its thread ends, and what a person has to be told when it happens."""
+    from rich.console import Console, Group
+    from rich.live import Live
+    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.text import Text
+
+    from tankrig.live.words import fit_in_words
+
+    warnings: SimpleQueue[str] = SimpleQueue()
+
+    def hear(event: "Event", _: object) -> None:
+        if event.kind == "note" and event.get("warning"):
+            warnings.put(str(event["text"]))
+
+    runner.listen(hear)
+    console = Console(stderr=True)
+    plain = TextColumn("{task.description}", markup=False)  # labels are people's words, brackets and all
+    bar = Progress(BarColumn(), TextColumn("{task.completed}/{task.total}"), plain)
+    task, beneath = bar.add_task("", total=runner.progress().steps), Text()
+    with Live(Group(bar, beneath), console=console, transient=True):
+        while thread.is_alive():
+            thread.join(_POLL_S)
+            now = runner.progress()
+            bar.update(task, completed=now.step, description=f"{now.label}, {_duration(now.remaining_s)} left")
+            fitted = f"\n{fit_in_words(runner.latest_fit)}" if fit else ""
+            beneath.plain = f"waiting for {now.waiting_for or 'the rig'}{fitted}"
+            while not warnings.empty():
+                console.print(Text(warnings.get()), soft_wrap=True)
+    while not warnings.empty():
+        click.echo(warnings.get(), err=True)
+
+
+def _wait_for(thread: threading.Thread) -> None:
+    while thread.is_alive():  # a join without an end would not hear signals
+        thread.join(_POLL_S)
+
+
+def _abort(runner: "Runner") -> None:
+    with suppress(Exception):  # the run's own thread meets the same trouble, and tells it
+        runner.abort()
+
+
+@contextmanager
+def _given_up_unless_begun(runner: "Runner") -> Iterator[None]:
+    """A run that could not begin lets go of its devices, and its journal says why."""
+    try:
+        yield
+    except BaseException as error:
+        runner.give_up(error)
+        raise
+
+
 @contextmanager
 def _aborting_on_signals(runner: "Runner") -> Iterator[None]:
-    """Ctrl-C and a request to end both abort the run; its thread then ends by itself."""
-
-    def abort(*_: object) -> None:
-        with suppress(TankrigError):  # the run's own thread meets the same trouble, and tells it
-            runner.abort()
-
-    before = {number: signal.signal(number, abort) for number in (signal.SIGINT, signal.SIGTERM)}
+    """Ctrl-C, a request to end and a terminal that goes away all abort the run; its thread then ends by itself."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda *_: _abort(runner)) for number in numbers}
     try:
         yield
     finally:
@@ -218,7 +269,7 @@ def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -
     path, completed = outcome.path, outcome.reason.value == "completed"
     run = open_run(path)
     frames, doses = len(run.events("frame")), run.events("dose_done")
-    delivered_ul = doses[-1]["delivered_ul"] if doses else None
+    delivered_ul = run.tank.volume_ul if doses and run.tank else None
     said = {"run": str(path), "reason": outcome.reason.value, "frames": frames, "delivered_ul": delivered_ul}
     found = fits_of(path, description) if fit else {"doses": []}
     report = _reported(path) if completed and found["doses"] else None
@@ -230,7 +281,7 @@ def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -
         ink = f", the tank holds {delivered_ul:g} µl" if delivered_ul is not None else ""
         click.echo(f"{outcome.reason.value}: {path}, {frames} frames{ink}")
         if not completed:
-            click.echo(f"resume with: tankrig run --resume {path}")
+            click.echo(_how_to_resume(path))
         elif report:
             click.echo(f"report: {report}")
         elif frames:
@@ -238,6 +289,10 @@ def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -
     if outcome.error is not None:
         raise outcome.error
     return 0 if completed else 1
+
+
+def _how_to_resume(path: Path) -> str:
+    return f"resume with: tankrig run --resume {path}"
 
 
 def _reported(path: Path) -> str:
@@ -250,5 +305,7 @@ def _reported(path: Path) -> str:
 
 
 def _duration(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return "an unknown time"
     whole = round(seconds)
     return f"{whole // 60} min {whole % 60:02d} s" if whole >= 60 else f"{whole} s"

@@ -44,14 +44,16 @@ def known_of(rig: "RigFile", file: Path, folder: Path) -> Iterator[Known]:
 
 def _measured(rig: "RigFile") -> Iterator[Known]:
     from drivers.calibration_health import KINDS
-    from tankrig.calibration.file import all_in, in_force
+    from tankrig.calibration.file import all_in, passed_over, usable
 
     place = Path(rig.calibration_folder)
     for unusable in all_in(place):
         if isinstance(unusable, StoreError):
             yield Known("calibration file", "cannot be used", str(unusable))
     try:
-        found = in_force(place, rig.calibration)
+        found = usable(place, rig.calibration)
+        for over in passed_over(place, rig.calibration):
+            yield Known(f"{over.kind}, measured", "no run before a person decides", str(over))
     except TankrigError as error:
         yield Known("calibration", "the one that the rig file names is not there", str(error))
         found = {}

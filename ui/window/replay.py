@@ -42,7 +42,6 @@ class Replay(QObject):
         self._run, self._show = run, show
         self._events = run.events("frame", "fit")
         self.frames = [n for n, event in enumerate(self._events) if event.kind == "frame"]
-        self._settings = _settings_by_step(run)
         self._at, self._jumped = 0, False
         self.speed = 1.0
         self._playing, self._change = False, threading.Condition()
@@ -114,19 +113,8 @@ class Replay(QObject):
             return
         pattern = self._run.patterns.get(event["pattern_hash"])
         saturation = 255 if pixels.dtype.itemsize == 1 else int(self._run.settings.get("saturation", 65535))
-        self._show(SeenFrame(pixels, saturation, self._settings.get(event["step"], CameraSettings(20.0)), pattern))
+        settings = self._run.conditions[event["index"]].camera or CameraSettings(20.0)
+        self._show(SeenFrame(pixels, saturation, settings, pattern))
         name = pattern.name if pattern else "unknown pattern"
         words = f"frame {event['index'] + 1} of {len(self.frames)}: {name}, {event.moment.utc[11:19]} UTC"
         self.moved.emit(event["index"], words)
-
-
-def _settings_by_step(run: "Run") -> dict[int, CameraSettings]:
-    """The camera's settings at each step, as they were read back."""
-    settings, now, step = {}, CameraSettings(20.0), 0
-    for event in run.journal:
-        if event.kind == "step":
-            step = event["step"]
-        if event.kind == "note" and event.get("text") == "camera":
-            now = CameraSettings(event["exposure_ms"], event["gain"])
-        settings[step] = now
-    return settings

@@ -7,10 +7,12 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
+from tankrig.calibration.file import passed_over
 from tankrig.devices import CameraSettings
 from tankrig.dosing import GuardedDoser, TankLedger
 from tankrig.errors import DeviceError, TankrigError, UndecidedError
@@ -201,7 +203,7 @@ class RigHost(QObject):
                 self._ask(str(question), ending)
             except TankrigError as error:
                 self._fail(str(error), ending)
-            except Exception as error:
+            except BaseException as error:
                 _log.exception("the rig's thread met what it does not know")
                 self._fail(f"failed unexpectedly ({type(error).__name__}: {error}); the log tells where", ending)
         self._set(RigState.CLOSED)
@@ -210,7 +212,9 @@ class RigHost(QObject):
         """Preview until something else is asked for."""
         self._set(RigState.OPENING)
         with ExitStack() as opened:
-            description, rig = self._open(opened)
+            description, rig = self._open(opened, looking=True)
+            for over in passed_over(Path(description.calibration_folder), description.calibration):
+                self._tell(str(over))
             ledger = TankLedger(rig.ledger)
             opened.callback(ledger.close)
             self._guard = GuardedDoser(rig.doser, rig.limits, ledger, LedgerOnly(), "bench")
@@ -249,11 +253,11 @@ class RigHost(QObject):
             self._guard.close()
             self._guard = None
 
-    def _open(self, opened: ExitStack) -> "tuple[RigFile, Rig]":
+    def _open(self, opened: ExitStack, looking: bool = False) -> "tuple[RigFile, Rig]":
         from drivers.rig import open_rig
 
         description = self._description = self.source.description()
-        rig = open_rig(description)
+        rig = open_rig(description, looking)
         opened.callback(rig.close)
         projector = WatchedProjector(rig.projector, self._shown)
         camera = WatchedCamera(rig.camera, projector, self._see)
@@ -266,11 +270,11 @@ class RigHost(QObject):
         except UndecidedError:
             raise
         except TankrigError as error:
-            self._tell(str(error))
+            self._tell(f"the run did not begin: {error}")
         self._run_order = None
 
     def _carry_out(self, order: RunOrder) -> None:
-        from tankrig.live.attached import fitted_live
+        from tankrig.live.attached import fitted_live, require_fittable
         from tankrig.run.start import new_run, resumed_run
 
         self._set(RigState.RUNNING)
@@ -280,6 +284,7 @@ class RigHost(QObject):
             if order.sequence is None:
                 runner = resumed_run(order.path, rig, order.delivered_ul)
             else:
+                require_fittable(order.sequence, rig.bench)
                 runner = new_run(order.sequence, rig, order.path, order.delivered_ul)
             self._guard, self._runner = runner.doser, runner
             if self._run_order is None:  # stopped meanwhile
@@ -289,16 +294,18 @@ class RigHost(QObject):
                     runner.listen(self._heard)
                     self.run_began.emit(order.path, runner.plan.sequence)
                     outcome = runner.run()
+            except BaseException as error:
+                runner.give_up(error)  # where it could not begin: it is ended, so that it can be resumed
+                raise
             finally:
-                if runner.state is RunState.READY:  # the fit could not begin: end the run, so that it can be resumed
-                    runner.abort()
-                    runner.run()
                 self._fit = self._runner = self._guard = None
         self._trouble = ""
         self.run_ended.emit(outcome)
 
     def _heard(self, event: "Event", _: "Pixels | None") -> None:
         fit = self._fit
+        if event.kind == "note" and event.get("warning"):
+            _log.warning("%s", event["text"])
         if event.kind == "fit" and fit is not None:
             photographs = (
                 fit.photographs(event["dose_ml"]) if event.get("dose_ml") and "error" not in event.fields else []
