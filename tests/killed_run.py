@@ -1,5 +1,8 @@
 """A program to be killed: begins a run with the simulated doser, or resumes it, and says what is acknowledged.
 
+Its camera sees what the tank really holds: the doser's true steps, which nothing of tankrig reads, stand in two pixels
+of every frame.
+
 `python killed_run.py FOLDER DOSES [DELIVERED_UL]`; exit status 0 done, 3 a person has to decide.
 """
 
@@ -8,6 +11,9 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from drivers.emulation.truth import read_truth
 from drivers.registry import open_device
 from tankrig.errors import UndecidedError
 from tankrig.run.start import new_run, resumed_run
@@ -18,6 +24,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.memory_rig import memory_rig
 
 STEPS_PER_UL = 100.0
+_BITS = 11
+
+
+def seen_ul(pixels: np.ndarray) -> float:
+    """What the tank really held when a frame was exposed."""
+    return (int(pixels[0, 0]) << _BITS | int(pixels[0, 1])) / STEPS_PER_UL
 
 
 def killed_sequence(doses: int) -> Sequence:
@@ -30,6 +42,14 @@ def main(folder: Path, doses: int, delivered_ul: float | None) -> int:
     doser = {"folder": str(folder / "doser"), "steps_per_ul": STEPS_PER_UL, "rate": 8000.0, "linger_s": 60.0}
     rig = replace(memory_rig(folder), doser=open_device("simulated-doser", doser))
     rig.camera.frame_s = 0.005
+    plain = rig.camera.picture
+
+    def picture(time_ns: int) -> np.ndarray:
+        pixels = plain(time_ns)
+        pixels[0, :2] = divmod(read_truth(folder / "doser" / "state").steps, 1 << _BITS)
+        return pixels
+
+    rig.camera.picture = picture
     run = folder / "run"
     try:
         runner = resumed_run(run, rig, delivered_ul) if run.exists() else new_run(killed_sequence(doses), rig, run)

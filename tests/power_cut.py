@@ -137,3 +137,65 @@ def after_power_cut(log: Log, calls: int, target: Path, torn: int = 0) -> None:
             path.write_bytes(node.kept + more)
 
     put(top, target)
+
+
+@contextmanager
+def failing(root: Path, first: int, error: int, lasting: bool) -> Iterator[list[int]]:
+    """Let the call with number `first` that changes the folder `root` fail, and with `lasting` all after it.
+
+    A failing write has written half. What is given counts the calls so far.
+    """
+    names: dict[int, str] = {}
+    count = [0]
+    real = {name: getattr(os, name) for name in ("open", "write", "ftruncate", "fsync", "mkdir", "rename", "unlink")}
+
+    def inside(path: object) -> bool:
+        return Path(str(path)).is_relative_to(root)
+
+    def due() -> bool:
+        count[0] += 1
+        return count[0] == first or (lasting and count[0] > first)
+
+    def refuse() -> None:
+        raise OSError(error, os.strerror(error))
+
+    def open_(path, flags, mode=0o777, **more):
+        if inside(path) and flags & (os.O_WRONLY | os.O_RDWR) and due():
+            refuse()
+        handle = real["open"](path, flags, mode, **more)
+        if inside(path):
+            names[handle] = str(path)
+        else:
+            names.pop(handle, None)
+        return handle
+
+    def write(handle, data):
+        if handle in names and due():
+            real["write"](handle, bytes(data)[: len(data) // 2])
+            refuse()
+        return real["write"](handle, data)
+
+    def on_handle(name):
+        def call(handle, *more):
+            if handle in names and due():
+                refuse()
+            return real[name](handle, *more)
+
+        return call
+
+    def on_path(name):
+        def call(path, *more, **others):
+            if inside(path) and due():
+                refuse()
+            return real[name](path, *more, **others)
+
+        return call
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "open", open_)
+        patch.setattr(os, "write", write)
+        for name in ("ftruncate", "fsync"):
+            patch.setattr(os, name, on_handle(name))
+        for name in ("mkdir", "rename", "unlink"):
+            patch.setattr(os, name, on_path(name))
+        yield count

@@ -10,13 +10,14 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import tankrig
 from drivers.emulation.truth import read_truth
 from tankrig.run.recovery import recover
 
-from .killed_run import STEPS_PER_UL, killed_sequence
+from .killed_run import STEPS_PER_UL, killed_sequence, seen_ul
 
 PROGRAM = Path(__file__).with_name("killed_run.py")
 
@@ -73,8 +74,11 @@ def run_through_kills(folder: Path, doses: int, kills: int, seed: int) -> Counte
         if status == 0:
             return doing
         assert status == -signal.SIGKILL, "".join(lines)
+        wanted_ul = max((event["total_ul"] for event in run.events("dose_intent")), default=0.0)
+        assert read_truth(folder / "doser" / "state").steps <= STEPS_PER_UL * wanted_ul
         doing[run.journal[-1].kind if run.journal else "nothing"] += 1
-        assert recover(folder / "run").damaged == ()
+        found = recover(folder / "run")
+        assert (found.damaged, found.lost, found.unverified_lines) == ((), (), 0)
 
 
 def check(folder: Path, doses: int, kills: int, seed: int) -> Counter[str]:
@@ -84,6 +88,8 @@ def check(folder: Path, doses: int, kills: int, seed: int) -> Counter[str]:
     finally:
         end_emulator(folder)
     run = tankrig.open_run(folder / "run")
+    labels = run.frames.delivered_ul.values
+    np.testing.assert_allclose(labels, [seen_ul(pixels) for pixels in run.frames.values], rtol=0.0, atol=1e-9)
     assert len(run.frames) == killed_sequence(doses).frames
     assert run.frames.pattern.values.tolist() == (["dark"] * 3 + ["full"] * 10) * doses
     assert run.frames.delivered_ul.values.tolist() == [10.0 * dose for dose in range(1, doses + 1) for _ in range(13)]
@@ -97,9 +103,15 @@ def test_a_run_killed_now_and_then_is_the_run_it_would_have_been(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_forty_kills_lose_no_frame_and_repeat_no_dose(tmp_path, capsys):
-    doing = check(tmp_path, doses=80, kills=40, seed=1)
-    assert doing.total() - doing["asked"] == 40
-    assert doing["asked"] >= 5
-    with capsys.disabled():
-        print(f"\n40 kills, by the last thing in the journal: {dict(doing)}")
+@pytest.mark.parametrize("seed", range(1, 26))
+def test_forty_kills_lose_alter_and_mislabel_no_frame_and_repeat_no_dose(tmp_path, seed):
+    """One of 25 runs; `pytest -m long -n 2 -rP` shares them out over two processors, and prints what they say."""
+    begun = time.perf_counter()
+    doing = check(tmp_path, doses=80, kills=40, seed=seed)
+    kills = doing.total() - doing["asked"]
+    assert kills == 40
+    assert doing["asked"] >= 1
+    print(
+        f"seed {seed}: {kills} kills in {time.perf_counter() - begun:.0f} s, by the last thing in the journal: "
+        f"{dict(doing)}"
+    )

@@ -1,11 +1,15 @@
 """Figures of the frame path and of the runner; each test prints them (`pytest -m long -s tests/test_run_speed.py`)."""
 
+import json
 import threading
 import time
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray
 
 import tankrig
 from drivers.emulation.truth import read_truth
@@ -59,6 +63,79 @@ def test_frames_are_acknowledged_at_the_cameras_pace_for_a_minute(tmp_path, caps
     assert len(tankrig.open_run(tmp_path / "run").frames) == count
     assert rate > 0.99 * FRAMES_PER_S
     assert late == 0
+
+
+def without_checksums(path: Path) -> None:
+    """Make a new run one of layout 1, as it was before checksums."""
+    for file in (path / "frames" / "zarr.json", path / "zarr.json"):
+        table = json.loads(file.read_text())
+        if file.parent == path:
+            table["attributes"]["tankrig"]["format"] = 1
+            arrays = [table["consolidated_metadata"]["metadata"]["frames"]]
+        else:
+            arrays = [table]
+        for array in arrays:
+            array["codecs"] = [codec for codec in array["codecs"] if codec["name"] != "crc32c"]
+        file.write_text(json.dumps(table))
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_what_checksums_cost(tmp_path, capsys):
+    """Frames as fast as the disk takes them, in turns into a run with checksums and one without; then both are read.
+
+    Reading before is what tankrig did until then: the lines by json alone, the frames by xarray, nothing checked.
+    """
+    chance = np.random.default_rng(0)
+    light = 3000 * np.exp(-np.linspace(0, 3, SHAPE[1])) + 100
+    pictures = [chance.poisson(np.broadcast_to(light, SHAPE)).astype(np.uint16) for _ in range(8)]
+    paths, block, rounds = [tmp_path / "with", tmp_path / "without"], 24, 6
+    for path in paths:
+        create_run(path, SHAPE, "uint16", block * rounds, {})
+    without_checksums(paths[1])
+    took_s: dict[str, list[float]] = {}
+
+    def timed(name, action):
+        begun = time.perf_counter()
+        action()
+        took_s.setdefault(name, []).append(time.perf_counter() - begun)
+
+    def some(writer):
+        for index in range(block):
+            writer.put_frame(Frame(pictures[index % 8], index, index, index, index), 0, "p")
+        writer.flush()
+
+    with RunWriter(paths[0]) as first, RunWriter(paths[1]) as second:
+        for number in range(rounds):
+            turns = [("writing with", first), ("writing without", second)]
+            for name, writer in turns if number % 2 else turns[::-1]:
+                timed(name, partial(some, writer))
+
+    def opened_before(path):
+        lines = (path / "journal.jsonl").read_bytes().splitlines()
+        assert all(json.loads(line)["kind"] for line in lines)
+
+    def read_before(path):
+        xarray.open_zarr(path, consolidated=True).frames.values.sum()
+
+    for _ in range(3):
+        timed("reading before", partial(read_before, paths[1]))
+        timed("reading with", lambda: tankrig.open_run(paths[0]).frames.values.sum())
+        timed("reading without", lambda: tankrig.open_run(paths[1]).frames.values.sum())
+        for _ in range(5):
+            timed("opening before", partial(opened_before, paths[0]))
+            timed("opening with", partial(tankrig.open_run, paths[0]))
+    s = {name: float(np.median(times)) for name, times in took_s.items()}
+    count = block * rounds
+    with capsys.disabled():
+        print(
+            f"\n{block / s['writing with']:.1f} frames/s with checksums, {block / s['writing without']:.1f} without "
+            f"(ratio {s['writing without'] / s['writing with']:.3f}, {rounds} rounds in turns); {count} frames are "
+            f"read in {s['reading with']:.2f} s, {s['reading without']:.2f} s where SHA-256 is checked instead, "
+            f"{s['reading before']:.2f} s before, unchecked; the journal of {count} frames is opened in "
+            f"{1e3 * s['opening with']:.1f} ms, its lines alone by json in {1e3 * s['opening before']:.1f} ms"
+        )
+    assert s["writing with"] < 1.15 * s["writing without"]
 
 
 @pytest.mark.long

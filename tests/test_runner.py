@@ -344,10 +344,11 @@ def test_the_runs_budget_outlives_its_ledger(tmp_path):
 
 
 def test_a_journal_of_an_earlier_version_is_judged_by_what_it_has(tmp_path):
-    """It notes neither count nor filling."""
+    """It notes neither count nor filling, and its lines have no checksums."""
     run = cut_off_in_the_wait(tmp_path)
-    journal = run / "journal.jsonl"
-    new_keys = {"count_ul", "count_low_ul", "count_high_ul", "filled_utc"}
+    journal, group = run / "journal.jsonl", run / "zarr.json"
+    group.write_text(group.read_text().replace('"format": 2', '"format": 1'))
+    new_keys = {"count_ul", "count_low_ul", "count_high_ul", "filled_utc", "crc32c"}
     lines = [json.loads(line) for line in journal.read_text().splitlines()]
     assert new_keys <= set(lines[0])
     old = [{key: value for key, value in line.items() if key not in new_keys} for line in lines]

@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import random
+import shutil
 import subprocess
 import sys
 import threading
@@ -24,7 +25,7 @@ from tankrig.run.folder import create_run
 from tankrig.run.recovery import recover
 from tankrig.run.writer import RunWriter
 
-from .power_cut import after_power_cut, recording
+from .power_cut import after_power_cut, failing, recording
 
 SHAPE = (6, 8)
 
@@ -165,6 +166,42 @@ def test_a_power_cut_at_any_moment_loses_no_acknowledged_frame(tmp_path, torn):
         with RunWriter(left / "run") as writer:
             writer.put_frame(frame(found.frames), step=0, pattern_hash="p")
         assert len(tankrig.open_run(left / "run").frames) == found.frames + 1
+
+
+@pytest.mark.parametrize(("error", "lasting"), [(errno.EIO, False), (errno.ENOSPC, True)])
+def test_an_error_of_the_disk_at_any_call_leaves_what_was_acknowledged(tmp_path, error, lasting):
+    """Once, or from then on; the run that is left goes on as if nothing had been."""
+    first, failed, empty = 0, True, new_run(tmp_path, frames=2)
+    while failed:
+        first += 1
+        path, acknowledged = tmp_path / str(first), []
+        shutil.copytree(empty, path)
+        with failing(path, first, error, lasting) as calls:
+            writer = None
+            try:
+                writer = RunWriter(path, announce=lambda event, _, seen=acknowledged: seen.append(event))
+                writer.put("session")
+                for index in range(3):  # beyond the two that were planned
+                    writer.put_frame(frame(index), step=0, pattern_hash="p")
+                    writer.flush()
+                writer.put("dose_intent", total_ul=1.0)
+                writer.finish(reason="completed")
+            except StoreError as told:
+                assert os.strerror(error) in str(told)  # noqa: PT017 - not every call that fails matters
+            finally:
+                if writer is not None:
+                    writer.close()
+        failed = calls[0] >= first
+        run = tankrig.open_run(path)
+        assert run.journal[: len(acknowledged)] == tuple(acknowledged)
+        found = recover(path)
+        assert (found.damaged, found.lost) == ((), ())
+        with RunWriter(path) as writer:
+            number = writer.put_frame(frame(9), step=0, pattern_hash="p")
+        assert number >= sum(event.kind == "frame" for event in acknowledged)
+        np.testing.assert_array_equal(tankrig.open_run(path).frames[-1].values, pixels(9))
+        assert recover(path).damaged == ()
+    assert first > 30
 
 
 RECORDER = """

@@ -69,7 +69,7 @@ def read_recording(settings: ReplayCameraSettings) -> Recording:
 
 
 def _of_run(source: Path) -> Recording:
-    from tankrig.run.reading import open_run, raw_frame
+    from tankrig.run.reading import open_run
 
     try:
         run = open_run(source)
@@ -77,7 +77,7 @@ def _of_run(source: Path) -> Recording:
         cameras = [event for event in run.events("note") if event.fields.get("text") == "camera"]
         if not frames or not cameras:
             raise DeviceError(f"{source}: this run has no frames; give another as camera.source")
-        first = raw_frame(source, frames[0]["index"])
+        first = run.pixels(frames[0])
     except StoreError as error:
         raise DeviceError(f"{source}: cannot be replayed: {error}") from error
     if len({(event["exposure_ms"], event["gain"]) for event in cameras}) > 1:
@@ -85,7 +85,7 @@ def _of_run(source: Path) -> Recording:
 
     def pixels(index: int) -> Pixels:
         try:
-            return raw_frame(source, frames[index]["index"])
+            return run.pixels(frames[index])
         except StoreError as error:
             raise DeviceError(f"{source}: {error}") from error
 

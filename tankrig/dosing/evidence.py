@@ -42,6 +42,8 @@ class Account:
         When the ledger was begun: names the filling of the tank.
     used_ul
         Ink that the run had put into the tank by its journal, at most.
+    doubt
+        Why it may lack something about doses: lines of the journal that are damaged.
     """
 
     tank: Delivered
@@ -52,6 +54,7 @@ class Account:
     aside_ul: float | None = None
     filled_utc: str | None = None
     used_ul: float = 0.0
+    doubt: str | None = None
 
 
 @dataclass(frozen=True)
@@ -274,8 +277,8 @@ def _with_the_runs_ledger(by_ledger: Judgement, journal: Account, slack_ul: floa
     tank = by_ledger.tank
     if by_ledger.question is not None:
         return by_ledger
-    if journal.target_ul is not None:
-        return Judgement(tank, _cut_off(journal, tank))
+    if (open_question := _left_open(journal, tank)) is not None:
+        return Judgement(tank, open_question)
     if not _agree(tank, journal, slack_ul):
         why = (
             f"the run's journal says that the tank holds {journal.tank.volume_ul:g} µl, and its ledger and the doser "
@@ -293,9 +296,7 @@ def _with_another_ledger(by_ledger: Judgement, journal: Account, evidence: Evide
     tank = by_ledger.tank._replace(low_ul=min(one.low_ul for one in tanks), high_ul=max(one.high_ul for one in tanks))
     agree = abs(by_ledger.tank.volume_ul - by_journal.tank.volume_ul) <= _slack_ul(evidence)
     if agree:
-        why = by_ledger.question or by_journal.question
-        if why is None and journal.target_ul is not None:
-            why = _cut_off(journal, by_ledger.tank)
+        why = by_ledger.question or by_journal.question or _left_open(journal, by_ledger.tank)
         return by_ledger if why is None and math.isinf(tank.high_ul) else Judgement(tank, why)
     by_doser = f", by the doser {by_journal.tank.volume_ul:g}" if journal.noted else ""
     why = (
@@ -307,7 +308,7 @@ def _with_another_ledger(by_ledger: Judgement, journal: Account, evidence: Evide
 
 
 def _nothing_dosed(journal: Account) -> bool:
-    return journal.tank.high_ul == 0.0 and journal.target_ul is None
+    return journal.tank.high_ul == 0.0 and journal.target_ul is None and journal.doubt is None
 
 
 def _held(journal: Account) -> str:
@@ -316,8 +317,12 @@ def _held(journal: Account) -> str:
     return f"{journal.tank.volume_ul:g} to {journal.target_ul:g} µl"
 
 
-def _cut_off(journal: Account, tank: Delivered) -> str:
-    return (
-        f"the run was interrupted in a dose to {journal.target_ul:g} µl; by ledger and doser the tank holds "
-        f"{tank.volume_ul:g} µl"
-    )
+def _left_open(journal: Account, tank: Delivered) -> str | None:
+    """What the journal itself leaves open; None if nothing."""
+    if journal.target_ul is not None:
+        why = f"the run was interrupted in a dose to {journal.target_ul:g} µl"
+    elif journal.doubt is not None:
+        why = journal.doubt
+    else:
+        return None
+    return f"{why}; by ledger and doser the tank holds {tank.volume_ul:g} µl"

@@ -427,7 +427,10 @@ def exposures_of(run: Run) -> Exposures:
 
 
 def replayed(run: Run) -> Iterator[tuple[Event, Pixels | None]]:
-    """A run's events in their order, each frame with its pixels: what those heard who listened to it."""
-    frames = iter(run.frames if run.events("frame") else ())
+    """A run's events in their order, each frame with its pixels: what those heard who listened to it.
+
+    A frame of which nobody knows what the tank held comes without.
+    """
     for event in run.journal:
-        yield event, next(frames).values if event.kind == "frame" else None
+        known = event.kind == "frame" and event["index"] not in run.unsure_doses
+        yield event, run.pixels(event) if known else None

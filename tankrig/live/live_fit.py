@@ -19,7 +19,7 @@ from tankrig.live.exposures import Exposures, Photograph, Plan, fits_that_hold
 from tankrig.live.worker import Shared, work
 from tankrig.run.announcer import Announcer
 from tankrig.run.journal import Event
-from tankrig.run.reading import Run, raw_frame
+from tankrig.run.reading import Run, StoredFrames
 
 _log = logging.getLogger(__name__)
 
@@ -146,7 +146,7 @@ class LiveFit:
         if self._path is None:
             return None, "its pixels were let go"
         try:
-            return raw_frame(self._path, event["index"]), ""
+            return StoredFrames(self._path).read(event), ""
         except StoreError as error:
             return None, str(error)
 

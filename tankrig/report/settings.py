@@ -61,6 +61,11 @@ def skipped_of(run: Run, plan: Plan, faintest: float) -> list[str]:
         if missing else "The camera lost no frame while it was recording.",
         "Pictures taken while the ink mixed were looked at and not kept.",
     ]  # fmt: skip
+    if run.left_out:
+        lines.append(f"Damaged frames were left out: {', '.join(map(str, run.left_out))}.")
+    if run.unsure_doses:
+        lines.append(f"Frames at a dose that is not known any more: {', '.join(map(str, sorted(run.unsure_doses)))}.")
+    lines += [f"Of the journal, {lost}." for lost in run.lost if lost.seqs]
     lines += [f"A live fit failed: {event['error']}" for event in failed]
     if run.end is None:
         lines.append("The run has no end: it was cut off, or goes on.")

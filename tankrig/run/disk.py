@@ -1,11 +1,12 @@
 """Durable writes: the only place where a run touches the disk.
 
 Each function returns only when what it did would survive a power cut, except that a *new name* in a folder survives
-only after `sync_folder`. Keeping this to one small file lets a test record every call of the operating system and
-replay a power cut after each.
+only after `sync_folder`. None writes through a symbolic link. Keeping this to one small file lets a test record every
+call of the operating system and replay a power cut after each, or let any of them fail.
 """
 
 import contextlib
+import errno
 import os
 from pathlib import Path
 
@@ -23,6 +24,21 @@ def replace(path: Path, data: bytes | memoryview) -> None:
     sync_folder(path.parent)
 
 
+def create(path: Path, data: bytes | memoryview) -> None:
+    """Make the file `path`, which does not exist: it appears whole, or not at all, and nothing is ever written over.
+
+    Raises
+    ------
+    FileExistsError
+        When it does exist.
+    """
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    fresh = path.with_name(path.name + ".new")
+    write(fresh, data)
+    fresh.rename(path)
+
+
 def append(path: Path, data: bytes | memoryview) -> None:
     """Add `data` to the end of the existing file `path`; when that fails the file keeps its old length."""
     _write(path, os.O_APPEND, data)
@@ -30,7 +46,7 @@ def append(path: Path, data: bytes | memoryview) -> None:
 
 def truncate(path: Path, size: int) -> None:
     """Cut the file `path` to its first `size` bytes."""
-    handle = os.open(path, os.O_WRONLY)
+    handle = os.open(path, os.O_WRONLY | os.O_NOFOLLOW)
     try:
         os.ftruncate(handle, size)
         os.fsync(handle)
@@ -59,7 +75,7 @@ def sync_folder(path: Path) -> None:
 
 
 def _write(path: Path, flags: int, data: bytes | memoryview) -> None:
-    handle = os.open(path, os.O_WRONLY | flags, 0o644)
+    handle = os.open(path, os.O_WRONLY | os.O_NOFOLLOW | flags, 0o644)
     try:
         start = os.fstat(handle).st_size
         left = memoryview(data).cast("B")

@@ -21,10 +21,13 @@ def export_netcdf(run: Run, target: Path) -> None:
     Raises
     ------
     StoreError
-        When there are no frames, or the file cannot be written.
+        When there are no frames, or one is damaged, or the file cannot be written.
     """
     frames = _frames(run)
     frames.attrs = {"units": "counts", "settings": json.dumps(dict(run.settings), default=str, ensure_ascii=False)}
+    left_out = [f"frame {index} is left out, being damaged" for index in run.left_out]
+    if missing := [str(lost) for lost in run.lost if lost.seqs] + left_out:
+        frames.attrs["missing"] = "; ".join(missing)
     for name in ("pattern", "pattern_hash"):
         frames[name] = frames[name].astype(str)
     for name in ("delivered_ul", "delivered_low_ul", "delivered_high_ul"):
@@ -49,7 +52,7 @@ def export_tiff(run: Run, folder: Path) -> None:
     Raises
     ------
     StoreError
-        When there are no frames, or the folder exists or cannot be written.
+        When there are no frames, or one is damaged, or the folder exists or cannot be written.
     """
     import cv2
 
@@ -69,4 +72,6 @@ def _frames(run: Run):  # type: ignore[no-untyped-def]  # an xarray.DataArray, w
     frames = run.frames
     if not frames.sizes["frame"]:
         raise StoreError(f"{run.path}: has no frames, so there is nothing to export; record some first")
+    for event in run.events("frame"):
+        run.pixels(event)  # a damaged one is said before anything is written
     return frames.copy()

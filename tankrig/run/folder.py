@@ -4,16 +4,18 @@ import asyncio
 import contextlib
 import errno
 import json
+import os
 import shutil
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import google_crc32c
 import numpy as np
 from numcodecs.blosc import Blosc
 from numpy.typing import DTypeLike
-from zarr.codecs import BloscCodec
+from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.storage import LocalStore
 
 from tankrig.devices import Pixels
@@ -25,12 +27,15 @@ from tankrig.run.facts import FORMAT, JOURNAL, MARK, load_json
 COMPRESSION = Blosc("lz4", 1, Blosc.BITSHUFFLE)
 """Of frames and patterns: what shot noise leaves to be saved, at 2.7 ms of a processor for 1280 × 1024 of 16 bit."""
 
+_PARTS = ("zarr.json", "zarr.json.new", JOURNAL, f"{JOURNAL}.torn", f"{JOURNAL}.torn.new", "frames", "patterns")
+
 _REMEDIES = {
     errno.ENOSPC: "free some space on that disk and try again",
     errno.EDQUOT: "free some of your quota and try again",
     errno.EROFS: "give a folder that can be written with --out",
     errno.EACCES: "give a folder that can be written with --out",
     errno.EPERM: "give a folder that can be written with --out",
+    errno.ELOOP: "a file of a run must not be a symbolic link; put the file itself there",
 }
 
 
@@ -147,7 +152,10 @@ def _create_array(group: Any, name: str, shape: tuple[int, ...], dtype: DTypeLik
         shape=shape,
         chunks=(1, *shape[1:]),
         dtype=np.dtype(dtype).name,
-        compressors=BloscCodec(cname=COMPRESSION.cname, clevel=COMPRESSION.clevel, shuffle="bitshuffle"),
+        compressors=[
+            BloscCodec(cname=COMPRESSION.cname, clevel=COMPRESSION.clevel, shuffle="bitshuffle"),
+            Crc32cCodec(),
+        ],
         dimension_names=dimensions,
         chunk_key_encoding={"name": "default", "separator": "."},
         fill_value=0,
@@ -156,17 +164,137 @@ def _create_array(group: Any, name: str, shape: tuple[int, ...], dtype: DTypeLik
 
 
 def frames_for_writing(path: Path) -> Any:
-    """The Zarr array of the run's frames; frames are put into it by `write_frame`."""
+    """The Zarr array of the run's frames; frames are put into it by `write_frame`.
+
+    Raises
+    ------
+    StoreError
+        When its metadata are damaged.
+    """
     import zarr
 
+    stored_metadata(path)
     _consolidate(path)  # a power cut between the two writes of `resize_frames` leaves the group behind the array
+    for unfinished in (path / "frames").glob("c.*.new"):  # a kill in the middle of `write_frame`
+        unfinished.unlink()
     return zarr.open_array(DurableStore(path), path="frames", mode="r+")
 
 
-def write_frame(path: Path, index: int, pixels: Pixels) -> None:
+def frames_for_reading(path: Path) -> Any:
+    """The Zarr array of the run's frames.
+
+    Raises
+    ------
+    StoreError
+        When its metadata are damaged.
+    """
+    import zarr
+
+    stored_metadata(path)
+    return zarr.open_array(path / "frames", mode="r")
+
+
+def stored_metadata(path: Path) -> dict[str, Any]:
+    """The frames' metadata, which must agree with their copy in the group's but for the number of frames.
+
+    Raises
+    ------
+    StoreError
+        When they are missing or damaged, or differ from the copy.
+    """
+    copy = _copy_of_metadata(path)
+    try:
+        table: dict[str, Any] = load_json(path / "frames" / "zarr.json")
+        if not isinstance(table, dict) or not isinstance(table["shape"], list):
+            raise ValueError("no metadata")
+    except (OSError, KeyError, ValueError) as error:
+        remedy = f"restore it from its copy in the run's zarr.json: tankrig recover {path}"
+        raise StoreError(
+            f"{path}: the file frames/zarr.json, which tells how frames are stored, is missing or damaged; "
+            + (remedy if copy else "restore it from a copy of the run")
+        ) from error
+    if copy is not None and _but_for_count(copy) != _but_for_count(table):
+        raise StoreError(
+            f"{path}: frames/zarr.json and its copy in zarr.json say different things of how frames are stored, so one "
+            "of them is damaged; restore both from a copy of the run"
+        )
+    return table
+
+
+def mend_metadata(path: Path, count: int) -> bool:
+    """Write damaged metadata of the frames anew from their copy in the group's; whether that was needed.
+
+    The number of frames is not trusted: there is room for `count` of them.
+
+    Raises
+    ------
+    StoreError
+        When there is no copy, or metadata and copy differ.
+    """
+    try:
+        stored_metadata(path)
+        return False
+    except StoreError:
+        copy = _copy_of_metadata(path)
+        try:
+            load_json(path / "frames" / "zarr.json")["shape"]
+        except (OSError, KeyError, TypeError, ValueError):
+            if copy is None:
+                raise
+        else:
+            raise
+    copy["shape"][0] = max(count, copy["shape"][0])
+    disk.replace(path / "frames" / "zarr.json", json.dumps(copy, indent=2).encode())
+    _consolidate(path)
+    return True
+
+
+def _copy_of_metadata(path: Path) -> dict[str, Any] | None:
+    try:
+        copy = load_json(path / "zarr.json")["consolidated_metadata"]["metadata"]["frames"]
+        return copy if isinstance(copy, dict) and isinstance(copy["shape"], list) else None
+    except (OSError, KeyError, TypeError, ValueError):
+        return None
+
+
+def _but_for_count(table: Mapping[str, Any]) -> dict[str, Any]:
+    return {**table, "shape": table["shape"][1:]}
+
+
+def has_checksums(array: Any) -> bool:
+    """Whether the chunks of a Zarr array carry the checksums of Zarr's own codec."""
+    return any(isinstance(codec, Crc32cCodec) for codec in array.metadata.codecs)
+
+
+def write_frame(path: Path, checksum: bool, index: int, pixels: Pixels) -> None:
     """Write the chunk that Zarr would make of a frame, at half the cost of having it made there (decision 55)."""
     chunk = COMPRESSION.encode(np.ascontiguousarray(pixels, pixels.dtype.newbyteorder("<")))
-    disk.write(path / "frames" / f"c.{index}.0.0", chunk)
+    if checksum:
+        chunk += google_crc32c.value(chunk).to_bytes(4, "little")
+    disk.create(path / "frames" / f"c.{index}.0.0", chunk)
+
+
+def chunk_numbers(path: Path) -> set[int]:
+    """Numbers of the frames whose chunks are there, acknowledged or not."""
+    names = (file.name.split(".") for file in (path / "frames").iterdir())
+    return {int(name[1]) for name in names if len(name) == 4 and name[0] == "c" and name[1].isdecimal()}
+
+
+def require_no_links(path: Path) -> None:
+    """Refuse to change a run of which a file or folder is a symbolic link: what it points to is no part of the run.
+
+    Raises
+    ------
+    StoreError
+        When there is one.
+    """
+    for folder in (path, path / "frames", path / "patterns"):
+        for entry in os.scandir(folder) if folder.is_dir() else ():
+            if entry.is_symlink() and (folder != path or entry.name in _PARTS):
+                raise StoreError(
+                    f"{path}: its {Path(entry.path).relative_to(path)} is a symbolic link, and nothing is written "
+                    "through those; put the file itself there"
+                )
 
 
 def resize_frames(path: Path, array: Any, count: int) -> None:

@@ -1,19 +1,40 @@
-"""The journal: one JSON line per event, in the order in which things happened. It defines what a run holds."""
+"""The journal: one JSON line per event, in the order in which things happened. It defines what a run holds.
+
+Each line ends in a checksum of itself: its last key is `crc32c`, the CRC-32C (RFC 3720; that of Zarr's codec) of all
+bytes of the line before `,"crc32c"`, as eight hexadecimal digits. Lines of runs from before that have none.
+"""
 
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import google_crc32c
+
 Kind = Literal["session", "step", "dose_intent", "dose_done", "frame", "gap", "fit", "note", "end"]
 
 KINDS: tuple[str, ...] = get_args(Kind)
 
 _OWN_KEYS = ("seq", "kind", "utc", "mono_ns", "boot")
+
+_NEEDED: dict[str, dict[str, Any]] = {
+    "frame": {"index": int, "step": int, "pattern_hash": str, "exposure_start_ns": int, "sha256": str},
+    "dose_intent": {"total_ul": int | float},
+    "dose_done": {"delivered_ul": int | float, "delivered_low_ul": int | float, "delivered_high_ul": int | float},
+    "step": {"step": int, "state": str},
+    "gap": {"missing": int},
+    "end": {"reason": str},
+}
+"""What every line of a kind has always had; where there is no checksum, a line without it is damaged."""
+
+_SEAL = b',"crc32c":"%08x"}'
+_SEAL_BYTES = len(_SEAL % 0)
+_REMNANT = 9
+"""So many of the 13 bytes that are the same in every seal show that a line had one, whatever became of the others."""
 
 
 @cache
@@ -83,24 +104,62 @@ class Event:
         """
         moment = self.moment
         head = {"seq": self.seq, "kind": self.kind, "utc": moment.utc, "mono_ns": moment.mono_ns, "boot": moment.boot}
+        if "crc32c" in self.fields:
+            raise ValueError("crc32c is the line's own key; give the field another name")
         table = head | dict(self.fields)
         text = json.dumps(table, ensure_ascii=False, separators=(",", ":"), allow_nan=False, default=_plain)
-        return text.encode("utf-8", "backslashreplace") + b"\n"  # a path that is no UTF-8 comes back as it was
+        return sealed(text.encode("utf-8", "backslashreplace")) + b"\n"  # a path that is no UTF-8 comes back as it was
 
     @classmethod
     def parse(cls, line: bytes) -> "Event":
-        """Read a line back.
+        """Read a line back, with or without its newline; a checksum that it has must be right.
 
         Raises
         ------
         ValueError
             When it is not a whole event.
         """
+        line = line.removesuffix(b"\n")
+        verified = is_sealed(line)
+        if not verified and _had_a_seal(line):
+            raise ValueError("its checksum is damaged")
         table = json.loads(line)
         if not isinstance(table, dict) or any(key not in table for key in _OWN_KEYS) or table["kind"] not in KINDS:
             raise ValueError("not an event")
+        table.pop("crc32c", None)
         seq, kind, *moment = (table.pop(key) for key in _OWN_KEYS)
+        if not verified and (type(seq) is not int or seq < 0 or not _says_what_it_should(kind, table)):
+            raise ValueError("not an event")
         return cls(seq, kind, Moment(*moment), table)
+
+
+def _says_what_it_should(kind: str, fields: Mapping[str, Any]) -> bool:
+    return all(isinstance(fields.get(key), kinds) for key, kinds in _NEEDED.get(kind, {}).items())
+
+
+def sealed(line: bytes) -> bytes:
+    """A line, a JSON object without its newline, with its checksum as its last key."""
+    head = line[:-1]
+    seal: bytes = _SEAL % google_crc32c.value(head)
+    return head + seal
+
+
+def is_sealed(line: bytes) -> bool:
+    """Whether a line, without its newline, carries its right checksum.
+
+    Examples
+    --------
+    >>> line = sealed(b'{"seq":0}')
+    >>> line, is_sealed(line), is_sealed(line.replace(b"0", b"1", 1))
+    (b'{"seq":0,"crc32c":"cce4a5f8"}', True, False)
+    """
+    return line.endswith(_SEAL % google_crc32c.value(line[:-_SEAL_BYTES]))
+
+
+def _had_a_seal(line: bytes) -> bool:
+    end, pattern = line[-_SEAL_BYTES:], _SEAL % 0
+    fixed = [i for i in range(_SEAL_BYTES) if not 11 <= i < 19]
+    return len(end) == _SEAL_BYTES and sum(end[i] == pattern[i] for i in fixed) >= _REMNANT
 
 
 def _plain(value: Any) -> Any:
@@ -108,21 +167,3 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"{value!r} cannot stand in a journal")
-
-
-def whole_lines(data: bytes) -> Iterator[tuple[Event, int]]:
-    """Events of a journal's bytes and the offset behind each, up to the first line that is not whole.
-
-    A power cut can leave a torn line, or pages of zeros, behind what had been acknowledged; nothing that follows the
-    first such line was acknowledged either.
-    """
-    end = 0
-    for seq, line in enumerate(data.splitlines(keepends=True)):
-        try:
-            event = Event.parse(line) if line.endswith(b"\n") else None
-        except ValueError:
-            event = None
-        if event is None or event.seq != seq:
-            return
-        end += len(line)
-        yield event, end

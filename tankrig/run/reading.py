@@ -1,5 +1,6 @@
 """Reading a run: what was acknowledged, and nothing else."""
 
+import hashlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,11 +14,15 @@ from tankrig.devices import Delivered, Pixels
 from tankrig.errors import StoreError
 from tankrig.pattern import Pattern
 from tankrig.run.conditions import Conditions, with_conditions
+from tankrig.run.damage import Lost
 from tankrig.run.facts import read_journal, read_settings
 from tankrig.run.journal import Event
 
 if TYPE_CHECKING:
     import xarray
+
+LEFT_OUT = "left out"
+"""Text of the note that names, as `frames`, those that a person has left out because they are damaged."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +36,21 @@ class Run:
     settings
         What it was made with.
     journal
-        Its events, in order.
+        Its events, in order; without the frames that a person has left out.
+    lost
+        Where lines of the journal are damaged or missing.
+    unverified
+        How many events have no checksum, being from before there were any.
+    left_out
+        Numbers of the frames that a person has left out because they are damaged (`tankrig recover --leave-out`).
     """
 
     path: Path
     settings: Mapping[str, Any] = field(repr=False)
     journal: tuple[Event, ...] = field(repr=False)
+    lost: tuple[Lost, ...] = field(default=(), repr=False)
+    unverified: int = 0
+    left_out: tuple[int, ...] = ()
 
     def events(self, *kinds: str) -> tuple[Event, ...]:
         """The events of these kinds, in order."""
@@ -50,7 +64,8 @@ class Run:
     @property
     def end(self) -> Event | None:
         """How the run ended; None while it goes on or when it was cut off."""
-        return self.journal[-1] if self.journal and self.journal[-1].kind == "end" else None
+        last = next((event for event in reversed(self.journal) if event.kind != "note"), None)
+        return last if last is not None and last.kind == "end" else None
 
     @property
     def tank(self) -> Delivered | None:
@@ -81,13 +96,17 @@ class Run:
         (frame, y, x) uint8 or uint16 counts, read from disk as they are used; with the coordinates `step`, `pattern`
         (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held when the frame
         was exposed, with its bounds `delivered_low_ul` and `delivered_high_ul`; and `exposure_ms` and `gain`, as they
-        were read back from the camera (NaN where a run does not say).
+        were read back from the camera (NaN where a run does not say). Reading the pixels of a
+        frame that is missing or damaged raises `StoreError` with its number.
         """
+        import dask.array
         import xarray
 
-        array = xarray.open_zarr(self.path, drop_variables="patterns")["frames"]
         rows = [(event, then) for event, then in with_conditions(self.journal) if event.kind == "frame"]
-        array = array.isel(frame=[event["index"] for event, _ in rows])
+        stack = _Stack(self._stored, tuple(event for event, _ in rows))
+        chunks = (1, *stack.shape[1:])
+        pictures = dask.array.from_array(stack, chunks=chunks, name=False)  # type: ignore[no-untyped-call]
+        array = xarray.DataArray(pictures, dims=("frame", "y", "x"), name="frames")
         names = {key: pattern.name for key, pattern in self.patterns.items()}
         columns: dict[str, Any] = {
             "step": np.array([event["step"] for event, _ in rows], int),
@@ -103,8 +122,120 @@ class Run:
             "exposure_ms": np.array([then.camera.exposure_ms if then.camera else np.nan for _, then in rows], float),
             "gain": np.array([then.camera.gain if then.camera else np.nan for _, then in rows], float),
         }
+        unsure = np.array([event["index"] in self.unsure_doses for event, _ in rows], bool)
+        for name in ("delivered_ul", "delivered_low_ul", "delivered_high_ul"):
+            columns[name] = np.where(unsure, np.nan, columns[name])
         labelled: xarray.DataArray = array.assign_coords({name: ("frame", values) for name, values in columns.items()})
         return labelled
+
+    @cached_property
+    def unsure_doses(self) -> frozenset[int]:
+        """Numbers of the frames of which nobody knows what the tank held.
+
+        A line before them may have been about a dose and is lost, and their own lines, being from before frames told
+        it themselves, do not say. Their `delivered_ul` is NaN, and they are not fitted.
+        """
+        lost = [one.after_seq for one in self.lost if one.may_be_dose]
+        unsure, found = False, set[int]()
+        for before, event in zip((-1, *(event.seq for event in self.journal)), self.journal, strict=False):
+            unsure |= any(before <= seq < event.seq for seq in lost)
+            if event.kind in ("session", "dose_done") and "delivered_ul" in event.fields:
+                unsure = False
+            elif event.kind == "frame" and unsure and "delivered_ul" not in event.fields:
+                found.add(event["index"])
+        return frozenset(found)
+
+    def pixels(self, frame: Event) -> Pixels:
+        """The pixels of a frame of the journal, checked.
+
+        Raises
+        ------
+        StoreError
+            When they are missing or not what was recorded.
+        """
+        return self._stored.read(frame)
+
+    @cached_property
+    def _stored(self) -> "StoredFrames":
+        return StoredFrames(self.path)
+
+
+@dataclass(frozen=True)
+class StoredFrames:
+    """The frames of a run as they lie on disk; each is checked as it is read.
+
+    Chunks with a checksum are checked by that; older ones by the SHA-256 of their pixels in the journal.
+    """
+
+    path: Path
+
+    @cached_property
+    def array(self) -> Any:
+        """As Zarr sees it."""
+        from tankrig.run.folder import frames_for_reading, storing
+
+        with storing(self.path, "read how its frames are stored"):
+            return frames_for_reading(self.path)
+
+    @cached_property
+    def _checked(self) -> bool:
+        from tankrig.run.folder import has_checksums
+
+        return has_checksums(self.array)
+
+    def read(self, frame: Event, thoroughly: bool = False) -> Pixels:
+        """The pixels of a frame of the journal.
+
+        Parameters
+        ----------
+        frame
+            Its event.
+        thoroughly
+            Compare the SHA-256 too where there is a checksum.
+
+        Raises
+        ------
+        StoreError
+            When they are missing or not what was recorded.
+        """
+        index = frame["index"]
+        remedy = f"restore it from a copy of the run, or leave it out: tankrig recover {self.path} --leave-out"
+        if not (self.path / "frames" / f"c.{index}.0.0").is_file():
+            raise StoreError(f"{self.path}: frame {index} is missing; {remedy}")
+        try:
+            pixels: Pixels = self.array[index]
+        except StoreError:
+            raise
+        except (OSError, RuntimeError, ValueError, LookupError) as error:
+            raise StoreError(f"{self.path}: frame {index} is damaged and cannot be read ({error}); {remedy}") from error
+        if (thoroughly or not self._checked) and digest(pixels) != frame["sha256"]:
+            raise StoreError(f"{self.path}: frame {index} is damaged: it is not what was recorded; {remedy}")
+        return pixels
+
+
+def digest(pixels: Pixels) -> str:
+    """SHA-256 of the raw pixels, row by row, little-endian."""
+    return hashlib.sha256(np.ascontiguousarray(pixels).data).hexdigest()
+
+
+class _Stack:
+    """Frames as dask takes them: an array of which it asks for parts."""
+
+    def __init__(self, stored: StoredFrames, events: tuple[Event, ...]) -> None:
+        self._stored, self._events = stored, events
+        self.shape = (len(events), *stored.array.shape[1:])
+        self.dtype, self.ndim = stored.array.dtype, 3
+
+    def __getitem__(self, key: tuple[Any, ...]) -> Pixels:
+        wanted, *within = key
+        numbers = np.arange(len(self._events))[wanted]
+        if numbers.ndim == 0:
+            one: Pixels = self._stored.read(self._events[int(numbers)])[tuple(within)]
+            return one
+        stack = np.empty((len(numbers), *self.shape[1:]), self.dtype)
+        for place, number in enumerate(numbers):
+            stack[place] = self._stored.read(self._events[number])
+        return stack[(slice(None), *within)]
 
 
 def open_run(path: str | os.PathLike[str]) -> Run:
@@ -137,28 +268,8 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     ('nothing yet', (0, 4, 6))
     """
     folder = Path(path)
-    settings = read_settings(folder)
-    journal, _, _ = read_journal(folder)
-    return Run(folder, settings, tuple(journal))
-
-
-def raw_frame(path: Path, index: int) -> Pixels:
-    """The pixels of frame `index` as they lie on disk.
-
-    Raises
-    ------
-    StoreError
-        When they cannot be read.
-    """
-    import zarr
-
-    try:
-        array = zarr.open_array(path / "frames", mode="r")
-        if not (path / "frames" / f"c.{index}.0.0").is_file():
-            raise StoreError(f"{path}: frame {index} is missing; restore it from a copy of the run")
-        pixels: Pixels = array[index]
-    except (OSError, RuntimeError, ValueError) as error:
-        raise StoreError(
-            f"{path}: frame {index} cannot be read ({error}); restore it from a copy of the run"
-        ) from error
-    return pixels
+    settings, text = read_settings(folder), read_journal(folder)
+    notes = (event for event in text.events if event.kind == "note" and event.get("text") == LEFT_OUT)
+    left_out = {int(index) for note in notes for index in note["frames"]}
+    journal = tuple(event for event in text.events if event.kind != "frame" or event["index"] not in left_out)
+    return Run(folder, settings, journal, text.lost, text.unverified, tuple(sorted(left_out)))

@@ -24,7 +24,7 @@ from tankrig.pattern import Pattern
 from tankrig.run.announcer import Announcer
 from tankrig.run.folder import create_run, require_new
 from tankrig.run.reading import Run, open_run
-from tankrig.run.recovery import open_dose
+from tankrig.run.recovery import dose_doubt, open_dose
 from tankrig.run.rig import Rig
 from tankrig.run.runner import Plan, RunJournal, Runner
 from tankrig.run.state import FinishReason
@@ -110,7 +110,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         _require_same(run, rig, patterns)
         first_step, frames_taken = _where(run)
         doser, journal = _guarded(rig, run.settings["id"], undo, run)
-        done = _settled(doser, open_dose(run), delivered_ul)
+        done = _settled(doser, open_dose(run), delivered_ul, dose_doubt(run) is not None)
         tank, used_ul = doser.delivered(), doser.used_ul
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), tank, used_ul, resume_at=first_step)
         _require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
@@ -132,19 +132,21 @@ def _guarded(rig: Rig, run_id: str, undo: ExitStack, run: Run | None = None) -> 
 
 def known_by_journal(run: Run) -> Account | None:
     """What a run's journal knew last of the tank; None if it was never begun."""
-    told = run.events("session", "dose_done")
+    told, target_ul = run.events("session", "dose_done"), open_dose(run)
+    doubt = dose_doubt(run) if target_ul is None else None
     if not told:
-        return None
-    last, session = told[-1], run.events("session")[-1]
-    doser = last.get("doser") or session["devices"]["doser"]
-    target_ul = open_dose(run)
+        return None if doubt is None else Account(Delivered(0.0, 0.0, 0.0), doubt=doubt)
+    last = told[-1]
+    session = next((event for event in reversed(told) if event.kind == "session"), None)
+    doser = last.get("doser") or (session["devices"]["doser"] if session else "")
     return Account(
         Delivered(last["delivered_ul"], last["delivered_low_ul"], last["delivered_high_ul"]),
         Noted(doser, Delivered(*(last[key] for key in COUNT_KEYS))) if last.get(COUNT_KEYS[0]) is not None else None,
         target_ul=target_ul,
         begun_with=run.events("dose_intent")[-1]["doser"] if target_ul is not None else None,
-        filled_utc=session.get("filled_utc"),
+        filled_utc=session.get("filled_utc") if session else None,
         used_ul=_used_ul(run),
+        doubt=doubt,
     )
 
 
@@ -162,13 +164,20 @@ def _used_ul(run: Run) -> float:
     return used_ul
 
 
-def _settled(doser: GuardedDoser, target_ul: float | None, delivered_ul: float | None) -> DoseDone | None:
-    """Have a person's word taken where one is needed; the entry of an open dose to `target_ul` for the journal."""
+def _settled(
+    doser: GuardedDoser, target_ul: float | None, delivered_ul: float | None, doubted: bool = False
+) -> DoseDone | None:
+    """Have a person's word taken where one is needed; the entry that the journal lacks.
+
+    That is the end of an open dose to `target_ul`, or what the tank holds where lines about doses are lost (`doubted`).
+    """
     if delivered_ul is not None:
         doser.resolve(delivered_ul)
     if doser.undecided is not None:
         raise UndecidedError(doser.undecided)
-    return None if target_ul is None else doser.account(target_ul)
+    if target_ul is None and not doubted:
+        return None
+    return doser.account(doser.delivered().volume_ul if target_ul is None else target_ul)
 
 
 def _runner(rig: Rig, doser: GuardedDoser, journal: RunJournal, path: Path, plan: Plan, undo: ExitStack) -> Runner:

@@ -1,7 +1,6 @@
 """The thread that puts a run on disk: frames and events go in, and come back out once they are safe."""
 
 import fcntl
-import hashlib
 import os
 import sys
 import threading
@@ -19,9 +18,19 @@ import numpy as np
 from tankrig.devices import Frame, Pixels
 from tankrig.errors import StoreError
 from tankrig.run import disk
+from tankrig.run.damage import JournalText
 from tankrig.run.facts import JOURNAL, read_journal, read_settings
-from tankrig.run.folder import frames_for_writing, resize_frames, storing, write_frame
+from tankrig.run.folder import (
+    chunk_numbers,
+    frames_for_writing,
+    has_checksums,
+    require_no_links,
+    resize_frames,
+    storing,
+    write_frame,
+)
 from tankrig.run.journal import Event, Kind, Moment
+from tankrig.run.reading import digest
 
 Announce = Callable[[Event, Pixels | None], object]
 
@@ -48,7 +57,8 @@ class RunWriter:
     Parameters
     ----------
     path
-        A run's folder, new or interrupted; a torn end of its journal is set aside.
+        A run's folder, new or interrupted. A torn end of its journal is set aside; damaged lines stay where they are,
+        and numbers of events and frames go on beyond all that may have had one: no frame is ever written over.
     announce
         Called in the writer's thread with each acknowledged event, and the pixels of a frame; must not wait.
     planned_frames
@@ -66,19 +76,23 @@ class RunWriter:
         self.path = path
         self._announce = announce or (lambda *_: None)
         with storing(path, "open it for recording"):
+            require_no_links(path)
             self._lock = lock_journal(path)
             try:
-                self.events, good, size = read_journal(path)
-                if good < size:
-                    set_torn_end_aside(path, good)
+                text = read_journal(path)
+                set_torn_end_aside(path, text)
+                if not text.ended:
+                    disk.append(path / JOURNAL, b"\n")
                 self._frames = frames_for_writing(path)
+                self._index = _next_index(path, text)
                 if planned_frames > self._frames.shape[0]:
                     resize_frames(path, self._frames, planned_frames)
             except BaseException:
                 os.close(self._lock)
                 raise
-        self._seq = len(self.events)
-        self._index = sum(event.kind == "frame" for event in self.events)
+        self.events = text.events
+        self._seq = text.next_seq
+        self._checksums = has_checksums(self._frames)
         frame_bytes = int(np.prod(self._frames.shape[1:])) * self._frames.dtype.itemsize
         self._room = max(2, _QUEUE_BYTES // frame_bytes)
         self._waiting: deque[_Entry] = deque()
@@ -207,7 +221,7 @@ class RunWriter:
             if end > self._frames.shape[0]:
                 resize_frames(self.path, self._frames, end)
             digests = self._pool.map(digest, frames.values())
-            list(self._pool.map(partial(write_frame, self.path), frames, frames.values()))
+            list(self._pool.map(partial(write_frame, self.path, self._checksums), frames, frames.values()))
             disk.sync_folder(self.path / "frames")
             batch = [entry if entry.pixels is None else _signed(entry, next(digests)) for entry in batch]
         disk.append(self.path / JOURNAL, b"".join(entry.event.line() for entry in batch))
@@ -221,19 +235,27 @@ def _give_way() -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
 
 
-def digest(pixels: Pixels) -> str:
-    """SHA-256 of the raw pixels, row by row, little-endian."""
-    return hashlib.sha256(np.ascontiguousarray(pixels).data).hexdigest()
-
-
 def _signed(entry: _Entry, digest: str) -> _Entry:
     event = entry.event
     return _Entry(replace(event, fields={**event.fields, "sha256": digest}), entry.pixels)
 
 
-def lock_journal(path: Path) -> int:
-    """Take the journal for this program; the lock ends with the program, however that ends."""
-    handle = os.open(path / JOURNAL, os.O_RDWR)
+def _next_index(path: Path, text: JournalText) -> int:
+    """A number that no frame has had: none of the journal, no lost one, and none whose line was never written."""
+    listed = {int(event["index"]) for event in text.events if event.kind == "frame"}
+    lost = {index for one in text.lost for index in one.frames}
+    return 1 + max(listed | lost | chunk_numbers(path), default=-1)
+
+
+def lock_journal(path: Path, change: bool = True) -> int:
+    """Take the journal for this program; the lock ends with the program, however that ends.
+
+    Raises
+    ------
+    StoreError
+        When another program has it.
+    """
+    handle = os.open(path / JOURNAL, (os.O_RDWR if change else os.O_RDONLY) | os.O_NOFOLLOW)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -242,10 +264,14 @@ def lock_journal(path: Path) -> int:
     return handle
 
 
-def set_torn_end_aside(path: Path, good: int) -> int:
-    """Cut the journal to its `good` bytes and keep the rest in a file beside it; the bytes set aside."""
-    torn = (path / JOURNAL).read_bytes()[good:]
+def set_torn_end_aside(path: Path, text: JournalText) -> int:
+    """Cut a torn end off the journal and keep it in a file beside it; the bytes set aside."""
+    if text.good == text.size:
+        return 0
+    torn = (path / JOURNAL).read_bytes()[text.good :]
     aside = path / f"{JOURNAL}.torn"
-    disk.write(aside, (aside.read_bytes() if aside.exists() else b"") + torn)
-    disk.truncate(path / JOURNAL, good)
+    before = aside.read_bytes() if aside.exists() else b""
+    if not before.endswith(torn):  # it was set aside, and then the power went
+        disk.replace(aside, before + torn)
+    disk.truncate(path / JOURNAL, text.good)
     return len(torn)

@@ -104,10 +104,8 @@ class Replay(QObject):
             time.sleep(0)
 
     def _put(self, event: Any) -> None:
-        from tankrig.run.reading import raw_frame
-
         try:
-            pixels = raw_frame(self._run.path, event["index"])
+            pixels = self._run.pixels(event)
         except StoreError as error:
             self.ended.emit(str(error))
             with self._change:
