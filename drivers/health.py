@@ -1,7 +1,8 @@
 """What is connected, and whether a rig is fit to be used: asked of the drivers, each of which knows its own devices.
 
 A driver takes part with an entry point of the group `tankrig.health` under its own name: a module with
-`find() -> Iterator[Found]` and `checks(settings, device) -> Iterator[Check]`.
+`find() -> Iterator[Found]` and `checks(settings, device) -> Iterator[Check]`. A driver whose module is broken is named
+with the reason, and the others are asked all the same.
 """
 
 from collections.abc import Iterator, Mapping
@@ -12,7 +13,7 @@ from typing import Any, Protocol
 
 from drivers.calibration_health import calibration_checks, level_check
 from drivers.check import Check, failed
-from drivers.registry import open_device
+from drivers.registry import blamed, loaded, open_device, unusable_drivers
 from drivers.rig import RigFile, calibrated_bench
 from tankrig.bench import Bench
 from tankrig.devices import Camera, CameraSettings, Doser, Projector
@@ -52,9 +53,11 @@ def find_devices() -> Iterator[Found | DeviceError]:
     yield from _serial_ports()
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         try:
-            yield from entry.load().find()
+            with blamed(f'health of driver "{entry.name}"', "could not look for devices", "ask who wrote it"):
+                yield from loaded(entry).find()
         except DeviceError as error:
             yield error
+    yield from unusable_drivers()
 
 
 def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
@@ -79,8 +82,7 @@ def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
                 yield Check(f"{kind} opens", True, f"{device.name} ({driver})")
             except DeviceError as error:
                 yield failed(f"{kind} opens", error)
-            for entry in entry_points(group=GROUP, name=driver):
-                yield from entry.load().checks(settings, device)
+            yield from _own_checks(driver, settings, device)
         if "doser" in devices:
             yield from _doser(devices["doser"], rig)
         for kind, shape in (("projector", rig.bench.wall.shape), ("camera", rig.bench.camera.shape)):
@@ -92,6 +94,16 @@ def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
         if with_light and {"projector", "camera"} <= devices.keys():
             yield _latency(devices["projector"], devices["camera"], rig.projector.get("latency_ms"))
             yield level_check(devices["projector"], devices["camera"], _believed(rig).wall)
+
+
+def _own_checks(driver: str, settings: Mapping[str, Any], device: Any) -> Iterator[Check]:
+    """What the driver's own module looks at."""
+    for entry in entry_points(group=GROUP, name=driver):
+        try:
+            with blamed(f'health of driver "{driver}"', "could not check its device", "ask who wrote it"):
+                yield from loaded(entry).checks(settings, device)
+        except DeviceError as error:
+            yield failed(f"{driver} checks its own device", error)
 
 
 def _believed(rig: RigFile) -> Bench:

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-HEAVY = {"numba", "scipy", "cv2", "matplotlib", "zarr", "xarray", "pydantic", "PySide6", "pyqtgraph", "serial", "usb"}
+HEAVY = {"pytest", "numba", "scipy", "cv2", "matplotlib", "zarr", "xarray", "pydantic", "PySide6", "pyqtgraph", "serial", "usb"}
 
 
 def run(code: str) -> str:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.contracts.camera import CameraContract
+from tankrig.testing import CameraContract
 
 
 class TestV4l2Camera(CameraContract):
