@@ -5,7 +5,8 @@ import sys
 
 import pytest
 
-HEAVY = {"pytest", "numba", "scipy", "cv2", "matplotlib", "zarr", "xarray", "pydantic", "PySide6", "pyqtgraph", "serial", "usb"}
+HEAVY = {"numba", "scipy", "cv2", "matplotlib", "zarr", "xarray", "pydantic", "PySide6", "pyqtgraph", "serial", "usb"}
+HEAVY |= {"pytest", "tankrig.testing"}
 
 
 def run(code: str) -> str:
