@@ -162,13 +162,7 @@ def test_the_only_screen_of_a_desktop_is_told_apart(reopen, monkeypatch):  # noq
         monkeypatch.setenv("DISPLAY", display)
         with pytest.raises(DeviceError, match=r"is the desktop's only screen, where .*accept_primary = true"):
             reopen(screen={"output": "screen"})
-        # This server has no light, and begins with a table that makes all levels 0: a real one would show nothing.
-        with pytest.raises(DeviceError, match="the brightness or gamma of screen is changed"):
-            reopen(screen={"output": "screen"}, accept_primary=True)
-        subprocess.run(["xrandr", "--output", "screen", "--gamma", "1:1:1"], check=True, timeout=20.0)
-        # This server has no light, and begins with a table that makes all levels 0: a real one would show nothing.
-        with pytest.raises(DeviceError, match="the brightness or gamma of screen is changed"):
-            reopen(screen={"output": "screen"}, accept_primary=True)
+        # This server's table of levels is whatever was in its memory until somebody sets one.
         subprocess.run(["xrandr", "--output", "screen", "--gamma", "1:1:1"], check=True, timeout=20.0)
         accepted = reopen(screen={"output": "screen"}, accept_primary=True)
         accepted.show(plain(accepted, 255))

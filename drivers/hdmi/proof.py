@@ -1,5 +1,7 @@
 """What an X server can prove of a window's picture on its way out; what it cannot is refused, in a sentence each."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from drivers.hdmi.xlib import IDENTITY, Crtc, Rectangle, XDisplay
@@ -127,6 +129,7 @@ def colour_doubt(words: tuple[int, ...]) -> str:
     return "its colours are mixed by a colour matrix (CTM); switch night light and colour management off"
 
 
+@lru_cache(maxsize=16)  # asked again after each exposure
 def unchanged(ramp: tuple[int, ...]) -> bool:
     """Whether a table of what each level becomes leaves all 256 levels of a picture as they are.
 
