@@ -126,12 +126,8 @@ def level_check(projector: Projector, camera: Camera, wall: Wall, rule: Exposure
     what = "projector's levels make the light they are taken to make"
     try:
         exposure_ms = bright_exposure_ms(projector, camera, rule)
-        dark, half, full = (
-            mean_of(
-                projector, camera, Pattern(f"level {level}", np.full(projector.shape, level, np.uint8)), exposure_ms
-            )
-            for level in (0, _LEVEL, 255)
-        )
+        plain = (Pattern(f"level {level}", np.full(projector.shape, level, np.uint8)) for level in (0, _LEVEL, 255))
+        dark, half, full = (mean_of(projector, camera, pattern, exposure_ms) for pattern in plain)
     except TankrigError as error:
         return replace(failed(what, error), passed=None)  # a dark tank is no fault of the devices
     light, seen = full - dark, float((full - dark).max())

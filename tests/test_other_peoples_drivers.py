@@ -39,7 +39,7 @@ def site(tmp_path, monkeypatch) -> Path:
 
 def install(site: Path, name: str, drivers: dict[str, str], health: dict[str, str], modules: dict[str, str]) -> None:
     """What pip leaves of a package."""
-    info = site / f"{name}-0.1.dist-info"
+    info = site / f"{name.replace('-', '_')}-0.1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1\n")
     groups = {"tankrig.drivers": drivers, "tankrig.health": health}

@@ -77,6 +77,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
             "saturation": rig.camera.saturation,
             "bench": asdict(rig.bench),
             "sequence": sequence_table(sequence),
+            "exposure": asdict(rig.exposure),
             "calibrations": {kind: one.hash for kind, one in rig.calibrations.items()},
         }
         create_run(path, rig.camera.shape, _dtype(rig), sequence.frames, settings, list(patterns.values()))
