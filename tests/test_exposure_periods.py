@@ -138,6 +138,18 @@ def test_a_camera_that_cannot_expose_whole_periods_is_not_fit(tmp_path, capsys):
     )
 
 
+@pytest.mark.parametrize(("measured_ms", "passed"), [(16.683, True), (16.667, True), (16.95, False), (8.333, False)])
+def test_the_doctor_compares_the_refreshes_that_were_measured_with_the_rig_file(measured_ms, passed):
+    from types import SimpleNamespace
+
+    from drivers.health import _exposures
+
+    projector = SimpleNamespace(swap_ms=(measured_ms,) * 32)
+    check = next(_exposures(ExposureRule(PERIOD_MS), {"projector": projector}))
+    assert (check.what, check.passed) == ("the projector's period is what the rig file says", passed)
+    assert f"refresh_hz = {1000.0 / measured_ms:.2f}" in check.remedy
+
+
 class Slow:
     """A projector, for its name and shape."""
 

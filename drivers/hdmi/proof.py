@@ -111,7 +111,10 @@ def output_doubt(crtcs: tuple[Crtc, ...], output: str, window: Rectangle) -> str
     if not np.allclose(own.transform, IDENTITY, atol=1e-4):
         return f"{output} is scaled or transformed; undo that (xrandr --output {output} --transform none --scale 1x1)"
     if window != own.place:
-        return "its window does not fill its screen; let the window manager leave it alone"
+        return (
+            "its window was moved or its video mode changed, so that it does not fill its screen; set the mode that the "
+            "rig file says, and leave the window alone"
+        )
     for ramp in own.ramps:
         if not unchanged(ramp):
             return (
