@@ -112,8 +112,8 @@ def output_doubt(crtcs: tuple[Crtc, ...], output: str, window: Rectangle) -> str
         return f"{output} is scaled or transformed; undo that (xrandr --output {output} --transform none --scale 1x1)"
     if window != own.place:
         return (
-            "its window was moved or its video mode changed, so that it does not fill its screen; set the mode that the "
-            "rig file says, and leave the window alone"
+            "its window was moved or its video mode changed, so that it does not fill its screen; set the mode that "
+            "the rig file says, and leave the window alone"
         )
     for ramp in own.ramps:
         if not unchanged(ramp):
