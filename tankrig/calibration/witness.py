@@ -47,7 +47,7 @@ class Testimony:
 
 
 def witness(projector: Projector, camera: Camera, rule: ExposureRule) -> Testimony:
-    """Show dark, full and three patterns of bands, and ask the camera; takes about a second.
+    """Show dark, full and three patterns of bands, and ask the camera; takes some seconds.
 
     Parameters
     ----------
