@@ -10,7 +10,7 @@ from typing import Any
 from drivers.cavro.doser import CavroDoser
 from drivers.cavro.emulator.board import CavroBoard
 from drivers.cavro.settings import CavroSettings
-from drivers.counted.doser import CountedDoser
+from drivers.dosing.doser import PumpDoser
 from drivers.emulation.board import Board as AnyBoard
 from drivers.emulation.truth import TruthFile
 from drivers.new_era import open_new_era
@@ -115,18 +115,19 @@ class Bench(AnyBench):
         return RigDoser(RigDoserSettings(**(given | settings)))
 
     def port_of(self, doser: RigDoser) -> Any:
-        return doser._line._port
+        return doser._pump._line._port
 
 
 class CountedBench(AnyBench):
     """A pump whose driver keeps a count file."""
 
-    def kill(self, doser: CountedDoser) -> None:
-        doser._file.write = lambda record: setattr(doser._file, "record", record)
+    def kill(self, doser: PumpDoser) -> None:
+        file = doser._pump._file
+        file.write = lambda record: setattr(file, "record", record)
         super().kill(doser)
 
-    def port_of(self, doser: CountedDoser) -> Any:
-        return doser._pump._line._port
+    def port_of(self, doser: PumpDoser) -> Any:
+        return doser._pump._counter._line._port
 
 
 class NewEraBench(CountedBench):
@@ -146,7 +147,7 @@ class NewEraBench(CountedBench):
         board = NewEraBoard(state, self.folder / "doser", **unverified, boot_s=0.02, time_scale=self.scale, seed=seed)
         return state, board
 
-    def _open(self, **settings: Any) -> CountedDoser:
+    def _open(self, **settings: Any) -> PumpDoser:
         given = {"port": str(self.folder / "doser"), "count_file": self.folder / "count", "time_scale": self.scale}
         syringe = {"diameter_mm": 12.0, "rate_ml_per_min": self.rate}
         return open_new_era(given | syringe | settings)
@@ -181,4 +182,4 @@ class CavroBench(CountedBench):
         with suppress(DeviceError):
             if self.board.command({})["board"] and not self.board._core._initialised:
                 doser.initialise()
-                doser._renew()  # filled, so that the next dose begins at once
+                doser._pump._renew()  # filled, so that the next dose begins at once
