@@ -116,8 +116,8 @@ def _listen(bench: AnyBench, sign: bytes) -> list[float]:
     """When the stop arrives at the device."""
     receive, arrived = type(bench.board)._receive, []
 
-    def listening(master: int) -> bytes:
-        data = receive(bench.board, master)
+    def listening() -> bytes:
+        data = receive(bench.board)
         if sign in data:
             arrived.append(time.perf_counter())
         return data

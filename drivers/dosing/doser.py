@@ -219,11 +219,15 @@ class PumpDoser:
                 self._pump.stop()
             moving, heard = self._pump.poll()
             if heard and not self.stopped:  # a stop may cost steps that were counted
-                now = self._known
-                low, best = max(now.low, heard.low), max(now.best, heard.best)
-                self._known = Count(min(best, now.high), min(low, now.high), now.high)
+                self._hear(heard)
             if moving and self._clock.monotonic() > deadline_s:
                 raise DeviceError(f"{self.name}: still moving after {longest_s:g} s; look at motor and syringe")
+
+    def _hear(self, heard: Count) -> None:
+        """Ink does not come back; more than the dose has is a counter that has lost its meaning (a power cut)."""
+        now = self._known
+        if heard.best <= now.high:
+            self._known = Count(max(now.best, heard.best), max(now.low, heard.low), now.high)
 
     def _settle(self, leg: Leg | None) -> None:
         """After a fault: learn what was delivered, or leave it unknown. By the last attempt the pump rests."""
