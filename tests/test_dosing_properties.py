@@ -52,7 +52,6 @@ FAULTS = st.one_of(
 )
 PARTS = st.sampled_from([20.0, 39.0])
 SOON_S = st.floats(0.0, 3.0)
-NOT_SOUGHT = ("doses that did not begin", "stopped before it was full", "moved on")
 RULES = (
     "person's word outside the bounds refused",
     "silent pump answered again and was settled",
@@ -61,6 +60,7 @@ RULES = (
     "looked at from another thread while dosing",
     "stopped from another thread",
     "killed in a dose",
+    "killed while the motor ran",
 )
 
 
@@ -81,7 +81,7 @@ class Dosing(RuleBasedStateMachine):
     """Bench, driver and guard; the person who is asked knows the truth, and first tries what cannot be."""
 
     tally: ClassVar[Counter[str]] = Counter()
-    few: ClassVar[int] = 200
+    few: ClassVar[int] = 120
     stops_within_s: ClassVar[float]
     ul_per_s: ClassVar[float]
     guard: GuardedDoser | None = None
@@ -124,6 +124,8 @@ class Dosing(RuleBasedStateMachine):
         files: dict[Path, bytes] = {}
 
         def keep() -> None:
+            self.tally["killed in a dose"] += self.doser._dosing.locked()
+            self.tally["killed while the motor ran"] += self.bench.moving
             files.update({path: path.read_bytes() for path in self.records() if path.exists()})
 
         self.bench.clock.dying = keep
@@ -190,7 +192,7 @@ class Dosing(RuleBasedStateMachine):
         with self.meanwhile(delay_s, lambda: self.bench.do(what)):
             self.dose(part_ul)
 
-    @rule(part_ul=PARTS, steps=st.integers(0, 120), faults=st.one_of(st.just({}), FAULTS))
+    @rule(part_ul=PARTS, steps=st.integers(0, 400), faults=st.one_of(st.just({}), FAULTS))
     def dose_and_die(self, part_ul: float, steps: int, faults: dict[str, object]) -> None:
         """kill -9 after so many reads, writes and waits of the line, and syncs with the disk."""
         self.put_right()
@@ -199,7 +201,6 @@ class Dosing(RuleBasedStateMachine):
             with self.killed_at_last(), patch("os.fsync", self.sync_or_die):
                 self.bench.clock.dies_after = steps
                 self.dose(part_ul)
-        self.tally["killed in a dose"] += 1
         self.abandon()
         self.open()
 
@@ -252,7 +253,7 @@ class Dosing(RuleBasedStateMachine):
         self.world.advance(1.0)
         assert self.bench.true_ul == after_ul, "it still moves"
 
-    @rule(part_ul=PARTS, delay_s=SOON_S, silence_s=st.sampled_from([1.0, 5.0, 20.0, 100.0]), deaf=st.booleans())
+    @rule(part_ul=PARTS, delay_s=SOON_S, silence_s=st.sampled_from([1.0, 10.0, 60.0, 120.0]), deaf=st.booleans())
     def dose_and_fall_silent(self, part_ul: float, delay_s: float, silence_s: float, deaf: bool) -> None:
         """Nothing is heard of it for a while; when it answers again, what it knows counts."""
         self.put_right()
@@ -314,7 +315,7 @@ class Dosing(RuleBasedStateMachine):
     @rule(how=st.sampled_from(["itself", "link", "folder", "second name"]))
     def open_a_second_time(self, how: str) -> None:
         """By whatever path: the count has one doser at a time."""
-        if self.doser:
+        if self.doser and self.bench.cable.port is self.bench.port_of(self.doser):  # else its cable was pulled
             with pytest.raises(DeviceError, match=r"another (doser uses|program has) it|second name"):
                 self.second_doser(how)
             self.tally["second doser on the count refused"] += 1
@@ -408,7 +409,7 @@ MACHINES = [RigDosing, NewEraDosing, CavroDosing]
 @pytest.mark.parametrize("machine", MACHINES)
 def test_ink_is_accounted_for_whatever_happens(machine: type[Dosing]) -> None:
     quick = settings(
-        max_examples=machine.few, stateful_step_count=6, derandomize=True, phases=[Phase.generate], **QUIET
+        max_examples=machine.few, stateful_step_count=8, derandomize=True, phases=[Phase.generate], **QUIET
     )
     run_state_machine_as_test(machine, settings=quick)
 
@@ -424,7 +425,7 @@ def test_ink_is_accounted_for_in_a_hundred_thousand_cases(
     number = zlib.crc32(f"{machine.__name__} {chunk}".encode()) + int(os.environ.get("DOSING_SEED", "0"))
     cases = CASES // CHUNKS // len(MACHINES)
     counted = seed(number)(type(machine.__name__, (machine,), {"tally": Counter()}))
-    chosen = settings(max_examples=cases, stateful_step_count=6, phases=[Phase.generate, Phase.shrink], **QUIET)
+    chosen = settings(max_examples=cases, stateful_step_count=8, phases=[Phase.generate, Phase.shrink], **QUIET)
     run_state_machine_as_test(counted, settings=chosen)
     told = ", ".join(f"{count} {what}" for what, count in counted.tally.most_common())
     print(f"{machine.__name__}, seed {number}: {told}")
