@@ -213,21 +213,27 @@ class PumpDoser:
         """Poll, which feeds the watchdog, until the motor rests."""
         longest_s = 2.0 * leg.duration_s + 5.0
         deadline_s = self._clock.monotonic() + longest_s
-        moving = True
+        moving, certain = True, self._known.low
         while moving:
             if self._clock.wait(self._stop_asked, POLL_S):
                 self._pump.stop()
             moving, heard = self._pump.poll()
-            if heard and not self.stopped:  # a stop may cost steps that were counted
-                self._hear(heard)
+            if moving and heard and not self.stopped:  # a stop may cost steps that were counted
+                certain = self._hear(heard, certain)
             if moving and self._clock.monotonic() > deadline_s:
                 raise DeviceError(f"{self.name}: still moving after {longest_s:g} s; look at motor and syringe")
 
-    def _hear(self, heard: Count) -> None:
-        """Ink does not come back; more than the dose has is a counter that has lost its meaning (a power cut)."""
+    def _hear(self, heard: Count, certain: int) -> int:
+        """What a moving pump counts; returns what will be certain of it once the pump is heard moving again.
+
+        Its last steps may be those of a stall that it tells of next. More than the dose has is a counter that has lost
+        its meaning (a power cut).
+        """
         now = self._known
-        if heard.best <= now.high:
-            self._known = Count(max(now.best, heard.best), max(now.low, heard.low), now.high)
+        if heard.best > now.high:
+            return certain
+        self._known = Count(max(now.best, heard.best), max(now.low, certain), now.high)
+        return max(certain, heard.low)
 
     def _settle(self, leg: Leg | None) -> None:
         """After a fault: learn what was delivered, or leave it unknown. By the last attempt the pump rests."""

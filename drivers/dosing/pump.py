@@ -121,7 +121,7 @@ class Pump(Protocol):
         """
 
     def poll(self) -> tuple[bool, Count | None]:
-        """Whether it moves, and what it has delivered for certain meanwhile; feeds its watchdog."""
+        """Whether it moves, and what it counts meanwhile, but for a stall that it tells of next; feeds its watchdog."""
 
     def stop(self) -> None:
         """Put a stop on the wire now; never raises and waits for nobody.

@@ -158,10 +158,9 @@ class RigPump:
         raise NotSetOffError(f"{self.name}: did not take a dose in {ATTEMPTS} attempts; check the cable")
 
     def poll(self) -> tuple[bool, Count | None]:
-        """Its status; the step under way may not have been seen by the encoder yet."""
+        """Its status; the encoder may not have seen the last step yet."""
         state = self._status()
-        low = max(0, state.low - state.moving)
-        return state.moving, Count(max(low, state.count), low, state.count)
+        return state.moving, Count(state.count, state.low, state.count)
 
     def stop(self) -> None:
         """The stop byte, three times. It is no request, so that it feeds nothing."""
