@@ -192,14 +192,18 @@ class Dosing(RuleBasedStateMachine):
         with self.meanwhile(delay_s, lambda: self.bench.do(what)):
             self.dose(part_ul)
 
-    @rule(part_ul=PARTS, steps=st.integers(0, 400), faults=st.one_of(st.just({}), FAULTS))
-    def dose_and_die(self, part_ul: float, steps: int, faults: dict[str, object]) -> None:
-        """kill -9 after so many reads, writes and waits of the line, and syncs with the disk."""
+    @rule(part_ul=PARTS, moment=st.one_of(st.integers(0, 400), SOON_S), faults=st.one_of(st.just({}), FAULTS))
+    def dose_and_die(self, part_ul: float, moment: float, faults: dict[str, object]) -> None:
+        """kill -9 after so long, or after so many reads, writes and waits of the line and syncs with the disk."""
         self.put_right()
         self.break_something(faults)
         if self.doser:
             with self.killed_at_last(), patch("os.fsync", self.sync_or_die):
-                self.bench.clock.dies_after = steps
+                clock = self.bench.clock
+                if isinstance(moment, int):
+                    clock.dies_after = moment
+                else:
+                    self.world.after(moment, lambda: clock.killed or clock.kill())
                 self.dose(part_ul)
         self.abandon()
         self.open()
@@ -432,7 +436,9 @@ def test_ink_is_accounted_for_in_a_hundred_thousand_cases(
     assert counted.tally["cases"] >= cases
     for outcome in ("complete", "undecided", "cut short"):
         assert counted.tally[f"doses {outcome}"] > cases / 50, "too few to mean anything"
-    add_up(tmp_path_factory.getbasetemp().parent / "dosing-tally", f"{machine.__name__}-{chunk}", counted.tally)
+    base = tmp_path_factory.getbasetemp()
+    session = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    add_up(session / "dosing-tally", f"{machine.__name__}-{chunk}", counted.tally)
 
 
 def add_up(folder: Path, name: str, tally: Counter[str]) -> None:
