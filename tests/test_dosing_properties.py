@@ -61,6 +61,8 @@ RULES = (
     "stopped from another thread",
     "killed in a dose",
     "killed while the motor ran",
+    "moved beside the tank",
+    "budget asked with doubt in the tank",
 )
 
 
@@ -94,12 +96,17 @@ class Dosing(RuleBasedStateMachine):
         self.folder = Path(tempfile.mkdtemp(dir=memory))
         self.world = World()
         self.bench = self.make_bench(self.folder, seed)
-        self.journal, self.run, self.run_began_ul = Journal(), 0, 0.0
+        self.journal, self.run, self.run_began_ul, self.aside_ul = Journal(), 0, 0.0, 0.0
         self.tally["cases"] += 1
         self.open()
 
     def make_bench(self, folder: Path, seed: int) -> AnyBench:
         raise NotImplementedError
+
+    @property
+    def tank_ul(self) -> float:
+        """What the tank really holds: what was delivered, less what went elsewhere."""
+        return self.bench.true_ul - self.aside_ul
 
     # -- programs ------------------------------------------------------------------------------------------------------
 
@@ -154,8 +161,9 @@ class Dosing(RuleBasedStateMachine):
     def dose(self, part_ul: float) -> None:
         if not self.guard:
             return
-        total_ul = self.guard.delivered().volume_ul + part_ul
-        before_ul = self.bench.true_ul
+        held = self.guard.delivered()
+        total_ul, before_ul = held.volume_ul + part_ul, self.bench.true_ul
+        self.tally["budget asked with doubt in the tank"] += held.high_ul > held.low_ul and not self.guard.undecided
         try:
             after = self.guard.dose_to(total_ul)
             assert after.volume_ul > total_ul - self.guard.increment_ul - ROUNDING_UL
@@ -166,6 +174,18 @@ class Dosing(RuleBasedStateMachine):
             moved = self.bench.true_ul > before_ul
             self.tally["doses cut short" if moved else "doses that did not begin"] += 1
         assert self.bench.true_ul - before_ul <= LIMITS.dose_ul + ROUNDING_UL
+
+    @rule(part_ul=st.sampled_from([3.3, 20.0]), mended=st.booleans())
+    def prime(self, part_ul: float, mended: bool) -> None:
+        """Into a waste vessel: no ink of the tank's, whatever happens meanwhile."""
+        if mended:
+            self.put_right()
+        if self.guard:
+            before_ul = self.bench.true_ul
+            with suppress(TankrigError):
+                self.guard.dose_aside(part_ul)
+            self.tally["moved beside the tank"] += self.bench.true_ul > before_ul
+            self.aside_ul += self.bench.true_ul - before_ul
 
     @rule(faults=FAULTS, part_ul=PARTS, mended=st.booleans())
     def dose_with_faults(self, faults: dict[str, object], part_ul: float, mended: bool) -> None:
@@ -232,8 +252,8 @@ class Dosing(RuleBasedStateMachine):
             before = self.bench.written(self.doser)
             told, held = self.doser.delivered(), self.guard.delivered()
             assert self.bench.written(self.doser) == before, "it was asked while it doses, which feeds its watchdog"
-            for bounds in (told, held):
-                assert bounds.low_ul - ROUNDING_UL <= self.bench.true_ul <= bounds.high_ul + ROUNDING_UL
+            for bounds, true_ul in ((told, self.bench.true_ul), (held, self.tank_ul)):
+                assert bounds.low_ul - ROUNDING_UL <= true_ul <= bounds.high_ul + ROUNDING_UL
             self.tally["looked at from another thread while dosing"] += 1
 
     @rule(part_ul=PARTS, delay_s=SOON_S, faults=st.one_of(st.just({}), FAULTS))
@@ -301,7 +321,7 @@ class Dosing(RuleBasedStateMachine):
             self.guard.close()
         self.abandon()
         if new_run:
-            self.run, self.run_began_ul = self.run + 1, self.bench.true_ul
+            self.run, self.run_began_ul = self.run + 1, self.tank_ul
         self.open()
 
     @rule(noise=st.binary(max_size=30))
@@ -344,7 +364,7 @@ class Dosing(RuleBasedStateMachine):
             self.say_what_cannot_be(self.doser, wrong_ul, sign)
         if self.guard and self.guard.undecided:
             with suppress(TankrigError):
-                self.guard.resolve(self.bench.true_ul)
+                self.guard.resolve(self.tank_ul)
                 assert not self.guard.undecided
                 self.tally["decided by a person"] += 1
 
@@ -362,7 +382,7 @@ class Dosing(RuleBasedStateMachine):
 
     @invariant()
     def no_budget_is_exceeded(self) -> None:
-        true_ul = self.bench.true_ul
+        true_ul = self.tank_ul
         assert true_ul <= self.journal.highest_ul + ROUNDING_UL
         assert true_ul <= LIMITS.tank_ul + ROUNDING_UL
         assert true_ul - self.run_began_ul <= LIMITS.run_ul + ROUNDING_UL
@@ -371,7 +391,7 @@ class Dosing(RuleBasedStateMachine):
     def the_truth_is_between_the_bounds(self) -> None:
         if self.guard:
             _, low_ul, high_ul = self.guard.delivered()
-            assert low_ul - ROUNDING_UL <= self.bench.true_ul <= high_ul + ROUNDING_UL
+            assert low_ul - ROUNDING_UL <= self.tank_ul <= high_ul + ROUNDING_UL
         if self.doser and self.doser.unknown:
             _, low_ul, high_ul = self.doser.delivered()
             assert low_ul - ROUNDING_UL <= self.bench.true_ul <= high_ul + ROUNDING_UL
