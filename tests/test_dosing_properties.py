@@ -97,6 +97,7 @@ class Dosing(RuleBasedStateMachine):
         self.world = World()
         self.bench = self.make_bench(self.folder, seed)
         self.journal, self.run, self.run_began_ul, self.aside_ul = Journal(), 0, 0.0, 0.0
+        self.held_beside_ul: float | None = None
         self.tally["cases"] += 1
         self.open()
 
@@ -106,7 +107,7 @@ class Dosing(RuleBasedStateMachine):
     @property
     def tank_ul(self) -> float:
         """What the tank really holds: what was delivered, less what went elsewhere."""
-        return self.bench.true_ul - self.aside_ul
+        return self.bench.true_ul - self.aside_ul if self.held_beside_ul is None else self.held_beside_ul
 
     # -- programs ------------------------------------------------------------------------------------------------------
 
@@ -181,9 +182,10 @@ class Dosing(RuleBasedStateMachine):
         if mended:
             self.put_right()
         if self.guard:
-            before_ul = self.bench.true_ul
+            before_ul, self.held_beside_ul = self.bench.true_ul, self.tank_ul
             with suppress(TankrigError):
                 self.guard.dose_aside(part_ul)
+            self.held_beside_ul = None
             self.tally["moved beside the tank"] += self.bench.true_ul > before_ul
             self.aside_ul += self.bench.true_ul - before_ul
 
