@@ -4,13 +4,14 @@ stopped without waiting for a reader."""
 import errno
 import termios
 import threading
-import time
 from collections.abc import Callable, Iterable
-from typing import TypeVar
+from typing import Protocol, TypeVar, cast
 
 import serial
 
 from tankrig.errors import DeviceError
+
+from .clock import Clock
 
 REPLY_S = 0.3
 QUIET_S = 0.6
@@ -31,7 +32,31 @@ class NotSentError(DeviceError):
     """Nothing was sent, because a stop came first."""
 
 
-def open_port(port: str, baud: int, name: str, time_scale: float = 1.0) -> serial.Serial:
+class Port(Protocol):
+    """What a line needs of a serial port; as pyserial has it."""
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that have come."""
+
+    def read(self, size: int) -> bytes:
+        """Up to so many bytes; fewer, or none, when no more come in time."""
+
+    def write(self, data: bytes) -> int | None:
+        """Put `data` on the wire."""
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has come."""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+PortOpener = Callable[[str, int, str, Clock], Port]
+"""Opens a port: its path, its baud rate, the device's name for messages, and the clock that its timeouts keep."""
+
+
+def open_port(port: str, baud: int, name: str, clock: Clock) -> Port:
     """Open a serial port (8N1) for this program alone.
 
     Raises
@@ -40,9 +65,8 @@ def open_port(port: str, baud: int, name: str, time_scale: float = 1.0) -> seria
         If it cannot be opened; the message says why and what to do.
     """
     try:
-        return serial.Serial(
-            port, baud, timeout=READ_S * time_scale, write_timeout=REPLY_S * time_scale, exclusive=True
-        )
+        timeouts = {"timeout": READ_S * clock.scale, "write_timeout": REPLY_S * clock.scale}
+        return cast(Port, serial.Serial(port, baud, **timeouts, exclusive=True))
     except (OSError, termios.error) as error:
         raise DeviceError(f"{name}: cannot open {port}: {_why(error)}") from error
 
@@ -66,8 +90,10 @@ class Line:
         Takes whole, undamaged frames out of what was received.
     heard
         Told of every frame.
-    time_scale
-        All waits are multiplied by this.
+    clock
+        That its waits go by.
+    opener
+        Opens the port.
 
     Attributes
     ----------
@@ -87,15 +113,16 @@ class Line:
         name: str,
         frames: Callable[[bytearray], Iterable[bytes]],
         heard: Callable[[bytes], None],
-        time_scale: float = 1.0,
+        clock: Clock,
+        opener: PortOpener = open_port,
     ) -> None:
         self.name, self.missed = name, 0
-        self._frames, self._heard, self._scale = frames, heard, time_scale
+        self._frames, self._heard, self._clock = frames, heard, clock
         self._asking = threading.Lock()
         self._writing = threading.RLock()  # a signal handler may stop while this thread writes
         self._received = bytearray()
         self._unsettled = self._lost = False
-        self._port = open_port(port, baud, name, time_scale)
+        self._port = opener(port, baud, name, clock)
 
     def exchange(
         self, request: bytes, accept: Callable[[bytes], Answer | None], unless: Callable[[], bool] = lambda: False
@@ -118,8 +145,8 @@ class Line:
                     if unless():
                         raise NotSentError(f"{self.name}: a stop is latched; clear it first")
                     self._port.write(request)
-                deadline = time.monotonic() + REPLY_S * self._scale
-                while time.monotonic() < deadline:
+                deadline = self._clock.monotonic() + REPLY_S
+                while self._clock.monotonic() < deadline:
                     for frame in self._hear():
                         if (answer := accept(frame)) is not None:
                             return answer
@@ -127,7 +154,7 @@ class Line:
                 raise self._silent(f"{self.name}: takes no more bytes; check the cable and reset it") from error
             except LOST as error:
                 raise self._gone() from error
-        wait_ms = 1e3 * REPLY_S * self._scale
+        wait_ms = 1e3 * REPLY_S
         raise self._silent(f"{self.name}: no reply within {wait_ms:.0f} ms; check cable and power")
 
     def send(self, data: bytes) -> None:
@@ -155,8 +182,8 @@ class Line:
 
     def _clear(self) -> None:
         """Nothing that came before counts as an answer; the line falls silent first if replies may be outstanding."""
-        quiet_s = QUIET_S * self._scale if self._unsettled else 0.0
-        now = time.monotonic()
+        quiet_s = QUIET_S if self._unsettled else 0.0
+        now = self._clock.monotonic()
         quiet_from, give_up = now, now + 4 * quiet_s
         self._unsettled = False
         for frame in self._frames(self._received):
@@ -164,13 +191,13 @@ class Line:
         while True:
             waiting = self._port.in_waiting
             if waiting:
-                quiet_from = time.monotonic()
-            elif time.monotonic() - quiet_from >= quiet_s:
+                quiet_from = self._clock.monotonic()
+            elif self._clock.monotonic() - quiet_from >= quiet_s:
                 break
             if waiting or quiet_s:
                 for _ in self._hear():
                     pass
-            if quiet_s and time.monotonic() > give_up:
+            if quiet_s and self._clock.monotonic() > give_up:
                 raise self._silent(f"{self.name}: does not stop sending; is the baud rate right?")
         self._received.clear()
 

@@ -1,5 +1,6 @@
 """Stand-ins for pumps in this process, for tests that look at the truth and switch faults."""
 
+import atexit
 import threading
 from abc import ABC, abstractmethod
 from contextlib import suppress
@@ -10,11 +11,13 @@ from typing import Any
 from drivers.cavro.doser import CavroDoser
 from drivers.cavro.emulator.board import CavroBoard
 from drivers.cavro.settings import CavroSettings
-from drivers.counted.doser import CountedDoser
+from drivers.dosing.doser import PumpDoser
 from drivers.emulation.board import Board as AnyBoard
+from drivers.emulation.cable import PseudoTerminal
 from drivers.emulation.truth import TruthFile
-from drivers.new_era import open_new_era
+from drivers.new_era.doser import NewEraDoser
 from drivers.new_era.emulator.board import NewEraBoard
+from drivers.new_era.settings import NewEraSettings
 from drivers.rig_doser.doser import RigDoser
 from drivers.rig_doser.emulator.board import Board
 from drivers.rig_doser.emulator.memory import Commissioning, StateFile
@@ -22,18 +25,35 @@ from drivers.rig_doser.settings import RigDoserSettings
 from tankrig.devices import Doser
 from tankrig.errors import DeviceError
 
+from .virtual_time import ProgramClock, VirtualCable, World
+
 STEPS_PER_UL = 10.0
 
 
 class AnyBench(ABC):
-    """A stand-in on its pseudo-terminal, with its motor and its truth."""
+    """A stand-in with its motor and its truth: on a pseudo-terminal in a thread, or in a `World` on its clock."""
 
     steps_per_ul: float
 
-    def __init__(self, folder: Path, time_scale: float, seed: int = 0) -> None:
-        self.folder, self.scale = folder, time_scale
+    def __init__(self, folder: Path, time_scale: float, seed: int = 0, world: World | None = None) -> None:
+        self.folder, self.scale, self.world = folder, 1.0 if world else time_scale, world
         self._opened: list[Any] = []
+        self.cable = VirtualCable(world) if world else None
         self.power_on(seed)
+
+    def _life(self, seed: int) -> dict[str, Any]:
+        """What a board is told of where it lives."""
+        life: dict[str, Any] = {"boot_s": 0.02, "time_scale": self.scale, "seed": seed}
+        if self.world:
+            return life | {"cable": self.cable, "now": self.world.now, "in_bulk": True}
+        return life | {"cable": PseudoTerminal(self.folder / "doser")}
+
+    def _surroundings(self) -> dict[str, Any]:
+        """What a driver is told of where it lives."""
+        if not self.world:
+            return {}
+        self.clock = ProgramClock(self.world)
+        return {"clock": self.clock, "opener": self.cable.open}
 
     @abstractmethod
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]: ...
@@ -47,21 +67,39 @@ class AnyBench(ABC):
 
     def power_on(self, seed: int = 0) -> None:
         self._state, self.board = self._plug_in(seed)
+        if self.cable:
+            self.cable.board = self.board
+            return
         self._thread = threading.Thread(target=self.board.run)
         self._thread.start()
 
     def power_off(self) -> None:
-        self.board.quit()
-        self._thread.join()
+        if self.cable:
+            self.board.unplug()
+            self.cable.board = None
+        else:
+            self.board.quit()
+            self._thread.join()
         self._state.close()
 
     def open(self, **settings: Any) -> Any:
         self._opened.append(self._open(**settings))
         return self._opened[-1]
 
-    def kill(self, doser: Any) -> None:
-        """As kill -9: its port is closed and nothing more is written."""
+    def bury(self, doser: Any) -> None:
+        """What the system does for a program that is gone: its files are closed."""
+        atexit.unregister(doser.close)
         self.port_of(doser).close()
+
+    def written(self, doser: Any) -> int:
+        """Bytes that the driver has put on the wire."""
+        return int(self.port_of(doser).written)
+
+    @property
+    def moving(self) -> bool:
+        """Whether its motor runs."""
+        self.board.catch_up()
+        return self.board._core is not None and self.board._core.moving
 
     def put_right(self, doser: Any) -> None:  # noqa: B027, most need nothing
         """What a person has to do at the device before it can dose."""
@@ -80,6 +118,8 @@ class AnyBench(ABC):
 
     @property
     def true_ul(self) -> float:
+        if self.cable:
+            self.cable.live()
         return self._state.truth.steps / self.steps_per_ul
 
     def __enter__(self) -> Any:
@@ -99,34 +139,39 @@ class Bench(AnyBench):
     steps_per_ul = STEPS_PER_UL
 
     def __init__(
-        self, folder: Path, time_scale: float = 0.5, rate: float = 4000.0, seed: int = 0, **commissioning: Any
+        self,
+        folder: Path,
+        time_scale: float = 0.5,
+        rate: float = 4000.0,
+        seed: int = 0,
+        world: World | None = None,
+        **commissioning: Any,
     ) -> None:
         self.rate, self._commissioning = rate, Commissioning(**commissioning)
-        super().__init__(folder, time_scale, seed)
+        super().__init__(folder, time_scale, seed, world)
 
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
         state = StateFile(self.folder / "state", self._commissioning)
         motor = {"rate": self.rate, "acceleration": 10 * self.rate}
-        board = Board(state, self.folder / "doser", **motor, boot_s=0.02, time_scale=self.scale, seed=seed)
-        return state, board
+        return state, Board(state, **motor, **self._life(seed))
 
     def _open(self, **settings: Any) -> RigDoser:
         given = {"port": str(self.folder / "doser"), "steps_per_ul": STEPS_PER_UL, "time_scale": self.scale}
-        return RigDoser(RigDoserSettings(**(given | settings)))
+        return RigDoser(RigDoserSettings(**(given | settings)), **self._surroundings())
 
     def port_of(self, doser: RigDoser) -> Any:
-        return doser._line._port
+        return doser._pump._line._port
 
 
 class CountedBench(AnyBench):
     """A pump whose driver keeps a count file."""
 
-    def kill(self, doser: CountedDoser) -> None:
-        doser._file.write = lambda record: setattr(doser._file, "record", record)
-        super().kill(doser)
+    def bury(self, doser: PumpDoser) -> None:
+        super().bury(doser)
+        doser._pump._file.close()
 
-    def port_of(self, doser: CountedDoser) -> Any:
-        return doser._pump._line._port
+    def port_of(self, doser: PumpDoser) -> Any:
+        return doser._pump._counter._line._port
 
 
 class NewEraBench(CountedBench):
@@ -135,21 +180,26 @@ class NewEraBench(CountedBench):
     steps_per_ul = 20.0
 
     def __init__(
-        self, folder: Path, time_scale: float = 0.2, rate_ml_per_min: float = 30.0, seed: int = 0, **device: Any
+        self,
+        folder: Path,
+        time_scale: float = 0.2,
+        rate_ml_per_min: float = 30.0,
+        seed: int = 0,
+        world: World | None = None,
+        **device: Any,
     ) -> None:
         self.rate, self._device = rate_ml_per_min, device
-        super().__init__(folder, time_scale, seed)
+        super().__init__(folder, time_scale, seed, world)
 
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
         state = TruthFile(self.folder / "state")
         unverified = {"nearest": bool(seed & 1), "counter_survives": bool(seed & 2)} | self._device
-        board = NewEraBoard(state, self.folder / "doser", **unverified, boot_s=0.02, time_scale=self.scale, seed=seed)
-        return state, board
+        return state, NewEraBoard(state, **unverified, **self._life(seed))
 
-    def _open(self, **settings: Any) -> CountedDoser:
+    def _open(self, **settings: Any) -> PumpDoser:
         given = {"port": str(self.folder / "doser"), "count_file": self.folder / "count", "time_scale": self.scale}
         syringe = {"diameter_mm": 12.0, "rate_ml_per_min": self.rate}
-        return open_new_era(given | syringe | settings)
+        return NewEraDoser(NewEraSettings(**(given | syringe | settings)), **self._surroundings())
 
 
 class CavroBench(CountedBench):
@@ -162,23 +212,24 @@ class CavroBench(CountedBench):
         speed_ul_per_s: float = 500.0,
         syringe_ul: float = 1000.0,
         seed: int = 0,
+        world: World | None = None,
     ) -> None:
         self.steps_per_ul = 24000.0 / syringe_ul
         self.speed, self.syringe_ul, self._ready = speed_ul_per_s, syringe_ul, True
-        super().__init__(folder, time_scale, seed)
+        super().__init__(folder, time_scale, seed, world)
 
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
         state = TruthFile(self.folder / "state")
-        link, ready, self._ready = self.folder / "doser", self._ready, False
-        return state, CavroBoard(state, link, ready=ready, boot_s=0.02, time_scale=self.scale, seed=seed)
+        ready, self._ready = self._ready, False
+        return state, CavroBoard(state, ready=ready, **self._life(seed))
 
     def _open(self, **settings: Any) -> CavroDoser:
         given = {"port": str(self.folder / "doser"), "count_file": self.folder / "count", "time_scale": self.scale}
         syringe = {"syringe_ul": self.syringe_ul, "speed_ul_per_s": self.speed, "fine": False}
-        return CavroDoser(CavroSettings(**(given | syringe | settings)))
+        return CavroDoser(CavroSettings(**(given | syringe | settings)), **self._surroundings())
 
     def put_right(self, doser: CavroDoser) -> None:
         with suppress(DeviceError):
             if self.board.command({})["board"] and not self.board._core._initialised:
                 doser.initialise()
-                doser._renew()  # filled, so that the next dose begins at once
+                doser._pump._renew()  # filled, so that the next dose begins at once

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from drivers.clock import SystemClock
 from drivers.registry import open_device
 from tankrig.errors import DeviceError, UndecidedError
 
@@ -70,8 +71,9 @@ def test_a_power_cut_in_mid_dose_is_unknown(bench: AnyBench) -> None:
 def test_an_error_in_the_answer_to_a_repeated_move_does_not_mean_that_it_did_not_begin(tmp_path: Path) -> None:
     """Obeyed, power cut before the answer, repeated: the pump, not initialised now, refuses the repeat."""
     with CavroBench(tmp_path) as bench:
-        doser, go = bench.open(), None
-        go, doser._pump.go = doser._pump.go, lambda unless: (bench.faults(delay_ms=200.0, reset_after=3), go(unless))[1]
+        doser = bench.open()
+        pump = doser._plunger
+        go, pump.go = pump.go, lambda unless: (bench.faults(delay_ms=200.0, reset_after=3), go(unless))[1]
         with pytest.raises(UndecidedError):
             doser.dose_to(50.0)
         assert bench.true_ul > 0.0
@@ -113,9 +115,12 @@ def test_a_pulled_cable_in_mid_dose(bench: AnyBench) -> None:
     assert isinstance(bench, CavroBench) or before < 400.0, "its watchdog has not stopped it"
     bench.do("plug")
     again = bench.open()
-    assert again.unknown
     assert again.stopped
-    again.resolve(bench.true_ul)
+    assert not again.unknown, "its counter went on counting, and is right"
+    _, low, high = again.delivered()
+    assert low <= bench.true_ul <= high < low + 6.0
+    with pytest.raises(DeviceError, match="nothing to resolve"):
+        again.resolve(150.0)
 
 
 @BENCHES
@@ -304,7 +309,7 @@ def test_a_late_reply_is_not_taken_for_another() -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
     given = {"port": os.ttyname(slave), "syringe_ul": 1000, "speed_ul_per_s": 100, "count_file": "unused"}
-    pump = CavroPump(CavroSettings(**given, time_scale=0.2), "pump")
+    pump = CavroPump(CavroSettings(**given), "pump", SystemClock(0.2))
 
     def answer() -> None:
         reader, asked = Reader(), 0

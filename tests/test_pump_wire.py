@@ -11,7 +11,7 @@ from drivers.cavro import pump as cavro_pump
 from drivers.cavro import wire as cavro
 from drivers.cavro.emulator import core as cavro_core
 from drivers.cavro.emulator import frames as cavro_frames
-from drivers.counted import doser
+from drivers.dosing import doser
 from drivers.new_era import wire as new_era
 from drivers.new_era.emulator import board as new_era_board
 from drivers.new_era.emulator import frames as new_era_frames

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.clock import SystemClock
 from drivers.rig_doser.doser import RigDoser
 from drivers.rig_doser.emulator.frames import framed
 from drivers.rig_doser.line import Line
@@ -206,7 +207,7 @@ def test_a_stop_that_crosses_a_clear_wins(bench: Bench, doser: RigDoser) -> None
 
 
 def test_noise_that_looks_like_a_stop_byte_stops_and_is_told(doser: RigDoser) -> None:
-    doser._line.stop()
+    doser._pump.stop()
     with pytest.raises(DeviceError, match="stop is latched"):
         doser.dose_to(10.0)
     doser.clear_stop()
@@ -217,7 +218,7 @@ def test_a_stale_reply_is_never_taken_for_the_right_one() -> None:
     """A reply that comes too late is followed by the right one: the driver must wait for that."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    line = Line(os.ttyname(slave), "doser")
+    line = Line(os.ttyname(slave), "doser", SystemClock())
 
     def answer() -> None:
         sequence = int(os.read(master, 100)[1:3], 16)

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.rig_doser import doser, line, wire
+from drivers.dosing import doser
+from drivers.rig_doser import line, wire
 from drivers.rig_doser.emulator import board, firmware, frames, memory
 from drivers.rig_doser.emulator.memory import Commissioning, Record, StateFile
 

@@ -1,43 +1,39 @@
 """The Cavro pump as a doser."""
 
-from drivers.counted.calibrated import correction
-from drivers.counted.doser import CountedDoser
-from drivers.counted.pump import Trust
-from drivers.counted.record import Begun
+from drivers.clock import Clock, SystemClock
+from drivers.counted.account import CountedPump
+from drivers.dosing.calibrated import correction
+from drivers.dosing.doser import PumpDoser
+from drivers.serial_line import PortOpener, open_port
 
 from .pump import CavroPump
 from .settings import CavroSettings
 
 
-class CavroDoser(CountedDoser):
+class CavroDoser(PumpDoser):
     """A Cavro pump; implements `tankrig.devices.Doser`.
 
     Parameters
     ----------
     settings
         From the rig file.
+    clock, opener
+        Its time, and how its port is opened (tests).
     """
 
-    _pump: CavroPump
+    _pump: CountedPump
 
-    def __init__(self, settings: CavroSettings) -> None:
-        name = f"Cavro pump on {settings.port}"
+    def __init__(self, settings: CavroSettings, clock: Clock | None = None, opener: PortOpener = open_port) -> None:
+        name, time = f"Cavro pump on {settings.port}", clock or SystemClock(settings.time_scale)
         factor = correction(settings.calibration, name, {"syringe_ul": settings.syringe_ul})
-        super().__init__(
-            CavroPump(settings, name),
-            "cavro",
-            settings.count_file,
-            dose_limit_ul=settings.dose_limit_ul,
-            correction=factor,
-            name=name,
-            time_scale=settings.time_scale,
-        )
+        self._plunger = CavroPump(settings, name, time, opener)
+        pump = CountedPump(self._plunger, "cavro", settings.count_file, name)
+        super().__init__(pump, time, dose_limit_ul=settings.dose_limit_ul, correction=factor)
 
     def trouble(self) -> str | None:
         """Why it cannot dose, and what to do; None if it can."""
         with self._in_use("look at it"):
-            reading = self._pump.read()
-            return None if reading.trust is Trust.EXACT else reading.why
+            return self._read().trouble
 
     def initialise(self) -> None:
         """Let the pump find its zero. A person has hung the tube into a waste vessel: the syringe is emptied.
@@ -48,7 +44,6 @@ class CavroDoser(CountedDoser):
             If it cannot.
         """
         with self._in_use("initialise"):
-            self._pump.initialise()
-            if self._file.record.unsure is None:
-                self._file.update(begun=Begun("renewal", self._now.best))
-                self._take(self._pump.read())
+            self._pump.counter_moved()
+            self._plunger.initialise()
+            self._read()

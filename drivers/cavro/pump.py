@@ -1,12 +1,13 @@
-"""A Cavro pump on its line, as `drivers.counted.pump.Pump` (firmware_notes/cavro.md)."""
+"""A Cavro pump on its line, as `drivers.counted.counter.Counter` (firmware_notes/cavro.md)."""
 
 import itertools
 import random
-import time
 from collections.abc import Callable
 
-from drivers.counted.pump import Count, Reading, Trust
-from drivers.serial_line import Line, NoReplyError, NotSentError
+from drivers.clock import Clock
+from drivers.counted.counter import Reading, Trust
+from drivers.dosing.pump import Count
+from drivers.serial_line import Line, NoReplyError, NotSentError, PortOpener, open_port
 from tankrig.errors import DeviceError
 
 from . import wire
@@ -33,19 +34,22 @@ class CavroPump:
         From the rig file.
     name
         For messages.
+    clock, opener
+        Its time, and how its port is opened.
     """
 
     margin, order, increment, most_doubt, counter_restarts = 0, 1, 1, 10, False
     rests_after_s = 1.5 * PIECE_S
 
-    def __init__(self, settings: CavroSettings, name: str) -> None:
-        self._settings, self._name, self.model = settings, name, ""
+    def __init__(self, settings: CavroSettings, name: str, clock: Clock, opener: PortOpener = open_port) -> None:
+        self._settings, self._name, self.model, self._clock = settings, name, "", clock
         self.tick_ul, self.stroke = settings.increment_ul, settings.stroke
+        self.ticks_per_ul = settings.stroke / settings.syringe_ul
         self.lost_by_stopping = LOST_BY_STOPPING * settings.finer
         self._sequence, self._stops = itertools.cycle(range(1, 8)), 0
         self._stops_before = -1
         self._marks = itertools.cycle(random.sample(range(800, 900), 100))  # not those of the last program
-        self._line = Line(settings.port, settings.baud, name, wire.replies, lambda _: None, settings.time_scale)
+        self._line = Line(settings.port, settings.baud, name, wire.replies, lambda _: None, clock, opener)
 
     # -- who -----------------------------------------------------------------------------------------------------------
 
@@ -69,6 +73,14 @@ class CavroPump:
 
     # -- counting ------------------------------------------------------------------------------------------------------
 
+    def answers(self) -> bool:
+        """Whether it answers a question for its firmware, asked once; `Q` would clear an error that has to be told."""
+        try:
+            self._ask("&", lambda text: len(text) > 1 and not text.isdigit(), attempts=1)
+        except NoReplyError:
+            return False
+        return True
+
     def read(self) -> Reading:
         """Bring it to rest if it moves, and read its plunger's position."""
         error: DeviceError | None = None
@@ -77,7 +89,7 @@ class CavroPump:
                 state = self._ask("Q", "".__eq__)
                 if not state.ready:
                     if attempt:
-                        time.sleep(0.1 * self._settings.time_scale)
+                        self._clock.sleep(0.1)
                     self.stop()
                     continue
                 if state.error == _NOT_INITIALISED:
@@ -206,11 +218,11 @@ class CavroPump:
         return True
 
     def _wait(self, timeout_s: float, what: str) -> None:
-        deadline = time.monotonic() + timeout_s * self._settings.time_scale
+        deadline = self._clock.monotonic() + timeout_s
         while not (state := self._ask("Q", "".__eq__)).ready:
-            if time.monotonic() > deadline:
+            if self._clock.monotonic() > deadline:
                 raise DeviceError(f"{self._name}: did not {what} within {timeout_s:g} s; look at it")
-            time.sleep(0.05 * self._settings.time_scale)
+            self._clock.sleep(0.05)
         if state.error:
             raise DeviceError(f"{self._name}: did not {what}: {state.why}; look at it, and {_REMEDY}")
 

@@ -1,17 +1,13 @@
-"""A device on its cable: a pseudo-terminal, the faults of the line, and the life of the device behind it."""
+"""A device on its cable: the faults of the line, and the life of the device behind it."""
 
-import contextlib
-import os
-import select
 import threading
 import time
-import tty
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any, Protocol
 
+from .cable import Cable
 from .faults import Gremlin
 from .truth import TruthFile
 
@@ -41,24 +37,39 @@ class Board(ABC):
     ----------
     state
         Its memory and the truth.
-    link
-        Where the device's path is published, as a symbolic link that stays the same over re-plugging.
+    cable
+        To whoever opens its port.
     boot_s
         From power to life.
     time_scale
         All of the device's times are multiplied by this (tests).
     seed
         Of the faults.
+    now
+        Tells the time, s.
+    in_bulk
+        Whether steps that nothing befalls are made at once: faster, but a process that is killed in between may then
+        remember more than one step that was not made.
     """
 
     powered_by_cable = False
     most_hits: int | None = None
 
-    def __init__(self, state: TruthFile, link: Path, *, boot_s: float, time_scale: float = 1.0, seed: int = 0) -> None:
-        self._state, self._link, self._scale, self._boot_s = state, link, time_scale, boot_s
+    def __init__(
+        self,
+        state: TruthFile,
+        cable: Cable,
+        *,
+        boot_s: float,
+        time_scale: float = 1.0,
+        seed: int = 0,
+        now: Callable[[], float] = time.monotonic,
+        in_bulk: bool = False,
+    ) -> None:
+        self._state, self._cable, self._scale, self._boot_s = state, cable, time_scale, boot_s
+        self._clock, self._in_bulk = now, in_bulk
         self._gremlin = Gremlin(seed, self.most_hits)
         self._turn = threading.Lock()
-        self._master: int | None = None
         self._core: Core | None = None
         self._booted_s = 0.0
         self._unplug_now = False
@@ -67,7 +78,7 @@ class Board(ABC):
         self._client_left_s = self._now()
         self.quitting = False
         self._reset()
-        self._plug()
+        self._cable.plug()
 
     # -- what the device adds ----------------------------------------------------------------------------------------
 
@@ -89,7 +100,7 @@ class Board(ABC):
     # -- life --------------------------------------------------------------------------------------------------------
 
     def _now(self) -> float:
-        return time.monotonic() / self._scale
+        return self._clock() / self._scale
 
     @property
     def idle_s(self) -> float:
@@ -113,14 +124,12 @@ class Board(ABC):
 
     def live(self) -> None:
         """Wait a moment for the line, then let everything that is due happen."""
-        master, busy = self._master, self._core is None or self._core.moving or bool(self._replies)
-        wait_s = max(0.0005, 0.004 * self._scale) if busy else 0.02
-        if master is None or not self._client:
-            time.sleep(min(wait_s, 0.002))
-        else:
-            poll = select.poll()
-            poll.register(master, select.POLLIN)
-            poll.poll(1000 * wait_s)
+        busy = self._core is None or self._core.moving or bool(self._replies)
+        self._cable.wait(max(0.0005, 0.004 * self._scale) if busy else 0.02)
+        self.catch_up()
+
+    def catch_up(self) -> None:
+        """Let everything happen that is due."""
         with self._turn:
             try:
                 self._live()
@@ -128,6 +137,11 @@ class Board(ABC):
                 self._reset()
             if self._unplug_now:
                 self._unplug()
+
+    @property
+    def says_next_s(self) -> float | None:
+        """When it will next say something that it has said already; None if nothing is on its way."""
+        return self._replies[0][0] * self._scale if self._replies else None
 
     def command(self, request: dict[str, object]) -> dict[str, object]:
         """The control channel: `{"faults": {...}}`, `{"do": "reset" | "unplug" | "plug" | "forget" | "quit"}`, or `{}`.
@@ -138,10 +152,10 @@ class Board(ABC):
             if faults := request.get("faults"):
                 self._gremlin.set(dict(faults))  # type: ignore[call-overload]
             action = request.get("do")
-            if action == "plug" and self._master is None:
+            if action == "plug" and not self._cable.plugged:
                 if self.powered_by_cable:
                     self._reset()
-                self._plug()
+                self._cable.plug()
             elif action == "unplug":
                 self._unplug()
             elif action in ("reset", "forget"):
@@ -154,20 +168,9 @@ class Board(ABC):
             faults_now = asdict(self._gremlin.faults)
             return {"true_steps": truth.steps, "moved_ns": truth.moved_ns, "board": believed, "faults": faults_now}
 
-    def _plug(self) -> None:
-        self._master, slave = os.openpty()
-        tty.setraw(slave)
-        os.set_blocking(self._master, False)
-        waiting = self._link.with_name(f"{self._link.name}.{os.getpid()}")
-        waiting.symlink_to(os.ttyname(slave))
-        waiting.replace(self._link)
-        os.close(slave)
-
     def _unplug(self) -> None:
-        if self._master is not None:
-            self._link.unlink(missing_ok=True)
-            os.close(self._master)
-        self._master, self._unplug_now = None, False
+        self._cable.unplug()
+        self._unplug_now = False
         if self.powered_by_cable:
             self._core = None
         self._replies.clear()
@@ -185,11 +188,11 @@ class Board(ABC):
 
     def _live(self) -> None:
         now = self._now()
-        if self._master is None:
+        if not self._cable.plugged:
             if self._core:
                 self._core.advance(now)
             return
-        received = self._receive(self._master)
+        received = self._receive()
         if self._core is None and now >= self._booted_s:
             self._core, greeting = self._power_up()
             self._say(self._gremlin.junk() if self._gremlin.faults.junk else greeting)
@@ -198,36 +201,32 @@ class Board(ABC):
             for answer in self._answers(self._core, received, now):
                 self._say(answer)
         now = self._now()
-        due = [data for at, data in self._replies if at <= now]
-        self._replies = [(at, data) for at, data in self._replies if at > now]
-        self._send(self._master, b"".join(due))
+        while self._replies and self._replies[0][0] <= now:
+            self._send(self._replies.pop(0)[1])
 
     # -- the line ----------------------------------------------------------------------------------------------------
 
-    def _receive(self, master: int) -> bytes:
-        poll = select.poll()
-        poll.register(master, select.POLLIN)
-        events = dict(poll.poll(0)).get(master, 0)
-        if not events & select.POLLHUP and not self._client:
+    def _receive(self) -> bytes:
+        opened, received = self._cable.receive()
+        if opened and not self._client:
             self._client = True
             self._opened()
-        received = b""
-        with contextlib.suppress(OSError):
-            while chunk := os.read(master, 4096):
-                received += chunk
-        if events & select.POLLHUP:
+        if not opened:
             self._drop_client()
         return b"" if self._gremlin.faults.deaf else self._gremlin.on_line(received)
 
-    def _send(self, master: int, data: bytes) -> None:
-        if self._client and data and not self._gremlin.faults.mute:
-            with contextlib.suppress(OSError):
-                os.write(master, self._gremlin.on_line(data))
+    def _send(self, data: bytes) -> None:
+        if self._client and not self._gremlin.faults.mute:
+            self._cable.send(self._gremlin.on_line(data))
 
     def _say(self, data: bytes) -> None:
         """Queue what the device says; nothing overtakes what was said before."""
         due = self._now() + self._gremlin.delay_s()
-        self._replies.append((max([due, *(at for at, _ in self._replies)]), data))
+        self._replies.append((max(due, self._replies[-1][0]) if self._replies else due, data))
+
+    def _run(self, steps: int) -> int:
+        """As many steps of the motor at once as nothing befalls, the plunger following; the next is a `_pulse`."""
+        return self._gremlin.undisturbed(steps) if self._in_bulk else 0
 
     def _pulse(self) -> bool:
         """One step of the motor; whether the plunger has followed."""

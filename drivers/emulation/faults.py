@@ -70,6 +70,15 @@ class Gremlin:
         """What a boot loader may leave on the line."""
         return self._random.randbytes(self._random.randrange(1, 40))
 
+    def undisturbed(self, steps: int) -> int:
+        """How many of the next `steps` nothing befalls; they are then made."""
+        faults = self.faults
+        for after in (faults.stall_after, faults.reset_after, faults.unplug_after):
+            if after is not None:
+                steps = min(steps, max(0, after - self._steps))
+        self._steps += steps
+        return steps
+
     def on_step(self) -> str | None:
         """What befalls this step: 'stall', 'reset', 'unplug' or nothing."""
         self._steps += 1

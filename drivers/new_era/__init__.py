@@ -4,27 +4,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from drivers.counted.doser import CountedDoser
+    from .doser import NewEraDoser
 
 
-def open_new_era(settings: Mapping[str, Any]) -> "CountedDoser":
+def open_new_era(settings: Mapping[str, Any]) -> "NewEraDoser":
     """Driver `new-era`: the pump on a serial port (settings: `NewEraSettings`)."""
-    from drivers.counted.calibrated import correction
-    from drivers.counted.doser import CountedDoser
     from drivers.registry import checked
 
-    from .pump import NewEraPump
+    from .doser import NewEraDoser
     from .settings import NewEraSettings
 
-    given = checked(NewEraSettings, "new-era", settings)
-    name = f"New Era pump on {given.port}"
-    factor = correction(given.calibration, name, {"diameter_mm": given.diameter_mm})
-    return CountedDoser(
-        NewEraPump(given, name),
-        "new-era",
-        given.count_file,
-        dose_limit_ul=given.dose_limit_ul,
-        correction=factor,
-        name=name,
-        time_scale=given.time_scale,
-    )
+    return NewEraDoser(checked(NewEraSettings, "new-era", settings))

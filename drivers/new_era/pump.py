@@ -1,4 +1,4 @@
-"""A New Era pump on its line, as `drivers.counted.pump.Pump` (firmware_notes/new_era.md)."""
+"""A New Era pump on its line, as `drivers.counted.counter.Counter` (firmware_notes/new_era.md)."""
 
 import itertools
 import math
@@ -7,8 +7,10 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 
-from drivers.counted.pump import Count, Reading, Trust
-from drivers.serial_line import Line, NoReplyError
+from drivers.clock import Clock
+from drivers.counted.counter import Reading, Trust
+from drivers.dosing.pump import Count
+from drivers.serial_line import Line, NoReplyError, PortOpener, open_port
 from tankrig.errors import DeviceError
 
 from . import wire
@@ -45,21 +47,23 @@ class NewEraPump:
         From the rig file.
     name
         For messages.
+    clock, opener
+        Its time, and how its port is opened.
     """
 
     lost_by_stopping, stroke, counter_restarts = 0, 0, True
 
-    def __init__(self, settings: NewEraSettings, name: str) -> None:
+    def __init__(self, settings: NewEraSettings, name: str, clock: Clock, opener: PortOpener = open_port) -> None:
         self._settings, self._name, self.model = settings, name, ""
         self._unit, self._unit_ul, self.order = _unit(settings.diameter_mm)
-        self.tick_ul = self._unit_ul / 1000.0
+        self.tick_ul, self.ticks_per_ul = self._unit_ul / 1000.0, 1000.0 / self._unit_ul
         self.margin, self.most_doubt, self.increment = 3 * self.order, 5 * self.order, 10 * self.order
         self.rests_after_s = 1.5 * settings.watchdog_s
         self._stop = 2 * wire.packet(f"{settings.address}STP")
         self._heard_alarms: set[str] = set()
         self._gap = self._stopping = True
         self._marks = itertools.cycle(random.sample(range(3, 41), 38))  # not those of the last program
-        self._line = Line(settings.port, settings.baud, name, wire.packets, self._heard, settings.time_scale)
+        self._line = Line(settings.port, settings.baud, name, wire.packets, self._heard, clock, opener)
 
     # -- who -----------------------------------------------------------------------------------------------------------
 
@@ -81,6 +85,14 @@ class NewEraPump:
         self._set("SAF", str(self._settings.watchdog_s))
 
     # -- counting ------------------------------------------------------------------------------------------------------
+
+    def answers(self) -> bool:
+        """Whether it answers a question for its version, or with an alarm, asked once."""
+        try:
+            self._once("VER", _SHAPES["VER"].fullmatch)
+        except NoReplyError:
+            return False
+        return True
 
     def read(self) -> Reading:
         """Bring it to rest if it moves, and read its counter."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
 
-from drivers.counted.pump import Count
+from drivers.dosing.pump import Count
 
 STX, ETX = 0x02, 0x03
 _FRAME = 4  # bytes of a packet that its length counts besides the data: length, CRC (2), ETX

@@ -1,11 +1,11 @@
 """The serial line to the rig's own doser: one request and its reply at a time, and stop bytes at any time."""
 
 import threading
-import time
 
 import serial
 
-from drivers.serial_line import LOST, REPLY_S, LineLostError, NoReplyError, lost, open_port
+from drivers.clock import Clock
+from drivers.serial_line import LOST, REPLY_S, LineLostError, NoReplyError, PortOpener, lost, open_port
 
 from . import wire
 
@@ -22,8 +22,10 @@ class Line:
         Its path.
     name
         Of the doser, for messages.
-    time_scale
-        All waits are multiplied by this.
+    clock
+        That its waits go by.
+    opener
+        Opens the port.
 
     Raises
     ------
@@ -31,19 +33,19 @@ class Line:
         If the port cannot be opened.
     """
 
-    def __init__(self, port: str, name: str, time_scale: float = 1.0) -> None:
-        self._name, self._scale = name, time_scale
+    def __init__(self, port: str, name: str, clock: Clock, opener: PortOpener = open_port) -> None:
+        self._name, self._clock = name, clock
         self._asking = threading.Lock()
         self._life = threading.RLock()  # a signal handler may stop while a stop is under way
         self._sequence = 0
         self._received = b""
         self._lost = False
-        self._port = open_port(port, BAUD, name, time_scale)
+        self._port = opener(port, BAUD, name, clock)
 
     def wait_for_banner(self) -> wire.Banner | None:
         """The board's banner, or None if it does not come in time (a board that DTR does not reset)."""
         with self._asking:
-            deadline = time.monotonic() + BANNER_S * self._scale
+            deadline = self._clock.monotonic() + BANNER_S
             while (line := self._line(deadline)) is not None:
                 if found := wire.banner(line):
                     return found
@@ -69,12 +71,12 @@ class Line:
             except LOST as error:
                 raise self._line_lost() from error
             self._received = b""
-            deadline = time.monotonic() + REPLY_S * self._scale
+            deadline = self._clock.monotonic() + REPLY_S
             while (line := self._line(deadline)) is not None:
                 answer = wire.reply(line)
                 if answer and answer[0] == self._sequence:
                     return answer[1]
-        wait_ms = 1e3 * REPLY_S * self._scale
+        wait_ms = 1e3 * REPLY_S
         raise NoReplyError(f"{self._name}: no reply within {wait_ms:.0f} ms; check the cable and the board's power")
 
     def stop(self) -> None:
@@ -98,7 +100,7 @@ class Line:
     def _line(self, deadline: float) -> bytes | None:
         """The next line, without its end; None once `deadline` (monotonic, s) has passed."""
         while b"\n" not in self._received:
-            if time.monotonic() >= deadline:
+            if self._clock.monotonic() >= deadline:
                 return None
             try:
                 self._received += self._port.read(max(1, self._port.in_waiting))

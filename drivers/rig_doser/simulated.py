@@ -1,6 +1,7 @@
 """The simulated rig's doser: the real driver on a pseudo-terminal, with the emulator's own process behind it."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -33,7 +34,7 @@ class SimulatedDoser(RigDoser):
     """
 
     def __init__(self, settings: SimulatedDoserSettings) -> None:
-        self._folder, self._steps_per_ul = settings.folder, settings.steps_per_ul
+        self._folder, self._true_steps_per_ul = _nameable(settings.folder), settings.steps_per_ul
         self._process = _running(settings)
         try:
             super().__init__(
@@ -50,7 +51,7 @@ class SimulatedDoser(RigDoser):
 
     def true_ul(self) -> float:
         """Ink that the plunger has really pushed out since it was commissioned, µl; only the simulated tank may ask."""
-        return read_truth(self._folder / "state").steps / self._steps_per_ul
+        return read_truth(self._folder / "state").steps / self._true_steps_per_ul
 
     def close(self) -> None:
         """Stop a dose that runs, let go of the port, and end the emulator."""
@@ -61,6 +62,16 @@ class SimulatedDoser(RigDoser):
         if self._process:
             self._process.terminate()
             self._process.wait(_START_S)
+
+
+def _nameable(folder: Path) -> Path:
+    """The folder; refused if its name cannot be written down."""
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError as error:
+        shown = os.fsencode(folder).decode("utf-8", "backslashreplace")
+        raise DeviceError(f"simulated doser in {shown}: that path is not valid UTF-8; use another folder") from error
+    return folder
 
 
 def _running(settings: SimulatedDoserSettings) -> subprocess.Popen[bytes] | None:

@@ -2,6 +2,7 @@
 
 import sys
 
+from drivers.emulation.cable import PseudoTerminal
 from drivers.emulation.process import parser, serve
 from drivers.emulation.truth import TruthFile
 
@@ -20,7 +21,7 @@ def main() -> int:
         sys.stderr.write(f"{args.state}: another emulator runs on this state file\n")
         return 2
     given = {"address": args.address, "ready": args.ready, "time_scale": args.time_scale, "seed": args.seed}
-    serve(CavroBoard(state, args.link, **given), args)
+    serve(CavroBoard(state, PseudoTerminal(args.link), **given), args)
     state.close()
     return 0
 

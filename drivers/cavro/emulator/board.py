@@ -2,9 +2,10 @@
 
 import random
 from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 from drivers.emulation.board import Board
+from drivers.emulation.cable import Cable
 from drivers.emulation.truth import TruthFile
 
 from .core import Core
@@ -20,15 +21,15 @@ class CavroBoard(Board):
     ----------
     state
         The truth, in fine increments of ink that have left the output.
-    link
-        Where the device's path is published.
+    cable
+        To whoever opens its port.
     address
         Set with its switch.
     most_lost
         Most fine increments that a plunger stopped in motion may lose.
     ready
         Whether it has been initialised and filled already, in its first life.
-    time_scale, seed, boot_s
+    boot_s, seed, others
         As for every board.
     """
 
@@ -37,22 +38,25 @@ class CavroBoard(Board):
     def __init__(
         self,
         state: TruthFile,
-        link: Path,
+        cable: Cable,
         *,
         address: int = 1,
         most_lost: int = 64,
         ready: bool = False,
         boot_s: float = BOOT_S,
-        time_scale: float = 1.0,
         seed: int = 0,
+        **others: Any,
     ) -> None:
         self._address, self._most_lost, self._random = address, most_lost, random.Random(seed)
         self._reader, self._ready = Reader(), ready
-        super().__init__(state, link, boot_s=boot_s, time_scale=time_scale, seed=seed)
+        super().__init__(state, cable, boot_s=boot_s, seed=seed, **others)
 
     def _power_up(self) -> tuple[Core, bytes]:
         self._reader, ready, self._ready = Reader(), self._ready, False
-        return Core(self._pulse, self._state.step, lambda: self._random.randrange(self._most_lost + 1), ready), b""
+        return Core(self._pulse, self._run, self._state.step, self._lost, ready), b""
+
+    def _lost(self) -> int:
+        return self._random.randrange(self._most_lost + 1)
 
     def _answers(self, core: Core, received: bytes, now: float) -> Iterator[bytes]:
         for command in self._reader.feed(received):

@@ -21,6 +21,8 @@ class Core:
     ----------
     pulse
         One step of the motor; returns whether the plunger has followed; raises to end the pump's life there.
+    run
+        So many steps that are due; returns how many of them were made at once, the plunger following.
     expelled
         Called with the fine increments of liquid that leave the output.
     lost
@@ -32,11 +34,12 @@ class Core:
     def __init__(
         self,
         pulse: Callable[[], bool],
+        run: Callable[[int], int],
         expelled: Callable[[int], None],
         lost: Callable[[], int],
         ready: bool = False,
     ) -> None:
-        self._pulse, self._expelled, self._lost = pulse, expelled, lost
+        self._pulse, self._run, self._expelled, self._lost = pulse, run, expelled, lost
         self._initialised, self._overloaded = ready, False
         self._position = self._target = self._from = STROKE * FINER if ready else 0
         self._since_s, self._free_s = 0.0, 0.0
@@ -60,17 +63,26 @@ class Core:
         self._now_s = now_s
         made = math.floor((now_s - self._since_s) * self._speeds["V"]) * FINER
         while self.moving and abs(self._position - self._from) < made:
-            self._step()
+            due = min(made - abs(self._position - self._from), abs(self._target - self._position))
+            if at_once := self._run(due // (FINER // self._finer)):
+                self._go_on(at_once)
+            else:
+                self._step()
 
     def _step(self) -> None:
         """One increment of the resolution that is set."""
-        followed = self._pulse()
-        up, size = self._target < self._position, FINER // self._finer
-        self._position += -size if up else size
-        if not followed:
+        if self._pulse():
+            self._go_on(1)
+        else:
+            self._position += -FINER // self._finer if self._target < self._position else FINER // self._finer
             self._overloaded, self._error = True, OVERLOAD
             self._target = self._position
-        elif up and self._valve == "o":
+
+    def _go_on(self, steps: int) -> None:
+        """Steps that the plunger has followed."""
+        up, size = self._target < self._position, FINER // self._finer * steps
+        self._position += -size if up else size
+        if up and self._valve == "o":
             self._expelled(size)
 
     def _terminate(self) -> None:

@@ -2,6 +2,7 @@
 
 import sys
 
+from drivers.emulation.cable import PseudoTerminal
 from drivers.emulation.process import parser, serve
 from drivers.emulation.truth import TruthFile
 
@@ -23,7 +24,7 @@ def main() -> int:
         return 2
     board = NewEraBoard(
         state,
-        args.link,
+        PseudoTerminal(args.link),
         steps_per_ul=args.steps_per_ul,
         true_diameter_mm=args.true_diameter_mm,
         nearest=not args.cuts_digits,

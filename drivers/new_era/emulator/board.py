@@ -1,9 +1,10 @@
 """The pump on its cable, with power of its own: pulling the cable leaves it running."""
 
 from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 from drivers.emulation.board import Board
+from drivers.emulation.cable import Cable
 from drivers.emulation.truth import TruthFile
 
 from .core import Core
@@ -19,33 +20,32 @@ class NewEraBoard(Board):
     ----------
     state
         Its memory and the truth.
-    link
-        Where the device's path is published.
+    cable
+        To whoever opens its port.
     steps_per_ul, true_diameter_mm
         Of the syringe that is really in it.
     nearest, counter_survives
         What nobody has verified: see `Core`.
-    time_scale, seed, boot_s
+    boot_s, others
         As for every board.
     """
 
     def __init__(
         self,
         state: TruthFile,
-        link: Path,
+        cable: Cable,
         *,
         steps_per_ul: float = 20.0,
         true_diameter_mm: float = 12.0,
         nearest: bool = True,
         counter_survives: bool = False,
         boot_s: float = BOOT_S,
-        time_scale: float = 1.0,
-        seed: int = 0,
+        **others: Any,
     ) -> None:
         self._syringe = {"steps_per_ul": steps_per_ul, "true_diameter_mm": true_diameter_mm}
         self._nearest, self._counter_survives = nearest, counter_survives
         self._reader = Reader()
-        super().__init__(state, link, boot_s=boot_s, time_scale=time_scale, seed=seed)
+        super().__init__(state, cable, boot_s=boot_s, **others)
 
     def _power_up(self) -> tuple[Core, bytes]:
         kept = self._state.kept()
@@ -54,6 +54,7 @@ class NewEraBoard(Board):
             kept,
             lambda: self._state.keep(kept),
             self._pulse,
+            self._run,
             **self._syringe,
             nearest=self._nearest,
             counter_survives=self._counter_survives,
@@ -81,3 +82,9 @@ class NewEraBoard(Board):
         if followed:
             self._state.step()
         return followed
+
+    def _run(self, steps: int) -> int:
+        made = super()._run(steps)
+        if made:
+            self._state.step(made)
+        return made

@@ -22,6 +22,8 @@ class Core:
         Writes that memory.
     pulse
         One step of the motor; returns whether the plunger has followed; raises to end the pump's life there.
+    run
+        So many steps that are due; returns how many of them were made at once, the plunger following.
     steps_per_ul, true_diameter_mm
         Of the syringe that is really in it.
     nearest
@@ -35,13 +37,14 @@ class Core:
         kept: dict[str, Any],
         keep: Callable[[], None],
         pulse: Callable[[], bool],
+        run: Callable[[int], int],
         *,
         steps_per_ul: float,
         true_diameter_mm: float,
         nearest: bool,
         counter_survives: bool,
     ) -> None:
-        self._kept, self._keep, self._pulse = kept, keep, pulse
+        self._kept, self._keep, self._pulse, self._run = kept, keep, pulse, run
         self._steps_per_ul, self._true_mm, self._nearest = steps_per_ul, true_diameter_mm, nearest
         if not kept:
             kept.update(dia=true_diameter_mm, safe=0, address=0, phases={}, steps=0)
@@ -81,22 +84,25 @@ class Core:
 
     def _pump(self, until_s: float) -> None:
         while self.moving:
-            due = math.floor((until_s - self._since_s) * self._rate() + 1e-9)
             if self._left == 0:
                 self._next_phase(until_s)
-            elif self._done >= due:
+                continue
+            due = math.floor((until_s - self._since_s) * self._rate() + 1e-9) - self._done
+            due = due if self._left is None else min(due, self._left)
+            if due <= 0:
                 return
-            else:
-                self._step()
+            made = self._run(due) if self._state != "W" else due
+            self._count(made)
+            if made < due:
+                self._count(1)
+                if not self._pulse():
+                    self._raise("S")
 
-    def _step(self) -> None:
-        self._done += 1
-        self._left = None if self._left is None else self._left - 1
-        if self._state == "W":
-            return
-        self._kept["steps"] += 1
-        if not self._pulse():
-            self._raise("S")
+    def _count(self, steps: int) -> None:
+        self._done += steps
+        self._left = None if self._left is None else self._left - steps
+        if self._state != "W":
+            self._kept["steps"] += steps
 
     def _next_phase(self, now_s: float) -> None:
         self._running += 1

@@ -3,6 +3,16 @@
 GAP_S = 0.5
 
 
+def _crc_of_byte(byte: int) -> int:
+    value = byte << 8
+    for _ in range(8):
+        value = (value << 1 ^ 0x1021 if value & 0x8000 else value << 1) & 0xFFFF
+    return value
+
+
+_OF_BYTE = [_crc_of_byte(byte) for byte in range(256)]
+
+
 def crc(data: bytes) -> int:
     """CRC-CCITT with polynomial 0x1021 and start 0.
 
@@ -11,9 +21,7 @@ def crc(data: bytes) -> int:
     """
     value = 0
     for byte in data:
-        value ^= byte << 8
-        for _ in range(8):
-            value = (value << 1 ^ 0x1021 if value & 0x8000 else value << 1) & 0xFFFF
+        value = (value << 8 & 0xFFFF) ^ _OF_BYTE[value >> 8 ^ byte]
     return value
 
 
@@ -24,7 +32,7 @@ def safe(text: str) -> bytes:
     '02 07 30 30 53 aa a6 03'
     """
     data = text.encode("ascii")
-    return b"\x02%c%s%c%c\x03" % (len(data) + 4, data, crc(data) >> 8, crc(data) & 0xFF)
+    return b"\x02%c%s%s\x03" % (len(data) + 4, data, crc(data).to_bytes(2, "big"))
 
 
 def basic(text: str) -> bytes:

@@ -3,6 +3,7 @@
 import argparse
 import sys
 
+from drivers.emulation.cable import PseudoTerminal
 from drivers.emulation.process import parser, serve
 
 from .board import Board
@@ -33,7 +34,7 @@ def main() -> int:
         sys.stderr.write(f"{args.state}: another emulator runs on this state file\n")
         return 2
     speed = {"rate": args.rate, "acceleration": args.acceleration}
-    serve(Board(state, args.link, **speed, time_scale=args.time_scale, seed=args.seed), args)
+    serve(Board(state, PseudoTerminal(args.link), **speed, time_scale=args.time_scale, seed=args.seed), args)
     state.close()
     return 0
 

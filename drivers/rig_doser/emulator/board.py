@@ -1,9 +1,10 @@
 """The board on its cable: opening the port resets the firmware, as DTR resets an Arduino."""
 
 from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 from drivers.emulation.board import Board as Cabled
+from drivers.emulation.cable import Cable
 
 from .firmware import Firmware
 from .frames import Request, RequestReader, framed
@@ -19,16 +20,14 @@ class Board(Cabled):
     ----------
     state
         FRAM and truth.
-    link
-        Where the device's path is published, as a symbolic link that stays the same over re-plugging.
+    cable
+        To whoever opens its port.
     rate, acceleration
         Of the motor, steps/s and steps/s².
     boot_s
         From reset to banner.
-    time_scale
-        All of the board's times are multiplied by this (tests).
-    seed
-        Of the faults.
+    others
+        As for every board.
     """
 
     powered_by_cable = True
@@ -36,17 +35,16 @@ class Board(Cabled):
     def __init__(
         self,
         state: StateFile,
-        link: Path,
+        cable: Cable,
         *,
         rate: float = 2000.0,
         acceleration: float = 8000.0,
         boot_s: float = BOOT_S,
-        time_scale: float = 1.0,
-        seed: int = 0,
+        **others: Any,
     ) -> None:
         self._fram = state
         self._motor = (rate, acceleration)
-        super().__init__(state, link, boot_s=boot_s, time_scale=time_scale, seed=seed)
+        super().__init__(state, cable, boot_s=boot_s, **others)
 
     @property
     def firmware(self) -> Firmware | None:
@@ -54,7 +52,7 @@ class Board(Cabled):
         return self._core if isinstance(self._core, Firmware) else None
 
     def _power_up(self) -> tuple[Firmware, bytes]:
-        firmware = Firmware(self._fram, *self._motor, pulse=self._pulse)
+        firmware = Firmware(self._fram, *self._motor, pulse=self._pulse, run=self._run)
         return firmware, framed("!GRBL 1.1") if self._gremlin.faults.stranger else firmware.banner()
 
     def _answers(self, core: Firmware, received: bytes, now: float) -> Iterator[bytes]:
@@ -79,4 +77,10 @@ class Board(Cabled):
         made = super()._pulse()
         if made:
             self._state.step()
+        return made
+
+    def _run(self, steps: int) -> int:
+        made = super()._run(steps)
+        if made:
+            self._state.step(made)
         return made

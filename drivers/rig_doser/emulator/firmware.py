@@ -31,11 +31,20 @@ class Firmware:
     pulse
         Called for each step pulse after it has been counted. Returns whether the encoder has seen the step; raises to
         end the board's life there.
+    run
+        Called with a number of steps that are due; returns how many of them were made and seen at once.
     """
 
-    def __init__(self, state: StateFile, rate: float, acceleration: float, pulse: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        state: StateFile,
+        rate: float,
+        acceleration: float,
+        pulse: Callable[[], bool],
+        run: Callable[[int], int] = lambda _: 0,
+    ) -> None:
         self._state = state
-        self._rate, self._acceleration, self._pulse = rate, acceleration, pulse
+        self._rate, self._acceleration, self._pulse, self._run = rate, acceleration, pulse, run
         self._move: Move | None = None
         self._made = 0
         self._fed_s = 0.0
@@ -70,10 +79,24 @@ class Firmware:
     def advance(self, now_s: float) -> None:
         """Let the motor and the watchdog run until `now_s`."""
         deadline_s = self._fed_s + WATCHDOG_S
-        while (move := self._move) and self._made < move.made(min(now_s, deadline_s)):
-            self._step(move)
+        if move := self._move:
+            due = move.made(min(now_s, deadline_s))
+            while self._move and self._made < due:
+                self._count(self._run(due - self._made), move)
+                if self._move and self._made < due:
+                    self._step(move)
         if self._move and now_s > deadline_s:
             self._rest(WATCHDOG)
+
+    def _count(self, steps: int, move: Move) -> None:
+        """Steps that were made at once."""
+        if steps:
+            self.record.count += steps
+            self.record.life += steps
+            self._made += steps
+            self._state.save(self.record)
+            if self._made == move.steps:
+                self._rest(REACHED)
 
     def _step(self, move: Move) -> None:
         self.record.count += 1

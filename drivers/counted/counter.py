@@ -3,30 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
-
-class Count(NamedTuple):
-    """An amount in the pump's ticks: best value and hard bounds.
-
-    >>> Count.exactly(7) + Count(1, 0, 2) - Count.exactly(3)
-    Count(best=5, low=4, high=6)
-    """
-
-    best: int
-    low: int
-    high: int
-
-    @classmethod
-    def exactly(cls, ticks: int) -> "Count":
-        """An amount without doubt."""
-        return cls(ticks, ticks, ticks)
-
-    def __add__(self, other: "Count") -> "Count":  # type: ignore[override]
-        return Count(self.best + other.best, self.low + other.low, self.high + other.high)
-
-    def __sub__(self, other: "Count") -> "Count":
-        return Count(self.best - other.best, self.low - other.high, self.high - other.low)
+from drivers.dosing.pump import Count
 
 
 class Trust(Enum):
@@ -48,11 +27,12 @@ class Reading:
     stopped: bool = True
 
 
-class Pump(Protocol):
-    """A pump on its line. Ticks are its smallest unit of volume; times are before the time scale."""
+class Counter(Protocol):
+    """A pump with a counter, on its line. Ticks are its smallest unit of volume."""
 
     model: str
     tick_ul: float
+    ticks_per_ul: float
     order: int
     """Ticks that an order is a multiple of."""
     margin: int
@@ -72,6 +52,9 @@ class Pump(Protocol):
 
     def greet(self) -> None:
         """Find out whether the right pump answers; moves nothing."""
+
+    def answers(self) -> bool:
+        """Whether it answers one question that changes nothing, asked once."""
 
     def read(self) -> Reading:
         """Bring it to rest if it moves, and read the counter beyond doubt about which reply is which."""
