@@ -12,6 +12,7 @@ from tankrig.errors import DeviceError
 from .node import Node, Stamp
 from .settings import V4l2CameraSettings
 from .stream import SELECT_TIMEOUT_S, FrameStream
+from .times import FrameCount, FrameTimes
 
 _STALL_S = 1.0
 _EXPOSURE_UNIT_MS = 0.1
@@ -46,8 +47,8 @@ class V4l2Camera:
         self._node: Node | None = None
         self._stream: FrameStream | None = None
         self._configured = CameraSettings(exposure_ms=20.0)
-        self._not_before_ns = self._stamped_ns = self._sequence = 0
-        self._period_ns = math.inf
+        self._count = FrameCount()
+        self._not_before_ns = 0
         self._open()
 
     @property
@@ -97,9 +98,10 @@ class V4l2Camera:
             after_ns = max(after_ns, self._not_before_ns)
             while True:
                 stamped_ns, host_ns = self._grab(node, stream)
-                start_ns = stamped_ns - self._started_before_ns
+                frame = self._count.next(node.sequence(stamped_ns))
+                start_ns = self._start_ns(frame, stamped_ns, host_ns)
                 if start_ns > after_ns:
-                    return Frame(stream.pixels(), start_ns, stamped_ns, host_ns, self._sequence)
+                    return Frame(stream.pixels(), start_ns, stamped_ns, host_ns, frame)
                 if host_ns > deadline_ns:
                     raise DeviceError(
                         f"{self.name}: gave no frame that began late enough within {timeout_s:g} s; allow more time, "
@@ -121,6 +123,7 @@ class V4l2Camera:
             if self._card is not None and node.card != self._card:
                 raise DeviceError(f'{self.name}: is a "{node.card}" and not the "{self._card}"; plug that one in')
             stream = FrameStream(self._settings, node.formats)
+            self._count.stream_began()
             self._node, self._stream, self._card = node, stream, node.card
             for name, value in self._settings.controls.items():
                 if node.set(name, int(value)) != int(value):
@@ -168,7 +171,7 @@ class V4l2Camera:
         self._not_before_ns = time.monotonic_ns() + self._settings.settle_frames * frame_ns
         # The end of a frame comes at most a frame's time, in which it is read out, after the end of its exposure.
         self._started_before_ns = 0 if self._stamp is Stamp.START_OF_EXPOSURE else self._exposure_ns + frame_ns
-        self._period_ns = math.inf
+        self._times = FrameTimes(frame_ns)
         return self._configured
 
     def _grab(self, node: Node, stream: FrameStream) -> tuple[int, int]:
@@ -188,24 +191,19 @@ class V4l2Camera:
                 )
         self._require_open()
         host_ns = time.monotonic_ns()
-        self._require_true(stamped_ns, host_ns)
-        if self._stamped_ns:
-            since_ns = stamped_ns - self._stamped_ns
-            self._period_ns = min(self._period_ns, since_ns)
-            self._sequence += max(1, round(since_ns / self._period_ns))
-        self._stamped_ns = stamped_ns
         return stamped_ns, host_ns
 
-    def _require_true(self, stamped_ns: int, host_ns: int) -> None:
+    def _start_ns(self, frame: int, stamped_ns: int, host_ns: int) -> int:
+        """When the exposure of a frame began, at the latest."""
+        marked_ns = self._times.began_ns(frame, stamped_ns)
         settled = stamped_ns >= self._not_before_ns
         exposed_ns = self._exposure_ns if settled and self._stamp is Stamp.START_OF_EXPOSURE else 0
-        early_ns = stamped_ns + exposed_ns - host_ns
-        if early_ns > _CLOCK_TOLERANCE_NS:
-            how = f"arrived {early_ns / 1e6:.1f} ms before its exposure can have ended"
-        elif stamped_ns <= self._stamped_ns:
+        if marked_ns is None:
             how = "is older than the one before"
+        elif (early_ns := marked_ns + exposed_ns - host_ns) > _CLOCK_TOLERANCE_NS:
+            how = f"arrived {early_ns / 1e6:.1f} ms before its exposure can have ended"
         else:
-            return
+            return marked_ns - self._started_before_ns
         raise DeviceError(
             f"{self.name}: a frame {how}, so its timestamp or exposure is not what the camera says; use another"
         )

@@ -94,6 +94,25 @@ class Node:
             )
         return Stamp.START_OF_EXPOSURE if flags & _SOURCE_MASK == _SOURCE_START else Stamp.END_OF_FRAME
 
+    def sequence(self, stamped_ns: int) -> int:
+        """The kernel's count of the frame with this time stamp, which a program that streams holds.
+
+        Raises
+        ------
+        DeviceError
+            When no buffer has that time stamp.
+        """
+        from linuxpy.video.device import BufferType, Memory, query_buffer
+
+        for index in range(_MOST_BUFFERS):
+            try:
+                buffer = query_buffer(self._device.fileno(), BufferType.VIDEO_CAPTURE, Memory.MMAP, index)
+            except OSError:
+                break
+            if buffer.timestamp.secs * 1_000_000 + buffer.timestamp.usecs == round(stamped_ns / 1000):
+                return int(buffer.sequence)
+        raise DeviceError(f"{self._path}: does not say which frame it gave; use a newer kernel")
+
     def set(self, name: str, value: int) -> int:
         """Set a control to `value`, or what is nearest to it in its range; returns what it is then.
 
@@ -148,6 +167,7 @@ class Node:
         return DeviceError(f"{self._path}: {advice}")
 
 
+_MOST_BUFFERS = 32  # as many as the kernel gives one stream
 _CLOCK_MASK, _MONOTONIC = 0xE000, 0x2000
 _SOURCE_MASK, _SOURCE_START = 0x70000, 0x10000
 _GONE = (errno.ENODEV, errno.ENXIO, errno.EIO)

@@ -22,7 +22,7 @@
 #include <unistd.h>
 
 enum { WIDTH, HEIGHT, BITS, PERIOD_NS, LATENCY_NS, JITTER_NS, DROPPED_PER_1000, STALLED, UNPLUGGED, BUSY, STAMP, LIES,
-       SEED, EXPOSED, LIGHTS, FORBIDDEN, FIRST_LIGHT = 16, RING = 1024, STATE_LENGTH = FIRST_LIGHT + 2 * RING };
+       SEED, EXPOSED, LIGHTS, FORBIDDEN, LATE_EVERY, LATE_NS, FIRST_LIGHT = 64, RING = 1024, STATE_LENGTH = FIRST_LIGHT + 2 * RING };
 enum { START_OF_EXPOSURE, END_OF_FRAME, UNKNOWN_CLOCK };
 enum { BUFFERS = 4, FDS = 1024 };
 
@@ -134,6 +134,7 @@ static void deliver(int64_t start, int64_t end, uint32_t sequence)
         unsigned i = queued[0];
         memmove(queued, queued + 1, --waiting * sizeof *queued);
         int64_t stamp = state[STAMP] == END_OF_FRAME ? now_ns() : start;
+        if (state[LATE_EVERY] && sequence % state[LATE_EVERY] == 0) stamp += state[LATE_NS];
         paint(memory[i], start, end);
         slots[i].sequence = sequence;
         slots[i].bytesused = image_size();

@@ -8,9 +8,9 @@ import numpy as np
 
 SOURCE = Path(__file__).parent / "fake_v4l2.c"
 NAMES = """width height bits period_ns latency_ns jitter_ns dropped_per_1000 stalled unplugged busy stamp lies seed
-exposed lights forbidden""".split()  # noqa: SIM905
+exposed lights forbidden late_every late_ns""".split()  # noqa: SIM905
 """As in the enumeration of the C source."""
-FIRST_LIGHT, RING = 16, 1024
+FIRST_LIGHT, RING = 64, 1024
 START_OF_EXPOSURE, END_OF_FRAME, UNKNOWN_CLOCK = range(3)
 
 
