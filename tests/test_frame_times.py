@@ -27,15 +27,16 @@ def test_whatever_the_device_counts_every_frame_has_a_number_of_its_own(device):
 
 
 @given(st.lists(st.lists(st.integers(1, 5), max_size=5), min_size=1, max_size=5))
-def test_a_new_stream_is_no_loss(streams):
+def test_a_stream_that_was_interrupted_shows_as_one_frame_lost(streams):
     count, last = FrameCount(), 0
     for steps in streams:
-        count.stream_began()
-        device = 0
+        count.interrupted()
+        count.interrupted()
+        device, before = 0, last
         for step in [0, *steps]:
             device += step
             number = count.next(device)
-            assert number == last + (step or 1)
+            assert number == last + (step or (2 if before else 1))
             last = number
 
 

@@ -8,27 +8,36 @@ from drivers.check import Check
 from drivers.health import Found
 from tankrig.errors import DeviceError
 
-from .node import Node
-
-_BEST = ("Y16", "Y12", "Y10", "GREY", "YUYV")
+from .node import NoCameraError, Node, explained
+from .pixels import FORMATS
 
 
 def find() -> Iterator[Found]:
     """Cameras, by the path that stays theirs."""
     named = {link.resolve(): link for link in sorted(Path("/dev/v4l/by-id").glob("*"))}
     for device in sorted(Path("/dev").glob("video*")):
-        path = named.get(device.resolve(), device)
         try:
-            node = Node(path)
+            yield _found(device, named.get(device.resolve(), device))
+        except NoCameraError:
+            continue  # other nodes are a camera's metadata, encoders and the like
         except DeviceError as error:
-            if "usermod" in str(error):  # other nodes are a camera's metadata, encoders and the like
-                yield Found(str(error))
-            continue
+            yield Found(str(error))
+
+
+def _found(device: Path, path: Path) -> Found:
+    node = Node(path)
+    try:
         formats = node.formats
-        best = next((name for name in _BEST if name in formats), None)
+        best = next((name for name in FORMATS if name in formats), None)
+        if best is None:
+            return Found(f"camera {node.card} at {device}: {', '.join(formats)}, of which tankrig reads none")
+        shape = max(node.shapes(FORMATS[best].code), default=(480, 640))
+        lines = f'[camera]\ndriver = "v4l2-camera"\ndevice = "{path}"\nformat = "{best}"\nshape = {list(shape)}'
+        return Found(f"camera {node.card} at {device}: {', '.join(formats)}", lines)
+    except OSError as error:
+        raise explained(path, error) from error
+    finally:
         node.close()
-        lines = f'[camera]\ndriver = "v4l2-camera"\ndevice = "{path}"\nformat = "{best}"\nshape = [480, 640]'
-        yield Found(f"camera {node.card} at {device}: {', '.join(formats)}", lines if best else "")
 
 
 def checks(settings: Mapping[str, Any], device: Any) -> Iterator[Check]:
@@ -41,12 +50,22 @@ def checks(settings: Mapping[str, Any], device: Any) -> Iterator[Check]:
     if device is not None:
         return
     try:
-        node = Node(Path(path))
+        yield from _offered(Path(path))
     except DeviceError:
         return  # that it does not open has been said
-    yield Check("camera offers formats", None, ", ".join(node.formats), "choose camera.format among them")
-    controls = ", ".join(
-        f"{name} = {value} ({least} to {most})" for name, (least, most, value) in node.controls.items()
-    )
+
+
+def _offered(path: Path) -> Iterator[Check]:
+    node = Node(path)
+    try:
+        formats = ", ".join(node.formats)
+        controls = ", ".join(
+            f"{control.name} = {node.read(control)} ({control.least} to {control.most})"
+            for control in node.controls().values()
+        )
+    except OSError as error:
+        raise explained(path, error) from error
+    finally:
+        node.close()
+    yield Check("camera offers formats", None, formats, "choose camera.format among them")
     yield Check("camera has controls", None, controls, "choose camera.controls among them")
-    node.close()

@@ -17,17 +17,19 @@ class FrameCount:
     >>> count = FrameCount()
     >>> [count.next(device) for device in (7, 8, 11)]  # two frames lost
     [1, 2, 5]
-    >>> count.stream_began()
+    >>> count.interrupted()
     >>> count.next(0)  # the kernel counts each stream from 0 on
-    6
+    7
     """
 
     def __init__(self) -> None:
         self._frames = 0
         self._device: int | None = None
 
-    def stream_began(self) -> None:
-        """The kernel's count begins anew with the next frame."""
+    def interrupted(self) -> None:
+        """The kernel's count begins anew with the next frame; how many were lost nobody knows, so one is."""
+        if self._device is not None:
+            self._frames += 1
         self._device = None
 
     def next(self, device_sequence: int) -> int:

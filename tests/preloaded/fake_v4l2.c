@@ -46,6 +46,7 @@ enum { WIDTH, HEIGHT, BITS, PERIOD_NS, LATENCY_NS, JITTER_NS, DROPPED_PER_1000, 
        CONTROL_LATENCY,          /* frames after a control was set that still have its old value */
        ALL_FORMATS, OPEN_ERROR, QUERY_ERROR, CAPABILITIES, MAPPED, DROPPED,
        NEW_KIND,                 /* a control is of a kind that only newer kernels have */
+       PATIENT,                  /* begins no exposure before there is a buffer for it: loses no frame to a slow program */
       
        FIRST_LIGHT = 64, RING = 1024, STATE_LENGTH = FIRST_LIGHT + 2 * RING };
 enum { START_OF_EXPOSURE, END_OF_FRAME, UNKNOWN_CLOCK };
@@ -64,7 +65,8 @@ static int owner = -1;                      /* the one that has the buffers */
 static pthread_mutex_t turn = PTHREAD_MUTEX_INITIALIZER;
 static pthread_t streamer;
 static volatile int streaming;
-static unsigned buffers, queued[BUFFERS], waiting, filled[BUFFERS], done, dequeued;
+static unsigned buffers, queued[BUFFERS], done, dequeued, filled[BUFFERS];
+static volatile unsigned waiting;
 static struct v4l2_buffer slots[BUFFERS];
 static unsigned char *memory[BUFFERS];
 static char mapped[BUFFERS];
@@ -260,6 +262,7 @@ static void *stream(void *unused)
     struct shot shots[BURSTS];
     uint32_t sequence = state[FIRST_SEQUENCE];
     for (int64_t frame = 0; streaming; frame++, sequence++) {
+        for (; state[PATIENT] && !waiting && streaming && !state[UNPLUGGED]; start = now_ns()) usleep(50);
         taken_ticks[frame % REMEMBERED] = exposure_ticks();
         taken_gain[frame % REMEMBERED] = control(V4L2_CID_GAIN)->value;
         int64_t as_of = (frame > state[CONTROL_LATENCY] ? frame - state[CONTROL_LATENCY] : 0) % REMEMBERED;
@@ -423,9 +426,9 @@ static int control_value(uint32_t id, int32_t *value, int set)
         if (id == V4L2_CID_EXPOSURE_ABSOLUTE && state[CLAMPS]) *value = *value < 10 ? 10 : (*value + 5) / 10 * 10;
         if (id == V4L2_CID_EXPOSURE_ABSOLUTE) since_set = 0;
         if (id == V4L2_CID_BRIGHTNESS) return 0; /* brightness takes everything and keeps nothing */
-        if (id == V4L2_CID_EXPOSURE_AUTO && state[AUTO_STAYS]) return 0;
         c->value = *value;
     }
+    if (id == V4L2_CID_EXPOSURE_AUTO && state[AUTO_STAYS]) c->value = V4L2_EXPOSURE_APERTURE_PRIORITY;
     *value = id == V4L2_CID_EXPOSURE_ABSOLUTE ? (int32_t)exposure_ticks() : c->value;
     return 0;
 }

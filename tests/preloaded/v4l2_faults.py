@@ -27,6 +27,7 @@ def test_after_a_pause_only_frames_of_the_new_light_are_handed_out(camera, devic
 
 
 def test_dropped_frames_show_as_gaps_and_nothing_else(camera, device):
+    device.set("patient", 1)
     camera.configure(CameraSettings(5.0))
     frames = [camera.capture(now(), 2.0)]
     device.set("dropped_per_1000", 300)
@@ -55,6 +56,7 @@ def test_a_stamp_that_is_late_is_no_loss_and_makes_no_frame_begin_too_late(camer
 
 
 def test_a_camera_that_becomes_slower_loses_no_frames(camera, device):
+    device.set("patient", 1)
     camera.configure(CameraSettings(5.0))
     frames = [camera.capture(now(), 2.0)]
     device.set("period_ns", 30_000_000)
@@ -102,7 +104,8 @@ def test_an_exposure_that_is_not_what_the_camera_says_is_found_out(device, reope
     camera = reopen()
     assert camera.configure(CameraSettings(20.0)).exposure_ms == 20.0
     with pytest.raises(DeviceError, match=r"arrived \d+\.\d ms before its exposure can have ended"):
-        camera.capture(now(), 2.0)
+        for _ in range(50):  # a frame that a busy computer takes late proves nothing
+            camera.capture(now(), 2.0)
 
 
 def test_timestamps_of_another_clock_are_refused(device, reopen):

@@ -11,9 +11,6 @@ from tankrig.errors import DeviceError
 
 from .fake_v4l2 import shown
 
-GREEN = {"bayer": "green"}
-ALL = {"bayer": "all"}
-
 
 def now() -> int:
     return time.monotonic_ns()
@@ -32,6 +29,7 @@ def gaps(frames) -> np.ndarray:
 
 @pytest.mark.parametrize("damage", ["error_every", "short_every"])
 def test_a_frame_that_the_kernel_calls_damaged_or_half_filled_is_a_gap_and_no_picture(reopen, device, damage):
+    device.set("patient", 1)
     camera = reopen()
     camera.configure(CameraSettings(2.0))
     device.set(damage, 4)
@@ -63,7 +61,8 @@ def test_padded_lines_do_not_shear_the_picture(reopen, device, format_):
 
 
 @pytest.mark.parametrize(
-    ("format_", "bits"), [("Y16", 12), ("Y16_BE", 12), ("Y10", 10), ("Y12", 12), ("Y10P", 10), ("Y12P", 12), ("Y10B", 10)]
+    ("format_", "bits"),
+    [("Y16", 12), ("Y16_BE", 12), ("Y10", 10), ("Y12", 12), ("Y10P", 10), ("Y12P", 12), ("Y10B", 10)],
 )
 def test_each_grey_format_has_its_counts(reopen, device, format_, bits):
     device.set("all_formats", 1)
@@ -79,7 +78,15 @@ def test_each_grey_format_has_its_counts(reopen, device, format_, bits):
 
 @pytest.mark.parametrize(
     ("format_", "bits"),
-    [("SBGGR8", 8), ("SRGGB8", 8), ("SGRBG10", 10), ("SGBRG12", 12), ("SRGGB16", 12), ("SRGGB10P", 10), ("SGBRG12P", 12)],
+    [
+        ("SBGGR8", 8),
+        ("SRGGB8", 8),
+        ("SGRBG10", 10),
+        ("SGBRG12", 12),
+        ("SRGGB16", 12),
+        ("SRGGB10P", 10),
+        ("SGBRG12P", 12),
+    ],
 )
 @pytest.mark.parametrize("bayer", ["green", "all"])
 def test_colour_sensors_give_grey_by_adding_the_pixels_of_each_cell(reopen, device, format_, bits, bayer):
@@ -92,8 +99,12 @@ def test_colour_sensors_give_grey_by_adding_the_pixels_of_each_cell(reopen, devi
     level = int(most * 0.1)
     assert camera.shape == frame.pixels.shape == (24, 32)
     assert camera.saturation == most * (2 if bayer == "green" else 4)
-    assert set(np.unique(frame.pixels[13:22])) == {2 * level if bayer == "green" else 2 * level + level // 2 + level // 4}
-    assert frame.pixels[4, 3] == camera.saturation  # the light's bit: where one pixel of a cell is clipped, all of it is
+    assert set(np.unique(frame.pixels[13:22])) == {
+        2 * level if bayer == "green" else 2 * level + level // 2 + level // 4
+    }
+    assert (
+        frame.pixels[4, 3] == camera.saturation
+    )  # the light's bit: where one pixel of a cell is clipped, all of it is
 
 
 def test_a_compressed_format_is_refused_with_the_reason(reopen, device):
@@ -115,6 +126,7 @@ def test_a_burst_of_frames_is_taken_by_their_times(reopen, device):
 
 @pytest.mark.parametrize("every", [3, 10])
 def test_frames_without_a_time_stamp_are_passed_over(reopen, device, every):
+    device.set("patient", 1)
     camera = reopen()
     camera.configure(CameraSettings(2.0))
     device.set("zero_every", every)
@@ -124,6 +136,7 @@ def test_frames_without_a_time_stamp_are_passed_over(reopen, device, every):
 
 
 def test_a_count_that_wraps_is_no_loss_and_one_that_jumps_is_one(reopen, device):
+    device.set("patient", 1)
     device.set("first_sequence", 2**32 - 12)
     camera = reopen()
     camera.configure(CameraSettings(2.0))
@@ -135,6 +148,7 @@ def test_a_count_that_wraps_is_no_loss_and_one_that_jumps_is_one(reopen, device)
 
 
 def test_a_driver_that_does_not_count_gives_every_frame_a_number(reopen, device):
+    device.set("patient", 1)
     device.set("stuck", 1)
     camera = reopen()
     camera.configure(CameraSettings(2.0))
@@ -162,6 +176,7 @@ def test_a_stream_that_breaks_is_begun_again(reopen, device):
 
 
 def test_a_buffer_that_is_not_there_yet_is_waited_for(reopen, device):
+    device.set("patient", 1)
     camera = reopen()
     camera.configure(CameraSettings(2.0))
     device.set("eagain_every", 3)
@@ -198,7 +213,9 @@ def test_no_frame_has_the_settings_of_before(reopen, device, latency, idle_s):
     for gain, exposure_ms in ((2.0, 4.0), (4.0, 2.0), (4.0, 8.0), (1.0, 8.0)):
         actual = camera.configure(CameraSettings(exposure_ms, gain))
         seen = shown(camera.capture(now(), 2.0).pixels, 12)
-        assert (seen.gain, seen.exposure_ms) == (round(16 * actual.gain), actual.exposure_ms) == (16 * gain, exposure_ms)
+        assert (
+            (seen.gain, seen.exposure_ms) == (round(16 * actual.gain), actual.exposure_ms) == (16 * gain, exposure_ms)
+        )
         time.sleep(idle_s)
 
 
