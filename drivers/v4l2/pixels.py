@@ -112,8 +112,7 @@ class PixelFormat:
         rows, columns = shape
         used = self.line_bytes(columns)
         assert used is not None
-        lines = np.lib.stride_tricks.as_strided(buffer, (rows, used), (bytes_per_line, 1))
-        return self.packing.unpack(lines)
+        return self.packing.unpack(np.ndarray((rows, used), np.uint8, buffer, strides=(bytes_per_line, 1)))
 
     def added(self, cells: Cells) -> int:
         """How many pixels of a cell are added up; 1 for a grey format."""

@@ -272,7 +272,6 @@ static void *stream(void *unused)
         sleep_until(arrived);
         int lost = rand_r(&seed) % 1000 < state[DROPPED_PER_1000];
         if (state[UNPLUGGED]) { eventfd_write(owner, 1); break; }
-        if (every(JUMP_EVERY, sequence)) sequence += state[JUMP_BY];
         if (!lost) shots[held++] = (struct shot){start, end, taken_ticks[as_of], taken_gain[as_of], sequence, 0};
         if (state[BURST] < 2 || held >= state[BURST] || held == BURSTS) {
             for (unsigned i = 0; i < held; i++) deliver(&shots[i]);
@@ -280,7 +279,9 @@ static void *stream(void *unused)
         }
         since_set++;
         state[EXPOSED]++;
-        start += exposed > state[PERIOD_NS] ? exposed : state[PERIOD_NS];
+        int64_t missing = every(JUMP_EVERY, sequence) ? state[JUMP_BY] : 0;
+        sequence += missing;
+        start += (1 + missing) * (exposed > state[PERIOD_NS] ? exposed : state[PERIOD_NS]);
     }
     return unused;
 }
