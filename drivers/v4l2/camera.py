@@ -28,6 +28,8 @@ _EXPOSURE_UNIT_MS = 0.1
 _CLOCK_TOLERANCE_NS = 1_000_000
 _SLOWEST_READOUT_NS = 100_000_000
 _SETTLE_FRAMES = 3
+_FOLLOWED_FRAMES = 24
+_FOLLOW_TIMEOUT_S = 5.0
 _AUTO_EXPOSURE = ("auto_exposure", "exposure_auto")
 _EXPOSURE = ("exposure_time_absolute", "exposure_absolute")
 _GAIN = ("gain", "analogue_gain")
@@ -39,36 +41,43 @@ class _Wait:
 
     Parameters
     ----------
-    deadline_ns
+    timeout_s, deadline_ns
         Of the whole capture.
     since_ns
         When the last frame came that could be true, or the waiting began.
     stall_ns
         How long none may come.
-    faults
-        How many frames came that could not be true; the last fault, and what to do about it.
+    good
+        Whether any could.
+    fault, remedy
+        Of the last frame, where it could not be true.
     """
 
+    timeout_s: float
     deadline_ns: int
     since_ns: int
     stall_ns: int
-    faults: int = 0
+    good: bool = False
     fault: str = ""
     remedy: str = ""
 
     @property
     def left_s(self) -> float:
+        """Until the deadline, or until no frame has come for too long."""
         return (min(self.deadline_ns, self.since_ns + self.stall_ns) - time.monotonic_ns()) / 1e9
 
     @property
     def stalled(self) -> bool:
+        """Whether no frame that could be true has come for too long."""
         return time.monotonic_ns() >= self.since_ns + self.stall_ns
 
     def met(self, fault: str, remedy: str) -> None:
-        self.faults, self.fault, self.remedy = self.faults + 1, fault, remedy
+        """A frame came, or the stream broke off."""
+        self.fault, self.remedy = fault, remedy
 
     def came(self) -> None:
-        self.since_ns, self.faults = time.monotonic_ns(), 0
+        """A frame came that can be true."""
+        self.since_ns, self.good, self.fault = time.monotonic_ns(), True, ""
 
 
 class V4l2Camera:
@@ -93,6 +102,8 @@ class V4l2Camera:
         self._turn = threading.Lock()
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         self._card = settings.card
+        self._settle_frames = settings.settle_frames
+        self._following = False
         self._node: Node | None = None
         self._stream: Stream | None = None
         self._configured = CameraSettings(exposure_ms=20.0)
@@ -121,6 +132,13 @@ class V4l2Camera:
     def saturation(self) -> int:
         """The count at which pixels saturate."""
         return self._settings.saturation
+
+    @property
+    def settle_frames(self) -> int:
+        """How many of the frames that begin after a change of settings may have the old ones, and are passed over."""
+        if self._settle_frames is not None:
+            return self._settle_frames
+        return _SETTLE_FRAMES + (self._stream.buffers if self._stream is not None else 0)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Set exposure and gain, as near as the camera can; returns what it says is set.
@@ -152,9 +170,10 @@ class V4l2Camera:
         now_ns = time.monotonic_ns()
         with self._my_turn("capture"):
             node, stream = self._opened()
-            wait = _Wait(now_ns + int(timeout_s * 1e9), now_ns, int(_STALL_S * 1e9) + 2 * self._slowest_ns)
+            deadline_ns = now_ns + int(timeout_s * 1e9)
+            wait = _Wait(timeout_s, deadline_ns, now_ns, int(_STALL_S * 1e9) + 2 * self._slowest_ns)
             while True:
-                filled = self._next(stream, wait, timeout_s)
+                filled = self._next(stream, wait)
                 frame = self._count.next(filled.sequence)
                 start_ns = self._start_ns(stream, filled, frame, wait)
                 if start_ns is not None and start_ns > after_ns and self._settled(filled, frame, start_ns):
@@ -162,6 +181,49 @@ class V4l2Camera:
                     self._require_held(node)
                     return Frame(pixels, start_ns, filled.stamped_ns, filled.host_ns, frame)
                 stream.drop(filled)
+
+    def frames_to_follow(self, exposure_ms: float = 5.0) -> int | None:
+        """How many frames that begin after a change of exposure still have the old one, told by their brightness.
+
+        Leaves the settings as they were.
+
+        Parameters
+        ----------
+        exposure_ms
+            Changes to three times as much.
+
+        Returns
+        -------
+        int or None
+            None where it is too dark or too bright to tell.
+
+        Raises
+        ------
+        DeviceError
+            As of `configure` and `capture`.
+        """
+        before, allowed = self._configured, self._settle_frames
+
+        def brightness(frame: Frame) -> float:
+            return float(frame.pixels.mean())
+
+        try:
+            self._settle_frames = _FOLLOWED_FRAMES
+            short = self.configure(CameraSettings(exposure_ms, before.gain))
+            old = brightness(self.capture(time.monotonic_ns(), _FOLLOW_TIMEOUT_S))
+            self._settle_frames, self._following = 0, True
+            self.configure(CameraSettings(3.0 * short.exposure_ms, before.gain))
+            frames = [self.capture(time.monotonic_ns(), _FOLLOW_TIMEOUT_S)]
+            while len(frames) < _FOLLOWED_FRAMES:
+                frames.append(self.capture(frames[-1].exposure_start_ns, _FOLLOW_TIMEOUT_S))
+        finally:
+            self._settle_frames, self._following = allowed, False
+            self.configure(before)
+        new = float(np.median([brightness(frame) for frame in frames[-_FOLLOWED_FRAMES // 4 :]]))
+        if new - old < 0.02 * self.saturation or new > 0.95 * self.saturation:
+            return None
+        late = [frame.sequence for frame in frames if brightness(frame) < (old + new) / 2.0]
+        return late[-1] - frames[0].sequence + 1 if late else 0
 
     def close(self) -> None:
         """Stop streaming; wakes a capture that waits."""
@@ -222,18 +284,20 @@ class V4l2Camera:
         auto, exposure, gain = (self._first_of(*names) for names in (_AUTO_EXPOSURE, _EXPOSURE, _GAIN))
         if exposure is None:
             raise DeviceError(f"{self.name}: its exposure cannot be set; use another camera")
-        if auto is not None:
-            self._write_where_other(node, auto, v4l2.V4L2_EXPOSURE_MANUAL)
-            if node.read(auto) != v4l2.V4L2_EXPOSURE_MANUAL:
-                raise DeviceError(f"{self.name}: does not let go of automatic exposure; use another camera")
-        self._write_where_other(node, exposure, _within(exposure, settings.exposure_ms / _EXPOSURE_UNIT_MS))
-        if gain is not None:
-            self._write_where_other(node, gain, _within(gain, settings.gain * self._gain_one(gain)))
-        self._held = {control: node.read(control) for control in (exposure, gain) if control is not None}
-        factor = self._held[gain] / self._gain_one(gain) if gain is not None else 1.0
-        self._configured = CameraSettings(round(self._held[exposure] * _EXPOSURE_UNIT_MS, 6), factor)
-        if self._unproven:
-            self._expect_frames()
+        try:
+            if auto is not None:
+                self._write_where_other(node, auto, v4l2.V4L2_EXPOSURE_MANUAL)
+                if node.read(auto) != v4l2.V4L2_EXPOSURE_MANUAL:
+                    raise DeviceError(f"{self.name}: does not let go of automatic exposure; use another camera")
+            self._write_where_other(node, exposure, _within(exposure, settings.exposure_ms / _EXPOSURE_UNIT_MS))
+            if gain is not None:
+                self._write_where_other(node, gain, _within(gain, settings.gain * self._gain_one(gain)))
+        finally:  # some of it may have been set where the rest was refused
+            self._held: dict[Control, int] = {control: node.read(control) for control in (exposure, gain) if control}
+            factor = self._held[gain] / self._gain_one(gain) if gain is not None else 1.0
+            self._configured = CameraSettings(round(self._held[exposure] * _EXPOSURE_UNIT_MS, 6), factor)
+            if self._unproven:
+                self._expect_frames()
 
     def _write_where_other(self, node: Node, control: Control, value: int) -> None:
         if node.read(control) != value:
@@ -260,13 +324,12 @@ class V4l2Camera:
 
     def _settled(self, filled: Filled, frame: int, start_ns: int) -> bool:
         """Whether a frame was taken with the settings of now: by the buffer it is in, by its time and by its number."""
-        assert self._stream is not None
-        if filled.given_ns < self._changed_ns or start_ns <= self._changed_ns:
+        if start_ns <= self._changed_ns:
             return False
         if self._settled_from is None:
-            given = self._settings.settle_frames
-            self._settled_from = frame + (_SETTLE_FRAMES + self._stream.buffers if given is None else given)
-        return frame >= self._settled_from
+            self._settled_from = frame + self.settle_frames
+        fresh = filled.given_ns >= self._changed_ns
+        return frame >= self._settled_from and (fresh or self._following)
 
     def _require_held(self, node: Node) -> None:
         """That exposure and gain are still what was read back, looked at once after each change."""
@@ -295,12 +358,12 @@ class V4l2Camera:
 
     # Frames
 
-    def _next(self, stream: Stream, wait: _Wait, timeout_s: float) -> Filled:
+    def _next(self, stream: Stream, wait: _Wait) -> Filled:
         """The next frame that is whole."""
         while True:
             self._require_open()
             if (left_s := wait.left_s) <= 0.0:
-                raise self._nothing(wait, timeout_s)
+                raise self._nothing(wait)
             try:
                 filled = stream.next(left_s)
             except StreamBrokenError as broken:
@@ -324,22 +387,22 @@ class V4l2Camera:
             wait.met("a frame is older than the one before", "its timestamps are of no use, so use another camera")
             return None
         start_ns = marked_ns - self._started_before_ns
-        known = self._marks_start and self._settled(filled, frame, start_ns)
+        known = self._marks_start and not self._following and self._settled(filled, frame, start_ns)
         early_ns = marked_ns + (self._exposure_ns if known else 0) - filled.host_ns
         if early_ns > _CLOCK_TOLERANCE_NS:
             stream.drop(filled)
             raise DeviceError(
                 f"{self.name}: a frame arrived {early_ns / 1e6:.1f} ms before its exposure can have ended, so its "
-                f"timestamp or exposure is not what the camera says; set camera.timestamps = 'end' in the rig file, or "
-                f"use another camera"
+                f"timestamp or exposure is not what the camera says; set camera.timestamps = 'end' or a larger "
+                f"camera.settle_frames in the rig file, or use another camera"
             )
         wait.came()
         return start_ns
 
-    def _nothing(self, wait: _Wait, timeout_s: float) -> DeviceError:
+    def _nothing(self, wait: _Wait) -> DeviceError:
         """Why there was no frame."""
         waited_s = (time.monotonic_ns() - wait.since_ns) / 1e9
-        if wait.faults:
+        if wait.fault and (wait.stalled or not wait.good):
             return DeviceError(f"{self.name}: gave no good frame for {waited_s:.1f} s: {wait.fault}; {wait.remedy}")
         if wait.stalled:
             self._let_go()
@@ -348,8 +411,8 @@ class V4l2Camera:
                 f"up its USB bus"
             )
         return DeviceError(
-            f"{self.name}: gave no frame that began late enough within {timeout_s:g} s; allow more time, or a shorter "
-            f"exposure"
+            f"{self.name}: gave no frame that began late enough within {wait.timeout_s:g} s; allow more time, or a "
+            f"shorter exposure"
         )
 
     def _pixels(self, stream: Stream, filled: Filled) -> NDArray[np.uint8] | NDArray[np.uint16]:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from drivers.check import Check
+from drivers.check import Check, failed
 from drivers.health import Found
 from tankrig.errors import DeviceError
 
@@ -48,11 +48,30 @@ def checks(settings: Mapping[str, Any], device: Any) -> Iterator[Check]:
         "camera is named by its identity", stable, path, "use its path below /dev/v4l/by-id (tankrig devices lists it)"
     )
     if device is not None:
+        yield _follows(device)
         return
     try:
         yield from _offered(Path(path))
     except DeviceError:
         return  # that it does not open has been said
+
+
+def _follows(camera: Any) -> Check:
+    """That no frame with old settings is taken for one with new ones."""
+    what = "camera follows its settings within the frames that are passed over"
+    try:
+        frames = camera.frames_to_follow()
+    except DeviceError as error:
+        return failed(what, error)
+    allowed = camera.settle_frames
+    if frames is None:
+        return Check(what, None, "too dark or too bright to tell", "light the tank, or dim the light, and ask again")
+    return Check(
+        what,
+        frames <= allowed,
+        f"{frames} frames after a change of exposure had the old one, {allowed} are passed over",
+        f"set settle_frames = {frames + 1} in [camera]",
+    )
 
 
 def _offered(path: Path) -> Iterator[Check]:

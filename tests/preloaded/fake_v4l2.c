@@ -46,6 +46,7 @@ enum { WIDTH, HEIGHT, BITS, PERIOD_NS, LATENCY_NS, JITTER_NS, DROPPED_PER_1000, 
        CONTROL_LATENCY,          /* frames after a control was set that still have its old value */
        ALL_FORMATS, OPEN_ERROR, QUERY_ERROR, CAPABILITIES, MAPPED, DROPPED,
        NEW_KIND,                 /* a control is of a kind that only newer kernels have */
+       RESPONDS,                 /* the lower half is as bright as the exposure is long, 30 ms being full */
        PATIENT,                  /* begins no exposure before there is a buffer for it: loses no frame to a slow program */
       
        FIRST_LIGHT = 64, RING = 1024, STATE_LENGTH = FIRST_LIGHT + 2 * RING };
@@ -214,6 +215,7 @@ static void paint(unsigned char *to, const struct shot *shot)
 {
     int width = state[WIDTH], height = state[HEIGHT], most = (1 << bits()) - 1, line[width];
     int level = most * (0.1 + 0.8 * bright_part(shot->start, shot->end));
+    if (state[RESPONDS]) level = shot->ticks < 300 ? most * shot->ticks / 300 : most;
     int64_t ids[2] = {light_at(shot->start), light_at(shot->end)};
     for (int y = 0; y < (shot->torn ? height / 2 : height); y++) {
         int64_t number = -1;

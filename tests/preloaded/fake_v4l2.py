@@ -11,7 +11,7 @@ SOURCE = Path(__file__).parent / "fake_v4l2.c"
 NAMES = """width height bits period_ns latency_ns jitter_ns dropped_per_1000 stalled unplugged busy stamp lies seed
 exposed lights forbidden late_every late_ns zero_every error_every short_every jump_every jump_by eio_every eagain_every
 broken burst line_padding interlaced first_sequence stuck no_room buffers_least buffers_most clamps auto_stays creeps
-control_latency all_formats open_error query_error capabilities mapped dropped new_kind patient""".split()  # noqa: SIM905
+control_latency all_formats open_error query_error capabilities mapped dropped new_kind responds patient""".split()  # noqa: SIM905
 """As in the enumeration of the C source."""
 FIRST_LIGHT, RING = 64, 1024
 START_OF_EXPOSURE, END_OF_FRAME, UNKNOWN_CLOCK = range(3)

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+from drivers.v4l2.health import checks
 from tankrig.devices import CameraSettings
 from tankrig.errors import DeviceError
 
@@ -25,6 +26,11 @@ def series(camera, count: int) -> list:
 
 def gaps(frames) -> np.ndarray:
     return np.diff([frame.sequence for frame in frames])
+
+
+def reopen_with(reopen, camera, **settings):
+    camera.close()
+    return reopen(**settings)
 
 
 @pytest.mark.parametrize("damage", ["error_every", "short_every"])
@@ -237,6 +243,30 @@ def test_settings_that_are_already_set_cost_no_frame(reopen):
     asked_ns = now()
     assert camera.configure(actual) == actual
     assert camera.capture(asked_ns, 2.0).exposure_start_ns - asked_ns < 25_000_000
+
+
+@pytest.mark.parametrize("latency", [0, 2, 9])
+def test_the_frames_that_a_camera_takes_to_follow_are_counted(reopen, device, latency):
+    device.set("patient", 1)
+    device.set("responds", 1)
+    device.set("control_latency", latency)
+    camera = reopen()
+    was = camera.configure(CameraSettings(3.0, 2.0))
+    assert abs(camera.frames_to_follow() - latency) <= 1  # of the frame that begins at the change nobody knows
+    assert camera.configure(was) == was
+    (check,) = [check for check in checks({"device": "/dev/v4l/by-id/x"}, camera) if "follows" in check.what]
+    assert check.passed is (latency < 7)
+    advised = int(check.remedy.removeprefix("set settle_frames = ").removesuffix(" in [camera]"))
+    assert latency < advised <= latency + 2
+    fit = reopen_with(reopen, camera, settle_frames=advised)
+    fit.configure(CameraSettings(4.0))
+    fit.capture(now(), 2.0)
+    fit.configure(CameraSettings(8.0))
+    assert shown(fit.capture(now(), 2.0).pixels, 12).exposure_ms == 8.0
+
+
+def test_in_the_dark_nobody_can_tell_how_fast_a_camera_follows(reopen):
+    assert reopen().frames_to_follow() is None
 
 
 def test_a_camera_that_clamps_and_rounds_tells_what_it_has(reopen, device):
