@@ -17,14 +17,28 @@ def find() -> Iterator[Found]:
     named = {link.resolve(): link for link in sorted(Path("/dev/v4l/by-id").glob("*"))}
     for device in sorted(Path("/dev").glob("video*")):
         try:
-            yield _found(device, named.get(device.resolve(), device))
+            yield found(device, named.get(device.resolve(), device))
         except NoCameraError:
             continue  # other nodes are a camera's metadata, encoders and the like
         except DeviceError as error:
             yield Found(str(error))
 
 
-def _found(device: Path, path: Path) -> Found:
+def found(device: Path, path: Path) -> Found:
+    """A camera, and the lines that a rig file wants for its best format.
+
+    Parameters
+    ----------
+    device
+        Its node.
+    path
+        A name of that node which stays.
+
+    Raises
+    ------
+    DeviceError
+        When it does not answer; `NoCameraError` when it is none.
+    """
     node = Node(path)
     try:
         formats = node.formats

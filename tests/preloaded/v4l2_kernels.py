@@ -6,7 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from drivers.v4l2.health import checks
+from drivers.v4l2 import health
+from drivers.v4l2.settings import V4l2CameraSettings
 from tankrig.devices import CameraSettings
 from tankrig.errors import DeviceError
 
@@ -254,7 +255,7 @@ def test_the_frames_that_a_camera_takes_to_follow_are_counted(reopen, device, la
     was = camera.configure(CameraSettings(3.0, 2.0))
     assert abs(camera.frames_to_follow() - latency) <= 1  # of the frame that begins at the change nobody knows
     assert camera.configure(was) == was
-    (check,) = [check for check in checks({"device": "/dev/v4l/by-id/x"}, camera) if "follows" in check.what]
+    (check,) = [check for check in health.checks({"device": "/dev/v4l/by-id/x"}, camera) if "follows" in check.what]
     assert check.passed is (latency < 7)
     advised = int(check.remedy.removeprefix("set settle_frames = ").removesuffix(" in [camera]"))
     assert latency < advised <= latency + 2
@@ -314,6 +315,45 @@ def test_each_trouble_has_its_sentence(reopen, device, what, value, reason):
         reopen().capture(now(), 2.0)
     device.set(what, 0)
     assert reopen().capture(now(), 2.0).pixels.any()
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"format": "Y10P", "bits": None, "shape": [48, 62]}, "multiple of 4 columns; correct camera.shape"),
+        ({"format": "SRGGB8", "bits": None, "shape": [47, 64]}, "multiple of 2 columns and of 2 rows"),
+        ({"format": "SRGGB16", "bits": None}, "does not fit 16 bits; give camera.bits"),
+        ({"format": "Y9"}, "Y9 is not known; choose one of Y16"),
+        ({"shape": [96, 128]}, r"it offers \[48, 64\], \[96, 128\]"),
+    ],
+)
+def test_what_a_format_cannot_have_is_refused(reopen, device, settings, reason):
+    device.set("all_formats", 1)
+    with pytest.raises(DeviceError, match=reason):
+        reopen(**settings)
+
+
+def test_what_time_stamps_mark_can_be_said_where_the_kernel_says_it_wrong(reopen, device):
+    device.set("lies", 1)  # as if the stamp were of the transfer, which begins before such an exposure can have ended
+    camera = reopen(timestamps="end")
+    camera.configure(CameraSettings(20.0))
+    frame = camera.capture(now(), 2.0)
+    assert frame.device_ns - frame.exposure_start_ns >= 40_000_000  # the exposure, and as much to read it out
+
+
+def test_a_camera_is_found_with_lines_that_a_rig_file_takes(device):
+    import tomllib
+
+    device.set("all_formats", 1)
+    found = health.found(device.node, device.node)
+    assert "camera Fake Camera at" in found.what
+    table = tomllib.loads(found.lines)["camera"]
+    assert table.pop("driver") == "v4l2-camera"
+    assert V4l2CameraSettings(**table).shape == (96, 128)
+    assert table["format"] == "Y16"
+    device.set("query_error", errno.EIO)
+    with pytest.raises(DeviceError, match="does not answer"):
+        health.found(device.node, device.node)
 
 
 def test_controls_of_kinds_that_only_newer_kernels_have_are_passed_over(reopen, device):
