@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
 
-from . import videodev2 as v4l2
+from .exposure import Exposure
 from .node import GONE, Control, Node, explained
 from .pixels import FORMATS
 from .settings import V4l2CameraSettings
@@ -24,15 +24,11 @@ from .times import FrameCount, FrameTimes
 
 _STALL_S = 1.0
 _RESTART_PAUSE_S = 0.02
-_EXPOSURE_UNIT_MS = 0.1
 _CLOCK_TOLERANCE_NS = 1_000_000
 _SLOWEST_READOUT_NS = 100_000_000
 _SETTLE_FRAMES = 3
 _FOLLOWED_FRAMES = 24
 _FOLLOW_TIMEOUT_S = 5.0
-_AUTO_EXPOSURE = ("auto_exposure", "exposure_auto")
-_EXPOSURE = ("exposure_time_absolute", "exposure_absolute")
-_GAIN = ("gain", "analogue_gain")
 
 
 @dataclass
@@ -106,7 +102,7 @@ class V4l2Camera:
         self._following = False
         self._node: Node | None = None
         self._stream: Stream | None = None
-        self._configured = CameraSettings(exposure_ms=20.0)
+        self._asked = CameraSettings(exposure_ms=20.0)
         self._count = FrameCount()
         self._frame_ns = 0
         try:
@@ -154,9 +150,8 @@ class V4l2Camera:
             if not (math.isfinite(value) and value > 0.0):
                 raise DeviceError(f"{self.name}: cannot set {name} to {value}; give a positive number")
         with self._my_turn("configure"):
-            node, _ = self._opened()
-            self._set(node, settings)
-            return self._configured
+            self._opened()
+            return self._set(settings)
 
     def capture(self, after_ns: int, timeout_s: float) -> Frame:
         """First frame whose exposure began after `after_ns`.
@@ -169,7 +164,7 @@ class V4l2Camera:
         """
         now_ns = time.monotonic_ns()
         with self._my_turn("capture"):
-            node, stream = self._opened()
+            exposure, stream = self._opened()
             deadline_ns = now_ns + int(timeout_s * 1e9)
             wait = _Wait(timeout_s, deadline_ns, now_ns, int(_STALL_S * 1e9) + 2 * self._slowest_ns)
             while True:
@@ -178,7 +173,7 @@ class V4l2Camera:
                 start_ns = self._start_ns(stream, filled, frame, wait)
                 if start_ns is not None and start_ns > after_ns and self._settled(filled, frame, start_ns):
                     pixels = self._pixels(stream, filled)
-                    self._require_held(node)
+                    self._require_held(exposure)
                     return Frame(pixels, start_ns, filled.stamped_ns, filled.host_ns, frame)
                 stream.drop(filled)
 
@@ -202,7 +197,8 @@ class V4l2Camera:
         DeviceError
             As of `configure` and `capture`.
         """
-        before, allowed = self._configured, self._settle_frames
+        with self._my_turn("configure"):
+            before, allowed = self._opened()[0].actual, self._settle_frames
 
         def brightness(frame: Frame) -> float:
             return float(frame.pixels.mean())
@@ -244,18 +240,14 @@ class V4l2Camera:
         try:
             if self._card is not None and node.card != self._card:
                 raise DeviceError(f'{self.name}: is a "{node.card}" and not the "{self._card}"; plug that one in')
-            self._controls = node.controls()
+            controls = node.controls()
             self._stream = Stream(node, settings, self._wake)
             self._card = node.card
             self._count.interrupted()
             for name, value in settings.controls.items():
-                if node.write(self._control(name), int(value)) != int(value):
-                    raise DeviceError(
-                        f"{self.name}: control {name} does not take the value {value}; correct camera.controls in the "
-                        f"rig file"
-                    )
-            self._unsettle()
-            self._set(node, self._configured)
+                self._require_taken(node, controls, name, int(value))
+            self._exposure = Exposure(node, controls, settings.gain_one)
+            self._set(self._asked, anew=True)
         except OSError as error:
             self._let_go()
             raise explained(settings.device, error) from error
@@ -263,12 +255,19 @@ class V4l2Camera:
             self._let_go()
             raise
 
-    def _opened(self) -> tuple[Node, Stream]:
+    def _require_taken(self, node: Node, controls: dict[str, Control], name: str, value: int) -> None:
+        if name not in controls:
+            raise DeviceError(f"{self.name}: has no control {name!r}; it has {', '.join(controls)}")
+        if node.write(controls[name], value) != value:
+            raise DeviceError(
+                f"{self.name}: control {name} does not take the value {value}; correct camera.controls in the rig file"
+            )
+
+    def _opened(self) -> tuple[Exposure, Stream]:
         if self._node is None:
             self._open()
-        assert self._node is not None
         assert self._stream is not None
-        return self._node, self._stream
+        return self._exposure, self._stream
 
     def _let_go(self) -> None:
         stream, node, self._stream, self._node = self._stream, self._node, None, None
@@ -279,42 +278,22 @@ class V4l2Camera:
 
     # Settings
 
-    def _set(self, node: Node, settings: CameraSettings) -> None:
-        """Set what differs, and read it back."""
-        auto, exposure, gain = (self._first_of(*names) for names in (_AUTO_EXPOSURE, _EXPOSURE, _GAIN))
-        if exposure is None:
-            raise DeviceError(f"{self.name}: its exposure cannot be set; use another camera")
+    def _set(self, settings: CameraSettings, anew: bool = False) -> CameraSettings:
+        """Set what differs, and from then on expect frames with it; `anew` where the camera was opened just now."""
+        before_ns = 0 if anew else self._exposure.changed_ns
         try:
-            if auto is not None:
-                self._write_where_other(node, auto, v4l2.V4L2_EXPOSURE_MANUAL)
-                if node.read(auto) != v4l2.V4L2_EXPOSURE_MANUAL:
-                    raise DeviceError(f"{self.name}: does not let go of automatic exposure; use another camera")
-            self._write_where_other(node, exposure, _within(exposure, settings.exposure_ms / _EXPOSURE_UNIT_MS))
-            if gain is not None:
-                self._write_where_other(node, gain, _within(gain, settings.gain * self._gain_one(gain)))
+            self._exposure.set(settings)
         finally:  # some of it may have been set where the rest was refused
-            self._held: dict[Control, int] = {control: node.read(control) for control in (exposure, gain) if control}
-            factor = self._held[gain] / self._gain_one(gain) if gain is not None else 1.0
-            self._configured = CameraSettings(round(self._held[exposure] * _EXPOSURE_UNIT_MS, 6), factor)
-            if self._unproven:
+            if self._exposure.changed_ns != before_ns:
                 self._expect_frames()
-
-    def _write_where_other(self, node: Node, control: Control, value: int) -> None:
-        if node.read(control) != value:
-            try:
-                node.write(control, value)
-            finally:
-                self._unsettle()
-
-    def _unsettle(self) -> None:
-        """From now on frames count only when they can't have the settings of before."""
-        self._changed_ns = time.monotonic_ns()
-        self._settled_from: int | None = None
-        self._unproven = True
+        self._asked = settings
+        return self._exposure.actual
 
     def _expect_frames(self) -> None:
-        """Times of the frames to come, from exposure and rate."""
+        """From now on frames count only when they can't have the settings of before, and have the times of these."""
         assert self._stream is not None
+        self._settled_from: int | None = None
+        self._unproven = True
         before_ns, self._frame_ns = self._frame_ns, max(self._exposure_ns, self._stream.period_ns)
         self._slowest_ns = max(before_ns, self._frame_ns)
         self._times = FrameTimes(self._frame_ns)
@@ -324,37 +303,18 @@ class V4l2Camera:
 
     def _settled(self, filled: Filled, frame: int, start_ns: int) -> bool:
         """Whether a frame was taken with the settings of now: by the buffer it is in, by its time and by its number."""
-        if start_ns <= self._changed_ns:
+        if start_ns <= self._exposure.changed_ns:
             return False
         if self._settled_from is None:
             self._settled_from = frame + self.settle_frames
-        fresh = filled.given_ns >= self._changed_ns
+        fresh = filled.given_ns >= self._exposure.changed_ns
         return frame >= self._settled_from and (fresh or self._following)
 
-    def _require_held(self, node: Node) -> None:
-        """That exposure and gain are still what was read back, looked at once after each change."""
-        if not self._unproven:
-            return
-        for control, value in self._held.items():
-            now = node.read(control)
-            if now != value:
-                raise DeviceError(
-                    f"{self.name}: its {control.name} went from {value} to {now} by itself; switch off what is "
-                    f"automatic in camera.controls of the rig file, or use another camera"
-                )
-        self._unproven = False
-
-    def _control(self, name: str) -> Control:
-        control = self._first_of(name)
-        if control is None:
-            raise DeviceError(f"{self.name}: has no control {name!r}; it has {', '.join(self._controls)}")
-        return control
-
-    def _first_of(self, *names: str) -> Control | None:
-        return next((self._controls[name] for name in names if name in self._controls), None)
-
-    def _gain_one(self, gain: Control) -> int:
-        return self._settings.gain_one or max(gain.least, 1)
+    def _require_held(self, exposure: Exposure) -> None:
+        """That the settings stay, looked at once after each change."""
+        if self._unproven:
+            exposure.require_held()
+            self._unproven = False
 
     # Frames
 
@@ -437,7 +397,7 @@ class V4l2Camera:
 
     @property
     def _exposure_ns(self) -> int:
-        return round(self._configured.exposure_ms * 1e6)
+        return round(self._exposure.actual.exposure_ms * 1e6)
 
     @contextmanager
     def _my_turn(self, what: str) -> Iterator[None]:
@@ -458,7 +418,3 @@ class V4l2Camera:
     def _require_open(self) -> None:
         if self._closed.is_set():
             raise DeviceError(f"{self.name}: is closed; open it again")
-
-
-def _within(control: Control, value: float) -> int:
-    return round(min(max(value, control.least), control.most))
