@@ -42,6 +42,7 @@ class Exposure:
             raise DeviceError(f"{node.path}: its exposure cannot be set; use another camera")
         self._exposure = exposure
         self._gain_one = gain_one or max(self._gain.least, 1) if self._gain is not None else 1
+        self._rounded: dict[Control, tuple[int, int]] = {}
         self.changed_ns = time.monotonic_ns()
         """Since when nothing has been changed."""
         self.actual = self._read_back()
@@ -83,11 +84,14 @@ class Exposure:
                 )
 
     def _write(self, control: Control, value: int) -> None:
-        if self._node.read(control) != value:
-            try:
-                self._node.write(control, value)
-            finally:
-                self.changed_ns = time.monotonic_ns()
+        """Set a control, unless it is set already, to the value or to what the camera made of it before."""
+        now = self._node.read(control)
+        if now == value or self._rounded.get(control) == (value, now):
+            return
+        try:
+            self._rounded[control] = (value, self._node.write(control, value))
+        finally:
+            self.changed_ns = time.monotonic_ns()
 
     def _read_back(self) -> CameraSettings:
         self._held = {control: self._node.read(control) for control in (self._exposure, self._gain) if control}

@@ -178,6 +178,7 @@ class Buffer(ctypes.Structure):
 
 class _Value(ctypes.Union):
     _pack_ = 1
+    _layout_ = "ms"  # which later Pythons want said with _pack_
     _fields_: ClassVar[list[Any]] = [("value", c_int32), ("value64", c_int64)]
 
 
@@ -185,6 +186,7 @@ class ExtControl(ctypes.Structure):
     """struct v4l2_ext_control."""
 
     _pack_ = 1
+    _layout_ = "ms"
     _anonymous_ = ("union",)
     _fields_: ClassVar[list[Any]] = [
         ("id", c_uint32),
