@@ -199,6 +199,7 @@ class V4l2Camera:
         """
         with self._my_turn("configure"):
             before, allowed = self._opened()[0].actual, self._settle_frames
+            timeout_s = _FOLLOW_TIMEOUT_S + 2e-9 * _FOLLOWED_FRAMES * self._slowest_ns
 
         def brightness(frame: Frame) -> float:
             return float(frame.pixels.mean())
@@ -206,12 +207,12 @@ class V4l2Camera:
         try:
             self._settle_frames = _FOLLOWED_FRAMES
             short = self.configure(CameraSettings(exposure_ms, before.gain))
-            old = brightness(self.capture(time.monotonic_ns(), _FOLLOW_TIMEOUT_S))
+            old = brightness(self.capture(time.monotonic_ns(), timeout_s))
             self._settle_frames, self._following = 0, True
             self.configure(CameraSettings(3.0 * short.exposure_ms, before.gain))
-            frames = [self.capture(time.monotonic_ns(), _FOLLOW_TIMEOUT_S)]
+            frames = [self.capture(0, timeout_s)]
             while len(frames) < _FOLLOWED_FRAMES:
-                frames.append(self.capture(frames[-1].exposure_start_ns, _FOLLOW_TIMEOUT_S))
+                frames.append(self.capture(frames[-1].exposure_start_ns, timeout_s))
         finally:
             self._settle_frames, self._following = allowed, False
             self.configure(before)
