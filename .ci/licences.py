@@ -19,11 +19,6 @@ STARTED_WITH = ("dev",)
 KNOWN: dict[str, str] = {}
 """Licences that a package's metadata does not say, looked up by hand: name → licence, with the source in a comment."""
 
-OFFENDERS = {
-    "linuxpy": "GPL-3.0; an own capture over V4L2's ioctls takes its place",
-}
-"""Known to be GPL and about to go: tolerated while they are required, and this list fails once they are not."""
-
 _GPL = re.compile(r"(?<![A-Za-z])(?:A?GPL|(?:GNU )?(?:Affero )?General Public Licen[cs]e)", re.IGNORECASE)
 _LESSER = re.compile(r"LGPL|Lesser General Public|Library General Public", re.IGNORECASE)
 _EXCEPTIONS = re.compile(r"with (?:GCC|Classpath|autoconf|LLVM)[\w-]*exception", re.IGNORECASE)
@@ -93,16 +88,14 @@ def main(extras: tuple[str, ...]) -> int:
     troubles = [
         f"{name}: is {words}, which a BSD package may not require; remove it"
         for name, (_, words) in rows.items()
-        if is_gpl(words) and name not in OFFENDERS
+        if is_gpl(words)
     ]
     troubles += [
         f"{name}: its metadata says no licence; look it up and list it in KNOWN with the source"
         for name, (_, words) in rows.items()
         if not words
     ]
-    troubles += [f"{name}: is no longer required; remove it from OFFENDERS" for name in OFFENDERS if name not in rows]
-    tolerated = [f"{name} ({why})" for name, why in OFFENDERS.items() if name in rows]
-    print(f"\n{len(rows)} packages; known offenders: {', '.join(tolerated) or 'none'}")
+    print(f"\n{len(rows)} packages")
     for trouble in sorted(troubles):
         print(f"licences: {trouble}", file=sys.stderr)
     return 1 if troubles else 0
