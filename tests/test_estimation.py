@@ -14,7 +14,7 @@ from tankrig.estimation.models import Models
 from tankrig.estimation.observation import observe
 from tankrig.estimation.projection import Scaling
 from tankrig.figures.paper import collimated_cases, fitted, observed
-from tankrig.image.prediction import Prediction, Skipped
+from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.phase import phase_function
 

@@ -16,8 +16,8 @@ from tankrig.estimation.models import Models, models_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.parameters import NAMES
 from tankrig.estimation.projection import Scaling
-from tankrig.image.prediction import Prediction
 from tankrig.image.prepare import Prepared
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from tankrig.estimation.residual_map import standing_out, structure_map
 from tankrig.estimation.result import Estimate
 from tankrig.estimation.uncertainty import Sensitivity, covariance, identifiable
 from tankrig.estimation.verdict import what_is_determined, what_is_left, what_is_misaligned, what_was_left_out
-from tankrig.image.prediction import Prediction
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]

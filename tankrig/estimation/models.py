@@ -18,7 +18,7 @@ from tankrig.errors import SceneError
 from tankrig.estimation.forward import Slopes, remembered
 from tankrig.estimation.parameters import Range
 from tankrig.image.predict import predict
-from tankrig.image.prediction import Prediction, Skipped
+from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 
 if TYPE_CHECKING:
@@ -156,12 +156,12 @@ def _tank(scene: Scene, max_order: int | None, batches: int, seed: int, blur_mm:
 
     from tankrig.light.tank import tank_image
 
-    result = tank_image(scene, FINE, max_order, seed, batches)
-    skipped = tuple(Skipped(*item) for item in result.skipped)
-    exact = result.orders[1] + result.orders[2]
-    followed = np.sum([image for order, image in result.orders.items() if order not in (1, 2)], axis=0)
-    image = exact + gaussian_filter(followed, blur_mm / scene.camera.pixel_mm, mode="nearest")
-    return Prediction(image, "tank", stderr=result.stderr, skipped=skipped)
+    found = tank_image(scene, FINE, max_order, seed, batches)
+    if blur_mm == 0.0:
+        return found
+    exact = found.orders[1] + found.orders[2]
+    image = exact + gaussian_filter(found.image - exact, blur_mm / scene.camera.pixel_mm, mode="nearest")
+    return replace(found, image=image)
 
 
 def stated_error(prediction: Prediction) -> float:

@@ -12,7 +12,7 @@ from tankrig.estimation.models import COARSE, Exact, Model, Models, error_map
 from tankrig.estimation.parameters import to_medium
 from tankrig.estimation.search import Optimum
 from tankrig.estimation.uncertainty import Sensitivity, held_back, overconfidence
-from tankrig.image.prediction import Prediction
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
 
 Image = NDArray[np.floating]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.estimate import Estimate
-from tankrig.image.prediction import Prediction
 from tankrig.orders import ORDER_CLASSES
+from tankrig.prediction import Prediction
 
 Image = NDArray[np.floating]
 

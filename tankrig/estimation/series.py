@@ -22,7 +22,7 @@ from tankrig.estimation.series_input import doses_of, known, observed
 from tankrig.estimation.series_model import Model, ModelOf, in_water, tank_model
 from tankrig.estimation.series_verdict import Linearity, series_verdict
 from tankrig.estimation.uncertainty import PATTERN, by_smooth_errors, identifiable
-from tankrig.image.prediction import Prediction
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
 
 COARSE_BATCHES, FINE_BATCHES = 2, 8

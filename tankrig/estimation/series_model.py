@@ -3,10 +3,8 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from tankrig.estimation.models import SMOOTHED_BATCHES
-from tankrig.image.prediction import Prediction, Skipped
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
 
 Model = Callable[[Medium], Prediction]
@@ -26,9 +24,7 @@ def tank_model(scene: Scene, batches: int, seed: int) -> Model:
         batches = max(batches, SMOOTHED_BATCHES)
 
     def image(medium: Medium) -> Prediction:
-        result = tank_image(replace(scene, medium=medium), seed=seed, batches=batches)
-        skipped = tuple(Skipped(*item) for item in result.skipped)
-        return Prediction(np.sum(list(result.orders.values()), axis=0), "tank", stderr=result.stderr, skipped=skipped)
+        return tank_image(replace(scene, medium=medium), seed=seed, batches=batches)
 
     return image
 

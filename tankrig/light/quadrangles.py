@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.rays import Geometry, light_sources, sighting_row
-from tankrig.light.single import KINKED_PARTS, SLANTED_PARTS, Rule, across_sights, kinked
+from tankrig.light.sights import KINKED_PARTS, SLANTED_PARTS, Rule, across_sights, kinked
 from tankrig.scene import Scene
 from tankrig.scene.footprint import footprints
 

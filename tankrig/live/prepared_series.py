@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 
 from tankrig.estimation.series_model import Model, ModelOf, tank_model
-from tankrig.image.prediction import Prediction, Skipped
 from tankrig.image.prepare import Prepared
+from tankrig.prediction import Prediction, Skipped
 from tankrig.scene.description import Medium, Scene
 
 LATTICES = 4

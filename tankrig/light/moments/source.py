@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel, part
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.harmonics import degrees, fill_harmonics
+from tankrig.light.paths.block import BLOCK, Water, alive, begin, begin_at_origin, draw, empty_block
+from tankrig.light.paths.lattice import LARGE
+from tankrig.light.paths.record import column_of, image_of_edges
+from tankrig.light.paths.trace import advance, narrow, scatter
 from tankrig.light.rays import Geometry, geometry_of
-from tankrig.light.tank.block import BLOCK, Water, alive, begin, begin_at_origin, draw, empty_block
-from tankrig.light.tank.lattice import LARGE
-from tankrig.light.tank.paths import advance, narrow, scatter
-from tankrig.light.tank.record import column_of, image_of_edges
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ FLIGHT_COORDINATES = 3
 def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batches: int, seed: int = 0) -> Array:
     """Moments of the emission Q after `order` scatterings: Q_lm = g^l ∫ Y_lm(ω) σs L(ω) dω, averaged over cells.
 
-    A path stands for all that begin anywhere on the beams, as in `tankrig.light.tank.paths`; here every direction is
+    A path stands for all that begin anywhere on the beams, as in `tankrig.light.paths.trace`; here every direction is
     drawn from the phase function.
 
     Parameters

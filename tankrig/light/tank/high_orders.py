@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.light.paths.lattice import LARGE, SMALL, Lattice
+from tankrig.light.paths.record import CLASSES, GROUPS, Bins, image_of_edges
+from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, mirror_symmetric, shift_invariant, sight_line
 from tankrig.light.surface import to_camera
-from tankrig.light.tank.lattice import LARGE, SMALL, Lattice
-from tankrig.light.tank.paths import trace
-from tankrig.light.tank.record import CLASSES, GROUPS, Bins, image_of_edges
 from tankrig.light.tank.smoothing import smoothed
 from tankrig.scene import Scene
 

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.light.elementary import exponential
-from tankrig.light.rays import Geometry
-from tankrig.light.tank.block import (
+from tankrig.light.paths.block import (
     BLOCK,
     FLIGHT_COORDINATES,
     START_COORDINATES,
@@ -40,9 +39,10 @@ from tankrig.light.tank.block import (
     empty_block,
     thin,
 )
-from tankrig.light.tank.flight import fly, scattered
-from tankrig.light.tank.record import Bins, Marks, column_of, empty_marks, mark_cells, mark_rectangles
-from tankrig.light.tank.sighting import seen_from
+from tankrig.light.paths.flight import fly, scattered
+from tankrig.light.paths.record import Bins, Marks, column_of, empty_marks, mark_cells, mark_rectangles
+from tankrig.light.paths.sighting import seen_from
+from tankrig.light.rays import Geometry
 from tankrig.scene.phase import henyey_greenstein
 
 Array = NDArray[np.float64]

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
+from tankrig.light.paths.flight import fly
+from tankrig.light.paths.lattice import coordinate
 from tankrig.light.rays import Geometry, light_ray
-from tankrig.light.tank.flight import fly
-from tankrig.light.tank.lattice import coordinate
 
 Array = NDArray[np.float64]
 
