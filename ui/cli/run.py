@@ -205,6 +205,7 @@ def _draw(runner: "Runner", thread: threading.Thread, fit: bool) -> None:
     from rich.progress import BarColumn, Progress, TextColumn
     from rich.text import Text
 
+    from tankrig.live.results import from_fields
     from tankrig.live.words import fit_in_words
 
     warnings: SimpleQueue[str] = SimpleQueue()
@@ -223,7 +224,7 @@ def _draw(runner: "Runner", thread: threading.Thread, fit: bool) -> None:
             thread.join(_POLL_S)
             now = runner.progress()
             bar.update(task, completed=now.step, description=f"{now.label}, {_duration(now.remaining_s)} left")
-            fitted = f"\n{fit_in_words(runner.latest_fit)}" if fit else ""
+            fitted = f"\n{fit_in_words(from_fields(runner.latest_fit) if runner.latest_fit else None)}" if fit else ""
             beneath.plain = f"waiting for {now.waiting_for or 'the rig'}{fitted}"
             while not warnings.empty():
                 console.print(Text(warnings.get()), soft_wrap=True)

@@ -151,7 +151,7 @@ class MainWindow(QMainWindow):
         self.sequence.dropped.connect(self.offer_text)
         self.runs.resume_asked.connect(self.resume)
         self.runs.opened.connect(self.show_run)
-        self.runs.refitted.connect(self.fit.show_tables)
+        self.runs.refitted.connect(self.fit.show_fits)
         self.runs.bar.left.connect(self.leave_replay)
         for teller in (self.sequence.told, self.runs.told, self.calibration.told):
             teller.connect(self.tell)
