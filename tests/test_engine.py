@@ -1,6 +1,9 @@
 """The seam of the inference engine: blocks of parameters, covariances of errors, gain and offsets, typed results."""
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -192,3 +195,29 @@ def test_lines_of_earlier_versions_and_of_later_ones_are_read() -> None:
     assert found is not None
     assert found.at(2.0) == Medium(1e-4 + 2e-3, 0.2, 0.6)
     assert to_fields(found)["water_sigma_a"] == 1e-4
+
+
+CODE = """
+import json
+from dataclasses import replace
+from tankrig.light.double import double_scattering
+from tankrig.light.moments.propagation import propagation
+from tankrig.light.moments.cells import Cells
+from tankrig.light.single import single_scattering
+from tankrig.threads import THREADS
+from tests.test_bent_scenes import SAME
+direct = propagation(1, Cells.of(SAME.tank, 30.0), 0.05, 0.0).direct
+print(json.dumps([THREADS, *(float(one.sum()) for one in (single_scattering(SAME), double_scattering(SAME), direct))]))
+"""
+
+
+def test_one_setting_says_how_many_threads_work_and_no_image_depends_on_it() -> None:
+    """Rows that two threads add, or none, would show as stripes only on the machines that were told otherwise."""
+    found = {}
+    for threads in ("", "1", "3"):
+        told = os.environ | {"TANKRIG_THREADS": threads, "PYTHONPATH": os.pathsep.join(sys.path)}
+        out = subprocess.run([sys.executable, "-c", CODE], env=told, capture_output=True, text=True, check=True)
+        found[threads] = json.loads(out.stdout)
+    assert [one[0] for one in found.values()] == [2, 1, 3]
+    for threads in ("1", "3"):
+        assert found[threads][1:] == pytest.approx(found[""][1:], rel=1e-9)

@@ -17,10 +17,10 @@ from tankrig.montecarlo.draws import draw, draw_turn, scrambled
 from tankrig.montecarlo.stage import Stage, beam_table, departure, flight, seen, stage
 from tankrig.scene import Scene
 from tankrig.scene.phase import henyey_greenstein
+from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 
-THREADS = 2
 LIGHT = 0.05
 """Weight below which a photon plays roulette."""
 

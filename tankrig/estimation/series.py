@@ -39,8 +39,8 @@ Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 
 
-SETTLED = 0.03
-"""Move of every coordinate after which accurate images need not be computed again: derivatives are as good there."""
+SETTLED = 0.01
+"""Move of every coordinate after which accurate images need not be computed again."""
 
 
 class InkAndWater(Protocol):

@@ -15,6 +15,7 @@ from tankrig.montecarlo.tally import CLASSES
 from tankrig.montecarlo.transport import trace
 from tankrig.orders import ORDER_CLASSES
 from tankrig.scene import Scene
+from tankrig.threads import THREADS
 
 Image = NDArray[np.float64]
 Batch = tuple[NDArray[np.float64], tuple[float, float]]
@@ -63,7 +64,7 @@ class Tally:
 
 
 def simulate(
-    scene: Scene, photons: int, seed: int = 0, max_order: int | None = None, threads: int = 2, coarsen: int = 1
+    scene: Scene, photons: int, seed: int = 0, max_order: int | None = None, threads: int = THREADS, coarsen: int = 1
 ) -> Tally:
     """Image of a scene by Monte Carlo, without bias, order 1 without noise.
 
@@ -136,7 +137,7 @@ def simulate_to(
     tolerance: float,
     seed: int = 0,
     max_order: int | None = None,
-    threads: int = 2,
+    threads: int = THREADS,
     coarsen: int = 1,
     most_photons: int = 2_000_000_000,
 ) -> Tally:

@@ -15,10 +15,10 @@ from tankrig.light.paths.record import column_of, image_of_edges
 from tankrig.light.paths.trace import advance, narrow, scatter
 from tankrig.light.rays import Geometry, geometry_of
 from tankrig.scene import Scene
+from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 
-THREADS = 2
 FLIGHT_COORDINATES = 3
 
 
