@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.montecarlo.first_order import first_order
-from tankrig.montecarlo.stage import beam_table, pixel_weights, stage
+from tankrig.montecarlo.kernel_scene import beam_table, kernel_scene, pixel_weights
 from tankrig.montecarlo.tally import CLASSES
 from tankrig.montecarlo.transport import trace
 from tankrig.orders import ORDER_CLASSES
@@ -170,7 +170,7 @@ def _batch(scene: Scene, photons: int, seed: tuple[int, int], highest: int) -> B
     lit = replace(scene, projector=replace(scene.projector, beams=beams))
     powers = np.cumsum([beam.power for beam in beams])
     key = np.uint64(numbers.integers(2**63))
-    fates = trace(stage(lit), beam_table(lit), powers, photons, highest, key, numbers.random(3), images)
+    fates = trace(kernel_scene(lit), beam_table(lit), powers, photons, highest, key, numbers.random(3), images)
     images *= pixel_weights(lit)
     return images, fates
 

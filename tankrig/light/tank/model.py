@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.double import double_scattering
-from tankrig.light.moments.way import dense_way
+from tankrig.light.moments.plan import moment_plan
 from tankrig.light.single import single_scattering
 from tankrig.light.tank.high_orders import high_orders
 from tankrig.orders import ORDER_CLASSES
@@ -63,20 +63,20 @@ def tank_image(
     if highest >= 3 and scene.medium.sigma_s > 0.0:
         faintest = 0.01 * tolerance
         noise = NOISE_SHARE * tolerance
-        way = None if max_order or batches else dense_way(scene, tolerance)
-        if way is None:
+        plan = None if max_order or batches else moment_plan(scene, tolerance)
+        if plan is None:
             high = high_orders(scene, known, noise, max_order, seed, batches, faintest)
             orders |= high.by_class
         else:
             from tankrig.light.moments.dense import dense_orders
 
-            dense = dense_orders(scene, way, seed)
-            noise = 0.7 * math.sqrt(tolerance**2 - way.bound**2)
-            high = high_orders(scene, known + dense.image, noise, way.above, seed, faintest=faintest)
+            dense = dense_orders(scene, plan, seed)
+            noise = 0.7 * math.sqrt(tolerance**2 - plan.bound**2)
+            high = high_orders(scene, known + dense.image, noise, plan.above, seed, faintest=faintest)
             orders |= high.by_class
             orders["4-20"], orders[">20"] = orders["4-20"] + dense.to_20, dense.beyond_20
-            what = f"above order {way.above}, degrees beyond {way.degree} and cells below {way.side_mm:.1f} mm"
-            skipped.append(Skipped(what, way.bound))
+            what = f"above order {plan.above}, degrees beyond {plan.degree} and cells below {plan.side_mm:.1f} mm"
+            skipped.append(Skipped(what, plan.bound))
         stderr = high.stderr
         skipped.append(Skipped(f"paths fainter than {faintest:.0e} of their start", 2 * faintest))
     whole = {key: orders.get(key, zero) for key in ORDER_CLASSES}
