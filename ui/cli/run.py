@@ -267,8 +267,9 @@ def _aborting_on_signals(runner: "Runner") -> Iterator[None]:
 def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -> int:
     """Say how a run ended and what it found, write its report, and give the exit status."""
     from tankrig.run.reading import open_run
+    from tankrig.run.state import FinishReason
 
-    path, completed = outcome.path, outcome.reason.value == "completed"
+    path, completed = outcome.path, outcome.reason is FinishReason.COMPLETED
     run = open_run(path)
     frames, doses = len(run.events("frame")), run.events("dose_done")
     delivered_ul = run.tank.volume_ul if doses and run.tank else None

@@ -12,6 +12,7 @@ from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QLabel, QMainWindow, QToolBar, QVBoxLayout, QWidget
 
 from tankrig.errors import TankrigError
+from tankrig.run.state import FinishReason
 from ui.window import theme
 from ui.window.background import Background
 from ui.window.banner import Banner
@@ -282,12 +283,12 @@ class MainWindow(QMainWindow):
         else:
             words, level = (
                 f"The run {name} was {outcome.reason.value}.",
-                "good" if outcome.reason.value == "completed" else "",
+                "good" if outcome.reason is FinishReason.COMPLETED else "",
             )
         _log.info("%s", words)
         self.sequence.run_list.end(words)
         self.runs.refresh()
-        done = outcome.reason.value == "completed"
+        done = outcome.reason is FinishReason.COMPLETED
         if done:
             self.banner.say(words, level, "Write its report", self.runs.report)
         else:
