@@ -160,7 +160,7 @@ SERIES = st.builds(
     st.none() | st.builds(Linearity, NUMBER, NUMBER), st.text(max_size=9), NUMBER, KNOWN,
     st.tuples(st.tuples(NUMBER, NUMBER), st.tuples(NUMBER, NUMBER)), NAMES,
 )  # fmt: skip
-FAILED = st.builds(FailedFit, st.none() | NUMBER, st.text(min_size=1, max_size=9))
+FAILED = st.builds(FailedFit, st.none() | NUMBER, st.text(min_size=1, max_size=9), st.none() | st.integers(-1, 99))
 
 
 @given(DOSES | SERIES | FAILED)

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from tankrig.bench import Bench
 from tankrig.devices import CameraSettings, Delivered, Frame
+from tankrig.errors import ImageError
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
 from tankrig.light.tank import tank_image
@@ -26,7 +27,7 @@ from tankrig.live.exposures import Exposures, Photograph, Plan
 from tankrig.live.fits import fit_dose_prepared
 from tankrig.live.live_fit import LiveFit
 from tankrig.live.preparing import Preparing, box_for
-from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, SingleScattering
+from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, to_fields
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import Sheet
 from tankrig.pattern.wall import Wall
@@ -123,6 +124,22 @@ def test_the_newest_dose_is_fitted_first_and_the_series_only_over_doses_that_are
     while fitter.next(exposures, last=True):
         pass
     assert asked[2:] == [("series", (0.1, 0.2))]
+
+
+def test_a_fit_that_fails_says_which_frames_it_has_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step that waits for the fit of its last frame would else wait for its whole time limit."""
+
+    def refused(*_: object) -> DoseFit:
+        raise ImageError("too dark")
+
+    monkeypatch.setattr(worker, "fit_dose", refused)
+    exposures = Exposures(plan())
+    exposures.take(dosed(100.0), None)
+    seen = frame(PATTERNS["sheet"], 2)
+    exposures.take(event("frame", **seen.fields, index=7), np.full((40, 60), 500, np.uint16))
+    fit = worker.Fitter().next(exposures, last=True)
+    assert fit == FailedFit(0.1, "too dark", 7)
+    assert to_fields(fit)["newest"] == 7
 
 
 def test_a_run_that_goes_on_is_not_fitted_again_where_it_was_fitted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,9 +64,8 @@ def cramer_rao(fit: Estimate, one: Observed, gain_known: bool) -> list[float]:
     from tankrig.estimation.parameters import Scaling
 
     models = models_of(one.scene, "tank", None)
-    assert models.refine is not None
     scaling = Scaling(1.0, 0.0) if gain_known else Scaling(None, None)
-    slopes = models.slopes_of(models.refine(fit.medium)[1], max(one.scene.tank.size_mm))(fit.medium)
+    slopes = models.slopes_of(models.refined(fit.medium)[1], max(one.scene.tank.size_mm))(fit.medium)
     pixels = int(np.prod(one.image.shape))
     weight = np.full(pixels, 1.0 / one.noise)
     image = np.asarray((fit.image - fit.offset) / fit.gain, float).ravel()

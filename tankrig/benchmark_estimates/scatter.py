@@ -70,9 +70,8 @@ def _drawn(name: str, gain: str, image: Array, draws: int) -> dict[str, Any]:
     size = np.array([centre.sigma_s, centre.sigma_a, 1.0 - centre.g**2])
     reach = np.maximum(REACH[0] * sd[[1, 0, 2]] / size, REACH[1])
     whole = models_of(STRIPES, "tank", None)
-    assert whole.refine is not None
     assert whole.exact is not None
-    local = near(corrected(whole.refine(centre)[1], centre, whole.exact(centre, 1)), centre, reach)
+    local = near(corrected(whole.refined(centre)[1], centre, whole.exact(centre, 1)), centre, reach)
     fits = [_fit(noisy(seed), noise, scaling, local) for seed in range(draws)]
     values, true = np.array([astuple(one.medium) for one in fits]), np.array(astuple(truth))
     stated = np.sqrt(np.mean([np.diag(one.covariance) for one in fits], axis=0))

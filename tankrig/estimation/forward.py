@@ -92,6 +92,10 @@ class Models:
     exact: Exact | None = None
     central: bool = True
 
+    def refined(self, medium: Medium) -> tuple[Model, Model]:
+        """See `refine`."""
+        return self.refine(medium) if self.refine is not None else (self.coarse, self.coarse)
+
     def slopes_of(self, slope: Model, length_mm: float) -> Slopes:
         """Derivatives: the model's own, or of one of its versions by differences."""
         return self.slopes or slopes_of(image_of(slope), length_mm, self.central)

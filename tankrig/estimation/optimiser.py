@@ -341,22 +341,19 @@ def fitted(
     best = Optimum(found[0], np.inf)
     if start is not None or len(few) < len(shots):
         progress("fitting all images")
-        best = solve(problem, found[0], SEVERAL_ENOUGH)
+        best = min((solve(problem, one, SEVERAL_ENOUGH) for one in found), key=lambda end: end.cost)
         found = [best.coordinates]
+    versions = [(one.coarse, one.coarse) for one in models]
     if all(one.refine for one in models):
         progress("refining")
-        versions = [
-            shot.models.refine(problem.liquid(found[0], shot.dose)) for shot in shots if shot.models.refine is not None
-        ]
-        coarse, slope = [one[0] for one in versions], [one[1] for one in versions]
-        slopes = [shot.models.slopes_of(one, length_mm) for shot, one in zip(shots, slope, strict=True)]
-        problem = _weighed(problem, shots, [image_of(one) for one in coarse], slopes, _seen(problem, coarse, found[0]))
+        versions = [one.refined(problem.liquid(found[0], shot.dose)) for one, shot in zip(models, shots, strict=True)]
+        seen = _seen(problem, [fine for fine, _ in versions], found[0])
+        slopes = [one.slopes_of(slope, length_mm) for one, (_, slope) in zip(models, versions, strict=True)]
+        problem = _weighed(problem, shots, [image_of(fine) for fine, _ in versions], slopes, seen)
         best = min((polish(problem, one) for one in found), key=lambda end: end.cost)
-    else:
-        slope = coarse
     if all(one.exact for one in models):
-        return _corrected(problem, best, shots, slope, progress, settled, sharper)
-    return Fit(problem, best, tuple(coarse))
+        return _corrected(problem, best, shots, [slope for _, slope in versions], progress, settled, sharper)
+    return Fit(problem, best, tuple(fine for fine, _ in versions))
 
 
 def _corrected(

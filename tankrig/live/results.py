@@ -117,10 +117,11 @@ class SeriesFit:
 
 @dataclass(frozen=True)
 class FailedFit:
-    """A fit that could not be made: of which dose, or None of the series; and why."""
+    """A fit that could not be made: of which dose, or None of the series; why; the newest frame, as in `DoseFit`."""
 
     dose_ml: float | None
     error: str
+    newest: int | None = None
 
 
 Fit = DoseFit | SeriesFit | FailedFit
@@ -142,7 +143,7 @@ def to_fields(fit: Fit) -> Fields:
     """
     if isinstance(fit, FailedFit):
         of = {"fit": "series"} if fit.dose_ml is None else {"fit": "dose", "dose_ml": fit.dose_ml}
-        return {**of, "error": fit.error}
+        return {**of, "error": fit.error} | ({} if fit.newest is None else {"newest": fit.newest})
     found: Fields = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(fit).items()}
     if isinstance(fit, SeriesFit):
         found |= {"ink": asdict(fit.ink), "covariance": [list(row) for row in fit.covariance]}
@@ -161,11 +162,11 @@ def from_fields(fields: Mapping[str, Any]) -> Fit:
     Examples
     --------
     >>> from_fields({"fit": "dose", "dose_ml": 0.4, "error": "too dark"})
-    FailedFit(dose_ml=0.4, error='too dark')
+    FailedFit(dose_ml=0.4, error='too dark', newest=None)
     """
     of_dose = fields["fit"] == "dose"
     if "error" in fields:
-        return FailedFit(fields.get("dose_ml"), fields["error"])
+        return FailedFit(fields.get("dose_ml"), fields["error"], fields.get("newest"))
     given: Fields = {name: tuple(value) if isinstance(value, list | tuple) else value for name, value in fields.items()}
     if of_dose:
         single = given.get("single")

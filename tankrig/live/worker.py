@@ -178,14 +178,14 @@ class Fitter:
             if exposures.settling(dose) and not last:
                 self.waiting = True
                 continue
+            newest = exposures.newest if dose == exposures.dose else -1
             about: Callable[[DoseFit], DoseFit] = partial(
-                replace, left_out=exposures.left_out(dose), not_seen=exposures.not_seen,
-                newest=exposures.newest if dose == exposures.dose else -1,
-            )  # fmt: skip
+                replace, left_out=exposures.left_out(dose), not_seen=exposures.not_seen, newest=newest
+            )
             fit = self._dose(photographs, about)
             if fit is not None:
                 self._fitted[photographs[0].dose_ml] = seen
-                return fit
+                return replace(fit, newest=newest)
             self.waiting = True
         over = exposures.photographs() if last else [
             one for one in exposures.photographs() if one.dose_ml < exposures.dose_ml
@@ -196,7 +196,7 @@ class Fitter:
             return self._all(over)
         return None
 
-    def _dose(self, photographs: list[Photograph], about: Callable[[DoseFit], DoseFit]) -> Fit | None:
+    def _dose(self, photographs: list[Photograph], about: Callable[[DoseFit], DoseFit]) -> DoseFit | FailedFit | None:
         """The fit of a dose, with what is to be said about its frames; None while its models are being prepared."""
         dose_ml = photographs[0].dose_ml
         start, scenes = self._start(dose_ml), [one.scene for one in photographs]
