@@ -137,6 +137,8 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None) -> 
     box = model.box
 
     def inside(medium: Medium) -> Medium:
+        if box.holds(medium):
+            return medium
         sigma_t = float(np.clip(medium.sigma_t, *box.sigma_t))
         albedo = float(np.clip(medium.albedo, *box.albedo))
         return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, float(np.clip(medium.g, *box.g)))
@@ -263,7 +265,7 @@ def prepared_model(models: "Sequence[Prepared]") -> ModelOf:
         paths = tank_model(scene, batches if not own else LATTICES, seed)
 
         def image(medium: Medium) -> Prediction:
-            model = min((one for one in own if _inside(one, medium)), key=lambda one: _off(one, medium), default=None)
+            model = min((one for one in own if one.box.holds(medium)), key=lambda one: _off(one, medium), default=None)
             if model is None:
                 return paths(medium)
             error = Skipped("what the prepared model is off by", model.error_at(medium))
@@ -272,12 +274,6 @@ def prepared_model(models: "Sequence[Prepared]") -> ModelOf:
         return image
 
     return model_of
-
-
-def _inside(model: "Prepared", medium: Medium) -> bool:
-    box = model.box
-    ranges = ((medium.sigma_t, box.sigma_t), (medium.albedo, box.albedo), (medium.g, box.g))
-    return all(low <= value <= high for value, (low, high) in ranges)
 
 
 def _off(model: "Prepared", medium: Medium) -> float:

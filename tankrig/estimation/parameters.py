@@ -7,7 +7,7 @@ liquid of a view, or to its image besides; problem, optimiser, uncertainty and v
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -54,9 +54,14 @@ def to_coordinates(medium: Medium) -> Array:
 
 def to_medium(coordinates: Array) -> Medium:
     """Medium at (log σs, logit ϖ, atanh g); logit ϖ = log(σs/σa)."""
+    return Medium(*_coefficients(coordinates))
+
+
+def _coefficients(coordinates: Array) -> tuple[float, float, float]:
+    """Its σa, σs and g, without the checks that a medium makes."""
     scattering, logit, asymmetry = (float(value) for value in coordinates)
     sigma_s = math.exp(scattering)
-    return Medium(sigma_a=sigma_s * math.exp(-logit), sigma_s=sigma_s, g=math.tanh(asymmetry))
+    return sigma_s * math.exp(-logit), sigma_s, math.tanh(asymmetry)
 
 
 def slopes(medium: Medium) -> Array:
@@ -224,7 +229,7 @@ class MediumBlock(Block):
 
     def values(self, coordinates: Array) -> Array:
         """σa, σs, g."""
-        return np.array(astuple(to_medium(coordinates)))
+        return np.array(_coefficients(coordinates))
 
     def slopes(self, coordinates: Array) -> Array:
         """See `slopes`."""
@@ -314,7 +319,7 @@ class InkBlock(Block):
 
     def values(self, coordinates: Array) -> Array:
         """The ink's σa, σs, g, and the water's σa."""
-        return np.array([*astuple(to_medium(coordinates[:3])), coordinates[3] / self.length_mm])
+        return np.array([*_coefficients(coordinates[:3]), coordinates[3] / self.length_mm])
 
     def slopes(self, coordinates: Array) -> Array:
         """Of the ink, and of the water."""

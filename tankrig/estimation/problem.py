@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.forward import Forward, Slopes
 from tankrig.estimation.observation import Observation
-from tankrig.estimation.parameters import Block, Scaling
+from tankrig.estimation.parameters import Block, Scaling, Values
 from tankrig.estimation.uncertainty import ModelError, Response, Sensitivity, Whitening
 from tankrig.scene import Medium
 
@@ -111,7 +111,10 @@ class Problem:
 
     def liquid(self, coordinates: Array, dose: int = 0) -> Medium:
         """The liquid of views at a dose."""
-        values, liquid = self.values(coordinates), UNKNOWN
+        return self._liquid(self.values(coordinates), dose)
+
+    def _liquid(self, values: Values, dose: int) -> Medium:
+        liquid = UNKNOWN
         for block in self.blocks:
             liquid = block.liquid(values, dose, liquid)
         return liquid
@@ -124,9 +127,10 @@ class Problem:
     def images(self, coordinates: Array) -> list[Image]:
         """Radiance, (rows, columns), of each view."""
         values = self.values(coordinates)
+        liquids = {dose: self._liquid(values, dose) for dose in self._doses}
 
         def image(view: View) -> Image:
-            liquid = self.liquid(coordinates, view.dose)
+            liquid = liquids[view.dose]
             found = view.forward(liquid)
             for block in self.blocks:
                 found = found + block.added(values, liquid)
@@ -159,9 +163,10 @@ class Problem:
         """What the fit responds to at some coordinates, whose images are given."""
         values, models = self.values(coordinates), self._models(images)
         gain, _ = self._scale(models)
+        liquids = {dose: self._liquid(values, dose) for dose in self._doses}
 
         def changes(view: View) -> Array:
-            liquid = self.liquid(coordinates, view.dose)
+            liquid = liquids[view.dose]
             by_liquid = view.slopes(liquid)
             found = [block.changes(values, view.dose, liquid, by_liquid) for block in self.blocks]
             return view.whitened(gain * np.concatenate(found))
@@ -195,6 +200,10 @@ class Problem:
             return [answer(view) for view in self.views]
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(answer, self.views))
+
+    @cached_property
+    def _doses(self) -> set[int]:
+        return {view.dose for view in self.views}
 
     @property
     def _prior_weight(self) -> Array:
