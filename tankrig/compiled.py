@@ -23,7 +23,7 @@ def kernel(function: F) -> F:
     import numba
 
     compiled: F = numba.njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")(function)
-    return compiled
+    return _with_readable_cache(compiled)
 
 
 def part(function: F) -> F:
@@ -39,4 +39,23 @@ def part(function: F) -> F:
     import numba
 
     compiled: F = numba.njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy", forceinline=True)(function)
+    return _with_readable_cache(compiled)
+
+
+def _with_readable_cache(compiled: F) -> F:
+    """Let an index of compiled code that cannot be read count as empty.
+
+    An index names the classes of a kernel's arguments, and numba reads it before it sees that it is out of date. After
+    an update in which such a class has moved to another module, reading it fails, and the kernel with it.
+    """
+    file = compiled._cache._cache_file  # type: ignore[attr-defined]
+    read = file._load_index
+
+    def load_index() -> Any:
+        try:
+            return read()
+        except (ImportError, AttributeError):
+            return {}
+
+    file._load_index = load_index
     return compiled
