@@ -30,11 +30,6 @@ class CavroDoser(PumpDoser):
         pump = CountedPump(self._plunger, "cavro", settings.count_file, name)
         super().__init__(pump, time, dose_limit_ul=settings.dose_limit_ul, correction=factor)
 
-    def trouble(self) -> str | None:
-        """Why it cannot dose, and what to do; None if it can."""
-        with self._in_use("look at it"):
-            return self._read().trouble
-
     def initialise(self) -> None:
         """Let the pump find its zero. A person has hung the tube into a waste vessel: the syringe is emptied.
 
