@@ -7,7 +7,7 @@ from pathlib import Path
 from drivers.emulation.board import Board
 from drivers.emulation.truth import TruthFile
 
-from .core import Core
+from .core import Core, Habits
 from .frames import Reader, answered
 
 BOOT_S = 0.3
@@ -28,6 +28,8 @@ class CavroBoard(Board):
         Most fine increments that a plunger stopped in motion may lose.
     ready
         Whether it has been initialised and filled already, in its first life.
+    habits
+        Which model, and what the manuals leave open.
     time_scale, seed, boot_s
         As for every board.
     """
@@ -42,17 +44,20 @@ class CavroBoard(Board):
         address: int = 1,
         most_lost: int = 64,
         ready: bool = False,
+        habits: Habits | None = None,
         boot_s: float = BOOT_S,
         time_scale: float = 1.0,
         seed: int = 0,
     ) -> None:
         self._address, self._most_lost, self._random = address, most_lost, random.Random(seed)
-        self._reader, self._ready = Reader(), ready
+        self._reader, self._ready, self._habits = Reader(), ready, habits
         super().__init__(state, link, boot_s=boot_s, time_scale=time_scale, seed=seed)
 
     def _power_up(self) -> tuple[Core, bytes]:
         self._reader, ready, self._ready = Reader(), self._ready, False
-        return Core(self._pulse, self._state.step, lambda: self._random.randrange(self._most_lost + 1), ready), b""
+        lost = self._random.randrange
+        core = Core(self._pulse, self._state.step, lambda: lost(self._most_lost + 1), ready, self._habits)
+        return core, b""
 
     def _answers(self, core: Core, received: bytes, now: float) -> Iterator[bytes]:
         for command in self._reader.feed(received):
