@@ -13,9 +13,8 @@ def main() -> int:
     """Run until told to quit, or until nobody has wanted the device for long enough."""
     options = parser("drivers.cavro.emulator", "A Cavro XCalibur or XLP syringe pump on a pseudo-terminal.")
     options.add_argument("--model", choices=MODELS, default="xcalibur", help="which pump (default xcalibur)")
-    options.add_argument(
-        "--speed-rounding", type=int, default=0, help="added to each speed that it reports (default 0)"
-    )
+    options.add_argument("--speeds-interact", action="store_true", help="start and cutoff never exceed the top speed")
+    options.add_argument("--speed-rounding", type=int, default=0, help="added to reported speeds (default 0)")
     options.add_argument("--repeat-flag-decides", action="store_true", help="a known number is obeyed unless flagged")
     options.add_argument("--overload-stays", action="store_true", help="Q does not clear an overload")
     options.add_argument("--address", type=int, default=1, help="set with its switch (default 1)")

@@ -6,6 +6,7 @@ from drivers.emulation.process import parser, serve
 from drivers.emulation.truth import TruthFile
 
 from .board import NewEraBoard
+from .core import Habits
 
 
 def main() -> int:
@@ -15,6 +16,11 @@ def main() -> int:
     options.add_argument("--true-diameter-mm", type=float, default=12.0, help="of the syringe in it (default 12)")
     options.add_argument("--cuts-digits", action="store_true", help="its display cuts digits off instead of rounding")
     options.add_argument("--counter-survives", action="store_true", help="its counter survives the loss of power")
+    options.add_argument("--power-failure", action="store_true", help="new state file: power failure mode is on")
+    options.add_argument("--no-power-failure-command", action="store_true", help="it does not know PF")
+    options.add_argument("--ignored-first", type=int, default=0, help="commands lost after power-up (default 0)")
+    options.add_argument("--answers-damaged", action="store_true", help="damaged packets are answered by ?COM")
+    options.add_argument("--any-rate", action="store_true", help="no rate is out of range")
     args = options.parse_args()
     try:
         state = TruthFile(args.state)
@@ -28,6 +34,13 @@ def main() -> int:
         true_diameter_mm=args.true_diameter_mm,
         nearest=not args.cuts_digits,
         counter_survives=args.counter_survives,
+        habits=Habits(
+            power_failure=args.power_failure,
+            knows_power_failure=not args.no_power_failure_command,
+            ignored_first=args.ignored_first,
+            answers_damaged=args.answers_damaged,
+            checks_rates=not args.any_rate,
+        ),
         time_scale=args.time_scale,
         seed=args.seed,
     )
