@@ -20,7 +20,7 @@ def main() -> int:
     options.add_argument("--no-power-failure-command", action="store_true", help="it does not know PF")
     options.add_argument("--ignored-first", type=int, default=0, help="commands lost after power-up (default 0)")
     options.add_argument("--answers-damaged", action="store_true", help="damaged packets are answered by ?COM")
-    options.add_argument("--any-rate", action="store_true", help="no rate is out of range")
+    options.add_argument("--checks-rates", action="store_true", help="rates beyond the motor's are refused")
     args = options.parse_args()
     try:
         state = TruthFile(args.state)
@@ -39,7 +39,7 @@ def main() -> int:
             knows_power_failure=not args.no_power_failure_command,
             ignored_first=args.ignored_first,
             answers_damaged=args.answers_damaged,
-            checks_rates=not args.any_rate,
+            checks_rates=args.checks_rates,
         ),
         time_scale=args.time_scale,
         seed=args.seed,

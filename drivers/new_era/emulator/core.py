@@ -37,15 +37,15 @@ class Habits:
     answers_damaged
         Whether a packet with a wrong CRC is answered by `?COM`; else it is dropped.
     checks_rates
-        Whether rates beyond what the motor can do with the diameter that is set are refused. Off for as long as tests
-        ask for more than a real pump can do.
+        Whether rates beyond what the motor can do with the diameter that is set are refused, as the manual says. Off
+        for as long as the drivers' tests ask for more than a real pump can do.
     """
 
     power_failure: bool = False
     knows_power_failure: bool = True
     ignored_first: int = 0
     answers_damaged: bool = False
-    checks_rates: bool = True
+    checks_rates: bool = False
 
 
 class Core:
@@ -189,6 +189,8 @@ class Core:
     def _be(self, state: str) -> None:
         """Into another state; whether the program operates is remembered without power."""
         self._state = state
+        if state == "S":
+            self._live_rate = None
         operating = int(state in "IWXT")
         if operating != self._kept["operating"]:
             self._kept["operating"] = operating

@@ -23,6 +23,8 @@ class Board(Cabled):
         Where the device's path is published, as a symbolic link that stays the same over re-plugging.
     rate, acceleration
         Of the motor, steps/s and steps/s².
+    protocol
+        Version of the protocol that its firmware speaks.
     boot_s
         From reset to banner.
     time_scale
@@ -40,12 +42,13 @@ class Board(Cabled):
         *,
         rate: float = 2000.0,
         acceleration: float = 8000.0,
+        protocol: int = 1,
         boot_s: float = BOOT_S,
         time_scale: float = 1.0,
         seed: int = 0,
     ) -> None:
         self._fram = state
-        self._motor = (rate, acceleration)
+        self._motor, self._protocol = (rate, acceleration), protocol
         super().__init__(state, link, boot_s=boot_s, time_scale=time_scale, seed=seed)
 
     @property
@@ -54,7 +57,7 @@ class Board(Cabled):
         return self._core if isinstance(self._core, Firmware) else None
 
     def _power_up(self) -> tuple[Firmware, bytes]:
-        firmware = Firmware(self._fram, *self._motor, pulse=self._pulse)
+        firmware = Firmware(self._fram, *self._motor, pulse=self._pulse, protocol=self._protocol)
         return firmware, framed("!GRBL 1.1") if self._gremlin.faults.stranger else firmware.banner()
 
     def _answers(self, core: Firmware, received: bytes, now: float) -> Iterator[bytes]:
@@ -69,7 +72,7 @@ class Board(Cabled):
         self._reset()
 
     def _reset(self) -> None:
-        self._reader = RequestReader()
+        self._reader = RequestReader(self._protocol)
         super()._reset()
 
     def _forget(self) -> None:
