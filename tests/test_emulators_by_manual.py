@@ -215,6 +215,18 @@ def test_a_program_without_r_is_loaded_and_executed_once_by_r() -> None:
     assert pump.send("?", after_s=5.0)[1] == "2800"
 
 
+@pytest.mark.parametrize("interrupted", ["HA1000R", "M20000A1000R"])
+def test_what_goes_on_after_r_takes_its_time_from_then(interrupted: str) -> None:
+    pump = Cavro()
+    pump.send("OR", after_s=1.0)
+    pump.send(interrupted, after_s=1.0)
+    pump.send("T" if interrupted[0] == "M" else "Q", after_s=10.0)
+    pump.send("R", after_s=50.0)
+    assert not pump.ready
+    assert int(pump.send("?", after_s=1.0)[1]) == pytest.approx(3000 - 700, abs=20)
+    assert pump.send("?", after_s=5.0)[1] == "1000"
+
+
 @pytest.mark.parametrize(("loop", "position"), [("A1000gD10G5R", 950), ("A1000gP50gP100D100G10G5R", 1250)])
 def test_loops_repeat_as_often_as_they_say(loop: str, position: int) -> None:
     pump = Cavro()
@@ -562,6 +574,17 @@ def test_phases_pause_jump_and_run_off_the_end() -> None:
     assert pump.send("", after_s=12.0) == "00T"
     assert pump.send("", after_s=60.0) == "00A?O"
     assert pump.pushed == 2000 + 200
+
+
+def test_a_stop_in_a_pause_phase_and_run_again_pumps_nothing_more() -> None:
+    pump = NewEra().programmed()
+    for text in ("PHN2", "FUNPAS5", "PHN3", "FUNSTP"):
+        assert pump.send(text) == "00S"
+    pump.send("RUN")
+    assert pump.send("STP", after_s=12.0) == "00P"
+    assert pump.send("RUN", after_s=1.0) == "00T"
+    assert pump.send("", after_s=20.0) == "00S"
+    assert pump.pushed == 2000
 
 
 def test_a_damaged_packet_is_answered_where_the_pump_does_that() -> None:

@@ -331,6 +331,7 @@ class Core:
 
     def _execute_or_resume(self, now_s: float) -> None:
         """`R` alone: what was halted, terminated, or loaded and not executed yet."""
+        self._free_s = max(self._free_s, now_s)
         if self._halted:
             self._halted = False
         elif self._resume is not None:

@@ -348,7 +348,10 @@ class Core:
             return "?NA"
         if argument and not (argument.isdigit() and 1 <= int(argument) <= 41):
             return "?OOR"
-        if self._state == "P" and not argument:
+        paused = self._state == "P" and not argument
+        if paused and self._program(self._running)["fun"].startswith("PAS"):
+            self._enter(now)
+        elif paused:
             self._be("W" if self._program(self._running)["dir"] == "WDR" else "I")
             self._since_s, self._done = now, 0
         elif self._program(int(argument or 1))["fun"] == "RAT" and not self._startable(int(argument or 1)):
