@@ -754,11 +754,10 @@ def test_the_plunger_is_always_between_count_less_doubt_and_count(
         if order == "D":
             target = record_now.count + number
             copies["D"] = f"D{next_id:08X}{target:08X}"
-            if doser.ask(copies["D"]).startswith("S"):
-                intended = max(intended, target)
             next_id += 1
-        elif order == "D again" and "D" in copies:
-            doser.ask(copies["D"])
+        if order in ("D", "D again") and "D" in copies:  # a copy of a refused one may be accepted later
+            if doser.ask(copies["D"]).startswith("S"):
+                intended = max(intended, int(copies["D"][9:], 16))
         elif order == "C":
             copies["C"] = f"C{record_now.stops:04X}"
             doser.ask(copies["C"])

@@ -19,7 +19,7 @@ def main() -> int:
     options.add_argument("--power-failure", action="store_true", help="new state file: power failure mode is on")
     options.add_argument("--no-power-failure-command", action="store_true", help="it does not know PF")
     options.add_argument("--ignored-first", type=int, default=0, help="commands lost after power-up (default 0)")
-    options.add_argument("--answers-damaged", action="store_true", help="damaged packets are answered by ?COM")
+    options.add_argument("--drops-damaged", action="store_true", help="damaged packets get no answer")
     options.add_argument("--checks-rates", action="store_true", help="rates beyond the motor's are refused")
     args = options.parse_args()
     try:
@@ -38,7 +38,7 @@ def main() -> int:
             power_failure=args.power_failure,
             knows_power_failure=not args.no_power_failure_command,
             ignored_first=args.ignored_first,
-            answers_damaged=args.answers_damaged,
+            answers_damaged=not args.drops_damaged,
             checks_rates=args.checks_rates,
         ),
         time_scale=args.time_scale,

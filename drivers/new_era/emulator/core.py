@@ -35,7 +35,7 @@ class Habits:
     ignored_first
         How many commands after power-up get no answer and have no effect.
     answers_damaged
-        Whether a packet with a wrong CRC is answered by `?COM`; else it is dropped.
+        Whether a packet with a wrong CRC is answered by `?COM`, as the manual says; else it is dropped.
     checks_rates
         Whether rates beyond what the motor can do with the diameter that is set are refused, as the manual says. Off
         for as long as the drivers' tests ask for more than a real pump can do.
@@ -44,7 +44,7 @@ class Habits:
     power_failure: bool = False
     knows_power_failure: bool = True
     ignored_first: int = 0
-    answers_damaged: bool = False
+    answers_damaged: bool = True
     checks_rates: bool = False
 
 
