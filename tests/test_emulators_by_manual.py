@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import usb.core
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.cavro.emulator.core import SPEED_CODES, XCALIBUR, XLP, Habits, Model
@@ -135,6 +135,7 @@ def test_a_lower_top_speed_only_hides_the_start_speed_and_a_speed_code_changes_i
     assert pump.send("?1")[1] == str(SPEED_CODES[27]) == "100"
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(st.sampled_from("vVc"), st.integers(0, 7000)) | st.tuples(st.just("S"), st.integers(0, 50))))
 def test_speeds_stay_in_order_and_in_range_whatever_is_asked(settings: list[tuple[str, int]]) -> None:
     ranges = {"v": (50, 1000), "V": (5, 6000), "c": (50, 2700), "S": (0, 40)}
@@ -342,6 +343,7 @@ def test_a_flagged_block_that_the_pump_never_had_is_obeyed() -> None:
     assert pump.send("?", after_s=5.0)[1] == "2900"
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.sampled_from(["D100R", "P50R", "A2000R", "A0R", "T", "R", "V300R", "S20R", "OR", "IR", "N1R", "N0R"])),
     st.lists(st.floats(0.0, 3.0), min_size=1),
@@ -480,6 +482,7 @@ def test_numbers_of_more_than_four_digits_or_three_decimals_are_refused(number: 
     assert pump.send("VOL") == before
 
 
+@settings(deadline=None)
 @given(st.integers(0, 9999), st.integers(0, 3))
 def test_every_number_of_four_digits_and_three_decimals_is_taken(digits: int, decimals: int) -> None:
     text = f"{digits:04d}"
@@ -742,6 +745,7 @@ ORDERS = st.sampled_from(["D", "D", "D again", "C", "C old", "Z", "Z old", "S", 
 
 
 @pytest.mark.parametrize("protocol", [1, 2])
+@settings(deadline=None)
 @given(orders=st.lists(st.tuples(ORDERS, st.integers(0, 3000)), max_size=30), record=RECORDS)
 def test_the_plunger_is_always_between_count_less_doubt_and_count(
     tmp_path_factory: pytest.TempPathFactory, protocol: int, orders: list[tuple[str, int]], record: dict[str, int]
@@ -1062,6 +1066,7 @@ def test_a_trigger_within_the_period_is_missed_and_falling_edges_are_none() -> N
     assert not board.controller.trigger_in(began_s + 1.0, rising=False)
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 255), min_size=64, max_size=64), st.integers(0, 3))
 def test_no_report_whatsoever_ends_the_board(report: list[int], repeats: int) -> None:
     board = LightCrafter()
