@@ -177,8 +177,10 @@ class Core:
                 self._fail(error)
 
     def _go_on(self, now_s: float, stroke: Stroke) -> None:
-        size = FINER // self._finer
-        made = math.floor(stroke.made(now_s) * self._fine_per_pulse / size + 1e-9) * size
+        size, pulses = FINER // self._finer, stroke.made(now_s)
+        made = math.floor(pulses * self._fine_per_pulse / size + 1e-9) * size
+        if pulses >= stroke.pulses:  # the last step is a shorter one where fine positioning was switched off in between
+            made = abs(self._target - self._from)
         while self.moving and abs(self._position - self._from) < made:
             due = min(made - abs(self._position - self._from), abs(self._target - self._position))
             if at_once := self._run(due // size):
@@ -200,18 +202,22 @@ class Core:
         if self._pulse():
             self._follow(1)
         else:
-            size = FINER // self._finer
-            self._position += -size if self._target < self._position else size
+            self._position += self._way(1)
             self._overloaded = True
             self._target, self._stroke = self._position, None
             self._fail(OVERLOAD)
 
     def _follow(self, steps: int) -> None:
         """So many increments that the plunger has followed."""
-        up, size = self._target < self._position, FINER // self._finer * steps
-        self._position += -size if up else size
-        if up and self._valve == "o":
-            self._expelled(size)
+        way = self._way(steps)
+        self._position += way
+        if way < 0 and self._valve == "o":
+            self._expelled(-way)
+
+    def _way(self, steps: int) -> int:
+        """Fine increments of so many increments towards the target, no farther; up is negative."""
+        way = min(FINER // self._finer * steps, abs(self._target - self._position))
+        return -way if self._target < self._position else way
 
     def _fail(self, error: int) -> None:
         """Stop executing; an error that the answer itself can carry is not kept."""
