@@ -142,7 +142,7 @@ def test_a_lossy_line_delays_a_dose_and_changes_nothing_else(bench: AnyBench) ->
 
 
 def test_a_dose_larger_than_the_syringe_takes_several_strokes(tmp_path: Path) -> None:
-    with CavroBench(tmp_path, time_scale=0.1, speed_ul_per_s=400.0, syringe_ul=250.0) as bench:
+    with CavroBench(tmp_path, time_scale=0.1, speed_ul_per_s=250.0, syringe_ul=250.0) as bench:
         doser = bench.open()
         assert doser.dose_to(700.0).volume_ul == pytest.approx(700.0, abs=doser.increment_ul)
         assert bench.true_ul == pytest.approx(doser.delivered().volume_ul)
@@ -258,7 +258,7 @@ def test_wrong_settings_are_told_in_one_sentence(driver: str, change: dict[str, 
 def test_a_speed_that_the_pump_cannot_do_is_told_before_it_is_asked_anything(tmp_path: Path) -> None:
     with (
         CavroBench(tmp_path) as bench,
-        pytest.raises(DeviceError, match=r"speed_ul_per_s = 1e\+06 .* give 1.67 to 2e\+03"),
+        pytest.raises(DeviceError, match=r"speed_ul_per_s = 1e\+06 .* give 0.833 to 1e\+03"),
     ):
         bench.open(speed_ul_per_s=1e6)
 

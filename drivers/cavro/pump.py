@@ -65,15 +65,18 @@ class CavroPump:
                 f"{self._name}: speed_ul_per_s = {self._settings.speed_ul_per_s:g} is not one it can do; give "
                 f"{lowest:.3g} to {highest:.3g}"
             )
-        try:
-            for _ in range(2):
-                self._ask("Q", "".__eq__)
-            self.model = self._ask("&", _is_firmware).data.strip()
-        except NoReplyError as error:
-            raise DeviceError(
-                f"{self._name}: no Cavro pump answers there at {self._settings.baud} baud; check port, baud, address "
-                f"{self._settings.address}, cable and power"
-            ) from error
+        for attempt in range(ATTEMPTS):
+            try:
+                for _ in range(2):
+                    self._ask("Q", "".__eq__)
+                self.model = self._ask("&", _is_firmware).data.strip()
+                break
+            except NoReplyError as error:
+                if attempt == ATTEMPTS - 1:
+                    raise DeviceError(
+                        f"{self._name}: no Cavro pump answers there at {self._settings.baud} baud; check port, baud, "
+                        f"address {self._settings.address}, cable and power"
+                    ) from error
         if unlike := _unlike_the_rig_file(self.model, self._settings):
             raise DeviceError(f"{self._name}: {unlike}")
 

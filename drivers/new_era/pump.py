@@ -123,7 +123,8 @@ class NewEraPump:
         if refused or not _same_setting(found := self._query("RAT"), f"{rate}{unit}"):
             raise DeviceError(
                 f"{self._name}: rate_ml_per_min = {self._settings.rate_ml_per_min:g} is not one it can do with a "
-                f"syringe of {self._settings.diameter_mm:g} mm ({refused or f'it reads back as {found}'}); give another rate"
+                f"syringe of {self._settings.diameter_mm:g} mm "
+                f"({refused or f'it reads back as {found}'}); give another rate"
             )
 
     # -- counting ------------------------------------------------------------------------------------------------------
