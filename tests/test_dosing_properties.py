@@ -443,15 +443,17 @@ class CavroDosing(Dosing):
 
     stops_within_s, model = 1.0, "xcalibur"
     SYRINGE_UL = 250.0
+    SPEEDS = (0.25, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 37.5, 50.0, 60.0, 70.0, 90.0, 120.0, 160.0, 200.0, 250.0)
+    """µl/s; the slowest two, whose doses take minutes, in an eighth of the cases."""
 
     def make_bench(self, folder: Path, seed: int) -> AnyBench:
-        self.ul_per_s = (0.25, 2.0, 5.0, 15.0, 37.5, 70.0, 140.0, 250.0)[seed % 8]
+        self.ul_per_s = self.SPEEDS[seed % len(self.SPEEDS)]
         habits = CavroHabits(
             model=MODELS[self.model],
             speeds_interact=True,
             speed_rounding=seed % 3 - 1,
-            repeat_flag_decides=bool(seed & 8),
-            overload_stays=bool(seed & 16),
+            repeat_flag_decides=bool(seed & 16),
+            overload_stays=bool(seed & 32),
         )
         speed = {"speed_ul_per_s": self.ul_per_s, "syringe_ul": self.SYRINGE_UL}
         return CavroBench(folder, world=self.world, seed=seed, habits=habits, **speed)

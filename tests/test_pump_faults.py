@@ -218,11 +218,12 @@ def test_the_doctor_sees_a_pump_that_is_not_initialised(tmp_path: Path) -> None:
 
     with CavroBench(tmp_path) as bench:
         doser = bench.open()
-        (check,) = checks({}, doser)
+        check, model = checks({}, doser)
         assert check.passed
+        assert model.finding.startswith("XCalibur with firmware '737230 A' at 500 µl/s")
         bench.do("reset")
         time.sleep(0.1)
-        (check,) = checks({}, doser)
+        check, _ = checks({}, doser)
         assert not check.passed
         assert (check.finding, check.remedy[:16]) == ("it is not initialised", "let it initialis")
     assert not list(checks({}, None))
