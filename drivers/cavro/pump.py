@@ -235,9 +235,8 @@ class CavroPump:
     # -- asking --------------------------------------------------------------------------------------------------------
 
     def _set_up(self, valve: str) -> None:
-        self._command(f"N{int(self._settings.fine)}R")
-        for speed in (f"V{self._settings.pulses_per_s}", f"v{self._start_speed}", f"c{self._start_speed}", f"L{SLOPE}"):
-            self._command(f"{speed}R")
+        top, start = self._settings.pulses_per_s, self._start_speed
+        self._command(f"N{int(self._settings.fine)}V{top}v{start}c{start}L{SLOPE}R")
         if self._valve() != valve:
             self._command(f"{valve.upper()}R")
             self._wait(VALVE_S, "turn its valve")
@@ -245,7 +244,11 @@ class CavroPump:
                 raise DeviceError(f"{self._name}: its valve is at {found!r} and not at {valve!r}; look at the valve")
 
     def _valve(self) -> str:
-        return self._ask("?6", lambda text: len(text) == 1 and text.isalpha()).data
+        """Where its valve is; the answer also tells an error of what was set before."""
+        answer = self._ask("?6", lambda text: len(text) == 1 and text.isalpha())
+        if answer.error:
+            raise DeviceError(f"{self._name}: could not be made ready: {answer.why}; look at it, and {_REMEDY}")
+        return answer.data
 
     def _move(self, count: int, unless: Callable[[], bool]) -> bool:
         """Send a move, again with the repeat bit while no reply comes and no stop has been sent since.
