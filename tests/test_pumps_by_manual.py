@@ -241,10 +241,13 @@ def test_power_failure_mode_is_switched_off(tmp_path: Path) -> None:
     """It began its program anew by itself: 380.9 on the way to 300, and then the truth was refused."""
     with new_era(tmp_path, habits=replace(NEW_ERA, power_failure=True), rate_ml_per_min=3.0) as bench:
         doser = bench.open()
-        bench.world.after(2.0, lambda: bench.do("reset"))
+        bench.world.after(2.0, lambda: bench.faults(mute=True, deaf=True))
+        bench.world.after(4.0, lambda: bench.do("reset"))
         with pytest.raises(UndecidedError):
             doser.dose_to(300.0)
         bench.world.advance(30.0)
+        assert 50.0 < bench.true_ul <= 300.0, "it has begun anew"
+        bench.no_faults()
         _, low_ul, high_ul = doser.delivered()
         assert low_ul <= bench.true_ul <= high_ul <= 300.0
         doser.resolve(bench.true_ul)
