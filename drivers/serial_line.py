@@ -167,9 +167,10 @@ class Line:
         """Whether to ask once more: the device has not been silent for long enough yet to be told as silent."""
         return self._silent_since is None or self._clock.monotonic() - self._silent_since < PATIENCE_S
 
-    def in_step(self) -> None:
-        """It has been proved that nothing is owed: the next reply answers the next request."""
-        self.owed = 0
+    def paid(self, replies: int) -> None:
+        """It has been proved that so many of those owed do not come any more."""
+        with self._writing:
+            self.owed -= replies
 
     def send(self, data: bytes, replies: int) -> None:
         """Put bytes on the wire now, whatever another thread waits for, that bring so many replies; never raises."""
@@ -225,7 +226,8 @@ class Line:
     def _silent(self, message: str) -> NoReplyError:
         self._unsettled = True
         self.missed += 1
-        self.owed += 1
+        with self._writing:
+            self.owed += 1
         if self._silent_since is None:
             self._silent_since = self._clock.monotonic() - REPLY_S
         return NoReplyError(message)

@@ -335,6 +335,27 @@ def test_no_alarm_while_nothing_moves(tmp_path: Path, watchdog_s: int) -> None:
         assert bench.board.command({})["board"]["alarms"].get("T", 0) == 0
 
 
+def test_asking_a_pump_at_rest_sets_nothing(tmp_path: Path) -> None:
+    """Every frame of a run asks what the tank holds; the pump stores what is set, and the mode too."""
+    with new_era(tmp_path) as bench:
+        doser = bench.open()
+        doser.dose_to(20.0)
+        doser.delivered()
+        port, sent = bench.port_of(doser), []
+        write = port.write
+        port.write = lambda data: (sent.append(data), write(data))[1]
+        begun_s = bench.world.now_s
+        for _ in range(10):
+            assert doser.delivered().volume_ul == pytest.approx(20.0, abs=0.5)
+        assert set(sent) == {b"0DIS\r"}
+        assert bench.world.now_s - begun_s < 10 * 0.05
+        bench.do("reset")
+        bench.world.advance(1.0)
+        doser.dose_to(40.0)
+        _, low_ul, high_ul = doser.delivered()
+        assert low_ul <= bench.true_ul <= high_ul <= 40.5
+
+
 def test_its_watchdog_minds_while_it_doses(tmp_path: Path) -> None:
     with new_era(tmp_path, rate_ml_per_min=3.0) as bench:
         doser, world = bench.open(), bench.world
@@ -430,6 +451,25 @@ def test_a_lost_reply_is_told_within_three_seconds(kind: str, deaf: bool, tmp_pa
     print(f"{kind}: {number} writes, longest {longest_s:.2f} s")
     assert number >= 8
     assert longest_s <= TOLD_WITHIN_S
+
+
+@pytest.mark.parametrize("what", ["delivered", "clear_stop", "open"])
+@pytest.mark.parametrize("kind", list(DOSERS))
+def test_silence_outside_a_dose_is_told_soon(kind: str, what: str, tmp_path: Path) -> None:
+    """Opening has lost nothing yet, and is more patient: a pump just switched on ignores some commands."""
+    with DOSERS[kind](tmp_path) as bench:
+        doser = bench.open()
+        doser.dose_to(10.0)
+        doser.stop()
+        if what == "open":
+            doser.close()
+        bench.faults(mute=True)
+        begun_s = bench.world.now_s
+        with pytest.raises(DeviceError):
+            bench.open() if what == "open" else getattr(doser, what)()
+        took_s = bench.world.now_s - begun_s
+        print(f"{kind}, {what}: {took_s:.2f} s")
+        assert took_s <= (8.0 if what == "open" else TOLD_WITHIN_S)
 
 
 def self_silencing(bench: AnyBench, doser: Any, after_writes: int, deaf: bool) -> list[float]:

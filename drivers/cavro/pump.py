@@ -120,6 +120,8 @@ class CavroPump:
         position = int(self._ask("?", str.isdigit).data)
         if position != int(self._ask("?", str.isdigit).data):
             return None  # damaged in a way that the checksum cannot see
+        if self._line.owed:
+            return None  # not sure where it stands: it must not be sent there
         probe = self._ask(f"A{position}R", "".__eq__)
         if probe.error == _BUSY:
             return None
@@ -143,13 +145,14 @@ class CavroPump:
             If an answer is missing or of the other kind.
         """
         often, last = random.sample([("?", str.isdigit), ("&", self._is_its_firmware)], 2)
-        questions = min(max(_FEWEST_QUESTIONS, self._line.owed + 1), _MOST_QUESTIONS)
+        owed = self._line.owed
+        questions = min(max(_FEWEST_QUESTIONS, owed + 1), _MOST_QUESTIONS)
         for question, fits in [often] * (questions - 1) + [last]:
             request = wire.command(self._settings.address, next(self._sequence), question)
             if not fits(self._once(request, lambda _: True).data):
                 self._line.unsettle()
                 raise NoReplyError(f"{self._name}: answers out of turn; check the cable, and that nobody else uses it")
-        self._line.in_step()
+        self._line.paid(owed)
 
     def _is_its_firmware(self, text: str) -> bool:
         return text.strip() == self.model

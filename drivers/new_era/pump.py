@@ -78,6 +78,7 @@ class NewEraPump:
         self._marks = itertools.cycle(random.sample(range(3, 41), 38))  # not those of the last program
         self.repeats = self._tells_power_failure_mode = False
         self._mode: Mode = Mode.UNCERTAIN
+        self._shown_at_rest, self._count_at_rest = "", Count.exactly(0)
         self._line = Line(settings.port, settings.baud, name, self._frames, self._heard, clock, opener)
 
     # -- who -----------------------------------------------------------------------------------------------------------
@@ -139,6 +140,8 @@ class NewEraPump:
 
     def read(self) -> Reading:
         """Bring it to rest if it moves, and read its counter."""
+        if self._mode is Mode.BASIC and self._shows_the_same():
+            return Reading(self._count_at_rest)
         error: DeviceError | None = None
         for _ in range(2 * ATTEMPTS):
             try:
@@ -153,9 +156,22 @@ class NewEraPump:
                 continue
             count = wire.dispensed(counted.data, self._unit_ul)
             if counted.status == "S" and count:
+                self._shown_at_rest, self._count_at_rest = counted.data, count
                 return self._reading(count)
             self.stop()
         raise error or NoReplyError(f"{self._name}: does not stop; pull its power")
+
+    def _shows_the_same(self) -> bool:
+        """Whether it stands as it was left, at rest with the same count: then nothing has moved.
+
+        Asked in Basic mode, as the pump stores each change of mode. Whatever else it says is asked again in Safe mode.
+        """
+        try:
+            found = self._line.exchange(f"{self._settings.address}DIS\r".encode(), self._of_this_pump)
+        except NoReplyError:
+            self._mode = Mode.UNCERTAIN
+            return False
+        return found.status == "S" and found.data == self._shown_at_rest
 
     def _reading(self, count: Count) -> Reading:
         alarms, self._heard_alarms = self._heard_alarms, set()
@@ -173,8 +189,9 @@ class NewEraPump:
         mark = next(self._marks)
         if self._ask(f"PHN{mark}", _done_or_refused).error:
             return False
+        owed = self._line.owed
         self._ask("PHN", lambda text: wire.same(text, str(mark)), attempts=1)
-        self._line.in_step()
+        self._line.paid(owed)
         return True
 
     def stale(self) -> bool:
@@ -338,15 +355,10 @@ class NewEraPump:
 
     def _change_mode(self, request: bytes) -> bool:
         """Whether it says, in either mode, that it has changed; an alarm says that it has not."""
-
-        def answer(text: bytes) -> wire.Reply | None:
-            found = wire.reply(text)
-            return found if found and found.address == self._settings.address else None
-
         self._mode, before = Mode.UNCERTAIN, self._mode
         try:
             for _ in range(ATTEMPTS):
-                found = self._line.exchange(request, answer)
+                found = self._line.exchange(request, self._of_this_pump)
                 if found.alarm is None:
                     return not found.data
         except NoReplyError:
@@ -355,8 +367,12 @@ class NewEraPump:
             self._mode = before
         return False
 
+    def _of_this_pump(self, text: bytes) -> wire.Reply | None:
+        found = wire.reply(text)
+        return found if found and found.address == self._settings.address else None
+
     def _frames(self, received: bytearray) -> Iterator[bytes]:
-        return (wire.packets_or_replies if self._mode is Mode.UNCERTAIN else wire.packets)(received)
+        return (wire.packets if self._mode is Mode.SAFE else wire.packets_or_replies)(received)
 
     def _heard(self, text: bytes) -> None:
         """Every packet, wanted or not: none may hide an alarm; a pump that still moves or pauses has had none."""
