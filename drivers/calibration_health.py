@@ -10,10 +10,12 @@ import numpy as np
 from drivers.check import Check, failed
 from drivers.rig import RigFile
 from tankrig.calibration.file import Calibration, all_in, passed_over, usable
-from tankrig.devices import Camera, CameraSettings, Projector
+from tankrig.calibration.witness import bright_exposure_ms, mean_of
+from tankrig.devices import Camera, Projector
 from tankrig.errors import StoreError, TankrigError
 from tankrig.pattern import Pattern
 from tankrig.pattern.wall import Wall
+from tankrig.sequence import ExposureRule
 
 KINDS: Mapping[str, str] = {
     "camera": "camera", "projector": "projector", "tank": "camera", "radiometry": "camera", "latency": "projector",
@@ -25,6 +27,7 @@ _CLOSE = 2.0
 _LEVEL = 128
 _OFF = 0.05
 _DIM = 0.01
+_ANY = ExposureRule()
 
 
 def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Check]:
@@ -63,12 +66,12 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
 def _as_believed(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Check]:
     """Whether the bench of the rig file is the one that was measured, which runs use once all its geometry was."""
     in_use = {"camera", "tank", "projector"} <= found.keys()
-    bench, latency_ms = rig.bench, rig.projector.get("latency_ms")
+    bench = rig.bench
     believed = (
         ("tank", "level_mm", bench.tank.size_mm[2], "bench.tank.size_mm, or fill the tank to that level"),
         ("tank", "camera_position_mm", bench.camera.position_mm, "bench.camera.position_mm"),
         ("projector", "position_mm", bench.light_position_mm, "bench.light_position_mm"),
-        ("latency", "p99_ms", latency_ms if isinstance(latency_ms, float) else None, "projector.latency_ms"),
+        ("latency", "p99_ms", rig.latency_ms, "projector.latency_ms"),
     )
     for kind, name, value, key in believed:
         if value is None or kind not in found or name not in found[kind].result:
@@ -118,12 +121,13 @@ def _fits(one: Calibration, device: Any, found: Mapping[str, Calibration], folde
     return Check(what, True, f"{named}: {well}{doubts}")
 
 
-def level_check(projector: Projector, camera: Camera, wall: Wall) -> Check:
+def level_check(projector: Projector, camera: Camera, wall: Wall, rule: ExposureRule = _ANY) -> Check:
     """Whether the projector's levels make the light that they are taken to make; three flashes."""
     what = "projector's levels make the light they are taken to make"
     try:
-        exposure_ms = _exposure(projector, camera)
-        dark, half, full = (_mean(projector, camera, level, exposure_ms) for level in (0, _LEVEL, 255))
+        exposure_ms = bright_exposure_ms(projector, camera, rule)
+        plain = (Pattern(f"level {level}", np.full(projector.shape, level, np.uint8)) for level in (0, _LEVEL, 255))
+        dark, half, full = (mean_of(projector, camera, pattern, exposure_ms) for pattern in plain)
     except TankrigError as error:
         return replace(failed(what, error), passed=None)  # a dark tank is no fault of the devices
     light, seen = full - dark, float((full - dark).max())
@@ -137,24 +141,3 @@ def level_check(projector: Projector, camera: Camera, wall: Wall) -> Check:
         f"level {_LEVEL} has {ratio:.1%} of level 255's light, as with gamma {gamma:.2f}; taken to have {taken:.1%}",
         "tankrig calibrate radiometry --rig FILE, or set bench.wall.gamma in the rig file",
     )  # fmt: skip
-
-
-def _exposure(projector: Projector, camera: Camera) -> float:
-    """One with which level 255 is bright and not saturated."""
-    exposure_ms = camera.configure(CameraSettings(20.0)).exposure_ms
-    for _ in range(4):
-        filled = float(np.quantile(_mean(projector, camera, 255, exposure_ms), 0.999)) / camera.saturation
-        if 0.2 < filled < 0.9:
-            break
-        wanted = exposure_ms * (0.2 if filled >= 0.9 else min(0.6 / max(filled, 0.01), 20.0))
-        exposure_ms = camera.configure(CameraSettings(min(wanted, 1000.0))).exposure_ms
-    return exposure_ms
-
-
-def _mean(projector: Projector, camera: Camera, level: int, exposure_ms: float) -> Any:
-    """(rows, columns) of two frames."""
-    pattern = Pattern(f"level {level}", np.full(projector.shape, level, np.uint8))
-    after_ns = projector.show(pattern).bound_ns
-    first = camera.capture(after_ns, 2e-3 * exposure_ms + 5.0)
-    second = camera.capture(first.exposure_start_ns, 2e-3 * exposure_ms + 5.0)
-    return (first.pixels.astype(float) + second.pixels) / 2.0

@@ -1,22 +1,25 @@
 """What is connected, and whether a rig is fit to be used: asked of the drivers, each of which knows its own devices.
 
 A driver takes part with an entry point of the group `tankrig.health` under its own name: a module with
-`find() -> Iterator[Found]` and `checks(settings, device) -> Iterator[Check]`.
+`find() -> Iterator[Found]` and `checks(settings, device) -> Iterator[Check]`. A driver whose module is broken is named
+with the reason, and the others are asked all the same.
 """
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
+from statistics import median
 from typing import Any, Protocol
 
 from drivers.calibration_health import calibration_checks, level_check
 from drivers.check import Check, failed
-from drivers.registry import open_device
+from drivers.registry import blamed, loaded, open_device, unusable_drivers
 from drivers.rig import RigFile, calibrated_bench
 from tankrig.bench import Bench
 from tankrig.devices import Camera, CameraSettings, Doser, Projector
 from tankrig.errors import DeviceError, TankrigError
+from tankrig.sequence import ExposureRule
 
 GROUP = "tankrig.health"
 
@@ -52,9 +55,11 @@ def find_devices() -> Iterator[Found | DeviceError]:
     yield from _serial_ports()
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         try:
-            yield from entry.load().find()
+            with blamed(f'health of driver "{entry.name}"', "could not look for devices", "ask who wrote it"):
+                yield from loaded(entry).find()
         except DeviceError as error:
             yield error
+    yield from unusable_drivers()
 
 
 def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
@@ -79,8 +84,7 @@ def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
                 yield Check(f"{kind} opens", True, f"{device.name} ({driver})")
             except DeviceError as error:
                 yield failed(f"{kind} opens", error)
-            for entry in entry_points(group=GROUP, name=driver):
-                yield from entry.load().checks(settings, device)
+            yield from _own_checks(driver, settings, device)
         if "doser" in devices:
             yield from _doser(devices["doser"], rig)
         for kind, shape in (("projector", rig.bench.wall.shape), ("camera", rig.bench.camera.shape)):
@@ -88,10 +92,22 @@ def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
                 yield _shape(kind, devices[kind].shape, shape)
         if "camera" in devices:
             yield _camera(devices["camera"])
+        yield from _exposures(rig.exposure_rule, devices)
         yield from calibration_checks(rig, devices)
         if with_light and {"projector", "camera"} <= devices.keys():
-            yield _latency(devices["projector"], devices["camera"], rig.projector.get("latency_ms"))
-            yield level_check(devices["projector"], devices["camera"], _believed(rig).wall)
+            yield _latency(devices["projector"], devices["camera"], rig.latency_ms)
+            yield _seen(devices["projector"], devices["camera"], rig.exposure_rule)
+            yield level_check(devices["projector"], devices["camera"], _believed(rig).wall, rig.exposure_rule)
+
+
+def _own_checks(driver: str, settings: Mapping[str, Any], device: Any) -> Iterator[Check]:
+    """What the driver's own module looks at."""
+    for entry in entry_points(group=GROUP, name=driver):
+        try:
+            with blamed(f'health of driver "{driver}"', "could not check its device", "ask who wrote it"):
+                yield from loaded(entry).checks(settings, device)
+        except DeviceError as error:
+            yield failed(f"{driver} checks its own device", error)
 
 
 def _believed(rig: RigFile) -> Bench:
@@ -137,6 +153,61 @@ def _camera(camera: Camera) -> Check:
     except TankrigError as error:
         return failed(what, error)
     return Check(what, True, f"{len(starts)} of them, exposure {actual.exposure_ms:g} ms, gain {actual.gain:g}")
+
+
+def _exposures(rule: ExposureRule, devices: Mapping[str, Any]) -> Iterator[Check]:
+    """Whether the period of the light is known and true, and the camera can expose whole numbers of it."""
+    what = "exposures are whole numbers of the projector's periods"
+    if rule.accept.strip():
+        yield Check(what, True, f"the rig file accepts any: {rule.accept}")
+        return
+    if rule.period_ms is None:
+        yield Check(
+            what, None, "nobody has said what the period of its light is",
+            "set period_ms in the rig file's [exposure], or 0 where the light is steady",
+        )  # fmt: skip
+        return
+    swaps_ms = getattr(devices.get("projector"), "swap_ms", ())
+    if rule.period_ms and swaps_ms:
+        measured_ms = float(median(swaps_ms))
+        yield Check(
+            "the projector's period is what the rig file says", rule.allows(measured_ms),
+            f"{measured_ms:.3f} ms measured, {rule.period_ms:.3f} ms in the rig file",
+            f"set refresh_hz = {1000.0 / measured_ms:.2f} in [projector]",
+        )  # fmt: skip
+    if "camera" in devices:
+        yield _camera_keeps(what, rule, devices["camera"])
+
+
+def _camera_keeps(what: str, rule: ExposureRule, camera: Camera) -> Check:
+    if not rule.period_ms:
+        return Check(what, True, "the rig file says that its light is steady, so any will do")
+    try:
+        asked = [number * rule.period_ms for number in (1, 2, 3, 4)]
+        made = [camera.configure(CameraSettings(exposure_ms)).exposure_ms for exposure_ms in asked]
+    except TankrigError as error:
+        return failed(what, error)
+    whole = [f"{exposure_ms:.3f}" for exposure_ms in made if rule.allows(exposure_ms)]
+    told = ", ".join(f"{exposure_ms:.3f}" for exposure_ms in made)
+    return Check(
+        what, bool(whole), f"of {rule.period_ms:.3f} ms: the camera makes {told} ms of one to four of them",
+        "set the camera's frame rate or the projector's refresh rate so that they fit, or say in the rig file's "
+        "[exposure] why it does not matter: accept = …",
+    )  # fmt: skip
+
+
+def _seen(projector: Projector, camera: Camera, rule: ExposureRule) -> Check:
+    from tankrig.calibration.witness import witness
+
+    what = "the camera sees what the projector is told to show"
+    try:
+        testimony = witness(projector, camera, rule)
+    except TankrigError as error:
+        return replace(failed(what, error), passed=None)  # a dark tank is no fault of the devices
+    return Check(
+        what, testimony.follows, testimony.finding,
+        "look at the projector's picture, with ink in the tank or a sheet of paper where its light falls",
+    )  # fmt: skip
 
 
 def _latency(projector: Projector, camera: Camera, assumed_ms: float | None) -> Check:

@@ -1,13 +1,16 @@
 """Drivers by name: entry points of the group `tankrig.drivers`, each a `callable(settings) -> device`.
 
-A lab adds its own by installing a package with such an entry point; nothing in this tree has to change.
+A lab adds its own by installing a package with such an entry point; nothing in this tree has to change
+(docs/write_a_driver.md). Whatever is wrong with somebody's package becomes a `DeviceError` that names it, so that it
+never takes the other drivers with it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from tankrig.errors import DeviceError
+from tankrig.errors import DeviceError, TankrigError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -24,6 +27,15 @@ def driver_names() -> tuple[str, ...]:
     return tuple(sorted(entry_points(group=GROUP).names))
 
 
+def unusable_drivers() -> Iterator[DeviceError]:
+    """Those installed drivers that cannot be used, each with the reason."""
+    for name in driver_names():
+        try:
+            _driver(name)
+        except DeviceError as error:
+            yield error
+
+
 def open_device(name: str, settings: Mapping[str, Any]) -> Any:
     """Open the device that the driver `name` makes of `settings` (a table of a rig file).
 
@@ -32,7 +44,9 @@ def open_device(name: str, settings: Mapping[str, Any]) -> Any:
     DeviceError
         If there is no such driver, its settings are wrong, or the device cannot be opened.
     """
-    return _driver(name).load()(settings)
+    driver = _driver(name)
+    with blamed(f'driver "{name}"', "could not open its device", "ask who wrote it"):
+        return driver(settings)
 
 
 def checked(model: "type[_Settings]", driver: str, settings: Mapping[str, Any]) -> "_Settings":
@@ -48,11 +62,46 @@ def checked(model: "type[_Settings]", driver: str, settings: Mapping[str, Any]) 
         raise DeviceError(f"{driver}: setting {place}: {first['msg']}; it takes {known}") from error
 
 
-def _driver(name: str) -> EntryPoint:
-    found = entry_points(group=GROUP, name=name)
+def loaded(entry: EntryPoint) -> Any:
+    """What an entry point stands for.
+
+    Raises
+    ------
+    DeviceError
+        If it cannot be imported, whatever its package raises meanwhile; the message names entry point and package.
+    """
+    package = entry.dist.name if entry.dist else "an unknown package"
+    whose = f'{entry.group.removeprefix("tankrig.")} entry point "{entry.name}" of {package}'
+    with blamed(whose, f"cannot be loaded from {entry.value}", f"mend or uninstall {package}"):
+        return entry.load()
+
+
+@contextmanager
+def blamed(whose: str, what: str, remedy: str) -> Iterator[None]:
+    """Turn everything that other people's code raises here, `SystemExit` too, into a DeviceError that says whose it is.
+
+    tankrig's own errors, a person's Ctrl-C and the end of a generator pass through.
+    """
+    try:
+        yield
+    except (TankrigError, KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:
+        said = " ".join(str(error).split())
+        raise DeviceError(f"{whose}: {what} ({type(error).__name__}{': ' if said else ''}{said}); {remedy}") from error
+
+
+def _driver(name: str) -> Any:
+    found = {(entry.value, entry.dist and entry.dist.name): entry for entry in entry_points(group=GROUP, name=name)}
     if not found:
         raise DeviceError(f"there is no driver {name!r}; installed are {', '.join(driver_names()) or 'none'}")
-    return next(iter(found))
+    if len({value for value, _ in found}) > 1:
+        packages = " and ".join(sorted(package or "?" for _, package in found))
+        raise DeviceError(f'driver "{name}": is installed by {packages}; uninstall all but one of them')
+    driver = loaded(next(iter(found.values())))
+    if not callable(driver):
+        raise DeviceError(f'driver "{name}": its entry point is no function of the settings; ask who wrote it')
+    return driver
 
 
 _Settings = TypeVar("_Settings", bound="BaseModel")

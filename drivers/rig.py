@@ -19,7 +19,7 @@ from tankrig.dosing import DoseLimits
 from tankrig.errors import DeviceError, SceneError
 from tankrig.run.rig import Rig, RigLock
 from tankrig.scene.description import CLOSED, Medium
-from tankrig.sequence import Pace
+from tankrig.sequence import ExposureRule, Pace
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,11 @@ class RigFile:
         Where calibration files are kept; relative to the rig file.
     calibration
         By kind, the beginning of the hash of the calibration file to use; the newest where left out.
+    exposure
+        The period of the projector's light, where that is not what its `refresh_hz` says, and a person's reason why
+        exposures need not be whole numbers of it.
+    flash_before_run
+        Whether the camera is asked, before a run begins, if it sees what the projector is told to show.
     """
 
     __pydantic_config__ = CLOSED
@@ -58,6 +63,23 @@ class RigFile:
     folder: str = "."
     calibration_folder: str = FOLDER
     calibration: dict[str, str] = field(default_factory=dict)
+    exposure: ExposureRule = field(default_factory=ExposureRule)
+    flash_before_run: bool = False
+
+    @property
+    def exposure_rule(self) -> ExposureRule:
+        """What exposures must keep to: by `exposure`, and by the projector's `refresh_hz` where that says no period."""
+        refresh_hz = self.projector.get("refresh_hz")
+        if self.exposure.period_ms is not None or not isinstance(refresh_hz, int | float) or refresh_hz <= 0.0:
+            return self.exposure
+        return replace(self.exposure, period_ms=1000.0 / refresh_hz)
+
+    @property
+    def latency_ms(self) -> float | None:
+        """Within which light follows a swap, as far as the rig file says; the longest where it says several."""
+        said = self.projector.get("latency_ms")
+        longest = max(said, default=None) if isinstance(said, list | tuple) else said
+        return float(longest) if isinstance(longest, int | float) else None
 
     @property
     def ledger(self) -> Path:
@@ -219,6 +241,8 @@ def open_rig(description: RigFile, looking: bool = False) -> Rig:
             limits=description.limits,
             ledger=description.ledger,
             pace=description.pace,
+            exposure=description.exposure_rule,
+            flash_before_run=description.flash_before_run,
             calibrations=calibrations,
             lock=lock,
             **devices,

@@ -14,10 +14,8 @@ import pytest
 from drivers.registry import open_device
 from drivers.rig import load_rig_file
 from tankrig.devices import Camera, Doser, Projector
-
-from .contracts.camera import CameraContract
-from .contracts.doser import DoserContract
-from .contracts.projector import ProjectorContract
+from tankrig.testing import CameraContract, DoserContract
+from tankrig.testing.projector import ProjectorContract
 
 pytestmark = [
     pytest.mark.hardware,

@@ -11,8 +11,8 @@ from drivers.hdmi.projector import HdmiProjector
 from drivers.hdmi.settings import HdmiProjectorSettings
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
+from tankrig.testing.projector import ProjectorContract, plain
 
-from .contracts.projector import ProjectorContract, plain
 from .xserver import OPERATOR, PROJECTOR, XServer, until
 
 SHAPE = (240, 320)

@@ -6,6 +6,7 @@ import sys
 import pytest
 
 HEAVY = {"numba", "scipy", "cv2", "matplotlib", "zarr", "xarray", "pydantic", "PySide6", "pyqtgraph", "serial", "usb"}
+HEAVY |= {"pytest", "tankrig.testing"}
 
 
 def run(code: str) -> str:

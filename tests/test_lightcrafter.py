@@ -18,8 +18,7 @@ from drivers.lightcrafter4500.settings import LightcrafterSettings
 from drivers.lightcrafter4500.usb_link import packed
 from drivers.registry import open_device
 from tankrig.errors import DeviceError
-
-from .contracts.projector import ProjectorContract
+from tankrig.testing.projector import ProjectorContract
 
 
 class Board:

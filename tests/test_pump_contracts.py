@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from tankrig.devices import Doser
+from tankrig.testing import DoserContract, ReopenDoser
 
-from .contracts.doser import DoserContract, Reopen
 from .doser_bench import AnyBench, CavroBench, NewEraBench
 
 
@@ -15,12 +15,12 @@ class PumpContract(DoserContract):
     bench: type[AnyBench]
 
     @pytest.fixture
-    def reopen(self, tmp_path: Path) -> Iterator[Reopen]:
+    def reopen(self, tmp_path: Path) -> Iterator[ReopenDoser]:
         with self.bench(tmp_path) as bench:
             yield bench.open
 
     @pytest.fixture
-    def doser(self, reopen: Reopen) -> Doser:
+    def doser(self, reopen: ReopenDoser) -> Doser:
         return reopen()
 
 

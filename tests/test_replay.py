@@ -12,8 +12,8 @@ from drivers.registry import open_device
 from tankrig.errors import DeviceError
 from tankrig.run.start import new_run
 from tankrig.sequence import Capture, Sequence
+from tankrig.testing import CameraContract, ReopenCamera
 
-from .contracts.camera import CameraContract, ReopenCamera
 from .memory_rig import memory_rig
 
 

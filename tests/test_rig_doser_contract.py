@@ -8,8 +8,8 @@ import pytest
 from drivers.registry import open_device
 from tankrig.devices import Doser
 from tankrig.dosing import DoseDone, DoseIntent, DoseLimits, GuardedDoser, TankLedger
+from tankrig.testing import DoserContract, ReopenDoser
 
-from .contracts.doser import DoserContract, Reopen
 from .doser_bench import Bench
 
 
@@ -23,18 +23,18 @@ class Nowhere:
 
 class TestRigDoser(DoserContract):
     @pytest.fixture
-    def reopen(self, tmp_path: Path) -> Iterator[Reopen]:
+    def reopen(self, tmp_path: Path) -> Iterator[ReopenDoser]:
         with Bench(tmp_path) as bench:
             yield bench.open
 
     @pytest.fixture
-    def doser(self, reopen: Reopen) -> Doser:
+    def doser(self, reopen: ReopenDoser) -> Doser:
         return reopen()
 
 
 class TestSimulatedDoser(DoserContract):
     @pytest.fixture
-    def reopen(self, tmp_path: Path) -> Iterator[Reopen]:
+    def reopen(self, tmp_path: Path) -> Iterator[ReopenDoser]:
         opened = []
 
         def open_again() -> Doser:
@@ -46,13 +46,13 @@ class TestSimulatedDoser(DoserContract):
             doser.close()
 
     @pytest.fixture
-    def doser(self, reopen: Reopen) -> Doser:
+    def doser(self, reopen: ReopenDoser) -> Doser:
         return reopen()
 
 
 class TestGuardedDoser(DoserContract):
     @pytest.fixture
-    def reopen(self, tmp_path: Path) -> Iterator[Reopen]:
+    def reopen(self, tmp_path: Path) -> Iterator[ReopenDoser]:
         opened = []
 
         def open_again() -> Doser:
@@ -66,5 +66,5 @@ class TestGuardedDoser(DoserContract):
                 doser.close()
 
     @pytest.fixture
-    def doser(self, reopen: Reopen) -> Doser:
+    def doser(self, reopen: ReopenDoser) -> Doser:
         return reopen()

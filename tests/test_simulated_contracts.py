@@ -7,9 +7,8 @@ import pytest
 
 from drivers.registry import open_device
 from tankrig.devices import Camera, Projector
-
-from .contracts.camera import CameraContract, ReopenCamera
-from .contracts.projector import ProjectorContract, ReopenProjector
+from tankrig.testing import CameraContract, ReopenCamera
+from tankrig.testing.projector import ProjectorContract, ReopenProjector
 
 
 class TestSimulatedProjector(ProjectorContract):

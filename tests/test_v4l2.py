@@ -1,8 +1,9 @@
-"""The V4L2 camera driver on the real OpenCV backend, with a preloaded library in place of the kernel's driver.
+"""The V4L2 camera driver with a preloaded library in place of the kernel's.
 
 A library is preloaded into a new process only, so each file of tests/preloaded runs in a pytest of its own.
 """
 
+import os
 import shutil
 import subprocess
 import sys
@@ -28,7 +29,30 @@ def run_preloaded(
 
 
 @pytest.mark.parametrize("case", sorted(CASES.glob("v4l2_*.py")), ids=lambda case: case.stem)
-def test_the_camera_driver_through_opencv(case, tmp_path):
+def test_the_camera_driver_on_a_stand_in_for_the_kernels(case, tmp_path):
     done = run_preloaded(case, tmp_path)
     print(done.stdout, done.stderr)
     assert done.returncode == 0, f"see {case}"
+
+
+def at_full_rate(folder: Path, *options: str, timeout_s: float) -> None:
+    done = run_preloaded(CASES / "full_rate.py", folder, "-s", *options, timeout_s=timeout_s)
+    print(done.stdout, done.stderr)
+    assert done.returncode == 0, "see tests/preloaded/full_rate.py"
+
+
+def test_thousands_of_frames_at_full_rate(tmp_path, monkeypatch):
+    monkeypatch.setenv("FRAMES", "3000")
+    at_full_rate(tmp_path, "-k", "many", timeout_s=120.0)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(7200)
+def test_a_million_frames_at_full_rate(tmp_path, monkeypatch):
+    monkeypatch.setenv("FRAMES", os.environ.get("FRAMES", "1000000"))
+    at_full_rate(tmp_path, "-k", "many", "--timeout=7000", timeout_s=7000.0)
+
+
+@pytest.mark.long
+def test_frames_a_second_beside_opencv(tmp_path):
+    at_full_rate(tmp_path, "-k", "beside", timeout_s=280.0)

@@ -7,6 +7,8 @@ import os
 import shutil
 import subprocess
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +113,30 @@ class XServer:
         with _Display(self.display) as display:
             return display.screen_saver_is_on()
 
+    def mix_colours(self, numbers: tuple[int, ...]) -> None:
+        """Give the projector's output a colour matrix, as night light does: words of 32 bits."""
+        words = (ctypes.c_ulong * len(numbers))(*numbers)  # what Xlib takes for 32 bits
+        with _Display(self.display) as display:
+            display.set_property(PROJECTOR, b"CTM", 32, words, len(numbers))
+
+    @contextmanager
+    def window(self, x: int, y: int, width: int, height: int, title: str = "another window") -> Iterator[None]:
+        """Another program's window, above all others."""
+        with _Display(self.display) as display:
+            display.open_window(x, y, width, height, title)
+            yield
+
+    @contextmanager
+    def compositor(self) -> Iterator[None]:
+        """A program that has all windows drawn into memory, from which the server makes the picture."""
+        with _Display(self.display) as display:
+            display.redirect()
+            yield
+
+    def unmap(self, title: str) -> None:
+        command = ["xdotool", "search", "--onlyvisible", "--name", title, "windowunmap"]
+        subprocess.run(command, env=self.environment, check=True, timeout=20.0)
+
     def close(self) -> None:
         stop_x_server(self._process)
 
@@ -165,6 +191,22 @@ class _Display:
         self._x11.XFree(image.data)
         return raw[:, : 4 * width].reshape(height, width, 4)[..., 2::-1]
 
+    def open_window(self, x: int, y: int, width: int, height: int, title: str) -> None:
+        self._x11.XCreateSimpleWindow.restype = ctypes.c_ulong
+        window = ctypes.c_ulong(
+            self._x11.XCreateSimpleWindow(
+                self._display, self._root, x, y, width, height, 0, ctypes.c_ulong(0), ctypes.c_ulong(0)
+            )
+        )
+        self._x11.XStoreName(self._display, window, title.encode())
+        self._x11.XMapRaised(self._display, window)
+        self._x11.XSync(self._display, 0)
+
+    def redirect(self) -> None:
+        composite = ctypes.CDLL(ctypes.util.find_library("Xcomposite"))
+        composite.XCompositeRedirectSubwindows(self._display, self._root, 0)
+        self._x11.XSync(self._display, 0)
+
     def screen_saver_is_on(self) -> bool:
         saver = ctypes.CDLL(ctypes.util.find_library("Xss"))
         facts = (ctypes.c_ulong * 8)()  # Window, int state, …
@@ -172,6 +214,9 @@ class _Display:
         return int(facts[1]) & 0xFFFFFFFF == 1
 
     def set_edid(self, output: str, block: bytes) -> None:
+        self.set_property(output, b"EDID", 8, block, len(block))
+
+    def set_property(self, output: str, name: bytes, bits: int, data: object, count: int) -> None:
         xrandr = ctypes.CDLL(ctypes.util.find_library("Xrandr"))
         xrandr.XRRGetScreenResources.restype = ctypes.c_void_p
         resources = xrandr.XRRGetScreenResources(self._display, self._root)
@@ -179,8 +224,8 @@ class _Display:
         words = ctypes.cast(resources, ctypes.POINTER(ctypes.c_ulong))
         outputs = ctypes.cast(words[5], ctypes.POINTER(ctypes.c_ulong))
         number = int(output.removeprefix("DUMMY"))
-        atom = ctypes.c_ulong(self._x11.XInternAtom(self._display, b"EDID", 0))
+        atom = ctypes.c_ulong(self._x11.XInternAtom(self._display, name, 0))
         xrandr.XRRChangeOutputProperty(
-            self._display, ctypes.c_ulong(outputs[number]), atom, ctypes.c_ulong(19), 8, 0, block, len(block)
+            self._display, ctypes.c_ulong(outputs[number]), atom, ctypes.c_ulong(19), bits, 0, data, count
         )
         self._x11.XSync(self._display, 0)

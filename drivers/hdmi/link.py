@@ -120,7 +120,9 @@ class WindowLink:
             ) from error
         return tuple(_screen(facts) for facts in told)
 
-    def open(self, output: str, shape: tuple[int, int], colours: Sequence[int]) -> bool:
+    def open(
+        self, output: str, shape: tuple[int, int], colours: Sequence[int], accept_compositor: bool = False
+    ) -> bool:
         """Open the window; returns whether the screen will be kept from blanking.
 
         Parameters
@@ -131,12 +133,15 @@ class WindowLink:
             (rows, columns) of the picture.
         colours
             256 numbers 0xAARRGGBB: what goes out for each level.
+        accept_compositor
+            Whether another program may make the screen's picture of this window's.
         """
         rows, columns = shape
         os.ftruncate(self._memory, rows * columns)
         pixels = mmap.mmap(self._memory, rows * columns)
         self._pixels: NDArray[np.uint8] = np.frombuffer(pixels, np.uint8).reshape(shape)
-        facts = {"output": output, "shape": list(shape), "colours": list(colours)}
+        facts: dict[str, Any] = {"output": output, "shape": list(shape), "colours": list(colours)}
+        facts["accept_compositor"] = accept_compositor
         awake: bool = self._ask("open", _START_S, **facts)["awake"]
         return awake
 
@@ -147,8 +152,11 @@ class WindowLink:
         return swapped_ns
 
     def check(self) -> None:
-        """Raise a DeviceError unless the window is still where it was opened."""
-        self._ask("check", self._timeout_s)
+        """Raise a DeviceError unless the window is still where it was opened, and nothing has covered or changed its
+        picture since it was shown, as far as an X server can prove that.
+        """
+        if doubt := self._ask("check", self._timeout_s)["doubt"]:
+            raise DeviceError(f"{self._name}: {doubt}")
 
     def close(self) -> None:
         """End the process; may be called any number of times."""

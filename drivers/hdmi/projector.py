@@ -1,6 +1,7 @@
 """A projector at a video output: patterns pixel by pixel on the right screen, at known times."""
 
 import threading
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -19,6 +20,7 @@ synchronisation of their own (virtual ones) need one."""
 
 _SWAPS_MEASURED = 32
 _SWAPS_BEFORE = 8
+_SETTLING_S = 1.0
 _UNSTEADY = 0.1
 _OTHER_RATE = 0.02
 
@@ -36,8 +38,8 @@ class HdmiProjector:
     Raises
     ------
     DeviceError
-        When the screen is not there or is not unique, scales, is in another mode than `settings` say, or does not swap
-        steadily.
+        When the screen is not there or is not unique, is the desktop's main one, scales, is in another mode than
+        `settings` say, does not swap steadily, or cannot be shown to get the picture as it is.
     """
 
     def __init__(self, settings: HdmiProjectorSettings, swap_clock: SwapClock = lambda swapped_ns: swapped_ns) -> None:
@@ -48,9 +50,10 @@ class HdmiProjector:
         self._link = WindowLink(self.name, settings.timeout_s)
         try:
             screen = self._chosen(self._link.screens())
-            self.kept_awake = self._link.open(screen.output, settings.shape, colours)
+            self.kept_awake = self._link.open(screen.output, settings.shape, colours, settings.accept_compositor)
             """Whether the desktop or the X server has promised not to blank the screen."""
             self.swap_ms = self._swap_intervals_ms()
+            self._require_proved()
             self._require_steady()
         except BaseException:
             self._link.close()
@@ -85,12 +88,12 @@ class HdmiProjector:
         return Flip(settled_ns, settled_ns + later_ns, pattern.hash)
 
     def confirm(self) -> None:
-        """Make sure that what was shown last is still on the output.
+        """Make sure that what was shown last is still on the output, and has been since.
 
         Raises
         ------
         DeviceError
-            If the screen is gone, or this is closed.
+            If the screen is gone, something has covered or changed the picture, or this is closed.
         """
         with self._turn:
             self._link.check()
@@ -111,6 +114,12 @@ class HdmiProjector:
                 f"{self.name}: {how}; name one of {known} by serial, model, manufacturer or output in projector.screen"
             )
         screen = found[0]
+        if screen.primary and not settings.accept_primary:
+            which = "the desktop's only screen" if len(screens) == 1 else "the desktop's main screen"
+            raise DeviceError(
+                f"{self.name}: is {which}, where windows and messages appear; make another screen the main one, or "
+                f"accept it: accept_primary = true in [projector]"
+            )
         if screen.pixel_ratio != 1.0:
             raise DeviceError(
                 f"{self.name}: the desktop scales it by {screen.pixel_ratio:g}; set its scale to 100 % "
@@ -133,6 +142,20 @@ class HdmiProjector:
         dark = np.zeros(self.shape, np.uint8)
         swaps_ns = [self._swap_clock(self._link.show(dark)) for _ in range(_SWAPS_BEFORE + _SWAPS_MEASURED + 1)]
         return tuple((np.diff(swaps_ns[_SWAPS_BEFORE:]) / 1e6).tolist())
+
+    def _require_proved(self) -> None:
+        """Wait a little for a window manager to have put the window where it belongs; then refuse what is in doubt."""
+        deadline_s = time.monotonic() + _SETTLING_S
+        while True:
+            try:
+                self._link.check()
+            except DeviceError:
+                if time.monotonic() > deadline_s:
+                    raise
+                time.sleep(_SETTLING_S / 10)
+                self._link.show(np.zeros(self.shape, np.uint8))
+            else:
+                return
 
     def _require_steady(self) -> None:
         period_ms = 1000.0 / self._settings.refresh_hz

@@ -47,6 +47,12 @@ class HdmiProjectorSettings(BaseModel):
         full light; without it, a level goes out as it is on all three.
     timeout_s
         How long to wait for a swap.
+    accept_primary
+        A person's word that the projector may be the desktop's main screen, on which windows, panels and messages
+        appear.
+    accept_compositor
+        A person's word that a compositor may make the screen's picture; then nobody but the camera can tell whether it
+        changes or delays it.
     """
 
     model_config = _CLOSED
@@ -57,3 +63,5 @@ class HdmiProjectorSettings(BaseModel):
     latency_ms: float = Field(gt=0.0)
     response: Path | None = None
     timeout_s: float = Field(default=2.0, gt=0.0)
+    accept_primary: bool = False
+    accept_compositor: bool = False

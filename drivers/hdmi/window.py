@@ -24,6 +24,7 @@ from PySide6.QtOpenGL import QOpenGLWindow
 
 from drivers.hdmi.awake import keep_awake
 from drivers.hdmi.modes import mode_pixels
+from drivers.hdmi.proof import Proof, unproved
 
 
 def described(screen: QScreen) -> dict[str, Any]:
@@ -81,6 +82,8 @@ class Projection(QObject):
         self._window: PictureWindow | None = None
         self._place = QRect()
         self._awake: object = None
+        self._proof: Proof | None = None
+        self._unproved = ""
         self._notifier = QSocketNotifier(connection.fileno(), QSocketNotifier.Type.Read, self)
         self._notifier.activated.connect(self._read)
 
@@ -118,7 +121,17 @@ class Projection(QObject):
             change.connect(self._moved)
         QGuiApplication.instance().screenRemoved.connect(self._removed)  # type: ignore[union-attr]
         self._awake = keep_awake()
+        self._prove(output, asked["accept_compositor"])
         self._say(number=asked["number"], awake=bool(self._awake))
+
+    def _prove(self, output: str, accept_compositor: bool) -> None:
+        if QGuiApplication.platformName() != "xcb" or self._window is None:
+            self._unproved = unproved(QGuiApplication.platformName().capitalize())
+            return
+        try:
+            self._proof = Proof(int(self._window.winId()), output, accept_compositor)
+        except OSError as error:
+            self._unproved = f"the X server cannot be asked ({error}); run: sudo apt install libx11-6 libxrandr2"
 
     def _show(self, asked: dict[str, Any]) -> None:
         if self._window is not None:
@@ -128,13 +141,15 @@ class Projection(QObject):
 
     def _check(self, asked: dict[str, Any]) -> None:
         if self._window is not None:
-            self._say(number=asked["number"])
+            self._say(number=asked["number"], doubt=self._proof.doubt() if self._proof else self._unproved)
 
     def _swapped(self) -> None:
         now_ns = time.monotonic_ns()
         window = self._window
         if window is not None and window.asked is not None and window.painted == window.asked:
             number, window.asked = window.asked, None
+            if self._proof is not None:
+                self._proof.begin()
             self._say(number=number, swapped_ns=now_ns)
 
     def _moved(self, *_: object) -> None:

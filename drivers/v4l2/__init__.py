@@ -1,4 +1,4 @@
-"""Cameras under Linux's V4L2 interface (USB and others): OpenCV streams, linuxpy reads and sets controls.
+"""Cameras under Linux's V4L2 interface (USB and others).
 
 What is known about the interface, and which of it was never seen on a real camera: firmware_notes/v4l2_camera.md.
 """

@@ -1,18 +1,59 @@
-"""A camera's device node: who it is, what it can do, and its controls by name. Does not stream."""
+"""A camera's device node: the kernel's answers in tankrig's words, and its errors in sentences."""
 
+import ctypes
 import errno
-from enum import Enum
+import fcntl
+import os
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tankrig.errors import DeviceError
 
+from . import videodev2 as v4l2
+from .pixels import format_name
 
-class Stamp(Enum):
-    """What a frame's timestamp marks."""
+GONE = (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN)
+"""Errors of a camera that was unplugged."""
 
-    START_OF_EXPOSURE = "start of exposure"
-    END_OF_FRAME = "end of frame"
+_NUMERIC = (
+    v4l2.V4L2_CTRL_TYPE_INTEGER,
+    v4l2.V4L2_CTRL_TYPE_BOOLEAN,
+    v4l2.V4L2_CTRL_TYPE_MENU,
+    v4l2.V4L2_CTRL_TYPE_INTEGER64,
+    v4l2.V4L2_CTRL_TYPE_BITMASK,
+    v4l2.V4L2_CTRL_TYPE_INTEGER_MENU,
+)
+_REFUSALS = (errno.EINVAL, errno.ERANGE, errno.EACCES, errno.EBUSY, errno.EPERM)
+
+
+class NoCameraError(DeviceError):
+    """A device node that can't be a rig's camera: metadata, an encoder, or no video device at all."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """A number that can be set on a camera.
+
+    Parameters
+    ----------
+    name
+        As rig files give it: the kernel's in small letters, with underscores.
+    id
+        The kernel's.
+    least, most
+        Its range.
+    wide
+        Whether it has 64 bits.
+    """
+
+    name: str
+    id: int
+    least: int
+    most: int
+    wide: bool
 
 
 class Node:
@@ -26,132 +67,174 @@ class Node:
     Raises
     ------
     DeviceError
-        When there is none, this user may not open it, or it is not a camera.
+        When there is none, this user may not open it, it does not answer, or (`NoCameraError`) it gives no pictures.
     """
 
     def __init__(self, path: Path) -> None:
-        from linuxpy.video.device import Capability, Device
-
-        self._path = path
-        self._device = Device(str(path))
+        self.path = path
+        about = v4l2.Capability()
         try:
-            self._device.open()
-            info = self._device.info
-            streams = Capability.VIDEO_CAPTURE in info.device_capabilities
-            self.card: str = info.card
-            self.bus: str = info.bus_info
+            self.fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
-            self._device.close()
-            raise self._explained(error) from error
-        if not streams:
-            self._device.close()
-            raise DeviceError(f"{path}: gives no pictures; name another of the camera's nodes (tankrig devices)")
+            raise explained(path, error) from error
+        try:
+            self.ask(v4l2.VIDIOC_QUERYCAP, about)
+            self.card: str = about.card.decode("utf-8", "replace")
+            _require_capture(path, about)
+        except OSError as error:
+            self.close()
+            raise explained(path, error) from error
+        except DeviceError:
+            self.close()
+            raise
+
+    def ask(self, request: int, structure: Any) -> None:
+        """One ioctl; the kernel's answer is in `structure`.
+
+        Raises
+        ------
+        OSError
+            What the kernel refused with.
+        """
+        while True:
+            try:
+                fcntl.ioctl(self.fd, request, structure)
+                return
+            except InterruptedError:
+                continue
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """Four-letter names of the pixel formats it offers."""
-        return tuple(_fourcc(format_.pixel_format) for format_ in self._device.info.formats)
+        """Names of the pixel formats it offers."""
+        return tuple(
+            format_name(entry.pixelformat)
+            for entry in self._listed(v4l2.VIDIOC_ENUM_FMT, lambda: v4l2.FmtDesc(type=v4l2.V4L2_BUF_TYPE_VIDEO_CAPTURE))
+        )
 
-    @property
-    def controls(self) -> dict[str, tuple[int, int, int]]:
-        """(least, most, value now) of its numeric controls, by name."""
-        found = {}
-        for control in self._device.controls.values():
-            least, most = getattr(control, "minimum", 0), getattr(control, "maximum", 1)
-            if not (control.is_flagged_disabled or control.is_flagged_write_only):
-                found[str(control.config_name)] = (int(least), int(most), int(control.value))
+    def shapes(self, code: int) -> tuple[tuple[int, int], ...]:
+        """(rows, columns) that it offers in a pixel format; empty where it offers ranges of them."""
+        sizes = self._listed(v4l2.VIDIOC_ENUM_FRAMESIZES, lambda: v4l2.FrmSizeEnum(pixel_format=code))
+        return tuple(
+            (int(size.discrete.height), int(size.discrete.width))
+            for size in sizes
+            if size.type == v4l2.V4L2_FRMSIZE_TYPE_DISCRETE
+        )
+
+    def controls(self) -> dict[str, Control]:
+        """Its numeric controls, by name."""
+        found, query = {}, v4l2.QueryExtCtrl(id=v4l2.V4L2_CTRL_FLAG_NEXT_CTRL)
+        unusable = v4l2.V4L2_CTRL_FLAG_DISABLED | v4l2.V4L2_CTRL_FLAG_WRITE_ONLY | v4l2.V4L2_CTRL_FLAG_HAS_PAYLOAD
+        while self._answers(v4l2.VIDIOC_QUERY_EXT_CTRL, query):
+            if query.type in _NUMERIC and not query.flags & unusable:
+                name = control_name(query.name.decode("utf-8", "replace"))
+                wide = query.type == v4l2.V4L2_CTRL_TYPE_INTEGER64
+                found[name] = Control(name, query.id, query.minimum, query.maximum, wide)
+            query = v4l2.QueryExtCtrl(id=query.id | v4l2.V4L2_CTRL_FLAG_NEXT_CTRL)
         return found
 
-    @property
-    def present(self) -> bool:
-        """Whether the camera is still plugged in."""
-        from linuxpy.video.device import read_capabilities
+    def read(self, control: Control) -> int:
+        """What a control is now."""
+        return self._transfer(v4l2.VIDIOC_G_EXT_CTRLS, control, 0)
 
-        try:
-            read_capabilities(self._device.fileno())
-        except OSError:
-            return False
-        return True
-
-    def stamp(self) -> Stamp:
-        """What the timestamps of a program that streams from it mark; asks the first of its buffers.
+    def write(self, control: Control, value: int) -> int:
+        """Set a control; returns what it is then, as read back.
 
         Raises
         ------
         DeviceError
-            When they are not of the monotonic clock.
+            When it is refused.
         """
-        from linuxpy.video.device import BufferType, Memory, query_buffer
-
         try:
-            flags = query_buffer(self._device.fileno(), BufferType.VIDEO_CAPTURE, Memory.MMAP, 0).flags
+            self._transfer(v4l2.VIDIOC_S_EXT_CTRLS, control, value)
         except OSError as error:
-            raise self._explained(error) from error
-        if flags & _CLOCK_MASK != _MONOTONIC:
+            if error.errno not in _REFUSALS:
+                raise
             raise DeviceError(
-                f"{self._path}: its timestamps are not of the monotonic clock, so no frame can be paired with a "
-                f"pattern; use a camera with driver uvcvideo, or a newer kernel"
-            )
-        return Stamp.START_OF_EXPOSURE if flags & _SOURCE_MASK == _SOURCE_START else Stamp.END_OF_FRAME
-
-    def set(self, name: str, value: int) -> int:
-        """Set a control to `value`, or what is nearest to it in its range; returns what it is then.
-
-        Raises
-        ------
-        DeviceError
-            When there is no such control, or it is refused.
-        """
-        control = self._control(name)
-        try:
-            control.value = value
-            return int(control.value)
-        except OSError as error:
-            if error.errno in _GONE:
-                raise self._explained(error) from error
-            raise DeviceError(
-                f"{self._path}: refuses to set {name} to {value} ({error.strerror}); set what it depends on first, or "
-                f"leave it out"
+                f"{self.path}: refuses to set {control.name} to {value} ({error.strerror}); set what it depends on "
+                f"first, or leave it out"
             ) from error
-
-    def range(self, name: str) -> tuple[int, int]:
-        """(least, most) of a control."""
-        control = self._control(name)
-        return int(control.minimum), int(control.maximum)
-
-    def first_of(self, *names: str) -> str | None:
-        """The first of these controls that it has."""
-        known = {str(control.config_name) for control in self._device.controls.values()}
-        return next((name for name in names if name in known), None)
+        return self.read(control)
 
     def close(self) -> None:
         """Let go of it."""
-        self._device.close()
+        fd, self.fd = self.fd, -1
+        if fd >= 0:
+            os.close(fd)
 
-    def _control(self, name: str) -> Any:
-        for control in self._device.controls.values():
-            if control.config_name == name:
-                return control
-        known = ", ".join(self.controls)
-        raise DeviceError(f"{self._path}: has no control {name!r}; it has {known}")
+    def _transfer(self, request: int, control: Control, value: int) -> int:
+        one = v4l2.ExtControl(id=control.id)
+        if control.wide:
+            one.value64 = value
+        else:
+            one.value = value
+        self.ask(request, v4l2.ExtControls(count=1, controls=ctypes.pointer(one)))
+        return int(one.value64 if control.wide else one.value)
 
-    def _explained(self, error: OSError) -> DeviceError:
-        match error.errno:
-            case errno.ENOENT | errno.ENODEV | errno.ENXIO:
-                advice = "is not there; plug the camera in (tankrig devices lists what is connected)"
-            case errno.EACCES | errno.EPERM:
-                advice = "may not be opened by this user; run: sudo usermod -aG video $USER, then log in again"
-            case errno.EBUSY:
-                advice = "is used by another program; close that one"
-            case _:
-                advice = f"is no camera ({error.strerror}); name another (tankrig devices lists what is connected)"
-        return DeviceError(f"{self._path}: {advice}")
+    def _listed(self, request: int, entry: Callable[[], Any]) -> Iterator[Any]:
+        index = 0
+        while self._answers(request, listed := _numbered(entry(), index)):
+            yield listed
+            index += 1
+
+    def _answers(self, request: int, structure: Any) -> bool:
+        """Whether there is such an entry."""
+        try:
+            self.ask(request, structure)
+        except OSError as error:
+            if error.errno in (errno.EINVAL, errno.ENOTTY):
+                return False
+            raise
+        return True
 
 
-_CLOCK_MASK, _MONOTONIC = 0xE000, 0x2000
-_SOURCE_MASK, _SOURCE_START = 0x70000, 0x10000
-_GONE = (errno.ENODEV, errno.ENXIO, errno.EIO)
+def control_name(spoken: str) -> str:
+    """The name that a rig file gives a control.
+
+    Examples
+    --------
+    >>> control_name("White Balance, Automatic")
+    'white_balance_automatic'
+    """
+    return re.sub(r"[^a-z0-9]+", "_", spoken.lower()).strip("_")
 
 
-def _fourcc(number: int) -> str:
-    return int(number).to_bytes(4, "little").decode("ascii", "replace").strip()
+def explained(path: Path, error: OSError) -> DeviceError:
+    """An error of the kernel's as one sentence that says what to do."""
+    match error.errno:
+        case errno.ENOENT | errno.ENODEV | errno.ENXIO | errno.ESHUTDOWN:
+            advice = "is not there; plug the camera in (tankrig devices lists what is connected)"
+        case errno.EACCES | errno.EPERM:
+            advice = "may not be opened by this user; run: sudo usermod -aG video $USER, then log in again"
+        case errno.EBUSY:
+            advice = "is used by another program; close that one"
+        case errno.ENOSPC:
+            advice = (
+                "its USB bus has no room for this stream; plug it into another controller, or choose a lower "
+                "camera.fps or smaller camera.shape in the rig file"
+            )
+        case errno.ENOMEM:
+            advice = "the kernel has no memory for its buffers; choose a smaller camera.shape in the rig file"
+        case errno.EPIPE | errno.ENOLINK:
+            advice = "its sensor is not linked to it with this format; link them with media-ctl, as its maker says"
+        case errno.ENOTTY | errno.EINVAL | errno.EISDIR | errno.ENOTDIR | errno.ELOOP:
+            advice = f"is no camera ({error.strerror}); name another (tankrig devices lists what is connected)"
+            return NoCameraError(f"{path}: {advice}")
+        case _:
+            advice = f"does not answer ({error.strerror}); unplug it, plug it in again, and try another cable"
+    return DeviceError(f"{path}: {advice}")
+
+
+def _numbered(entry: Any, index: int) -> Any:
+    entry.index = index
+    return entry
+
+
+def _require_capture(path: Path, about: v4l2.Capability) -> None:
+    """Of a node's own capabilities; `capabilities` are those of all nodes of the camera."""
+    own = about.device_caps if about.capabilities & v4l2.V4L2_CAP_DEVICE_CAPS else about.capabilities
+    if own & v4l2.V4L2_CAP_VIDEO_CAPTURE_MPLANE:
+        raise NoCameraError(f"{path}: gives pictures in several planes, which tankrig can't read; use another camera")
+    if not own & v4l2.V4L2_CAP_VIDEO_CAPTURE:
+        raise NoCameraError(f"{path}: gives no pictures; name another of the camera's nodes (tankrig devices)")
+    if not own & v4l2.V4L2_CAP_STREAMING:
+        raise NoCameraError(f"{path}: has no streaming of pictures through memory; use another camera")

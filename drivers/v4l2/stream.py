@@ -1,125 +1,284 @@
-"""A camera's stream of frames, through OpenCV: asked for in its native bit depth, and everything read back."""
+"""A camera's stream: buffers shared with the kernel, filled in turn, each judged by what the kernel says of it."""
 
-import os
-from typing import Any
+import ctypes
+import errno
+import math
+import mmap
+import select
+import time
+from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import DeviceError
 
+from . import videodev2 as v4l2
+from .node import Node
+from .pixels import FORMATS
 from .settings import V4l2CameraSettings
 
-SELECT_TIMEOUT_S = 1
-"""After so long without a frame OpenCV's `grab` returns."""
-_BUFFERS = 4
+_ASKED_BUFFERS = 4
+_FEWEST_BUFFERS = 2
+_BROKEN = (errno.EIO, errno.EINVAL, errno.EPIPE, errno.EPROTO)
 
 
-class FrameStream:
-    """Streams from the first `grab` on.
+class StreamBrokenError(Exception):
+    """The stream gives no more frames until it is begun again."""
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A buffer that the kernel has filled.
 
     Parameters
     ----------
+    index
+        Of the buffer.
+    sequence
+        The kernel's count of the frame, 32 bits.
+    stamped_ns
+        The frame's time stamp, on the monotonic clock.
+    host_ns
+        When it was taken out of the queue.
+    given_ns
+        When the buffer had been given to the kernel.
+    fault
+        Why the frame is no picture; empty where it is one.
+    """
+
+    index: int
+    sequence: int
+    stamped_ns: int
+    host_ns: int
+    given_ns: int
+    fault: str
+
+
+class Stream:
+    """Streams from its making to `close`.
+
+    Parameters
+    ----------
+    node
+        The camera's; stays open when the stream is closed.
     settings
         From the rig file.
-    offered
-        Formats that the camera offers, for messages.
+    wake
+        A file descriptor; when it becomes readable, `next` ends.
 
     Raises
     ------
     DeviceError
-        When it cannot be opened, or does not give what was asked for.
+        When the camera does not give what was asked for.
+    OSError
+        What the kernel refused with.
     """
 
-    def __init__(self, settings: V4l2CameraSettings, offered: tuple[str, ...]) -> None:
-        # OpenCV reads this once in a process, when it first waits for a frame; its own choice is 10 s.
-        os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(SELECT_TIMEOUT_S))
-        import cv2
-
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
-        self._cv2: Any = cv2
-        self._settings = settings
-        self._capture = cv2.VideoCapture(str(settings.device), cv2.CAP_V4L2)
-        if not self._capture.isOpened():
-            raise DeviceError(f"{settings.device}: is used by another program; close that one")
-        rows, columns = settings.shape
-        for name, value in (
-            ("FOURCC", cv2.VideoWriter.fourcc(*_padded(settings.format))),
-            ("FRAME_WIDTH", columns),
-            ("FRAME_HEIGHT", rows),
-            ("BUFFERSIZE", _BUFFERS),
-            ("CONVERT_RGB", 0),
-            ("FPS", settings.fps or 0.0),
-        ):
-            if value or name == "CONVERT_RGB":
-                self._capture.set(getattr(cv2, f"CAP_PROP_{name}"), value)
+    def __init__(self, node: Node, settings: V4l2CameraSettings, wake: int) -> None:
+        self._node, self._settings, self._wake = node, settings, wake
+        self._maps: list[mmap.mmap] = []
+        self._given_ns: list[int] = []
+        self._line_bytes = self._whole_line()
+        self._bytes_per_line = self._set_format()
+        self.period_ns = self._set_rate()
         try:
-            self._require_asked(offered)
-        except DeviceError:
+            self._take_buffers()
+            self.marks_start = self._require_monotonic()
+            self._poll = select.poll()
+            self._poll.register(node.fd, select.POLLIN)
+            self._poll.register(wake, select.POLLIN)
+            self._begin()
+        except BaseException:
             self.close()
             raise
 
     @property
-    def period_ns(self) -> int:
-        """From frame to frame, as the camera says."""
-        fps = self._capture.get(self._cv2.CAP_PROP_FPS)
-        return round(1e9 / fps) if fps > 0.0 else 0
+    def buffers(self) -> int:
+        """How many frames the kernel's queue holds."""
+        return len(self._maps)
 
-    def grab(self) -> int | None:
-        """Wait for the next frame in the queue; its timestamp, ns, or None when none has come for a while."""
-        if not self._capture.grab():
-            return None
-        return round(self._capture.get(self._cv2.CAP_PROP_POS_MSEC) * 1e6)
-
-    def pixels(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """Of the frame that was grabbed, turned as the rig file says: an array of their own.
+    def next(self, timeout_s: float) -> Filled | None:
+        """The next filled buffer, to be given back with `read` or `drop`; None after `timeout_s`, or when woken.
 
         Raises
         ------
-        DeviceError
-            When it is torn, or its counts need more bits than the rig file says there are.
+        StreamBrokenError
+            When there will be none before `begin_again`.
+        OSError
+            When the camera is gone.
         """
+        ready = dict(self._poll.poll(max(0, math.ceil(timeout_s * 1e3))))
+        found = ready.get(self._node.fd, 0)
+        if self._wake in ready or not found:
+            return None
+        buffer = _buffer()
+        try:
+            self._node.ask(v4l2.VIDIOC_DQBUF, buffer)
+        except BlockingIOError:
+            if found & select.POLLERR:
+                raise StreamBrokenError("stopped by the kernel") from None
+            return None
+        except OSError as error:
+            if error.errno in _BROKEN:
+                raise StreamBrokenError(error.strerror) from error
+            raise
+        return Filled(
+            index=buffer.index,
+            sequence=buffer.sequence,
+            stamped_ns=(buffer.timestamp.tv_sec * 1_000_000 + buffer.timestamp.tv_usec) * 1_000,
+            host_ns=time.monotonic_ns(),
+            given_ns=self._given_ns[buffer.index],
+            fault=self._fault(buffer),
+        )
+
+    def read(self, filled: Filled) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """The counts of all its pixels, an array of their own; gives the buffer back."""
         settings = self._settings
-        there, raw = self._capture.retrieve()
-        if not there or raw.shape[:2] != settings.shape:
-            raise DeviceError(
-                f"{settings.device}: gave a torn frame; use a shorter cable, or a port that it shares with nothing"
-            )
-        pixels: NDArray[Any] = raw[..., 0] if raw.ndim == 3 else raw
-        if int(pixels.max()) > settings.saturation:
-            raise DeviceError(
-                f"{settings.device}: gave the count {pixels.max()} where {settings.saturation} is the highest; correct "
-                f"camera.bits in the rig file"
-            )
-        pixels = np.rot90(pixels, settings.turn_deg // 90)
-        return (pixels[:, ::-1] if settings.mirror else pixels).copy()
+        size = self._picture_bytes()
+        own = np.frombuffer(self._maps[filled.index], np.uint8, size).copy()
+        self.drop(filled)
+        return FORMATS[settings.format].counts(own, settings.shape, self._bytes_per_line)
+
+    def drop(self, filled: Filled) -> None:
+        """Give the buffer back."""
+        self._give(filled.index)
+
+    def begin_again(self) -> None:
+        """Stop and begin; frames that the queue held are lost."""
+        self._node.ask(v4l2.VIDIOC_STREAMOFF, _capture_type())
+        self._begin()
 
     def close(self) -> None:
-        """Stop streaming."""
-        self._capture.release()
+        """Stop streaming and let go of the buffers, whether or not the camera is still there."""
+        with suppress(OSError):  # where it is gone
+            self._node.ask(v4l2.VIDIOC_STREAMOFF, _capture_type())
+        while self._maps:
+            self._maps.pop().close()
+        with suppress(OSError):  # the kernel frees no buffers that are mapped
+            self._node.ask(v4l2.VIDIOC_REQBUFS, _request(0))
 
-    def _require_asked(self, offered: tuple[str, ...]) -> None:
-        settings, cv2 = self._settings, self._cv2
-        given = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("ascii", "replace").strip()
-        if given != settings.format:
+    def _whole_line(self) -> int:
+        """Bytes of a line without what pads it."""
+        settings, wanted = self._settings, FORMATS[self._settings.format]
+        rows, columns = settings.shape
+        used = wanted.line_bytes(columns)
+        step = max(wanted.packing.pixels, 2 if wanted.mosaic else 1)
+        if used is None or columns % step or (wanted.mosaic and rows % 2):
             raise DeviceError(
-                f"{settings.device}: does not give format {settings.format}; it offers {', '.join(offered)}: choose "
-                f"another camera.format in the rig file"
+                f"{settings.device}: pictures in {settings.format} have a multiple of {step} columns"
+                f"{' and of 2 rows' if wanted.mosaic else ''}; correct camera.shape in the rig file"
             )
-        shape = tuple(int(self._capture.get(p)) for p in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH))
-        if shape != settings.shape:
+        return used
+
+    def _set_format(self) -> int:
+        """Ask for the rig file's format; returns the bytes per line that the camera chose."""
+        settings, wanted = self._settings, FORMATS[self._settings.format]
+        rows, columns = settings.shape
+        asked = v4l2.Format(type=v4l2.V4L2_BUF_TYPE_VIDEO_CAPTURE)
+        pix = asked.fmt.pix
+        pix.width, pix.height, pix.pixelformat, pix.field = columns, rows, wanted.code, v4l2.V4L2_FIELD_NONE
+        self._node.ask(v4l2.VIDIOC_S_FMT, asked)
+        if pix.pixelformat != wanted.code:
             raise DeviceError(
-                f"{settings.device}: gives {list(shape)} pixels (rows, columns) and not {list(settings.shape)}; "
-                f"correct camera.shape in the rig file"
+                f"{settings.device}: does not give format {settings.format}; it offers "
+                f"{', '.join(self._node.formats)}: choose another camera.format in the rig file"
             )
-        fps = self._capture.get(cv2.CAP_PROP_FPS)
+        if (pix.height, pix.width) != settings.shape:
+            offered = ", ".join(str(list(shape)) for shape in self._node.shapes(wanted.code))
+            raise DeviceError(
+                f"{settings.device}: gives {[pix.height, pix.width]} pixels (rows, columns) and not "
+                f"{list(settings.shape)}; correct camera.shape in the rig file"
+                f"{f': it offers {offered}' if offered else ''}"
+            )
+        if pix.field != v4l2.V4L2_FIELD_NONE:
+            raise DeviceError(
+                f"{settings.device}: gives interlaced pictures, whose lines are of two exposures; use another camera"
+            )
+        return max(int(pix.bytesperline), self._line_bytes)
+
+    def _set_rate(self) -> int:
+        """Ask for the rig file's frames per second; returns the period that the camera says, 0 where it says none."""
+        settings, parm = self._settings, v4l2.StreamParm(type=v4l2.V4L2_BUF_TYPE_VIDEO_CAPTURE)
+        frame = parm.parm.capture.timeperframe
+        if settings.fps:
+            frame.numerator, frame.denominator = 1_000, round(1_000 * settings.fps)
+        try:
+            self._node.ask(v4l2.VIDIOC_S_PARM if settings.fps else v4l2.VIDIOC_G_PARM, parm)
+        except OSError as error:
+            if error.errno not in (errno.ENOTTY, errno.EINVAL):
+                raise
+        told = parm.parm.capture.capability & v4l2.V4L2_CAP_TIMEPERFRAME and frame.denominator
+        period_ns = round(1e9 * frame.numerator / frame.denominator) if told else 0
+        fps = 1e9 / period_ns if period_ns else 0.0
         if settings.fps and abs(fps - settings.fps) > 0.02 * settings.fps:
+            given = f"gives {fps:g} frames/s" if fps else "does not say how many frames/s it gives"
             raise DeviceError(
-                f"{settings.device}: gives {fps:g} frames/s, not {settings.fps:g}; correct camera.fps in the rig file"
+                f"{settings.device}: {given}, not {settings.fps:g}; correct camera.fps in the rig file, or leave it out"
             )
-        if self._capture.get(cv2.CAP_PROP_CONVERT_RGB):
-            raise DeviceError(f"{settings.device}: OpenCV insists on converting to RGB; use another camera.format")
+        return period_ns
+
+    def _take_buffers(self) -> None:
+        request = _request(_ASKED_BUFFERS)
+        self._node.ask(v4l2.VIDIOC_REQBUFS, request)
+        if request.count < _FEWEST_BUFFERS:
+            raise DeviceError(
+                f"{self._settings.device}: the kernel gives it {request.count} buffer, too few to stream; choose a "
+                f"smaller camera.shape in the rig file"
+            )
+        for index in range(request.count):
+            buffer = _buffer(index)
+            self._node.ask(v4l2.VIDIOC_QUERYBUF, buffer)
+            if buffer.length < self._picture_bytes():
+                raise DeviceError(
+                    f"{self._settings.device}: its driver's buffers of {buffer.length} bytes do not hold a picture of "
+                    f"{self._picture_bytes()}; use another camera.format, or a newer kernel"
+                )
+            self._maps.append(mmap.mmap(self._node.fd, buffer.length, mmap.MAP_SHARED, offset=buffer.m.offset))
+        self._given_ns = [0] * request.count
+
+    def _require_monotonic(self) -> bool:
+        """Whether time stamps mark the start of the exposure; else they mark the end of the frame."""
+        buffer = _buffer(0)
+        self._node.ask(v4l2.VIDIOC_QUERYBUF, buffer)
+        if buffer.flags & v4l2.V4L2_BUF_FLAG_TIMESTAMP_MASK != v4l2.V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC:
+            raise DeviceError(
+                f"{self._settings.device}: its timestamps are not of the monotonic clock, so no frame can be paired "
+                f"with a pattern; use a camera with driver uvcvideo, or a newer kernel"
+            )
+        return bool(buffer.flags & v4l2.V4L2_BUF_FLAG_TSTAMP_SRC_MASK == v4l2.V4L2_BUF_FLAG_TSTAMP_SRC_SOE)
+
+    def _begin(self) -> None:
+        for index in range(self.buffers):
+            self._give(index)
+        self._node.ask(v4l2.VIDIOC_STREAMON, _capture_type())
+
+    def _give(self, index: int) -> None:
+        self._given_ns[index] = time.monotonic_ns()
+        self._node.ask(v4l2.VIDIOC_QBUF, _buffer(index))
+
+    def _picture_bytes(self) -> int:
+        """From the first pixel of a picture to its last."""
+        return (self._settings.shape[0] - 1) * self._bytes_per_line + self._line_bytes
+
+    def _fault(self, buffer: v4l2.Buffer) -> str:
+        if buffer.flags & v4l2.V4L2_BUF_FLAG_ERROR:
+            return "was marked as damaged by the kernel"
+        if buffer.bytesused < self._picture_bytes():
+            return f"had {buffer.bytesused} of {self._picture_bytes()} bytes"
+        if buffer.timestamp.tv_sec == 0 and buffer.timestamp.tv_usec == 0:
+            return "had no time stamp"
+        return ""
 
 
-def _padded(name: str) -> str:
-    return name.ljust(4)
+def _buffer(index: int = 0) -> v4l2.Buffer:
+    return v4l2.Buffer(index=index, type=v4l2.V4L2_BUF_TYPE_VIDEO_CAPTURE, memory=v4l2.V4L2_MEMORY_MMAP)
+
+
+def _request(count: int) -> v4l2.RequestBuffers:
+    return v4l2.RequestBuffers(count=count, type=v4l2.V4L2_BUF_TYPE_VIDEO_CAPTURE, memory=v4l2.V4L2_MEMORY_MMAP)
+
+
+def _capture_type() -> ctypes.c_int32:
+    return ctypes.c_int32(v4l2.V4L2_BUF_TYPE_VIDEO_CAPTURE)

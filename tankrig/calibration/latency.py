@@ -96,15 +96,37 @@ def measure_latency(
     return Latency(tuple(samples))
 
 
-def latency_calibration(measured: Latency, projector: Projector) -> Calibration:
-    """Results, uncertainties and doubts, to be saved."""
+def latency_calibration(
+    measured: Latency, projector: Projector, believed_ms: float | None = None, period_ms: float = 0.0
+) -> Calibration:
+    """Results, uncertainties and doubts, to be saved.
+
+    Parameters
+    ----------
+    measured
+        What was measured.
+    projector
+        Of which.
+    believed_ms, period_ms
+        Latency that the rig file says, None where it says none, and the projector's period. Frames are taken for a
+        pattern's from the sum of both after its swap on, so a 99th percentile beyond that is a doubt.
+    """
     samples = np.array(measured.samples_ms)
     median_sd = 1.2533 * float(samples.std(ddof=1)) / float(np.sqrt(samples.size))
     far = samples > np.median(samples) + _FAR_MS
-    doubts = (
-        f"{int(far.sum())} of {samples.size} flips took {_FAR_MS:g} ms longer than the median; leave the computer "
-        f"alone meanwhile, and check the projector's picture processing",
-    )
+    doubts = []
+    if far.mean() > 0.05:
+        doubts.append(
+            f"{int(far.sum())} of {samples.size} flips took {_FAR_MS:g} ms longer than the median; leave the computer "
+            f"alone meanwhile, and check the projector's picture processing"
+        )
+    if believed_ms is not None and measured.p99_ms > believed_ms + period_ms:
+        doubts.append(
+            f"99 % of the flips took up to {measured.p99_ms:.1f} ms, and the rig file says latency_ms = "
+            f"{believed_ms:g}: with that, frames would have been taken for a pattern while the one before was still "
+            f"seen; switch the projector's picture processing off, or set latency_ms = {measured.p99_ms:.1f} in "
+            f"[projector]"
+        )
     return Calibration(
         kind="latency",
         device=projector.name,
@@ -118,7 +140,7 @@ def latency_calibration(measured: Latency, projector: Projector) -> Calibration:
         },
         sd={"median_ms": median_sd},
         how_well={"median_sd_ms": median_sd, "flips": float(samples.size)},
-        doubts=doubts if far.mean() > 0.05 else (),
+        doubts=tuple(doubts),
     )
 
 

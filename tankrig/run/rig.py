@@ -12,7 +12,7 @@ from tankrig.calibration.file import Calibration
 from tankrig.devices import Camera, Doser, Projector
 from tankrig.dosing import DoseLimits
 from tankrig.errors import StoreError
-from tankrig.sequence import Pace
+from tankrig.sequence import ExposureRule, Pace
 
 
 class RigLock:
@@ -75,6 +75,10 @@ class Rig:
         File of the tank's ledger.
     pace
         How fast it is.
+    exposure
+        What exposures must keep to.
+    flash_before_run
+        Whether the camera is asked, before a run begins, if it sees what the projector is told to show.
     calibrations
         By kind, what was measured of it and counts.
     lock
@@ -89,6 +93,8 @@ class Rig:
     limits: DoseLimits
     ledger: Path
     pace: Pace = field(default_factory=Pace)
+    exposure: ExposureRule = field(default_factory=ExposureRule)
+    flash_before_run: bool = False
     calibrations: Mapping[str, Calibration] = field(default_factory=dict)
     lock: RigLock | None = None
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from tankrig.bench import Bench
 from tankrig.calibration.file import FOLDER, copy_to
+from tankrig.calibration.witness import require_seen
 from tankrig.checked_toml import checked
 from tankrig.devices import Delivered
 from tankrig.dosing import DoseDone, GuardedDoser, TankLedger
@@ -30,6 +31,7 @@ from tankrig.run.runner import Plan, RunJournal, Runner
 from tankrig.run.state import FinishReason
 from tankrig.run.writer import RunWriter
 from tankrig.sequence import Sequence, dry_run
+from tankrig.sequence.exposure import require_camera_keeps
 from tankrig.sequence.loading import sequence_from_table, sequence_table
 
 
@@ -62,8 +64,12 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
         run_id = f"{path.name}-{uuid.uuid4().hex[:8]}"
         doser, journal = _guarded(rig, run_id, undo)
         _settled(doser, None, delivered_ul)
-        took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), doser.delivered())
+        took = dry_run(
+            sequence, rig.limits, rig.pace, _frame_bytes(rig), doser.delivered(), exposure=rig.exposure
+        )  # fmt: skip
         require_place(path, took.disk_bytes)
+        require_camera_keeps(sequence, rig.exposure, rig.camera)
+        _require_seen(rig)
         settings = {
             "name": sequence.name,
             "id": run_id,
@@ -71,6 +77,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
             "saturation": rig.camera.saturation,
             "bench": asdict(rig.bench),
             "sequence": sequence_table(sequence),
+            "exposure": asdict(rig.exposure),
             "calibrations": {kind: one.hash for kind, one in rig.calibrations.items()},
         }
         create_run(path, rig.camera.shape, _dtype(rig), sequence.frames, settings, list(patterns.values()))
@@ -112,6 +119,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         doser, journal = _guarded(rig, run.settings["id"], undo, run)
         done = _settled(doser, open_dose(run), delivered_ul, dose_doubt(run) is not None)
         tank, used_ul = doser.delivered(), doser.used_ul
+        _require_seen(rig)
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), tank, used_ul, resume_at=first_step)
         _require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
         runner = _runner(rig, doser, journal, path, Plan(sequence, patterns, took, first_step, frames_taken), undo)
@@ -119,6 +127,11 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
             journal.dose_done(done)
         undo.pop_all()
         return runner
+
+
+def _require_seen(rig: Rig) -> None:
+    if rig.flash_before_run:
+        require_seen(rig.projector, rig.camera, rig.exposure)
 
 
 def _guarded(rig: Rig, run_id: str, undo: ExitStack, run: Run | None = None) -> tuple[GuardedDoser, RunJournal]:

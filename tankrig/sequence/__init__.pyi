@@ -1,6 +1,7 @@
 from .dry_run import DryRun as DryRun
 from .dry_run import Pace as Pace
 from .dry_run import dry_run as dry_run
+from .exposure import ExposureRule as ExposureRule
 from .loading import load_sequence as load_sequence
 from .sequence import Sequence as Sequence
 from .steps import Capture as Capture

@@ -6,6 +6,7 @@ from tankrig.devices import Delivered
 from tankrig.dosing.limits import DoseLimits, dosed_to
 from tankrig.errors import SequenceError
 from tankrig.scene.description import CLOSED
+from tankrig.sequence.exposure import ExposureRule, require_whole_periods
 from tankrig.sequence.sequence import Sequence
 from tankrig.sequence.steps import Action, Capture, Dose, Mix, Wait
 
@@ -105,6 +106,7 @@ def dry_run(
     tank: Delivered = Delivered(0.0, 0.0, 0.0),  # noqa: B008 - a tuple, which nobody can change
     run_used_ul: float = 0.0,
     resume_at: int | None = None,
+    exposure: ExposureRule = ExposureRule(),  # noqa: B008 - frozen
 ) -> DryRun:
     """Go through a sequence without moving anything.
 
@@ -124,12 +126,16 @@ def dry_run(
         What the run has dosed already, when it is resumed.
     resume_at
         Number of the step that a resumed run goes on with; ink for earlier ones is in the tank.
+    exposure
+        What exposures must keep to. A run that is resumed keeps those that it was begun with.
 
     Raises
     ------
     SequenceError
-        Naming the first dose that the budgets forbid.
+        Naming the first dose that the budgets forbid, or exposure that would flicker.
     """
+    if resume_at is None:
+        require_whole_periods(sequence, exposure)
     steps = []
     for number, task in enumerate(sequence.tasks):
         action, ink_ul = task.action, 0.0

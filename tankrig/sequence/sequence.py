@@ -33,6 +33,9 @@ class Sequence:
         What `Capture` and `Mix` can name, besides "dark" and "full".
     exposure_ms, gain
         Of the camera, where a step does not say otherwise.
+    any_exposure
+        A person's reason why exposures need not be whole numbers of the projector's periods; without one they must,
+        where the rig file tells the period.
 
     Raises
     ------
@@ -58,6 +61,7 @@ class Sequence:
     patterns: Mapping[str, Annotated[AnyKind, Field(discriminator="kind")]] = field(default_factory=dict)
     exposure_ms: float = 20.0
     gain: float = 1.0
+    any_exposure: str = ""
 
     def __post_init__(self) -> None:
         for key in ("exposure_ms", "gain"):

@@ -2,15 +2,18 @@
 
 import os
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 SOURCE = Path(__file__).parent / "fake_v4l2.c"
 NAMES = """width height bits period_ns latency_ns jitter_ns dropped_per_1000 stalled unplugged busy stamp lies seed
-exposed lights forbidden""".split()  # noqa: SIM905
+exposed lights forbidden late_every late_ns zero_every error_every short_every jump_every jump_by eio_every eagain_every
+broken burst line_padding interlaced first_sequence stuck no_room buffers_least buffers_most clamps auto_stays creeps
+control_latency all_formats open_error query_error capabilities mapped dropped new_kind responds patient""".split()  # noqa: SIM905
 """As in the enumeration of the C source."""
-FIRST_LIGHT, RING = 16, 1024
+FIRST_LIGHT, RING = 64, 1024
 START_OF_EXPOSURE, END_OF_FRAME, UNKNOWN_CLOCK = range(3)
 
 
@@ -63,6 +66,32 @@ def lights(pixels: np.ndarray, bits: int) -> tuple[int, int]:
     bright = pixels[[rows // 8, 3 * rows // 8]][:, centres] > 2 ** (bits - 1)
     start, end = (int(sum(1 << i for i, bit in enumerate(row) if bit)) for row in bright)
     return start, end
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a frame tells about itself: numbers of the lights, frame's number in its first and last row, settings."""
+
+    start: int
+    end: int
+    first: int
+    last: int
+    gain: int
+    exposure_ms: float
+
+    @property
+    def torn(self) -> bool:
+        """Whether its halves are of two frames."""
+        return self.first != self.last
+
+
+def shown(pixels: np.ndarray, bits: int) -> Shown:
+    """All that a frame tells about itself."""
+    rows, columns = pixels.shape
+    at = [0, rows // 8, 3 * rows // 8, rows - 3, rows - 2, rows - 1]
+    bright = pixels[at][:, (np.arange(16) * 2 + 1) * columns // 32] > 2 ** (bits - 1)
+    first, start, end, ticks, gain, last = (bright @ (1 << np.arange(16))).tolist()
+    return Shown(start, end, first, last, gain, round(ticks / 10, 6))
 
 
 def preloaded(library: Path, node: Path) -> dict[str, str]:

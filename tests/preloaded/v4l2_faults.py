@@ -16,6 +16,10 @@ def now() -> int:
     return time.monotonic_ns()
 
 
+def captures(camera, count: int) -> list:
+    return [camera.capture(now(), 2.0) for _ in range(count)]
+
+
 def test_after_a_pause_only_frames_of_the_new_light_are_handed_out(camera, device):
     camera.configure(CameraSettings(5.0))
     device.light(now(), 0xA5A5)
@@ -27,6 +31,7 @@ def test_after_a_pause_only_frames_of_the_new_light_are_handed_out(camera, devic
 
 
 def test_dropped_frames_show_as_gaps_and_nothing_else(camera, device):
+    device.set("patient", 1)
     camera.configure(CameraSettings(5.0))
     frames = [camera.capture(now(), 2.0)]
     device.set("dropped_per_1000", 300)
@@ -37,6 +42,31 @@ def test_dropped_frames_show_as_gaps_and_nothing_else(camera, device):
     assert jumps.min() == 1
     assert jumps.max() > 1
     np.testing.assert_array_equal(jumps, np.round(periods))
+
+
+def test_a_stamp_that_is_late_is_no_loss_and_makes_no_frame_begin_too_late(camera, device):
+    device.set("latency_ns", 9_000_000)
+    device.set("late_every", 10)
+    device.set("late_ns", 8_000_000)
+    camera.configure(CameraSettings(5.0))
+    frames = [camera.capture(now(), 2.0)]
+    for number in range(1, 40):
+        lit_ns = now()
+        device.light(lit_ns, number)
+        frames.append(camera.capture(lit_ns, 2.0))
+        assert lights(frames[-1].pixels, 12) == (number, number)
+    jumps = np.diff([frame.sequence for frame in frames])
+    np.testing.assert_array_equal(jumps, np.round(np.diff([frame.exposure_start_ns for frame in frames]) / 10e6))
+
+
+def test_a_camera_that_becomes_slower_loses_no_frames(camera, device):
+    device.set("patient", 1)
+    camera.configure(CameraSettings(5.0))
+    frames = [camera.capture(now(), 2.0)]
+    device.set("period_ns", 30_000_000)
+    for _ in range(20):
+        frames.append(camera.capture(frames[-1].exposure_start_ns, 2.0))
+    assert [frame.sequence - frames[0].sequence for frame in frames] == list(range(21))
 
 
 def test_a_stall_is_noticed_after_a_second_and_the_next_capture_works(camera, device):
@@ -78,7 +108,7 @@ def test_an_exposure_that_is_not_what_the_camera_says_is_found_out(device, reope
     camera = reopen()
     assert camera.configure(CameraSettings(20.0)).exposure_ms == 20.0
     with pytest.raises(DeviceError, match=r"arrived \d+\.\d ms before its exposure can have ended"):
-        camera.capture(now(), 2.0)
+        captures(camera, 50)  # a frame that a busy computer takes late proves nothing
 
 
 def test_timestamps_of_another_clock_are_refused(device, reopen):
@@ -97,7 +127,7 @@ def test_timestamps_of_the_frames_end_are_set_back_to_before_its_start(device, r
         device.light(lit_ns, number)
         frame = camera.capture(lit_ns, 2.0)
         assert lights(frame.pixels, 12) == (number, number)
-        assert frame.device_ns - frame.exposure_start_ns == 15_000_000  # exposure and one period
+        assert frame.device_ns - frame.exposure_start_ns >= 15_000_000  # exposure and one period
 
 
 def test_frames_with_the_exposure_of_before_are_not_handed_out(camera):
@@ -166,9 +196,10 @@ def test_a_turned_picture_is_turned(reopen, device):
         assert seen[-1].shape == camera.shape
         camera.close()
     upright, turned, mirrored = seen
-    np.testing.assert_array_equal(turned, np.rot90(upright))
-    np.testing.assert_array_equal(mirrored, np.fliplr(upright))
-    assert not np.array_equal(upright, mirrored)
+    numbered = slice(1, -1)  # the first and the last row show the frame's number
+    np.testing.assert_array_equal(np.rot90(turned, -1)[numbered], upright[numbered])
+    np.testing.assert_array_equal(np.fliplr(mirrored)[numbered], upright[numbered])
+    assert not np.array_equal(upright[numbered], mirrored[numbered])
 
 
 @pytest.mark.parametrize("format_", ["GREY", "YUYV"])

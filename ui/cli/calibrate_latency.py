@@ -33,7 +33,8 @@ def latency(rig: Path | None, flips: int, exposure_ms: float | None, accept: boo
         measured = measure_latency(
             projector, camera, flips, exposure_ms, tell=lambda done: shown.look(Look("flips", done / flips))
         )
-        calibration = latency_calibration(measured, projector)
+        period_ms = description.exposure_rule.period_ms or 0.0
+        calibration = latency_calibration(measured, projector, description.latency_ms, period_ms)
     kept = keep(calibration, description, accept, None)
     result, sd = kept.result, kept.sd
     rows = {

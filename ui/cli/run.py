@@ -113,7 +113,8 @@ def _planned(sequence: "Sequence", description: "RigFile", run_folder: Path, fit
         ledger = TankLedger(description.ledger)
         tank = ledger.tank
         ledger.close()
-    return dry_run(sequence, description.limits, description.pace, frame_bytes, tank)
+    rule = description.exposure_rule
+    return dry_run(sequence, description.limits, description.pace, frame_bytes, tank, exposure=rule)
 
 
 def _tell_plan(plan: "DryRun", as_json: bool) -> None:

@@ -193,7 +193,8 @@ class SequenceDocument(QObject):
         rows, columns = self._rig.bench.camera.shape
         rig, frame_bytes = self._rig, rows * columns * FRAME_BYTES
         try:
-            self.plan = dry_run(sequence, rig.limits, rig.pace, frame_bytes, self._tank)
+            rule = rig.exposure_rule
+            self.plan = dry_run(sequence, rig.limits, rig.pace, frame_bytes, self._tank, exposure=rule)
             self.reading = replace(self.reading, sequence=sequence, problem=None)
         except SequenceError as error:
             self._refuse(str(error).removeprefix(f"{sequence.name}: "))

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Stroke:
     def _last(self) -> float:
         return min(self.cutoff, self._peak)
 
-    @property
+    @cached_property
     def _peak(self) -> float:
         """The fastest that this move becomes; the manual's cases 1 and 2, 4, and 3."""
         first, cutoff = self._first, min(self.cutoff, self.top)
@@ -65,9 +66,10 @@ class Stroke:
         >>> round(Stroke(0, 700, 50, 5800, 900, 35000).duration_s, 2)
         0.26
         """
-        up_s, flat_s, down_s = self._phases()
+        up_s, flat_s, down_s = self._phases
         return up_s + flat_s + down_s
 
+    @cached_property
     def _phases(self) -> tuple[float, float, float]:
         peak = self._peak
         up_s, down_s = (peak - self._first) / self.slope, (peak - self._last) / self.slope
@@ -76,7 +78,7 @@ class Stroke:
 
     def made(self, now_s: float) -> float:
         """Pulses made by `now_s`."""
-        up_s, flat_s, down_s = self._phases()
+        up_s, flat_s, down_s = self._phases
         t = now_s - self.start_s
         if t <= 0.0:
             return 0.0

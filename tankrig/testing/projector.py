@@ -1,4 +1,4 @@
-"""What every projector promises, real or simulated: subclass `ProjectorContract`, give it `projector` and `reopen`."""
+"""What every projector promises, real or simulated."""
 
 import threading
 import time
@@ -15,11 +15,17 @@ ReopenProjector = Callable[[], Projector]
 
 
 def plain(projector: Projector, level: int) -> Pattern:
+    """A pattern of one level, in the projector's shape."""
     return Pattern(f"level {level}", np.full(projector.shape, level, np.uint8))
 
 
 class ProjectorContract:
-    """`projector` is open; `reopen` opens the same device again after `close`."""
+    """Subclass it and give it the fixture `reopen`: a function that opens the projector, and again after `close`."""
+
+    @pytest.fixture
+    def projector(self, reopen: ReopenProjector) -> Projector:
+        """Open, and closed by `reopen`'s own end."""
+        return reopen()
 
     def test_is_a_projector_with_a_name_and_a_shape(self, projector: Projector) -> None:
         assert isinstance(projector, Projector)

@@ -1,4 +1,4 @@
-"""What every camera promises, real or simulated: subclass `CameraContract`, give it `camera` and `reopen`."""
+"""What every camera promises, real or simulated."""
 
 import math
 import threading
@@ -17,13 +17,22 @@ TIMEOUT_S = 10.0
 
 
 def now() -> int:
+    """Monotonic, ns."""
     return time.monotonic_ns()
 
 
 class CameraContract:
-    """`camera` is open; `reopen` opens the same device again after `close`."""
+    """Subclass it and give it the fixture `reopen`: a function that opens the camera, and again after `close`.
+
+    `exposure_ms` is one that the camera can do; set another in the subclass where 20 ms is not.
+    """
 
     exposure_ms = 20.0
+
+    @pytest.fixture
+    def camera(self, reopen: ReopenCamera) -> Camera:
+        """Open, and closed by `reopen`'s own end."""
+        return reopen()
 
     def test_is_a_camera_with_a_name_a_shape_and_a_highest_count(self, camera: Camera) -> None:
         assert isinstance(camera, Camera)

@@ -1,4 +1,4 @@
-"""What every doser promises, real or simulated: subclass `DoserContract` and give it the fixtures `doser` and `reopen`.
+"""What every doser promises, real or simulated.
 
 Volumes are relative to what the doser has counted, and small, so that the same tests run on a real syringe.
 """
@@ -13,14 +13,23 @@ import pytest
 from tankrig.devices import Doser
 from tankrig.errors import DeviceError
 
-Reopen = Callable[[], Doser]
+ReopenDoser = Callable[[], Doser]
 
 
 class DoserContract:
-    """`doser` is open, idle and not latched; `reopen` opens the same device again after `close`."""
+    """Subclass it and give it the fixture `reopen`: a function that opens the doser, and again after `close`.
+
+    The doser is then idle and not latched. `steps_short` and `steps_long` count increments; a dose of `steps_long`
+    takes long enough to be interrupted.
+    """
 
     steps_short = 20
     steps_long = 600
+
+    @pytest.fixture
+    def doser(self, reopen: ReopenDoser) -> Doser:
+        """Open, and closed by `reopen`'s own end."""
+        return reopen()
 
     def far(self, doser: Doser) -> float:
         """A total that takes long enough to be interrupted."""
@@ -70,7 +79,8 @@ class DoserContract:
         before = doser.delivered()
         doser.stop()
         doser.stop()
-        assert doser.stopped
+        latched = doser.stopped
+        assert latched
         with pytest.raises(DeviceError):
             doser.dose_to(total)
         assert doser.delivered() == before
@@ -137,7 +147,7 @@ class DoserContract:
             doser.resolve(before.volume_ul + 10 * doser.increment_ul)
         assert doser.delivered() == before
 
-    def test_the_count_outlives_the_program(self, doser: Doser, reopen: Reopen) -> None:
+    def test_the_count_outlives_the_program(self, doser: Doser, reopen: ReopenDoser) -> None:
         after, identity = doser.dose_to(self.near(doser)), doser.identity
         doser.close()
         again = reopen()
@@ -153,7 +163,7 @@ class DoserContract:
         with pytest.raises(DeviceError):
             doser.dose_to(total)
 
-    def test_close_ends_a_dose(self, doser: Doser, reopen: Reopen) -> None:
+    def test_close_ends_a_dose(self, doser: Doser, reopen: ReopenDoser) -> None:
         total, start = self.far(doser), doser.delivered().volume_ul
         closer = threading.Thread(target=_when_moving, args=(doser, start, doser.close))
         closer.start()
