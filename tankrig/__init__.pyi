@@ -12,9 +12,9 @@ from .estimation.estimate import estimate as estimate
 from .estimation.series import SeriesEstimate as SeriesEstimate
 from .estimation.series import estimate_series as estimate_series
 from .image.predict import predict as predict
-from .image.prediction import Prediction as Prediction
 from .image.prepare import Prepared as Prepared
 from .image.prepare import prepare as prepare
+from .prediction import Prediction as Prediction
 from .run.reading import Run as Run
 from .run.reading import open_run as open_run
 from .scene.description import Medium as Medium

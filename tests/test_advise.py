@@ -9,10 +9,10 @@ import pytest
 
 from tankrig.advice.expected import Known, Shot, expected
 from tankrig.advice.ranking import Candidate, ranked
+from tankrig.estimation.forward import prepared_model
 from tankrig.estimation.series import estimate_series
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
-from tankrig.live.prepared_series import prepared_model
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.phase import phase_function
 from ui.cli import main

@@ -14,7 +14,8 @@ from tankrig.benchmark.contestant import Contestant
 from tankrig.benchmark.equal import at_equal_error
 from tankrig.benchmark.mitsuba_tank import mitsuba_image
 from tankrig.benchmark.plain import plain_image
-from tankrig.benchmark.race import Result, race, variations
+from tankrig.benchmark.race import race, variations
+from tankrig.benchmark.result import Result
 from tankrig.benchmark.trial import run_trial
 from tankrig.benchmark.truth import Case, cases_of, own_cases
 from tankrig.errors import ImageError, SceneError, TankrigError

@@ -10,7 +10,7 @@ from tankrig.benchmark_estimates.page import write_page
 from tankrig.benchmark_estimates.records import Records
 from tankrig.benchmark_estimates.section import Cell, Section
 from tankrig.benchmark_estimates.surrogate import near
-from tankrig.image.prediction import Prediction
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 from ui.cli import main
 

@@ -10,9 +10,9 @@ import pytest
 import tankrig
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.dense import dense_orders, solved
+from tankrig.light.moments.plan import MomentPlan, moment_plan
 from tankrig.light.moments.propagation import propagation
 from tankrig.light.moments.source import emission_moments
-from tankrig.light.moments.way import Way, dense_way
 from tankrig.light.tank import tank_image
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 
@@ -35,9 +35,9 @@ def test_agrees_with_the_reference(case: str) -> None:
     scene = tankrig.load_scene(REFERENCE / f"{case}.toml")
     with np.load(REFERENCE / f"{case}.npz") as data:
         reference = {name: data[name].astype(float) for name in ("total", "stderr", "order_gt20")}
-    way = dense_way(scene, 0.01) or Way(4, 2, 8.0, 6, 0.005)
-    dense = dense_orders(scene, way)
-    low = tank_image(scene, 0.005, max_order=way.above)
+    plan = moment_plan(scene, 0.01) or MomentPlan(4, 2, 8.0, 6, 0.005)
+    dense = dense_orders(scene, plan)
+    low = tank_image(scene, 0.005, max_order=plan.above)
     image = np.sum(list(low.orders.values()), axis=0) + dense.image
     noise = relative(np.hypot(reference["stderr"], low.stderr), reference["total"])
     assert relative(image - reference["total"], reference["total"]) < np.hypot(noise, 0.006)
@@ -57,15 +57,15 @@ def test_agrees_with_the_reference(case: str) -> None:
 def test_agrees_with_paths(surface: str, albedo: float, g: float) -> None:
     """The same orders by paths alone: the two share no more than the first few scatterings."""
     scene = scene_of(Medium(0.15 * (1.0 - albedo), 0.15 * albedo, g), replace(SMALL, surface=surface))  # type: ignore[arg-type]
-    way = dense_way(scene, 0.02)
-    assert way is not None
+    plan = moment_plan(scene, 0.02)
+    assert plan is not None
     paths = tank_image(scene, batches=12, seed=4)
-    low = tank_image(scene, batches=12, seed=4, max_order=way.above)
+    low = tank_image(scene, batches=12, seed=4, max_order=plan.above)
     total = np.sum(list(paths.orders.values()), axis=0)
     by_paths = total - np.sum(list(low.orders.values()), axis=0)
     noise = relative(paths.stderr, total)
     assert noise < 0.012
-    assert relative(dense_orders(scene, way).image - by_paths, total) < np.hypot(1.3 * noise, 0.007)
+    assert relative(dense_orders(scene, plan).image - by_paths, total) < np.hypot(1.3 * noise, 0.007)
 
 
 def test_a_cell_lights_the_tank_as_much_as_the_tank_lights_it() -> None:
@@ -131,8 +131,8 @@ def test_everything_larger_by_k_and_coefficients_smaller_gives_the_same_image() 
         Projector("collimated", beams),
         Camera("orthographic", scene.camera.shape, k * scene.camera.pixel_mm),
     )
-    way = Way(4, 2, 4.0, 1, 0.01)
-    one, other = dense_orders(scene, way).image, dense_orders(larger, replace(way, side_mm=k * 4.0)).image
+    plan = MomentPlan(4, 2, 4.0, 1, 0.01)
+    one, other = dense_orders(scene, plan).image, dense_orders(larger, replace(plan, side_mm=k * 4.0)).image
     assert relative(one - other, one) < 1e-4
     assert one.min() >= 0.0
 
@@ -143,5 +143,5 @@ def test_predict_takes_this_way_for_dense_scenes_and_says_so() -> None:
     assert any("cells" in skipped.what for skipped in prediction.skipped)
     assert np.allclose(sum(prediction.orders.values()), prediction.image)
     assert all(image.min() >= 0.0 for image in prediction.orders.values())
-    assert dense_way(scene, 1e-4) is None
-    assert dense_way(replace(scene, medium=Medium(0.001, 0.01, 0.5)), 0.01) is None
+    assert moment_plan(scene, 1e-4) is None
+    assert moment_plan(replace(scene, medium=Medium(0.001, 0.01, 0.5)), 0.01) is None

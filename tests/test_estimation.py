@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 import tankrig
 from tankrig.errors import ImageError
 from tankrig.estimation.estimate import Estimate, fit_models
-from tankrig.estimation.models import Models
+from tankrig.estimation.forward import Models
 from tankrig.estimation.observation import observe
-from tankrig.estimation.projection import Scaling
+from tankrig.estimation.parameters import Scaling
 from tankrig.figures.paper import collimated_cases, fitted, observed
-from tankrig.image.prediction import Prediction, Skipped
+from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.phase import phase_function
 

@@ -9,11 +9,11 @@ import pytest
 
 from tankrig.errors import StoreError
 from tankrig.estimation.estimate import Estimate
-from tankrig.estimation.reconstruction import by_order
+from tankrig.estimation.result import by_order
 from tankrig.figures.fit_figure import write_fit_figure
 from tankrig.figures.paper import collimated_cases, observed, paper_figures
-from tankrig.image.prediction import Prediction
 from tankrig.image.prediction_file import ARRAY_NAMES
+from tankrig.prediction import Prediction
 from tankrig.scene import load_scene
 
 REFERENCE = Path(__file__).parent / "data" / "reference"

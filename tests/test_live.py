@@ -18,15 +18,16 @@ from hypothesis import strategies as st
 
 from tankrig.bench import Bench
 from tankrig.devices import CameraSettings, Delivered, Frame
-from tankrig.estimation.series import SeriesEstimate
+from tankrig.errors import ImageError
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
 from tankrig.light.tank import tank_image
 from tankrig.live import worker
 from tankrig.live.exposures import Exposures, Photograph, Plan
+from tankrig.live.fits import fit_dose_prepared
 from tankrig.live.live_fit import LiveFit
-from tankrig.live.prepared_fit import fit_prepared
 from tankrig.live.preparing import Preparing, box_for
+from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, to_fields
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import Sheet
 from tankrig.pattern.wall import Wall
@@ -102,15 +103,13 @@ def test_the_newest_dose_is_fitted_first_and_the_series_only_over_doses_that_are
     """A fit that falls behind must catch up with what a person is looking at, not work off old frames."""
     asked: list[tuple[str, object]] = []
 
-    def fit_dose(photographs: list[Photograph], _start: Medium | None) -> tuple[dict[str, object], object]:
+    def fit_dose(photographs: list[Photograph], _start: Medium | None) -> DoseFit:
         asked.append(("dose", photographs[0].dose_ml))
-        return {"fit": "dose"}, type("Found", (), {"ink": INK})
+        return DoseFit(photographs[0].dose_ml, INK)
 
-    def fit_all(
-        photographs: list[Photograph], _start: object, _models: object
-    ) -> tuple[dict[str, object], SeriesEstimate | None]:
+    def fit_all(photographs: list[Photograph], _start: object, _models: object) -> SeriesFit:
         asked.append(("series", tuple(one.dose_ml for one in photographs)))
-        return {"fit": "series"}, None
+        return SeriesFit((), INK, INK)
 
     monkeypatch.setattr(worker, "fit_dose", fit_dose)
     monkeypatch.setattr(worker, "fit_all", fit_all)
@@ -127,17 +126,33 @@ def test_the_newest_dose_is_fitted_first_and_the_series_only_over_doses_that_are
     assert asked[2:] == [("series", (0.1, 0.2))]
 
 
+def test_a_fit_that_fails_says_which_frames_it_has_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step that waits for the fit of its last frame would else wait for its whole time limit."""
+
+    def refused(*_: object) -> DoseFit:
+        raise ImageError("too dark")
+
+    monkeypatch.setattr(worker, "fit_dose", refused)
+    exposures = Exposures(plan())
+    exposures.take(dosed(100.0), None)
+    seen = frame(PATTERNS["sheet"], 2)
+    exposures.take(event("frame", **seen.fields, index=7), np.full((40, 60), 500, np.uint16))
+    fit = worker.Fitter().next(exposures, last=True)
+    assert fit == FailedFit(0.1, "too dark", 7)
+    assert to_fields(fit)["newest"] == 7
+
+
 def test_a_run_that_goes_on_is_not_fitted_again_where_it_was_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Resuming a long run would else begin with minutes of fits that stand in its journal already."""
     starts: list[tuple[float, Medium | None]] = []
 
-    def fit_dose(photographs: list[Photograph], start: Medium | None) -> tuple[dict[str, object], object]:
+    def fit_dose(photographs: list[Photograph], start: Medium | None) -> DoseFit:
         starts.append((photographs[0].dose_ml, start))
-        return {"fit": "dose"}, type("Found", (), {"ink": INK})
+        return DoseFit(photographs[0].dose_ml, INK)
 
     monkeypatch.setattr(worker, "fit_dose", fit_dose)
-    found = {"fit": "dose", "dose_ml": 0.1, "frames": 1, "sigma_a": 0.001, "sigma_s": 0.02, "g": 0.5}
-    exposures, fitter = Exposures(plan()), worker.Fitter([found, {"fit": "dose", "dose_ml": 0.1, "error": "too dark"}])
+    found = DoseFit(0.1, Medium(0.001, 0.02, 0.5), frames=1)
+    exposures, fitter = Exposures(plan()), worker.Fitter([found, FailedFit(0.1, "too dark")])
     for volume_ul in (100.0, 200.0):
         exposures.take(dosed(volume_ul), None)
         exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 500, np.uint16))
@@ -148,7 +163,7 @@ def test_a_run_that_goes_on_is_not_fitted_again_where_it_was_fitted(monkeypatch:
 
 def test_frames_become_coefficients_in_another_process_that_ends_and_leaves_nothing() -> None:
     """The whole way: shared memory, spawned process, results, an orderly end."""
-    results: list[dict[str, object]] = []
+    results: list[Fit] = []
     with LiveFit(plan(), results.append) as fit:
         assert fit.pid is not None
         process, name = psutil.Process(fit.pid), fit._memory.name
@@ -163,10 +178,12 @@ def test_frames_become_coefficients_in_another_process_that_ends_and_leaves_noth
             time.sleep(0.05)
         assert fit.finished
         assert process.is_running() is False or process.status() == psutil.STATUS_ZOMBIE or process.wait(30) == 0
-    assert results[-1]["fit"] == "dose"
-    assert results[-1]["frames"] == 3
-    assert results[-1]["sigma_s"] == pytest.approx(0.1 * INK.sigma_s, rel=0.1)
-    assert results[-1]["g"] == pytest.approx(INK.g, abs=0.1)
+    last = results[-1]
+    assert isinstance(last, DoseFit)
+    assert last.frames == 3
+    assert last.medium.sigma_s == pytest.approx(0.1 * INK.sigma_s, rel=0.1)
+    assert last.medium.g == pytest.approx(INK.g, abs=0.1)
+    assert last.single is not None
     assert not Path("/dev/shm", name).exists()
 
 
@@ -303,15 +320,15 @@ class Ready:
         return True
 
 
-def test_a_dose_waits_for_its_models_then_each_frame_is_fitted_and_the_last_table_is_whole(
+def test_a_dose_waits_for_its_models_then_each_frame_is_fitted_and_the_last_fit_is_whole(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A window and the journal need single scattering too, which takes longer than a frame may."""
     liquid = Medium(0.0004, 0.008, 0.6)
-    quick = {"fit": "dose", "dose_ml": 0.1, "model": "prepared", "sigma_a": 4e-4, "sigma_s": 8e-3, "g": 0.6}
-    monkeypatch.setattr(worker, "fit_dose_prepared", lambda *_: (quick, liquid))
-    monkeypatch.setattr(worker, "with_single", lambda table, _: table | {"single": {"sigma_t": 0.008}})
-    earlier = {"fit": "dose", "dose_ml": 0.1, "frames": 1, "sigma_a": 4e-4, "sigma_s": 8e-3, "g": 0.6}
+    quick, single = DoseFit(0.1, liquid, model="prepared"), SingleScattering(0.008, 1.0)
+    monkeypatch.setattr(worker, "fit_dose_prepared", lambda *_: quick)
+    monkeypatch.setattr(worker, "with_single", lambda fit, _: replace(fit, single=single))
+    earlier = DoseFit(0.1, liquid, frames=1)
     ready = Ready()
     fitter, exposures = worker.Fitter([earlier], ready, plan()), Exposures(plan())  # type: ignore[arg-type]
     exposures.take(dosed(100.0), None)
@@ -321,14 +338,12 @@ def test_a_dose_waits_for_its_models_then_each_frame_is_fitted_and_the_last_tabl
     assert fitter.next(exposures, last=True) is None
     assert fitter.waiting
     ready.there = True
-    table = fitter.next(exposures, last=True)
-    assert table is not None
-    assert (table["passing"], table["newest"]) == (True, 4)
-    assert "single" not in table
+    fit = fitter.next(exposures, last=True)
+    assert isinstance(fit, DoseFit)
+    assert (fit.passing, fit.newest, fit.single) == (True, 4, None)
     whole = fitter.finish()
-    assert whole is not None
-    assert whole["single"] == {"sigma_t": 0.008}
-    assert "passing" not in whole
+    assert isinstance(whole, DoseFit)
+    assert (whole.passing, whole.newest, whole.single) == (False, 4, single)
     assert fitter.next(exposures, last=True) is None
 
 
@@ -380,15 +395,15 @@ def test_the_prepared_fit_finds_the_liquid_with_errors_that_hold_and_says_when_i
     for seed in range(20):
         image = 5e5 * radiance + np.random.default_rng(seed).normal(0.0, noise)
         photograph = Photograph("sheet", 0.1, 0.0, scene, image, noise, 0.0, 4)
-        found = fit_prepared([photograph] * 2, [model] * 2, Medium(0.0015, 0.018, 0.6))
+        found = fit_dose_prepared([photograph] * 2, [model] * 2, Medium(0.0015, 0.018, 0.6))
         assert found is not None
         values = np.array([found.medium.sigma_a, found.medium.sigma_s, found.medium.g])
-        off.append((values - [LIQUID.sigma_a, LIQUID.sigma_s, LIQUID.g]) / np.sqrt(np.diag(found.covariance)))
+        off.append((values - [LIQUID.sigma_a, LIQUID.sigma_s, LIQUID.g]) / np.array(found.sd))
     assert np.abs(np.mean(off, axis=0)).max() < 2.0
     assert 0.05 < np.std(off, axis=0).min() <= np.std(off, axis=0).max() < 1.5
     elsewhere = tank_image(replace(scene, medium=Medium(0.001, 0.04, 0.55)), seed=7, batches=4)
     image = 5e5 * np.sum(list(elsewhere.orders.values()), axis=0)
-    assert fit_prepared([replace(photograph, image=image)], [model], LIQUID) is None
+    assert fit_dose_prepared([replace(photograph, image=image)], [model], LIQUID) is None
 
 
 PARENT = """

@@ -12,6 +12,7 @@ from tankrig.bench import Bench
 from tankrig.light.tank import tank_image
 from tankrig.live.exposures import Plan
 from tankrig.live.live_fit import LiveFit
+from tankrig.live.results import DoseFit
 from tankrig.pattern.kinds import Rays, Sheet, Stripes
 from tankrig.pattern.wall import Wall
 from tankrig.run.journal import Event, Moment
@@ -46,7 +47,7 @@ def test_frames_become_numbers_in_time_to_be_watched(shape: tuple[int, int], pix
     drawn = sequence.drawn(bench.wall)
     plan = Plan.of(bench, sequence, list(drawn.values()))
     rng, results = np.random.default_rng(0), queue.Queue()
-    with LiveFit(plan, lambda table: results.put((time.perf_counter(), table))) as fit:
+    with LiveFit(plan, lambda fit: results.put((time.perf_counter(), fit))) as fit:
         assert fit.pid is not None
         process = psutil.Process(fit.pid)
         held = {"delivered_ul": 400.0, "delivered_low_ul": 399.0, "delivered_high_ul": 401.0}
@@ -64,9 +65,9 @@ def test_frames_become_numbers_in_time_to_be_watched(shape: tuple[int, int], pix
                 facts = {"pattern_hash": pattern.hash, "step": step + 1, "index": index}
                 fit.see(event("frame", **facts), pixels)
                 index += 1
-        began, table = time.perf_counter(), {}
-        while table.get("model") != "prepared" or table.get("newest") != index - 1:
-            _, table = results.get(timeout=400)
+        began, found = time.perf_counter(), None
+        while not isinstance(found, DoseFit) or found.model != "prepared" or found.newest != index - 1:
+            _, found = results.get(timeout=400)
         ready_s = time.perf_counter() - began
         waits_s, cpu_s = [], process.cpu_times().user + process.cpu_times().system
         for _ in range(FRAMES):
@@ -75,14 +76,14 @@ def test_frames_become_numbers_in_time_to_be_watched(shape: tuple[int, int], pix
             began = time.perf_counter()
             fit.see(event("frame", **facts), pixels)
             while True:
-                at, table = results.get(timeout=10)
-                if table["newest"] == index:
+                at, found = results.get(timeout=10)
+                if found.newest == index:
                     break
             waits_s.append(at - began)
             index += 1
         cpu_s = process.cpu_times().user + process.cpu_times().system - cpu_s
     median, worst = np.median(waits_s), np.percentile(waits_s, 95)
-    off = [(table[name] / getattr(LIQUID, name) - 1.0) for name in ("sigma_s", "g", "sigma_a")]
+    off = [(getattr(found.medium, name) / getattr(LIQUID, name) - 1.0) for name in ("sigma_s", "g", "sigma_a")]
     print(f"\n{shape[1]} × {shape[0]} px, fitted as {plan.camera.shape[1]} × {plan.camera.shape[0]}, three patterns: "
           f"{1.0 / median:.0f} estimates/s; frame to numbers {1e3 * median:.0f} ms (95 %: {1e3 * worst:.0f} ms), "
           f"{1e3 * cpu_s / FRAMES:.0f} ms of CPU each; models ready after {ready_s:.0f} s; off by "

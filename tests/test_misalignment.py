@@ -27,7 +27,7 @@ def single_of(scene: Scene, medium: Medium, seed: int = 0) -> tuple[NDArray[np.f
 @pytest.mark.parametrize(("term", "off"), [("y_mm", 0.7), ("tilt_mrad", 6.0), ("scale", -0.006)])
 def test_a_misaligned_set_up_is_found_and_corrected(term: str, off: float) -> None:
     """A beam half a millimetre aside spoils thousands of pixels; its own term must take that, with an honest error."""
-    from tankrig.estimation.misalignment import USUAL, moved
+    from tankrig.estimation.set_up import USUAL, moved
 
     truth = Medium(0.004, 0.006, 0.3)
     image, noise = single_of(moved(STRIPE, {term: off}), truth)
@@ -103,9 +103,9 @@ def test_what_a_wrong_model_leaves_is_no_bubble(noise_known: bool) -> None:
 
 def test_pixels_left_out_at_beams_edges_are_told_from_bubbles() -> None:
     """A camera that was bumped shows at the ends and sides of beams; who reads “7 bubbles” would believe the answer."""
-    from tankrig.estimation.causes import misalignment_left_out, misalignments
-    from tankrig.estimation.misalignment import moved
     from tankrig.estimation.observation import observe
+    from tankrig.estimation.residual import misalignment_left_out, misalignments
+    from tankrig.estimation.set_up import moved
 
     medium = Medium(0.001, 0.004, 0.6)
     fitted, noise = single_of(STRIPE, medium)
@@ -125,7 +125,7 @@ def test_pixels_left_out_at_beams_edges_are_told_from_bubbles() -> None:
 
 def test_a_belief_weighs_more_where_the_models_error_looks_like_what_may_be_off() -> None:
     """White weights make thousands of pixels tell what a smooth error of the model says; ± 0.5 mm must still count."""
-    from tankrig.estimation.uncertainty import Sensitivity, overconfidence
+    from tankrig.estimation.uncertainty import Response, Sensitivity, SmoothError, Weights, overconfidence
 
     random = np.random.default_rng(3)
     rows, columns = np.mgrid[:40, :60]
@@ -136,8 +136,10 @@ def test_a_belief_weighs_more_where_the_models_error_looks_like_what_may_be_off(
 
     def told(error: float) -> NDArray[np.float64]:
         weight = np.full(2400, 1.0 / np.hypot(0.1, error))
-        seen = Sensitivity(changes * weight, np.zeros((5, 0)), weight, everywhere, np.ones(2))
-        return overconfidence(seen, THICK, noise, np.full((40, 60), error), 4.0, 240.0)
+        responses = (Response(changes * weight, Weights(weight), everywhere),)
+        seen = Sensitivity(responses, np.zeros((5, 0)), np.array([1.0, 1.0, 1.0, 1.0, 1.0]), np.ones(5))
+        off = np.arange(5) > 2
+        return overconfidence(seen, off, [noise], [SmoothError(np.full((40, 60), error), 60.0)])
 
     assert told(0.0) == pytest.approx([1.0, 1.0])
     by_smooth, by_rough = told(0.2)

@@ -7,12 +7,11 @@ import pytest
 
 import tankrig
 from tankrig.errors import ImageError
-from tankrig.estimation.joint import Doses
+from tankrig.estimation.forward import in_water
 from tankrig.estimation.observation import observe
-from tankrig.estimation.projection import Scaling
+from tankrig.estimation.parameters import Doses, Scaling
 from tankrig.estimation.series import SeriesEstimate, fit_series
-from tankrig.estimation.series_model import in_water
-from tankrig.image.prediction import Prediction
+from tankrig.prediction import Prediction
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.phase import phase_function
 

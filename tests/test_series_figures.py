@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tankrig.estimation.forward import prepared_model
 from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.image.prepare import prepare
-from tankrig.live.prepared_series import prepared_model
 from tankrig.live.preparing import box_for
 from tankrig.montecarlo import simulate_to
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank

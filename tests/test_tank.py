@@ -214,7 +214,7 @@ def test_extreme_media_give_finite_light(sigma_t: float, g: float) -> None:
 
 def test_directions_stay_unit_vectors_over_thousands_of_scatterings() -> None:
     """Their rounding errors once grew by a third with each scattering; light of orders above 150 was then NaN."""
-    from tankrig.light.tank.flight import scattered
+    from tankrig.light.paths.flight import scattered
 
     direction = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     for u, v in np.random.default_rng(0).random((2000, 2)):

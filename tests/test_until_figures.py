@@ -52,10 +52,10 @@ def test_stopping_when_enough_is_known_saves_frames_and_patterns(
         _, series = recorded(run)
         assert series is not None
         lit = [event for event in run.events("frame") if run.patterns[event["pattern_hash"]].pixels.any()]
-        ink = series["ink"]
-        off = np.array([ink["sigma_a"], ink["sigma_s"], ink["g"]]) / TRUTH - 1.0
+        ink = series.ink
+        off = np.array([ink.sigma_a, ink.sigma_s, ink.g]) / TRUTH - 1.0
         patterns = len({(event["step"], event["pattern_hash"]) for event in lit})
-        found[name] = len(lit), patterns, off, np.array(series["sd"][:3]) / TRUTH
+        found[name] = len(lit), patterns, off, np.array(series.sd[:3]) / TRUTH
         print(f"\n{name}: {len(lit)} frames of {patterns} projected patterns; per ml off by "
               + ", ".join(f"{one:+.2%} (± {sd:.2%})" for one, sd in zip(*found[name][2:], strict=True)))  # fmt: skip
     assert found["until"][0] < found["all"][0]

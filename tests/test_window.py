@@ -112,10 +112,12 @@ def test_an_empty_list_of_runs_says_so(window):
 @pytest.mark.usefixtures("window")
 def test_what_waits_to_be_painted_goes_with_its_page():
     """A window closed just after a fit would end in a traceback: its plots are gone when their turn comes."""
+    from tankrig.live.results import DoseFit
+    from tankrig.scene import Medium
     from ui.window.fit_curves import FitCurves
 
     curves = FitCurves()
-    fit = {"dose_ml": 1.0, "sigma_s": 0.01, "sigma_a": 1e-4, "g": 0.7, "sd": [1e-5, 1e-4, 0.01]}
-    curves.show_fits([fit], "dose_ml", None)
+    fit = DoseFit(1.0, Medium(1e-4, 0.01, 0.7), (1e-5, 1e-4, 0.01))
+    curves.show_fits([(1.0, fit)], "dose_ml", None)
     curves.deleteLater()
     wait_ms(200)

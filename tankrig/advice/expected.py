@@ -1,7 +1,7 @@
 """What another photograph is expected to tell, before it is taken.
 
 The ink's σa, σs per ml and g, the water's σa, the logarithm of the common gain and one error per dose are known with
-the covariance that photographs give together (`tankrig.estimation.information`); another photograph adds its
+the covariance that photographs give together (`tankrig.estimation.uncertainty`); another photograph adds its
 information. That is what a fit of all of them would state, to first order.
 """
 
@@ -12,19 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.information import Information, Rows, total
-from tankrig.estimation.uncertainty import PATTERN
+from tankrig.estimation.parameters import NAMES, WIDEST, Scaling
+from tankrig.estimation.uncertainty import Information, Response, SmoothError, total
 from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
 Answer = Callable[[Scene, Medium], tuple[Array, Array]]
 """Image of a scene with a medium, and (3, rows, columns) derivatives by σa, σs, g."""
 
-NAMES = ("sigma_a", "sigma_s", "g")
 OWN = 5
 """Coefficients before those of the doses: ink σa, σs, g, water σa, log gain."""
-WIDEST = 10.0
-"""See `tankrig.estimation.uncertainty`: a prior of ten times σt, and of as much in log gain."""
 
 
 @dataclass(frozen=True)
@@ -153,9 +150,9 @@ def _about_liquid(known: Known, shot: Shot, answer: Answer) -> Information:
     radiance, slopes = answer(shot.scene, known.liquid(shot.dose_ml))
     image = known.gain * radiance
     noise = np.sqrt(known.noise(image) / shot.frames)
-    error = known.model_error * image
+    error = SmoothError(known.model_error * image, max(shot.scene.tank.size_mm) / shot.scene.camera.pixel_mm)
     changes = np.vstack([known.gain * slopes.reshape(3, -1), image.reshape(1, -1)])
-    weight, used = 1.0 / np.hypot(noise, error), np.ones(image.shape, bool)
-    rows = Rows.of(changes, np.zeros(image.size), weight.ravel(), used, known.offset_free)
-    tank, camera = shot.scene.tank, shot.scene.camera
-    return rows.information(noise, PATTERN * error, max(tank.size_mm) / camera.pixel_mm)
+    weights, used = error.whitening(noise, np.ones(image.shape, bool)), np.ones(image.shape, bool)
+    one, model = weights.whiten(np.ones(image.size)), weights.whiten(image.ravel())
+    left = Scaling(1.0, None if known.offset_free else 0.0).project_out(weights.whiten(changes), [model], [one])
+    return Response(left, weights, used).information(noise, error)

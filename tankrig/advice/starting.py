@@ -7,7 +7,8 @@ import numpy as np
 from tankrig.advice.expected import Array, Known, Shot
 from tankrig.errors import ImageError
 from tankrig.live.exposures import Photograph, exposures_of
-from tankrig.report.results import Table, recorded
+from tankrig.live.results import DoseFit, SeriesFit, diluted
+from tankrig.report.results import recorded
 from tankrig.run.reading import Run
 from tankrig.scene import Medium
 
@@ -40,7 +41,7 @@ def from_run(run: Run) -> tuple[Known, list[Shot], list[str]]:
         raise ImageError(f"{run.path}: has no {lacks}, so there is nothing to advise from")
     shots = [Shot(one.pattern, one.scene, one.dose_ml, one.dose_sd_ml, one.frames) for one in photographs]
     ink, water, gain = _ink(doses, series)
-    errors = [one["model_error"] for one in doses if "model_error" in one]
+    errors = [one.model_error for one in doses if one.model_error is not None]
     error = float(np.median(errors)) if errors else MODEL_ERROR
     free = photographs[0].offset == "free"
     patterns = [exposures.plan.patterns[key].name for key in exposures.plan.scenes]
@@ -56,14 +57,12 @@ def from_guess(ink: Medium, gain: float, noise: float) -> Known:
     return Known(ink, 0.0, gain, False, variance, MODEL_ERROR)
 
 
-def _ink(doses: Sequence[Table], series: Table | None) -> tuple[Medium, float, float]:
+def _ink(doses: Sequence[DoseFit], series: SeriesFit | None) -> tuple[Medium, float, float]:
     """Ink per ml, σa of the water, and gain, by the best fit there is."""
     if series is not None:
-        ink = series["ink"]
-        return Medium(ink["sigma_a"], ink["sigma_s"], ink["g"]), series["water_sigma_a"], series["gain"]
+        return series.ink, series.water.sigma_a, series.gain
     last = doses[-1]
-    dose_ml = last["dose_ml"]
-    return Medium(last["sigma_a"] / dose_ml, last["sigma_s"] / dose_ml, last["g"]), 0.0, last["gain"]
+    return diluted(last.medium, last.dose_ml, 1.0), 0.0, last.gain
 
 
 def _noise_of(photographs: Sequence[Photograph]) -> Callable[[Array], Array]:

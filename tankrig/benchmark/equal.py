@@ -6,12 +6,10 @@ tell what a long one would take.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from tankrig.benchmark.race import Result
+from tankrig.benchmark.result import Result
 
 CLEAR = 0.25
 """Share of the reference's noise below which an error net of that noise isn't told from 0."""
@@ -44,7 +42,7 @@ class Equal:
     extrapolated: float
 
 
-def at_equal_error(results: Sequence["Result"], tolerance: float = 0.01) -> tuple[Equal, ...]:
+def at_equal_error(results: Sequence[Result], tolerance: float = 0.01) -> tuple[Equal, ...]:
     """Compare every simulator that has run with the tank model at `tolerance`, case by case.
 
     Notes

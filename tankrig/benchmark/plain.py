@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.montecarlo.draws import draw, draw_turn, scrambled
-from tankrig.montecarlo.stage import Stage, beam_table, departure, flight, seen, stage
+from tankrig.montecarlo.kernel_scene import KernelScene, beam_table, departure, flight, kernel_scene, seen
 from tankrig.scene import Scene
 from tankrig.scene.phase import henyey_greenstein
+from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 
-THREADS = 2
 LIGHT = 0.05
 """Weight below which a photon plays roulette."""
 
@@ -57,7 +57,7 @@ def plain_image(scene: Scene, photons: int, seed: int = 0) -> Array:
     def share(thread: int) -> Array:
         image = np.zeros(scene.camera.shape)
         first, stop = (photons * part // THREADS for part in (thread, thread + 1))
-        _follow(stage(scene), beams, powers, np.uint64(seed << 40), first, stop, image)
+        _follow(kernel_scene(scene), beams, powers, np.uint64(seed << 40), first, stop, image)
         return image
 
     with ThreadPoolExecutor(THREADS) as pool:
@@ -65,7 +65,9 @@ def plain_image(scene: Scene, photons: int, seed: int = 0) -> Array:
 
 
 @kernel
-def _follow(scene: Stage, beams: Array, powers: Array, seed: np.uint64, first: int, stop: int, image: Array) -> None:
+def _follow(
+    scene: KernelScene, beams: Array, powers: Array, seed: np.uint64, first: int, stop: int, image: Array
+) -> None:
     """Add to `image` what photons `first` … `stop` − 1 send to the camera, each as one of unit power."""
     for photon in range(first, stop):
         state = scrambled(seed + np.uint64(photon))

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 
 from tankrig.benchmark.contestant import Contestant
 from tankrig.benchmark.equal import Equal, at_equal_error
+from tankrig.benchmark.result import Result
 from tankrig.benchmark.trial import Trial, run_trial
 from tankrig.benchmark.truth import Case
 from tankrig.errors import TankrigError
@@ -16,41 +17,6 @@ Told = Callable[[str, bool], object]
 
 SHORT_S = 5.0
 """Trials that take longer are not repeated."""
-
-
-@dataclass(frozen=True)
-class Result:
-    """One contestant on one case.
-
-    Parameters
-    ----------
-    case
-        Its name.
-    label, model, tolerance, samples
-        Of the contestant.
-    error
-        Relative L2 error net of the reference's noise.
-    noise
-        Relative L2 of that noise; errors well below it cannot be told from 0.
-    light
-        Sum of the image over that of the reference.
-    seconds, cpu_seconds
-        Median over the repeated trials.
-    peak_mib
-        Largest resident memory of any trial.
-    """
-
-    case: str
-    label: str
-    model: str
-    tolerance: float | None
-    samples: int | None
-    error: float
-    noise: float
-    light: float
-    seconds: float
-    cpu_seconds: float
-    peak_mib: float
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,11 @@ from tankrig.benchmark_estimates.records import Records
 from tankrig.benchmark_estimates.scenes import NOISE, RANDOM, STRIPES, other_paths, random_media
 from tankrig.benchmark_estimates.section import Cell, Section
 from tankrig.estimation.estimate import fit_models
-from tankrig.estimation.models import Models, models_of
+from tankrig.estimation.forward import Models, models_of
 from tankrig.estimation.observation import observe
-from tankrig.estimation.parameters import NAMES
-from tankrig.estimation.projection import Scaling
-from tankrig.image.prediction import Prediction
+from tankrig.estimation.parameters import NAMES, Scaling
 from tankrig.image.prepare import Prepared
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]

@@ -60,17 +60,16 @@ def _fitted(one: Observed, gain_known: bool) -> dict[str, Any]:
 
 def cramer_rao(fit: Estimate, one: Observed, gain_known: bool) -> list[float]:
     """Standard deviations that camera noise alone allows."""
-    from tankrig.estimation.forward import slopes_of
-    from tankrig.estimation.models import models_of
-    from tankrig.estimation.projection import Scaling
+    from tankrig.estimation.forward import models_of
+    from tankrig.estimation.parameters import Scaling
 
-    _, slope = models_of(one.scene, "tank", None).refine(fit.medium)
+    models = models_of(one.scene, "tank", None)
     scaling = Scaling(1.0, 0.0) if gain_known else Scaling(None, None)
-    slopes = slopes_of(lambda medium: slope(medium).image, max(one.scene.tank.size_mm))(fit.medium)
+    slopes = models.slopes_of(models.refined(fit.medium)[1], max(one.scene.tank.size_mm))(fit.medium)
     pixels = int(np.prod(one.image.shape))
     weight = np.full(pixels, 1.0 / one.noise)
     image = np.asarray((fit.image - fit.offset) / fit.gain, float).ravel()
-    changes = scaling.unhidden(fit.gain * slopes.reshape(3, -1) * weight, image, weight)
+    changes = scaling.project_out(fit.gain * slopes.reshape(3, -1) * weight, [image * weight], [weight])
     size = np.sqrt(np.sum(changes**2, axis=1))
     return list(np.sqrt(np.diag(np.linalg.inv(changes @ changes.T / np.outer(size, size)))) / size)
 

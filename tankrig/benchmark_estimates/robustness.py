@@ -12,7 +12,7 @@ from tankrig.benchmark_estimates.records import Records
 from tankrig.benchmark_estimates.scenes import LIQUIDS, NOISE, STRIPES, other_paths
 from tankrig.benchmark_estimates.section import Cell, Section
 from tankrig.estimation.estimate import estimate
-from tankrig.estimation.misalignment import moved
+from tankrig.estimation.set_up import moved
 from tankrig.image.prepare import Prepared
 
 Array = NDArray[np.float64]

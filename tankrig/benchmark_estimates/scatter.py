@@ -12,10 +12,9 @@ from tankrig.benchmark_estimates.scenes import LIQUIDS, NOISE, STRIPES, monte_ca
 from tankrig.benchmark_estimates.section import Cell, Section
 from tankrig.benchmark_estimates.surrogate import near
 from tankrig.estimation.estimate import Estimate, estimate, fit_models
-from tankrig.estimation.models import Models, models_of
+from tankrig.estimation.forward import Models, corrected, models_of
 from tankrig.estimation.observation import observe
-from tankrig.estimation.polishing import corrected_at
-from tankrig.estimation.projection import Scaling
+from tankrig.estimation.parameters import Scaling
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]
@@ -70,7 +69,9 @@ def _drawn(name: str, gain: str, image: Array, draws: int) -> dict[str, Any]:
     sd = np.sqrt(np.diag(full[0].covariance))
     size = np.array([centre.sigma_s, centre.sigma_a, 1.0 - centre.g**2])
     reach = np.maximum(REACH[0] * sd[[1, 0, 2]] / size, REACH[1])
-    local = near(corrected_at(centre, models_of(STRIPES, "tank", None)), centre, reach)
+    whole = models_of(STRIPES, "tank", None)
+    assert whole.exact is not None
+    local = near(corrected(whole.refined(centre)[1], centre, whole.exact(centre, 1)), centre, reach)
     fits = [_fit(noisy(seed), noise, scaling, local) for seed in range(draws)]
     values, true = np.array([astuple(one.medium) for one in fits]), np.array(astuple(truth))
     stated = np.sqrt(np.mean([np.diag(one.covariance) for one in fits], axis=0))
@@ -98,7 +99,7 @@ def cramer_rao(models: Models, medium: Medium, scaling: Scaling, noise: float, g
     assert models.slopes is not None
     image = np.asarray(models.coarse(medium).image, float).ravel()
     weight = np.full(image.size, 1.0 / noise)
-    changes = scaling.unhidden(gain * models.slopes(medium).reshape(3, -1) * weight, image, weight)
+    changes = scaling.project_out(gain * models.slopes(medium).reshape(3, -1) * weight, [image * weight], [weight])
     size = np.linalg.norm(changes, axis=1)
     found: Array = np.sqrt(np.diag(np.linalg.inv(changes @ changes.T / np.outer(size, size)))) / size
     return found

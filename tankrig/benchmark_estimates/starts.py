@@ -9,12 +9,11 @@ import numpy as np
 from tankrig.benchmark_estimates.records import Records
 from tankrig.benchmark_estimates.scenes import LIQUIDS, NOISE, STRIPES, other_paths
 from tankrig.benchmark_estimates.section import Cell, Section
-from tankrig.estimation.fitting import Problem, first_guess, polish, search
-from tankrig.estimation.models import models_of
+from tankrig.estimation.forward import models_of
 from tankrig.estimation.observation import observe
-from tankrig.estimation.parameters import Range, to_coordinates, to_medium
-from tankrig.estimation.projection import Scaling
-from tankrig.estimation.uncertainty import covariance
+from tankrig.estimation.optimiser import Shot, first_guess, polish, search
+from tankrig.estimation.parameters import MediumBlock, Range, Scaling, to_coordinates, to_medium
+from tankrig.estimation.problem import Problem
 from tankrig.image.prepare import Prepared
 from tankrig.scene import Medium
 
@@ -71,24 +70,23 @@ def _started(records: Records, prepared: Prepared, name: str, gain: str, starts:
         return models.coarse(medium).image
 
     error = prepared.error_at(LIQUIDS[name]) * image
-    problem = Problem(forward, models.slopes, observation, scaling, error, reach)
+    shot = Shot(observation, STRIPES, models)
+    problem = Problem((shot.view(forward, models.slopes, error),), (MediumBlock(reach),), scaling)
     random = np.random.default_rng(2)
-    reserve = [medium for part in first_guess(problem, max(STRIPES.tank.size_mm)) for medium in part]
+    reserve = [look.coordinates for part in first_guess(problem, shot.length_mm) for look in part]
     costs, found = [], []
     for _ in range(starts):
-        start = to_medium(random.uniform(reach.low, reach.high))
+        start = random.uniform(reach.low, reach.high)
         ends = [search(problem, [start], _silently, others)[0] for others in ((), reserve)]
-        polished = [polish(problem, to_coordinates(end)) for end in ends]
+        polished = [polish(problem, end) for end in ends]
         costs.append([end.cost for end in polished])
         found.append([astuple(to_medium(end.coordinates)) for end in polished])
     failed = int((~np.isfinite(costs)).sum())
     values = np.array(found)
     best = np.unravel_index(np.argmin(costs), (starts, 2))
-    medium, at = Medium(*values[best]), to_coordinates(Medium(*values[best]))
-    sensitivity = problem.sensitivity(at, problem.image(at))
-    spread = covariance(
-        sensitivity, medium, observation.noise, error, STRIPES.camera.pixel_mm, max(STRIPES.tank.size_mm)
-    )  # fmt: skip
+    at = to_coordinates(Medium(*values[best]))
+    sensitivity = problem.sensitivity(at, problem.images(at))
+    spread = sensitivity.covariance([observation.noise], [problem.views[0].error])
     alone, same = (np.abs(values - values[best]) < SAME_SD * np.sqrt(np.diag(spread))).all(axis=2).mean(axis=0)
     return {
         "liquid": name, "gain": gain, "alone": float(alone), "same": float(same), "failed": failed,

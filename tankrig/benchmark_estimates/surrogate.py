@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import remembered
-from tankrig.estimation.models import Models
+from tankrig.estimation.forward import Models, remembered
 from tankrig.estimation.parameters import Range, slopes, to_coordinates, to_medium
-from tankrig.image.prediction import Prediction
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]

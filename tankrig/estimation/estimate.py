@@ -2,29 +2,45 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
-from tankrig.estimation.description import described
-from tankrig.estimation.fitting import MEDIUM, Problem, first_guess, polish, search
-from tankrig.estimation.forward import slopes_of
-from tankrig.estimation.misalignment import Misalignment
-from tankrig.estimation.models import COARSE, Model, Models, models_of, stated_error
-from tankrig.estimation.observation import Observation, observe
-from tankrig.estimation.parameters import Range, to_coordinates, to_medium
-from tankrig.estimation.polishing import aligned, corrected, limited_error, without_outliers
-from tankrig.estimation.projection import Scaling
+from tankrig.estimation.forward import Models, error_map, models_of, stated_error
+from tankrig.estimation.observation import Observation, observe, structure
+from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
+from tankrig.estimation.parameters import MediumBlock, Range, Scaling
+from tankrig.estimation.problem import Problem
+from tankrig.estimation.residual import (
+    WHOLE,
+    cause_of,
+    misalignment_left_out,
+    misalignments,
+    standing_out,
+    structure_map,
+)
 from tankrig.estimation.result import Estimate as Estimate
-from tankrig.scene import Scene
+from tankrig.estimation.set_up import Misalignment, SetUpBlock
+from tankrig.estimation.uncertainty import Sensitivity, SmoothError, identifiable, overconfidence, stretches
+from tankrig.estimation.verdict import what_is_determined, what_is_left, what_is_misaligned, what_was_left_out
+from tankrig.prediction import Prediction
+from tankrig.scene import Medium, Scene
 
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
 
+Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 Free = Literal["free"]
+
+ALIGNINGS, ALIGNED = 5, 2.0
+"""Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
+HOPELESS = 0.1
+"""Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 
 
 def estimate(
@@ -85,8 +101,7 @@ def estimate(
     """
     if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):
         raise SceneError(f"{scene.source or 'the scene'}: no beam has any irradiance; give the light that was on")
-    (gain_mean, gain_sd), (offset_mean, offset_sd) = _known("gain", gain), _known("offset", offset)
-    scaling = Scaling(gain_mean, offset_mean, gain_sd, offset_sd)
+    scaling = Scaling.given(gain, offset)
     misalignment = Misalignment(scene, nuisance, 1 if model == "single" else max_order) if nuisance else None
     observation = observe(image, scene.camera.shape, noise, mask)
     models = models_of(scene, model, max_order)
@@ -98,10 +113,10 @@ def fit_models(
     scene: Scene,
     scaling: Scaling,
     models: Models,
-    progress: Callable[[str], None],
+    progress: Told,
     misalignment: Misalignment | None = None,
 ) -> Estimate:
-    """Fit any forward model: search the whole range with its cheap version, end with the accurate one.
+    """Fit one image by any forward model: a series of one.
 
     Parameters
     ----------
@@ -116,51 +131,167 @@ def fit_models(
     misalignment
         What may be off in the set-up; None where nothing is. It is fitted with the accurate model only.
     """
-    length_mm = max(scene.tank.size_mm)
-
-    def problem_of(seen: Observation, forward: Model, slope: Model, error: Image) -> Problem:
-        slopes = models.slopes or slopes_of(lambda medium: slope(medium).image, length_mm)
-        reach = models.range or Range.of_tank(length_mm)
-        return Problem(lambda medium: forward(medium).image, slopes, seen, scaling, error, reach)
-
-    progress("looking at a few media")
-    ambient = float(np.percentile(observation.image[observation.used], 5)) if scaling.offset is None else scaling.offset
-    brightness = np.maximum(observation.image - ambient, 0.0)
-    first = problem_of(observation, models.coarse, models.coarse, COARSE * brightness)
-    starts, reserve = first_guess(first, length_mm)
-    rough = float(np.clip(stated_error(models.coarse(starts[0])), 0.1 * COARSE, COARSE))
-    cheap = problem_of(observation, models.coarse, models.coarse, rough * brightness)
-    found = search(cheap, starts, progress, reserve)
-
-    progress("refining")
-    forward, slope = models.refine(found[0])
-    start = forward(found[0])
-    gain, offset = problem_of(observation, forward, slope, rough * brightness).scale(start.image)
-    fitted = gain * start.image + offset
-    observation = observation.with_noise_of(observation.image - fitted, by_level=True)
-
-    problem = problem_of(observation, forward, slope, limited_error(start, gain))
-    best = min((polish(problem, to_coordinates(one)) for one in found), key=lambda end: end.cost)
-    if models.exact is not None:
-        problem, best, forward = corrected(problem, best, models.exact, slope, scene, gain, progress)
+    block = MediumBlock(models.range or Range.of_tank(max(scene.tank.size_mm)))
+    fit = fitted([Shot(observation, scene, models)], (block,), scaling, progress, sharper=True)
     if misalignment is not None:
         progress("aligning")
-        problem, best = aligned(problem, best, misalignment, scene)
-    problem, best = without_outliers(problem, best)
+        fit = _aligned(fit, misalignment)
+    fit = without_outliers(fit)
     progress("finding the errors")
-    return described(problem, best.coordinates, scene, forward(to_medium(best.coordinates[:MEDIUM])))
+    return _built(fit, scene)
 
 
-def _known(name: str, value: object) -> tuple[float | None, float]:
-    """A number and its standard deviation; None where free."""
-    if value == "free":
-        return None, 0.0
-    pair = value if isinstance(value, tuple) and len(value) == 2 else (value, 0.0)
-    numbers = [float(one) if isinstance(one, float | int | np.number) else math.nan for one in pair]
-    if not np.isfinite(numbers).all() or numbers[1] < 0.0 or (name == "gain" and numbers[0] <= 0.0):
-        wanted = "a positive finite number" if name == "gain" else "a finite number"
-        raise ImageError(f'{name} = {value!r} cannot be; give "free", {wanted}, or it and its standard deviation')
-    return numbers[0], numbers[1]
+def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
+    """The fit with what may be off in the set-up; edges that come off pixels' edges bend the way, so it is repeated."""
+    at, cost = np.concatenate([fit.optimum.coordinates, np.zeros(len(misalignment.names))]), fit.optimum.cost
+    (view,), (medium,), block = fit.problem.views, fit.problem.blocks, SetUpBlock(misalignment, np.ones(at.size - 3))
+    problem = replace(fit.problem, blocks=(medium, block))
+    for _ in range(ALIGNINGS):
+        before, known = cost, misalignment.at(problem.liquid(at))
+        block = SetUpBlock(known, np.ones(len(known.names)))
+        problem = replace(problem, blocks=(medium, block))
+        sensitivity = problem.sensitivity(at, problem.images(at))
+        weight = overconfidence(sensitivity, problem.believed(block), [view.observation.noise], [view.error])
+        problem = replace(problem, blocks=(medium, replace(block, weight=weight)))
+        best = polish(problem, at)
+        at, cost = best.coordinates, best.cost
+        if before - cost < ALIGNED:
+            break
+    return replace(fit, problem=problem, optimum=best)
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a fit leaves of one image.
+
+    Parameters
+    ----------
+    prediction
+        The model's, without gain, offset and what may be misaligned.
+    light, image, residual
+        Fitted without and with the offset, and observed less fitted; NaN where a pixel is not used.
+    rmse
+        RMS of the residual over the used pixels.
+    noise, noisier
+        (rows, columns) standard deviation as assumed, or more by a factor where the residual shows that.
+    unexplained, stated
+        Structure of the residual, and the model's own error, as shares of the image.
+    """
+
+    prediction: Prediction
+    light: Image
+    image: Image
+    residual: Array
+    rmse: float
+    noise: Array
+    noisier: float
+    unexplained: float
+    stated: float
+
+    @property
+    def counted(self) -> float:
+        """The model's error that counts: as stated, or as seen where that is more."""
+        return max(self.stated, self.unexplained)
+
+    @property
+    def beyond(self) -> float:
+        """What is seen of it beyond what is stated."""
+        return math.sqrt(self.counted**2 - self.stated**2)
+
+
+def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
+    """Gain and offsets at an optimum, and what is left of each image.
+
+    Raises
+    ------
+    ImageError
+        When the images are dark where the scenes are bright.
+    """
+    images = fit.problem.images(fit.coordinates)
+    gain, offsets = fit.problem.scale(images)
+    if gain <= 0.0:
+        raise ImageError(
+            "the image is dark where the scene's light is and bright where it is not; check that image and scene "
+            "belong together and which way up the image is"
+        )
+    found = []
+    for view, image, offset, prediction in zip(fit.problem.views, images, offsets, fit.predictions, strict=True):
+        seen, used = view.observation, view.observation.used
+        light = gain * image
+        residual = np.where(used, seen.image - light - offset, np.nan)
+        rmse, noise, bright = rms(residual[used]), rms(seen.noise[used]), rms(light[used])
+        unexplained = structure(residual, used) / bright
+        white = math.sqrt(max(rmse**2 - (unexplained * bright) ** 2, 0.0))
+        noisier = white / noise if white > noise * (1.0 + 3.0 / math.sqrt(2.0 * used.sum())) else 1.0
+        stated = stated_error(prediction)
+        whole = light + offset
+        found.append(Left(prediction, light, whole, residual, rmse, noisier * seen.noise, noisier, unexplained, stated))
+    return gain, offsets, found
+
+
+def _built(fit: Fit, scene: Scene) -> Estimate:
+    """The estimate at an optimum: its errors, what the residual says, and the verdict."""
+    problem, coordinates = fit.problem, fit.coordinates
+    gain, (offset,), (left,) = left_over(fit)
+    medium, observation, prediction = problem.liquid(coordinates), problem.views[0].observation, left.prediction
+    used, stated = observation.used, left.stated
+    # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
+    error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
+    sensitivity = problem.sensitivity(coordinates, problem.images(coordinates))
+    length = max(scene.tank.size_mm) / scene.camera.pixel_mm
+    spread = sensitivity.covariance([left.noise], [SmoothError(error, length)])
+    off, spread = _misalignments(problem, coordinates, spread), spread[:3, :3]
+    edges = problem.at_edge(coordinates)
+    hopeless = left.unexplained > max(HOPELESS, stated)
+    known = {name: yes and name not in edges and not hopeless for name, yes in identifiable(medium, spread).items()}
+    whitened = np.where(used, left.residual, 0.0) / left.noise
+    place = standing_out(whitened, used, error / left.noise)
+    whole = prediction.model in WHOLE
+    held = left.unexplained <= stated and place is None
+    left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
+    misaligned = cache(partial(misalignments, scene, medium))  # eight images, and two may ask
+    cause = cause_of(problem, sensitivity, coordinates, scene, misaligned) if not held and whole else None
+    aside = whole and misalignment_left_out(observation, left.image, gain, misaligned)
+    noisier = left.noisier if observation.noise_known else 1.0
+    sentences = [
+        what_is_determined(medium, spread, known, edges),
+        what_is_left(left.unexplained, stated, noisier, cause, place, aside),
+        what_is_misaligned(off),
+        what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
+    ]
+    return Estimate(
+        medium=medium, covariance=spread, identifiable=known, gain=gain, offset=offset, image=left.image,
+        residual=left.residual, rmse=left.rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model,
+        noise=rms(left.noise[used]), model_error=left.counted, nuisance=off, structure=structure_map(whitened, used),
+        stretch=_stretch(fit, sensitivity, spread, gain),
+    )  # fmt: skip
+
+
+def _misalignments(problem: Problem, coordinates: Array, spread: Array) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of each term, in its unit."""
+    block = problem.blocks[-1]
+    if not isinstance(block, SetUpBlock):
+        return {}
+    off, sds = problem.values(coordinates)[block.name], np.sqrt(np.diag(spread))[problem.believed(block)]
+    terms = zip(block.misalignment.sd.items(), off, sds, strict=True)
+    return {name: (float(one) * unit, float(sd) * unit) for (name, unit), one, sd in terms}
+
+
+def _stretch(fit: Fit, sensitivity: Sensitivity, spread: Array, gain: float) -> dict[str, tuple[float, float]]:
+    problem, (view,) = fit.problem, fit.problem.views
+    medium, models = problem.liquid(fit.coordinates), [view.whitened(problem.images(fit.coordinates)[0])]
+
+    def changed(other: Medium) -> Array:
+        change = gain * view.whitened(view.forward(other) - view.forward(medium))
+        return problem.project_out(change[None], models)[0, : problem.pixels]
+
+    residual = problem.residual(fit.coordinates)[: problem.pixels]
+    return stretches(medium, spread, residual, sensitivity.changes, changed)
+
+
+def rms(values: Image) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _silently(_: str) -> None:

@@ -1,24 +1,314 @@
-"""The forward model as a fit sees it: a function from a medium to an image and its derivatives."""
+"""Forward models as a fit sees them: cheap ones to search with, accurate ones to end with, and their derivatives.
 
-from collections.abc import Callable
-from dataclasses import replace
+The tank model follows light paths, and its noise is a smooth function of the medium only where the same paths are
+followed every time: so each version follows a fixed number of them, chosen once for a fit from the noise that the
+cheap version states. Derivatives use other paths than the image that they are to improve: with the same ones, noise
+would look like a way to a better fit.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.parameters import NAMES
-from tankrig.scene import Medium
+from tankrig.errors import SceneError
+from tankrig.estimation.parameters import NAMES, Range
+from tankrig.image.predict import predict
+from tankrig.prediction import Prediction, Skipped
+from tankrig.scene import Medium, Scene
+
+if TYPE_CHECKING:
+    from tankrig.image.prepare import Prepared
 
 Image = NDArray[np.floating]
 Forward = Callable[[Medium], Image]
 """Image of a medium; everything else about the scene is fixed."""
 Slopes = Callable[[Medium], Image]
 """Derivatives of the image by σa, σs and g, shape (3, rows, columns)."""
-
-
+Model = Callable[[Medium], Prediction]
+"""What the camera would see with a medium in the tank."""
+Exact = Callable[[Medium, int], Prediction]
+"""The same as accurately as can be, with so many times as many light paths."""
+ModelOf = Callable[[Scene, int, int], Model]
+"""From a scene, a number of batches and a seed to a model; many batches are accurate, and few are quick."""
 Answer = TypeVar("Answer")
+
+COARSE, FINE = 0.05, 0.01
+"""Tolerance of cheap and of accurate images."""
+COARSE_BATCHES, SMOOTHED_BATCHES = 2, 6
+"""Shifted lattices of light paths of the tank model's cheap images: where every path stands for all starts, and where
+it does not and noise is told from light by their scatter (two of them err by 7 % unseen, four by 1.5 %)."""
+FINE_NOISE, FINE_BATCHES = 0.003, 32
+SLOPE_NOISE, SLOPE_BATCHES = 0.006, 16
+"""Noise (relative L2) that the images for the last steps and for derivatives aim for, and their lattices at most."""
+SLOPE_BLUR_MM = 4.0
+"""Standard deviation of the Gaussian over which orders ≥ 3 are averaged where changes of the image matter and not the
+image: paths take other ways in another medium, and the noise of the difference passes for knowledge."""
+
+EXACT_NOISE, EXACT_BATCHES = 0.0005, 128
+"""The same for the one image, at the optimum, that the others are corrected by."""
+
+QUICK_BATCHES, ACCURATE_BATCHES = 2, 8
+"""Lattices of the images of a series: of those that steps are made with, and of those that correct them."""
+LATTICES = 4
+"""Of a series' images, where no prepared model holds a medium."""
+PURE_WATER_SIGMA_S = 1.9e-6
+"""What pure water itself scatters of green light, 1/mm, as much forwards as backwards (Morel 1974)."""
+
+ERROR_PIXELS = 4.0
+"""Standard deviation of the Gaussian over which a stated noise is averaged."""
+
+
+@dataclass(frozen=True)
+class Models:
+    """Versions of one forward model.
+
+    Parameters
+    ----------
+    coarse
+        Cheap.
+    refine
+        From a medium near the optimum to an accurate version and one to differentiate; None where the cheap one does
+        for both.
+    slopes
+        Derivatives by σa, σs, g, (3, rows, columns), of the model itself; None to take differences.
+    range
+        Media that it answers for; None: all.
+    exact
+        The most accurate version, for one image at the optimum, and with so many times its paths; None where the
+        accurate one is that.
+    central
+        Whether differences look at both sides.
+    """
+
+    coarse: Model
+    refine: Callable[[Medium], tuple[Model, Model]] | None
+    slopes: Slopes | None = None
+    range: Range | None = None
+    exact: Exact | None = None
+    central: bool = True
+
+    def refined(self, medium: Medium) -> tuple[Model, Model]:
+        """See `refine`."""
+        return self.refine(medium) if self.refine is not None else (self.coarse, self.coarse)
+
+    def slopes_of(self, slope: Model, length_mm: float) -> Slopes:
+        """Derivatives: the model's own, or of one of its versions by differences."""
+        return self.slopes or slopes_of(image_of(slope), length_mm, self.central)
+
+
+def models_of(scene: Scene, model: "str | Prepared", max_order: int | None) -> Models:
+    """Versions of a model of a scene.
+
+    Raises
+    ------
+    SceneError
+        When a prepared model is of another scene; on the first image, when the model is unknown or cannot treat the
+        scene.
+    """
+    if model == "prepared":
+        from tankrig.image.prepare import prepare
+
+        model = prepare(scene)
+    if not isinstance(model, str):
+        return _prepared_models(scene, model, max_order)
+    if model == "tank":
+        return _tank_models(scene, max_order)
+
+    def within(tolerance: float) -> Model:
+        return remembered(lambda medium: predict(replace(scene, medium=medium), model, tolerance, max_order))
+
+    fine = within(FINE)
+    return Models(within(COARSE), lambda _: (fine, fine))
+
+
+def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None) -> Models:
+    if replace(model.scene, medium=scene.medium) != scene:
+        raise SceneError(
+            f"the model {model.path} was prepared for another tank, projector or camera than "
+            f"{scene.source or 'the scene'} has; prepare this one"
+        )
+    if max_order is not None:
+        raise SceneError(f'max_order = {max_order} needs model = "tank": a prepared model holds all orders in one')
+    box = model.box
+
+    def inside(medium: Medium) -> Medium:
+        if box.holds(medium):
+            return medium
+        sigma_t = float(np.clip(medium.sigma_t, *box.sigma_t))
+        albedo = float(np.clip(medium.albedo, *box.albedo))
+        return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, float(np.clip(medium.g, *box.g)))
+
+    @remembered
+    def predicted(medium: Medium) -> Prediction:
+        near = inside(medium)
+        error = Skipped("noise and polynomials of the prepared model", model.error_at(near))
+        return Prediction(model.predict(near), "prepared", skipped=(error,))
+
+    albedo, g = ((edges[0], min(edges[1], 1.0 - 1e-6)) for edges in (box.albedo, box.g))
+    scattering = (box.sigma_t[0] * albedo[0], box.sigma_t[1])
+    return Models(
+        predicted, lambda _: (predicted, predicted), lambda medium: model.predict(inside(medium), derivatives=True)[1],
+        Range.of_media(scattering, albedo, g, sigma_t=box.sigma_t),
+    )  # fmt: skip
+
+
+def _tank_models(scene: Scene, max_order: int | None) -> Models:
+    def following(batches: int, seed: int, blur_mm: float = 0.0) -> Model:
+        return remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, batches, seed, blur_mm))
+
+    from tankrig.light.rays import shift_invariant
+
+    fewest = COARSE_BATCHES if shift_invariant(scene) else SMOOTHED_BATCHES
+    coarse = following(fewest, 0)
+
+    def batches(medium: Medium, noise: float, most: int) -> int:
+        need = fewest * stated_error(coarse(medium)) ** 2
+        return int(np.clip(need / noise**2, fewest, most))
+
+    def refine(medium: Medium) -> tuple[Model, Model]:
+        fine, slope = batches(medium, FINE_NOISE, FINE_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
+        return following(fine, 1), following(slope, 2, SLOPE_BLUR_MM)
+
+    def exact(medium: Medium, times: int) -> Prediction:
+        return following(times * batches(medium, EXACT_NOISE, EXACT_BATCHES), 3)(medium)
+
+    return Models(coarse, refine, exact=exact)
+
+
+def _tank(scene: Scene, max_order: int | None, batches: int, seed: int, blur_mm: float) -> Prediction:
+    from scipy.ndimage import gaussian_filter
+
+    from tankrig.light.tank import tank_image
+
+    found = tank_image(scene, FINE, max_order, seed, batches)
+    if blur_mm == 0.0:
+        return found
+    exact = found.orders[1] + found.orders[2]
+    image = exact + gaussian_filter(found.image - exact, blur_mm / scene.camera.pixel_mm, mode="nearest")
+    return replace(found, image=image)
+
+
+def series_models(scene: Scene, model_of: ModelOf) -> Models:
+    """A series' models as versions of one: steps by the quick one, corrections by the accurate one.
+
+    What few lattices say about their noise in each pixel is noise itself: it counts in proportion to the image.
+    """
+
+    def even(model: Model) -> Model:
+        def image(medium: Medium) -> Prediction:
+            found = model(medium)
+            return replace(found, stderr=None, skipped=(Skipped("noise, and what was left out", stated_error(found)),))
+
+        return lru_cache(maxsize=64)(image)
+
+    quick, accurate = (
+        even(model_of(scene, batches, seed)) for batches, seed in ((QUICK_BATCHES, 0), (ACCURATE_BATCHES, 1))
+    )
+    return Models(quick, None, exact=lambda medium, _: accurate(medium), central=False)
+
+
+def tank_model(scene: Scene, batches: int, seed: int) -> Model:
+    """The tank's image by a fixed number of lattices of light paths: a smooth function of the medium."""
+    from tankrig.light.rays import shift_invariant
+    from tankrig.light.tank import tank_image
+
+    if not shift_invariant(scene):
+        batches = max(batches, SMOOTHED_BATCHES)
+
+    def image(medium: Medium) -> Prediction:
+        return tank_image(replace(scene, medium=medium), seed=seed, batches=batches)
+
+    return image
+
+
+def in_water(model_of: ModelOf, sigma_s: float) -> ModelOf:
+    """The same of ink in water that scatters by itself: coefficients add up, and g is the mean over what scatters.
+
+    Parameters
+    ----------
+    model_of
+        What is fitted.
+    sigma_s
+        The water's, 1/mm, isotropic.
+    """
+    if sigma_s == 0.0:
+        return model_of
+
+    def mixed(scene: Scene, batches: int, seed: int) -> Model:
+        model = model_of(scene, batches, seed)
+
+        def image(ink: Medium) -> Prediction:
+            whole = ink.sigma_s + sigma_s
+            return model(Medium(ink.sigma_a, whole, ink.g * ink.sigma_s / whole))
+
+        return image
+
+    return mixed
+
+
+def prepared_model(models: "Sequence[Prepared]") -> ModelOf:
+    """Prepared models as a series' model: each medium by the one whose box holds it best, the tank's where none does.
+
+    Parameters
+    ----------
+    models
+        Of any scenes and boxes; scenes without any are left to the tank model.
+    """
+
+    def model_of(scene: Scene, batches: int, seed: int) -> Model:
+        own = [model for model in models if model.scene == scene]
+        paths = tank_model(scene, batches if not own else LATTICES, seed)
+
+        def image(medium: Medium) -> Prediction:
+            model = min((one for one in own if one.box.holds(medium)), key=lambda one: _off(one, medium), default=None)
+            if model is None:
+                return paths(medium)
+            error = Skipped("what the prepared model is off by", model.error_at(medium))
+            return Prediction(model.predict(medium), "prepared", skipped=(error,))
+
+        return image
+
+    return model_of
+
+
+def _off(model: "Prepared", medium: Medium) -> float:
+    """Distance from the middle of the box, in halves of its width in log σt."""
+    low, high = (math.log(edge) for edge in model.box.sigma_t)
+    return abs(2.0 * (math.log(medium.sigma_t) - low) / (high - low) - 1.0)
+
+
+def stated_error(prediction: Prediction) -> float:
+    """What a prediction says about its error, relative L2 of the image: noise, and what it left out with a bound."""
+    size = float(np.linalg.norm(prediction.image))
+    return float(np.linalg.norm(error_map(prediction))) / size if size > 0.0 else 0.0
+
+
+def error_map(prediction: Prediction) -> NDArray[np.float64]:
+    """The same by pixel, W/mm²/sr: the noise where it is, what was left out in proportion to the image.
+
+    The stated noise is averaged over a few pixels: from few batches of paths it is itself noisy, and a pixel that
+    seems free of noise would get a weight it has not earned.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    left_out = math.hypot(*(part.bound for part in prediction.skipped if math.isfinite(part.bound)))
+    error: NDArray[np.float64] = left_out * np.abs(np.asarray(prediction.image, float))
+    if prediction.stderr is None:
+        return error
+    variance: NDArray[np.float64] = gaussian_filter(np.square(np.asarray(prediction.stderr, float)), ERROR_PIXELS)
+    whole: NDArray[np.float64] = np.hypot(error, np.sqrt(variance))
+    return whole
+
+
+def counted_error(prediction: Prediction, gain: float) -> Image:
+    """The model's error by pixel in units of the image, which no pixel has more of than of a coarse image."""
+    error: Image = abs(gain) * np.minimum(error_map(prediction), COARSE * np.abs(prediction.image).max())
+    return error
 
 
 def remembered(forward: Callable[[Medium], Answer]) -> Callable[[Medium], Answer]:
@@ -26,10 +316,22 @@ def remembered(forward: Callable[[Medium], Answer]) -> Callable[[Medium], Answer
     return lru_cache(maxsize=8)(forward)
 
 
-def slopes_of(forward: Forward, length_mm: float, step: float = 0.03) -> Slopes:
-    """Derivatives of a forward model by central differences: six images, none where the last ones are near enough.
+def image_of(model: Model) -> Forward:
+    """Its image alone."""
+    return lambda medium: model(medium).image
 
-    One-sided differences would do to find an optimum, but their error makes directions look determined that are not.
+
+def corrected(model: Model, centre: Medium, exact: Prediction) -> Model:
+    """A model with the error that it shows at one medium taken off, which stays what it is nearby."""
+    error = model(centre).image - exact.image
+    return lambda medium: replace(exact, image=model(medium).image - error)
+
+
+def slopes_of(forward: Forward, length_mm: float, central: bool = True, step: float = 0.03) -> Slopes:
+    """Derivatives of a forward model by differences: six images, none where the last ones are near enough.
+
+    One-sided differences, of four images, would do to find an optimum, but in one image their error makes directions
+    look determined that are not. Over several doses no directions are as nearly alike, and they suffice.
 
     Parameters
     ----------
@@ -38,6 +340,8 @@ def slopes_of(forward: Forward, length_mm: float, step: float = 0.03) -> Slopes:
     length_mm
         Longest side of the tank. Absorption acts over paths of that order, so it is the scale on which σa = 0 is
         stepped away from.
+    central
+        Whether both sides are looked at.
     step
         Relative step; of (1 − g²) for g. Derivatives are used again within as much of where they were computed.
 
@@ -56,16 +360,18 @@ def slopes_of(forward: Forward, length_mm: float, step: float = 0.03) -> Slopes:
             for name, size in zip(NAMES, sizes, strict=True)
         ):
             return last[0][1]
-        found = [_slope(forward, medium, name, size) for name, size in zip(NAMES, sizes, strict=True)]
+        found = [_slope(forward, medium, name, size, central) for name, size in zip(NAMES, sizes, strict=True)]
         last[:] = [(medium, np.stack(found))]
         return last[0][1]
 
     return slopes
 
 
-def _slope(forward: Forward, medium: Medium, name: str, size: float) -> Image:
+def _slope(forward: Forward, medium: Medium, name: str, size: float, central: bool) -> Image:
     at = getattr(medium, name)
     above = forward(replace(medium, **{name: at + size}))
+    if not central:
+        return (above - forward(medium)) / size
     if name == "g" or at >= size:
         return (above - forward(replace(medium, **{name: at - size}))) / (2.0 * size)
     # Next to σ = 0 only one side exists.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.neighbours import (
+from tankrig.estimation.outliers import (
     STANDS_OUT,
     beyond_neighbours,
     deviations,

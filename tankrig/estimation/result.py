@@ -1,13 +1,17 @@
-"""`Estimate`: coefficients fitted to an image, with what is known about them."""
+"""What fits say: of one image, of several images of one liquid, of a dilution series, and order by order."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.parameters import in_tank
+from tankrig.orders import ORDER_CLASSES
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 
+Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 
 
@@ -92,3 +96,135 @@ class Estimate:
             below, above = self.stretch.get(name, (1.0, 1.0)) if profile else (1.0, 1.0)
             intervals[name] = (max(low, best - below * float(half)), min(high, best + above * float(half)))
         return intervals
+
+
+@dataclass(frozen=True)
+class LiquidEstimate:
+    """One liquid, from images of several patterns with one gain.
+
+    Parameters
+    ----------
+    medium
+        Fitted σa, σs, g.
+    covariance
+        (3, 3), of (σa, σs, g): camera noise and the models' own errors.
+    gain
+        Common.
+    rmse
+        Root mean square of the residuals, all images.
+    model_error
+        Counted, relative L2: what the models state or, where that is more, what the residuals show.
+    """
+
+    medium: Medium
+    covariance: Array
+    gain: float
+    rmse: float
+    model_error: float
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """By how much the ink does more (+) or less (−) than in proportion to its dose, at the highest: share and error."""
+
+    bend: float
+    sd: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bend is within three standard deviations of none."""
+        return abs(self.bend) <= 3.0 * self.sd
+
+
+@dataclass(frozen=True)
+class SeriesEstimate:
+    """What a dilution series says about ink and water.
+
+    Parameters
+    ----------
+    ink
+        σa and σs per mm and ml, and g.
+    water
+        What the tank holds without ink: absorption only.
+    covariance
+        (4, 4), of (ink σa, ink σs, g, water σa): camera noise, the models' own error, and the doses'.
+    identifiable
+        Which of "sigma_a", "sigma_s", "g", "water_sigma_a" the series determines.
+    gain, offsets
+        Common gain; offset of each image.
+    doses_ml
+        (K,) the different doses, each moved within its uncertainty to where the images want it.
+    images, residuals
+        Fitted images and observed less fitted, NaN where a pixel was left out; in the order given.
+    rmse
+        (N,) root mean square residual of each image.
+    linearity
+        By how much the ink does more (+) or less (−) than in proportion to the dose; None below three doses.
+    verdict
+        What is determined, whether the ink acts in proportion to its dose, and what the residuals say.
+    """
+
+    ink: Medium
+    water: Medium
+    covariance: NDArray[np.float64]
+    identifiable: dict[str, bool]
+    gain: float
+    offsets: tuple[float, ...]
+    doses_ml: Array
+    images: tuple[Image, ...]
+    residuals: tuple[Image, ...]
+    rmse: Array
+    linearity: Linearity | None
+    verdict: str
+
+    def at(self, dose_ml: float) -> Medium:
+        """The liquid at a dose."""
+        return in_tank(np.array([*astuple(self.ink), self.water.sigma_a]), dose_ml)
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """An image from some orders of scattering, at a fit's medium, gain and offset.
+
+    Parameters
+    ----------
+    orders
+        "1", "1–3", "1–20" or "all".
+    image
+        gain · radiance + offset, units of the observed image.
+    residual
+        Observed less `image`; NaN where a pixel was left out.
+    rmse
+        Root mean square of the residual.
+    """
+
+    orders: str
+    image: Image
+    residual: Image
+    rmse: float
+
+
+def by_order(estimate: Estimate, prediction: Prediction) -> tuple[Reconstruction, ...]:
+    """Rebuild a fitted image from orders 1, 1–3, 1–20 and all (the paper's Figs. 6 and 7).
+
+    Parameters
+    ----------
+    estimate
+        The fit; medium, gain and offset stay the same for every reconstruction.
+    prediction
+        The model's image at the fitted medium, with its orders; without them only "all" can be shown.
+    """
+    observed = estimate.image + estimate.residual
+    sums: dict[str, Image] = {}
+    if all(order in prediction.orders for order in ORDER_CLASSES[:4]):
+        low, up_to_3, up_to_20 = (
+            np.sum([prediction.orders[order] for order in ORDER_CLASSES[:count]], axis=0) for count in (1, 3, 4)
+        )
+        sums |= {"1": low, "1–3": up_to_3, "1–20": up_to_20}
+    sums["all"] = prediction.image
+    return tuple(_compared(orders, estimate.gain * image + estimate.offset, observed) for orders, image in sums.items())
+
+
+def _compared(orders: str, image: Image, observed: Image) -> Reconstruction:
+    residual = observed - image
+    return Reconstruction(orders, image, residual, float(np.sqrt(np.nanmean(np.square(residual)))))

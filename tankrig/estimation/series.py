@@ -1,89 +1,60 @@
 """`estimate_series`: images at several known doses, one gain, to what a ml of ink does and what water does alone.
 
 Within one image gain, absorption and scattering imitate each other; over a series of doses they cannot, because the
-gain stays and the ink grows by a known factor.
+gain stays and the ink grows by a known factor. Several images of one dose, with one gain, are fitted alike.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.estimate import Free
-from tankrig.estimation.joint import INK, Array, Doses, Image, Joint, Mixture, slopes_of
-from tankrig.estimation.observation import Observation, structure
-from tankrig.estimation.projection import Scaling
-from tankrig.estimation.search import Optimum, minimise
-from tankrig.estimation.series_input import doses_of, known, observed
-from tankrig.estimation.series_model import Model, ModelOf, in_water, tank_model
-from tankrig.estimation.series_verdict import Linearity, series_verdict
-from tankrig.estimation.uncertainty import PATTERN, by_smooth_errors, identifiable
-from tankrig.image.prediction import Prediction
+from tankrig.estimation.estimate import Free, Left, left_over, rms
+from tankrig.estimation.forward import ModelOf, Models, in_water, series_models, tank_model
+from tankrig.estimation.observation import Observation, observe
+from tankrig.estimation.optimiser import Fit, Shot, Told, fitted
+from tankrig.estimation.parameters import (
+    BendBlock,
+    Doses,
+    DosesBlock,
+    InkBlock,
+    MediumBlock,
+    Range,
+    Scaling,
+    medium_of,
+    to_coordinates,
+)
+from tankrig.estimation.problem import Problem
+from tankrig.estimation.result import Linearity, LiquidEstimate
+from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
+from tankrig.estimation.uncertainty import PATTERN, Sensitivity, identifiable
+from tankrig.estimation.verdict import series_verdict
 from tankrig.scene import Medium, Scene
 
-COARSE_BATCHES, FINE_BATCHES = 2, 8
-"""Lattices of light paths of the images that steps are made with, and of those that correct them near the end."""
-COARSE_ERROR = 0.05
-START_MEAN_FREE_PATHS = (0.6, 1.5, 4.0, 10.0)
-"""Scatterings along the tank at the highest dose, of the mixtures looked at first."""
-START_ASYMMETRY = (0.0, 0.5, 0.85)
-COARSE_ENOUGH, FINE_ENOUGH = 20.0, 0.1
-MOST_STEPS = 12
-RIVAL = 2.0
-"""The best start with another g is followed too where its cost is less than this times the best's."""
-MOST_CORRECTIONS = 2
-NEGLIGIBLE_MOVE = 0.1
-"""Accurate images computed at most, and the move of a coordinate after which they need not be computed again."""
+Array = NDArray[np.float64]
+Image = NDArray[np.floating]
 
 
-@dataclass(frozen=True)
-class SeriesEstimate:
-    """What a dilution series says about ink and water.
+SETTLED = 0.01
+"""Move of every coordinate after which accurate images need not be computed again."""
 
-    Parameters
-    ----------
-    ink
-        σa and σs per mm and ml, and g.
-    water
-        What the tank holds without ink: absorption only.
-    covariance
-        (4, 4), of (ink σa, ink σs, g, water σa): camera noise, the models' own error, and the doses'.
-    identifiable
-        Which of "sigma_a", "sigma_s", "g", "water_sigma_a" the series determines.
-    gain, offsets
-        Common gain; offset of each image.
-    doses_ml
-        (K,) the different doses, each moved within its uncertainty to where the images want it.
-    images, residuals
-        Fitted images and observed less fitted, NaN where a pixel was left out; in the order given.
-    rmse
-        (N,) root mean square residual of each image.
-    linearity
-        By how much the ink does more (+) or less (−) than in proportion to the dose; None below three doses.
-    verdict
-        What is determined, whether the ink acts in proportion to its dose, and what the residuals say.
-    """
 
-    ink: Medium
-    water: Medium
-    covariance: NDArray[np.float64]
-    identifiable: dict[str, bool]
-    gain: float
-    offsets: tuple[float, ...]
-    doses_ml: Array
-    images: tuple[Image, ...]
-    residuals: tuple[Image, ...]
-    rmse: Array
-    linearity: Linearity | None
-    verdict: str
+class InkAndWater(Protocol):
+    """An earlier estimate."""
 
-    def at(self, dose_ml: float) -> Medium:
-        """The liquid at a dose."""
-        return Mixture(self.ink, self.water.sigma_a, np.zeros(0)).at(dose_ml)
+    @property
+    def ink(self) -> Medium:
+        """Per mm and ml."""
+        ...
+
+    @property
+    def water(self) -> Medium:
+        """Without ink."""
+        ...
 
 
 def estimate_series(
@@ -95,7 +66,7 @@ def estimate_series(
     offset: float | Free = "free",
     noise: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
-    start: SeriesEstimate | Medium | None = None,
+    start: InkAndWater | Medium | None = None,
     model_of: "ModelOf | None" = None,
     water_sigma_s: float = 0.0,
     progress: Callable[[str], None] | None = None,
@@ -145,42 +116,53 @@ def estimate_series(
         raise ImageError(f"{len(images)} images but {len(scenes)} scenes; give one scene for all or one for each image")
     doses = doses_of(doses_ml, doses_sd_ml, len(images))
     observations = observed(images, scenes, noise)
-    scaling = Scaling(known("gain", gain), known("offset", offset))
-    begin = None
-    if start is not None:
-        ink, water = (start, 0.0) if isinstance(start, Medium) else (start.ink, start.water.sigma_a)
-        begin = Mixture(ink, water, np.zeros(doses.ml.size))
     model_of = in_water(model_of or tank_model, water_sigma_s)
-    return fit_series(observations, scenes, doses, scaling, model_of, begin, progress or (lambda _: None))
+    told = progress or (lambda _: None)
+    return fit_series(observations, scenes, doses, Scaling.given(gain, offset), model_of, start, told)
 
 
-def estimate_together(
-    images: Sequence[ArrayLike],
+def fit_liquid(
+    observations: Sequence[Observation],
     scenes: Sequence[Scene],
-    offset: float | Free = "free",
-    noise: Sequence[ArrayLike] | None = None,
-    *,
+    scaling: Scaling,
+    models: Sequence[Models] | None = None,
     start: Medium | None = None,
-) -> SeriesEstimate:
-    """One liquid from several patterns with one unknown gain: a series of one dose, of 1 ml, in clear water.
+) -> LiquidEstimate | None:
+    """One liquid from several patterns with one gain.
 
     Parameters
     ----------
-    images, scenes, offset, noise
-        As for `estimate_series`.
+    observations, scenes
+        Of the images.
+    scaling
+        Gain and offset, known or free.
+    models
+        Of the scenes, all for one range; None for the tank model.
     start
         Where to begin; searched for where None.
 
     Returns
     -------
-    SeriesEstimate
-        `ink` is the liquid, per mm.
+    LiquidEstimate, or None where models that answer for a range want σs or g at its edge or beyond
+
+    Raises
+    ------
+    ImageError
+        When the images are dark where the scenes are bright.
     """
-    observations = observed(images, scenes, noise)
-    doses = Doses(np.ones(1), np.zeros(1), np.zeros(len(images), int))
-    scaling = Scaling(None, known("offset", offset))
-    begin = None if start is None else Mixture(start, 0.0, np.zeros(1))
-    return fit_series(observations, scenes, doses, scaling, tank_model, begin, lambda _: None)
+    models = models or _models(scenes, tank_model)
+    block = MediumBlock(models[0].range or Range.of_tank(max(max(scene.tank.size_mm) for scene in scenes)))
+    shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
+    begin = None if start is None else block.start(start)
+    fit = fitted(shots, (block,), scaling, lambda _: None, begin, settled=SETTLED)
+    gain, _, left = left_over(fit)
+    if models[0].range is not None and {"sigma_s", "g"} & set(fit.problem.at_edge(fit.coordinates)):
+        return None
+    _, spread = _spread(fit.problem, fit.coordinates, left, shots, [PATTERN * one.counted for one in left])
+    return LiquidEstimate(
+        fit.problem.liquid(fit.coordinates), spread, gain, rms(np.array([one.rmse for one in left])),
+        rms(np.array([one.counted for one in left])),
+    )  # fmt: skip
 
 
 def fit_series(
@@ -189,181 +171,110 @@ def fit_series(
     doses: Doses,
     scaling: Scaling,
     model_of: ModelOf,
-    start: Mixture | None,
-    progress: Callable[[str], None],
+    start: InkAndWater | Medium | None,
+    progress: Told,
 ) -> SeriesEstimate:
-    """Fit a series with any model: three images from afar, all with the quick model, at last with the accurate one."""
-    length_mm = max(max(scene.tank.size_mm) for scene in scenes)
-    models = _models(scenes, model_of, COARSE_BATCHES, 0)
-    quick = [_image_of(model) for model in models]
-    errors = [COARSE_ERROR * _above_ambient(seen, scaling) for seen in observations]
-    slopes = [slopes_of(forward, length_mm) for forward in quick]
-    joint = Joint(quick, slopes, observations, errors, doses, scaling, length_mm)
-    at = joint.coordinates(start) if start else _from_afar(joint, progress)
-    progress("fitting all images")
-    at = _minimise(joint, at, COARSE_ENOUGH).coordinates
-    accurate = _models(scenes, model_of, FINE_BATCHES, 1)
-    for _ in range(MOST_CORRECTIONS):
-        progress("correcting with accurate images")
-        before, mixture = at, joint.mixture(at)
-        predictions = [model(medium) for model, medium in zip(accurate, joint.media(mixture), strict=True)]
-        joint = _corrected(joint, quick, mixture, predictions)
-        at = _minimise(joint, at, FINE_ENOUGH).coordinates
-        if np.abs(at - before).max() < NEGLIGIBLE_MOVE:
-            break
+    """Fit a series with any model; see `estimate_series`."""
+    ink = InkBlock(doses, max(max(scene.tank.size_mm) for scene in scenes))
+    blocks = (ink, DosesBlock(doses))
+    models = _models(scenes, model_of)
+    shots = [Shot(*one) for one in zip(observations, scenes, models, doses.of_image.tolist(), strict=True)]
+    begin = None
+    if start is not None:
+        liquid, water = (start, 0.0) if isinstance(start, Medium) else (start.ink, start.water.sigma_a)
+        begin = np.concatenate([to_coordinates(liquid), [water * ink.length_mm], np.zeros(doses.ml.size)])
+    highest = doses.ml.size - 1
+    few = [doses.of_image.tolist().index(dose) for dose in sorted({0, highest // 2, highest})]
+    fit = fitted(shots, blocks, scaling, progress, begin, few, SETTLED)
     progress("finding the errors")
-    return _described(joint, joint.mixture(at), [_stated(one) for one in predictions], scenes[0].camera.pixel_mm)
+    return _built(fit, blocks, shots)
 
 
-def _models(scenes: Sequence[Scene], model_of: ModelOf, batches: int, seed: int) -> list[Model]:
-    """One model per image; images of one scene share theirs, and what it has computed."""
-    by_scene: dict[Scene, Model] = {}
-    for scene in scenes:
-        if scene not in by_scene:
-            by_scene[scene] = lru_cache(maxsize=64)(model_of(scene, batches, seed))
+def _models(scenes: Sequence[Scene], model_of: ModelOf) -> list[Models]:
+    """One for each image; images of one scene share theirs, and what it has computed."""
+    by_scene = {scene: series_models(scene, model_of) for scene in dict.fromkeys(scenes)}
     return [by_scene[scene] for scene in scenes]
 
 
-def _image_of(model: Model) -> Callable[[Medium], Image]:
-    return lambda medium: model(medium).image
-
-
-def _above_ambient(seen: Observation, scaling: Scaling) -> Array:
-    ambient = float(np.percentile(seen.image[seen.used], 5)) if scaling.offset is None else scaling.offset
-    return np.maximum(seen.image - ambient, 0.0)
-
-
-def _from_afar(joint: Joint, progress: Callable[[str], None]) -> Array:
-    """Best mixture for one image each of the lowest, a middle and the highest dose."""
-    groups = joint.doses.of_image.tolist()
-    few = [groups.index(group) for group in sorted({0, (joint.doses.ml.size - 1) // 2, joint.doses.ml.size - 1})]
-    part = joint.of(few)
-    progress("looking at a few mixtures")
-    starts = []
-    for paths in START_MEAN_FREE_PATHS:
-        for g in START_ASYMMETRY:
-            sigma_s = paths / joint.length_mm / float(joint.doses.ml.max())
-            mixture = Mixture(Medium(0.03 * sigma_s, sigma_s, g), 0.0, np.zeros(joint.doses.ml.size))
-            at = joint.coordinates(mixture)
-            starts.append((float(np.sum(part.residual(at) ** 2)), at))
-    starts.sort(key=lambda one: one[0])
-    best = starts[0]
-    rivals = [one for one in starts[1:] if one[1][2] != best[1][2] and one[0] < RIVAL * best[0]]
-    progress("searching with three images")
-    ends = [_minimise(part, at, COARSE_ENOUGH) for _, at in (best, *rivals[:1])]
-    return min(ends, key=lambda end: end.cost).coordinates
-
-
-def _minimise(joint: Joint, at: Array, enough: float) -> Optimum:
-    whole, longest = joint.residual_and_jacobian, joint.longest_step
-    return minimise(joint.residual, whole, at, joint.box, enough, MOST_STEPS, longest)
-
-
-def _corrected(
-    joint: Joint, quick: Sequence[Callable[[Medium], Image]], mixture: Mixture, predictions: Sequence[Prediction]
-) -> Joint:
-    """The same problem, quick images moved by what they are off by at a mixture, and the weights that go with it."""
-    media = joint.media(mixture)
-    off = [one.image - near(medium) for one, near, medium in zip(predictions, quick, media, strict=True)]
-    gain, offsets = joint.scale([one.image for one in predictions])
-    observations = [
-        seen.with_noise_of(seen.image - gain * one.image - offset)
-        for seen, one, offset in zip(joint.observations, predictions, offsets, strict=True)
-    ]
-    errors = [min(COARSE_ERROR, _stated(one)) * abs(gain) * np.abs(one.image) for one in predictions]
-    forwards = [_moved(near, by) for near, by in zip(quick, off, strict=True)]
-    return replace(joint, forwards=forwards, observations=observations, errors=errors)
-
-
-def _moved(forward: Callable[[Medium], Image], by: Image) -> Callable[[Medium], Image]:
-    return lambda medium: forward(medium) + by
-
-
-def _stated(prediction: Prediction) -> float:
-    """A model's own error, relative L2."""
-    noise = 0.0 if prediction.stderr is None else float(np.linalg.norm(prediction.stderr))
-    noise /= float(np.linalg.norm(prediction.image))
-    return math.hypot(noise, *(part.bound for part in prediction.skipped if math.isfinite(part.bound)))
-
-
-def _described(joint: Joint, mixture: Mixture, stated: Sequence[float], pixel_mm: float) -> SeriesEstimate:
+def _built(fit: Fit, blocks: tuple[InkBlock, DosesBlock], shots: Sequence[Shot]) -> SeriesEstimate:
     """The estimate at an optimum: errors, linearity, residuals, verdict."""
-    models = joint.images(mixture)
-    gain, offsets = joint.scale(models)
-    if gain <= 0.0:
-        raise ImageError(
-            "the images are dark where the scenes' light is and bright where it is not; check that images and scenes "
-            "belong together and which way up the images are"
-        )
-    fitted = [gain * model + offset for model, offset in zip(models, offsets, strict=True)]
-    residuals = [
-        np.where(seen.used, seen.image - one, np.nan) for seen, one in zip(joint.observations, fitted, strict=True)
-    ]
-    rmse = np.array([_rms(one[seen.used]) for one, seen in zip(residuals, joint.observations, strict=True)])
-    bright = np.array([_rms(gain * one[seen.used]) for one, seen in zip(models, joint.observations, strict=True)])
-    noise = np.array([_rms(seen.noise[seen.used]) for seen in joint.observations])
-    shared = np.array([structure(one, seen.used) for one, seen in zip(residuals, joint.observations, strict=True)])
-    white = np.sqrt(np.maximum(rmse**2 - shared**2, 0.0))
-    noisier = np.maximum(white / noise, 1.0)
+    gain, offsets, left = left_over(fit)
+    ink, doses = blocks[0], blocks[0].doses
     # The stated error is counted with what patterns do (see `PATTERN`); what the residuals show beyond it, as it is.
-    beyond_stated = np.maximum((shared / bright) ** 2 - np.square(stated), 0.0)
-    counted = np.sqrt(np.square(PATTERN * np.asarray(stated)) + beyond_stated)
-
-    errors = [share * gain * np.abs(model) for share, model in zip(counted, models, strict=True)]
-    spread, linearity = _spread(joint, mixture, noisier, errors, pixel_mm)
-    ink, doses = mixture.ink, joint.doses
-    determined = identifiable(ink, spread[:3, :3]) | {
-        "water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * mixture.water)
-    }
-    noise_known = all(seen.noise_known for seen in joint.observations)
-    beyond = float(np.median(noisier)) if noise_known else 1.0
-    left = (float(_rms(shared / bright)), float(_rms(np.asarray(stated))), beyond)
+    counted = [math.hypot(PATTERN * one.stated, one.beyond) for one in left]
+    spread = _spread(fit.problem, fit.coordinates, left, shots, counted)[1][:4, :4]
+    linearity = None
+    if doses.ml.size > 2:
+        bent, at = replace(fit.problem, blocks=(*blocks, BendBlock(doses))), np.append(fit.coordinates, 0.0)
+        sensitivity, wider = _spread(bent, at, left, shots, counted)
+        residual = bent.residual(at)[: bent.pixels]
+        linearity = Linearity(float(sensitivity.step(residual)[-1]), math.sqrt(wider[-1, -1]))
+    values = fit.problem.values(fit.coordinates)
+    liquid, water = medium_of(values[ink.name][:3]), float(values[ink.name][3])
+    determined = identifiable(liquid, spread[:3, :3]) | {"water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)}
+    noise_known = all(view.observation.noise_known for view in fit.problem.views)
+    beyond = float(np.median([one.noisier for one in left])) if noise_known else 1.0
+    shares = rms(np.array([one.unexplained for one in left])), rms(np.array([one.stated for one in left])), beyond
     return SeriesEstimate(
-        ink=ink, water=Medium(mixture.water, 0.0, 0.0), covariance=spread, identifiable=determined, gain=gain,
-        offsets=tuple(offsets), doses_ml=doses.ml + doses.sd_ml * mixture.off, images=tuple(fitted),
-        residuals=tuple(residuals), rmse=rmse, linearity=linearity,
-        verdict=series_verdict(mixture.water, spread, determined, linearity, left),
+        ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=determined, gain=gain,
+        offsets=tuple(offsets), doses_ml=doses.moved(values["doses"]), images=tuple(one.image for one in left),
+        residuals=tuple(one.residual for one in left), rmse=np.array([one.rmse for one in left]), linearity=linearity,
+        verdict=series_verdict(water, spread, determined, linearity, shares),
     )  # fmt: skip
 
 
 def _spread(
-    joint: Joint, mixture: Mixture, noisier: Array, errors: Sequence[Image], pixel_mm: float
-) -> tuple[Array, Linearity | None]:
-    """Covariance of (ink σa, ink σs, g, water σa), and whether the ink acts in proportion to the dose."""
-    doses = joint.doses
-    per_ml = replace(joint, doses=replace(doses, sd_ml=np.ones_like(doses.sd_ml)))
-    changes = per_ml.changes(replace(mixture, off=mixture.off * doses.sd_ml))
-    bend = ((doses.ml**2 / doses.ml.max()) @ changes[INK:])[None]
-    changes[INK:] *= doses.sd_ml[:, None]
-    changes[3] *= joint.most_water > 0.0
-    ink = mixture.ink
-    widest = np.array([10.0 * (ink.sigma_a + ink.sigma_s)] * 2 + [1.0, 10.0 * joint.at_highest(mixture).sigma_t])
-    prior = np.array([*widest, *np.ones(doses.ml.size)])
-
-    def covariance(rows: Array, prior: Array) -> tuple[Array, Array]:
-        """Covariance, and the inverse curvature times the rows: what the parameters do for a residual."""
-        scaled = rows * prior[:, None]
-        inverse = np.linalg.inv(scaled @ scaled.T + np.eye(prior.size))
-        response = inverse @ scaled
-        total: Array = inverse @ inverse
-        parts = zip(joint.split(response), joint.observations, joint.weights, noisier, errors, strict=True)
-        for part, seen, weight, factor, error in parts:
-            answer = part * weight
-            by_noise = answer * (factor * seen.noise[seen.used])
-            total += by_noise @ by_noise.T
-            smooth = by_smooth_errors(answer, seen.used, np.asarray(error, float), joint.length_mm / pixel_mm)
-            total = total + smooth
-        spread = total * np.outer(prior, prior)
-        return 0.5 * (spread + spread.T), response * prior[:, None]
-
-    spread, _ = covariance(changes, prior)
-    if doses.ml.size < 3:
-        return spread[:INK, :INK], None
-    with_bend, response = covariance(np.vstack([changes, bend]), np.array([*prior, 10.0]))
-    residual = joint.residual(joint.coordinates(mixture))[: changes.shape[1]]
-    linearity = Linearity(float(response[-1] @ residual), math.sqrt(with_bend[-1, -1]))
-    return spread[:INK, :INK], linearity
+    problem: Problem, at: Array, left: Sequence[Left], shots: Sequence[Shot], counted: Sequence[float]
+) -> tuple[Sensitivity, Array]:
+    """What the values respond to, and their covariance, with errors of so much of each image's light."""
+    sensitivity = problem.sensitivity(at, problem.images(at))
+    errors = [shot.error(share * np.abs(one.light), 1.0) for shot, one, share in zip(shots, left, counted, strict=True)]
+    return sensitivity, sensitivity.covariance([one.noise for one in left], errors)
 
 
-def _rms(values: Image) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+def doses_of(doses_ml: ArrayLike, doses_sd_ml: ArrayLike, count: int) -> Doses:
+    """Check the doses and group the images by them."""
+    ml = _numbers("doses_ml", doses_ml)
+    if ml.shape != (count,) or count == 0:
+        raise ImageError(f"{count} images but doses_ml has shape {list(ml.shape)}; give one dose for each image")
+    if (np.diff(ml) < 0.0).any():
+        raise ImageError("doses_ml falls from one image to the next; doses are cumulative, give them as they rose")
+    if ml[0] <= 0.0:
+        raise ImageError(f"doses_ml begins with {ml[0]:g}, where nothing scatters; leave images without ink out")
+    different, first, group = np.unique(ml, return_index=True, return_inverse=True)
+    if different.size < 2:
+        raise ImageError(
+            f"all images are at one dose, {ml[0]:g} ml, which cannot tell ink from water and gain; "
+            "give two doses or more, or use estimate"
+        )
+    sd = _numbers("doses_sd_ml", doses_sd_ml)
+    if sd.shape not in ((), (count,)) or (sd < 0.0).any():
+        raise ImageError("doses_sd_ml is not a standard deviation for all or one for each image; give zero or more")
+    return Doses(different, np.broadcast_to(sd, ml.shape)[first].copy(), np.asarray(group, int))
+
+
+def observed(
+    images: Sequence[ArrayLike], scenes: Sequence[Scene], noise: ArrayLike | Sequence[ArrayLike] | None
+) -> list[Observation]:
+    """Check the images, each against its scene."""
+    one_for_all = noise is None or isinstance(noise, float | int | np.number)
+    noises: list[Any] = [noise] * len(images) if one_for_all else list(noise)  # type: ignore[arg-type]
+    if len(noises) != len(images):
+        raise ImageError(f"{len(images)} images but {len(noises)} noises; give one for all or one for each image")
+    observations = []
+    for number, (image, scene, sigma) in enumerate(zip(images, scenes, noises, strict=True), start=1):
+        try:
+            observations.append(observe(image, scene.camera.shape, sigma))
+        except ImageError as error:
+            raise ImageError(f"image {number} of {len(images)}: {error}") from error
+    return observations
+
+
+def _numbers(name: str, values: ArrayLike) -> Array:
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ImageError(f"{name} is not made of numbers; give ml") from error
+    if not np.isfinite(array).all():
+        raise ImageError(f"{name} holds a number that is not finite; give ml")
+    return array

@@ -1,13 +1,14 @@
-"""How well a fit knows its coefficients: camera noise, the model's own error, and what the data leave open.
+"""How well a fit knows what it fitted: camera noise, the model's own error, and what the data leave open.
 
-The fitted coefficients respond to an error ε of the image as δθ = A ε, A = (J W Jᵀ + P)⁻¹ J W, where J are the image's
-derivatives less what gain and offset can imitate, W the weights, and P a weak prior (standard deviations of ten times
-σt for σa and σs, 1 for g) that keeps undetermined directions finite. Their covariance is then
+Fitted values respond to an error ε of the images as δθ = F⁻¹ J W ε, F = Σ J W Jᵀ + P over the images, where J are the
+images' derivatives less what gain and offset can imitate, W the weights, and P a weak prior that keeps undetermined
+directions finite (standard deviations of ten times σt for σa and σs, 1 for g) or what is known besides. Their
+covariance is then
 
-    A ⟨noise²⟩ Aᵀ + A ⟨model error²⟩ Aᵀ + F⁻¹ P F⁻¹,        F = J W Jᵀ + P.
+    F⁻¹ (Σ J W ⟨ε εᵀ⟩ W Jᵀ + P P') F⁻¹,
 
-(What may be misaligned is believed to a standard deviation of 1; a belief that weighs t times as much, see
-`overconfidence`, puts t into P and t² between the F⁻¹.)
+where P' is 1, or t for what is believed t times as firmly as it is known, see `overconfidence`. It needs two small
+matrices of each image and nothing else of it, so that what another image would add is known without fitting anything.
 
 The model's error is taken to be random, of the size that the model states pixel by pixel (or that the residual shows,
 where that is more, in proportion to the image), counted twice, and smooth: one third of its power at each of the
@@ -15,15 +16,22 @@ correlation lengths 1/32, 1/8 and 1/2 of the tank's length. White errors of that
 of pixels, which errors of a model don't; intervals that leave it out are fiction.
 """
 
+import functools
 import math
-from dataclasses import dataclass, field, replace
+import operator
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.parameters import NAMES
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]
+Image = NDArray[np.floating]
+Mask = NDArray[np.bool_]
 
 CORRELATION_LENGTHS = (1.0 / 32.0, 1.0 / 8.0, 1.0 / 2.0)
 """Of the model's error, as shares of the tank's length."""
@@ -37,125 +45,247 @@ DETERMINED_G = 0.1
 """The same for g, absolute."""
 
 UNBELIEVED = 1e-4
-"""Weight of a belief that has no say."""
+"""Weight of a prior that has no say."""
+END = 1.96
+"""Standard deviations at which an interval's end is computed."""
+BENT = (0.1, 0.1, 0.05)
+"""Half widths of σa and σs (of themselves) and of g from which on an interval may be bent."""
+STRETCH = (0.5, 3.0)
+"""Smallest and largest factor believed."""
+
+
+class Whitening(Protocol):
+    """What makes the errors of an image's used pixels independent and of size 1: W with W⟨ε εᵀ⟩Wᵀ = 1."""
+
+    def whiten(self, rows: Array) -> Array:
+        """W applied to images, (…, n)."""
+        ...
+
+    def transposed(self, rows: Array) -> Array:
+        """Wᵀ applied to them."""
+        ...
+
+
+class ModelError(Protocol):
+    """What a model's image may be off by, units of the observed image: a covariance of its pixels."""
+
+    def whitening(self, noise: Image, used: Mask) -> Whitening:
+        """Of this error and the camera's noise, (rows, columns), as the fit weighs pixels."""
+        ...
+
+    def between(self, responses: Array, used: Mask) -> Array:
+        """Covariance (k, k) that it gives to what responds so, (k, n) per unit of the image's used pixels."""
+        ...
 
 
 @dataclass(frozen=True)
-class Sensitivity:
-    """What a fit responds to, on the (rows, columns) grid, 0 where a pixel isn't used.
+class Weights:
+    """Errors that are independent: one over their standard deviations, (n,)."""
+
+    weight: Array
+
+    def whiten(self, rows: Array) -> Array:
+        """In standard deviations."""
+        return rows * self.weight
+
+    transposed = whiten
+
+
+@dataclass(frozen=True)
+class SmoothError:
+    """An error that is alike over neighbouring pixels; a fit weighs pixels as if it were another in each.
+
+    Parameters
+    ----------
+    sd
+        (rows, columns) standard deviation.
+    length
+        The tank's, in pixels.
+    counted
+        Factor by which `between` counts it, see `PATTERN`.
+    """
+
+    sd: Image
+    length: float
+    counted: float = PATTERN
+
+    def whitening(self, noise: Image, used: Mask) -> Whitening:
+        """Of its size in each pixel."""
+        return Weights(1.0 / np.hypot(noise[used], np.asarray(self.sd[used], float)))
+
+    def between(self, responses: Array, used: Mask) -> Array:
+        """Mean over the correlation lengths."""
+        grid = np.zeros((len(responses), *used.shape))
+        grid[:, used] = responses * (self.counted * self.sd[used])
+        parts = [_smooth_products(grid, share * self.length) for share in CORRELATION_LENGTHS]
+        mean: Array = np.mean(parts, axis=0)
+        return mean
+
+
+def _smooth_products(grid: Array, length: float) -> Array:
+    """Σ_ij a_i K_ij b_j for all pairs of (k, rows, columns), K a Gaussian correlation of `length` pixels."""
+    along_y, along_x = (
+        np.exp(-0.5 * ((np.arange(count)[:, None] - np.arange(count)) / length) ** 2) for count in grid.shape[1:]
+    )
+    products: Array = np.einsum("aij,bij->ab", grid, along_y @ grid @ along_x)
+    return products
+
+
+@dataclass(frozen=True)
+class Information:
+    """What images say about k values; it adds up from one image to the next.
+
+    Parameters
+    ----------
+    fisher
+        (k, k) Σ J W Jᵀ.
+    scatter
+        (k, k) Σ J W ⟨ε εᵀ⟩ W Jᵀ: what camera noise and the model's own error do to J W ε.
+
+    Examples
+    --------
+    >>> one = Information(np.array([[4.0]]), np.array([[4.0]]))
+    >>> two = total([one, one])
+    >>> bool(np.isclose(two.covariance(np.array([1e6]))[0, 0], 1 / 8))
+    True
+    """
+
+    fisher: Array
+    scatter: Array
+
+    def __add__(self, other: "Information") -> "Information":
+        return Information(self.fisher + other.fisher, self.scatter + other.scatter)
+
+    def of(self, chain: Array) -> "Information":
+        """About m other values; `chain` (m, k) holds the derivatives of these by those."""
+        return Information(chain @ self.fisher @ chain.T, chain @ self.scatter @ chain.T)
+
+    def covariance(self, prior_sd: Array, prior_weight: Array | float = 1.0) -> Array:
+        """Covariance of the values, (k, k).
+
+        Parameters
+        ----------
+        prior_sd
+            (k,) standard deviations that were known before; they keep finite what no image determines.
+        prior_weight
+            (k,) how many times its own precision each of them weighs.
+        """
+        scale, weight = np.outer(prior_sd, prior_sd), np.broadcast_to(prior_weight, prior_sd.shape)
+        inverse = np.linalg.inv(self.fisher * scale + np.diag(weight))
+        spread: Array = inverse @ (self.scatter * scale + np.diag(weight**2)) @ inverse * scale
+        return 0.5 * (spread + spread.T)
+
+
+def total(parts: Iterable[Information]) -> Information:
+    """What images say together; at least one."""
+    return functools.reduce(operator.add, parts)
+
+
+@dataclass(frozen=True)
+class Response:
+    """What a fit responds to in one image of n used pixels.
 
     Parameters
     ----------
     changes
-        (k, n) weighted derivatives by σa, σs, g, and what may be misaligned in standard deviations, of the used pixels,
-        less what gain and offset imitate.
-    beliefs
-        (k, priors) what that leaves of priors on gain and offset.
-    weight
-        (n,) weights, 1 over the standard deviation that the fit assumed.
+        (k, n) derivatives by the values, whitened, less what gain and offset imitate.
+    whitening
+        As the fit assumed it.
     used
         (rows, columns), n of them True.
-    firmness
-        (k − 3,) how many times its precision the belief in each misalignment weighs.
     """
 
     changes: Array
-    beliefs: Array
+    whitening: Whitening
+    used: Mask
+
+    def information(self, noise: Image, error: ModelError | None) -> Information:
+        """What the image says when these are the camera's noise, (rows, columns), and the model's error."""
+        responses = self.whitening.transposed(self.changes)
+        by_noise = responses * noise[self.used]
+        scatter = by_noise @ by_noise.T
+        if error is not None:
+            scatter = scatter + error.between(responses, self.used)
+        return Information(self.changes @ self.changes.T, scatter)
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """What a fit of k values responds to.
+
+    Parameters
+    ----------
+    responses
+        In each image.
+    priors
+        (k, priors) what projecting gain and offset out leaves of their priors.
+    widest
+        (k,) standard deviations known before.
+    weight
+        (k,) how many times its own precision each of them weighs.
+    """
+
+    responses: tuple[Response, ...]
+    priors: Array
+    widest: Array
     weight: Array
-    used: NDArray[np.bool_]
-    firmness: Array = field(default_factory=lambda: np.ones(0))
+
+    @property
+    def changes(self) -> Array:
+        """(k, n) of all images, one after the other."""
+        return np.hstack([one.changes for one in self.responses])
+
+    def covariance(self, noise: Sequence[Image], errors: Sequence[ModelError | None]) -> Array:
+        """Covariance of the values, (k, k).
+
+        Parameters
+        ----------
+        noise
+            Standard deviation of the camera's noise in each image, (rows, columns).
+        errors
+            Of the model, in each image; None where it has none.
+        """
+        known = Information(self.priors @ self.priors.T, self.priors @ self.priors.T)
+        seen = zip(self.responses, noise, errors, strict=True)
+        found = total([known, *(one.information(sigma, error) for one, sigma, error in seen)])
+        return found.covariance(self.widest, self.weight)
+
+    @property
+    def assumed(self) -> Array:
+        """Covariance that the values would have if errors were as the fit weighs them."""
+        known = Information(self.priors @ self.priors.T, self.priors @ self.priors.T)
+        fisher = self.changes @ self.changes.T
+        return (known + Information(fisher, fisher)).covariance(self.widest, self.weight)
+
+    def step(self, residual: Array) -> Array:
+        """(k,) what the values would move by to explain a residual, (n,) whitened, in the linear model."""
+        scaled = self.changes * self.widest[:, None]
+        known = self.priors * self.widest[:, None]
+        step = np.linalg.solve(scaled @ scaled.T + known @ known.T + np.diag(self.weight), scaled @ residual)
+        return np.asarray(step * self.widest)
 
 
-def covariance(
-    sensitivity: Sensitivity, medium: Medium, noise: Array, error: Array, pixel_mm: float, length_mm: float
+def overconfidence(
+    sensitivity: Sensitivity, believed: NDArray[np.bool_], noise: Sequence[Image], errors: Sequence[ModelError]
 ) -> Array:
-    """Covariance of (σa, σs, g, misalignments), shape (k, k); the latter in standard deviations.
+    """How many times more images seem to tell about each believed value than they do, (believed,).
+
+    A fit weighs pixels as if the model's error were another in each. It is smooth, as a misalignment's own image is: in
+    a medium liquid that of light too high is nearly another gain and absorption, an error of 0.3 % looked like
+    1.2 ± 0.1 mm, and the prior of ± 0.5 mm had no say. Priors must weigh more by as much as the images weigh too much.
 
     Parameters
     ----------
     sensitivity
         Of the fit.
-    medium
-        Where the fit ended.
-    noise
-        Standard deviation of the camera's noise, (rows, columns).
-    error
-        Standard deviation of the model's error, (rows, columns), in image units.
-    pixel_mm, length_mm
-        Side of a pixel; longest side of the tank.
+    believed
+        (k,) which values.
+    noise, errors
+        As for `Sensitivity.covariance`.
     """
-    count = len(sensitivity.changes)
-    scale = np.array([10.0 * medium.sigma_t, 10.0 * medium.sigma_t, 1.0, *np.ones(count - 3)])
-    changes, beliefs = sensitivity.changes * scale[:, None], sensitivity.beliefs * scale[:, None]
-    firmness = np.array([1.0, 1.0, 1.0, *sensitivity.firmness])
-    known = beliefs @ beliefs.T
-    inverse = np.linalg.inv(changes @ changes.T + known + np.diag(firmness))
-    response = (inverse @ changes) * sensitivity.weight
-    by_noise = response * noise[sensitivity.used]
-    total = by_noise @ by_noise.T + inverse @ (known + np.diag(firmness**2)) @ inverse
-    total += by_smooth_errors(response, sensitivity.used, PATTERN * error, length_mm / pixel_mm)
-    spread: Array = total * np.outer(scale, scale)
-    return 0.5 * (spread + spread.T)
-
-
-def overconfidence(
-    sensitivity: Sensitivity, medium: Medium, noise: Array, error: Array, pixel_mm: float, length_mm: float
-) -> Array:
-    """How many times more an image seems to tell about each misalignment than it does, (k − 3,).
-
-    A fit weighs pixels as if the model's error were another in each. It is smooth, as a misalignment's own image is: in
-    a medium liquid that of light too high is nearly another gain and absorption, an error of 0.3 % looked like
-    1.2 ± 0.1 mm, and the belief in ± 0.5 mm had no say. Beliefs must weigh more by as much
-    as the image weighs too much.
-
-    Parameters
-    ----------
-    sensitivity, medium, noise, error, pixel_mm, length_mm
-        As for `covariance`.
-    """
-    alone = replace(sensitivity, firmness=np.full(len(sensitivity.changes) - 3, UNBELIEVED))
-    white = np.hypot(noise, error)
-    seems, is_so = (
-        np.diag(covariance(alone, medium, one, other, pixel_mm, length_mm))[3:]
-        for one, other in ((white, np.zeros_like(error)), (noise, error))
-    )
+    alone = replace(sensitivity, weight=np.where(believed, UNBELIEVED, sensitivity.weight))
+    seems, is_so = (np.diag(one)[believed] for one in (alone.assumed, alone.covariance(noise, errors)))
     return np.asarray(np.maximum(is_so / seems, 1.0))
-
-
-def by_smooth_errors(response: Array, used: NDArray[np.bool_], error: Array, length: float) -> Array:
-    """Covariance that the model's error in one image gives to what responds to it, (k, k).
-
-    Parameters
-    ----------
-    response
-        (k, n) change per unit of image, of the used pixels.
-    used
-        (rows, columns), n of them True.
-    error
-        (rows, columns) standard deviation of the model's error.
-    length
-        The tank's, in pixels.
-    """
-    grid = np.zeros((len(response), *used.shape))
-    grid[:, used] = response * error[used]
-    parts = [_smooth_products(grid, share * length) for share in CORRELATION_LENGTHS]
-    mean: Array = np.mean(parts, axis=0)
-    return mean
-
-
-def _smooth_products(grid: Array, length: float) -> Array:
-    """Σ_ij a_i K_ij b_j for all pairs of (k, rows, columns), K a Gaussian correlation of `length` pixels."""
-    rows, columns = grid.shape[1:]
-    along_y, along_x = _correlation(rows, length), _correlation(columns, length)
-    smoothed = along_y @ grid @ along_x
-    products: Array = np.einsum("aij,bij->ab", grid, smoothed)
-    return products
-
-
-def _correlation(count: int, length: float) -> Array:
-    at = np.arange(count)
-    matrix: Array = np.exp(-0.5 * ((at[:, None] - at) / length) ** 2)
-    return matrix
 
 
 def identifiable(medium: Medium, spread: Array) -> dict[str, bool]:
@@ -168,23 +298,6 @@ def identifiable(medium: Medium, spread: Array) -> dict[str, bool]:
     }
 
 
-def held_back(
-    sensitivity: Sensitivity, medium: Medium, noise: Array, error: Array, pixel_mm: float, length_mm: float
-) -> bool:
-    """Whether the model's error leaves a coefficient undetermined that noise alone would not.
-
-    Parameters
-    ----------
-    sensitivity, medium, noise, error, pixel_mm, length_mm
-        As for `covariance`.
-    """
-    with_error, without = (
-        identifiable(medium, covariance(sensitivity, medium, noise, one, pixel_mm, length_mm))
-        for one in (error, np.zeros_like(error))
-    )
-    return with_error != without
-
-
 def reduced_scattering(medium: Medium, spread: Array) -> tuple[float, float]:
     """σs(1 − g) and its standard deviation: what thick media tell even where σs and g are lost."""
     slope = np.array([0.0, 1.0 - medium.g, -medium.sigma_s])
@@ -195,3 +308,63 @@ def extinction(medium: Medium, spread: Array) -> tuple[float, float]:
     """σt = σa + σs and its standard deviation: what thin media tell even where σa and σs are lost."""
     slope = np.array([1.0, 1.0, 0.0])
     return medium.sigma_t, math.sqrt(float(slope @ spread @ slope))
+
+
+def stretches(
+    medium: Medium, spread: Array, residual: Array, changes: Array, changed: Callable[[Medium], Array]
+) -> dict[str, tuple[float, float]]:
+    """Factors by which an interval's halves are too narrow where the image bends, below and above each coefficient.
+
+    Along the ridge of one coefficient the others follow as the covariance says; the image is computed anew at both ends
+    of the normal interval, and what everything else fitted could still take back of the change is taken back in the
+    linear model. The factor is the root of the linear deviance over the profile deviance. Where the response is
+    straight it is 1, and nothing is computed.
+
+    Parameters
+    ----------
+    medium
+        The optimum.
+    spread
+        (3, 3) covariance.
+    residual
+        (n,) at the optimum, whitened.
+    changes
+        (k, n) derivatives of the fitted image, whitened, less what gain and offset imitate; σa, σs and g come first.
+    changed
+        (n,) of the same, between another medium and the optimum.
+    """
+    best = np.array([medium.sigma_a, medium.sigma_s, medium.g])
+    sd = np.sqrt(np.diag(spread))
+    size = np.array([max(medium.sigma_a, 1e-12), max(medium.sigma_s, 1e-12), 1.0])
+    found = {}
+    for k, name in enumerate(NAMES):
+        if END * sd[k] <= BENT[k] * size[k]:
+            continue
+        others = np.linalg.qr(np.delete(changes, k, 0).T)[0]
+        left = residual - others @ (others.T @ residual)
+        straight = changes[k] - others @ (others.T @ changes[k])
+        factors = []
+        for side in (-1.0, 1.0):
+            step = side * END * spread[k] / sd[k]
+            by = min(1.0, *_rooms(best, step))
+            if by < 0.2:  # the edge is nearer than the interval's end
+                factors.append(1.0)
+                continue
+            change = changed(Medium(*(float(value) for value in best + by * step)))
+            change -= others @ (others.T @ change)
+            deviance = float(change @ change) - 2.0 * float(change @ left)
+            linear = float(np.sum((by * step[k] * straight) ** 2)) - 2.0 * float(by * step[k] * (straight @ left))
+            factor = np.sqrt(max(linear, 0.0) / max(deviance, 1e-300)) if linear > 0.0 else 1.0
+            factors.append(float(np.clip(factor, *STRETCH)))
+        found[name] = (factors[0], factors[1])
+    return found
+
+
+def _rooms(best: Array, step: Array) -> list[float]:
+    """Shares of a step after which σa, σs or g leaves what is allowed."""
+    low, high = np.array([0.0, 1e-9, -0.98]), np.array([np.inf, np.inf, 0.98])
+    rooms = []
+    for at, by, least, most in zip(best, step, low, high, strict=True):
+        edge = least if by < 0.0 else most
+        rooms.append(0.98 * (edge - at) / by if by else 1.0)
+    return [max(float(room), 0.0) for room in rooms]

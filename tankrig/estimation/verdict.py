@@ -1,4 +1,4 @@
-"""What a person should know about a fit, in plain sentences."""
+"""What a person should know about a fit of one image or of a series, in plain sentences."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.parameters import NAMES
+from tankrig.estimation.result import Linearity
 from tankrig.estimation.uncertainty import DETERMINED, extinction, reduced_scattering
 from tankrig.scene import Medium
 
@@ -159,3 +160,54 @@ def _listed(parts: list[str]) -> str:
 
 def _percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
+
+
+def series_verdict(
+    water: float,
+    spread: NDArray[np.float64],
+    known: Mapping[str, bool],
+    linearity: Linearity | None,
+    left: tuple[float, float, float],
+) -> str:
+    """What is determined, whether the ink acts in proportion to its dose, and what the residuals say.
+
+    Parameters
+    ----------
+    water
+        Its σa, 1/mm.
+    spread
+        (4, 4) covariance, of the ink's σa, σs and g, and the water's σa.
+    known
+        By name, whether it is determined.
+    linearity
+        None where it could not be tested.
+    left
+        Arguments of `what_is_left`.
+    """
+    yes = [symbol for name, symbol in SYMBOLS.items() if known[name]]
+    no = [symbol for name, symbol in SYMBOLS.items() if not known[name]]
+    sentences = []
+    if not no:
+        sentences.append("The series determines σa and σs of the ink per ml, and g.")
+    else:
+        missing = " and ".join(no)
+        sentences.append(
+            f"The series determines {' and '.join(yes) or 'nothing'} of the ink, but not {missing}: take images at "
+            "lower and higher doses, or with more patterns."
+        )
+    sd = math.sqrt(float(spread[3, 3]))
+    if known["water_sigma_a"]:
+        sentences.append(f"Water alone absorbs {water:.3g} ± {sd:.1g} /mm.")
+    else:
+        sentences.append(f"The water's own absorption is below {water + 2.0 * sd:.1g} /mm.")
+    if linearity is None:
+        sentences.append("Two doses cannot show whether the ink acts in proportion to its dose.")
+    else:
+        bend = f"{100.0 * linearity.bend:+.2g} ± {100.0 * linearity.sd:.1g} % at the highest dose"
+        sentences.append(
+            f"The ink acts in proportion to its dose ({bend})." if linearity.holds else
+            f"The ink does not act in proportion to its dose ({bend}): the doses are wrong, the ink had not mixed, or "
+            "it clumps or settles; the coefficients are not to be trusted."
+        )  # fmt: skip
+    sentences.append(what_is_left(*left))
+    return " ".join(sentences)

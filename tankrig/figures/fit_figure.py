@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tankrig.estimation.estimate import Estimate
-from tankrig.estimation.reconstruction import Reconstruction
+from tankrig.estimation.result import Reconstruction
 from tankrig.figures.tank_image import (
     FALSE_COLOUR,
     GREY,

@@ -31,9 +31,9 @@ def reflectance(cosine: float, ratio: float) -> float:
     if sine_squared >= 1.0:
         return 1.0
     behind = math.sqrt(1.0 - sine_squared)
-    senkrecht = (ratio * cosine - behind) / (ratio * cosine + behind)
-    parallel = (ratio * behind - cosine) / (ratio * behind + cosine)
-    return 0.5 * (senkrecht * senkrecht + parallel * parallel)
+    r_s = (ratio * cosine - behind) / (ratio * cosine + behind)
+    r_p = (ratio * behind - cosine) / (ratio * behind + cosine)
+    return 0.5 * (r_s * r_s + r_p * r_p)
 
 
 def fresnel_reflectance(cosine: ArrayLike, ratio: float) -> NDArray[np.float64]:
@@ -47,9 +47,9 @@ def fresnel_reflectance(cosine: ArrayLike, ratio: float) -> NDArray[np.float64]:
     front = np.asarray(cosine, np.float64)
     behind = np.sqrt(np.maximum(1.0 - ratio * ratio * (1.0 - front * front), 0.0))
     with np.errstate(invalid="ignore"):  # 0/0 at grazing incidence between equal media; total reflection below
-        senkrecht = (ratio * front - behind) / (ratio * front + behind)
-        parallel = (ratio * behind - front) / (ratio * behind + front)
-    return np.where(behind > 0.0, 0.5 * (senkrecht**2 + parallel**2), 1.0)
+        r_s = (ratio * front - behind) / (ratio * front + behind)
+        r_p = (ratio * behind - front) / (ratio * behind + front)
+    return np.where(behind > 0.0, 0.5 * (r_s**2 + r_p**2), 1.0)
 
 
 def mirror(directions: ArrayLike, normal: ArrayLike) -> NDArray[np.float64]:

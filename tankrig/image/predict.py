@@ -1,12 +1,13 @@
 """`predict`: a scene's image by the model that is asked for, or by the one that knows the tank."""
 
 import warnings
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
 from tankrig.errors import SceneError
-from tankrig.image.prediction import Image, Prediction, Skipped
+from tankrig.prediction import Image, Prediction, Skipped
 from tankrig.scene import Scene
 
 MODELS = ("tank", "single", "convolution", "diffuse", "montecarlo")
@@ -101,11 +102,9 @@ def _single(scene: Scene) -> Prediction:
 def _tank(scene: Scene, tolerance: float, max_order: int | None, seed: int) -> Prediction:
     from tankrig.light.tank import tank_image
 
-    result = tank_image(scene, tolerance, max_order, seed)
-    skipped = [Skipped(*item) for item in result.skipped]
-    total = np.sum(list(result.orders.values()), axis=0)
-    skipped += _noise(result.stderr, total, tolerance)
-    return Prediction(total, "tank", MappingProxyType(result.orders), result.stderr, tuple(skipped))
+    found = tank_image(scene, tolerance, max_order, seed)
+    assert found.stderr is not None
+    return replace(found, skipped=(*found.skipped, *_noise(found.stderr, found.image, tolerance)))
 
 
 def _convolution(scene: Scene, tolerance: float, max_order: int | None) -> Prediction:

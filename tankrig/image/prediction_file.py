@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tankrig.files import whole_file
-from tankrig.image.prediction import Prediction
+from tankrig.prediction import Prediction
 from tankrig.scene import Scene
 from tankrig.scene.footprint import footprints
 

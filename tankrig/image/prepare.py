@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
 from tankrig.scene import Medium, Scene
+from tankrig.threads import THREADS
 
 if TYPE_CHECKING:
     from tankrig.light.prepared.answer import Answer
@@ -94,7 +95,7 @@ def prepare(
     tolerance: float = 0.01,
     progress: Callable[[float], object] | None = None,
     box: "Box | None" = None,
-    threads: int = 2,
+    threads: int = THREADS,
 ) -> Prepared:
     """Prepare a model that gives the tank's image of any medium, and its derivatives, in about a millisecond.
 

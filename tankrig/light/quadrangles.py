@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.rays import Geometry, light_sources, sighting_row
-from tankrig.light.single import KINKED_PARTS, SLANTED_PARTS, Rule, across_sights, kinked
+from tankrig.light.sights import KINKED_PARTS, SLANTED_PARTS, Rule, across_sights, kinked
 from tankrig.scene import Scene
 from tankrig.scene.footprint import footprints
+from tankrig.threads import THREADS
 
-THREADS = 2
 STEPS = 64
 MARGIN_MM = 0.5
 """More than a beam's edges bulge between its corners and between the ends of a stretch."""
@@ -34,7 +34,7 @@ def single_scattering_in_quadrangles(scene: Scene) -> NDArray[np.float64]:
             strength, edges = medium.sigma_s * beam.irradiance, (*beam.y_mm, *beam.z_mm)
             _add_beam(
                 image, geometry, seen.corners_mm, medium.sigma_t, strength, medium.g, edges, x_rule, y_rule, depth_rule,
-                part,
+                part, THREADS,
             )  # fmt: skip
 
     with ThreadPoolExecutor(THREADS) as pool:
@@ -45,13 +45,14 @@ def single_scattering_in_quadrangles(scene: Scene) -> NDArray[np.float64]:
 @kernel
 def _add_beam(
     image: NDArray[np.float64], geometry: Geometry, grid: NDArray[np.float64], sigma_t: float, strength: float,
-    g: float, edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule, part: int,
+    g: float, edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule,
+    part: int, parts: int,
 ) -> None:  # fmt: skip
-    """Add one beam's order 1, integrated over each pixel's area, to every `THREADS`-th row."""
+    """Add one beam's order 1, integrated over each pixel's area, to one of so many parts of the rows."""
     xs, ys, corners = np.empty(4), np.empty(4), np.empty(4)
     first, last = _rows_seen(geometry, edges)
     per_mm = first.size / geometry.length
-    for row in range(part, image.shape[0], THREADS):
+    for row in range(part, image.shape[0], parts):
         for column in range(image.shape[1]):
             for k in range(4):  # in turn around the pixel
                 i, j = row + k // 2, column + (k == 1 or k == 2)

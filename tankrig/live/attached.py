@@ -4,12 +4,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from typing import Any
 
 from tankrig.bench import Bench
 from tankrig.errors import SceneError, SequenceError, StoreError
 from tankrig.live.exposures import Plan
 from tankrig.live.live_fit import LiveFit
+from tankrig.live.results import DoseFit, Fit, to_fields
 from tankrig.run.reading import open_run
 from tankrig.run.runner import Runner
 from tankrig.sequence import Sequence
@@ -48,12 +48,12 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
     """
     run = open_run(runner.path)
 
-    def record(table: dict[str, Any]) -> None:
-        if table.get("passing"):
-            runner.latest_fit = table
+    def record(fit: Fit) -> None:
+        if isinstance(fit, DoseFit) and fit.passing:
+            runner.latest_fit = to_fields(fit)
             return
         with suppress(StoreError):  # it has come after the end
-            runner.record("fit", **table)
+            runner.record("fit", **to_fields(fit))
 
     @cache
     def latest_s() -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from tankrig.devices import Pixels
 from tankrig.errors import StoreError
 from tankrig.live.exposures import Exposures, Photograph, Plan, fits_that_hold
+from tankrig.live.results import Fit, from_fields
 from tankrig.live.worker import Shared, work
 from tankrig.run.announcer import Announcer
 from tankrig.run.journal import Event
@@ -28,7 +29,7 @@ _JOIN_S = 5.0
 _POLL_S = 0.2
 _BLAS = "OPENBLAS_NUM_THREADS"
 
-OnResult = Callable[[dict[str, Any]], object]
+OnResult = Callable[[Fit], object]
 
 
 @contextmanager
@@ -59,7 +60,7 @@ class LiveFit:
     plan
         What the run is going to photograph.
     on_result
-        Called with each fit's table, in a thread of this object.
+        Called with each fit, in a thread of this object.
     run
         Where frames can be read back from. What it holds already is taken in first, and what it has fitted is not
         fitted again.
@@ -81,7 +82,7 @@ class LiveFit:
         self._exposures = Exposures(plan, self._numbers)
         self._results, results = context.Pipe(duplex=False)
         self._lock, self._news, self._last = context.Lock(), context.Event(), context.Event()
-        fits = tuple(dict(event.fields) for event in fits_that_hold(run)) if run else ()
+        fits = tuple(from_fields(event.fields) for event in fits_that_hold(run)) if run else ()
         shared = Shared(self._memory.name, plan, self._lock, self._news, self._last, results, fits)
         self._process = context.Process(target=work, args=(shared,), name="live-fit", daemon=True)
         self._on_result, self._on_trouble = on_result, on_trouble

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tankrig.estimation.projection import Scaling
+from tankrig.estimation.parameters import Scaling
 from tankrig.light.single import single_scattering
 from tankrig.live.exposures import Photograph
 from tankrig.scene.description import Medium
@@ -40,7 +40,7 @@ def fit_single(photographs: Sequence[Photograph], liquid: Medium) -> tuple[float
         by = math.exp(log_sigma_t) / liquid.sigma_t
         medium = Medium(by * liquid.sigma_a, by * liquid.sigma_s, liquid.g)
         model = np.concatenate([single_scattering(replace(one.scene, medium=medium)).ravel() for one in photographs])
-        gain, offset = scaling.solve(model, observed, weight)
+        gain, (offset,) = scaling.solve([weight * model], [weight], [weight * observed])
         return observed - gain * model - offset
 
     def cost(log_sigma_t: float) -> float:

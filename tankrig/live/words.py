@@ -1,8 +1,8 @@
 """Fits of a run in words, for whoever watches it."""
 
 import math
-from collections.abc import Mapping
-from typing import Any
+
+from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit
 
 
 def with_error(value: float, sd: float) -> str:
@@ -17,23 +17,24 @@ def with_error(value: float, sd: float) -> str:
     return f"{value:.{digits}f} ± {sd:.{digits}f}"
 
 
-def fit_in_words(table: Mapping[str, Any] | None) -> str:
-    """A `fit` line of the journal as one sentence: what is in the tank, or in a ml of ink, with standard deviations.
+def fit_in_words(fit: Fit | None) -> str:
+    """A fit as one sentence: what is in the tank, or in a ml of ink, with standard deviations.
 
     Examples
     --------
-    >>> found = {"sigma_s": 0.0048, "g": 0.71, "sigma_a": 2.6e-4, "sd": [8e-6, 2e-5, 5e-4]}
-    >>> fit_in_words({"fit": "dose", "dose_ml": 0.4, **found})
+    >>> from tankrig.scene import Medium
+    >>> fit_in_words(DoseFit(0.4, Medium(2.6e-4, 0.0048, 0.71), (8e-6, 2e-5, 5e-4)))
     'with 0.4 ml: σs 0.004800 ± 0.000020, g 0.71000 ± 0.00050, σa 0.0002600 ± 0.0000080 per mm'
     >>> fit_in_words(None)
     'nothing fitted yet'
     """
-    if table is None:
+    if fit is None:
         return "nothing fitted yet"
-    of_dose = table["fit"] == "dose"
-    subject = f"with {table['dose_ml']:.4g} ml" if of_dose else "ink"
-    if "error" in table:
-        return f"{subject}: could not be fitted ({table['error']})"
-    found, sd = (table if of_dose else table["ink"]), table["sd"]
-    sigma_s, g, sigma_a = (with_error(found[name], sd[i]) for name, i in (("sigma_s", 1), ("g", 2), ("sigma_a", 0)))
-    return f"{subject}: σs {sigma_s}, g {g}, σa {sigma_a} per mm{'' if of_dose else ' and ml'}"
+    dose_ml = None if isinstance(fit, SeriesFit) else fit.dose_ml
+    subject = "ink" if dose_ml is None else f"with {dose_ml:.4g} ml"
+    if isinstance(fit, FailedFit):
+        return f"{subject}: could not be fitted ({fit.error})"
+    found = fit.medium if isinstance(fit, DoseFit) else fit.ink
+    shown = ((found.sigma_s, fit.sd[1]), (found.g, fit.sd[2]), (found.sigma_a, fit.sd[0]))
+    sigma_s, g, sigma_a = (with_error(*one) for one in shown)
+    return f"{subject}: σs {sigma_s}, g {g}, σa {sigma_a} per mm{'' if isinstance(fit, DoseFit) else ' and ml'}"

@@ -2,8 +2,9 @@
 
 import os
 import threading
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
@@ -14,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from tankrig.errors import TankrigError
-from tankrig.estimation.series import SeriesEstimate
 from tankrig.live.exposures import Exposures, Photograph, Plan
-from tankrig.live.fits import Table, diluted, fit_all, fit_dose, fit_dose_prepared, with_single
+from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
 from tankrig.live.preparing import Preparing
+from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, diluted
 from tankrig.scene.description import Medium
 
 NICENESS = 10
@@ -41,9 +42,9 @@ class Shared:
     news, last
         Set when there are new frames, and when no more will come.
     results
-        Where tables go.
+        Where fits go.
     earlier
-        Tables of what was fitted before, where a run goes on.
+        What was fitted before, where a run goes on.
     """
 
     memory: str
@@ -52,7 +53,7 @@ class Shared:
     news: Signal
     last: Signal
     results: Connection
-    earlier: tuple[dict[str, Any], ...] = ()
+    earlier: tuple[Fit, ...] = ()
 
 
 def work(shared: Shared) -> None:
@@ -113,10 +114,10 @@ def _copy(shared: Shared, memory: SharedMemory) -> Exposures | None:
     return Exposures(shared.plan, numbers)
 
 
-def _send(shared: Shared, table: dict[str, Any] | None) -> bool:
-    if table is not None:
-        shared.results.send(table)
-    return table is not None
+def _send(shared: Shared, fit: Fit | None) -> bool:
+    if fit is not None:
+        shared.results.send(fit)
+    return fit is not None
 
 
 class Fitter:
@@ -129,7 +130,7 @@ class Fitter:
     Parameters
     ----------
     earlier
-        Tables of what was fitted before.
+        What was fitted before.
     preparing
         Of models; None to do without.
     plan
@@ -137,37 +138,37 @@ class Fitter:
     """
 
     def __init__(
-        self, earlier: Iterable[Table] = (), preparing: Preparing | None = None, plan: Plan | None = None
+        self, earlier: Iterable[Fit] = (), preparing: Preparing | None = None, plan: Plan | None = None
     ) -> None:
         self._preparing, self._plan = preparing, plan
         self._fitted: dict[float, int] = {}
         self._liquid: dict[float, Medium] = {}
         self._latest: tuple[Medium, float] | None = None
         self._in_series = 0
-        self._series: SeriesEstimate | None = None
-        self._passing: tuple[Table, list[Photograph]] | None = None
+        self._series: SeriesFit | None = None
+        self._passing: tuple[DoseFit, list[Photograph]] | None = None
         self.waiting = False
-        for table in earlier:
-            if table.get("fit") == "dose" and "error" not in table:
-                self._fitted[table["dose_ml"]] = table["frames"] + table.get("left_out", 0)
-                self._keep(table["dose_ml"], Medium(table["sigma_a"], table["sigma_s"], table["g"]))
+        for fit in earlier:
+            if isinstance(fit, DoseFit):
+                self._fitted[fit.dose_ml] = fit.frames + fit.left_out
+                self._keep(fit)
 
     @property
     def unfinished(self) -> bool:
-        """Whether the last table lacks what takes longer: `finish` gives that."""
+        """Whether the last fit lacks what takes longer: `finish` gives that."""
         return self._passing is not None
 
-    def finish(self) -> Table | None:
-        """The last passing table, whole."""
+    def finish(self) -> Fit | None:
+        """The last passing fit, whole."""
         if self._passing is None:
             return None
-        (table, photographs), self._passing = self._passing, None
-        return with_single({key: value for key, value in table.items() if key != "passing"}, photographs)
+        (fit, photographs), self._passing = self._passing, None
+        return with_single(fit, photographs)
 
-    def next(self, exposures: Exposures, last: bool) -> Table | None:
-        """Fit what is newest and not fitted yet; its table, or None when there is nothing to do."""
+    def next(self, exposures: Exposures, last: bool) -> Fit | None:
+        """Fit what is newest and not fitted yet; None when there is nothing to do."""
         self.waiting = False
-        if self._passing is not None and self._passing[0]["dose_ml"] != exposures.dose_ml:
+        if self._passing is not None and self._passing[0].dose_ml != exposures.dose_ml:
             return self.finish()
         for dose in exposures.doses:
             photographs = exposures.photographs(dose)
@@ -177,11 +178,14 @@ class Fitter:
             if exposures.settling(dose) and not last:
                 self.waiting = True
                 continue
-            without = {"left_out": exposures.left_out(dose), "not_seen": exposures.not_seen}
-            table = self._dose(photographs, without)
-            if table is not None:
+            newest = exposures.newest if dose == exposures.dose else -1
+            about: Callable[[DoseFit], DoseFit] = partial(
+                replace, left_out=exposures.left_out(dose), not_seen=exposures.not_seen, newest=newest
+            )
+            fit = self._dose(photographs, about)
+            if fit is not None:
                 self._fitted[photographs[0].dose_ml] = seen
-                return table | {"newest": exposures.newest if dose == exposures.dose else -1}
+                return replace(fit, newest=newest)
             self.waiting = True
         over = exposures.photographs() if last else [
             one for one in exposures.photographs() if one.dose_ml < exposures.dose_ml
@@ -192,10 +196,11 @@ class Fitter:
             return self._all(over)
         return None
 
-    def _dose(self, photographs: list[Photograph], without: Table) -> Table | None:
-        """The table of a dose, and what it is `without`; None while its models are being prepared."""
+    def _dose(self, photographs: list[Photograph], about: Callable[[DoseFit], DoseFit]) -> DoseFit | FailedFit | None:
+        """The fit of a dose, with what is to be said about its frames; None while its models are being prepared."""
         dose_ml = photographs[0].dose_ml
         start, scenes = self._start(dose_ml), [one.scene for one in photographs]
+        self._passing = None
         try:
             if start is not None and self._preparing is not None:
                 box = self._preparing.box(start)
@@ -203,29 +208,28 @@ class Fitter:
                 if models is None and self._preparing.under_way(scenes, box):
                     self._preparing.want(scenes, box)
                     return None
-                quick = models and fit_dose_prepared(photographs, models, start)
+                quick = fit_dose_prepared(photographs, models, start) if models else None
                 if quick:
-                    table, liquid = quick
-                    self._keep(dose_ml, liquid)
-                    self._passing = table | without, photographs
-                    return table | without | {"passing": True}
-            table, found = fit_dose(photographs, start)
+                    quick = about(quick)
+                    self._keep(quick)
+                    self._passing = quick, photographs
+                    return replace(quick, passing=True)
+            fit = about(fit_dose(photographs, start))
         except TankrigError as error:
-            return {"fit": "dose", "dose_ml": dose_ml, "error": str(error)}
-        self._passing = None
-        self._keep(dose_ml, found.ink)
-        return table | without
+            return FailedFit(dose_ml, str(error))
+        self._keep(fit)
+        return fit
 
-    def _keep(self, dose_ml: float, liquid: Medium) -> None:
+    def _keep(self, fit: DoseFit) -> None:
         """Remember what a dose is, and have models prepared for it and for the next one."""
-        self._liquid[dose_ml], self._latest = liquid, (liquid, dose_ml)
+        self._liquid[fit.dose_ml], self._latest = fit.medium, (fit.medium, fit.dose_ml)
         if self._preparing is None or self._plan is None:
             return
         scenes = self._plan.scenes.values()
-        following = next((one for one in self._plan.doses_ml if one > 1.001 * dose_ml), None)
+        following = next((one for one in self._plan.doses_ml if one > 1.001 * fit.dose_ml), None)
         if following is not None:
-            self._preparing.want(scenes, self._preparing.box(diluted(liquid, dose_ml, following)))
-        self._preparing.want(scenes, self._preparing.box(liquid))
+            self._preparing.want(scenes, self._preparing.box(diluted(fit.medium, fit.dose_ml, following)))
+        self._preparing.want(scenes, self._preparing.box(fit.medium))
 
     def _start(self, dose_ml: float) -> Medium | None:
         """Where to begin: the dose's own last fit, what the series foresees, or another dose's liquid, diluted."""
@@ -235,11 +239,11 @@ class Fitter:
             return self._series.at(dose_ml)
         return None if self._latest is None else diluted(*self._latest, dose_ml)
 
-    def _all(self, photographs: list[Photograph]) -> Table:
+    def _all(self, photographs: list[Photograph]) -> Fit:
         models = self._preparing.all_models if self._preparing else ()
+        start = None if self._latest is None else diluted(*self._latest, 1.0)
         try:
-            start = self._latest and self._series is None and diluted(*self._latest, 1.0)
-            table, self._series = fit_all(photographs, self._series or start or None, models)
+            self._series = fit_all(photographs, self._series or start, models)
         except TankrigError as error:
-            return {"fit": "series", "error": str(error)}
-        return table
+            return FailedFit(None, str(error))
+        return self._series

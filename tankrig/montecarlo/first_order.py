@@ -7,7 +7,15 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.geometry.optics import reflectance
-from tankrig.montecarlo.stage import Stage, beam_table, departure, pixel_at, pixel_weights, seen, stage
+from tankrig.montecarlo.kernel_scene import (
+    KernelScene,
+    beam_table,
+    departure,
+    kernel_scene,
+    pixel_at,
+    pixel_weights,
+    seen,
+)
 from tankrig.scene import Scene
 from tankrig.scene.phase import henyey_greenstein
 
@@ -49,7 +57,7 @@ def first_order(scene: Scene) -> NDArray[np.float64]:
     >>> round(float(first_order(scene)[40, 0]), 6)  # ≈ 4 mm · 0.0198/4π · e^{−0.02 · 61}
     0.001861
     """
-    flat = stage(scene)
+    flat = kernel_scene(scene)
     image = np.zeros(scene.camera.shape)
     if scene.medium.sigma_s > 0.0:
         for y_low, y_high, z_low, z_high, irradiance in beam_table(scene):
@@ -58,14 +66,14 @@ def first_order(scene: Scene) -> NDArray[np.float64]:
 
 
 @kernel
-def _cell(scene: Stage) -> float:
+def _cell(scene: KernelScene) -> float:
     """Side of a cell, mm: a fraction of a pixel, smaller where cells are seen askew (halving it again adds 0.01 %)."""
     return scene.pixel / (4.0 if scene.camera_pinhole or scene.projector_pinhole else 2.0)
 
 
 @kernel
 def _light_beam(
-    scene: Stage,
+    scene: KernelScene,
     y_low: float,
     y_high: float,
     z_low: float,
@@ -85,7 +93,7 @@ def _light_beam(
 
 @kernel
 def _light_ray(
-    scene: Stage, y: float, z: float, width: float, thickness: float, power: float, image: NDArray[np.float64]
+    scene: KernelScene, y: float, z: float, width: float, thickness: float, power: float, image: NDArray[np.float64]
 ) -> None:
     """Add one ray, cell by cell, up to the far wall; behind a Fresnel surface its mirror image goes on below."""
     ux, uy, uz = departure(scene, y, z)
@@ -118,7 +126,7 @@ def _light_ray(
 
 
 @kernel
-def _spreading(scene: Stage, y: float, z: float, width: float, thickness: float) -> tuple[float, float]:
+def _spreading(scene: KernelScene, y: float, z: float, width: float, thickness: float) -> tuple[float, float]:
     """How much wider and higher, relative to what it is at the wall, a ray's section grows per mm of x."""
     if not scene.projector_pinhole:
         return 0.0, 0.0
@@ -138,7 +146,7 @@ def _cut(centre: float, half: float, low: float, high: float) -> tuple[float, fl
 
 @kernel
 def _show_cell(
-    scene: Stage,
+    scene: KernelScene,
     x: float,
     y: float,
     z: float,
@@ -165,7 +173,7 @@ def _show_cell(
 
 @kernel
 def _share_out(
-    scene: Stage, px: float, py: float, half_x: float, half_y: float, value: float, image: NDArray[np.float64]
+    scene: KernelScene, px: float, py: float, half_x: float, half_y: float, value: float, image: NDArray[np.float64]
 ) -> None:
     """Add `value`, spread evenly over a rectangle of the surface, to the pixels it overlaps, per area.
 

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.montecarlo.first_order import first_order
-from tankrig.montecarlo.stage import beam_table, pixel_weights, stage
+from tankrig.montecarlo.kernel_scene import beam_table, kernel_scene, pixel_weights
 from tankrig.montecarlo.tally import CLASSES
 from tankrig.montecarlo.transport import trace
 from tankrig.orders import ORDER_CLASSES
 from tankrig.scene import Scene
+from tankrig.threads import THREADS
 
 Image = NDArray[np.float64]
 Batch = tuple[NDArray[np.float64], tuple[float, float]]
@@ -63,7 +64,7 @@ class Tally:
 
 
 def simulate(
-    scene: Scene, photons: int, seed: int = 0, max_order: int | None = None, threads: int = 2, coarsen: int = 1
+    scene: Scene, photons: int, seed: int = 0, max_order: int | None = None, threads: int = THREADS, coarsen: int = 1
 ) -> Tally:
     """Image of a scene by Monte Carlo, without bias, order 1 without noise.
 
@@ -136,7 +137,7 @@ def simulate_to(
     tolerance: float,
     seed: int = 0,
     max_order: int | None = None,
-    threads: int = 2,
+    threads: int = THREADS,
     coarsen: int = 1,
     most_photons: int = 2_000_000_000,
 ) -> Tally:
@@ -169,7 +170,7 @@ def _batch(scene: Scene, photons: int, seed: tuple[int, int], highest: int) -> B
     lit = replace(scene, projector=replace(scene.projector, beams=beams))
     powers = np.cumsum([beam.power for beam in beams])
     key = np.uint64(numbers.integers(2**63))
-    fates = trace(stage(lit), beam_table(lit), powers, photons, highest, key, numbers.random(3), images)
+    fates = trace(kernel_scene(lit), beam_table(lit), powers, photons, highest, key, numbers.random(3), images)
     images *= pixel_weights(lit)
     return images, fates
 

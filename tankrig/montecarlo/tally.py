@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.montecarlo.stage import Stage, pixel_at, seen
+from tankrig.montecarlo.kernel_scene import KernelScene, pixel_at, seen
 from tankrig.scene.phase import henyey_greenstein
 
 CLASSES = 4
@@ -18,8 +18,8 @@ POINTS_UPRIGHT, POINTS_PINHOLE = 32, 6
 
 
 @part
-def show_flight(
-    scene: Stage,
+def score_flight(
+    scene: KernelScene,
     x: float,
     y: float,
     z: float,
@@ -44,7 +44,7 @@ def show_flight(
 
 @kernel
 def _show_stretch(
-    scene: Stage,
+    scene: KernelScene,
     x: float,
     y: float,
     z: float,
@@ -83,7 +83,7 @@ def _show_stretch(
 
 @part
 def _show_point(
-    scene: Stage,
+    scene: KernelScene,
     x: float,
     y: float,
     z: float,
@@ -106,7 +106,7 @@ def _show_point(
 
 @part
 def _show_upright(
-    scene: Stage,
+    scene: KernelScene,
     x: float,
     y: float,
     z: float,

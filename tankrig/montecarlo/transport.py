@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.montecarlo.draws import draw, draw_turn, scrambled
-from tankrig.montecarlo.stage import Stage, departure, flight, seen
-from tankrig.montecarlo.tally import show_flight
+from tankrig.montecarlo.kernel_scene import KernelScene, departure, flight, seen
+from tankrig.montecarlo.tally import score_flight
 from tankrig.scene.phase import henyey_greenstein
 
 LATTICE = 1.2207440846057596 ** -np.arange(1.0, 4.0)
@@ -25,7 +25,7 @@ LIGHT = 0.04
 
 @kernel
 def trace(
-    scene: Stage,
+    scene: KernelScene,
     beams: NDArray[np.float64],
     powers: NDArray[np.float64],
     photons: int,
@@ -45,7 +45,7 @@ def trace(
     Parameters
     ----------
     scene, beams
-        From `stage` and `beam_table`.
+        From `kernel_scene` and `beam_table`.
     powers
         (beams,) cumulative power of the beams, W; positive at the end.
     photons
@@ -80,7 +80,7 @@ def trace(
                 u, state = draw(state)
                 v, state = draw(state)
                 power = weight * share * radiance
-                show_flight(scene, x, y, z, ux, uy, uz, first, reflected, second, power, order, u, images)
+                score_flight(scene, x, y, z, ux, uy, uz, first, reflected, second, power, order, u, images)
             before, around, collided = _chances(scene, first, reflected, second)
             escaped += weight * (1.0 - collided)
             absorbed += weight * collided * (1.0 - scene.albedo)
@@ -105,7 +105,7 @@ def trace(
                 u, state = draw(state)
                 first, reflected, second = flight(scene, x, y, z, wx, wy, wz)
                 power = weight * phase / (drawn + lobe) * radiance
-                show_flight(scene, x, y, z, wx, wy, wz, first, reflected, second, power, order + 1, u, images)
+                score_flight(scene, x, y, z, wx, wy, wz, first, reflected, second, power, order + 1, u, images)
             u, state = draw(state)
             ax, ay, az = (vx, vy, vz) if u < bias else (ux, uy, uz)
             wx, wy, wz, state = draw_turn(ax, ay, az, scene.g, state)
@@ -134,7 +134,7 @@ def _start(beams: NDArray[np.float64], powers: NDArray[np.float64], a: float, b:
 
 
 @part
-def _chances(scene: Stage, first: float, reflected: float, second: float) -> tuple[float, float, float]:
+def _chances(scene: KernelScene, first: float, reflected: float, second: float) -> tuple[float, float, float]:
     """Shares of a flight's light that collide before its first wall, that get round it, and that collide at all."""
     before = 1.0 - math.exp(-scene.sigma_t * first)
     around = reflected * (1.0 - before)
@@ -144,7 +144,7 @@ def _chances(scene: Stage, first: float, reflected: float, second: float) -> tup
 
 
 @part
-def _distance(scene: Stage, first: float, second: float, before: float, around: float, share: float) -> float:
+def _distance(scene: KernelScene, first: float, second: float, before: float, around: float, share: float) -> float:
     """Distance by which `share` of a flight's light has collided."""
     if share < before or around == 0.0:
         return min(-math.log(1.0 - share) / scene.sigma_t, first)

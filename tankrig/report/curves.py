@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tankrig.live.results import DoseFit, SeriesFit
 from tankrig.report.timing import Span
 
 if TYPE_CHECKING:
@@ -16,21 +17,21 @@ KINDS = {"dose": "#009e73", "wait": "#bbbbbb", "capture": "#0072b2", "note": "#9
 LABELS = {"sigma_s": "$\\sigma_s$ (1/mm)", "sigma_a": "$\\sigma_a$ (1/mm)", "g": "$g$"}
 
 
-def coefficients(doses: Sequence[dict[str, Any]], series: dict[str, Any] | None) -> "Figure":
+def coefficients(doses: Sequence[DoseFit], series: SeriesFit | None) -> "Figure":
     """σs, σa and g against the dose with 95 % error bars, the series' straight lines, single scattering beside them."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.5, 3.7), layout="constrained")
-    at = np.array([one["dose_ml"] for one in doses])
+    at = np.array([one.dose_ml for one in doses])
     along = np.linspace(0.0, 1.06 * at.max(), 60)
     for axes, name in zip(figure.subplots(1, 3), LABELS, strict=True):
         order = ("sigma_a", "sigma_s", "g").index(name)
-        values = np.array([one[name] for one in doses])
-        errors = 1.96 * np.array([one["sd"][order] for one in doses])
+        values = np.array([getattr(one.medium, name) for one in doses])
+        errors = 1.96 * np.array([one.sd[order] for one in doses])
         if series is not None:
             axes.plot(along, _line(series, name, along), color=SERIES, linewidth=1.2, label="series fit", zorder=1)
         if name == "sigma_s":
-            single = [one["single"]["sigma_t"] for one in doses]
+            single = [one.single.sigma_t if one.single else np.nan for one in doses]
             label = "single scattering's $\\sigma_t$"
             axes.plot(at, single, "s", color=SINGLE, markersize=5, markerfacecolor="none", label=label)
         axes.errorbar(
@@ -48,10 +49,8 @@ def coefficients(doses: Sequence[dict[str, Any]], series: dict[str, Any] | None)
     return figure
 
 
-def _line(series: dict[str, Any], name: str, dose_ml: Any) -> Any:
-    if name == "g":
-        return np.full(dose_ml.shape, series["ink"]["g"])
-    return series["ink"][name] * dose_ml + (series["water_sigma_a"] if name == "sigma_a" else 0.0)
+def _line(series: SeriesFit, name: str, dose_ml: Any) -> Any:
+    return [getattr(series.at(float(one)), name) for one in dose_ml]
 
 
 def timeline(spans: Sequence[Span]) -> "Figure":

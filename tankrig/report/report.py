@@ -12,13 +12,13 @@ import numpy as np
 from tankrig.figures.tank_image import STYLE
 from tankrig.files import require_writable, whole_file
 from tankrig.live.exposures import Photograph, Plan
+from tankrig.live.results import DoseFit
 from tankrig.live.words import with_error
 from tankrig.report import curves, pictures
-from tankrig.report.results import Results, Table, results_of
+from tankrig.report.results import Results, results_of
 from tankrig.report.settings import settings_of, skipped_of
 from tankrig.report.timing import spans_of, totals
 from tankrig.run.reading import Run, open_run
-from tankrig.scene.description import Medium
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,7 +82,7 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
         title=str(run.settings.get("name", run.path.name)),
         subtitle=f"{run.path.name} · {run.settings.get('rig', '')} · {began} UTC · {ending}",
         headline=_headline(results),
-        verdict=results.series["verdict"] if results.series else "",
+        verdict=results.series.verdict if results.series else "",
         pictures=shown,
         doses=[_dose_row(one, _sigma_t(results, one)) for one in results.doses],
         compared="the series fit" if results.series else "the tank model",
@@ -109,36 +109,33 @@ def _headline(results: Results) -> list[dict[str, str]]:
     series = results.series
     if series is None:
         return []
-    ink, sd = series["ink"], series["sd"]
+    ink, sd = series.ink, series.sd
     numbers = [
-        (ink["sigma_s"], sd[1], "ink σs, 1/mm per ml"),
-        (ink["g"], sd[2], "ink g"),
-        (ink["sigma_a"], sd[0], "ink σa, 1/mm per ml"),
-        (series["water_sigma_a"], sd[3], "water σa, 1/mm"),
+        (ink.sigma_s, sd[1], "ink σs, 1/mm per ml"),
+        (ink.g, sd[2], "ink g"),
+        (ink.sigma_a, sd[0], "ink σa, 1/mm per ml"),
+        (series.water.sigma_a, sd[3], "water σa, 1/mm"),
     ]
     parts = [(*with_error(value, error).split(" ± "), name) for value, error, name in numbers]
     return [{"value": value, "error": error, "name": name} for value, error, name in parts]
 
 
-def _sigma_t(results: Results, dose: Table) -> float:
+def _sigma_t(results: Results, dose: DoseFit) -> float:
     """What single scattering's σt is compared with."""
-    series = results.series
-    if series is None:
-        return float(dose["sigma_s"] + dose["sigma_a"])
-    ink = series["ink"]
-    return float((ink["sigma_s"] + ink["sigma_a"]) * dose["dose_ml"] + series["water_sigma_a"])
+    return (dose.medium if results.series is None else results.series.at(dose.dose_ml)).sigma_t
 
 
-def _dose_row(one: Table, sigma_t: float) -> dict[str, str]:
-    known = [symbol for name, symbol in (("sigma_s", "σs"), ("g", "g"), ("sigma_a", "σa")) if one["identifiable"][name]]
+def _dose_row(one: DoseFit, sigma_t: float) -> dict[str, str]:
+    known = [symbol for name, symbol in (("sigma_s", "σs"), ("g", "g"), ("sigma_a", "σa")) if one.identifiable[name]]
+    single = one.single
     return {
-        "dose": f"{one['dose_ml']:.4g}",
-        "sigma_s": with_error(one["sigma_s"], one["sd"][1]),
-        "g": with_error(one["g"], one["sd"][2]),
-        "sigma_a": with_error(one["sigma_a"], one["sd"][0]),
+        "dose": f"{one.dose_ml:.4g}",
+        "sigma_s": with_error(one.medium.sigma_s, one.sd[1]),
+        "g": with_error(one.medium.g, one.sd[2]),
+        "sigma_a": with_error(one.medium.sigma_a, one.sd[0]),
         "known": ", ".join(known) or "none",
-        "single": f"{100.0 * (one['single']['sigma_t'] / sigma_t - 1.0):+.0f} %",
-        "single_rmse": f"{one['single']['rmse'] / one['rmse']:.1f} ×",
+        "single": "–" if single is None else f"{100.0 * (single.sigma_t / sigma_t - 1.0):+.0f} %",
+        "single_rmse": "–" if single is None else f"{single.rmse / one.rmse:.1f} ×",
     }
 
 
@@ -156,13 +153,13 @@ def _reconstructions(results: Results, progress: Callable[[str], None]) -> tuple
     """One picture for each dose, the thinnest and the thickest shown at once; and the largest bound on what was cut."""
     shown = _shown(results.photographs)
     rebuilt, bound = [], 0.0
-    fits = {one["dose_ml"]: one for one in results.doses}
+    fits = {one.dose_ml: one for one in results.doses}
     for one in shown:
         progress(f"rebuilding {one.dose_ml:g} ml by order")
         fit = fits[one.dose_ml]
-        prediction = pictures.predicted(one, Medium(fit["sigma_a"], fit["sigma_s"], fit["g"]))
-        offset = 0.0 if one.offset == 0.0 else float(np.median(one.image - fit["gain"] * prediction.image))
-        steps = pictures.by_order(one, prediction, fit["gain"], offset)
+        prediction = pictures.predicted(one, fit.medium)
+        offset = 0.0 if one.offset == 0.0 else float(np.median(one.image - fit.gain * prediction.image))
+        steps = pictures.by_order(one, prediction, fit.gain, offset)
         bound = max(bound, *(part.bound for part in prediction.skipped))
         peak = float(one.image.max())
         rmses = [f"{100.0 * step.rmse / peak:.2g} % ({WORDS.get(step.orders, step.orders)})" for step in steps]
@@ -182,16 +179,15 @@ def _series(results: Results) -> dict[str, Any] | None:
     peaks = [float(one.image.max()) for one in results.photographs]
     cells = {
         (one.pattern, one.dose_ml): f"{100.0 * rmse / peak:.2g} %"
-        for one, rmse, peak in zip(results.photographs, series["rmse"], peaks, strict=True)
+        for one, rmse, peak in zip(results.photographs, series.rmse, peaks, strict=True)
     }
-    bend = series["linearity"]
+    bend = series.linearity
     linearity = "" if bend is None else (
-        f"At the highest dose the ink does {100.0 * abs(bend['bend']):.2g} ± {100.0 * bend['sd']:.2g} % "
-        f"{'more' if bend['bend'] > 0.0 else 'less'} than in proportion to the lowest."
+        f"At the highest dose the ink does {100.0 * abs(bend.bend):.2g} ± {100.0 * bend.sd:.2g} % "
+        f"{'more' if bend.bend > 0.0 else 'less'} than in proportion to the lowest."
     )  # fmt: skip
     patterns = dict.fromkeys(one.pattern for one in results.photographs)
     rows = [
-        {"pattern": name, "cells": [cells.get((name, dose_ml), "") for dose_ml in series["doses_ml"]]}
-        for name in patterns
+        {"pattern": name, "cells": [cells.get((name, dose_ml), "") for dose_ml in series.doses_ml]} for name in patterns
     ]
-    return {"doses": [f"{dose_ml:.4g}" for dose_ml in series["doses_ml"]], "rows": rows, "linearity": linearity}
+    return {"doses": [f"{dose_ml:.4g}" for dose_ml in series.doses_ml], "rows": rows, "linearity": linearity}

@@ -2,15 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from tankrig.errors import ImageError
 from tankrig.live.exposures import Photograph, exposures_of, fits_that_hold
-from tankrig.live.fits import diluted, fit_all, fit_dose
+from tankrig.live.fits import fit_all, fit_dose
+from tankrig.live.results import DoseFit, SeriesFit, diluted, fits_in
 from tankrig.run.reading import Run
-from tankrig.scene.description import Medium
-
-Table = dict[str, Any]
+from tankrig.scene import Medium
 
 
 @dataclass(frozen=True)
@@ -22,14 +20,14 @@ class Results:
     photographs
         What was fitted, in the order of the doses.
     doses
-        A `fit_dose` table for each dose that could be fitted.
+        Of each dose that could be fitted.
     series
-        The `fit_all` table of all doses; None below two doses.
+        Of all doses; None below two doses.
     """
 
     photographs: list[Photograph]
-    doses: list[Table]
-    series: Table | None
+    doses: list[DoseFit]
+    series: SeriesFit | None
 
 
 def results_of(run: Run, progress: Callable[[str], None] = lambda _: None) -> Results:
@@ -55,32 +53,25 @@ def results_of(run: Run, progress: Callable[[str], None] = lambda _: None) -> Re
         )
     doses_ml = sorted({one.dose_ml for one in photographs})
     made, series = recorded(run)
-    doses: list[Table] = []
+    doses: list[DoseFit] = []
     for dose_ml in doses_ml:
         here = [one for one in photographs if one.dose_ml == dose_ml]
-        table = next((one for one in made if one["dose_ml"] == dose_ml), None)
-        if table is None or table["frames"] != sum(one.frames for one in here):
+        fit = next((one for one in made if one.dose_ml == dose_ml), None)
+        if fit is None or fit.frames != sum(one.frames for one in here):
             progress(f"fitting {dose_ml:g} ml")
-            table = fit_dose(here, _near(doses, dose_ml))[0]
-        doses.append(table)
-    if len(doses_ml) > 1 and (series is None or series["doses_ml"] != doses_ml):
+            fit = fit_dose(here, _near(doses, dose_ml))
+        doses.append(fit)
+    if len(doses_ml) > 1 and (series is None or series.doses_ml != tuple(doses_ml)):
         progress("fitting the series")
-        series = fit_all(photographs)[0]
+        series = fit_all(photographs)
     return Results(photographs, doses, series)
 
 
-def recorded(run: Run) -> tuple[list[Table], Table | None]:
+def recorded(run: Run) -> tuple[list[DoseFit], SeriesFit | None]:
     """The last fit of each dose that the run made while it went on, by dose, and its last fit of the series."""
-    tables = [dict(event.fields) for event in fits_that_hold(run) if "error" not in event.fields]
-    doses = {one["dose_ml"]: one for one in tables if one["fit"] == "dose"}
-    return [doses[dose_ml] for dose_ml in sorted(doses)], next(
-        (one for one in reversed(tables) if one["fit"] == "series"), None
-    )
+    return fits_in([event.fields for event in fits_that_hold(run)])
 
 
-def _near(doses: list[Table], dose_ml: float) -> Medium | None:
+def _near(doses: list[DoseFit], dose_ml: float) -> Medium | None:
     """Where to begin: what the dose before would be with so much ink."""
-    if not doses:
-        return None
-    last = doses[-1]
-    return diluted(Medium(last["sigma_a"], last["sigma_s"], last["g"]), last["dose_ml"], dose_ml)
+    return diluted(doses[-1].medium, doses[-1].dose_ml, dose_ml) if doses else None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tankrig.errors import SceneError
 from tankrig.geometry.lens import to_rays
 from tankrig.geometry.pose import directions_to_world
-from tankrig.scene.description import Camera, Tank
+from tankrig.scene.parts import Camera, Tank
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,8 @@ import click
 from ui.cli.options import json_option, out_option
 
 if TYPE_CHECKING:
-    from tankrig.benchmark.race import Cost, Race, Result
+    from tankrig.benchmark.race import Cost, Race
+    from tankrig.benchmark.result import Result
     from tankrig.benchmark.truth import Case
 
 BUNDLED = Path(__file__).parents[2] / "tests" / "data" / "reference"

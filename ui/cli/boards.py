@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from ui.cli.guide import console, emit, guided, picture, somebody, watching
+from ui.guide import console, emit, guided, picture, somebody, watching
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile

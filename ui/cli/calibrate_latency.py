@@ -5,8 +5,8 @@ from pathlib import Path
 import click
 
 from ui.cli.calibrating import accept_option, described, keep, tell
-from ui.cli.guide import feedback
 from ui.cli.options import json_option, rig_option
+from ui.guide import feedback
 
 
 @click.command(epilog="Example: tankrig calibrate latency --rig rig.toml")

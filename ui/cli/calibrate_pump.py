@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tankrig.errors import DeviceError
-from ui.cli.guide import ask, confirm, emit, guided, number, somebody
 from ui.cli.options import json_option, out_option, rig_option
+from ui.guide import ask, confirm, emit, guided, number, somebody
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ui.cli.calibrating import accept_option, asker, described, keep, tell
-from ui.cli.guide import feedback
 from ui.cli.options import json_option, rig_option
+from ui.guide import feedback
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ui.cli.guide import Feedback, ask, emit, guided, somebody
+from ui.guide import Feedback, ask, emit, guided, somebody
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tankrig.estimation.estimate import Estimate
-    from tankrig.estimation.reconstruction import Reconstruction
+    from tankrig.estimation.result import Reconstruction
 
 LEVEL = 0.95
 """Of the intervals that are printed."""
@@ -105,8 +105,8 @@ def fit(
     from rich.console import Console
 
     import tankrig
-    from tankrig.estimation.models import FINE
-    from tankrig.estimation.reconstruction import by_order
+    from tankrig.estimation.forward import FINE
+    from tankrig.estimation.result import by_order
     from tankrig.files import require_writable
     from tankrig.image.reading import read_image
 

@@ -27,18 +27,18 @@ def fits_of(run: Path, description: "RigFile") -> dict[str, Any]:
     rows = []
     for fit in doses:
         row = {
-            "dose_ml": fit["dose_ml"],
-            "fitted": {name: fit[name] for name in NAMES},
-            "sd": dict(zip(NAMES, fit["sd"], strict=True)),
+            "dose_ml": fit.dose_ml,
+            "fitted": _named(fit.medium),
+            "sd": dict(zip(NAMES, fit.sd, strict=True)),
         }
-        sigma_t = fit["sigma_a"] + fit["sigma_s"]
+        sigma_t = fit.medium.sigma_t
         if truth:
-            liquid = mixture(*truth, fit["dose_ml"])
+            liquid = mixture(*truth, fit.dose_ml)
             row["truth"], sigma_t = _named(liquid), liquid.sigma_t
-        rows.append({**row, "single_sigma_t_ratio": fit["single"]["sigma_t"] / sigma_t})
+        rows.append({**row, "single_sigma_t_ratio": None if fit.single is None else fit.single.sigma_t / sigma_t})
     found: dict[str, Any] = {"doses": rows}
     if series is not None:
-        found |= {"ink_per_ml": series["ink"], "ink_sd": series["sd"], "verdict": series["verdict"]}
+        found |= {"ink_per_ml": _named(series.ink), "ink_sd": list(series.sd), "verdict": series.verdict}
         found |= {"truth_per_ml": _named(truth[1])} if truth else {}
     return found
 
@@ -55,7 +55,8 @@ def tell_fits(found: dict[str, Any]) -> None:
         table.add_column(heading, justify="right", no_wrap=True)
     for row in found["doses"]:
         cells = _cells(row["fitted"], row["sd"], row.get("truth"))
-        table.add_row(f"{row['dose_ml']:.3g} ml", *cells, f"{100.0 * (row['single_sigma_t_ratio'] - 1.0):+.0f} %")
+        by = row["single_sigma_t_ratio"]
+        table.add_row(f"{row['dose_ml']:.3g} ml", *cells, "–" if by is None else f"{100.0 * (by - 1.0):+.0f} %")
     if "ink_per_ml" in found:
         sd = dict(zip(NAMES, found["ink_sd"], strict=False))
         table.add_row("")

@@ -11,7 +11,7 @@ import click
 from ui.cli.options import json_option, out_option
 
 if TYPE_CHECKING:
-    from tankrig.image.prediction import Prediction
+    from tankrig.prediction import Prediction
     from tankrig.scene import Scene
 
 

@@ -205,6 +205,7 @@ def _draw(runner: "Runner", thread: threading.Thread, fit: bool) -> None:
     from rich.progress import BarColumn, Progress, TextColumn
     from rich.text import Text
 
+    from tankrig.live.results import from_fields
     from tankrig.live.words import fit_in_words
 
     warnings: SimpleQueue[str] = SimpleQueue()
@@ -223,7 +224,7 @@ def _draw(runner: "Runner", thread: threading.Thread, fit: bool) -> None:
             thread.join(_POLL_S)
             now = runner.progress()
             bar.update(task, completed=now.step, description=f"{now.label}, {_duration(now.remaining_s)} left")
-            fitted = f"\n{fit_in_words(runner.latest_fit)}" if fit else ""
+            fitted = f"\n{fit_in_words(from_fields(runner.latest_fit) if runner.latest_fit else None)}" if fit else ""
             beneath.plain = f"waiting for {now.waiting_for or 'the rig'}{fitted}"
             while not warnings.empty():
                 console.print(Text(warnings.get()), soft_wrap=True)
@@ -266,8 +267,9 @@ def _aborting_on_signals(runner: "Runner") -> Iterator[None]:
 def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -> int:
     """Say how a run ended and what it found, write its report, and give the exit status."""
     from tankrig.run.reading import open_run
+    from tankrig.run.state import FinishReason
 
-    path, completed = outcome.path, outcome.reason.value == "completed"
+    path, completed = outcome.path, outcome.reason is FinishReason.COMPLETED
     run = open_run(path)
     frames, doses = len(run.events("frame")), run.events("dose_done")
     delivered_ul = run.tank.volume_ul if doses and run.tank else None

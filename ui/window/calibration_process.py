@@ -10,14 +10,14 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, QProcess, QProcessEnvironment, QTimer, Signal
 
-from ui.cli.guide import GUIDED
+from ui.guide import GUIDED
 
 _PATIENCE_MS = 5000
 _RUN = "import sys; from ui.cli import main; sys.exit(main())"
 
 
 class CalibrationProcess(QObject):
-    """`tankrig calibrate …`, whose requests and pictures arrive as signals; see `ui.cli.guide`.
+    """`tankrig calibrate …`, whose requests and pictures arrive as signals; see `ui.guide`.
 
     Parameters
     ----------

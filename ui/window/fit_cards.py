@@ -1,11 +1,11 @@
 """The fitted coefficients in large figures, and which orders of scattering they need."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
 
+from tankrig.live.results import DoseFit
 from tankrig.live.words import with_error
 
 COEFFICIENTS = {"sigma_s": ("σs", 1, "per mm"), "sigma_a": ("σa", 0, "per mm"), "g": ("g", 2, "")}
@@ -40,15 +40,15 @@ class Coefficients(QWidget):
             row.addWidget(card, 1)
             self._values[name] = value, note
 
-    def show_fit(self, fit: Mapping[str, Any]) -> None:
+    def show_fit(self, fit: DoseFit) -> None:
         """Show a dose's fit."""
         for name, (_, place, _) in COEFFICIENTS.items():
-            sd, known = float(fit["sd"][place]), bool(fit["identifiable"][name])
+            best, sd, known = getattr(fit.medium, name), fit.sd[place], fit.identifiable[name]
             value, note = self._values[name]
-            number, _, error = with_error(float(fit[name]), sd).partition(" ± ")
+            number, _, error = with_error(best, sd).partition(" ± ")
             value.setText(number)
             note.setText(f"± {error}{'' if known else ', not determined'}")
-            value.setToolTip(f"95 %: {fit[name] - 1.96 * sd:.4g} to {fit[name] + 1.96 * sd:.4g}")
+            value.setToolTip(f"95 %: {best - 1.96 * sd:.4g} to {best + 1.96 * sd:.4g}")
 
 
 class OrderBars(QWidget):

@@ -1,6 +1,6 @@
 """σs, σa and g against dose or time, with 95 % error bars."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 import pyqtgraph as pg
 from PySide6.QtWidgets import QGraphicsItem, QHBoxLayout, QSizePolicy, QWidget
 
+from tankrig.live.results import DoseFit, SeriesFit
 from ui.window.fit_cards import COEFFICIENTS
 from ui.window.theme import CURVES
 from ui.window.turns import Turns
@@ -49,12 +50,12 @@ class FitCurves(QWidget):
             self._plots[name] = plot, line, bars, points
             widget.setMinimumHeight(112)
             widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
-        self._fits: Sequence[Mapping[str, Any]] = []
-        self._series: Mapping[str, Any] | None = None
+        self._fits: Sequence[tuple[float, DoseFit]] = []
+        self._series: SeriesFit | None = None
         self._against, self._turns = "", Turns(self)
 
-    def show_fits(self, fits: Sequence[Mapping[str, Any]], against: str, series: Mapping[str, Any] | None) -> None:
-        """Show fits of doses; `against` is "dose_ml" or "time_s", a key that each has."""
+    def show_fits(self, fits: Sequence[tuple[float, DoseFit]], against: str, series: SeriesFit | None) -> None:
+        """Show fits of doses, each with its ml or seconds; `against` is "dose_ml" or "time_s"."""
         self._fits, self._series = fits, series
         if against != self._against:
             self._against = against
@@ -64,9 +65,9 @@ class FitCurves(QWidget):
 
     def _show(self, name: str) -> None:
         plot, line, bars, points = self._plots[name]
-        at = np.array([float(fit[self._against]) for fit in self._fits])
-        values = np.array([float(fit[name]) for fit in self._fits])
-        errors = Z95 * np.array([float(fit["sd"][COEFFICIENTS[name][1]]) for fit in self._fits])
+        at = np.array([place for place, _ in self._fits])
+        values = np.array([getattr(fit.medium, name) for _, fit in self._fits])
+        errors = Z95 * np.array([fit.sd[COEFFICIENTS[name][1]] for _, fit in self._fits])
         points.setData(at, values)
         bars.setData(x=at, y=values, height=2.0 * errors)
         if len(at):
@@ -90,11 +91,8 @@ class FitCurves(QWidget):
         if not (bottom <= low and high + margin <= top and top - bottom <= ROOM * (high + margin - low)):
             plot.setYRange(low - 0.5 * margin, high + 1.5 * margin, padding=0)
 
-    def _line(self, name: str, at: Any, series: Mapping[str, Any] | None) -> tuple[Any, Any]:
+    def _line(self, name: str, at: Any, series: SeriesFit | None) -> tuple[Any, Any]:
         if series is None:
             return [], []
         x = np.array([0.0, float(at.max()) * 1.1])
-        ink = series["ink"]
-        if name == "g":
-            return x, np.full(2, ink["g"])
-        return x, ink[name] * x + (series["water_sigma_a"] if name == "sigma_a" else 0.0)
+        return x, np.array([getattr(series.at(dose_ml), name) for dose_ml in x.tolist()])

@@ -1,16 +1,17 @@
 """The fit as it stands: coefficients now, against dose and time, and what the model leaves of the picture."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
+from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit
 from ui.window import jobs
 from ui.window.background import Background
 from ui.window.fit_cards import Coefficients, OrderBars
@@ -40,9 +41,9 @@ class FitPage(QWidget):
     def __init__(self, background: Background) -> None:
         super().__init__()
         self._background = background
-        self._fits: list[dict[str, Any]] = []
-        self._series: Mapping[str, Any] | None = None
-        self._photographs: dict[str, tuple[Photograph, Mapping[str, Any]]] = {}
+        self._fits: list[tuple[float, DoseFit]] = []
+        self._series: SeriesFit | None = None
+        self._photographs: dict[str, tuple[Photograph, DoseFit]] = {}
         self._compared: jobs.Comparison | None = None
         self._asked = self._again = False
         self._turns = Turns(self)
@@ -60,24 +61,23 @@ class FitPage(QWidget):
         self._verdict.setText(words)
         self._curves.show_fits([], "dose_ml", None)
 
-    def add(self, table: Mapping[str, Any], photographs: "Sequence[Photograph]", time_s: float | None = None) -> None:
-        """Take in a `fit` table, and the photographs that it fitted, where they are at hand."""
-        if "error" in table:
-            self._verdict.setText(f"This fit could not be made: {table['error']}")
+    def add(self, fit: Fit, photographs: "Sequence[Photograph]", time_s: float | None = None) -> None:
+        """Take in a fit, and the photographs that it fitted, where they are at hand."""
+        if isinstance(fit, FailedFit):
+            self._verdict.setText(f"This fit could not be made: {fit.error}")
             return
-        if table["fit"] == "series":
-            self._series = table
-            self._verdict.setText(str(table.get("verdict", "")))
+        if isinstance(fit, SeriesFit):
+            self._series = fit
+            self._verdict.setText(fit.verdict)
             self._draw_curves()
             return
-        at_s = time.monotonic() - self._began_s if time_s is None else time_s
-        self._fits.append({**table, "time_s": at_s})
-        self._coefficients.show_fit(table)
-        self._verdict.setText(in_words(table))
-        self.gain_found.emit(float(table["gain"]))
+        self._fits.append((time.monotonic() - self._began_s if time_s is None else time_s, fit))
+        self._coefficients.show_fit(fit)
+        self._verdict.setText(in_words(fit))
+        self.gain_found.emit(fit.gain)
         self._draw_curves()
         for photograph in photographs:
-            self._photographs[photograph.pattern] = photograph, table
+            self._photographs[photograph.pattern] = photograph, fit
             if self._pattern.findText(photograph.pattern) < 0:
                 self._pattern.addItem(photograph.pattern)
         self._compare()
@@ -87,19 +87,16 @@ class FitPage(QWidget):
         self.begin(f"Reading the fits of {path.name}; those that it lacks are being made…")
         self._background.run(jobs.fits_of, path, then=self._take_run, failed=self._verdict.setText)
 
-    def show_tables(self, doses: Sequence[Mapping[str, Any]], series: Mapping[str, Any] | None) -> None:
+    def show_fits(self, doses: Sequence[DoseFit], series: SeriesFit | None) -> None:
         """Show other fits of the same photographs."""
         photographs = [photograph for photograph, _ in self._photographs.values()]
         self._fits, self._series = [], None
-        for table in doses:
-            self.add(table, [one for one in photographs if one.dose_ml == table["dose_ml"]])
-        if series is not None:
-            self.add(series, [])
+        self._take_run((doses, series, photographs))
 
-    def _take_run(self, found: Any) -> None:
+    def _take_run(self, found: "tuple[Sequence[DoseFit], SeriesFit | None, Sequence[Photograph]]") -> None:
         doses, series, photographs = found
-        for table in doses:
-            self.add(table, [one for one in photographs if one.dose_ml == table["dose_ml"]])
+        for fit in doses:
+            self.add(fit, [one for one in photographs if one.dose_ml == fit.dose_ml])
         if series is not None:
             self.add(series, [])
 
@@ -109,7 +106,7 @@ class FitPage(QWidget):
         against = AGAINST[self._against.currentText()]
         fits = self._fits
         if against == "dose_ml":
-            fits = list({fit["dose_ml"]: fit for fit in fits}.values())
+            fits = list({fit.dose_ml: (fit.dose_ml, fit) for _, fit in fits}.values())
         self._curves.show_fits(fits, against, self._series)
 
     def _compare(self) -> None:
@@ -168,10 +165,10 @@ class FitPage(QWidget):
 
     def _sum_up(self, one: jobs.Comparison) -> None:
         self._bars.show_rmse(one.rmse)
-        by = one.rmse["single"] / one.rmse["all"] if one.rmse["all"] > 0.0 else 1.0
-        self._says.setText(
-            f"{one.pattern} at {one.dose_ml:.4g} ml: single scattering leaves {by:.1f} times as much as all orders."
-        )
+        head, single, whole = f"{one.pattern} at {one.dose_ml:.4g} ml", one.rmse.get("single"), one.rmse["all"]
+        by = single / whole if single is not None and whole > 0.0 else 1.0
+        rest = "" if single is None else f": single scattering leaves {by:.1f} times as much as all orders"
+        self._says.setText(f"{head}{rest}.")
 
     def _lay_out(self) -> None:
         self._coefficients, self._bars, self._curves = Coefficients(), OrderBars(), FitCurves()
@@ -213,16 +210,17 @@ class FitPage(QWidget):
         column.addWidget(self._curves, 3)
 
 
-def in_words(table: Mapping[str, Any]) -> str:
+def in_words(fit: DoseFit) -> str:
     """Which coefficients a dose's fit determines.
 
+    >>> from tankrig.scene import Medium
     >>> known = {"sigma_a": False, "sigma_s": True, "g": True}
-    >>> in_words({"dose_ml": 0.4, "frames": 12, "identifiable": known, "patterns": ["sheet"]})
+    >>> in_words(DoseFit(0.4, Medium(1e-4, 0.01, 0.7), identifiable=known, frames=12, patterns=("sheet",)))
     'With 0.4 ml, from 12 frames of sheet: σs and g are determined, σa is not yet; more dose or patterns tell more.'
     """
-    known = [symbol for name, symbol in SYMBOLS.items() if table["identifiable"][name]]
-    unknown = [symbol for name, symbol in SYMBOLS.items() if not table["identifiable"][name]]
-    head = f"With {table['dose_ml']:.4g} ml, from {table['frames']} frames of {', '.join(table['patterns'])}: "
+    known = [symbol for name, symbol in SYMBOLS.items() if fit.identifiable[name]]
+    unknown = [symbol for name, symbol in SYMBOLS.items() if not fit.identifiable[name]]
+    head = f"With {fit.dose_ml:.4g} ml, from {fit.frames} frames of {', '.join(fit.patterns)}: "
     if not unknown:
         return f"{head}σs, g and σa are all determined."
     are = " and ".join(known) + (" are" if len(known) > 1 else " is") + " determined, " if known else ""

@@ -1,9 +1,9 @@
 """What the window has done in its background process: each a plain function of things that can be sent there."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from tankrig.scene.description import Camera, Medium, Tank
 
 if TYPE_CHECKING:
     from tankrig.live.exposures import Photograph
+    from tankrig.live.results import DoseFit, SeriesFit
 
 Image = NDArray[np.floating]
 
@@ -47,34 +48,35 @@ class Comparison:
         return self.observed - self.model
 
 
-def compare(photograph: "Photograph", fit: Mapping[str, Any]) -> Comparison:
+def compare(photograph: "Photograph", fit: "DoseFit") -> Comparison:
     """The model's image of a photograph at a fit's coefficients, by orders of scattering."""
     from tankrig.report.pictures import by_order, predicted
 
-    prediction = predicted(photograph, Medium(fit["sigma_a"], fit["sigma_s"], fit["g"]))
-    gain, peak = float(fit["gain"]), float(photograph.image.max())
+    prediction = predicted(photograph, fit.medium)
+    gain, peak = fit.gain, float(photograph.image.max())
     offset = 0.0 if photograph.offset == 0.0 else float(np.median(photograph.image - gain * prediction.image))
     rebuilt = by_order(photograph, prediction, gain, offset)
-    rmse = {one.orders: one.rmse / peak for one in rebuilt} | {"single": _single(photograph, fit) / peak}
+    rmse = {one.orders: one.rmse / peak for one in rebuilt}
+    if fit.single is not None:
+        rmse["single"] = _single(photograph, fit.medium, fit.single.sigma_t) / peak
     scene = photograph.scene
     return Comparison(
         photograph.pattern, photograph.dose_ml, photograph.image, rebuilt[-1].image, rmse, scene.tank, scene.camera
     )
 
 
-def _single(photograph: "Photograph", fit: Mapping[str, Any]) -> float:
+def _single(photograph: "Photograph", medium: Medium, sigma_t: float) -> float:
     """RMSE of this photograph by single scattering at the σt that is best for all of the dose's, at its own gain."""
     from tankrig.light.single import single_scattering
 
-    medium = Medium(fit["sigma_a"], fit["sigma_s"], fit["g"])
-    by = fit["single"]["sigma_t"] / medium.sigma_t
+    by = sigma_t / medium.sigma_t
     thinned = replace(photograph.scene, medium=Medium(by * medium.sigma_a, by * medium.sigma_s, medium.g))
     image = single_scattering(thinned)
     gain = float(np.vdot(image, photograph.image) / np.vdot(image, image))
     return float(np.sqrt(np.mean((photograph.image - gain * image) ** 2)))
 
 
-def fits_of(path: Path) -> "tuple[list[dict[str, Any]], dict[str, Any] | None, list[Photograph]]":
+def fits_of(path: Path) -> "tuple[list[DoseFit], SeriesFit | None, list[Photograph]]":
     """The last fits of a run: one for each dose, of the series, and what they are of."""
     from tankrig.report.results import results_of
     from tankrig.run.reading import open_run
@@ -83,30 +85,26 @@ def fits_of(path: Path) -> "tuple[list[dict[str, Any]], dict[str, Any] | None, l
     return results.doses, results.series, results.photographs
 
 
-def refit(path: Path, patterns: Sequence[str], free_offset: bool) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
+def refit(path: Path, patterns: Sequence[str], free_offset: bool) -> "tuple[list[DoseFit], SeriesFit | None]":
     """Fit a run anew, with some of its patterns only, or with a background that is fitted rather than subtracted.
 
     Returns
     -------
-    list, dict
-        A table for each dose, and that of the series where there are two doses or more.
+    The fit of each dose, and that of the series where there are two doses or more.
     """
     from tankrig.live.exposures import exposures_of
-    from tankrig.live.fits import diluted, fit_all, fit_dose
+    from tankrig.live.fits import fit_all, fit_dose
+    from tankrig.live.results import diluted
     from tankrig.run.reading import open_run
 
     photographs = [one for one in exposures_of(open_run(path)).photographs() if one.pattern in patterns]
     if free_offset:
         photographs = [replace(one, offset="free") for one in photographs]
-    tables: list[dict[str, Any]] = []
-    start = None
+    fits: list[DoseFit] = []
     for dose_ml in sorted({one.dose_ml for one in photographs}):
         here = [one for one in photographs if one.dose_ml == dose_ml]
-        if tables:
-            last = tables[-1]
-            start = diluted(Medium(last["sigma_a"], last["sigma_s"], last["g"]), last["dose_ml"], dose_ml)
-        tables.append(fit_dose(here, start)[0])
-    return tables, fit_all(photographs)[0] if len(tables) > 1 else None
+        fits.append(fit_dose(here, diluted(fits[-1].medium, fits[-1].dose_ml, dose_ml) if fits else None))
+    return fits, fit_all(photographs) if len(fits) > 1 else None
 
 
 def report(path: Path) -> Path:

@@ -1,8 +1,9 @@
 """The window: the live view, the pages in docks around it, and what ties them to the rig."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,11 +12,12 @@ from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QLabel, QMainWindow, QToolBar, QVBoxLayout, QWidget
 
 from tankrig.errors import TankrigError
+from tankrig.run.state import FinishReason
 from ui.window import theme
 from ui.window.background import Background
 from ui.window.banner import Banner
 from ui.window.docks import Docks
-from ui.window.furnishing import furnish
+from ui.window.furnishing import pages
 from ui.window.gap import GapMonitor
 from ui.window.garbage import GarbageTimer
 from ui.window.keys import BY_NAME, KeyCard
@@ -101,7 +103,7 @@ class MainWindow(QMainWindow):
         self._pulse = QTimer(self)
         self._pulse.timeout.connect(host.window_alive)
         self._pulse.start(1000)
-        self._furnishing = furnish(self)
+        self._furnishing = self._furnished_in_turn()
         self.live.first_shown.connect(self._furnish_soon)
         QTimer.singleShot(PICTURE_MS, self._go_on_furnishing)
 
@@ -120,7 +122,50 @@ class MainWindow(QMainWindow):
     def _furnish_soon(self) -> None:
         QTimer.singleShot(BREATH_MS, self._go_on_furnishing)
 
-    def begin_with_pages(self) -> None:
+    def _furnished_in_turn(self) -> Iterator[bool]:
+        for made in pages(self.folder, self.background, self.host.source):
+            for name, title, page in made:
+                setattr(self, name, page)
+                self.docks.put(title, page)
+            yield True
+        self._connect_pages()
+        self._begin_with_pages()
+
+    def _connect_pages(self) -> None:
+        host, queued = self.host, Qt.ConnectionType.QueuedConnection
+        for signal, slot in (
+            (host.run_began, self.began), (host.run_ended, self.ended), (host.event_recorded, self.sequence.see),
+            (host.fitted, self.fit.add), (host.pattern_shown, self.projector.shown),
+        ):  # fmt: skip
+            signal.connect(slot, queued)
+        self.projector.show_asked.connect(host.show)
+        self.projector.screen_asked.connect(self.use_screen)
+        self.doser.dose_asked.connect(host.dose_to)
+        self.doser.resolve_asked.connect(host.resolve)
+        self.doser.clear_asked.connect(host.clear_stop)
+        self.doser.refill_asked.connect(host.refill)
+        self.doser.give_up_asked.connect(host.reopen)
+        self.calibration.reopen_asked.connect(host.reopen)
+        self.calibration.wizard.lend_asked.connect(host.lend)
+        self.fit.gain_found.connect(self.take_gain)
+        self.sequence.run_asked.connect(self.run)
+        self.sequence.dropped.connect(self.offer_text)
+        self.runs.resume_asked.connect(self.resume)
+        self.runs.opened.connect(self.show_run)
+        self.runs.refitted.connect(self.fit.show_fits)
+        self.runs.bar.left.connect(self.leave_replay)
+        for teller in (self.sequence.told, self.runs.told, self.calibration.told):
+            teller.connect(self.tell)
+        undo, pages = self.sequence.document.undo, (
+            self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log
+        )  # fmt: skip
+        self.make_keys(
+            {"run": self.run, "pause": self.pause, "dry-run": self.sequence.dry_run,
+             "open": self.sequence.open_file, "save": self.sequence.save, "undo": undo.undo, "redo": undo.redo}
+            | {f"page-{number}": partial(self.show_page, page) for number, page in enumerate(pages, 1)}
+        )  # fmt: skip
+
+    def _begin_with_pages(self) -> None:
         """All pages are there: tell them what is known."""
         self.furnished = True
         self._opened(self._rig, afresh=True)
@@ -238,12 +283,12 @@ class MainWindow(QMainWindow):
         else:
             words, level = (
                 f"The run {name} was {outcome.reason.value}.",
-                "good" if outcome.reason.value == "completed" else "",
+                "good" if outcome.reason is FinishReason.COMPLETED else "",
             )
         _log.info("%s", words)
         self.sequence.run_list.end(words)
         self.runs.refresh()
-        done = outcome.reason.value == "completed"
+        done = outcome.reason is FinishReason.COMPLETED
         if done:
             self.banner.say(words, level, "Write its report", self.runs.report)
         else:

@@ -10,6 +10,7 @@ from PySide6.QtCore import QObject, Signal
 
 from tankrig.devices import CameraSettings
 from tankrig.errors import StoreError
+from tankrig.live.results import from_fields
 from ui.window.threads import OwnedThread
 from ui.window.watched import SeenFrame
 
@@ -87,7 +88,7 @@ class Replay(QObject):
                 event, jumped = self._events[self._at], self._jumped
                 self._at, self._jumped = self._at + 1, False
             if event.kind == "fit":
-                self.fitted.emit(dict(event.fields))
+                self.fitted.emit(from_fields(event.fields))
                 continue
             if before_ns is not None and not jumped:
                 self._pause(event["exposure_start_ns"] - before_ns)

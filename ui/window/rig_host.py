@@ -59,7 +59,7 @@ class RigHost(QObject):
     event_recorded = Signal(object)
     """Event of a run's journal."""
     fitted = Signal(object, object)
-    """Table of a `fit` event and the list of Photographs that it fitted, which may be empty."""
+    """A fit (see `tankrig.live.results`) and the list of Photographs that it fitted, which may be empty."""
     run_began = Signal(object, object)
     """Path and Sequence."""
     run_ended = Signal(object)
@@ -303,14 +303,14 @@ class RigHost(QObject):
         self.run_ended.emit(outcome)
 
     def _heard(self, event: "Event", _: "Pixels | None") -> None:
+        from tankrig.live.results import DoseFit, from_fields
+
         fit = self._fit
         if event.kind == "note" and event.get("warning"):
             _log.warning("%s", event["text"])
         if event.kind == "fit" and fit is not None:
-            photographs = (
-                fit.photographs(event["dose_ml"]) if event.get("dose_ml") and "error" not in event.fields else []
-            )
-            self.fitted.emit(dict(event.fields), photographs)
+            found = from_fields(event.fields)
+            self.fitted.emit(found, fit.photographs(found.dose_ml) if isinstance(found, DoseFit) else [])
         self.event_recorded.emit(event)
 
     def _ask(self, question: str, ending: threading.Event) -> None:

@@ -16,6 +16,7 @@ from tankrig.compiled import kernel
 from tankrig.light.double.pair import depth_below, pair_radiance, share_seen
 from tankrig.light.rays import Geometry, light_ray, mirror_symmetric, shift_invariant, sight_line, sighting_row
 from tankrig.scene import Scene
+from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 
@@ -167,13 +168,9 @@ def fill_table(
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     half = y0.size // 2 if mirror_symmetric(scene) else 0
     some, one_sided = y0[: y0.size - half], values[:, : y0.size - half]
-    with ThreadPoolExecutor(2) as pool:
-        parts = [
-            pool.submit(
-                fill, one_sided, geometry, decay, sigma_t, scene.medium.g, x, fractions, some, z0, mirrored, *rule, part
-            )
-            for part in range(2)
-        ]
+    given = (one_sided, geometry, decay, sigma_t, scene.medium.g, x, fractions, some, z0, mirrored, *rule)
+    with ThreadPoolExecutor(THREADS) as pool:
+        parts = [pool.submit(fill, *given, part, THREADS) for part in range(THREADS)]
         for part in parts:
             part.result()
     values[:, y0.size - half :] = values[:, :half, ::-1][:, ::-1]  # the other side is the mirror image
@@ -272,10 +269,10 @@ def lagrange(nodes: Array, at: float) -> Array:
 @kernel
 def _fill_shifted(
     values: Array, geometry: Geometry, decay: float, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array,
-    z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int,
+    z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
 ) -> None:  # fmt: skip
     """Every second x, where only y − y₀ matters: both lines are put symmetrically about y = 0, inside the tank."""
-    for i in range(part, x.size, 2):
+    for i in range(part, x.size, parts):
         for j in range(z0.size):
             for k in range(fractions.size):
                 delta = 2.0 * geometry.half_width * fractions[k]
@@ -299,11 +296,11 @@ def _fill_shifted(
 @kernel
 def _fill_slanted(
     values: Array, geometry: Geometry, decay: float, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array,
-    z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int,
+    z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
 ) -> None:  # fmt: skip
     """Every second x, with nodes between the crossing and either side wall; J over `share_seen`."""
     inside = 0.999 * geometry.half_width  # at the wall itself both are 0
-    for i in range(part, x.size, 2):
+    for i in range(part, x.size, parts):
         for j in range(z0.size):
             for m in range(y0.size):
                 crossing = sighting_row(geometry, x[i], y0[m], z0[j])

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.harmonics import degrees, harmonics, parities
+from tankrig.light.moments.plan import MomentPlan
 from tankrig.light.moments.propagation import Propagation, Single, propagation
 from tankrig.light.moments.source import emission_moments
-from tankrig.light.moments.way import Way
 from tankrig.light.rays import geometry_of, mirror_symmetric, sight_line
 from tankrig.scene import Scene
 
@@ -24,7 +24,7 @@ class DenseOrders:
     Parameters
     ----------
     to_20, beyond_20
-        (rows, columns), W/mm²/sr, of the orders up to 20 and beyond. Their sum is known to the way's bound; how it is
+        (rows, columns), W/mm²/sr, of the orders up to 20 and beyond. Their sum is known to the plan's bound; how it is
         shared out, to a few per cent.
     """
 
@@ -37,8 +37,8 @@ class DenseOrders:
         return self.to_20 + self.beyond_20
 
 
-def dense_orders(scene: Scene, way: Way, seed: int = 0, residual: float = 2e-4) -> DenseOrders:
-    """Image of all orders above `way.above`.
+def dense_orders(scene: Scene, plan: MomentPlan, seed: int = 0, residual: float = 2e-4) -> DenseOrders:
+    """Image of all orders above `plan.above`.
 
     The emission Q after that many scatterings is followed on in a scaled medium (delta-M: the forward peak g^{L+1}
     counts as light that goes straight on): (ω·∇ + σt') L = S' L + Q is solved for L's moments. Scaled orders are no
@@ -48,27 +48,28 @@ def dense_orders(scene: Scene, way: Way, seed: int = 0, residual: float = 2e-4) 
     ----------
     scene
         Collimated projector, orthographic camera, σs > 0.
-    way
-        As `dense_way` chooses it.
+    plan
+        As `moment_plan` chooses it.
     seed
         Of the paths that make the source.
     residual
         Of the linear solve, relative.
     """
     medium = scene.medium
-    cells = Cells.of(scene.tank, way.side_mm)
-    level = degrees(way.degree)
-    emission = emission_moments(scene, cells, way.degree, way.above, way.batches, seed)
+    cells = Cells.of(scene.tank, plan.side_mm)
+    level = degrees(plan.degree)
+    emission = emission_moments(scene, cells, plan.degree, plan.above, plan.batches, seed)
     if mirror_symmetric(scene):
-        emission = 0.5 * (emission + emission[:, :, ::-1] * parities(way.degree)[1][:, None, None, None])
+        emission = 0.5 * (emission + emission[:, :, ::-1] * parities(plan.degree)[1][:, None, None, None])
     source = emission.astype(np.float32)
-    forward = medium.g ** (way.degree + 1)
+    forward = medium.g ** (plan.degree + 1)
     scaled = medium.sigma_t - forward * medium.sigma_s
-    kept = _column(medium.sigma_s * (medium.g**level - forward))
-    transport = propagation(way.degree, cells, scaled, scene.tank.surface_index)
-    field = solved(transport, kept, transport(source), residual)
-    image = _seen(scene, cells, kept * field + source, scaled) - _seen(scene, cells, source, medium.sigma_t)
-    to_20 = np.clip(_orders_to(20, scene, cells, source, way.above), 0.0, np.maximum(image, 0.0))
+    scattering_moments = _column(medium.sigma_s * (medium.g**level - forward))
+    transport = propagation(plan.degree, cells, scaled, scene.tank.surface_index)
+    field = solved(transport, scattering_moments, transport(source), residual)
+    whole = _seen(scene, cells, scattering_moments * field + source, scaled)
+    image = whole - _seen(scene, cells, source, medium.sigma_t)
+    to_20 = np.clip(_orders_to(20, scene, cells, source, plan.above), 0.0, np.maximum(image, 0.0))
     return DenseOrders(to_20, np.maximum(image, 0.0) - to_20)
 
 
@@ -104,13 +105,13 @@ def _seen(scene: Scene, cells: Cells, emission: Single, sigma_t: float) -> Array
     return result
 
 
-def solved(transport: Propagation, kept: Single, first: Single, residual: float) -> Single:
-    """The field φ = first + K (kept · φ), by GMRES."""
+def solved(transport: Propagation, scattering_moments: Single, first: Single, residual: float) -> Single:
+    """The field φ = first + K (scattering_moments · φ), by GMRES."""
     from scipy.sparse.linalg import LinearOperator, gmres
 
     def remaining(flat: Single) -> Single:
         field = flat.reshape(first.shape)
-        result: Single = (field - transport(kept * field)).ravel()
+        result: Single = (field - transport(scattering_moments * field)).ravel()
         return result
 
     operator = LinearOperator((first.size, first.size), matvec=remaining, dtype=np.float32)
@@ -127,9 +128,9 @@ def sight_weights(count: int, height_mm: float, sigma_t: float) -> Array:
         centre = min(max(layer, 1), count - 2)
         t = layer - centre + 0.5 * nodes
         depth = (count - 0.5 - layer - 0.5 * nodes) * height_mm
-        kept = np.exp(-sigma_t * depth) * lengths * (0.5 * height_mm)
+        attenuated = np.exp(-sigma_t * depth) * lengths * (0.5 * height_mm)
         bend = 0.5 * (t * t - 1.0 / 12.0)
-        weights[centre - 1 : centre + 2] += kept @ np.array([bend - 0.5 * t, 1.0 - 2.0 * bend, bend + 0.5 * t]).T
+        weights[centre - 1 : centre + 2] += attenuated @ np.array([bend - 0.5 * t, 1.0 - 2.0 * bend, bend + 0.5 * t]).T
     return weights
 
 

@@ -23,12 +23,12 @@ from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.harmonics import degrees, fill_harmonics, harmonics, parities, products, sphere
+from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 Spectra = NDArray[np.complex64]
 
-THREADS = 2
 NEAR_CELLS = 3.0
 """Radius in cells within which the kernel is integrated in spherical coordinates, where 1/r² is gone."""
 
@@ -197,7 +197,11 @@ def _octant(
     radius = NEAR_CELLS * max(size_mm)
     result = np.zeros(((double + 1) ** 2, *counts))
     with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(lambda part: _fill_far(result, double, size_mm, sigma_t, index, radius, part), range(THREADS)))
+        list(
+            pool.map(
+                lambda part: _fill_far(result, double, size_mm, sigma_t, index, radius, part, THREADS), range(THREADS)
+            )
+        )
     directions, weights = sphere(24, octant=True)
     nodes, lengths = np.polynomial.legendre.leggauss(16)
     reach = [math.ceil(radius / side) + 2 for side in size_mm]
@@ -228,13 +232,13 @@ def _window(squared: float) -> float:
 @kernel
 def _fill_far(
     result: Array, degree: int, size_mm: tuple[float, float, float], sigma_t: float, index: float, radius: float,
-    part: int,
+    part: int, parts: int,
 ) -> None:  # fmt: skip
-    """Every `THREADS`th displacement along x."""
+    """One of so many parts of the displacements along x."""
     values = np.empty(result.shape[0])
     volume = size_mm[0] * size_mm[1] * size_mm[2]
     offset = math.sqrt(1.0 / 6.0)  # in cells: a two-point rule for the displacements between two cells' points
-    for i in range(part, result.shape[1], THREADS):
+    for i in range(part, result.shape[1], parts):
         for j, k, corner in np.ndindex(result.shape[2], result.shape[3], 8):
             x = (i + (offset if corner & 1 else -offset)) * size_mm[0]
             y = (j + (offset if corner & 2 else -offset)) * size_mm[1]

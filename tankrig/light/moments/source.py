@@ -9,23 +9,23 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel, part
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.harmonics import degrees, fill_harmonics
+from tankrig.light.paths.block import BLOCK, PathSampling, alive, begin, begin_at_origin, draw, empty_block
+from tankrig.light.paths.lattice import LARGE
+from tankrig.light.paths.record import column_of, image_of_edges
+from tankrig.light.paths.trace import advance, narrow, scatter
 from tankrig.light.rays import Geometry, geometry_of
-from tankrig.light.tank.block import BLOCK, Water, alive, begin, begin_at_origin, draw, empty_block
-from tankrig.light.tank.lattice import LARGE
-from tankrig.light.tank.paths import advance, narrow, scatter
-from tankrig.light.tank.record import column_of, image_of_edges
 from tankrig.scene import Scene
+from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 
-THREADS = 2
 FLIGHT_COORDINATES = 3
 
 
 def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batches: int, seed: int = 0) -> Array:
     """Moments of the emission Q after `order` scatterings: Q_lm = g^l ∫ Y_lm(ω) σs L(ω) dω, averaged over cells.
 
-    A path stands for all that begin anywhere on the beams, as in `tankrig.light.tank.paths`; here every direction is
+    A path stands for all that begin anywhere on the beams, as in `tankrig.light.paths.trace`; here every direction is
     drawn from the phase function.
 
     Parameters
@@ -83,20 +83,20 @@ def _follow(
 
     `edges` is (nz, 2, ny + 2, nx + 2, moments); `beams` (n, 5): y low, y high, z low, z high, irradiance.
     """
-    water = Water(sigma_t, albedo, g, False, 0.0)
+    sampling = PathSampling(sigma_t, albedo, g, False, 0.0)
     block, values = empty_block(), np.empty((degree + 1) ** 2)
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     for start in range(0, points, BLOCK):
         n = min(BLOCK, points - start)
-        begin_at_origin(block, n, start, geometry, water, beams, lattice)
-        begin(block, n, start, water, lattice, 0.0)
+        begin_at_origin(block, n, start, geometry, sampling, beams, lattice)
+        begin(block, n, start, sampling, lattice, 0.0)
         for order in range(1, last):
             dimension = 1 + (order - 1) * FLIGHT_COORDINATES
             draw(u, block.point, n, dimension, lattice)
             draw(v, block.point, n, dimension + 1, lattice)
             draw(w, block.point, n, dimension + 2, lattice)
-            scatter(block, u, v, n, water, order, 1.0)
-            advance(block, w, n, geometry, water)
+            scatter(block, u, v, n, sampling, order, 1.0)
+            advance(block, w, n, geometry, sampling)
             narrow(block, n, geometry)
             n = alive(block, n, True)
         for i in range(n):
@@ -115,7 +115,7 @@ def _record(
     edges: Array, values: Array, sigma_t: float, x: float, y: float, x_low: float, x_high: float, y_low: float,
     y_high: float, beams: Array, cell_x: float, cell_y: float,
 ) -> None:  # fmt: skip
-    """`mark_rectangles` for all moments at once; `y` counts from the tank's side."""
+    """`tally_rectangles` for all moments at once; `y` counts from the tank's side."""
     for side in range(2):
         start = x_low if side == 0 else x_high
         column, here, there = column_of(start, x, sigma_t, 1.0 if side == 0 else -1.0, cell_x)

@@ -57,6 +57,11 @@ class Box:
                     f"give [low, high] with {lowest} ≤ low < high ≤ {highest}"
                 )
 
+    def holds(self, medium: Medium) -> bool:
+        """Whether a medium is inside."""
+        ranges = ((medium.sigma_t, self.sigma_t), (medium.albedo, self.albedo), (medium.g, self.g))
+        return all(low <= value <= high for value, (low, high) in ranges)
+
     def require(self, medium: Medium) -> None:
         """Refuse a medium outside.
 

@@ -17,12 +17,12 @@ from tankrig.light.prepared.packing import packed, unpacked
 from tankrig.light.prepared.plan import Plan, Sample
 from tankrig.light.prepared.sampling import PathImages, exact_images
 from tankrig.scene import Medium, Scene
+from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], object]
 """Told the share of the work that is done, 0 … 1."""
 
-THREADS = 2
 MOST_PIXELS = 40_000
 """Beyond, the images of all media would take more than a GiB."""
 EXACT_COST = 0.7

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.light.paths.lattice import LARGE, SMALL, Lattice
+from tankrig.light.paths.record import CLASSES, GROUPS, Bins, image_of_edges
+from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, mirror_symmetric, shift_invariant, sight_line
 from tankrig.light.surface import to_camera
-from tankrig.light.tank.lattice import LARGE, SMALL, Lattice
-from tankrig.light.tank.paths import trace
-from tankrig.light.tank.record import CLASSES, GROUPS, Bins, image_of_edges
 from tankrig.light.tank.smoothing import smoothed
 from tankrig.scene import Scene
+from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 
 FINEST_CELL_MM = 1.5
 """Orders ≥ 3 are smooth on this scale; finer pixels are interpolated."""
-THREADS = 2
 THINNING = 16
 """Order from which paths are thinned out, where the image shall be a smooth function of the medium."""
 FIRST_BATCHES = 6

@@ -7,14 +7,17 @@ do to the rest, which is smooth, is linear, with derivatives computed once.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
+from tankrig.estimation.parameters import Block, Values
 from tankrig.scene import Medium, Projector, Scene
 
 Array = NDArray[np.float64]
+Image = NDArray[np.floating]
 
 USUAL = {"z_mm": 0.5, "y_mm": 0.5, "tilt_mrad": 2.0, "scale": 0.005}
 """What can be off, and by how much a carefully built rig may be."""
@@ -27,6 +30,8 @@ BATCHES = 4
 """Shifted lattices of light paths for the derivatives of orders ≥ 3."""
 SMOOTH_STEP = {"z_mm": 0.5, "y_mm": 0.5, "scale": 0.01}
 """Of those derivatives, in each term's unit."""
+FURTHEST_OFF, LONGEST_MOVE = 6.0, 2.0
+"""Standard deviations by which anything may be misaligned, at most and in one step."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +122,56 @@ class Misalignment:
         orders = tank_image(replace(scene, medium=medium), TOLERANCE, self.max_order, batches=BATCHES).orders
         high: Array = np.sum([image for order, image in orders.items() if order not in (1, 2)], axis=0)
         return high
+
+
+@dataclass(frozen=True)
+class SetUpBlock(Block):
+    """What may be off in the set-up, in standard deviations.
+
+    Parameters
+    ----------
+    misalignment
+        What it does to the image.
+    weight
+        (k,) how many times its own precision the prior of each term weighs, see `overconfidence`.
+    """
+
+    misalignment: Misalignment
+    weight: Array
+    name: ClassVar[str] = "set-up"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the terms."""
+        return self.misalignment.names
+
+    @property
+    def low(self) -> Array:
+        """As far as is believed."""
+        return np.full(len(self.names), -FURTHEST_OFF)
+
+    @property
+    def high(self) -> Array:
+        """As far as is believed."""
+        return np.full(len(self.names), FURTHEST_OFF)
+
+    @property
+    def longest_step(self) -> Array:
+        """Edges that come off pixels' edges bend the way."""
+        return np.full(len(self.names), LONGEST_MOVE)
+
+    @property
+    def prior_weight(self) -> Array:
+        """As given."""
+        return self.weight
+
+    def added(self, values: Values, liquid: Medium) -> Image:
+        """See `Misalignment.change`."""
+        return self.misalignment.change(liquid, values[self.name])
+
+    def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+        """See `Misalignment.slopes`."""
+        return self.misalignment.slopes(liquid, values[self.name])
 
 
 def moved(scene: Scene, off: Mapping[str, float]) -> Scene:

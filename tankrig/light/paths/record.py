@@ -1,4 +1,4 @@
-"""How paths leave their marks on the image: on the nearest cells, or on a rectangle for each beam."""
+"""How what paths send to the camera is recorded: on the nearest cells, or on a rectangle for each beam."""
 
 import math
 from typing import NamedTuple
@@ -20,7 +20,7 @@ CLASSES: Bins = np.array([0, 0, 0, 0, *[1] * 17, 2])
 """Bins that are `GROUPS`."""
 
 
-class Marks(NamedTuple):
+class TallyRecord(NamedTuple):
     """What a block of paths leaves on the image, an array each; lengths in mm."""
 
     value: Array
@@ -42,16 +42,16 @@ class Marks(NamedTuple):
 
 
 @part
-def empty_marks(size: int) -> Marks:
+def empty_record(size: int) -> TallyRecord:
     """For a block of paths."""
     rows = np.zeros((11, size))
-    return Marks(
+    return TallyRecord(
         rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8], rows[9], rows[10]
     )  # fmt: skip
 
 
 @kernel
-def mark_cells(
+def tally_cells(
     cells: Array, x: Array, y: Array, value: Array, n: int, half_width: float, cell_mm: tuple[float, float]
 ) -> None:
     """Add the values of n paths to the four cells nearest to where they are seen, by distance.
@@ -86,7 +86,7 @@ def mark_cells(
 
 
 @kernel
-def mark_rectangles(edges: Array, marks: Marks, n: int, beams: Array, half_width: float, cell_mm: float) -> None:
+def tally_rectangles(edges: Array, tally: TallyRecord, n: int, beams: Array, half_width: float, cell_mm: float) -> None:
     """Add the light of n paths, each moved to all starts on the beams.
 
     Only the changes from cell to cell are written, at the rectangles' corners; `image_of_edges` sums them up.
@@ -95,7 +95,7 @@ def mark_rectangles(edges: Array, marks: Marks, n: int, beams: Array, half_width
     ----------
     edges
         (2, rows + 2, columns + 2), added to: [0] what a partly covered column holds, [1] what goes on from the next.
-    marks
+    tally
         All but x.
     beams
         (n, …): y low, y high, z low, z high on the plane x = 0, irradiance.
@@ -103,27 +103,27 @@ def mark_rectangles(edges: Array, marks: Marks, n: int, beams: Array, half_width
         Size of a cell along y.
     """
     for i in range(n):
-        if marks.value[i] == 0.0:
+        if tally.value[i] == 0.0:
             continue
-        first, last = int(marks.first[i]), int(marks.last[i])
+        first, last = int(tally.first[i]), int(tally.last[i])
         for beam in range(beams.shape[0]):
-            low, high = max(beams[beam, 0], marks.y_low[i]), min(beams[beam, 1], marks.y_high[i])
+            low, high = max(beams[beam, 0], tally.y_low[i]), min(beams[beam, 1], tally.y_high[i])
             if high <= low:
                 continue
             for side in range(2):
-                place = ((low if side == 0 else high) + marks.y[i] + half_width) / cell_mm
+                place = ((low if side == 0 else high) + tally.y[i] + half_width) / cell_mm
                 row = int(place)
                 change = beams[beam, 4] if side == 0 else -beams[beam, 4]
                 after = (place - row) * change  # the row is partly covered; the next takes the rest of the step
                 before = change - after
-                edges[0, row, first] += before * marks.first_part[i]
-                edges[0, row + 1, first] += after * marks.first_part[i]
-                edges[1, row, first + 1] += before * marks.first_on[i]
-                edges[1, row + 1, first + 1] += after * marks.first_on[i]
-                edges[0, row, last] -= before * marks.last_part[i]
-                edges[0, row + 1, last] -= after * marks.last_part[i]
-                edges[1, row, last + 1] -= before * marks.last_on[i]
-                edges[1, row + 1, last + 1] -= after * marks.last_on[i]
+                edges[0, row, first] += before * tally.first_part[i]
+                edges[0, row + 1, first] += after * tally.first_part[i]
+                edges[1, row, first + 1] += before * tally.first_on[i]
+                edges[1, row + 1, first + 1] += after * tally.first_on[i]
+                edges[0, row, last] -= before * tally.last_part[i]
+                edges[0, row + 1, last] -= after * tally.last_part[i]
+                edges[1, row, last + 1] -= before * tally.last_on[i]
+                edges[1, row + 1, last + 1] -= after * tally.last_on[i]
 
 
 @part
@@ -140,7 +140,7 @@ def column_of(start: float, x: float, sigma_t: float, value: float, cell_mm: flo
 
 
 def image_of_edges(edges: Array, sigma_t: float, cell_mm: float) -> Array:
-    """Averages over cells from the changes that `mark_rectangles` wrote.
+    """Averages over cells from the changes that `tally_rectangles` wrote.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ Nine = tuple[float, ...]
 NOTHING: Nine = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class Stage(NamedTuple):
+class KernelScene(NamedTuple):
     """A scene without its beams: numbers only, which pass from kernel to kernel in registers. Lengths in mm."""
 
     length: float
@@ -48,13 +48,13 @@ class Stage(NamedTuple):
     widest: float
 
 
-def stage(scene: Scene) -> Stage:
+def kernel_scene(scene: Scene) -> KernelScene:
     """Flatten `scene` for kernels."""
     length, width, height = scene.tank.size_mm
     rows, columns = scene.camera.shape
     calibrated = scene.camera.kind == "calibrated"
     lens, turn, widest = _optics(scene.camera) if calibrated else (NOTHING, NOTHING, 0.0)
-    return Stage(
+    return KernelScene(
         float(length),
         width / 2.0,
         float(height),
@@ -106,7 +106,7 @@ def _point(position: tuple[float, float, float] | None) -> tuple[float, float, f
 
 
 @part
-def departure(scene: Stage, y: float, z: float) -> tuple[float, float, float]:
+def departure(scene: KernelScene, y: float, z: float) -> tuple[float, float, float]:
     """Direction in which the projector's light crosses the wall at (0, y, z)."""
     if not scene.projector_pinhole:
         return 1.0, 0.0, 0.0
@@ -119,14 +119,14 @@ def departure(scene: Stage, y: float, z: float) -> tuple[float, float, float]:
 
 
 @kernel
-def _bent_departure(scene: Stage, y: float, z: float) -> tuple[float, float, float]:
+def _bent_departure(scene: KernelScene, y: float, z: float) -> tuple[float, float, float]:
     slope = entry_slope(math.sqrt(y * y + z * z), -scene.projector[0], *scene.bends)
     forward = 1.0 / math.sqrt(1.0 + slope * slope * (y * y + z * z))
     return forward, slope * y * forward, slope * z * forward
 
 
 @part
-def pixel_at(scene: Stage, px: float, py: float) -> tuple[float, float]:
+def pixel_at(scene: KernelScene, px: float, py: float) -> tuple[float, float]:
     """Column and row of a point of the plane z = Lz, counted from the first pixel's edge."""
     if scene.calibrated:
         x, y, z = scene.camera
@@ -145,7 +145,9 @@ def _to_wall(position: float, direction: float, low: float, high: float) -> floa
 
 
 @part
-def flight(scene: Stage, x: float, y: float, z: float, ux: float, uy: float, uz: float) -> tuple[float, float, float]:
+def flight(
+    scene: KernelScene, x: float, y: float, z: float, ux: float, uy: float, uz: float
+) -> tuple[float, float, float]:
     """How far a ray goes: to the first wall, and on from there if that is the water surface, which reflects.
 
     Returns
@@ -166,7 +168,7 @@ def flight(scene: Stage, x: float, y: float, z: float, ux: float, uy: float, uz:
 
 
 @part
-def seen(scene: Stage, x: float, y: float, z: float) -> tuple[float, float, float, float, float, float, float]:
+def seen(scene: KernelScene, x: float, y: float, z: float) -> tuple[float, float, float, float, float, float, float]:
     """Where and how the camera sees a point of the tank.
 
     A pixel is an area A of the plane z = Lz; its value is the mean radiance that leaves it towards the camera. A point
@@ -193,7 +195,7 @@ def seen(scene: Stage, x: float, y: float, z: float) -> tuple[float, float, floa
 
 
 @part
-def _transmittance(scene: Stage, cosine_air: float) -> float:
+def _transmittance(scene: KernelScene, cosine_air: float) -> float:
     """(1 − F)/n²: radiance in the air over radiance in the water."""
     if scene.refractive_index == 1.0:
         return 1.0
@@ -202,7 +204,7 @@ def _transmittance(scene: Stage, cosine_air: float) -> float:
 
 @kernel
 def _seen_from_pinhole(
-    scene: Stage, x: float, y: float, depth: float
+    scene: KernelScene, x: float, y: float, depth: float
 ) -> tuple[float, float, float, float, float, float, float]:
     toward_x, toward_y, height = scene.camera[0] - x, scene.camera[1] - y, scene.camera[2] - scene.height
     offset = math.sqrt(toward_x * toward_x + toward_y * toward_y)

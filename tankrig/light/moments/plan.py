@@ -16,7 +16,7 @@ NOISE_SHARE = 0.48
 
 
 @dataclass(frozen=True)
-class Way:
+class MomentPlan:
     """How the orders above some are solved for.
 
     Parameters
@@ -40,8 +40,8 @@ class Way:
     bound: float
 
 
-def dense_way(scene: Scene, tolerance: float) -> Way | None:
-    """The way for a scene, or None where paths serve it better.
+def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
+    """The plan for a scene, or None where paths serve it better.
 
     Solved for are scenes that paths would take seconds for: deep in free paths and in transport free paths, with
     collimated light and an orthographic camera.
@@ -58,9 +58,9 @@ def dense_way(scene: Scene, tolerance: float) -> Way | None:
     >>> from tankrig.scene import Beam, Camera, Medium, Projector, Tank
     >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
     >>> camera = Camera("orthographic", (80, 120), 2.0)
-    >>> dense_way(Scene(Tank(), Medium(0.0001, 0.0999, 0.5), light, camera), 0.01).degree
+    >>> moment_plan(Scene(Tank(), Medium(0.0001, 0.0999, 0.5), light, camera), 0.01).degree
     3
-    >>> dense_way(Scene(Tank(), Medium(0.0001, 0.0099, 0.5), light, camera), 0.01) is None
+    >>> moment_plan(Scene(Tank(), Medium(0.0001, 0.0099, 0.5), light, camera), 0.01) is None
     True
     """
     medium, g = scene.medium, abs(scene.medium.g)
@@ -83,4 +83,4 @@ def dense_way(scene: Scene, tolerance: float) -> Way | None:
     fading = 3.0 * medium.sigma_a * (medium.sigma_a + medium.sigma_s * (1.0 - medium.g))
     spatial += 0.008 * (0.5 * fading * side * shortest) ** 2
     bound = math.hypot(angular, spatial, noise / math.sqrt(batches))
-    return Way(above, degree, side, batches, bound) if bound <= 0.75 * tolerance else None
+    return MomentPlan(above, degree, side, batches, bound) if bound <= 0.75 * tolerance else None

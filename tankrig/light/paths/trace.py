@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.light.elementary import exponential
-from tankrig.light.rays import Geometry
-from tankrig.light.tank.block import (
+from tankrig.light.paths.block import (
     BLOCK,
     FLIGHT_COORDINATES,
     START_COORDINATES,
@@ -30,7 +29,7 @@ from tankrig.light.tank.block import (
     UNTURNED,
     Block,
     Ends,
-    Water,
+    PathSampling,
     across,
     alive,
     begin,
@@ -40,9 +39,10 @@ from tankrig.light.tank.block import (
     empty_block,
     thin,
 )
-from tankrig.light.tank.flight import fly, scattered
-from tankrig.light.tank.record import Bins, Marks, column_of, empty_marks, mark_cells, mark_rectangles
-from tankrig.light.tank.sighting import seen_from
+from tankrig.light.paths.flight import fly, scattered
+from tankrig.light.paths.record import Bins, TallyRecord, column_of, empty_record, tally_cells, tally_rectangles
+from tankrig.light.paths.sighting import seen_from
+from tankrig.light.rays import Geometry
 from tankrig.scene.phase import henyey_greenstein
 
 Array = NDArray[np.float64]
@@ -59,9 +59,9 @@ def trace(
     Parameters
     ----------
     edges
-        Filled by `mark_rectangles` where `shiftable`.
+        Filled by `tally_rectangles` where `shiftable`.
     cells
-        Filled by `mark_cells` otherwise.
+        Filled by `tally_cells` otherwise.
     bins
         Index of the image that each order goes to.
     geometry
@@ -87,18 +87,18 @@ def trace(
     first_thinning
         From this order on, every doubling of the order halves the paths: later orders are smoother.
     """
-    water = Water(sigma_t, albedo, g, g > 0.3, (1.0 - UNTURNED) / TURNS)
-    block, marks = empty_block(), empty_marks(BLOCK)
+    sampling = PathSampling(sigma_t, albedo, g, g > 0.3, (1.0 - UNTURNED) / TURNS)
+    block, tally = empty_block(), empty_record(BLOCK)
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
     for first in range(start, stop, BLOCK):
         n = min(BLOCK, stop - first)
         if shiftable:
-            begin_at_origin(block, n, first, geometry, water, beams, lattice)
+            begin_at_origin(block, n, first, geometry, sampling, beams, lattice)
         else:
-            begin_on_beams(block, n, first, geometry, water, beams, lattice)
+            begin_on_beams(block, n, first, geometry, sampling, beams, lattice)
             _look(block, n, geometry, sigma_t)
-        begin(block, n, first, water, lattice, faintest)
+        begin(block, n, first, sampling, lattice, faintest)
         thinning = first_thinning
         for order in range(1, max_order):
             if order == thinning:
@@ -107,25 +107,25 @@ def trace(
             n = alive(block, n, shiftable)
             if n == 0:
                 break
-            remaining = 1.0 - water.per_turn * min(order - 1, TURNS) if water.guided else 1.0
+            remaining = 1.0 - sampling.per_turn * min(order - 1, TURNS) if sampling.guided else 1.0
             dimension = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
             image = bins[min(order + 1, bins.size - 1)]
-            if water.guided and order >= 2:
+            if sampling.guided and order >= 2:
                 draw(u, block.point, n, dimension + 3, lattice)
                 draw(v, block.point, n, dimension + 4, lattice)
                 draw(w, block.point, n, dimension + 5, lattice)
                 if shiftable:
-                    _probe_anywhere(probes, block, u, v, w, n, geometry, water, order, remaining)
-                    _cover(marks, probes, block, n, geometry, water, cell_mm[0])
-                    mark_rectangles(edges[image], marks, n, beams, geometry.half_width, cell_mm[1])
+                    _probe_anywhere(probes, block, u, v, w, n, geometry, sampling, order, remaining)
+                    _cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
+                    tally_rectangles(edges[image], tally, n, beams, geometry.half_width, cell_mm[1])
                 else:
-                    _probe(marks, block, u, v, w, n, geometry, water, order, remaining)
-                    mark_cells(cells[image], marks.x, marks.y, marks.value, n, geometry.half_width, cell_mm)
+                    _probe(tally, block, u, v, w, n, geometry, sampling, order, remaining)
+                    tally_cells(cells[image], tally.x, tally.y, tally.value, n, geometry.half_width, cell_mm)
             draw(u, block.point, n, dimension, lattice)
             draw(v, block.point, n, dimension + 1, lattice)
             draw(w, block.point, n, dimension + 2, lattice)
-            scatter(block, u, v, n, water, order, remaining)
-            advance(block, w, n, geometry, water)
+            scatter(block, u, v, n, sampling, order, remaining)
+            advance(block, w, n, geometry, sampling)
             if shiftable:
                 narrow(block, n, geometry)
             else:
@@ -134,11 +134,11 @@ def trace(
                 continue
             if shiftable:
                 ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
-                _cover(marks, ends, block, n, geometry, water, cell_mm[0])
-                mark_rectangles(edges[image], marks, n, beams, geometry.half_width, cell_mm[1])
+                _cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
+                tally_rectangles(edges[image], tally, n, beams, geometry.half_width, cell_mm[1])
             else:
-                _arrive(marks, block, n, water)
-                mark_cells(cells[image], block.seen_x, block.seen_y, marks.value, n, geometry.half_width, cell_mm)
+                _arrive(tally, block, n, sampling)
+                tally_cells(cells[image], block.seen_x, block.seen_y, tally.value, n, geometry.half_width, cell_mm)
 
 
 @kernel
@@ -162,7 +162,15 @@ def narrow(block: Block, n: int, geometry: Geometry) -> None:
 
 @part
 def _probed(
-    block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, water: Water, order: int, remaining: float
+    block: Block,
+    u: Array,
+    v: Array,
+    w: Array,
+    i: int,
+    geometry: Geometry,
+    sampling: PathSampling,
+    order: int,
+    remaining: float,
 ) -> tuple[float, float, float, float, float, float, float]:
     """A last flight in a direction from the lobe about the line of sight: where to, direction, weight scattered there.
 
@@ -171,17 +179,19 @@ def _probed(
     dx, dy, dz = block.dx[i], block.dy[i], block.dz[i]
     sx, sy, sz = block.sx[i], block.sy[i], block.sz[i]
     rx, ry, rz = across(sx, sz)
-    px, py, pz, _, _, _ = scattered(sx, sy, sz, rx, ry, rz, water.g, u[i], v[i])
-    plain = henyey_greenstein(px * dx + py * dy + pz * dz, water.g)
+    px, py, pz, _, _, _ = scattered(sx, sy, sz, rx, ry, rz, sampling.g, u[i], v[i])
+    plain = henyey_greenstein(px * dx + py * dy + pz * dz, sampling.g)
     ahead = px * sx + py * sy + pz * sz
     before = remaining + block.turned[i]
-    per_turn = water.per_turn if order <= TURNS else 0.0
-    density = before * (henyey_greenstein(ahead, water.g) + plain) + per_turn * (_wide_lobe(ahead, water.g) - plain)
+    per_turn = sampling.per_turn if order <= TURNS else 0.0
+    density = before * (henyey_greenstein(ahead, sampling.g) + plain) + per_turn * (
+        _wide_lobe(ahead, sampling.g) - plain
+    )
     qx, qy, qz, pz, chance = fly(
-        _walls(block, i, geometry), geometry.height, geometry.refractive_index, water.sigma_t,
+        _walls(block, i, geometry), geometry.height, geometry.refractive_index, sampling.sigma_t,
         block.x[i], block.y[i], block.z[i], px, py, pz, w[i],
     )  # fmt: skip
-    return qx, qy, qz, px, py, pz, block.weight[i] * chance * water.albedo * plain / density
+    return qx, qy, qz, px, py, pz, block.weight[i] * chance * sampling.albedo * plain / density
 
 
 @part
@@ -195,60 +205,62 @@ def _walls(block: Block, i: int, geometry: Geometry) -> tuple[float, float, floa
 
 @kernel
 def _probe(
-    marks: Marks, block: Block, u: Array, v: Array, w: Array, n: int, geometry: Geometry, water: Water, order: int,
-    remaining: float,
+    tally: TallyRecord, block: Block, u: Array, v: Array, w: Array, n: int, geometry: Geometry,
+    sampling: PathSampling, order: int, remaining: float,
 ) -> None:  # fmt: skip
     """What probes send to the camera."""
     for i in range(n):
-        x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, water, order, remaining)
-        marks.x[i], marks.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z)
-        phase = henyey_greenstein(dx * sx + dy * sy + dz * sz, water.g)
-        marks.value[i] = weight * phase * factor * exponential(-water.sigma_t * path)
+        x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining)
+        tally.x[i], tally.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z)
+        phase = henyey_greenstein(dx * sx + dy * sy + dz * sz, sampling.g)
+        tally.value[i] = weight * phase * factor * exponential(-sampling.sigma_t * path)
 
 
 @kernel
-def _arrive(marks: Marks, block: Block, n: int, water: Water) -> None:
+def _arrive(tally: TallyRecord, block: Block, n: int, sampling: PathSampling) -> None:
     """What the ends of paths send to the camera."""
     for i in range(n):
         ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
-        marks.value[i] = block.seen[i] * henyey_greenstein(ahead, water.g) * block.reaches[i]
+        tally.value[i] = block.seen[i] * henyey_greenstein(ahead, sampling.g) * block.reaches[i]
 
 
 @kernel
 def _probe_anywhere(
-    probes: Ends, block: Block, u: Array, v: Array, w: Array, n: int, geometry: Geometry, water: Water, order: int,
-    remaining: float,
+    probes: Ends, block: Block, u: Array, v: Array, w: Array, n: int, geometry: Geometry,
+    sampling: PathSampling, order: int, remaining: float,
 ) -> None:  # fmt: skip
     """Probes of paths that may begin anywhere."""
     for i in range(n):
-        x, y, z, _, _, dz, weight = _probed(block, u, v, w, i, geometry, water, order, remaining)
+        x, y, z, _, _, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining)
         probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
 
 
 @kernel
-def _cover(marks: Marks, ends: Ends, block: Block, n: int, geometry: Geometry, water: Water, cell_mm: float) -> None:
+def _cover(
+    tally: TallyRecord, ends: Ends, block: Block, n: int, geometry: Geometry, sampling: PathSampling, cell_mm: float
+) -> None:
     """What paths send to the camera, for all their starts x', whose light goes with exp(−σt x')."""
     for i in range(n):
         x = ends.x[i]
         low, high = max(block.x_low[i], -x), min(block.x_high[i], geometry.length - x)
-        value = ends.weight[i] * henyey_greenstein(ends.dz[i], water.g)
-        value = value * exponential(-water.sigma_t * (geometry.height - ends.z[i])) if high > low else 0.0
-        marks.value[i] = value
-        marks.first[i], marks.first_part[i], marks.first_on[i] = column_of(low, x, water.sigma_t, value, cell_mm)
-        marks.last[i], marks.last_part[i], marks.last_on[i] = column_of(high, x, water.sigma_t, value, cell_mm)
+        value = ends.weight[i] * henyey_greenstein(ends.dz[i], sampling.g)
+        value = value * exponential(-sampling.sigma_t * (geometry.height - ends.z[i])) if high > low else 0.0
+        tally.value[i] = value
+        tally.first[i], tally.first_part[i], tally.first_on[i] = column_of(low, x, sampling.sigma_t, value, cell_mm)
+        tally.last[i], tally.last_part[i], tally.last_on[i] = column_of(high, x, sampling.sigma_t, value, cell_mm)
     for i in range(n):
         y = ends.y[i]
-        marks.y[i] = y
-        marks.y_low[i] = max(block.y_low[i], -geometry.half_width - y)
-        marks.y_high[i] = min(block.y_high[i], geometry.half_width - y)
+        tally.y[i] = y
+        tally.y_low[i] = max(block.y_low[i], -geometry.half_width - y)
+        tally.y_high[i] = min(block.y_high[i], geometry.half_width - y)
 
 
 @kernel
-def scatter(block: Block, u: Array, v: Array, n: int, water: Water, order: int, remaining: float) -> None:
+def scatter(block: Block, u: Array, v: Array, n: int, sampling: PathSampling, order: int, remaining: float) -> None:
     """Draw new directions."""
-    g = water.g
-    per_turn = water.per_turn if water.guided and order <= TURNS else 0.0
-    probed = 1.0 if water.guided and order >= 2 else 0.0
+    g = sampling.g
+    per_turn = sampling.per_turn if sampling.guided and order <= TURNS else 0.0
+    probed = 1.0 if sampling.guided and order >= 2 else 0.0
     for i in range(n):
         sx, sy, sz = block.sx[i], block.sy[i], block.sz[i]
         ox, oy, oz = block.dx[i], block.dy[i], block.dz[i]
@@ -270,16 +282,16 @@ def scatter(block: Block, u: Array, v: Array, n: int, water: Water, order: int, 
 
 
 @kernel
-def advance(block: Block, w: Array, n: int, geometry: Geometry, water: Water) -> None:
+def advance(block: Block, w: Array, n: int, geometry: Geometry, sampling: PathSampling) -> None:
     """Follow paths to their next collision."""
     for i in range(n):
         dz = block.dz[i]
         block.x[i], block.y[i], block.z[i], after, chance = fly(
-            _walls(block, i, geometry), geometry.height, geometry.refractive_index, water.sigma_t,
+            _walls(block, i, geometry), geometry.height, geometry.refractive_index, sampling.sigma_t,
             block.x[i], block.y[i], block.z[i], block.dx[i], block.dy[i], dz, w[i],
         )  # fmt: skip
         block.dz[i], block.ez[i] = after, block.ez[i] if after == dz else -block.ez[i]  # reflected at the surface
-        weight = block.weight[i] * chance * water.albedo
+        weight = block.weight[i] * chance * sampling.albedo
         block.weight[i], block.seen[i] = weight, weight * block.share[i]
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
+from tankrig.light.paths.flight import fly
+from tankrig.light.paths.lattice import coordinate
 from tankrig.light.rays import Geometry, light_ray
-from tankrig.light.tank.flight import fly
-from tankrig.light.tank.lattice import coordinate
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ class Ends(NamedTuple):
     weight: Array
 
 
-class Water(NamedTuple):
+class PathSampling(NamedTuple):
     """Of the water, and how directions are drawn in it."""
 
     sigma_t: float
@@ -104,10 +104,10 @@ def empty_block() -> Block:
 
 @kernel
 def begin_at_origin(
-    block: Block, n: int, first: int, geometry: Geometry, water: Water, beams: Array, lattice: Array
+    block: Block, n: int, first: int, geometry: Geometry, sampling: PathSampling, beams: Array, lattice: Array
 ) -> None:
     """Paths relative to their first collision, which may be anywhere on the beams."""
-    farthest = min(geometry.length, 40.0 / water.sigma_t)  # what begins deeper is fainter than any rounding
+    farthest = min(geometry.length, 40.0 / sampling.sigma_t)  # what begins deeper is fainter than any rounding
     low, high = beams[0, 0], beams[0, 1]
     for beam in range(beams.shape[0]):
         low, high = min(low, beams[beam, 0]), max(high, beams[beam, 1])
@@ -115,14 +115,14 @@ def begin_at_origin(
         block.x[i] = block.y[i] = 0.0
         block.z[i] = beams[0, 2] + coordinate(first + i, 0, lattice) * (beams[0, 3] - beams[0, 2])
         block.dx[i], block.dy[i], block.dz[i] = 1.0, 0.0, 0.0
-        block.weight[i] = water.albedo * water.sigma_t
+        block.weight[i] = sampling.albedo * sampling.sigma_t
         block.x_low[i], block.x_high[i], block.y_low[i], block.y_high[i] = 0.0, farthest, low, high
         block.sx[i], block.sy[i], block.sz[i] = 0.0, 0.0, 1.0
 
 
 @kernel
 def begin_on_beams(
-    block: Block, n: int, first: int, geometry: Geometry, water: Water, beams: Array, lattice: Array
+    block: Block, n: int, first: int, geometry: Geometry, sampling: PathSampling, beams: Array, lattice: Array
 ) -> None:
     """Paths at their first collision."""
     for i in range(n):
@@ -135,22 +135,22 @@ def begin_on_beams(
         y0, z0 = block.y[i], block.z[i]
         dx, dy, dz = light_ray(geometry, y0, z0)
         block.x[i], block.y[i], block.z[i], dz, chance = fly(
-            walls, geometry.height, geometry.refractive_index, water.sigma_t, 0.0, y0, z0, dx, dy, dz,
+            walls, geometry.height, geometry.refractive_index, sampling.sigma_t, 0.0, y0, z0, dx, dy, dz,
             coordinate(first + i, 2, lattice),
         )  # fmt: skip
         block.dx[i], block.dy[i], block.dz[i] = dx, dy, dz
-        block.weight[i] = water.albedo * chance
+        block.weight[i] = sampling.albedo * chance
 
 
 @kernel
-def begin(block: Block, n: int, first: int, water: Water, lattice: Array, faintest: float) -> None:
+def begin(block: Block, n: int, first: int, sampling: PathSampling, lattice: Array, faintest: float) -> None:
     """What all paths begin with besides place, direction and weight."""
     for i in range(n):
         block.point[i] = first + i
         block.ex[i], block.ey[i], block.ez[i] = across(block.dx[i], block.dz[i])
         block.limit[i] = faintest * block.weight[i]
-        choice = (coordinate(first + i, 3, lattice) - UNTURNED) / water.per_turn
-        block.turn[i] = 1.0 + math.floor(choice) if water.guided and choice >= 0.0 else 0.0
+        choice = (coordinate(first + i, 3, lattice) - UNTURNED) / sampling.per_turn
+        block.turn[i] = 1.0 + math.floor(choice) if sampling.guided and choice >= 0.0 else 0.0
         block.turned[i] = 0.0
 
 

@@ -1,0 +1,197 @@
+"""What a fit leaves: how much of it is structure, where it stands out, and what is not as described by its looks."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.observation import Observation
+from tankrig.estimation.problem import Problem
+from tankrig.estimation.set_up import USUAL, Misalignment
+from tankrig.estimation.uncertainty import Sensitivity
+from tankrig.scene import Medium, Scene
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SMOOTHED = 1.5
+"""Standard deviation, in pixels, of the Gaussian over which the map is averaged."""
+TELLING = 0.3
+"""Share of a residual's structure that a cause explains before it is named."""
+LOCAL = 6.0
+"""Standard deviations of the averaged residual, model's error counted, that are no chance at any place of an image."""
+MOST_BEAMS = 16
+"""That are looked at one by one."""
+WHOLE = ("tank", "prepared", "montecarlo")
+"""Models that describe all light, so that what they leave has another cause."""
+FEWEST = 5
+"""Pixels left out that can tell of a misalignment; four terms fit as many."""
+MOSTLY = 0.5
+"""Share of what pixels left out are off by that a misalignment explains before it is named."""
+
+
+def structure_map(residual: Array, used: Mask, error: Array | None = None) -> Array:
+    """Residual averaged over neighbouring pixels, in standard deviations of what noise and model leave of it.
+
+    Parameters
+    ----------
+    residual
+        (rows, columns) in standard deviations of the noise; anything where it isn't used.
+    used
+        Where it counts.
+    error
+        Of the model, (rows, columns), in the unit of `residual` and alike over neighbours, so that it does not average
+        out; none where not given.
+
+    Returns
+    -------
+    (rows, columns): beyond ±4 there is structure; NaN where nothing near was used.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(1).normal(0, 1, (60, 80))
+    >>> everywhere = np.ones((60, 80), bool)
+    >>> float(structure_map(noise, everywhere).std().round())
+    1.0
+    >>> float(structure_map(noise + 0.7, everywhere).mean().round())
+    4.0
+    """
+    from scipy.ndimage import gaussian_filter
+
+    near = gaussian_filter(used.astype(float), SMOOTHED)
+    total = gaussian_filter(np.where(used, residual, 0.0), SMOOTHED)
+    # The kernel's square is a Gaussian narrower by √2, with a total of 1/(4π width²).
+    variance = gaussian_filter(used.astype(float), SMOOTHED / np.sqrt(2.0)) / (4.0 * np.pi * SMOOTHED**2)
+    if error is not None:
+        variance += gaussian_filter(np.where(used, error, 0.0), SMOOTHED) ** 2
+    found: Array = np.where(near > 0.1, total / np.sqrt(np.maximum(variance, 1e-12)), np.nan)
+    return found
+
+
+def standing_out(residual: Array, used: Mask, error: Array) -> tuple[float, int, int] | None:
+    """Where a residual stands out most, as in `structure_map`; None where chance may do that.
+
+    Returns
+    -------
+    Standard deviations, row, column.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(1).normal(0, 1, (60, 80))
+    >>> everywhere, exact = np.ones((60, 80), bool), np.zeros((60, 80))
+    >>> standing_out(noise, everywhere, exact)
+    >>> noise[20:23, 40:43] += 5.0
+    >>> standing_out(noise, everywhere, exact)[1:]
+    (21, 41)
+    """
+    sizes = np.nan_to_num(np.abs(structure_map(residual, used, error)))
+    row, column = np.unravel_index(np.argmax(sizes), sizes.shape)
+    size = float(sizes[row, column])
+    return (size, int(row), int(column)) if size > LOCAL else None
+
+
+def likely_cause(
+    residual: Array, project_out: Callable[[Array], Array], causes: Mapping[str, Callable[[], list[Array]]]
+) -> tuple[str, float] | None:
+    """Which cause explains most of a residual.
+
+    Parameters
+    ----------
+    residual
+        (n,) weighted, of the used pixels.
+    project_out
+        Changes of the image (k, rows, columns) weighted, less what the fit has already had a chance to explain, (k, n).
+    causes
+        Name and changes of the image.
+
+    Returns
+    -------
+    Name and share of the structure that it explains; None where none explains `TELLING` of it.
+    """
+    excess = float(residual @ residual) - residual.size
+    shares = {}
+    for name, changes in causes.items():
+        basis = np.linalg.qr(project_out(np.stack(changes())).T)[0]
+        shares[name] = (float(np.sum((residual @ basis) ** 2)) - basis.shape[1]) / max(excess, 1e-300)
+    best = max(shares, key=lambda name: shares[name])
+    return (best, min(shares[best], 1.0)) if shares[best] > TELLING else None
+
+
+def cause_of(
+    problem: Problem, sensitivity: Sensitivity, coordinates: Array, scene: Scene, misaligned: Callable[[], Array]
+) -> tuple[str, float] | None:
+    """What the structure of the residual looks like, and the share of it that this explains.
+
+    Parameters
+    ----------
+    problem, coordinates
+        That was solved, and where.
+    sensitivity
+        Of the fit there.
+    scene
+        As described.
+    misaligned
+        Gives `misalignments` of that scene with the fitted medium.
+    """
+    from tankrig.light.double import double_scattering
+    from tankrig.light.single import single_scattering
+
+    scene = replace(scene, medium=problem.liquid(coordinates))
+    (view,), (image,) = problem.views, problem.images(coordinates)
+    fitted = np.linalg.qr(sensitivity.changes.T)[0]
+
+    def project_out(changes: Array) -> Array:
+        left = problem.project_out(view.whitened(changes), [view.whitened(image)])[:, : problem.pixels]
+        new: Array = left - (left @ fitted) @ fitted.T
+        return new
+
+    def uneven() -> list[Array]:
+        rows, columns = scene.camera.shape
+        y, x = np.linspace(-1.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)
+        return [image * way for way in (x, y, x**2, y**2, x * y)]
+
+    def beams() -> list[Array]:
+        light = scene.projector
+        alone = [replace(scene, projector=replace(light, beams=(beam,))) for beam in light.beams[:MOST_BEAMS]]
+        return [single_scattering(one) for one in alone]
+
+    causes: dict[str, Callable[[], list[Array]]] = {
+        "uneven ink": uneven,
+        "a misaligned beam or camera": lambda: list(misaligned()),
+        "another phase function": lambda: [single_scattering(scene), double_scattering(scene, 0.01)],
+        "beams of another brightness than described, or missing": beams,
+    }
+    return likely_cause(problem.residual(coordinates)[: problem.pixels], project_out, causes)
+
+
+def misalignment_left_out(
+    observation: Observation, fitted: NDArray[np.floating], gain: float, misaligned: Callable[[], Array]
+) -> bool:
+    """Whether the pixels that were left out as specks are what a misaligned beam or camera shows at beams' edges.
+
+    Parameters
+    ----------
+    observation
+        As it was fitted.
+    fitted
+        Image, in its units.
+    gain
+        Fitted.
+    misaligned
+        Gives `misalignments` of the scene as described with the fitted medium.
+    """
+    specks = observation.specks
+    if specks.sum() < FEWEST:
+        return False
+    seen = observation.used | specks
+    changes = gain * misaligned()[:, seen] / observation.noise[seen]
+    off = ((observation.image - fitted) / observation.noise)[seen]
+    moved = changes.T @ np.linalg.lstsq(changes.T, off, rcond=None)[0]
+    left, were = (float(np.sum(one[specks[seen]] ** 2)) for one in (off - moved, off))
+    return left < (1.0 - MOSTLY) * were
+
+
+def misalignments(scene: Scene, medium: Medium) -> Array:
+    """(terms, rows, columns) what each usual misalignment changes in order 1, which carries the edges it is told by."""
+    return Misalignment(scene, USUAL, max_order=1).slopes(medium, np.zeros(len(USUAL)))

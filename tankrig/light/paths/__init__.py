@@ -1,0 +1,1 @@
+"""Light paths on lattices: how they begin, fly, scatter, are seen by the camera, and are recorded."""

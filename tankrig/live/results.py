@@ -1,0 +1,188 @@
+"""What fits of a run find, typed, and as the `fit` lines of its journal: the only place where the two meet."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from dataclasses import fields as dataclass_fields
+from typing import Any
+
+import numpy as np
+
+from tankrig.estimation.parameters import NAMES, in_tank
+from tankrig.estimation.result import Linearity
+from tankrig.scene import Medium
+
+Fields = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class SingleScattering:
+    """What light scattered once would say: the extinction that fits best, 1/mm, and the RMSE that is left."""
+
+    sigma_t: float
+    rmse: float
+
+
+@dataclass(frozen=True)
+class DoseFit:
+    """One dose's liquid.
+
+    Parameters
+    ----------
+    dose_ml, dose_sd_ml
+        Ink in the tank.
+    medium, sd
+        Fitted, and standard deviations of σa, σs, g.
+    identifiable
+        Which of "sigma_a", "sigma_s", "g" are determined.
+    gain, rmse
+        Counts per ms and radiance; what is left, counts per ms.
+    frames, left_out, not_seen
+        Fitted; left out because the ink had not mixed; and that the live fit could not take in.
+    patterns
+        Names.
+    model
+        "tank" or "prepared".
+    seconds
+        That it took.
+    model_error
+        Of prepared models, relative L2, as counted; None where not known.
+    single
+        Single scattering beside it; None where it has not been fitted.
+    newest
+        Number of the newest frame, as the run counts them; −1: of another dose.
+    passing
+        Whether another fit of the same frames is to come, which lacks nothing.
+    """
+
+    dose_ml: float
+    medium: Medium
+    sd: tuple[float, ...] = ()
+    identifiable: Mapping[str, bool] = field(default_factory=dict)
+    gain: float = 1.0
+    rmse: float = 0.0
+    frames: int = 0
+    patterns: tuple[str, ...] = ()
+    model: str = "tank"
+    seconds: float = 0.0
+    dose_sd_ml: float = 0.0
+    model_error: float | None = None
+    single: SingleScattering | None = None
+    left_out: int = 0
+    newest: int | None = None
+    passing: bool = False
+    not_seen: int = 0
+
+
+@dataclass(frozen=True)
+class SeriesFit:
+    """Ink and water, from all doses.
+
+    Parameters
+    ----------
+    doses_ml
+        Rising.
+    ink, water
+        Per mm and ml; what the tank holds without ink.
+    sd
+        Standard deviations of the ink's σa, σs, g, and the water's σa.
+    gain, rmse
+        Common gain; what is left of each photograph.
+    linearity
+        Whether the ink acts in proportion to its dose; None where that was not tested.
+    verdict
+        In sentences.
+    seconds
+        That it took.
+    identifiable, covariance, patterns
+        As in a `SeriesEstimate`; names of the patterns of the photographs.
+    """
+
+    doses_ml: tuple[float, ...]
+    ink: Medium
+    water: Medium
+    sd: tuple[float, ...] = ()
+    gain: float = 1.0
+    rmse: tuple[float, ...] = ()
+    linearity: Linearity | None = None
+    verdict: str = ""
+    seconds: float = 0.0
+    identifiable: Mapping[str, bool] = field(default_factory=dict)
+    covariance: tuple[tuple[float, ...], ...] = ()
+    patterns: tuple[str, ...] = ()
+
+    def at(self, dose_ml: float) -> Medium:
+        """The liquid at a dose."""
+        return in_tank(np.array([self.ink.sigma_a, self.ink.sigma_s, self.ink.g, self.water.sigma_a]), dose_ml)
+
+
+@dataclass(frozen=True)
+class FailedFit:
+    """A fit that could not be made: of which dose, or None of the series; why; the newest frame, as in `DoseFit`."""
+
+    dose_ml: float | None
+    error: str
+    newest: int | None = None
+
+
+Fit = DoseFit | SeriesFit | FailedFit
+
+
+def diluted(liquid: Medium, from_ml: float, to_ml: float) -> Medium:
+    """About what a liquid with `from_ml` of ink would be with `to_ml`."""
+    grown = to_ml / from_ml
+    return Medium(liquid.sigma_a * grown, liquid.sigma_s * grown, liquid.g)
+
+
+def to_fields(fit: Fit) -> Fields:
+    """Fields of the journal's line; what is not known is not written.
+
+    Examples
+    --------
+    >>> to_fields(FailedFit(0.4, "too dark"))
+    {'fit': 'dose', 'dose_ml': 0.4, 'error': 'too dark'}
+    """
+    if isinstance(fit, FailedFit):
+        of = {"fit": "series"} if fit.dose_ml is None else {"fit": "dose", "dose_ml": fit.dose_ml}
+        return {**of, "error": fit.error} | ({} if fit.newest is None else {"newest": fit.newest})
+    found: Fields = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(fit).items()}
+    if isinstance(fit, SeriesFit):
+        found |= {"ink": asdict(fit.ink), "covariance": [list(row) for row in fit.covariance]}
+        found |= {"water_sigma_a": found.pop("water").sigma_a, "linearity": fit.linearity and asdict(fit.linearity)}
+        return {"fit": "series", **found}
+    found |= {**asdict(found.pop("medium")), "single": fit.single and asdict(fit.single)}
+    unknown = {"model_error": None, "single": None, "newest": None, "passing": False}
+    return {"fit": "dose"} | {
+        name: value for name, value in found.items() if name not in unknown or value != unknown[name]
+    }
+
+
+def from_fields(fields: Mapping[str, Any]) -> Fit:
+    """What a journal's line says; lines of earlier versions lack some of it, and those of later ones may hold more.
+
+    Examples
+    --------
+    >>> from_fields({"fit": "dose", "dose_ml": 0.4, "error": "too dark"})
+    FailedFit(dose_ml=0.4, error='too dark', newest=None)
+    """
+    of_dose = fields["fit"] == "dose"
+    if "error" in fields:
+        return FailedFit(fields.get("dose_ml"), fields["error"], fields.get("newest"))
+    given: Fields = {name: tuple(value) if isinstance(value, list | tuple) else value for name, value in fields.items()}
+    if of_dose:
+        single = given.get("single")
+        given["medium"] = Medium(*(given[name] for name in NAMES))
+        given["single"] = None if single is None else SingleScattering(**single)
+        return DoseFit(**{one.name: given[one.name] for one in dataclass_fields(DoseFit) if one.name in given})
+    bend = given.get("linearity")
+    given["ink"], given["water"] = Medium(**given["ink"]), Medium(given["water_sigma_a"], 0.0, 0.0)
+    given["linearity"] = None if bend is None else Linearity(**bend)
+    given["covariance"] = tuple(tuple(row) for row in given.get("covariance", ()))
+    return SeriesFit(**{one.name: given[one.name] for one in dataclass_fields(SeriesFit) if one.name in given})
+
+
+def fits_in(lines: Sequence[Mapping[str, Any]]) -> tuple[list[DoseFit], SeriesFit | None]:
+    """The last fit of each dose that was recorded, by dose, and the last of the series."""
+    fits = [from_fields(line) for line in lines]
+    doses = {one.dose_ml: one for one in fits if isinstance(one, DoseFit)}
+    series = next((one for one in reversed(fits) if isinstance(one, SeriesFit)), None)
+    return [doses[dose_ml] for dose_ml in sorted(doses)], series

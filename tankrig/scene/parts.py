@@ -1,0 +1,323 @@
+"""What is in the tank, what lights it and what looks at it: frozen, checked, in mm and W."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from tankrig.errors import SceneError
+from tankrig.geometry.lens import Lens
+from tankrig.geometry.pose import Pose
+from tankrig.geometry.shading import TERMS
+from tankrig.scene.fields import finite, number, numbers, require
+
+Vector = tuple[float, float, float]
+Interval = tuple[float, float]
+Matrix = tuple[Vector, Vector, Vector]
+
+CLOSED = {"extra": "forbid", "strict": True}
+"""Read by the scene file's validation: an unknown key is refused, and a number in quotes is not a number."""
+
+
+@dataclass(frozen=True)
+class Tank:
+    """A box of water: x ∈ [0, Lx], y ∈ [−Ly/2, Ly/2], z ∈ [0, Lz]; light enters at x = 0, the surface is z = Lz.
+
+    Parameters
+    ----------
+    size_mm
+        (Lx, Ly, Lz).
+    surface
+        "matched": nothing happens at z = Lz. "fresnel": water below, air above. The other faces are black and matched.
+    refractive_index
+        Of the water; read when the surface is "fresnel" or the entry "glass".
+    entry
+        "matched": nothing happens to light at x = 0. "glass": air outside, then a wall, and light is bent into the
+        water.
+    wall_mm, wall_index
+        Thickness of the wall that the light enters through, its inside at x = 0, and its refractive index; read when
+        the entry is "glass".
+    """
+
+    __pydantic_config__ = CLOSED
+    size_mm: Vector = (240.0, 160.0, 120.0)
+    surface: Literal["matched", "fresnel"] = "matched"
+    refractive_index: float = 1.33
+    entry: Literal["matched", "glass"] = "matched"
+    wall_mm: float = 0.0
+    wall_index: float = 1.52
+
+    def __post_init__(self) -> None:
+        require(
+            min(numbers(self, "size_mm", 3)) > 0.0,
+            f"size_mm = {list(self.size_mm)} has a side that is not positive; give three lengths in mm",
+        )
+        require(
+            1.0 <= number(self, "refractive_index") <= 3.0,
+            f"refractive_index = {self.refractive_index} is outside 1…3; water has 1.33",
+        )
+        require(
+            self.surface in ("matched", "fresnel"), f'surface = "{self.surface}" is unknown; use "matched" or "fresnel"'
+        )
+        require(self.entry in ("matched", "glass"), f'entry = "{self.entry}" is unknown; use "matched" or "glass"')
+        require(
+            number(self, "wall_mm") >= 0.0, f"wall_mm = {self.wall_mm} is negative; give the wall's thickness in mm"
+        )
+        require(
+            1.0 <= number(self, "wall_index") <= 3.0,
+            f"wall_index = {self.wall_index} is outside 1…3; glass has 1.52, acrylic 1.49",
+        )
+
+    @property
+    def surface_index(self) -> float:
+        """Refractive index that the surface shows: 1 when matched."""
+        return self.refractive_index if self.surface == "fresnel" else 1.0
+
+    @property
+    def entry_bends(self) -> tuple[float, float, float]:
+        """What bends the light at x = 0: index of the water, thickness in mm of the wall and its index."""
+        return (self.refractive_index, self.wall_mm, self.wall_index) if self.entry == "glass" else (1.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Medium:
+    """Absorption and scattering coefficients in 1/mm and the asymmetry g of a Henyey–Greenstein phase function.
+
+    Examples
+    --------
+    >>> milk = Medium(sigma_a=0.0002, sigma_s=0.0198, g=0.5)
+    >>> round(milk.sigma_t, 6), round(milk.albedo, 6)
+    (0.02, 0.99)
+    """
+
+    __pydantic_config__ = CLOSED
+    sigma_a: float
+    sigma_s: float
+    g: float
+
+    def __post_init__(self) -> None:
+        for name in ("sigma_a", "sigma_s"):
+            value = number(self, name)
+            require(value >= 0.0, f"{name} = {value} is negative; give a coefficient in 1/mm that is zero or more")
+        require(
+            -1.0 < number(self, "g") < 1.0,
+            f"g = {self.g} is outside −1 < g < 1; give the mean cosine of one scattering",
+        )
+
+    @property
+    def sigma_t(self) -> float:
+        """Extinction σt = σa + σs in 1/mm."""
+        return self.sigma_a + self.sigma_s
+
+    @property
+    def albedo(self) -> float:
+        """Single-scattering albedo ϖ = σs/σt; 0 for clear water."""
+        return self.sigma_s / self.sigma_t if self.sigma_t > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class Beam:
+    """A rectangle of the plane x = 0 that the projector lights.
+
+    Parameters
+    ----------
+    y_mm, z_mm
+        (low, high) edges in mm.
+    irradiance
+        Flux per area of the plane x = 0, W/mm² (the cosine is included).
+    """
+
+    __pydantic_config__ = CLOSED
+    y_mm: Interval
+    z_mm: Interval
+    irradiance: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("y_mm", "z_mm"):
+            low, high = numbers(self, name, 2)
+            require(low < high, f"{name} = [{low}, {high}] has no width; give [low, high] with low < high")
+        require(
+            number(self, "irradiance") >= 0.0, f"irradiance = {self.irradiance} is negative; give W/mm², zero or more"
+        )
+
+    @property
+    def power(self) -> float:
+        """Flux through the rectangle, W."""
+        return self.irradiance * (self.y_mm[1] - self.y_mm[0]) * (self.z_mm[1] - self.z_mm[0])
+
+
+def _calibration(owner: "Projector | Camera") -> tuple[Lens, Pose]:
+    """Lens and pose of a calibrated device, its fields made numbers in place."""
+    for name in ("matrix", "rotation", "position_mm"):
+        require(
+            getattr(owner, name) is not None,
+            f"{name} is missing; a calibrated device needs matrix, rotation, position_mm",
+        )
+    matrix = tuple(tuple(finite("matrix", value) for value in row) for row in owner.matrix or ())
+    object.__setattr__(owner, "matrix", matrix)
+    distortion = numbers(owner, "distortion", len(owner.distortion))
+    rotation, position = numbers(owner, "rotation", 3), numbers(owner, "position_mm", 3)
+    try:
+        lens = Lens.of(matrix, distortion)
+    except ValueError as error:
+        raise SceneError(str(error)) from error
+    require(min(lens.fx, lens.fy) > 0.0, f"matrix = {matrix} has a focal length that is not positive; give pixels")
+    return lens, Pose.at(position, (rotation[0], rotation[1], rotation[2]))
+
+
+def _shape(owner: "Projector | Camera") -> None:
+    shape = tuple(owner.shape or ())
+    object.__setattr__(owner, "shape", shape)
+    require(
+        len(shape) == 2 and min(shape) >= 1 and max(shape) <= 16384,
+        f"shape = {list(shape)} is no picture; give [rows, columns] between 1 and 16384",
+    )
+
+
+@dataclass(frozen=True)
+class Projector:
+    """What lights the tank through x = 0.
+
+    Parameters
+    ----------
+    kind
+        "collimated": along +x. "pinhole": rays from `position_mm`. "calibrated": the same, and which of its pixels
+        shines which way is known.
+    beams
+        Rectangles of the plane x = 0; where they overlap they add. None is needed where pictures give them.
+    position_mm
+        Of the pinhole, outside the tank and its wall (x < 0); ignored when collimated.
+    matrix, distortion, rotation
+        Of a calibrated projector: camera matrix in pixels, up to five distortion coefficients, and the rotation vector
+        from the world to its frame, all as OpenCV has them (`tankrig.geometry`). Beams alone don't need them; pictures
+        do (`tankrig.scene.projection`).
+    shape
+        (rows, columns) of the pictures that it shows.
+    pixel_power
+        W that leave a white pixel of a calibrated projector.
+    gamma
+        A pixel at level v of 255 has (v/255)^gamma of it.
+    shading
+        How its light falls off over the picture: coefficients of `tankrig.geometry.shading`; empty for even light.
+    """
+
+    __pydantic_config__ = CLOSED
+    kind: Literal["collimated", "pinhole", "calibrated"]
+    beams: tuple[Beam, ...] = ()
+    position_mm: Vector | None = None
+    matrix: Matrix | None = None
+    distortion: tuple[float, ...] = ()
+    rotation: Vector | None = None
+    shape: tuple[int, int] | None = None
+    pixel_power: float = 1.0
+    gamma: float = 1.0
+    shading: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        require(
+            self.kind in ("collimated", "pinhole", "calibrated"),
+            f'kind = "{self.kind}" is unknown; use "collimated", "pinhole" or "calibrated"',
+        )
+        object.__setattr__(self, "beams", tuple(self.beams))
+        require(len(self.beams) > 0 or self.matrix is not None, "beams = [] lights nothing; give at least one beam")
+        if self.kind != "collimated":
+            require(
+                self.position_mm is not None,
+                f"position_mm is missing; a {self.kind} projector needs [x, y, z] with x < 0",
+            )
+            position = numbers(self, "position_mm", 3)
+            require(
+                position[0] < 0.0,
+                f"position_mm = {list(position)} is not outside the wall x = 0; give x < 0",
+            )
+        for name in ("pixel_power", "gamma"):
+            require(number(self, name) > 0.0, f"{name} = {getattr(self, name)} is not positive; measure it")
+        if self.shading:
+            object.__setattr__(self, "shading", numbers(self, "shading", TERMS))
+        if self.kind == "calibrated" and self.matrix is not None:
+            _calibration(self)
+            _shape(self)
+
+    @property
+    def lens(self) -> Lens:
+        """Of a calibrated projector."""
+        return _calibration(self)[0]
+
+    @property
+    def pose(self) -> Pose:
+        """Of a calibrated projector."""
+        return _calibration(self)[1]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """What looks down on the tank.
+
+    A plain camera is a grid of square pixels on the plane z = Lz that starts at x = 0, y = −Ly/2. The pixels of a
+    calibrated one look wherever its lens and pose say; each then is a quadrangle of that plane.
+
+    Parameters
+    ----------
+    kind
+        "orthographic": looks along −z. "pinhole": looks from `position_mm`. "calibrated": the same, through a lens.
+    shape
+        (rows, columns); along y and x for a plain camera.
+    pixel_mm
+        Side of a pixel on the plane z = Lz. Of a calibrated camera it need not be given: its scene puts in the typical
+        side of those that look into the tank.
+    position_mm
+        Of the pinhole, above the water; ignored when orthographic.
+    matrix, distortion, rotation
+        Of a calibrated camera: camera matrix in pixels, up to five distortion coefficients, and the rotation vector
+        from the world to its frame, all as OpenCV has them (`tankrig.geometry`).
+    """
+
+    __pydantic_config__ = CLOSED
+    kind: Literal["orthographic", "pinhole", "calibrated"]
+    shape: tuple[int, int]
+    pixel_mm: float = 0.0
+    position_mm: Vector | None = None
+    matrix: Matrix | None = None
+    distortion: tuple[float, ...] = ()
+    rotation: Vector | None = None
+
+    def __post_init__(self) -> None:
+        require(
+            self.kind in ("orthographic", "pinhole", "calibrated"),
+            f'kind = "{self.kind}" is unknown; use "orthographic", "pinhole" or "calibrated"',
+        )
+        _shape(self)
+        require(
+            number(self, "pixel_mm") > 0.0 or self.kind == "calibrated",
+            f"pixel_mm = {self.pixel_mm} is not positive; give the side of a pixel in mm",
+        )
+        if self.kind == "pinhole":
+            require(
+                self.position_mm is not None, "position_mm is missing; a pinhole camera needs [x, y, z] above the water"
+            )
+            numbers(self, "position_mm", 3)
+        if self.kind == "calibrated":
+            _calibration(self)
+
+    @property
+    def lens(self) -> Lens:
+        """Of a calibrated camera."""
+        return _calibration(self)[0]
+
+    @property
+    def pose(self) -> Pose:
+        """Of a calibrated camera."""
+        return _calibration(self)[1]
+
+    def binned(self, by: int) -> "Camera":
+        """The camera whose pixels are means of `by` × `by` of this one's; what is left over at the ends is dropped.
+
+        Examples
+        --------
+        >>> Camera("orthographic", (81, 120), 2.0).binned(4).shape
+        (20, 30)
+        """
+        matrix = self.matrix
+        if matrix is not None:
+            (fx, _, cx), (_, fy, cy), last = matrix
+            matrix = ((fx / by, 0.0, (cx + 0.5) / by - 0.5), (0.0, fy / by, (cy + 0.5) / by - 0.5), last)
+        shape = (self.shape[0] // by, self.shape[1] // by)
+        return replace(self, shape=shape, pixel_mm=self.pixel_mm * by, matrix=matrix)

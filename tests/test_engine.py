@@ -1,0 +1,223 @@
+"""The seam of the inference engine: blocks of parameters, covariances of errors, gain and offsets, typed results."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tankrig.estimation.forward import Models, image_of, slopes_of
+from tankrig.estimation.observation import observe
+from tankrig.estimation.optimiser import Fit, Shot, fitted, solve
+from tankrig.estimation.parameters import Block, MediumBlock, Range, Scaling, Values, to_coordinates
+from tankrig.estimation.problem import Problem, View
+from tankrig.estimation.result import Linearity
+from tankrig.estimation.uncertainty import SmoothError, Whitening
+from tankrig.live.results import DoseFit, FailedFit, SeriesFit, SingleScattering, fits_in, from_fields, to_fields
+from tankrig.scene import Medium
+from tests.test_estimation import MEDIUM, SCENE, noisy, tank_like
+
+Array = NDArray[np.float64]
+RANGE = Range.of_tank(240.0)
+TRUTH = np.array([MEDIUM.sigma_a, MEDIUM.sigma_s, MEDIUM.g])
+ROWS, COLUMNS = np.mgrid[:40, :60]
+GLOW = 1e-3 * (1.0 + ROWS / 40.0) * np.exp(-COLUMNS / 50.0)
+
+
+@dataclass(frozen=True)
+class GlowBlock(Block):
+    """Light of a known shape that the set-up adds to the image: a block that the engine has never heard of."""
+
+    name: ClassVar[str] = "glow"
+    names = ("glow",)
+
+    def added(self, values: Values, liquid: Medium) -> Array:  # noqa: ARG002
+        return values[self.name][0] * GLOW
+
+    def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Array) -> Array:  # noqa: ARG002
+        return GLOW[None]
+
+
+def fit_glow(blocks: tuple[Block, ...]) -> tuple[Fit, Array]:
+    image, noise = noisy(MEDIUM)
+    models = Models(tank_like, lambda _: (tank_like, tank_like))
+    shot = Shot(observe(image + 0.8 * GLOW, (40, 60), noise), SCENE, models)
+    fit = fitted([shot], blocks, Scaling(1.0, 0.0), lambda _: None)
+    sensitivity = fit.problem.sensitivity(fit.coordinates, fit.problem.images(fit.coordinates))
+    return fit, sensitivity.covariance([shot.observation.noise], [fit.problem.views[0].error])
+
+
+def test_a_block_is_fitted_along_without_a_change_to_the_engine() -> None:
+    """Phase functions and optics come as blocks: search, steps and uncertainty must take one that they do not know."""
+    medium = MediumBlock(RANGE)
+    without, spread = fit_glow((medium,))
+    off = (without.problem.values(without.coordinates)["medium"] - TRUTH) / np.sqrt(np.diag(spread))
+    assert np.abs(off).max() > 10.0
+    fit, spread = fit_glow((medium, GlowBlock()))
+    values = fit.problem.values(fit.coordinates)
+    off = (np.append(values["medium"], values["glow"]) - [*TRUTH, 0.8]) / np.sqrt(np.diag(spread))
+    assert np.abs(off).max() < 4.0
+    assert np.sqrt(spread[3, 3]) < 0.1
+
+
+@dataclass(frozen=True)
+class PatternWhitening:
+    """W = (1 + V Vᵀ)^−½ D⁻¹ for errors of covariance D² + P Pᵀ, V = D⁻¹ P; from V's thin decomposition."""
+
+    sd: Array
+    basis: Array
+    shrink: Array
+
+    def whiten(self, rows: Array) -> Array:
+        scaled = rows / self.sd
+        return scaled - ((scaled @ self.basis) * self.shrink) @ self.basis.T
+
+    def transposed(self, rows: Array) -> Array:
+        return (rows - ((rows @ self.basis) * self.shrink) @ self.basis.T) / self.sd
+
+
+@dataclass(frozen=True)
+class PatternError:
+    """An error that is a sum of known patterns of unknown size: low rank beside the noise's diagonal."""
+
+    patterns: Array
+
+    def whitening(self, noise: Array, used: NDArray[np.bool_]) -> Whitening:
+        basis, sizes, _ = np.linalg.svd((self.patterns[:, used] / noise[used]).T, full_matrices=False)
+        return PatternWhitening(noise[used], basis, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
+
+    def between(self, responses: Array, used: NDArray[np.bool_]) -> Array:
+        seen = responses @ self.patterns[:, used].T
+        return seen @ seen.T
+
+
+def test_a_correlated_error_is_weighed_and_counted_as_what_it_is() -> None:
+    """A smooth error that passes for white moves coefficients by many stated standard deviations; told, it must not."""
+    clean = tank_like(MEDIUM).image
+    noise = np.full(clean.shape, 0.002 * float(clean.max()))
+    patterns = 0.02 * np.stack([clean * np.cos(COLUMNS / 20.0), clean * np.sin(ROWS / 9.0)])
+    random, forward = np.random.default_rng(4), image_of(tank_like)
+    off: dict[str, list[Array]] = {"told": [], "white": []}
+    for _ in range(40):
+        image = clean + random.normal(0.0, noise) + np.tensordot(random.normal(size=2), patterns, 1)
+        for name, error in (("told", PatternError(patterns)), ("white", SmoothError(np.zeros_like(clean), 60.0))):
+            view = View(observe(image, clean.shape, noise), forward, slopes_of(forward, 240.0), error)
+            problem = Problem((view,), (MediumBlock(RANGE),), Scaling(1.0, 0.0))
+            at = solve(problem, to_coordinates(MEDIUM), 0.01).coordinates
+            sensitivity = problem.sensitivity(at, problem.images(at))
+            spread = sensitivity.covariance([noise], [error])
+            off[name].append((problem.values(at)["medium"] - TRUTH) / np.sqrt(np.diag(spread)))
+            assert np.allclose(spread, sensitivity.assumed, rtol=1e-6)  # errors are as the fit weighs them
+    told, white = (np.sqrt(np.mean(np.square(off[name]), axis=0)) for name in ("told", "white"))
+    assert (np.abs(told - 1.0) < 0.35).all()
+    assert white.max() > 5.0
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.integers(5, 40), min_size=1, max_size=4), st.floats(0.1, 1e4), st.floats(-5.0, 5.0), st.integers(0, 999)
+)
+def test_gain_and_offsets_are_found_and_projected_out_of_any_images(
+    sizes: list[int], gain: float, offset: float, seed: int
+) -> None:
+    """Every fit stands on this elimination: what a gain and offsets can do must be told exactly, and leave nothing."""
+    random = np.random.default_rng(seed)
+    weights = [random.uniform(0.5, 2.0, size) for size in sizes]
+    models = [random.uniform(0.1, 1.0, size) * weight for size, weight in zip(sizes, weights, strict=True)]
+    offsets = [offset + k for k in range(len(sizes))]
+    observed = [gain * model + by * one for model, by, one in zip(models, offsets, weights, strict=True)]
+    free = Scaling(None, None)
+    found, each = free.solve(models, weights, observed)
+    assert found == pytest.approx(gain, rel=1e-7)
+    assert each == pytest.approx(offsets, rel=1e-6, abs=1e-6 * gain)
+    stacked = np.concatenate(observed)[None]
+    assert np.abs(free.project_out(stacked, models, weights)).max() < 1e-9 * np.abs(stacked).max()
+    pulled = Scaling(gain, offset, 1e-9 * gain, 1e-9)
+    assert pulled.solve(models, weights, observed)[0] == pytest.approx(gain, rel=1e-6)
+    assert Scaling(2.0, 0.5).project_out(stacked, models, weights) is stacked
+
+
+NUMBER = st.floats(1e-6, 1e6)
+MEDIA = st.builds(Medium, st.floats(0.0, 1.0), st.floats(1e-6, 1.0), st.floats(-0.9, 0.9))
+KNOWN = st.fixed_dictionaries({name: st.booleans() for name in ("sigma_a", "sigma_s", "g")})
+NAMES = st.lists(st.text(max_size=5), max_size=3).map(tuple)
+DOSES = st.builds(
+    DoseFit, NUMBER, MEDIA, st.tuples(NUMBER, NUMBER, NUMBER), KNOWN, NUMBER, NUMBER, st.integers(1, 99), NAMES,
+    st.sampled_from(["tank", "prepared"]), NUMBER, NUMBER, st.none() | NUMBER,
+    st.none() | st.builds(SingleScattering, NUMBER, NUMBER), st.integers(0, 9), st.none() | st.integers(-1, 99),
+    st.booleans(),
+)  # fmt: skip
+SERIES = st.builds(
+    SeriesFit, st.tuples(NUMBER, NUMBER), MEDIA, NUMBER.map(lambda sigma_a: Medium(sigma_a, 0.0, 0.0)),
+    st.tuples(NUMBER, NUMBER, NUMBER, NUMBER), NUMBER, st.tuples(NUMBER, NUMBER),
+    st.none() | st.builds(Linearity, NUMBER, NUMBER), st.text(max_size=9), NUMBER, KNOWN,
+    st.tuples(st.tuples(NUMBER, NUMBER), st.tuples(NUMBER, NUMBER)), NAMES,
+)  # fmt: skip
+FAILED = st.builds(FailedFit, st.none() | NUMBER, st.text(min_size=1, max_size=9), st.none() | st.integers(-1, 99))
+
+
+@given(DOSES | SERIES | FAILED)
+def test_a_fit_comes_back_from_the_journal_as_it_was(fit: DoseFit | SeriesFit | FailedFit) -> None:
+    """A key that one direction forgets would be a number that report, window and the resumed run never see."""
+    assert from_fields(json.loads(json.dumps(to_fields(fit)))) == fit
+
+
+def test_lines_of_earlier_versions_and_of_later_ones_are_read() -> None:
+    """A run of last year must still be reported; what a newer program adds must not be in the way."""
+    old = {
+        "fit": "dose",
+        "dose_ml": 0.1,
+        "frames": 2,
+        "sigma_a": 1e-4,
+        "sigma_s": 0.01,
+        "g": 0.6,
+        "sd": [1.0, 2.0, 3.0],
+    }
+    series = {
+        "fit": "series",
+        "doses_ml": [0.1],
+        "ink": {"sigma_a": 1e-3, "sigma_s": 0.1, "g": 0.6},
+        "water_sigma_a": 1e-4,
+        "sd": [1.0, 2.0, 3.0, 4.0],
+        "linearity": None,
+        "rmse": [1.0],
+        "news": 1,
+    }
+    doses, found = fits_in([old, {**old, "frames": 4, "news": 1}, series, {"fit": "series", "error": "too dark"}])
+    assert [(one.frames, one.medium) for one in doses] == [(4, Medium(1e-4, 0.01, 0.6))]
+    assert found is not None
+    assert found.at(2.0) == Medium(1e-4 + 2e-3, 0.2, 0.6)
+    assert to_fields(found)["water_sigma_a"] == 1e-4
+
+
+CODE = """
+import json
+from dataclasses import replace
+from tankrig.light.double import double_scattering
+from tankrig.light.moments.propagation import propagation
+from tankrig.light.moments.cells import Cells
+from tankrig.light.single import single_scattering
+from tankrig.threads import THREADS
+from tests.test_bent_scenes import SAME
+direct = propagation(1, Cells.of(SAME.tank, 30.0), 0.05, 0.0).direct
+print(json.dumps([THREADS, *(float(one.sum()) for one in (single_scattering(SAME), double_scattering(SAME), direct))]))
+"""
+
+
+def test_one_setting_says_how_many_threads_work_and_no_image_depends_on_it() -> None:
+    """Rows that two threads add, or none, would show as stripes only on the machines that were told otherwise."""
+    found = {}
+    for threads in ("", "1", "3"):
+        told = os.environ | {"TANKRIG_THREADS": threads, "PYTHONPATH": os.pathsep.join(sys.path)}
+        out = subprocess.run([sys.executable, "-c", CODE], env=told, capture_output=True, text=True, check=True)
+        found[threads] = json.loads(out.stdout)
+    assert [one[0] for one in found.values()] == [2, 1, 3]
+    for threads in ("1", "3"):
+        assert found[threads][1:] == pytest.approx(found[""][1:], rel=1e-9)
