@@ -142,7 +142,7 @@ def test_a_lossy_line_delays_a_dose_and_changes_nothing_else(bench: AnyBench) ->
 
 
 def test_a_dose_larger_than_the_syringe_takes_several_strokes(tmp_path: Path) -> None:
-    with CavroBench(tmp_path, time_scale=0.1, speed_ul_per_s=250.0, syringe_ul=250.0) as bench:
+    with CavroBench(tmp_path, time_scale=0.3, speed_ul_per_s=250.0, syringe_ul=250.0) as bench:
         doser = bench.open()
         assert doser.dose_to(700.0).volume_ul == pytest.approx(700.0, abs=doser.increment_ul)
         assert bench.true_ul == pytest.approx(doser.delivered().volume_ul)
@@ -151,7 +151,7 @@ def test_a_dose_larger_than_the_syringe_takes_several_strokes(tmp_path: Path) ->
 
 def test_a_new_era_count_goes_on_where_its_display_ends(tmp_path: Path) -> None:
     """The display loses digits above 999.9: the counter is cleared in time, and the total stays right."""
-    with NewEraBench(tmp_path, time_scale=0.05) as bench:
+    with NewEraBench(tmp_path, time_scale=0.2) as bench:
         doser = bench.open()
         for total in (600.0, 1500.0, 2500.0):
             doser.dose_to(total)
