@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from enum import Enum
 
 from drivers.clock import Clock
-from drivers.serial_line import LineLostError
+from drivers.serial_line import LineLostError, NoReplyError
 from tankrig.devices import Delivered
 from tankrig.errors import DeviceError, UndecidedError
 
@@ -275,8 +275,11 @@ class PumpDoser:
             self._pump.remember_unknown(low, high)
 
     def _read(self) -> Standing:
+        leg = None if self._accounted else self._leg
         try:
-            return self._adopt(self._pump.rest(None if self._accounted else self._leg))
+            with suppress(NoReplyError):
+                return self._adopt(self._pump.rest(leg))
+            return self._adopt(self._pump.rest(leg))  # a bad line may lose two replies in a row
         except LineLostError:
             self._stop_asked.set()
             raise
