@@ -16,6 +16,7 @@ from .clock import Clock
 REPLY_S = 0.3
 QUIET_S = 0.6
 READ_S = 0.02
+PATIENCE_S = 1.0
 LOST = (serial.SerialException, OSError, termios.error, TypeError)
 Answer = TypeVar("Answer")
 
@@ -99,6 +100,8 @@ class Line:
     ----------
     missed
         Replies that did not come.
+    owed
+        Replies that may still come, at most, to what was asked before; what comes next may be one of them.
 
     Raises
     ------
@@ -116,12 +119,13 @@ class Line:
         clock: Clock,
         opener: PortOpener = open_port,
     ) -> None:
-        self.name, self.missed = name, 0
+        self.name, self.missed, self.owed = name, 0, 0
         self._frames, self._heard, self._clock = frames, heard, clock
         self._asking = threading.Lock()
         self._writing = threading.RLock()  # a signal handler may stop while this thread writes
         self._received = bytearray()
         self._unsettled = self._lost = False
+        self._silent_since: float | None = None
         self._port = opener(port, baud, name, clock)
 
     def exchange(
@@ -149,6 +153,7 @@ class Line:
                 while self._clock.monotonic() < deadline:
                     for frame in self._hear():
                         if (answer := accept(frame)) is not None:
+                            self._silent_since = None
                             return answer
             except serial.SerialTimeoutException as error:
                 raise self._silent(f"{self.name}: takes no more bytes; check the cable and reset it") from error
@@ -157,10 +162,21 @@ class Line:
         wait_ms = 1e3 * REPLY_S
         raise self._silent(f"{self.name}: no reply within {wait_ms:.0f} ms; check cable and power")
 
-    def send(self, data: bytes) -> None:
-        """Put bytes on the wire now, whatever another thread waits for; never raises."""
+    @property
+    def patient(self) -> bool:
+        """Whether to ask once more: the device has not been silent for long enough yet to be told as silent."""
+        return self._silent_since is None or self._clock.monotonic() - self._silent_since < PATIENCE_S
+
+    def paid(self, replies: int) -> None:
+        """It has been proved that so many of those owed do not come any more."""
+        with self._writing:
+            self.owed -= replies
+
+    def send(self, data: bytes, replies: int) -> None:
+        """Put bytes on the wire now, whatever another thread waits for, that bring so many replies; never raises."""
         with self._writing:
             self._unsettled = True
+            self.owed += replies
             if not self._lost:
                 try:
                     self._port.write(data)
@@ -210,6 +226,10 @@ class Line:
     def _silent(self, message: str) -> NoReplyError:
         self._unsettled = True
         self.missed += 1
+        with self._writing:
+            self.owed += 1
+        if self._silent_since is None:
+            self._silent_since = self._clock.monotonic() - REPLY_S
         return NoReplyError(message)
 
     def _gone(self) -> LineLostError:

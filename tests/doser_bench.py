@@ -1,6 +1,7 @@
 """Stand-ins for pumps in this process, for tests that look at the truth and switch faults."""
 
 import atexit
+import math
 import threading
 from abc import ABC, abstractmethod
 from contextlib import suppress
@@ -10,6 +11,8 @@ from typing import Any
 
 from drivers.cavro.doser import CavroDoser
 from drivers.cavro.emulator.board import CavroBoard
+from drivers.cavro.emulator.core import FINER
+from drivers.cavro.emulator.core import Habits as CavroHabits
 from drivers.cavro.settings import CavroSettings
 from drivers.dosing.doser import PumpDoser
 from drivers.emulation.board import Board as AnyBoard
@@ -17,6 +20,8 @@ from drivers.emulation.cable import PseudoTerminal
 from drivers.emulation.truth import TruthFile
 from drivers.new_era.doser import NewEraDoser
 from drivers.new_era.emulator.board import NewEraBoard
+from drivers.new_era.emulator.core import FASTEST_MM_PER_MIN
+from drivers.new_era.emulator.core import Habits as NewEraHabits
 from drivers.new_era.settings import NewEraSettings
 from drivers.rig_doser.doser import RigDoser
 from drivers.rig_doser.emulator.board import Board
@@ -134,7 +139,7 @@ class AnyBench(ABC):
 
 
 class Bench(AnyBench):
-    """The rig's own doser."""
+    """The rig's own doser, whose firmware speaks version `protocol`."""
 
     steps_per_ul = STEPS_PER_UL
 
@@ -145,14 +150,15 @@ class Bench(AnyBench):
         rate: float = 4000.0,
         seed: int = 0,
         world: World | None = None,
+        protocol: int = 1,
         **commissioning: Any,
     ) -> None:
-        self.rate, self._commissioning = rate, Commissioning(**commissioning)
+        self.rate, self._protocol, self._commissioning = rate, protocol, Commissioning(**commissioning)
         super().__init__(folder, time_scale, seed, world)
 
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
         state = StateFile(self.folder / "state", self._commissioning)
-        motor = {"rate": self.rate, "acceleration": 10 * self.rate}
+        motor = {"rate": self.rate, "acceleration": 10 * self.rate, "protocol": self._protocol}
         return state, Board(state, **motor, **self._life(seed))
 
     def _open(self, **settings: Any) -> RigDoser:
@@ -175,35 +181,45 @@ class CountedBench(AnyBench):
 
 
 class NewEraBench(CountedBench):
-    """An NE-1000 with a 5 ml syringe."""
+    """An NE-1000 with a 5 ml syringe, set up as `habits` says.
+
+    Where it checks rates its own is the fastest that the motor makes with this syringe, 5.7 ml/min, else 30.
+    """
 
     steps_per_ul = 20.0
+    DIAMETER_MM = 12.0
+    FASTEST_ML_PER_MIN = math.floor(10 * FASTEST_MM_PER_MIN * math.pi / 4 * DIAMETER_MM**2 / 1000) / 10
 
     def __init__(
         self,
         folder: Path,
         time_scale: float = 0.2,
-        rate_ml_per_min: float = 30.0,
+        rate_ml_per_min: float | None = None,
         seed: int = 0,
         world: World | None = None,
+        habits: NewEraHabits | None = None,
         **device: Any,
     ) -> None:
-        self.rate, self._device = rate_ml_per_min, device
+        self._habits, self._device = habits or NewEraHabits(), device
+        self.rate = rate_ml_per_min or (self.FASTEST_ML_PER_MIN if self._habits.checks_rates else 30.0)
         super().__init__(folder, time_scale, seed, world)
 
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
         state = TruthFile(self.folder / "state")
         unverified = {"nearest": bool(seed & 1), "counter_survives": bool(seed & 2)} | self._device
-        return state, NewEraBoard(state, **unverified, **self._life(seed))
+        return state, NewEraBoard(state, habits=self._habits, **unverified, **self._life(seed))
 
     def _open(self, **settings: Any) -> PumpDoser:
         given = {"port": str(self.folder / "doser"), "count_file": self.folder / "count", "time_scale": self.scale}
-        syringe = {"diameter_mm": 12.0, "rate_ml_per_min": self.rate}
+        syringe = {"diameter_mm": self.DIAMETER_MM, "rate_ml_per_min": self.rate}
         return NewEraDoser(NewEraSettings(**(given | syringe | settings)), **self._surroundings())
 
 
 class CavroBench(CountedBench):
-    """An XCalibur, initialised and filled before the first program uses it."""
+    """An XCalibur, or what `habits` says, initialised and filled before the first program uses it.
+
+    Its fastest is a stroke a second, whichever model.
+    """
 
     def __init__(
         self,
@@ -213,20 +229,23 @@ class CavroBench(CountedBench):
         syringe_ul: float = 1000.0,
         seed: int = 0,
         world: World | None = None,
+        habits: CavroHabits | None = None,
     ) -> None:
-        self.steps_per_ul = 24000.0 / syringe_ul
+        self._habits = habits or CavroHabits()
+        self.steps_per_ul = self._habits.model.increments * FINER / syringe_ul
         self.speed, self.syringe_ul, self._ready = speed_ul_per_s, syringe_ul, True
         super().__init__(folder, time_scale, seed, world)
 
     def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
         state = TruthFile(self.folder / "state")
         ready, self._ready = self._ready, False
-        return state, CavroBoard(state, ready=ready, **self._life(seed))
+        return state, CavroBoard(state, ready=ready, habits=self._habits, **self._life(seed))
 
     def _open(self, **settings: Any) -> CavroDoser:
         given = {"port": str(self.folder / "doser"), "count_file": self.folder / "count", "time_scale": self.scale}
-        syringe = {"syringe_ul": self.syringe_ul, "speed_ul_per_s": self.speed, "fine": False}
-        return CavroDoser(CavroSettings(**(given | syringe | settings)), **self._surroundings())
+        pump = {"model": self._habits.model.name, "fine": False}
+        syringe = {"syringe_ul": self.syringe_ul, "speed_ul_per_s": self.speed}
+        return CavroDoser(CavroSettings(**(given | pump | syringe | settings)), **self._surroundings())
 
     def put_right(self, doser: CavroDoser) -> None:
         with suppress(DeviceError):

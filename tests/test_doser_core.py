@@ -95,6 +95,7 @@ def silent_in_a_dose(bench: AnyBench, doser: Any, total_ul: float) -> None:
         doser.dose_to(total_ul)
     assert doser.unknown
     assert doser.stopped
+    bench.world.advance(3.0)  # by then it rests, without having heard the stop
 
 
 @BENCHES

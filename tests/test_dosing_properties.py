@@ -29,8 +29,11 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
+from drivers.cavro.emulator.core import MODELS
+from drivers.cavro.emulator.core import Habits as CavroHabits
 from drivers.counted.record import CountFile
 from drivers.dosing.doser import PumpDoser
+from drivers.new_era.emulator.core import Habits as NewEraHabits
 from tankrig.dosing import DoseDone, DoseIntent, DoseLimits, GuardedDoser, TankLedger
 from tankrig.errors import DeviceError, TankrigError, UndecidedError
 
@@ -407,29 +410,61 @@ class Dosing(RuleBasedStateMachine):
 class RigDosing(Dosing):
     stops_within_s, ul_per_s = 1.5, 15.0
 
+    protocol: ClassVar[int] = 1
+
     def make_bench(self, folder: Path, seed: int) -> AnyBench:
-        return Bench(folder, world=self.world, seed=seed, rate=150.0, dose_cap=500, life_cap=5000)
+        motor = {"rate": 150.0, "dose_cap": 500, "life_cap": 5000}
+        return Bench(folder, world=self.world, seed=seed, protocol=self.protocol, **motor)
 
     def second_doser(self, how: str) -> None:  # noqa: ARG002, it keeps its count itself
         self.bench.open()
 
 
+class Rig02Dosing(RigDosing):
+    protocol = 2
+
+
 class NewEraDosing(Dosing):
-    stops_within_s, ul_per_s = 3.0, 10.0
+    """With what the manual says, and each of what it leaves open."""
+
+    stops_within_s = 3.0
 
     def make_bench(self, folder: Path, seed: int) -> AnyBench:
-        return NewEraBench(folder, world=self.world, seed=seed, rate_ml_per_min=0.6)
+        rate_ml_per_min = (0.1, 0.6, 2.5, NewEraBench.FASTEST_ML_PER_MIN)[seed % 4]
+        self.ul_per_s = 1.05 * rate_ml_per_min * 1000.0 / 60.0
+        habits = NewEraHabits(
+            power_failure=bool(seed & 4), ignored_first=seed % 3, answers_damaged=bool(seed & 8), checks_rates=True
+        )
+        return NewEraBench(folder, world=self.world, seed=seed, rate_ml_per_min=rate_ml_per_min, habits=habits)
 
 
 class CavroDosing(Dosing):
-    stops_within_s, ul_per_s = 1.0, 15.0
+    """With what the manuals say, and each of what they leave open, at speeds from the slowest to the fastest."""
+
+    stops_within_s, model = 1.0, "xcalibur"
+    SYRINGE_UL = 250.0
+    SPEEDS = (0.25, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 37.5, 50.0, 60.0, 70.0, 90.0, 120.0, 160.0, 200.0, 250.0)
+    """µl/s; the slowest two, whose doses take minutes, in an eighth of the cases."""
 
     def make_bench(self, folder: Path, seed: int) -> AnyBench:
-        return CavroBench(folder, world=self.world, seed=seed, speed_ul_per_s=15.0, syringe_ul=250.0)
+        self.ul_per_s = self.SPEEDS[seed % len(self.SPEEDS)]
+        habits = CavroHabits(
+            model=MODELS[self.model],
+            speeds_interact=True,
+            speed_rounding=seed % 3 - 1,
+            repeat_flag_decides=bool(seed & 16),
+            overload_stays=bool(seed & 32),
+        )
+        speed = {"speed_ul_per_s": self.ul_per_s, "syringe_ul": self.SYRINGE_UL}
+        return CavroBench(folder, world=self.world, seed=seed, habits=habits, **speed)
+
+
+class XlpDosing(CavroDosing):
+    model = "xlp"
 
 
 QUIET = {"deadline": None, "suppress_health_check": list(HealthCheck), "database": None}
-MACHINES = [RigDosing, NewEraDosing, CavroDosing]
+MACHINES = [RigDosing, Rig02Dosing, NewEraDosing, CavroDosing, XlpDosing]
 
 
 @pytest.mark.parametrize("machine", MACHINES)

@@ -107,7 +107,12 @@ def test_codes_and_times_are_those_of_the_pages() -> None:
     table = CAVRO.split("| error | meaning | error | meaning |")[1].split("\n\n")[0]
     errors = {int(code) for code in re.findall(r"\| (\d+) \|", table)}
     assert errors == set(cavro.ERRORS)
-    host = {"timeout": serial_line.REPLY_S, "quiet": serial_line.QUIET_S, "poll": doser.POLL_S}
+    host = {
+        "timeout": serial_line.REPLY_S,
+        "quiet": serial_line.QUIET_S,
+        "patience": serial_line.PATIENCE_S,
+        "poll": doser.POLL_S,
+    }
     device = {"gap": new_era_frames.GAP_S, "boot": new_era_board.BOOT_S}
     assert host | device == times(NEW_ERA)
     assert host | {"piece": cavro_pump.PIECE_S, "valve": cavro_core.VALVE_S} == times(CAVRO)

@@ -1,5 +1,6 @@
 """Protocol page, driver and emulator say the same bytes; the page's own test vectors tie them together."""
 
+import binascii
 import random
 import re
 from dataclasses import asdict
@@ -90,6 +91,49 @@ def test_emulator_sends_the_replies_of_the_page(data: bytes, kind: str, fields: 
     state.close()
 
 
+def exchanges() -> list[tuple[str, str]]:
+    """What the page's exchanges have a host send and a board reply: (version, frame without CRC)."""
+    part = PAGE.split("Exchanges with a board")[1].split("\n## ")[0]
+    sent = [("both", text) for text in re.findall(r"^    (>\S+)$", part, re.MULTILINE)]
+    return sent + re.findall(r"^    (both|01|02) (<\S+)$", part, re.MULTILINE)
+
+
+BY_VERSION = {"D": (8, 8), "C": (4,), "Z": (8, 4), "I": (), "S": ()}
+"""Digits of the arguments; those of `Z` in 02."""
+
+
+def test_driver_says_what_the_exchanges_of_the_page_say() -> None:
+    """Whatever a well-formed request of either version is on the page, the driver writes the same bytes."""
+    written = 0
+    for _, text in exchanges():
+        sequence, command, digits = text[1:3], text[3], text[4:]
+        if text[0] == "<" or command not in BY_VERSION or not re.fullmatch(r"[0-9A-F]*", sequence + digits):
+            continue
+        widths = BY_VERSION[command] if command != "Z" or len(digits) == 12 else (8,)
+        if len(digits) != sum(widths):
+            continue
+        parts = [digits[sum(widths[:i]) : sum(widths[: i + 1])] for i in range(len(widths))]
+        arguments = [(int(part, 16), len(part)) for part in parts]
+        assert wire.request(int(sequence, 16), command, *arguments).startswith(f"{text}*".encode())
+        written += 1
+    assert written >= 30
+
+
+def test_driver_reads_what_boards_of_both_versions_reply_on_the_page() -> None:
+    read = {"01": 0, "02": 0}
+    for version, text in exchanges():
+        if text[0] == "<" and text[1:3].isupper() | text[1:3].isdigit():
+            sequence, reply = wire.reply(f"{text}*{binascii.crc_hqx(text.encode(), 0xFFFF):04X}".encode())
+            assert sequence == int(text[1:3], 16)
+            if isinstance(reply, wire.Refusal):
+                assert reply.code in wire.REFUSALS
+            if isinstance(reply, wire.Identity):
+                assert version == f"{reply.protocol:02d}"
+            for one in read:
+                read[one] += version in (one, "both")
+    assert min(read.values()) >= 25
+
+
 def test_a_damaged_frame_is_never_taken_for_another() -> None:
     """Every single flipped bit, and every single lost byte, in every vector."""
     for data, kind, _ in VECTORS:
@@ -131,7 +175,8 @@ def test_codes_and_times_are_those_of_the_page() -> None:
     assert table("flag") == {flag.name: flag.value for flag in wire.Flag}
     assert table("reason") == {reason.name: reason.value for reason in wire.Reason}
     assert table("reason") == {name: getattr(memory, name) for name in table("reason")}
-    assert set(table("code").values()) == set(wire.REFUSALS)
+    in_02 = {int(code, 16) for code in re.findall(r"Version 02 has one code more, `([0-9A-F]{2})`", PAGE)}
+    assert set(table("code").values()) | in_02 == set(wire.REFUSALS)
     assert table("code") == {name: getattr(firmware, f"E_{name}") for name in table("code")}
     times = {name: float(ms) / 1e3 for name, ms in re.findall(r"^\| (\w+) \| (\d+) ms \|", PAGE, re.MULTILINE)}
     driver = {"banner": line.BANNER_S, "timeout": line.REPLY_S, "poll": doser.POLL_S}

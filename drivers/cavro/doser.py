@@ -26,14 +26,15 @@ class CavroDoser(PumpDoser):
     def __init__(self, settings: CavroSettings, clock: Clock | None = None, opener: PortOpener = open_port) -> None:
         name, time = f"Cavro pump on {settings.port}", clock or SystemClock(settings.time_scale)
         factor = correction(settings.calibration, name, {"syringe_ul": settings.syringe_ul})
+        self._settings = settings
         self._plunger = CavroPump(settings, name, time, opener)
         pump = CountedPump(self._plunger, "cavro", settings.count_file, name)
         super().__init__(pump, time, dose_limit_ul=settings.dose_limit_ul, correction=factor)
 
-    def trouble(self) -> str | None:
-        """Why it cannot dose, and what to do; None if it can."""
-        with self._in_use("look at it"):
-            return self._read().trouble
+    def what_moves(self) -> str:
+        """Model, firmware and speed, for a sentence."""
+        model = {"xcalibur": "XCalibur", "xlp": "XLP"}[self._settings.model]
+        return f"{model} with firmware {self._plunger.model!r} at {self._settings.speed_ul_per_s:g} µl/s"
 
     def initialise(self) -> None:
         """Let the pump find its zero. A person has hung the tube into a waste vessel: the syringe is emptied.

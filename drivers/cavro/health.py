@@ -13,8 +13,10 @@ def find() -> Iterator[Found]:
 
 
 def checks(settings: Mapping[str, Any], device: Any) -> Iterator[Check]:  # noqa: ARG001
-    """That it is initialised and has no overload; moves nothing."""
+    """That it is initialised and has no overload, and how fast it moves; moves nothing."""
     if device is None:
         return
     finding, _, remedy = (device.trouble() or "it is").partition("; ")
     yield Check("doser is initialised", not remedy, finding, remedy)
+    told = f"{device.what_moves()} (earlier versions drove an XCalibur at half the speed asked)"
+    yield Check("doser is the model of the rig file", True, told)

@@ -6,6 +6,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 _STROKE = {"xcalibur": 3000, "xlp": 6000}
+PULSES_PER_STROKE = 6000
 FINER = 8
 
 
@@ -21,7 +22,10 @@ class CavroSettings(BaseModel):
     count_file
         Where the driver keeps what the plunger's position means; one per pump and syringe.
     model
-        Which decides how many increments a stroke has.
+        Which decides how many increments a stroke has; compared with the firmware that the pump tells.
+    firmware
+        What the pump tells of its firmware (`&`), where tankrig does not know that as the model's: a person who gives
+        it has seen on the pump's label that it is the model.
     fine
         Eight times as many increments.
     speed_ul_per_s
@@ -46,6 +50,7 @@ class CavroSettings(BaseModel):
     syringe_ul: float = Field(ge=10, le=50_000)
     count_file: Path
     model: Literal["xcalibur", "xlp"] = "xcalibur"
+    firmware: str | None = Field(default=None, min_length=1)
     fine: bool = True
     speed_ul_per_s: float = Field(gt=0, allow_inf_nan=False)
     address: int = Field(default=1, ge=1, le=15)
@@ -57,7 +62,7 @@ class CavroSettings(BaseModel):
 
     @property
     def finer(self) -> int:
-        """Increments per half-step of the motor."""
+        """Increments in one of the coarse ones."""
         return FINER if self.fine else 1
 
     @property
@@ -71,6 +76,16 @@ class CavroSettings(BaseModel):
         return self.syringe_ul / self.stroke
 
     @property
-    def half_steps_per_s(self) -> int:
-        """The speed as the pump takes it."""
-        return round(self.speed_ul_per_s / self.increment_ul / self.finer)
+    def pulses_per_s(self) -> int:
+        """The speed as the pump takes it: a stroke has as many pulses on every model."""
+        return round(self.speed_ul_per_s / self.ul_per_pulse)
+
+    @property
+    def ul_per_pulse(self) -> float:
+        """Nominal volume of a pulse, in which speeds count."""
+        return self.syringe_ul / PULSES_PER_STROKE
+
+    @property
+    def increments_per_pulse(self) -> float:
+        """Increments of the plunger's position in a pulse."""
+        return self.stroke / PULSES_PER_STROKE

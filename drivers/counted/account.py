@@ -35,7 +35,6 @@ class CountedPump:
         self._counter, self._kind, self._path, self.name = counter, kind, count_file, name
         self.ticks_per_ul, self.increment = counter.ticks_per_ul, counter.increment
         self.most = round(MOST_UL * counter.ticks_per_ul)
-        self.rests_after_s = counter.rests_after_s
         self._file: CountFile
 
     def greet(self) -> Standing:
@@ -47,6 +46,8 @@ class CountedPump:
         standing = self.rest()
         if standing.known and self._counter.stale():
             standing = self._renew()
+        if standing.known:
+            self._counter.set_up()
         return replace(standing, stopped=cut_off)
 
     @property
@@ -110,8 +111,10 @@ class CountedPump:
         low, high = record.unsure or (record.total.low, max(begun.to, record.total.high))
         short = leg is None or count.high < leg.end
         witnessed = trust is Trust.EXACT
+        if self._counter.repeats:  # how often it has begun anew nobody knows
+            high = self.most
         restarted = self._counter.counter_restarts and count.best == record.seen.best == 0 and not witnessed
-        if trust is Trust.RESTARTED or count.best < record.seen.best or restarted:
+        if self._counter.repeats or trust is Trust.RESTARTED or count.best < record.seen.best or restarted:
             self._file.update(unsure=(low, high), begun=None)
         elif trust is Trust.STALLED or (trust is Trust.UNWITNESSED and short):
             self._file.update(unsure=(min(low, total.high), min(high, total.high)), begun=None)
@@ -192,6 +195,10 @@ class CountedPump:
 
     def clear(self) -> None:
         """Nothing: the pump has no latch of its own."""
+
+    def leave_alone(self) -> None:
+        """It must not miss being asked."""
+        self._counter.leave_alone()
 
     def counter_moved(self) -> None:
         """The counter means something else from now on, though nothing went into the tank (it was initialised)."""

@@ -47,8 +47,8 @@ class Counter(Protocol):
     """Ticks it can deliver without counting beyond a renewal."""
     counter_restarts: bool
     """Whether the counter begins at 0 again when the power fails."""
-    rests_after_s: float
-    """By then it rests by itself when nobody talks to it."""
+    repeats: bool
+    """Whether it begins its last order anew by itself when its power comes back (found so when it was greeted)."""
 
     def greet(self) -> None:
         """Find out whether the right pump answers; moves nothing."""
@@ -61,6 +61,15 @@ class Counter(Protocol):
 
     def stale(self) -> bool:
         """Whether the counter must be renewed before anything else (settings that it forgets the count with)."""
+
+    def set_up(self) -> None:
+        """Have it take the settings that hold for every dose, so that one it cannot do is told now; moves nothing.
+
+        Raises
+        ------
+        DeviceError
+            If it refuses one.
+        """
 
     def room(self, count: Count) -> int:
         """Ticks it can deliver before its counter must be renewed."""
@@ -82,6 +91,9 @@ class Counter(Protocol):
 
     def stop(self) -> None:
         """Put a stop on the wire now; never raises, waits for nobody."""
+
+    def leave_alone(self) -> None:
+        """Nothing will be asked of it for a while: it must not miss being asked."""
 
     def close(self) -> None:
         """Leave it as a person would want to find it, and let go of the port."""

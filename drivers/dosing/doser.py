@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from enum import Enum
 
 from drivers.clock import Clock
-from drivers.serial_line import LineLostError
+from drivers.serial_line import LineLostError, NoReplyError
 from tankrig.devices import Delivered
 from tankrig.errors import DeviceError, UndecidedError
 
@@ -80,9 +80,11 @@ class PumpDoser:
         self._stops_asked = 0
         self._state = State.AT_REST
         self._known = Count.exactly(0)
+        self._leg: Leg | None = None
         self._closed = False
         try:
             self._adopt(pump.greet())
+            self._leave_alone()
         except BaseException:
             pump.close()
             raise
@@ -186,7 +188,7 @@ class PumpDoser:
             standing = self._adopt(self._pump.rest(leg))
         except BaseException as error:
             self.stop()
-            self._settle(leg)
+            self._settle()
             if isinstance(error, DeviceError) and not self._accounted:
                 raise self._undecided(f"{failed} ({error})") from error
             raise
@@ -201,7 +203,7 @@ class PumpDoser:
         )
 
     def _set_off(self, target: int, leg: Leg) -> None:
-        before, self._state = self._known, State.UNDER_WAY
+        before, self._state, self._leg = self._known, State.UNDER_WAY, leg
         self._known = before._replace(high=max(target, before.high))
         try:
             self._pump.set_off(target, leg, self._stop_asked.is_set)
@@ -235,18 +237,11 @@ class PumpDoser:
         self._known = Count(max(now.best, heard.best), max(now.low, certain), now.high)
         return max(certain, heard.low)
 
-    def _settle(self, leg: Leg | None) -> None:
-        """After a fault: learn what was delivered, or leave it unknown. By the last attempt the pump rests."""
-        for wait_s in (0.0, self._pump.rests_after_s):
-            if self._state is not State.UNDER_WAY:
-                return
-            self._clock.sleep(wait_s)
-            try:
-                self._adopt(self._pump.rest(leg))
-            except LineLostError:
-                break
-            except DeviceError:
-                continue
+    def _settle(self) -> None:
+        """After a fault: learn what was delivered, or leave it unknown at once, until the pump answers again."""
+        if self._state is State.UNDER_WAY:
+            with suppress(DeviceError):
+                self._adopt(self._pump.rest(self._leg))
         if self._state is State.UNDER_WAY:
             self._leave_unknown(self._known)
 
@@ -280,8 +275,11 @@ class PumpDoser:
             self._pump.remember_unknown(low, high)
 
     def _read(self) -> Standing:
+        leg = None if self._accounted else self._leg
         try:
-            return self._adopt(self._pump.rest())
+            with suppress(NoReplyError):
+                return self._adopt(self._pump.rest(leg))
+            return self._adopt(self._pump.rest(leg))  # a bad line may lose two replies in a row
         except LineLostError:
             self._stop_asked.set()
             raise
@@ -311,8 +309,13 @@ class PumpDoser:
                 elif not self._closed:
                     self._ask_again()
             finally:
-                self._using.release()
+                self._release()
         return self._volume()
+
+    def trouble(self) -> str | None:
+        """Why it cannot dose, and what to do; None if it can."""
+        with self._in_use("look at it"):
+            return self._read().trouble
 
     def stop(self) -> None:
         """Stop at once, from any thread, without waiting for a reader; latched until `clear_stop`."""
@@ -379,7 +382,17 @@ class PumpDoser:
         try:
             yield
         finally:
-            self._using.release()
+            self._release()
+
+    def _release(self) -> None:
+        self._leave_alone()
+        self._using.release()
+
+    def _leave_alone(self) -> None:
+        """Nobody uses the pump for now. One that may still move keeps its watchdog."""
+        if self._accounted:
+            with suppress(DeviceError):
+                self._pump.leave_alone()
 
     def close(self) -> None:
         """Stop a dose that runs, and let go of the port."""
@@ -390,6 +403,8 @@ class PumpDoser:
         if self._dosing.locked():
             self.stop()
         ended = self._using.acquire(timeout=_WAIT_S * self._clock.scale)
+        if ended:
+            self._leave_alone()
         self._pump.close()
         if ended:
             self._using.release()

@@ -85,8 +85,6 @@ class Pump(Protocol):
     """Ticks of the smallest dose that makes sense."""
     most: int
     """Ticks beyond which no total goes."""
-    rests_after_s: float
-    """By then it rests by itself when nobody talks to it."""
 
     def greet(self) -> Standing:
         """Find out whether the right pump answers and what it has delivered; delivers nothing."""
@@ -137,6 +135,9 @@ class Pump(Protocol):
 
     def assign(self, total: Count) -> None:
         """From now on this is what it has delivered: a person has said so."""
+
+    def leave_alone(self) -> None:
+        """It rests, and nothing will be asked of it for a while: it must not miss being asked."""
 
     def close(self) -> None:
         """Leave it as a person would want to find it, and let go of the port."""

@@ -1,11 +1,11 @@
 """A New Era pump on its line, as `drivers.counted.counter.Counter` (firmware_notes/new_era.md)."""
 
 import itertools
-import math
 import random
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from enum import Enum
 
 from drivers.clock import Clock
 from drivers.counted.counter import Reading, Trust
@@ -17,8 +17,9 @@ from . import wire
 from .settings import NewEraSettings
 
 ATTEMPTS = 3
+GREETINGS = 6
 LARGEST_IN_UL_MM = 14.0
-_DIGITS = 9999
+_DIGITS, _DIGITS_AND_POINT = 9999, 5
 _VERSION = re.compile(r"NE\d+X?V[\d.]+")
 _SHAPES = {
     command: re.compile(pattern)
@@ -31,13 +32,25 @@ _SHAPES = {
         "FUN": r"[A-Z]{3}.*",
         "PHN": r"\d+",
         "SAF": r"\d+",
+        "PF": r"[01]|\?",
     }.items()
 }
 """What the pump answers to a query; a reply of another shape belongs to another command."""
 
 
+class Mode(Enum):
+    """How the pump is spoken to."""
+
+    SAFE = "packets with checksums; its watchdog minds"
+    BASIC = "lines; its watchdog does not mind"
+    UNCERTAIN = "what would have told was lost, or nobody has asked yet"
+
+
 class NewEraPump:
-    """An NE-500 or NE-1000 in Safe mode.
+    """An NE-500 or NE-1000.
+
+    It is in Safe mode, where packets have checksums and its watchdog minds, only while it is used: the watchdog also
+    sounds an alarm when nothing moves and nothing is asked.
 
     Its program is phase 1 (pump the ordered volume) and phase 2 (stop). Ticks are thousandths of its unit of volume.
 
@@ -58,22 +71,26 @@ class NewEraPump:
         self._unit, self._unit_ul, self.order = _unit(settings.diameter_mm)
         self.tick_ul, self.ticks_per_ul = self._unit_ul / 1000.0, 1000.0 / self._unit_ul
         self.margin, self.most_doubt, self.increment = 3 * self.order, 5 * self.order, 10 * self.order
-        self.rests_after_s = 1.5 * settings.watchdog_s
-        self._stop = 2 * wire.packet(f"{settings.address}STP")
+        self._enter = f"{settings.address}SAF{settings.watchdog_s}\r".encode()
+        self._stop = 2 * wire.packet(f"{settings.address}STP") + 2 * f"\r{settings.address}STP".encode() + b"\r"
         self._heard_alarms: set[str] = set()
         self._gap = self._stopping = True
         self._marks = itertools.cycle(random.sample(range(3, 41), 38))  # not those of the last program
-        self._line = Line(settings.port, settings.baud, name, wire.packets, self._heard, clock, opener)
+        self.repeats = self._tells_power_failure_mode = False
+        self._mode: Mode = Mode.UNCERTAIN
+        self._shown_at_rest, self._count_at_rest = "", Count.exactly(0)
+        self._line = Line(settings.port, settings.baud, name, self._frames, self._heard, clock, opener)
 
     # -- who -----------------------------------------------------------------------------------------------------------
 
     def greet(self) -> None:
-        """Put it into Safe mode, with the watchdog, and see who it is."""
-        for attempts, safe_already in ((1, True), (ATTEMPTS, False), (ATTEMPTS, True)):
-            if not safe_already:
-                self._line.send(f"\r{self._settings.address}SAF{self._settings.watchdog_s}\r".encode())
+        """See who it is, and whether it begins anew by itself when its power comes back.
+
+        After power-up it may ignore some commands and answers one with an alarm.
+        """
+        for attempt in range(GREETINGS):
             with suppress(NoReplyError):
-                self.model = self._ask("VER", _SHAPES["VER"].fullmatch, attempts).data
+                self.model = self._ask("VER", _SHAPES["VER"].fullmatch, attempts=1 if attempt else 2).data
                 break
         else:
             raise DeviceError(
@@ -82,7 +99,34 @@ class NewEraPump:
             )
         if not _VERSION.fullmatch(self.model):
             raise DeviceError(f"{self._name}: {self.model!r} answers there, which is no New Era pump; correct the port")
-        self._set("SAF", str(self._settings.watchdog_s))
+        power_failure_mode = self._query("PF")
+        self._tells_power_failure_mode = power_failure_mode != "?"
+        self.repeats = power_failure_mode == "1"
+        if not self._tells_power_failure_mode and self._settings.power_failure_mode is None:
+            raise DeviceError(
+                f"{self._name}: does not know the command PF; see on its keypad that it does not start by itself after "
+                'a power failure, and give power_failure_mode = "off" in the rig file'
+            )
+
+    def set_up(self) -> None:
+        """Power failure mode off, so that no program starts by itself; and the rate, if it can do that."""
+        if self._tells_power_failure_mode and self._query("PF") != "0":
+            self._set("PF", "0")
+        self.repeats = False
+        self._set_rate()
+
+    def _set_rate(self) -> None:
+        """The rate of phase 1, which depends on the diameter that is set."""
+        rate, unit = _rate(self._settings.rate_ml_per_min)
+        self._set("PHN", "1")
+        self._set("FUN", "RAT")
+        refused = self._ask(f"RAT{rate}{unit}", _done_or_refused).error
+        if refused or not _same_setting(found := self._query("RAT"), f"{rate}{unit}"):
+            raise DeviceError(
+                f"{self._name}: rate_ml_per_min = {self._settings.rate_ml_per_min:g} is not one it can do with a "
+                f"syringe of {self._settings.diameter_mm:g} mm "
+                f"({refused or f'it reads back as {found}'}); give another rate"
+            )
 
     # -- counting ------------------------------------------------------------------------------------------------------
 
@@ -96,6 +140,8 @@ class NewEraPump:
 
     def read(self) -> Reading:
         """Bring it to rest if it moves, and read its counter."""
+        if self._mode is Mode.BASIC and self._shows_the_same():
+            return Reading(self._count_at_rest)
         error: DeviceError | None = None
         for _ in range(2 * ATTEMPTS):
             try:
@@ -105,12 +151,27 @@ class NewEraPump:
                 counted = self._ask("DIS", lambda text: wire.dispensed(text, self._unit_ul) is not None)
             except NoReplyError as missing:
                 error = missing
+                if not self._line.patient:
+                    break
                 continue
             count = wire.dispensed(counted.data, self._unit_ul)
             if counted.status == "S" and count:
+                self._shown_at_rest, self._count_at_rest = counted.data, count
                 return self._reading(count)
             self.stop()
         raise error or NoReplyError(f"{self._name}: does not stop; pull its power")
+
+    def _shows_the_same(self) -> bool:
+        """Whether it stands as it was left, at rest with the same count: then nothing has moved.
+
+        Asked in Basic mode, as the pump stores each change of mode. Whatever else it says is asked again in Safe mode.
+        """
+        try:
+            found = self._line.exchange(f"{self._settings.address}DIS\r".encode(), self._of_this_pump)
+        except NoReplyError:
+            self._mode = Mode.UNCERTAIN
+            return False
+        return found.status == "S" and found.data == self._shown_at_rest
 
     def _reading(self, count: Count) -> Reading:
         alarms, self._heard_alarms = self._heard_alarms, set()
@@ -126,8 +187,12 @@ class NewEraPump:
     def _mark(self) -> bool:
         """Have it select a phase and say which: replies from before are then past. False if it does not rest."""
         mark = next(self._marks)
-        refused = self._ask(f"PHN{mark}", lambda text: text == "" or text.startswith("?")).error
-        return not refused and bool(self._ask("PHN", lambda text: wire.same(text, str(mark)), attempts=1))
+        if self._ask(f"PHN{mark}", _done_or_refused).error:
+            return False
+        owed = self._line.owed
+        self._ask("PHN", lambda text: wire.same(text, str(mark)), attempts=1)
+        self._line.paid(owed)
+        return True
 
     def stale(self) -> bool:
         """Whether it is set to another diameter; setting it clears the counter."""
@@ -141,6 +206,7 @@ class NewEraPump:
         """Set the diameter and clear the counter."""
         if self.stale():
             self._set("DIA", self._diameter)
+            self._set_rate()
         for what in ("INF", "WDR"):
             self._command(f"CLD{what}")
 
@@ -150,25 +216,23 @@ class NewEraPump:
         """Program phase 1 to pump `ticks` and phase 2 to stop, and read all of it back."""
         if ticks <= 0:  # a volume of 0 would pump for ever
             raise DeviceError(f"{self._name}: asked to pump {ticks} thousandths; this is a fault of the driver")
-        rate, unit = self._rate
-        self._set("PHN", "1")
-        self._set("FUN", "RAT")
-        self._command(f"RAT{rate}{unit}", self._query("RAT") == f"{rate}{unit}")
-        self._command(f"VOL{self._unit}", self._query("VOL").endswith(self._unit))
+        self.set_up()
+        if not self._query("VOL").endswith(self._unit):
+            self._command(f"VOL{self._unit}")
         self._command(f"VOL{wire.number(ticks)}")
         self._command("DIRINF")
         self._set("PHN", "2")
         self._set("FUN", "STP")
         self._set("PHN", "1")
-        self._verify(ticks, rate, unit)
+        self._verify(ticks)
         counted = self._ask("DIS", lambda text: wire.dispensed(text, self._unit_ul) is not None)
         if counted.status != "S" or wire.dispensed(counted.data, self._unit_ul) != count:
             raise DeviceError(f"{self._name}: was reset or used while it was made ready; dose again")
 
-    def _verify(self, ticks: int, rate: str, unit: str) -> None:
+    def _verify(self, ticks: int) -> None:
         expected = {
             "DIA": self._diameter,
-            "RAT": f"{rate}{unit}",
+            "RAT": "".join(_rate(self._settings.rate_ml_per_min)),
             "VOL": f"{wire.number(ticks)}{self._unit}",
             "DIR": "INF",
             "FUN": "RAT",
@@ -187,7 +251,7 @@ class NewEraPump:
             answer = self._once("RUN", lambda _: True, unless)
         except NoReplyError:
             return True
-        return answer.error is None
+        return answer.error is None or self._line.owed > 0  # else the refusal may be another's
 
     def poll(self) -> tuple[bool, Count | None]:
         """Whether it pumps, and its counter; the packet feeds its watchdog."""
@@ -201,11 +265,16 @@ class NewEraPump:
     def stop(self) -> None:
         """The first STP pauses, the second ends the program, so that RUN would not resume it."""
         self._gap = self._stopping = True
-        self._line.send(self._stop)
+        self._line.send(self._stop, replies=5)
+
+    def leave_alone(self) -> None:
+        """Leave Safe mode, so that it sounds no alarm for want of being asked."""
+        if self._mode is Mode.SAFE:
+            left = self._change_mode(wire.packet(f"{self._settings.address or ''}SAF0"))
+            self._mode = Mode.BASIC if left else Mode.UNCERTAIN
 
     def close(self) -> None:
-        """Leave Safe mode, so that the pump raises no alarm for want of a computer."""
-        self._line.send(wire.packet(f"{self._settings.address or ''}SAF0"))
+        """Let go of the port."""
         self._line.close()
 
     # -- asking --------------------------------------------------------------------------------------------------------
@@ -213,12 +282,6 @@ class NewEraPump:
     @property
     def _diameter(self) -> str:
         return _four_digits(self._settings.diameter_mm)
-
-    @property
-    def _rate(self) -> tuple[str, str]:
-        if self._settings.rate_ml_per_min < 1.0:
-            return _four_digits(1000.0 * self._settings.rate_ml_per_min), "UM"
-        return _four_digits(self._settings.rate_ml_per_min), "MM"
 
     def _query(self, command: str) -> str:
         return self._ask(command, _SHAPES[command].fullmatch).data
@@ -229,11 +292,9 @@ class NewEraPump:
         if not _same_setting(found := self._query(command), value):
             raise DeviceError(f"{self._name}: {command} reads back as {found!r} and not {value!r}; reset the pump")
 
-    def _command(self, command: str, done: bool = False) -> None:
+    def _command(self, command: str) -> None:
         """Give a command that may be given twice."""
-        if done:
-            return
-        if refused := self._ask(command, lambda text: text == "" or text.startswith("?")).error:
+        if refused := self._ask(command, _done_or_refused).error:
             raise DeviceError(f"{self._name}: refused {command}: {refused}; correct the settings in the rig file")
 
     def _ask(
@@ -250,8 +311,12 @@ class NewEraPump:
                 answer = self._once(command, accept)
             except NoReplyError as error:
                 last = error
+                if not self._line.patient:
+                    break
                 continue
-            if answer.alarm is None or give_up_on_alarm:
+            if answer.damaged:
+                last = NoReplyError(f"{self._name}: receives damaged packets; check the cable")
+            elif answer.alarm is None or give_up_on_alarm:
                 return answer
         raise last or NoReplyError(f"{self._name}: answers only with alarms; look at its display")
 
@@ -262,16 +327,52 @@ class NewEraPump:
             found = wire.reply(text)
             if found is None or found.address != self._settings.address:
                 return None
-            return found if found.alarm or accept(found.data) else None
+            return found if found.alarm or found.damaged or accept(found.data) else None
 
+        self._be_safe()
         missed = self._line.missed
         try:
             found = self._line.exchange(wire.packet(f"{self._settings.address}{command}"), answer, unless)
+        except NoReplyError:
+            self._mode = Mode.UNCERTAIN  # it may have lost its power
+            raise
         finally:
             self._gap |= self._line.missed != missed
         if found.alarm:  # which the pump may have sent by itself, so that its reply to the command is still to come
             self._line.unsettle()
         return found
+
+    def _be_safe(self) -> None:
+        """Have it in Safe mode, in which it ignores the lines that would put it there.
+
+        While that is uncertain, a line of its own ends what may be left over of another; the next packet shows it.
+        """
+        if self._mode is Mode.SAFE:
+            return
+        if not (self._mode is Mode.BASIC and self._change_mode(self._enter)):
+            self._line.send(b"\r" + self._enter, replies=2)
+        self._mode = Mode.SAFE
+
+    def _change_mode(self, request: bytes) -> bool:
+        """Whether it says, in either mode, that it has changed; an alarm says that it has not."""
+        self._mode, before = Mode.UNCERTAIN, self._mode
+        try:
+            for _ in range(ATTEMPTS):
+                found = self._line.exchange(request, self._of_this_pump)
+                if found.alarm is None:
+                    return not found.data
+        except NoReplyError:
+            pass
+        finally:
+            self._mode = before
+        return False
+
+    def _of_this_pump(self, text: bytes) -> wire.Reply | None:
+        found = wire.reply(text)
+        return found if found and found.address == self._settings.address else None
+
+    def _frames(self, received: bytearray) -> Iterator[bytes]:
+        return (wire.packets if self._mode is Mode.SAFE else wire.packets_or_replies)(received)
 
     def _heard(self, text: bytes) -> None:
         """Every packet, wanted or not: none may hide an alarm; a pump that still moves or pauses has had none."""
@@ -289,14 +390,31 @@ def _unit(diameter_mm: float) -> tuple[str, float, int]:
     return ("UL", 1.0, 100) if diameter_mm <= LARGEST_IN_UL_MM else ("ML", 1000.0, 1)
 
 
+def _done_or_refused(text: str) -> bool:
+    return text == "" or text.startswith("?")
+
+
+def _rate(ml_per_min: float) -> tuple[str, str]:
+    """A rate as the pump takes it, in the unit that shows most of it.
+
+    >>> _rate(5.0), _rate(0.25), _rate(1e-5)
+    (('5.000', 'MM'), ('250.0', 'UM'), ('0.600', 'UH'))
+    """
+    if ml_per_min >= 1.0:
+        return _four_digits(ml_per_min), "MM"
+    if ml_per_min >= 1e-3:
+        return _four_digits(1e3 * ml_per_min), "UM"
+    return _four_digits(60e3 * ml_per_min), "UH"
+
+
 def _four_digits(value: float) -> str:
     """A number in at most four digits.
 
-    >>> _four_digits(14.3256), _four_digits(0.5), _four_digits(1000.0)
-    ('14.33', '0.500', '1000')
+    >>> _four_digits(14.3256), _four_digits(0.5), _four_digits(9.9996), _four_digits(1000.0)
+    ('14.33', '0.500', '10.00', '1000')
     """
-    decimals = max(0, min(3, 3 - math.floor(math.log10(value))))
-    return f"{value:.{decimals}f}"
+    shown = (f"{value:.{decimals}f}" for decimals in (3, 2, 1))
+    return next((text for text in shown if len(text) <= _DIGITS_AND_POINT), f"{value:.0f}")
 
 
 def _same_setting(found: str, wanted: str) -> bool:

@@ -1,6 +1,7 @@
 """What a rig file says about a New Era pump."""
 
 from pathlib import Path
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -24,6 +25,9 @@ class NewEraSettings(BaseModel):
         As set on the pump.
     watchdog_s
         The pump stops when it hears nothing for so long.
+    power_failure_mode
+        "off" where the pump cannot tell (firmware without the command `PF`): a person has seen that it does not begin
+        again by itself after a power failure.
     dose_limit_ul
         Most for one dose.
     calibration
@@ -41,6 +45,7 @@ class NewEraSettings(BaseModel):
     address: int = Field(default=0, ge=0, le=99)
     baud: int = Field(default=19200, gt=0)
     watchdog_s: int = Field(default=3, ge=2, le=10)
+    power_failure_mode: Literal["off"] | None = None
     dose_limit_ul: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     calibration: Path | None = None
     time_scale: float = Field(default=1.0, gt=0, le=10)

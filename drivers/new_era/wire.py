@@ -12,6 +12,7 @@ from drivers.dosing.pump import Count
 STX, ETX = 0x02, 0x03
 _FRAME = 4  # bytes of a packet that its length counts besides the data: length, CRC (2), ETX
 _REPLY = re.compile(r"(\d\d)(?:A\?([A-Z])|([IWSPTUX]))(.*)", re.DOTALL)
+_BASIC = re.compile(rb"\x02(\d\d(?:A\?[A-Z]|[IWSPTUX])[ -~]*)\x03")
 _DISPENSED = re.compile(r"I(\d*\.?\d*)W(\d*\.?\d*)(UL|ML)")
 
 ALARMS = {
@@ -38,6 +39,11 @@ class Reply:
     status: str
     data: str
     alarm: str | None = None
+
+    @property
+    def damaged(self) -> bool:
+        """Whether the pump says that what it received was damaged: it has done nothing, and forgotten no alarm."""
+        return self.data == "?COM"
 
     @property
     def error(self) -> str | None:
@@ -78,6 +84,26 @@ def packets(received: bytearray) -> Iterator[bytes]:
             yield text
         else:
             del received[:1]
+    received.clear()
+
+
+def packets_or_replies(received: bytearray) -> Iterator[bytes]:
+    """As `packets`, and besides the data of replies in Basic mode, which have no checksum: while the mode changes.
+
+    >>> list(packets_or_replies(bytearray.fromhex("02 30 30 53 03 02 07 30 30 53 AA A6 03")))
+    [b'00S', b'00S']
+    """
+    while (start := received.find(STX)) >= 0:
+        del received[:start]
+        if basic := _BASIC.match(received):
+            data = basic[1]
+            del received[: basic.end()]
+            yield bytes(data)
+        elif whole := next(packets(rest := received[:]), None):
+            received[:] = rest
+            yield whole
+        else:
+            return
     received.clear()
 
 

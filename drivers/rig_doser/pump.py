@@ -16,7 +16,7 @@ from .line import Line
 from .settings import RigDoserSettings
 
 ATTEMPTS = 3
-_HEX8 = 8
+_HEX4, _HEX8 = 4, 8
 
 
 class RigPump:
@@ -42,7 +42,6 @@ class RigPump:
     def __init__(self, settings: RigDoserSettings, name: str, clock: Clock, opener: PortOpener = open_port) -> None:
         self._settings, self.name = settings, name
         self.ticks_per_ul = settings.steps_per_ul
-        self.rests_after_s = 0.0
         self._identity: wire.Identity
         self._last: wire.State
         self._most_ever: int | None = None
@@ -54,24 +53,25 @@ class RigPump:
     def greet(self) -> Standing:
         """Wait for the board, which opening the port resets; see who it is, and stop it if it runs."""
         banner = self._line.wait_for_banner()
-        if banner and banner.protocol != wire.PROTOCOL:
+        if banner and banner.protocol not in wire.PROTOCOLS:
             raise self._other_version(banner.protocol)
         try:
             identity = self._again("I")
         except NoReplyError as error:
             raise DeviceError(f"{self.name}: no tankrig doser answers there; check the port and the board") from error
-        if not isinstance(identity, wire.Identity) or identity.protocol != wire.PROTOCOL:
+        if not isinstance(identity, wire.Identity) or identity.protocol not in wire.PROTOCOLS:
             raise self._other_version(getattr(identity, "protocol", 0))
         wanted = self._settings.serial
         if wanted is not None and wanted != identity.serial:
             raise DeviceError(f"{self.name}: is doser {identity.serial}, the rig file wants {wanted}; check the port")
-        self._identity, self.rests_after_s = identity, 1.5e-3 * identity.watchdog_ms
+        self._identity = identity
         standing = self.rest()
         self.name = f"doser {identity.serial} on {self._settings.port}"
         return standing
 
     def _other_version(self, version: int) -> DeviceError:
-        return DeviceError(f"{self.name}: speaks protocol {version}, not {wire.PROTOCOL}; update its firmware")
+        known = " or ".join(f"{number:02X}" for number in wire.PROTOCOLS)
+        return DeviceError(f"{self.name}: speaks protocol {version:02X}, not {known}; update its firmware or tankrig")
 
     @property
     def identity(self) -> str:
@@ -122,7 +122,8 @@ class RigPump:
 
     def assign(self, total: Count) -> None:
         """Have the firmware take over that count."""
-        reply = self._again("Z", (total.best, _HEX8))
+        known_stops = [(self._last.stops, _HEX4)] if self._identity.protocol >= wire.RESOLVES_NAME_STOPS else []
+        reply = self._again("Z", (total.best, _HEX8), *known_stops)
         if isinstance(reply, wire.Refusal):
             raise DeviceError(f"{self.name}: cannot take over {total.best} steps: {reply.why}")
 
@@ -168,9 +169,12 @@ class RigPump:
 
     def clear(self) -> None:
         """Clear the latch, unless a stop has come that was not told of."""
-        reply = self._again("C", (self._last.stops, 4))
+        reply = self._again("C", (self._last.stops, _HEX4))
         if isinstance(reply, wire.Refusal):
             raise DeviceError(f"{self.name}: cannot clear its stop: {reply.why}")
+
+    def leave_alone(self) -> None:
+        """Nothing: its watchdog minds only while the motor runs."""
 
     def close(self) -> None:
         """Let go of the port."""

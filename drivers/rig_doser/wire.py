@@ -4,7 +4,9 @@ import binascii
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-PROTOCOL = 1
+PROTOCOLS = (1, 2)
+RESOLVES_NAME_STOPS = 2
+"""From this version on `Z` names the stops that its sender knows of, as `C` does."""
 STOP = b"\x18\x18\x18"
 
 
@@ -50,6 +52,7 @@ REFUSALS = {
     0x09: "that is more than its cap for one dose",
     0x0A: "that is more than its lifetime cap; refill the syringe and commission it anew",
     0x0B: "it has been stopped again meanwhile",
+    0x0C: "it is sure of its own count; open it again, which takes that over",
 }
 
 

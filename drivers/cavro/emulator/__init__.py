@@ -1,4 +1,4 @@
-"""A Cavro XCalibur as far as its serial line shows it.
+"""A Cavro XCalibur or XLP as far as its serial line shows it.
 
-Written from firmware_notes/cavro.md; shares no code with the driver.
+Written from the manuals and firmware_notes/cavro.md; shares no code with the driver.
 """

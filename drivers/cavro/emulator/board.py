@@ -8,7 +8,7 @@ from drivers.emulation.board import Board
 from drivers.emulation.cable import Cable
 from drivers.emulation.truth import TruthFile
 
-from .core import Core
+from .core import Core, Habits
 from .frames import Reader, answered
 
 BOOT_S = 0.3
@@ -29,6 +29,8 @@ class CavroBoard(Board):
         Most fine increments that a plunger stopped in motion may lose.
     ready
         Whether it has been initialised and filled already, in its first life.
+    habits
+        Which model, and what the manuals leave open.
     boot_s, seed, others
         As for every board.
     """
@@ -43,17 +45,18 @@ class CavroBoard(Board):
         address: int = 1,
         most_lost: int = 64,
         ready: bool = False,
+        habits: Habits | None = None,
         boot_s: float = BOOT_S,
         seed: int = 0,
         **others: Any,
     ) -> None:
         self._address, self._most_lost, self._random = address, most_lost, random.Random(seed)
-        self._reader, self._ready = Reader(), ready
+        self._reader, self._ready, self._habits = Reader(), ready, habits
         super().__init__(state, cable, boot_s=boot_s, seed=seed, **others)
 
     def _power_up(self) -> tuple[Core, bytes]:
         self._reader, ready, self._ready = Reader(), self._ready, False
-        return Core(self._pulse, self._run, self._state.step, self._lost, ready), b""
+        return Core(self._pulse, self._state.step, self._lost, ready, self._habits, self._run), b""
 
     def _lost(self) -> int:
         return self._random.randrange(self._most_lost + 1)

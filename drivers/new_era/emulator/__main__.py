@@ -7,6 +7,7 @@ from drivers.emulation.process import parser, serve
 from drivers.emulation.truth import TruthFile
 
 from .board import NewEraBoard
+from .core import Habits
 
 
 def main() -> int:
@@ -16,6 +17,11 @@ def main() -> int:
     options.add_argument("--true-diameter-mm", type=float, default=12.0, help="of the syringe in it (default 12)")
     options.add_argument("--cuts-digits", action="store_true", help="its display cuts digits off instead of rounding")
     options.add_argument("--counter-survives", action="store_true", help="its counter survives the loss of power")
+    options.add_argument("--power-failure", action="store_true", help="new state file: power failure mode is on")
+    options.add_argument("--no-power-failure-command", action="store_true", help="it does not know PF")
+    options.add_argument("--ignored-first", type=int, default=0, help="commands lost after power-up (default 0)")
+    options.add_argument("--drops-damaged", action="store_true", help="damaged packets get no answer")
+    options.add_argument("--checks-rates", action="store_true", help="rates beyond the motor's are refused")
     args = options.parse_args()
     try:
         state = TruthFile(args.state)
@@ -29,6 +35,13 @@ def main() -> int:
         true_diameter_mm=args.true_diameter_mm,
         nearest=not args.cuts_digits,
         counter_survives=args.counter_survives,
+        habits=Habits(
+            power_failure=args.power_failure,
+            knows_power_failure=not args.no_power_failure_command,
+            ignored_first=args.ignored_first,
+            answers_damaged=not args.drops_damaged,
+            checks_rates=args.checks_rates,
+        ),
         time_scale=args.time_scale,
         seed=args.seed,
     )

@@ -7,7 +7,7 @@ from drivers.emulation.board import Board
 from drivers.emulation.cable import Cable
 from drivers.emulation.truth import TruthFile
 
-from .core import Core
+from .core import Core, Habits
 from .frames import Reader, basic, safe
 
 BOOT_S = 0.3
@@ -26,6 +26,8 @@ class NewEraBoard(Board):
         Of the syringe that is really in it.
     nearest, counter_survives
         What nobody has verified: see `Core`.
+    habits
+        How it is set up, and what the manual leaves open.
     boot_s, others
         As for every board.
     """
@@ -39,17 +41,19 @@ class NewEraBoard(Board):
         true_diameter_mm: float = 12.0,
         nearest: bool = True,
         counter_survives: bool = False,
+        habits: Habits | None = None,
         boot_s: float = BOOT_S,
         **others: Any,
     ) -> None:
         self._syringe = {"steps_per_ul": steps_per_ul, "true_diameter_mm": true_diameter_mm}
         self._nearest, self._counter_survives = nearest, counter_survives
+        self._habits = habits or Habits()
         self._reader = Reader()
         super().__init__(state, cable, boot_s=boot_s, **others)
 
     def _power_up(self) -> tuple[Core, bytes]:
         kept = self._state.kept()
-        self._reader = Reader()
+        self._reader = Reader(self._habits.answers_damaged)
         core = Core(
             kept,
             lambda: self._state.keep(kept),
@@ -58,6 +62,7 @@ class NewEraBoard(Board):
             **self._syringe,
             nearest=self._nearest,
             counter_survives=self._counter_survives,
+            habits=self._habits,
         )
         return core, b"".join(self._unasked(core))
 

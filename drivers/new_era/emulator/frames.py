@@ -1,6 +1,7 @@
-"""The pump's side of its wire: Basic and Safe mode, written from firmware_notes/new_era.md."""
+"""The pump's side of its wire: Basic and Safe mode, written from the manual and firmware_notes/new_era.md."""
 
 GAP_S = 0.5
+DAMAGED = "\x15"
 
 
 def _crc_of_byte(byte: int) -> int:
@@ -41,15 +42,22 @@ def basic(text: str) -> bytes:
 
 
 class Reader:
-    """Finds commands in what comes in. A damaged packet is dropped without a reply."""
+    """Finds commands in what comes in.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    tells_damage
+        Whether a packet of the right length with a wrong CRC counts, as `DAMAGED`; else it is dropped.
+    """
+
+    def __init__(self, tells_damage: bool = False) -> None:
         self._buffer = bytearray()
         self._last_s = 0.0
+        self._tells_damage = tells_damage
 
     def feed(self, data: bytes, now_s: float, safe_mode: bool) -> str | None:
         """Take `data` in, then one command out; call again with nothing until None."""
-        if data and now_s - self._last_s > GAP_S:
+        if data and safe_mode and now_s - self._last_s > GAP_S:
             self._buffer.clear()
         if data:
             self._last_s = now_s
@@ -61,7 +69,7 @@ class Reader:
         if not end:
             return None
         self._buffer[:] = rest
-        return line.decode("ascii", "replace")
+        return bytes(byte for byte in line if byte > 0x20).decode("ascii", "replace")
 
     def _packet(self) -> str | None:
         while self._buffer:
@@ -74,5 +82,8 @@ class Reader:
             if len(whole) >= 4 and whole[-1] == 3 and crc(whole[1:-3]) == int.from_bytes(whole[-3:-1], "big"):
                 del self._buffer[: 1 + len(whole)]
                 return whole[1:-3].decode("ascii", "replace")
+            if self._tells_damage and len(whole) >= 4 and whole[-1] == 3:
+                del self._buffer[: 1 + len(whole)]
+                return DAMAGED
             del self._buffer[0]
         return None

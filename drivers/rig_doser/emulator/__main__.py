@@ -7,6 +7,7 @@ from drivers.emulation.cable import PseudoTerminal
 from drivers.emulation.process import parser, serve
 
 from .board import Board
+from .firmware import PROTOCOLS
 from .memory import Commissioning, StateFile
 
 
@@ -16,6 +17,7 @@ def _arguments() -> argparse.Namespace:
     add = made.add_argument
     add("--rate", type=float, default=2000.0, help="highest speed, steps/s (default 2000)")
     add("--acceleration", type=float, default=8000.0, help="steps/s² (default 8000)")
+    add("--protocol", type=int, choices=PROTOCOLS, default=1, help="version that its firmware speaks (default 1)")
     add("--serial", default=new.serial, help="commissioning of a new state file (8 characters)")
     add("--dose-cap", type=int, default=new.dose_cap, help="commissioning: most steps in one dose")
     add("--life-cap", type=int, default=new.life_cap, help="commissioning: most steps ever")
@@ -33,8 +35,8 @@ def main() -> int:
     except BlockingIOError:
         sys.stderr.write(f"{args.state}: another emulator runs on this state file\n")
         return 2
-    speed = {"rate": args.rate, "acceleration": args.acceleration}
-    serve(Board(state, PseudoTerminal(args.link), **speed, time_scale=args.time_scale, seed=args.seed), args)
+    motor = {"rate": args.rate, "acceleration": args.acceleration, "protocol": args.protocol}
+    serve(Board(state, PseudoTerminal(args.link), **motor, time_scale=args.time_scale, seed=args.seed), args)
     state.close()
     return 0
 

@@ -24,6 +24,8 @@ class Board(Cabled):
         To whoever opens its port.
     rate, acceleration
         Of the motor, steps/s and steps/s².
+    protocol
+        Version of the protocol that its firmware speaks.
     boot_s
         From reset to banner.
     others
@@ -39,11 +41,12 @@ class Board(Cabled):
         *,
         rate: float = 2000.0,
         acceleration: float = 8000.0,
+        protocol: int = 1,
         boot_s: float = BOOT_S,
         **others: Any,
     ) -> None:
         self._fram = state
-        self._motor = (rate, acceleration)
+        self._motor, self._protocol = (rate, acceleration), protocol
         super().__init__(state, cable, boot_s=boot_s, **others)
 
     @property
@@ -52,7 +55,7 @@ class Board(Cabled):
         return self._core if isinstance(self._core, Firmware) else None
 
     def _power_up(self) -> tuple[Firmware, bytes]:
-        firmware = Firmware(self._fram, *self._motor, pulse=self._pulse, run=self._run)
+        firmware = Firmware(self._fram, *self._motor, self._pulse, self._protocol, self._run)
         return firmware, framed("!GRBL 1.1") if self._gremlin.faults.stranger else firmware.banner()
 
     def _answers(self, core: Firmware, received: bytes, now: float) -> Iterator[bytes]:
@@ -67,7 +70,7 @@ class Board(Cabled):
         self._reset()
 
     def _reset(self) -> None:
-        self._reader = RequestReader()
+        self._reader = RequestReader(self._protocol)
         super()._reset()
 
     def _forget(self) -> None:

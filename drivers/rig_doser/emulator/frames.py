@@ -6,6 +6,7 @@ from dataclasses import dataclass
 STOP = 0x18
 LONGEST = 96
 GAP_S = 0.1
+DIGITS = frozenset("0123456789ABCDEF")
 
 
 def _crc_table() -> tuple[int, ...]:
@@ -56,9 +57,16 @@ def framed(text: str) -> bytes:
 
 
 class RequestReader:
-    """Finds requests and stop bytes in what comes in, whatever is lost or garbled."""
+    """Finds requests and stop bytes in what comes in, whatever is lost or garbled.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    protocol
+        Version 02 drops a request whose number is not two digits; 01 echoes whatever it is.
+    """
+
+    def __init__(self, protocol: int = 1) -> None:
+        self._numbers_only = protocol >= 2
         self._frame: bytearray | None = None
         self._last_s = 0.0
 
@@ -74,7 +82,8 @@ class RequestReader:
                 self._frame = bytearray(b">")
             elif self._frame is not None and byte == ord("\n"):
                 frame, self._frame = bytes(self._frame), None
-                if request := _request(frame):
+                request = _request(frame)
+                if request and (set(request.sequence) <= DIGITS or not self._numbers_only):
                     yield request
             elif self._frame is not None:
                 self._frame.append(byte)
