@@ -9,6 +9,22 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.floating]
 
+ORDER_CLASSES: tuple[int | str, ...] = (1, 2, 3, "4-20", ">20")
+"""Of scattering events, which images are split by; in ascending order, as in the reference images."""
+
+
+def order_class(order: int) -> int | str:
+    """Class that an order of scattering belongs to.
+
+    Examples
+    --------
+    >>> order_class(2), order_class(4), order_class(21)
+    (2, '4-20', '>20')
+    """
+    if order <= 3:
+        return order
+    return "4-20" if order <= 20 else ">20"
+
 
 @dataclass(frozen=True)
 class Skipped:
@@ -29,8 +45,8 @@ class Prediction:
     model
         Name of the model that made it.
     orders
-        Images by order of scattering (keys of `tankrig.orders.ORDER_CLASSES`) that add up to `image`; empty
-        where the model has none.
+        Images by order of scattering (keys of `ORDER_CLASSES`) that add up to `image`; empty where the model
+        has none.
     stderr
         One-sigma standard error of `image`, or None where the model has no noise.
     skipped

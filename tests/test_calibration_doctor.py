@@ -141,7 +141,7 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
     from tankrig.calibration.radiometry_result import calibration_of
     from tankrig.devices import CameraSettings
     from tankrig.live.brackets import merged_of_run
-    from tankrig.live.exposures import Plan
+    from tankrig.live.exposures import PhotographPlan
     from tankrig.pattern.kinds import Sheet
     from tankrig.run.start import new_run
     from tankrig.sequence import Capture, Dose, Wait
@@ -169,7 +169,7 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
     assert outcome.error is None
     shutil.rmtree(rig.calibration_folder)
     run = tankrig.open_run(tmp_path / "run")
-    plan = Plan.of_run(run)
+    plan = PhotographPlan.of_run(run)
     assert plan.radiometry is not None
     frames = [frame for frame in run.frames if frame.pattern == "sheet"][:8]
     seen = np.mean([plan.radiometry.corrected(frame.values, CameraSettings(8.0)) for frame in frames], axis=0)

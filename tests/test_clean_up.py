@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import tankrig
 from tankrig import DeviceError, SequenceError, StoreError
 from tankrig.run import start
-from tankrig.run.announcer import Announcer
+from tankrig.run.event_dispatcher import EventDispatcher
 from tankrig.run.journal import Event, Moment
 from tankrig.run.start import new_run, resumed_run
 from tankrig.run.state import FinishReason, RunState
@@ -198,7 +198,7 @@ def test_a_run_that_cannot_be_made_leaves_nothing(tmp_path, monkeypatch, fails: 
 @settings(max_examples=50, deadline=None)
 def test_every_listener_that_does_not_fail_hears_every_event_in_order(failures: list, count: int) -> None:
     """One listener's failure, of whatever kind, must not make another one deaf."""
-    announcer = Announcer()
+    dispatcher = EventDispatcher()
     heard: list[list[int]] = []
 
     def listener(failure: BaseException | None, mine: list[int]):
@@ -211,10 +211,10 @@ def test_every_listener_that_does_not_fail_hears_every_event_in_order(failures: 
 
     for failure in failures:
         heard.append([])
-        announcer.listen(listener(failure, heard[-1]))
+        dispatcher.listen(listener(failure, heard[-1]))
     for seq in range(count):
-        announcer.announce(Event(seq, "note", Moment("", 0, ""), {}), None)
-    announcer.close()
+        dispatcher.dispatch(Event(seq, "note", Moment("", 0, ""), {}), None)
+    dispatcher.close()
     for failure, mine in zip(failures, heard, strict=True):
         assert mine == ([0] if failure is not None else list(range(count)))
-    assert not any(thread.name == "run-announcer" and thread is announcer._thread for thread in threading.enumerate())
+    assert not any(thread.name == "run-dispatcher" and thread is dispatcher._thread for thread in threading.enumerate())

@@ -13,7 +13,7 @@ import tankrig
 from tankrig.devices import CameraSettings, Delivered, Frame
 from tankrig.errors import UndecidedError
 from tankrig.live.brackets import merged_of_run
-from tankrig.live.exposures import Exposures, Plan, exposures_of, fits_that_hold
+from tankrig.live.exposures import Exposures, PhotographPlan, exposures_of, fits_that_hold
 from tankrig.report.settings import settings_of
 from tankrig.run.conditions import Conditions, clamped, spanning, with_conditions
 from tankrig.run.export import export_netcdf
@@ -273,15 +273,15 @@ def test_fits_that_took_the_exposure_asked_for_are_made_anew(both) -> None:
 def test_brackets_are_merged_by_the_exposures_that_frames_had(both, monkeypatch) -> None:
     seen: list[CameraSettings] = []
     monkeypatch.setattr("tankrig.live.brackets.merge", lambda frames, _: seen.extend(one for _, one in frames))
-    real = Plan.of_run.__func__  # type: ignore[attr-defined]
+    real = PhotographPlan.of_run.__func__  # type: ignore[attr-defined]
 
     class Calibrated:
         radiometry = object()
 
-        def __init__(self, plan: Plan) -> None:
+        def __init__(self, plan: PhotographPlan) -> None:
             self.settings = plan.settings
 
-    monkeypatch.setattr(Plan, "of_run", classmethod(lambda cls, run: Calibrated(real(cls, run))))
+    monkeypatch.setattr(PhotographPlan, "of_run", classmethod(lambda cls, run: Calibrated(real(cls, run))))
     for run in both:
         merged_of_run(run, "full", 10.0)
     assert seen == [CameraSettings(5.0)] * 4
@@ -297,7 +297,7 @@ def test_each_frame_counts_at_its_own_dose_in_whatever_order_doses_come(doses_ul
     steps = (*(Dose(100.0 * (number + 1)) for number in range(planned)), Capture("full"))
     sequence = Sequence("x", steps, exposure_ms=1.0)
     patterns = sequence.drawn(BENCH.wall)
-    exposures = Exposures(Plan.of(BENCH, sequence, list(patterns.values())))
+    exposures = Exposures(PhotographPlan.of(BENCH, sequence, list(patterns.values())))
     pixels = np.random.default_rng(0).integers(90, 110, BENCH.camera.shape).astype(np.uint16)
     room, held, unseen = exposures.plan.doses, {}, 0
     for number, dose_ul in enumerate(doses_ul):

@@ -23,7 +23,7 @@ from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
 from tankrig.light.tank import tank_image
 from tankrig.live import worker
-from tankrig.live.exposures import Exposures, Photograph, Plan
+from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
 from tankrig.live.fits import fit_dose_prepared
 from tankrig.live.live_fit import LiveFit
 from tankrig.live.preparing import Preparing, box_for
@@ -52,8 +52,8 @@ PATTERNS = SEQUENCE.drawn(BENCH.wall)
 INK = Medium(0.004, 0.08, 0.6)
 
 
-def plan() -> Plan:
-    return Plan.of(BENCH, SEQUENCE, list(PATTERNS.values()))
+def plan() -> PhotographPlan:
+    return PhotographPlan.of(BENCH, SEQUENCE, list(PATTERNS.values()))
 
 
 def event(kind: str, **fields: object) -> Event:
@@ -188,7 +188,7 @@ def test_frames_become_coefficients_in_another_process_that_ends_and_leaves_noth
 
 
 def test_a_fit_that_is_busy_neither_holds_the_run_up_nor_loses_what_happened_meanwhile() -> None:
-    """The announcer's thread calls `see`: a stuck fit must not stop the run, and no frame may count at another dose."""
+    """The dispatcher calls `see`: a stuck fit must not stop the run, and no frame may count at another dose."""
     with LiveFit(plan(), lambda _: None) as fit:
         fit.see(dosed(100.0), None)
         fit.see(frame(PATTERNS["sheet"], 2), photographed(0.1, 0))
@@ -268,7 +268,7 @@ def test_however_slow_the_fit_every_event_is_taken_in_in_order_and_each_frame_at
                     threading.Timer(value, fit._lock.release).start()
                 else:
                     event, pixels = next(waiting)
-                    preview = value if event.kind == "frame" else True  # the announcer has let half of the pixels go
+                    preview = value if event.kind == "frame" else True  # the dispatcher has let half of the pixels go
                     fit.see(event, pixels if preview else None)
                     assert event.kind != "frame" or pixels is not None
             assert until(lambda: not fit._taking._waiting)

@@ -10,7 +10,7 @@ import pytest
 
 from tankrig.bench import Bench
 from tankrig.light.tank import tank_image
-from tankrig.live.exposures import Plan
+from tankrig.live.exposures import PhotographPlan
 from tankrig.live.live_fit import LiveFit
 from tankrig.live.results import DoseFit
 from tankrig.pattern.kinds import Rays, Sheet, Stripes
@@ -45,7 +45,7 @@ def test_frames_become_numbers_in_time_to_be_watched(shape: tuple[int, int], pix
     captures = tuple(Capture(name, FRAMES) for name in PATTERNS)
     sequence = Sequence("figures", (Series((400.0,), (Capture("dark", 2), *captures)),), PATTERNS, exposure_ms=10.0)
     drawn = sequence.drawn(bench.wall)
-    plan = Plan.of(bench, sequence, list(drawn.values()))
+    plan = PhotographPlan.of(bench, sequence, list(drawn.values()))
     rng, results = np.random.default_rng(0), queue.Queue()
     with LiveFit(plan, lambda fit: results.put((time.perf_counter(), fit))) as fit:
         assert fit.pid is not None
@@ -62,8 +62,8 @@ def test_frames_become_numbers_in_time_to_be_watched(shape: tuple[int, int], pix
                 picture = np.kron(COUNTS * radiance, np.ones((plan.binning, plan.binning)))
             pictures[name] = [rng.poisson(100.0 + picture).astype(np.uint16) for _ in range(2)]
             for pixels in pictures[name]:
-                facts = {"pattern_hash": pattern.hash, "step": step + 1, "index": index}
-                fit.see(event("frame", **facts), pixels)
+                fields = {"pattern_hash": pattern.hash, "step": step + 1, "index": index}
+                fit.see(event("frame", **fields), pixels)
                 index += 1
         began, found = time.perf_counter(), None
         while not isinstance(found, DoseFit) or found.model != "prepared" or found.newest != index - 1:
@@ -72,9 +72,9 @@ def test_frames_become_numbers_in_time_to_be_watched(shape: tuple[int, int], pix
         waits_s, cpu_s = [], process.cpu_times().user + process.cpu_times().system
         for _ in range(FRAMES):
             pixels = pictures["sheet"][index % 2]
-            facts = {"pattern_hash": drawn["sheet"].hash, "step": 2, "index": index}
+            fields = {"pattern_hash": drawn["sheet"].hash, "step": 2, "index": index}
             began = time.perf_counter()
-            fit.see(event("frame", **facts), pixels)
+            fit.see(event("frame", **fields), pixels)
             while True:
                 at, found = results.get(timeout=10)
                 if found.newest == index:

@@ -184,7 +184,7 @@ def test_a_killed_preparation_goes_on_where_it_was(
     monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
     shares: list[float] = []
     resumed = tankrig.prepare(SCENE, TOLERANCE, shares.append, BOX)
-    plan = preparation.Plan(BOX, 240.0, TOLERANCE)
+    plan = preparation.PreparationPlan(BOX, 240.0, TOLERANCE)
     assert len(made) == len(plan.exact) + len(plan.checks) + len(plan.paths) - left + 1
     assert shares == sorted(shares)
     assert shares[-1] == 1.0

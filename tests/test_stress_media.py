@@ -120,9 +120,9 @@ def dense_and_deep() -> Scene:
 
 def test_what_no_budget_can_resolve_ends_soon_and_says_how_far_it_got(monkeypatch: pytest.MonkeyPatch) -> None:
     """It would run for hours, or pass noise off as an image to 1 %."""
-    from tankrig.light.tank import high_orders
+    from tankrig.light import tank
 
-    monkeypatch.setattr(high_orders, "TELLING_BATCHES", 6)
+    monkeypatch.setattr(tank, "TELLING_BATCHES", 6)
     with pytest.warns(UserWarning, match=r"may be wrong by .* more than the tolerance of 0.01"):
         prediction = tankrig.predict(dense_and_deep(), tolerance=0.01, max_order=60)
     assert max(part.bound for part in prediction.skipped) > 0.01

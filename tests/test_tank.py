@@ -214,7 +214,7 @@ def test_extreme_media_give_finite_light(sigma_t: float, g: float) -> None:
 
 def test_directions_stay_unit_vectors_over_thousands_of_scatterings() -> None:
     """Their rounding errors once grew by a third with each scattering; light of orders above 150 was then NaN."""
-    from tankrig.light.paths.flight import scattered
+    from tankrig.light.paths.block import scattered
 
     direction = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     for u, v in np.random.default_rng(0).random((2000, 2)):
@@ -241,7 +241,7 @@ def test_with_pinholes_too_a_fit_can_follow_the_image_as_the_medium_changes() ->
 @pytest.mark.parametrize("beam", [(0.0, 20.0), (60.0, 76.0)])
 def test_order_2_beside_the_walls_is_the_sum_over_rays(beam: tuple[float, float]) -> None:
     """Where light, and lines of sight, leave through a side wall, order 2 was up to nine times too bright."""
-    from tankrig.light.double.pair import pair_radiance
+    from tankrig.light.double.table import pair_radiance
     from tankrig.light.rays import geometry_of
 
     light = Projector("pinhole", (Beam(beam, (58.0, 62.0)),), (-400.0, 0.0, 60.0))

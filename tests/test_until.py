@@ -31,8 +31,8 @@ def fitting(runner: Runner, model: str = "tank") -> None:
     runner.fitted, seen = True, [0]
     put_frame = runner._writer.put_frame
 
-    def put(*args, **facts):
-        index = put_frame(*args, **facts)
+    def put(*args, **fields):
+        index = put_frame(*args, **fields)
         seen[0] += 1
         sd = 0.04 * 0.02 / seen[0]
         fit = {"fit": "dose", "dose_ml": 0.01, "sigma_a": 0.001, "sigma_s": 0.02, "g": 0.5, "sd": [1.0, sd, 0.001]}
@@ -106,8 +106,8 @@ def test_a_resumed_run_counts_the_frames_it_has_and_stops_all_the_same(tmp_path:
     fitting(runner)
     record = runner._writer.put_frame
 
-    def aborting(*args, **facts):
-        index = record(*args, **facts)
+    def aborting(*args, **fields):
+        index = record(*args, **fields)
         if index == 1:
             runner.abort()
         return index

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from tankrig.light.double import double_scattering
 from tankrig.light.single import single_scattering
-from tankrig.light.tank.high_orders import CellGrid, traced
+from tankrig.light.tank import CellGrid, traced
 from tankrig.scene import Medium, Scene, load_scene
 
 ROOT = Path(__file__).parents[2]

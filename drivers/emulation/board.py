@@ -69,7 +69,7 @@ class Board(ABC):
         self._state, self._cable, self._scale, self._boot_s = state, cable, time_scale, boot_s
         self._clock, self._in_bulk = now, in_bulk
         self._gremlin = Gremlin(seed, self.most_hits)
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._core: Core | None = None
         self._booted_s = 0.0
         self._unplug_now = False
@@ -119,7 +119,7 @@ class Board(ABC):
 
     def unplug(self) -> None:
         """Pull the cable; a device that has its power from there dies."""
-        with self._turn:
+        with self._lock:
             self._unplug()
 
     def live(self) -> None:
@@ -130,7 +130,7 @@ class Board(ABC):
 
     def catch_up(self) -> None:
         """Let everything happen that is due."""
-        with self._turn:
+        with self._lock:
             try:
                 self._live()
             except PowerLostError:
@@ -148,7 +148,7 @@ class Board(ABC):
 
         Returns the truth, what the board believes, and the faults in force.
         """
-        with self._turn:
+        with self._lock:
             if faults := request.get("faults"):
                 self._gremlin.set(dict(faults))  # type: ignore[call-overload]
             action = request.get("do")

@@ -22,15 +22,15 @@ _HEAD = struct.Struct("<II")
 
 
 @dataclass(frozen=True)
-class Truth:
-    """What really happened: steps of ink that have left the tube, and when the last one did (monotonic clock)."""
+class TrueDelivery:
+    """Steps of ink that have really left the tube, and when the last one did (monotonic clock)."""
 
     steps: int
     moved_ns: int
 
 
 class TruthFile:
-    """Truth and non-volatile memory of one device; one process at a time.
+    """True delivery and non-volatile memory of one device; one process at a time.
 
     Parameters
     ----------
@@ -60,9 +60,9 @@ class TruthFile:
         self._truth[0] += steps
 
     @property
-    def truth(self) -> Truth:
+    def truth(self) -> TrueDelivery:
         """What really happened."""
-        return Truth(self._truth[0], self._truth[1])
+        return TrueDelivery(self._truth[0], self._truth[1])
 
     def keep(self, values: dict[str, Any]) -> None:
         """Replace what the non-volatile memory holds."""
@@ -84,10 +84,10 @@ class TruthFile:
         os.close(self._fd)
 
 
-def read_truth(path: Path) -> Truth:
+def read_truth(path: Path) -> TrueDelivery:
     """What the device with this file has really delivered, also while its process runs."""
     with path.open("rb") as file:
-        return Truth(*struct.unpack("@QQ", file.read(16)))
+        return TrueDelivery(*struct.unpack("@QQ", file.read(16)))
 
 
 def state_in_use(path: Path) -> bool:

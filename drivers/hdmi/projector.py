@@ -45,7 +45,7 @@ class HdmiProjector:
     def __init__(self, settings: HdmiProjectorSettings, swap_clock: SwapClock = lambda swapped_ns: swapped_ns) -> None:
         self._settings = settings
         self._swap_clock = swap_clock
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         colours = _colours(settings.response)
         self._link = WindowLink(self.name, settings.timeout_s)
         try:
@@ -82,7 +82,7 @@ class HdmiProjector:
                 f'{self.name}: pattern "{pattern.name}" has shape {list(pattern.shape)} and the output '
                 f"{list(self.shape)}; draw it in the output's shape"
             )
-        with self._turn:
+        with self._lock:
             settled_ns = self._swap_clock(self._link.show(pattern.pixels))
         later_ns = round(self._settings.latency_ms * 1e6 + 1e9 / self._settings.refresh_hz)
         return Flip(settled_ns, settled_ns + later_ns, pattern.hash)
@@ -95,7 +95,7 @@ class HdmiProjector:
         DeviceError
             If the screen is gone, something has covered or changed the picture, or this is closed.
         """
-        with self._turn:
+        with self._lock:
             self._link.check()
 
     def close(self) -> None:

@@ -39,7 +39,7 @@ class ReplayCamera:
         starts = self._recording.starts_ns
         self._lasts_ns = starts[-1] + (starts[-1] // (len(starts) - 1) if len(starts) > 1 else 1_000_000)
         self._closed = threading.Event()
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._next = 0
         self._origin_ns = time.monotonic_ns()
 
@@ -117,12 +117,12 @@ class ReplayCamera:
     @contextmanager
     def _my_turn(self, what: str) -> Iterator[None]:
         self._require_open()
-        if not self._turn.acquire(blocking=False):
+        if not self._lock.acquire(blocking=False):
             raise DeviceError(f"{self.name}: cannot {what} while a capture is under way; let one owner have the camera")
         try:
             yield
         finally:
-            self._turn.release()
+            self._lock.release()
 
     def _require_open(self) -> None:
         if self._closed.is_set():

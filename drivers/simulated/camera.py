@@ -59,7 +59,7 @@ class SimulatedCamera:
         self._boards = BoardsInView(settings.boards) if settings.boards else None
         self._buffer = frame_buffer(settings.folder)
         self._closed = threading.Event()
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._handed_out, self._number = 0, 0
         self._frozen: NDArray[np.uint16] = np.zeros(self.shape, np.uint16)
         self._configured = CameraSettings(exposure_ms=20.0)
@@ -214,12 +214,12 @@ class SimulatedCamera:
     @contextmanager
     def _my_turn(self, what: str) -> Iterator[None]:
         self._require_there()
-        if not self._turn.acquire(blocking=False):
+        if not self._lock.acquire(blocking=False):
             raise DeviceError(f"{self.name}: cannot {what} while a capture is under way; let one owner have the camera")
         try:
             yield
         finally:
-            self._turn.release()
+            self._lock.release()
 
     def _wait(self, until_ns: int) -> None:
         self._closed.wait(max(0, until_ns - time.monotonic_ns()) / 1e9)

@@ -28,24 +28,24 @@ class FrameBuffer:
 
     def __init__(self) -> None:
         self._flips: deque[tuple[int, Pattern | None]] = deque([(0, None)], maxlen=_REMEMBERED)
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
 
     def show(self, pattern: Pattern | None, lit_ns: int) -> None:
         """Light the tank with `pattern`, or not at all, from `lit_ns` on, which rises from call to call."""
-        with self._turn:
+        with self._lock:
             self._flips.append((lit_ns, pattern))
 
     def go_dark(self) -> None:
         """No light from now on, whatever was to come."""
         now_ns = time.monotonic_ns()
-        with self._turn:
+        with self._lock:
             while self._flips and self._flips[-1][0] >= now_ns:
                 self._flips.pop()
             self._flips.append((now_ns, None))
 
     def shown(self, start_ns: int, end_ns: int) -> Mapping[Pattern, float]:
         """Parts of the time from `start_ns` to `end_ns` in which each pattern was shown."""
-        with self._turn:
+        with self._lock:
             flips = list(self._flips)
         parts: dict[Pattern, float] = {}
         ends = [lit_ns for lit_ns, _ in flips[1:]] + [end_ns]

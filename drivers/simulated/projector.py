@@ -40,7 +40,7 @@ class SimulatedProjector:
         self.faults: ProjectorFaults = settings.faults
         self._random = np.random.default_rng((settings.seed, 1))
         self._closed = threading.Event()
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._flips = 0
         self._period_ns = self._ns(settings.period_ms)
         self._require_steady()
@@ -70,7 +70,7 @@ class SimulatedProjector:
                 f'{self.name}: pattern "{pattern.name}" has shape {list(pattern.shape)} and the output '
                 f"{list(self.shape)}; draw it in the output's shape"
             )
-        with self._turn:
+        with self._lock:
             swap_ns = self._next_swap()
             least_ns, most_ns = (self._ns(latency_ms) for latency_ms in self._settings.latency_ms)
             self._buffer.show(pattern, swap_ns + int(self._random.uniform(least_ns, most_ns)))

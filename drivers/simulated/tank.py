@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.emulation.truth import Truth as Plunger
-from drivers.emulation.truth import read_truth
+from drivers.emulation.truth import TrueDelivery, read_truth
 from tankrig.pattern import Pattern
 from tankrig.scene.description import Medium
 
@@ -79,12 +78,12 @@ class SimulatedTank:
     @property
     def ink_ml(self) -> float:
         """Ink that is in the tank."""
-        return self._ml(self._plunger())
+        return self._ml(self._delivery())
 
     @property
     def medium(self) -> Medium:
         """What is in the tank once all ink has spread."""
-        return self._medium(self._plunger())
+        return self._medium(self._delivery())
 
     def radiance(self, pattern: Pattern, medium: Medium) -> Radiance:
         """What leaves towards the camera when all is `medium`; computed once, and not to be changed."""
@@ -97,12 +96,12 @@ class SimulatedTank:
 
     def seen(self, shown: Mapping[Pattern, float], now_ns: int) -> Image:
         """(rows, columns) mean radiance, W/mm²/sr, when patterns are `shown` for parts of the time, by `now_ns`."""
-        plunger = self._plunger()
-        medium = self._medium(plunger)
+        delivery = self._delivery()
+        medium = self._medium(delivery)
         image = np.zeros(self.truth.bench.camera.shape)
         for pattern, part in shown.items():
             image += part * self.radiance(pattern, medium).image
-        return image * (1.0 + self._unspread.part(plunger, now_ns) * (self._blob - 1.0))
+        return image * (1.0 + self._unspread.part(delivery, now_ns) * (self._blob - 1.0))
 
     def _simulated(self, pattern: Pattern, medium: Medium) -> Radiance:
         truth = self.truth
@@ -117,17 +116,17 @@ class SimulatedTank:
         tally = simulate_to(scene, truth.tolerance, seed=seed, coarsen=truth.coarsen)
         return Radiance(tally.image, tally.stderr)
 
-    def _ml(self, plunger: Plunger) -> float:
-        return plunger.steps / self.truth.steps_per_ul / 1000.0
+    def _ml(self, delivery: TrueDelivery) -> float:
+        return delivery.steps / self.truth.steps_per_ul / 1000.0
 
-    def _medium(self, plunger: Plunger) -> Medium:
-        return mixture(self.truth.water, self.truth.ink, self._ml(plunger))
+    def _medium(self, delivery: TrueDelivery) -> Medium:
+        return mixture(self.truth.water, self.truth.ink, self._ml(delivery))
 
-    def _plunger(self) -> Plunger:
+    def _delivery(self) -> TrueDelivery:
         try:
             return read_truth(self._state)
         except (FileNotFoundError, struct.error):  # no doser was ever opened on this tank, or one is just being made
-            return Plunger(steps=0, moved_ns=0)
+            return TrueDelivery(steps=0, moved_ns=0)
 
 
 class _Unspread:
@@ -137,14 +136,14 @@ class _Unspread:
         self._mixing_ns = mixing_s * 1e9
         self._steps, self._unspread, self._at_ns = 0, 0.0, 0
 
-    def part(self, plunger: Plunger, now_ns: int) -> float:
+    def part(self, delivery: TrueDelivery, now_ns: int) -> float:
         """Of all ink in the tank."""
         now_ns = max(now_ns, self._at_ns)
-        arrived_ns = min(max(plunger.moved_ns, self._at_ns), now_ns)
+        arrived_ns = min(max(delivery.moved_ns, self._at_ns), now_ns)
         self._unspread *= math.exp((self._at_ns - now_ns) / self._mixing_ns)
-        self._unspread += (plunger.steps - self._steps) * math.exp((arrived_ns - now_ns) / self._mixing_ns)
-        self._steps, self._at_ns = plunger.steps, now_ns
-        return self._unspread / plunger.steps if plunger.steps else 0.0
+        self._unspread += (delivery.steps - self._steps) * math.exp((arrived_ns - now_ns) / self._mixing_ns)
+        self._steps, self._at_ns = delivery.steps, now_ns
+        return self._unspread / delivery.steps if delivery.steps else 0.0
 
 
 def _blob(truth: Truth) -> Image:

@@ -95,7 +95,7 @@ class V4l2Camera:
     def __init__(self, settings: V4l2CameraSettings) -> None:
         self._settings = settings
         self._closed = threading.Event()
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         self._card = settings.card
         self._settle_frames = settings.settle_frames
@@ -228,12 +228,12 @@ class V4l2Camera:
             return
         self._closed.set()
         os.eventfd_write(self._wake, 1)
-        if self._turn.acquire(timeout=3.0 * _STALL_S):
+        if self._lock.acquire(timeout=3.0 * _STALL_S):
             try:
                 self._let_go()
                 os.close(self._wake)
             finally:
-                self._turn.release()
+                self._lock.release()
 
     def _open(self) -> None:
         settings = self._settings
@@ -403,7 +403,7 @@ class V4l2Camera:
     @contextmanager
     def _my_turn(self, what: str) -> Iterator[None]:
         self._require_open()
-        if not self._turn.acquire(blocking=False):
+        if not self._lock.acquire(blocking=False):
             raise DeviceError(f"{self.name}: cannot {what} while a capture is under way; let one owner have the camera")
         try:
             self._require_open()
@@ -414,7 +414,7 @@ class V4l2Camera:
                 raise DeviceError(f"{self.name}: is gone; plug the camera in again") from error
             raise explained(self._settings.device, error) from error
         finally:
-            self._turn.release()
+            self._lock.release()
 
     def _require_open(self) -> None:
         if self._closed.is_set():

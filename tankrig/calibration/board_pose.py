@@ -42,9 +42,9 @@ def before_camera(view: BoardView, board: Board, lens: Lens) -> Points:
     import cv2
 
     points, corners = view.points_mm(board), view.corners_px.reshape(-1, 1, 2)
-    _, turn, shift = cv2.solvePnP(points, corners, lens.matrix, lens.distortion, flags=cv2.SOLVEPNP_IPPE)
-    turn, shift = cv2.solvePnPRefineLM(points, corners, lens.matrix, lens.distortion, turn, shift)
-    return np.concatenate([np.ravel(turn), np.ravel(shift)])
+    _, rotation, shift = cv2.solvePnP(points, corners, lens.matrix, lens.distortion, flags=cv2.SOLVEPNP_IPPE)
+    rotation, shift = cv2.solvePnPRefineLM(points, corners, lens.matrix, lens.distortion, rotation, shift)
+    return np.concatenate([np.ravel(rotation), np.ravel(shift)])
 
 
 def in_tank(view: BoardView, board: Board, lens: Lens, camera: Pose, window: Window | None = None) -> Points:
@@ -81,5 +81,5 @@ def _rigid(points: Points, seen: Points) -> Points:
     """The (6,) pose that brings points nearest to where they were seen (Kabsch 1976)."""
     middle, there = points.mean(axis=0), seen.mean(axis=0)
     u, _, vt = np.linalg.svd((seen - there).T @ (points - middle))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return np.array([*rotation_vector(turn), *(there - turn @ middle)])
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return np.array([*rotation_vector(rotation), *(there - rotation @ middle)])

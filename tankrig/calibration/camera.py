@@ -169,7 +169,7 @@ def _fit(views: Sequence[BoardView], board: Board) -> tuple[Lens, dict[str, floa
     corners = [view.corners_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
     rows, columns = views[0].shape
     try:
-        _, matrix, distortion, turns, shifts, sd, _, errors = cv2.calibrateCameraExtended(
+        _, matrix, distortion, rotations, shifts, sd, _, errors = cv2.calibrateCameraExtended(
             points, corners, (columns, rows), None, None, flags=cv2.CALIB_FIX_K3
         )
     except cv2.error as error:
@@ -179,7 +179,7 @@ def _fit(views: Sequence[BoardView], board: Board) -> tuple[Lens, dict[str, floa
     matrix[0, 1] = 0.0
     lens = Lens.of(matrix, distortion.ravel()[:5])
     sds = dict(zip(INTRINSICS, np.ravel(sd)[:9].tolist(), strict=True))
-    poses = [(np.ravel(turn), np.ravel(shift)) for turn, shift in zip(turns, shifts, strict=True)]
+    poses = [(np.ravel(rotation), np.ravel(shift)) for rotation, shift in zip(rotations, shifts, strict=True)]
     return lens, sds, np.ravel(errors), poses
 
 
@@ -196,5 +196,5 @@ def _largest_angle_deg(poses: _Poses) -> float:
     """Between the board's normals."""
     import cv2
 
-    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn, _ in poses])
+    normals = np.array([cv2.Rodrigues(rotation)[0][:, 2] for rotation, _ in poses])
     return float(np.rad2deg(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))).max())

@@ -271,11 +271,11 @@ def _linear(points_mm: Points, pixels: Points, water_index: float) -> Points:
     projection = grow @ solution @ shrink
     if (projection[2] @ np.append(middle, 1.0)) < 0.0:
         projection = -projection
-    matrix, turn, place = cv2.decomposeProjectionMatrix(projection)[:3]
+    matrix, rotation, place = cv2.decomposeProjectionMatrix(projection)[:3]
     signs = np.diag(np.sign(np.diag(matrix)))
-    matrix, turn = matrix @ signs / matrix[2, 2] * signs[2, 2], signs @ turn
-    if np.linalg.det(turn) < 0.0:
+    matrix, rotation = matrix @ signs / matrix[2, 2] * signs[2, 2], signs @ rotation
+    if np.linalg.det(rotation) < 0.0:
         raise CalibrationError("the projector's picture comes out mirrored; check its mirroring and the board's place")
-    shift = -turn @ (place[:3, 0] / place[3, 0])
+    shift = -rotation @ (place[:3, 0] / place[3, 0])
     lens = [abs(matrix[0, 0]), abs(matrix[1, 1]), matrix[0, 2], matrix[1, 2], 0.0, 0.0, 0.0, 0.0]
-    return np.array([*lens, *rotation_vector(turn), *shift])
+    return np.array([*lens, *rotation_vector(rotation), *shift])

@@ -183,8 +183,8 @@ def _pose(numbers: Points) -> Pose:
 def _camera(floor: BoardView, board: Board, lens: Lens, size_mm: tuple[float, float, float]) -> Pose:
     """Its pose, from the view of the floor alone: board → camera after tank → board."""
     seen, laid = before_camera(floor, board, lens), on_floor(board, size_mm)
-    turn = rotation_matrix(seen[:3]) @ rotation_matrix(laid[:3]).T
-    return _pose(np.array([*rotation_vector(turn), *(seen[3:] - turn @ laid[3:])]))
+    rotation = rotation_matrix(seen[:3]) @ rotation_matrix(laid[:3]).T
+    return _pose(np.array([*rotation_vector(rotation), *(seen[3:] - rotation @ laid[3:])]))
 
 
 def _first_level(
@@ -278,11 +278,11 @@ class _Bundle:
         """Camera and points in a frame whose z is across the surface, turned about the middle of the tank."""
         if not numbers[7:9].any():
             return _pose(numbers), points
-        turn, camera = rotation_matrix([*numbers[7:9], 0.0]), _pose(numbers)
+        rotation, camera = rotation_matrix([*numbers[7:9], 0.0]), _pose(numbers)
         pivot = np.array([*self._middle, numbers[6]])
-        matrix = camera.matrix @ turn.T
+        matrix = camera.matrix @ rotation.T
         shift = np.array(camera.translation_mm) + camera.matrix @ pivot - matrix @ pivot
-        return _pose(np.array([*rotation_vector(matrix), *shift])), (points - pivot) @ turn.T + pivot
+        return _pose(np.array([*rotation_vector(matrix), *shift])), (points - pivot) @ rotation.T + pivot
 
 
 def _filled(start: Points, free: Points, numbers: Points) -> Points:

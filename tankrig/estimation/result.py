@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.parameters import in_tank
-from tankrig.orders import ORDER_CLASSES
-from tankrig.prediction import Prediction
+from tankrig.prediction import ORDER_CLASSES, Prediction
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]

@@ -11,12 +11,12 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Pose:
-    """Turn and shift from the world's frame to the device's: x to the right of its picture, y down, z forward.
+    """Rotation and shift from the world's frame to the device's: x to the right of its picture, y down, z forward.
 
     Parameters
     ----------
     rotation
-        Axis of the turn times its angle in radians (Rodrigues; OpenCV's `rvec`).
+        Axis of the rotation times its angle in radians (Rodrigues; OpenCV's `rvec`).
     translation_mm
         The world's origin in the device's frame (OpenCV's `tvec`).
 

@@ -7,7 +7,7 @@ from functools import cache
 
 from tankrig.bench import Bench
 from tankrig.errors import SceneError, SequenceError, StoreError
-from tankrig.live.exposures import Plan
+from tankrig.live.exposures import PhotographPlan
 from tankrig.live.live_fit import LiveFit
 from tankrig.live.results import DoseFit, Fit, to_fields
 from tankrig.run.reading import open_run
@@ -27,7 +27,7 @@ def require_fittable(sequence: Sequence, bench: Bench) -> None:
     """
     for name, pattern in sequence.drawn(bench.wall).items():
         try:
-            _ = Plan.of(bench, sequence, [pattern]).scenes
+            _ = PhotographPlan.of(bench, sequence, [pattern]).scenes
         except SceneError as error:
             raise SequenceError(f'{sequence.name}: pattern "{name}" cannot be fitted: {error}') from error
 
@@ -63,7 +63,7 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
         with suppress(StoreError):
             runner.record("note", text=sentence, warning=True)
 
-    with LiveFit(Plan.of_run(run), record, run, tell) as fit:
+    with LiveFit(PhotographPlan.of_run(run), record, run, tell) as fit:
         runner.fitted = True
         runner.latest_fit = next((event.fields for event in reversed(run.fits)), None)
         runner.listen(fit.see)

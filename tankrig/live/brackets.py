@@ -5,7 +5,7 @@ import numpy as np
 from tankrig.calibration.hdr import Merged, merge
 from tankrig.devices import CameraSettings
 from tankrig.errors import StoreError
-from tankrig.live.exposures import Plan
+from tankrig.live.exposures import PhotographPlan
 from tankrig.run.reading import Run
 
 
@@ -27,7 +27,7 @@ def merged_of_run(run: Run, pattern: str, delivered_ul: float) -> Merged:
     StoreError
         When the run has no such frames, or its camera was not calibrated at their gains.
     """
-    plan = Plan.of_run(run)
+    plan = PhotographPlan.of_run(run)
     if plan.radiometry is None:
         raise StoreError(
             f"{run.path}: was recorded without a radiometric calibration for its gains, so exposures cannot be merged; "

@@ -73,7 +73,7 @@ class Photograph:
 
 
 @dataclass(frozen=True)
-class Plan:
+class PhotographPlan:
     """What a run is going to photograph; plain enough to be sent to another process.
 
     Parameters
@@ -106,7 +106,7 @@ class Plan:
         sequence: Sequence,
         patterns: list[Pattern],
         radiometry: Radiometry | None = None,
-    ) -> "Plan":
+    ) -> "PhotographPlan":
         """For a sequence on a bench."""
         actions = [task.action for task in sequence.tasks]
         unused = CameraSettings(1.0)
@@ -118,7 +118,7 @@ class Plan:
         return cls(bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry)
 
     @classmethod
-    def of_run(cls, run: Run) -> "Plan":
+    def of_run(cls, run: Run) -> "PhotographPlan":
         """For a run that was recorded."""
         bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
         sequence = sequence_from_table(dict(run.settings["sequence"]), str(run.path))
@@ -195,7 +195,7 @@ class Exposures:
         (plan.size,) float64 to keep all in, zeros at first.
     """
 
-    def __init__(self, plan: Plan, numbers: Array | None = None) -> None:
+    def __init__(self, plan: PhotographPlan, numbers: Array | None = None) -> None:
         self.plan = plan
         numbers = np.zeros(plan.size) if numbers is None else numbers
         shape = (plan.doses, len(plan.patterns), *plan.camera.shape)
@@ -410,7 +410,7 @@ def fits_that_hold(run: Run) -> tuple[Event, ...]:
     Where the camera had set another one, and the frames' lines do not say so, they are wrong and are made anew.
     """
     older = [event for event in run.events("frame") if event.get("exposure_ms") is None]
-    asked = Plan.of_run(run).settings if older and run.fits else ()
+    asked = PhotographPlan.of_run(run).settings if older and run.fits else ()
     for event in older if asked else ():
         actual = run.conditions[event["index"]].camera
         if actual is not None and clamped(asked[event["step"]], actual):
@@ -420,7 +420,7 @@ def fits_that_hold(run: Run) -> tuple[Event, ...]:
 
 def exposures_of(run: Run) -> Exposures:
     """All that a run has photographed, read back from disk."""
-    exposures = Exposures(Plan.of_run(run))
+    exposures = Exposures(PhotographPlan.of_run(run))
     for event, pixels in replayed(run):
         exposures.take(event, pixels)
     return exposures

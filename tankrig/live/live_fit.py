@@ -15,10 +15,10 @@ import numpy as np
 
 from tankrig.devices import Pixels
 from tankrig.errors import StoreError
-from tankrig.live.exposures import Exposures, Photograph, Plan, fits_that_hold
+from tankrig.live.exposures import Exposures, Photograph, PhotographPlan, fits_that_hold
 from tankrig.live.results import Fit, from_fields
 from tankrig.live.worker import Shared, work
-from tankrig.run.announcer import Announcer
+from tankrig.run.event_dispatcher import EventDispatcher
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run, StoredFrames
 
@@ -70,7 +70,7 @@ class LiveFit:
 
     def __init__(
         self,
-        plan: Plan,
+        plan: PhotographPlan,
         on_result: OnResult,
         run: Run | None = None,
         on_trouble: Callable[[str], object] = lambda _: None,
@@ -98,7 +98,7 @@ class LiveFit:
             self._release()
             raise
         results.close()
-        self._taking = Announcer()
+        self._taking = EventDispatcher()
         self._taking.listen(self._take)
         self._thread = threading.Thread(target=self._listen, name="live-fit-results", daemon=True)
         self._thread.start()
@@ -110,7 +110,7 @@ class LiveFit:
 
     def see(self, event: Event, pixels: Pixels | None) -> None:
         """Take a recorded event of the run in, and return at once; give this to `Runner.listen`."""
-        self._taking.announce(event, pixels)
+        self._taking.dispatch(event, pixels)
 
     def _take(self, event: Event, pixels: Pixels | None) -> None:
         """Add an event to the sums, however long that has to wait for the process that reads them."""

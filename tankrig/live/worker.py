@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tankrig.errors import TankrigError
-from tankrig.live.exposures import Exposures, Photograph, Plan
+from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
 from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
 from tankrig.live.preparing import Preparing
 from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, diluted
@@ -48,7 +48,7 @@ class Shared:
     """
 
     memory: str
-    plan: Plan
+    plan: PhotographPlan
     lock: Lock
     news: Signal
     last: Signal
@@ -138,7 +138,7 @@ class Fitter:
     """
 
     def __init__(
-        self, earlier: Iterable[Fit] = (), preparing: Preparing | None = None, plan: Plan | None = None
+        self, earlier: Iterable[Fit] = (), preparing: Preparing | None = None, plan: PhotographPlan | None = None
     ) -> None:
         self._preparing, self._plan = preparing, plan
         self._fitted: dict[float, int] = {}

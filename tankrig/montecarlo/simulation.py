@@ -13,7 +13,7 @@ from tankrig.montecarlo.first_order import first_order
 from tankrig.montecarlo.kernel_scene import beam_table, kernel_scene, pixel_weights
 from tankrig.montecarlo.tally import CLASSES
 from tankrig.montecarlo.transport import trace
-from tankrig.orders import ORDER_CLASSES
+from tankrig.prediction import ORDER_CLASSES
 from tankrig.scene import Scene
 from tankrig.threads import THREADS
 
@@ -35,7 +35,7 @@ class Tally:
     Parameters
     ----------
     orders
-        Images by order of scattering (keys of `tankrig.orders.ORDER_CLASSES`), (rows, columns), W/mm²/sr.
+        Images by order of scattering (keys of `tankrig.prediction.ORDER_CLASSES`), (rows, columns), W/mm²/sr.
     stderr
         One-sigma standard error of `image`; order 1 is a quadrature and adds none.
     photons

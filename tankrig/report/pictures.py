@@ -10,8 +10,7 @@ from tankrig.estimation.result import Reconstruction
 from tankrig.figures.fit_figure import draw_reconstructions
 from tankrig.figures.tank_image import FALSE_COLOUR, GREY, brightness, draw, label_outer
 from tankrig.live.exposures import Photograph
-from tankrig.orders import ORDER_CLASSES
-from tankrig.prediction import Prediction
+from tankrig.prediction import ORDER_CLASSES, Prediction
 from tankrig.scene.description import Medium
 
 if TYPE_CHECKING:

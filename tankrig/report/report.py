@@ -11,9 +11,9 @@ import numpy as np
 
 from tankrig.figures.tank_image import STYLE
 from tankrig.files import require_writable, whole_file
-from tankrig.live.exposures import Photograph, Plan
+from tankrig.live.exposures import Photograph, PhotographPlan
+from tankrig.live.formatting import with_error
 from tankrig.live.results import DoseFit
-from tankrig.live.words import with_error
 from tankrig.report import curves, pictures
 from tankrig.report.results import Results, results_of
 from tankrig.report.settings import settings_of, skipped_of
@@ -91,7 +91,7 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
         series=_series(results),
         totals=totals(spans),
         spans=spans,
-        skipped=skipped_of(run, Plan.of_run(run), faintest),
+        skipped=skipped_of(run, PhotographPlan.of_run(run), faintest),
         settings=settings_of(run),
         footer=f"made by tankrig {version('tankrig')}",
     )

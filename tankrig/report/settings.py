@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from tankrig.live.exposures import Plan
+from tankrig.live.exposures import PhotographPlan
 from tankrig.run.reading import Run
 
 Pairs = list[tuple[str, str]]
@@ -48,7 +48,7 @@ def _exposures(run: Run, sequence: dict[str, Any]) -> str:
     return ", ".join(f"{exposure_ms:g} ms at gain {gain:g}" for exposure_ms, gain in each)
 
 
-def skipped_of(run: Run, plan: Plan, faintest: float) -> list[str]:
+def skipped_of(run: Run, plan: PhotographPlan, faintest: float) -> list[str]:
     """What did not go into the numbers, each with what is known of its effect."""
     gaps = run.events("gap")
     missing = sum(event["missing"] for event in gaps)

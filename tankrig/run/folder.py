@@ -22,7 +22,7 @@ from tankrig.devices import Pixels
 from tankrig.errors import StoreError
 from tankrig.pattern import Pattern
 from tankrig.run import disk
-from tankrig.run.facts import FORMAT, JOURNAL, MARK, load_json
+from tankrig.run.journal_io import FORMAT, JOURNAL, MARK, load_json
 
 COMPRESSION = Blosc("lz4", 1, Blosc.BITSHUFFLE)
 """Of frames and patterns: what shot noise leaves to be saved, at 2.7 ms of a processor for 1280 × 1024 of 16 bit."""

@@ -29,7 +29,7 @@ class Progress:
     remaining_s: float
 
 
-class Clockwork:
+class ProgressEstimator:
     """Estimates the time that is left from the dry run, corrected by how long steps of each kind really took."""
 
     def __init__(self, plan: DryRun, first: int) -> None:

@@ -15,8 +15,8 @@ from tankrig.errors import StoreError
 from tankrig.pattern import Pattern
 from tankrig.run.conditions import Conditions, with_conditions
 from tankrig.run.damage import Lost
-from tankrig.run.facts import read_journal, read_settings
 from tankrig.run.journal import Event
+from tankrig.run.journal_io import read_journal, read_settings
 
 if TYPE_CHECKING:
     import xarray

@@ -8,9 +8,9 @@ from pathlib import Path
 from tankrig.errors import StoreError
 from tankrig.run import disk
 from tankrig.run.damage import Lost
-from tankrig.run.facts import JOURNAL, read_journal, read_settings
 from tankrig.run.folder import chunk_numbers, mend_metadata, require_no_links, storing
 from tankrig.run.journal import Event, Moment
+from tankrig.run.journal_io import JOURNAL, read_journal, read_settings
 from tankrig.run.reading import LEFT_OUT, Run, StoredFrames, open_run
 from tankrig.run.writer import lock_journal, set_torn_end_aside
 

@@ -12,11 +12,11 @@ from typing import Any, Literal
 from tankrig.dosing import DoseDone, DoseIntent, GuardedDoser
 from tankrig.errors import DeviceError, SequenceError, StoreError, TankrigError
 from tankrig.pattern import Pattern
-from tankrig.run.announcer import Announcer, Listener
+from tankrig.run.event_dispatcher import EventDispatcher, Listener
 from tankrig.run.mixing import MixingWatch
-from tankrig.run.progress import Clockwork, Progress
+from tankrig.run.pattern_display import PatternDisplay
+from tankrig.run.progress import Progress, ProgressEstimator
 from tankrig.run.rig import Rig
-from tankrig.run.shown import Shown
 from tankrig.run.state import FinishReason, RunState, RunStates
 from tankrig.run.writer import RunWriter
 from tankrig.sequence import Capture, Dose, DryRun, Mix, Note, Sequence, Wait
@@ -49,7 +49,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunPlan:
     """What a runner has to do.
 
     Parameters
@@ -91,10 +91,10 @@ class RunJournal:
         """It is over."""
         self._write("dose_done", asdict(done))
 
-    def _write(self, kind: Literal["dose_intent", "dose_done"], facts: Mapping[str, Any]) -> None:
+    def _write(self, kind: Literal["dose_intent", "dose_done"], fields: Mapping[str, Any]) -> None:
         if self.writer is None:
             raise StoreError("a dose was asked for before there was a journal to write it to; begin a run first")
-        self.writer.put(kind, step=self.step, **facts)
+        self.writer.put(kind, step=self.step, **fields)
         self.writer.flush()
 
 
@@ -106,7 +106,7 @@ class Runner:
 
     Parameters
     ----------
-    rig, doser, writer, announcer, journal
+    rig, doser, writer, dispatcher, journal
         What it works with; closed when it ends, the doser first.
     plan
         What to do.
@@ -117,15 +117,15 @@ class Runner:
         rig: Rig,
         doser: GuardedDoser,
         writer: RunWriter,
-        announcer: Announcer,
+        dispatcher: EventDispatcher,
         journal: RunJournal,
-        plan: Plan,
+        plan: RunPlan,
     ) -> None:
-        self._rig, self._doser, self._writer, self._announcer = rig, doser, writer, announcer
+        self._rig, self._doser, self._writer, self._dispatcher = rig, doser, writer, dispatcher
         self._journal, self._plan = journal, plan
         self._states = RunStates()
-        self._clockwork = Clockwork(plan.dry_run, plan.first_step)
-        self._shown = Shown(rig, writer, doser)
+        self._estimator = ProgressEstimator(plan.dry_run, plan.first_step)
+        self._display = PatternDisplay(rig, writer, doser)
         self._newest_lit = -1
         self._taken_up = False
         self.path = writer.path
@@ -148,7 +148,7 @@ class Runner:
         return self._doser
 
     @property
-    def plan(self) -> Plan:
+    def plan(self) -> RunPlan:
         """What it has to do."""
         return self._plan
 
@@ -165,14 +165,14 @@ class Runner:
 
     def progress(self) -> Progress:
         """How far the run is."""
-        return self._clockwork.progress()
+        return self._estimator.progress()
 
     def listen(self, listener: Listener) -> None:
         """Call `listener(event, pixels)` after each event is safely recorded, in a thread that the run never waits for.
 
         `pixels` is None but for frames, and for a frame too when the listener has fallen behind.
         """
-        self._announcer.listen(listener)
+        self._dispatcher.listen(listener)
 
     def record(self, kind: Literal["fit", "note"], **fields: Any) -> None:
         """Record what a fit found, or a note, from any thread."""
@@ -259,7 +259,7 @@ class Runner:
             return True
 
     def _wait_for_the_rest(self) -> None:
-        self._clockwork.waiting_for = "the last fits"
+        self._estimator.waiting_for = "the last fits"
         for ready in self.before_end:
             while not self._says_yes(ready):
                 self._states.sleep(_POLL_S)
@@ -275,7 +275,7 @@ class Runner:
             return True
 
     def _resumed(self) -> None:
-        self._shown.forget()  # a person may have had another pattern there
+        self._display.forget()  # a person may have had another pattern there
         self._writer.put("note", text="resumed")
 
     def _begin(self) -> None:
@@ -302,41 +302,41 @@ class Runner:
         task = self._plan.sequence.tasks[step]
         self._journal.step = step
         if not isinstance(task.action, Capture | Note):
-            self._shown.forget()
-        self._clockwork.begin(step)
+            self._display.forget()
+        self._estimator.begin(step)
         self._writer.put("step", step=step, state="begun", label=task.label)
         match task.action:
             case Dose() as dose:
-                facts = self._dose(dose)
+                fields = self._dose(dose)
             case Mix() as mix:
-                facts = self._mix(mix, task.label)
+                fields = self._mix(mix, task.label)
             case Capture() as capture:
-                facts = self._capture(capture, step)
+                fields = self._capture(capture, step)
             case Wait(seconds):
-                self._clockwork.waiting_for = "time to pass"
+                self._estimator.waiting_for = "time to pass"
                 self._states.sleep(seconds)
-                facts = {}
+                fields = {}
             case Note(text):
                 self._writer.put("note", text=text)
-                facts = {}
-        self._writer.put("step", step=step, state="done", **facts)
-        self._clockwork.done(type(task.action))
+                fields = {}
+        self._writer.put("step", step=step, state="done", **fields)
+        self._estimator.done(type(task.action))
 
     def _dose(self, dose: Dose) -> dict[str, Any]:
         if self._doser.delivered().volume_ul >= dose.total_ul - self._doser.increment_ul / 2:
             return {"moved": False}
-        self._clockwork.waiting_for = f"{self._doser.name} to dose to {dose.total_ul:g} µl"
+        self._estimator.waiting_for = f"{self._doser.name} to dose to {dose.total_ul:g} µl"
         self._doser.dose_to(dose.total_ul)
         return {"moved": True}
 
     def _mix(self, mix: Mix, label: str) -> dict[str, Any]:
         pattern = self._plan.patterns[mix.pattern]
-        self._clockwork.waiting_for = "the first pictures of the ink"
-        self._shown.show(pattern, self._plan.sequence.camera_settings(mix))
+        self._estimator.waiting_for = "the first pictures of the ink"
+        self._display.show(pattern, self._plan.sequence.camera_settings(mix))
         watch, start_s = MixingWatch(), time.monotonic()
         while True:
             self._states.check()
-            frame, _ = self._shown.frame()
+            frame, _ = self._display.frame()
             saturated = float((frame.pixels >= self._rig.camera.saturation).mean())
             if saturated > _MOST_SATURATED:
                 raise SequenceError(
@@ -353,7 +353,7 @@ class Runner:
                     f"and {mix.tolerance:.1%} is allowed; stir, or allow more or longer, then resume the run"
                 )
             if mixing.remaining < 1.0:
-                self._clockwork.waiting_for = f"the ink to mix: up to {mixing.remaining:.1%} of the picture changes"
+                self._estimator.waiting_for = f"the ink to mix: up to {mixing.remaining:.1%} of the picture changes"
             self._states.sleep(mix.every_s)
 
     def _capture(self, capture: Capture, step: int) -> dict[str, Any]:
@@ -366,9 +366,9 @@ class Runner:
                 return {"frames": number, "stopped": why}
             self._states.check()
             if number == taken:
-                self._clockwork.waiting_for = self._rig.camera.name
-                self._shown.show(pattern, self._plan.sequence.camera_settings(capture))
-            frame, conditions = self._shown.frame()
+                self._estimator.waiting_for = self._rig.camera.name
+                self._display.show(pattern, self._plan.sequence.camera_settings(capture))
+            frame, conditions = self._display.frame()
             if previous is not None and frame.sequence > previous + 1:
                 self._writer.put("gap", step=step, missing=frame.sequence - previous - 1, after=previous)
             index = self._writer.put_frame(frame, step, pattern.hash, **conditions.line())
@@ -381,7 +381,7 @@ class Runner:
         """Why a step takes no more frames; empty when it goes on."""
         if capture.until is None or not self.fitted:
             return ""
-        self._clockwork.waiting_for = "the live fit"
+        self._estimator.waiting_for = "the live fit"
         patient = capture.timeout_s is not None and frames > 1  # two frames tell the noise
         longest_s = (frames and capture.timeout_s) or _CATCH_UP_S  # before the first frame there is the last step's fit
         if (fit := self._caught_up(begun_s + longest_s, patient)) and capture.until.reached(fit):
@@ -423,7 +423,7 @@ class Runner:
         attempt(record)
         attempt(self._rig.close)
         attempt(self._writer.close)
-        attempt(self._announcer.close)
+        attempt(self._dispatcher.close)
         attempt(lambda: self._states.move(RunState.FINISHED))
         for later in errors[1:]:
             _log.error("while the run was ended: %s", _sentence(later))

@@ -22,12 +22,12 @@ from tankrig.dosing.records import COUNT_KEYS, Noted
 from tankrig.errors import StoreError, UndecidedError
 from tankrig.files import require_writable
 from tankrig.pattern import Pattern
-from tankrig.run.announcer import Announcer
+from tankrig.run.event_dispatcher import EventDispatcher
 from tankrig.run.folder import create_run, require_new
 from tankrig.run.reading import Run, open_run
 from tankrig.run.recovery import dose_doubt, open_dose
 from tankrig.run.rig import Rig
-from tankrig.run.runner import Plan, RunJournal, Runner
+from tankrig.run.runner import RunJournal, Runner, RunPlan
 from tankrig.run.state import FinishReason
 from tankrig.run.writer import RunWriter
 from tankrig.sequence import Sequence, dry_run
@@ -84,7 +84,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
         undo.callback(shutil.rmtree, path, ignore_errors=True)  # nothing is recorded in it yet
         for calibration in rig.calibrations.values():
             copy_to(calibration, path / FOLDER)
-        runner = _runner(rig, doser, journal, path, Plan(sequence, patterns, took), undo)
+        runner = _runner(rig, doser, journal, path, RunPlan(sequence, patterns, took), undo)
         undo.pop_all()
         return runner
 
@@ -122,7 +122,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         _require_seen(rig)
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), tank, used_ul, resume_at=first_step)
         _require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
-        runner = _runner(rig, doser, journal, path, Plan(sequence, patterns, took, first_step, frames_taken), undo)
+        runner = _runner(rig, doser, journal, path, RunPlan(sequence, patterns, took, first_step, frames_taken), undo)
         if done:
             journal.dose_done(done)
         undo.pop_all()
@@ -193,13 +193,13 @@ def _settled(
     return doser.account(doser.delivered().volume_ul if target_ul is None else target_ul)
 
 
-def _runner(rig: Rig, doser: GuardedDoser, journal: RunJournal, path: Path, plan: Plan, undo: ExitStack) -> Runner:
-    announcer = Announcer()
-    undo.callback(announcer.close)
-    writer = RunWriter(path, announcer.announce, plan.sequence.frames)
+def _runner(rig: Rig, doser: GuardedDoser, journal: RunJournal, path: Path, plan: RunPlan, undo: ExitStack) -> Runner:
+    dispatcher = EventDispatcher()
+    undo.callback(dispatcher.close)
+    writer = RunWriter(path, dispatcher.dispatch, plan.sequence.frames)
     undo.callback(writer.close)
     journal.writer = writer
-    return Runner(rig, doser, writer, announcer, journal, plan)
+    return Runner(rig, doser, writer, dispatcher, journal, plan)
 
 
 def _where(run: Run) -> tuple[int, int]:

@@ -19,7 +19,6 @@ from tankrig.devices import Frame, Pixels
 from tankrig.errors import StoreError
 from tankrig.run import disk
 from tankrig.run.damage import JournalText
-from tankrig.run.facts import JOURNAL, read_journal, read_settings
 from tankrig.run.folder import (
     chunk_numbers,
     frames_for_writing,
@@ -30,6 +29,7 @@ from tankrig.run.folder import (
     write_frame,
 )
 from tankrig.run.journal import Event, Kind, Moment
+from tankrig.run.journal_io import JOURNAL, read_journal, read_settings
 from tankrig.run.reading import digest
 
 Announce = Callable[[Event, Pixels | None], object]
@@ -116,8 +116,8 @@ class RunWriter:
                 f"{self._frames.shape[1:]} {self._frames.dtype}; keep the camera's format during a run"
             )
         times = {"exposure_start_ns": frame.exposure_start_ns, "device_ns": frame.device_ns, "host_ns": frame.host_ns}
-        facts = {"step": step, "pattern_hash": pattern_hash, **times, "sequence": frame.sequence, **fields}
-        return int(self._put("frame", facts, frame.pixels)["index"])
+        fields = {"step": step, "pattern_hash": pattern_hash, **times, "sequence": frame.sequence, **fields}
+        return int(self._put("frame", fields, frame.pixels)["index"])
 
     def _put(self, kind: str, fields: Mapping[str, Any], pixels: Pixels | None) -> Event:
         moment = Moment.now()

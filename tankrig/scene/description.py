@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass, field, replace
 
-from tankrig.scene.fields import require
 from tankrig.scene.footprint import typical_pixel_mm
-from tankrig.scene.parts import CLOSED, Beam, Camera, Interval, Matrix, Medium, Projector, Tank, Vector
+from tankrig.scene.parts import CLOSED, Beam, Camera, Interval, Matrix, Medium, Projector, Tank, Vector, require
 
 __all__ = ["CLOSED", "Beam", "Camera", "Interval", "Matrix", "Medium", "Projector", "Scene", "Tank", "Vector"]
 

@@ -1,13 +1,13 @@
 """What is in the tank, what lights it and what looks at it: frozen, checked, in mm and W."""
 
+import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, SupportsFloat
 
 from tankrig.errors import SceneError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
 from tankrig.geometry.shading import TERMS
-from tankrig.scene.fields import finite, number, numbers, require
 
 Vector = tuple[float, float, float]
 Interval = tuple[float, float]
@@ -321,3 +321,32 @@ class Camera:
             matrix = ((fx / by, 0.0, (cx + 0.5) / by - 0.5), (0.0, fy / by, (cy + 0.5) / by - 0.5), last)
         shape = (self.shape[0] // by, self.shape[1] // by)
         return replace(self, shape=shape, pixel_mm=self.pixel_mm * by, matrix=matrix)
+
+
+def require(condition: bool, message: str) -> None:
+    """Refuse with a sentence what does not hold."""
+    if not condition:
+        raise SceneError(message)
+
+
+def finite(name: str, given: object) -> float:
+    """A finite float of what was given under a name."""
+    value = float(given) if isinstance(given, SupportsFloat) else math.nan
+    require(math.isfinite(value), f"{name} = {given!r} is not a finite number; give a finite one")
+    return value
+
+
+def number(owner: object, name: str) -> float:
+    """Make a field a finite float, in place."""
+    value = finite(name, getattr(owner, name))
+    object.__setattr__(owner, name, value)  # the only way to set a field of a frozen dataclass
+    return value
+
+
+def numbers(owner: object, name: str, count: int) -> tuple[float, ...]:
+    """Make a field a tuple of `count` finite floats, in place."""
+    given = tuple(getattr(owner, name))
+    require(len(given) == count, f"{name} = {list(given)} has {len(given)} numbers; give {count}")
+    values = tuple(finite(f"{name}[{index}]", value) for index, value in enumerate(given))
+    object.__setattr__(owner, name, values)
+    return values

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
 from tankrig.scene.description import Beam, Projector, Scene, Tank
-from tankrig.scene.fields import require
+from tankrig.scene.parts import require
 
 Array = NDArray[np.float64]
 Part = tuple[float, float, Array]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.advice.expected import Expected, Known, Shot
     from tankrig.advice.ranking import Advice, Candidate
-    from tankrig.live.exposures import Plan
+    from tankrig.live.exposures import PhotographPlan
 
 GROWTH = (1.0, 1.5, 2.0, 4.0)
 """Doses that are compared where none are named, as multiples of what the tank holds."""
@@ -91,32 +91,32 @@ def advise(
         _tell(before, found[:limit])
 
 
-def _of_run(folder: Path) -> "tuple[Known, list[Shot], Plan, float]":
+def _of_run(folder: Path) -> "tuple[Known, list[Shot], PhotographPlan, float]":
     from tankrig.advice.starting import from_run
-    from tankrig.live.exposures import Plan
+    from tankrig.live.exposures import PhotographPlan
     from tankrig.run.reading import open_run
 
     run = open_run(folder)
     known, taken, _ = from_run(run)
-    return known, taken, Plan.of_run(run), float(run.settings["sequence"]["exposure_ms"])
+    return known, taken, PhotographPlan.of_run(run), float(run.settings["sequence"]["exposure_ms"])
 
 
 def _of_guess(
     file: Path, ink: tuple[float, float, float], noise: float, description: "RigFile"
-) -> "tuple[Known, list[Shot], Plan, float]":
+) -> "tuple[Known, list[Shot], PhotographPlan, float]":
     from tankrig.advice.starting import from_guess
-    from tankrig.live.exposures import Plan
+    from tankrig.live.exposures import PhotographPlan
     from tankrig.scene import Medium
     from tankrig.sequence import load_sequence
 
     sequence = load_sequence(file)
     patterns = list(sequence.drawn(description.bench.wall).values())
-    plan = Plan.of(description.bench, sequence, patterns)
+    plan = PhotographPlan.of(description.bench, sequence, patterns)
     return from_guess(Medium(*ink), 1.0, noise), [], plan, sequence.exposure_ms
 
 
 def _candidates(
-    taken: "list[Shot]", plan: "Plan", doses_ul: tuple[float, ...], frames: int, exposure_ms: float,
+    taken: "list[Shot]", plan: "PhotographPlan", doses_ul: tuple[float, ...], frames: int, exposure_ms: float,
     description: "RigFile",
 ) -> "list[Candidate]":  # fmt: skip
     """Every lit pattern at every dose that the budgets allow."""

@@ -205,8 +205,8 @@ def _draw(runner: "Runner", thread: threading.Thread, fit: bool) -> None:
     from rich.progress import BarColumn, Progress, TextColumn
     from rich.text import Text
 
+    from tankrig.live.formatting import fit_in_words
     from tankrig.live.results import from_fields
-    from tankrig.live.words import fit_in_words
 
     warnings: SimpleQueue[str] = SimpleQueue()
 

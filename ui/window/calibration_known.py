@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tankrig.errors import StoreError, TankrigError
-from tankrig.live.words import with_error
+from tankrig.live.formatting import with_error
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile

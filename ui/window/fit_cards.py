@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
 
+from tankrig.live.formatting import with_error
 from tankrig.live.results import DoseFit
-from tankrig.live.words import with_error
 
 COEFFICIENTS = {"sigma_s": ("σs", 1, "per mm"), "sigma_a": ("σa", 0, "per mm"), "g": ("g", 2, "")}
 """Symbol, place in the covariance, unit."""

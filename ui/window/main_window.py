@@ -299,14 +299,14 @@ class MainWindow(QMainWindow):
 
     def show_run(self, run: "Run") -> None:
         """Show a recorded run in the same views."""
-        from tankrig.live.exposures import Plan
+        from tankrig.live.exposures import PhotographPlan
         from ui.window.replay import Replay
 
         if self.status.busy:
             self.tell("a run goes on in the live view; open another when it has ended")
             return
         self.leave_replay()
-        self.live.set_bench(Plan.of_run(run).bench)
+        self.live.set_bench(PhotographPlan.of_run(run).bench)
         self._replay = Replay(run, self.host.frames.put)
         self.host.look_away(True)
         self.runs.bar.set_replay(self._replay)

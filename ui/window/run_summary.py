@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tankrig.errors import StoreError
-from tankrig.run.facts import JOURNAL, read_settings
 from tankrig.run.journal import Event
+from tankrig.run.journal_io import JOURNAL, read_settings
 
 TAIL_BYTES = 4096
 

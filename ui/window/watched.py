@@ -45,20 +45,20 @@ class Newest(QObject, Generic[T]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._value: T | None = None
         self._told = False
 
     def put(self, value: T) -> None:
         """From any thread; never waits for the window."""
-        with self._turn:
+        with self._lock:
             self._value, told, self._told = value, self._told, True
         if not told:
             self.arrived.emit()
 
     def take(self) -> T | None:
         """The newest value, or None where there was none since the last `take`."""
-        with self._turn:
+        with self._lock:
             value, self._value, self._told = self._value, None, False
             return value
 

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel, part
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.harmonics import degrees, fill_harmonics
-from tankrig.light.paths.block import BLOCK, PathSampling, alive, begin, begin_at_origin, draw, empty_block
-from tankrig.light.paths.lattice import LARGE
+from tankrig.light.paths.block import BLOCK, LARGE, PathSampling, alive, begin, begin_at_origin, draw, empty_block
 from tankrig.light.paths.record import column_of, image_of_edges
 from tankrig.light.paths.trace import advance, narrow, scatter
 from tankrig.light.rays import Geometry, geometry_of

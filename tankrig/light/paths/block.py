@@ -1,17 +1,174 @@
-"""Blocks of light paths: what is known of each path, how they begin, and which are still to be followed."""
+"""Light paths: the points of a lattice that they are drawn from, their steps, and blocks of them.
+
+A lattice is of rank 1 and shifted at random. The generating vectors were found component by component for smooth
+periodic functions (Korobov space of smoothness 1, product weights 0.6 · 0.85^j); shifting a lattice at random makes
+averages unbiased and shows their error.
+
+A step is a new direction, and a flight to the next collision inside the tank; it is free of branches and calls, so
+that loops over the paths of a block are vectorised. Of a block it is known where each path is, how it began, and
+whether it is still to be followed.
+"""
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.light.paths.flight import fly
-from tankrig.light.paths.lattice import coordinate
+from tankrig.geometry.optics import reflectance
+from tankrig.light.elementary import circle, log_one_minus, one_minus_exponential
 from tankrig.light.rays import Geometry, light_ray
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """A rank-1 lattice.
+
+    Parameters
+    ----------
+    points
+        How many, a prime.
+    vector
+        Its generating vector; dimensions beyond it are random.
+    """
+
+    points: int
+    vector: tuple[int, ...]
+
+    def shifted(self, seed: tuple[int, int]) -> Array:
+        """(2, dimensions) array for `coordinate`: steps from point to point, and the shift drawn from `seed`."""
+        return np.array([np.array(self.vector) / self.points, np.random.default_rng(seed).random(len(self.vector))])
+
+
+LARGE = Lattice(
+    16381,
+    (1, 3711, 5711, 13060, 7766, 9236, 14053, 1873, 7793, 8459, 3605, 2582, 6806, 4796, 8934, 9442, 11037, 5041, 1034,
+     15372, 15617, 11275, 2991, 7961, 11101, 4158, 15912, 7644, 5777, 4623, 15818, 75, 4123, 13920, 9562, 1969, 4133,
+     1954, 7938, 6556, 2194, 242, 14941, 6825, 5944, 8057, 785, 8667),
+)  # fmt: skip
+"""A tenth less noise per path."""
+
+SMALL = Lattice(
+    4093,
+    (1, 2378, 3641, 3804, 509, 328, 3086, 2973, 768, 925, 2864, 1490, 536, 897, 2883, 3511, 3998, 3406, 3919, 311, 3717,
+     2054, 3575, 3016, 1354, 400, 3689, 1174, 2209, 2952, 382, 3817, 1697, 296, 2515, 1248, 3239, 1463, 3080, 746, 2071,
+     2592, 3368, 914, 1576, 653, 3820, 3658),
+)  # fmt: skip
+"""Finer steps in time where few paths do."""
+
+
+@part
+def coordinate(point: int, dimension: int, lattice: Array) -> float:
+    """Coordinate in [0, 1) of a point of a shifted lattice; beyond the lattice's dimensions a hash of all that."""
+    if dimension < lattice.shape[1]:
+        value: float = point * lattice[0, dimension] + lattice[1, dimension]
+        return value - math.floor(value)
+    state = np.uint64(point) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(dimension) * np.uint64(0xD1B54A32D192ED03)
+    state += np.uint64(lattice[1, 0] * 9007199254740992.0)
+    state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    state ^= state >> np.uint64(31)
+    return float(state >> np.uint64(11)) / 9007199254740992.0
+
+
+@part
+def scattered(
+    dx: float, dy: float, dz: float, ex: float, ey: float, ez: float, g: float, u: float, v: float
+) -> tuple[float, float, float, float, float, float]:
+    """A direction drawn from the phase function about a direction, and the reference it takes along.
+
+    The azimuth is counted from a reference that is carried from scattering to scattering. A frame made anew from each
+    direction would jump somewhere on the sphere, and the image with it as the medium changes.
+
+    Parameters
+    ----------
+    dx, dy, dz
+        Direction before, a unit vector.
+    ex, ey, ez
+        Unit vector across it that the azimuth is counted from.
+    g
+        Asymmetry of the phase function.
+    u, v
+        Coordinates in [0, 1) for the angle and the azimuth.
+
+    Returns
+    -------
+    dx, dy, dz, ex, ey, ez
+        Direction after, and its reference.
+    """
+    root = (1.0 - g * g) / (1.0 + g - 2.0 * g * u)
+    linear = 1.0 - 2.0 * u + 6.0 * g * u * (1.0 - u)
+    cosine = linear if abs(g) < 1e-3 else (1.0 + g * g - root * root) / (2.0 * g)
+    cosine = min(max(cosine, -1.0), 1.0)
+    sine = math.sqrt(1.0 - cosine * cosine)
+    a, b = circle(v)
+    ax = a * ex + b * (dy * ez - dz * ey)
+    ay = a * ey + b * (dz * ex - dx * ez)
+    az = a * ez + b * (dx * ey - dy * ex)
+    # Rounding would grow by a third with every scattering, and be all there is after some 150: one Newton step each
+    # makes the lengths 1 again, and the reference one across the direction.
+    nx, ny, nz = cosine * dx + sine * ax, cosine * dy + sine * ay, cosine * dz + sine * az
+    scale = 1.5 - 0.5 * (nx * nx + ny * ny + nz * nz)
+    nx, ny, nz = nx * scale, ny * scale, nz * scale
+    fx, fy, fz = cosine * ax - sine * dx, cosine * ay - sine * dy, cosine * az - sine * dz
+    along = fx * nx + fy * ny + fz * nz
+    fx, fy, fz = fx - along * nx, fy - along * ny, fz - along * nz
+    scale = 1.5 - 0.5 * (fx * fx + fy * fy + fz * fz)
+    return nx, ny, nz, fx * scale, fy * scale, fz * scale
+
+
+@part
+def fly(
+    walls: tuple[float, float, float, float], height: float, index: float, sigma_t: float,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, u: float,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """The next collision inside the tank.
+
+    A Fresnel surface sends light back with R(ξ); the way goes on below it.
+
+    Parameters
+    ----------
+    walls
+        x low, x high, y low, y high of the tank's side walls, mm; its floor is z = 0.
+    height, index
+        Of the surface: z, and the refractive index that it shows.
+    sigma_t
+        Extinction, 1/mm.
+    x, y, z, dx, dy, dz
+        Where the light is and its direction.
+    u
+        Coordinate in [0, 1) that picks the place.
+
+    Returns
+    -------
+    x, y, z, dz, chance
+        Where it collides, its vertical direction there, and the chance that it collides inside.
+    """
+    ux = dx if abs(dx) > 1e-12 else 1e-12
+    uy = dy if abs(dy) > 1e-12 else 1e-12
+    uz = dz if abs(dz) > 1e-12 else 1e-12
+    across = ((walls[1] if ux > 0.0 else walls[0]) - x) / ux
+    along = ((walls[3] if uy > 0.0 else walls[2]) - y) / uy
+    rise = max(((height if uz > 0.0 else 0.0) - z) / uz, 0.0)
+    sides = max(min(across, along), 0.0)
+    leave = min(sides, rise)
+    inside = one_minus_exponential(-sigma_t * leave)
+    meets = index > 1.0 and dz > 0.0 and rise < sides
+    further = min(sides - rise, height / uz) if meets else 0.0
+    back = (1.0 - inside) * reflectance(dz, index) if meets else 0.0
+    chance = inside + back * one_minus_exponential(-sigma_t * further)
+    wanted = u * chance
+    turns = wanted > inside
+    part_way = (wanted - inside) / back if turns else min(wanted, inside)
+    depth = min(-log_one_minus(min(part_way, 1.0)) / sigma_t, further if turns else leave)
+    way = rise + depth if turns else depth
+    end = height - dz * depth if turns else z + dz * depth
+    return x + dx * way, y + dy * way, end, -dz if turns else dz, chance
+
 
 START_COORDINATES = 4
 FLIGHT_COORDINATES = 6

@@ -37,11 +37,19 @@ from tankrig.light.paths.block import (
     begin_on_beams,
     draw,
     empty_block,
+    fly,
+    scattered,
     thin,
 )
-from tankrig.light.paths.flight import fly, scattered
-from tankrig.light.paths.record import Bins, TallyRecord, column_of, empty_record, tally_cells, tally_rectangles
-from tankrig.light.paths.sighting import seen_from
+from tankrig.light.paths.record import (
+    Bins,
+    TallyRecord,
+    column_of,
+    empty_record,
+    seen_from,
+    tally_cells,
+    tally_rectangles,
+)
 from tankrig.light.rays import Geometry
 from tankrig.scene.phase import henyey_greenstein
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.prepared.answer import Answer
-from tankrig.light.prepared.plan import Plan
+from tankrig.light.prepared.plan import PreparationPlan
 from tankrig.light.prepared.polynomials import values
 from tankrig.light.prepared.regression import Fit, Regression
 from tankrig.light.prepared.sampling import PathImages
@@ -44,7 +44,7 @@ class Images:
     paths: Array
 
 
-def assemble(plan: Plan, sampling: PathImages, images: Images, shape: tuple[int, int]) -> Answer:
+def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape: tuple[int, int]) -> Answer:
     """The model that fits the images, and its error.
 
     The error of orders ≥ 3 is half the difference of two models, each fitted to every other of the media: neither has
@@ -64,7 +64,7 @@ def assemble(plan: Plan, sampling: PathImages, images: Images, shape: tuple[int,
     return Answer(plan.coordinates, terms, patterns.astype(np.float32), shape, error)
 
 
-def _exact_term(plan: Plan, images: Array, order: int) -> Term:
+def _exact_term(plan: PreparationPlan, images: Array, order: int) -> Term:
     """One order by interpolation; its patterns are still pixels."""
     places = np.array([sample.place for sample in plan.exact])
     products = plan.exact_plane.values(*places.T)
@@ -75,7 +75,7 @@ def _exact_term(plan: Plan, images: Array, order: int) -> Term:
     return Term(order, plan.exact_plane, plan.exact_plane, fields[None], scale[None])
 
 
-def _regression(plan: Plan, sampling: PathImages, paths: Array, exact: list[Term]) -> Regression:
+def _regression(plan: PreparationPlan, sampling: PathImages, paths: Array, exact: list[Term]) -> Regression:
     grid = sampling.grid
     light = np.tile(sampling.along.sum(axis=0), grid.rows)
     per_cell = sampling.scene.camera.pixel_mm / np.sqrt(grid.cell_mm[0] * grid.cell_mm[1])
@@ -88,7 +88,7 @@ def _regression(plan: Plan, sampling: PathImages, paths: Array, exact: list[Term
     return Regression(plan, flat, light, per_cell * (powers @ norms).T)
 
 
-def _rest_term(plan: Plan, sampling: PathImages, fit: Fit) -> Term:
+def _rest_term(plan: PreparationPlan, sampling: PathImages, fit: Fit) -> Term:
     """Orders ≥ 3 as polynomials in all three coordinates; their patterns are still pixels."""
     albedos, products, _ = fit.fields.shape
     pixels = sampling.to_pixels(fit.fields.reshape(albedos * products, *sampling.shape[1:]))
@@ -97,7 +97,7 @@ def _rest_term(plan: Plan, sampling: PathImages, fit: Fit) -> Term:
     return Term(THIRD, plan.paths_plane, plan.brightness_plane, fields, by_degree @ fit.scale)
 
 
-def _patterns(plan: Plan, exact: list[Term], rest: list[Term]) -> Array:
+def _patterns(plan: PreparationPlan, exact: list[Term], rest: list[Term]) -> Array:
     """Orthonormal images that hold the image all over the box: those of orders 1 and 2, and what the rest adds.
 
     Parameters
@@ -150,7 +150,7 @@ def _common(one: Array, other: Array, enough: float) -> Array:
     return np.asarray(images.T @ both / np.sqrt(count))
 
 
-def _shown(plan: Plan, term: Term, albedo: float) -> Array:
+def _shown(plan: PreparationPlan, term: Term, albedo: float) -> Array:
     """A term's images at the exact orders' media with one albedo."""
     u, v = np.array([sample.place for sample in plan.exact]).T
     w = plan.coordinates.of(1.0, albedo, 0.0)[0][1]
@@ -164,7 +164,7 @@ def _projected(term: Term, patterns: Array) -> Term:
     return Term(term.power, term.plane, term.scale_plane, term.amplitudes @ patterns.T, term.scale)
 
 
-def _error_of_exact_orders(plan: Plan, checks: Array, terms: tuple[Term, ...], patterns: Array) -> float:
+def _error_of_exact_orders(plan: PreparationPlan, checks: Array, terms: tuple[Term, ...], patterns: Array) -> float:
     """Largest relative error of orders 1 and 2 together at media beside their grid."""
     largest = 0.0
     for sample, orders in zip(plan.checks, checks, strict=True):
@@ -176,7 +176,9 @@ def _error_of_exact_orders(plan: Plan, checks: Array, terms: tuple[Term, ...], p
     return largest
 
 
-def _error_of_the_rest(plan: Plan, halves: tuple[Term, Term], terms: tuple[Term, ...], beside: float) -> Array:
+def _error_of_the_rest(
+    plan: PreparationPlan, halves: tuple[Term, Term], terms: tuple[Term, ...], beside: float
+) -> Array:
     """Logarithm of the relative error, as Chebyshev coefficients over the box."""
     places = np.random.default_rng(1).uniform(-1.0, 1.0, (UNSEEN, 3))
     logarithms = []

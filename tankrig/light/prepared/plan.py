@@ -23,7 +23,7 @@ MEDIA_PER_PRODUCT = 8
 FEWEST = 0.5
 """Share of those media that is enough where the tolerance is large."""
 EFFORT = 0.6
-"""Lattices of paths per medium, of those by `Plan.paths`: what the fit leaves out as noise needs no more."""
+"""Lattices of paths per medium, of those by `PreparationPlan.paths`: what the fit omits as noise needs no more."""
 CHECKS = 6
 USUAL_TOLERANCE = 0.01
 SPREAD = (0.7548776662466927, 0.5698402909980532)
@@ -54,7 +54,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Plan:
+class PreparationPlan:
     """What to compute for a box and a tolerance.
 
     Parameters

@@ -14,7 +14,7 @@ from tankrig.light.prepared.assembly import Images, assemble
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.cache import Place
 from tankrig.light.prepared.packing import packed, unpacked
-from tankrig.light.prepared.plan import Plan, Sample
+from tankrig.light.prepared.plan import PreparationPlan, Sample
 from tankrig.light.prepared.sampling import PathImages, exact_images
 from tankrig.scene import Medium, Scene
 from tankrig.threads import THREADS
@@ -49,7 +49,7 @@ def prepared(
             "bin them: a smaller shape and a larger pixel_mm"
         )
     place = Place.of(scene, box, float(tolerance))
-    plan = Plan(box, scene.tank.size_mm[0], tolerance)
+    plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance)
     known = place.kept(place.model)
     if known is not None:
         progress(1.0)
@@ -75,7 +75,7 @@ class _Job:
 class _Work:
     """The images that a plan asks for: those that an interrupted preparation has left are not made again."""
 
-    def __init__(self, scene: Scene, plan: Plan, place: Place) -> None:
+    def __init__(self, scene: Scene, plan: PreparationPlan, place: Place) -> None:
         self._scene, self._plan, self._place = scene, plan, place
         self.sampling = PathImages(scene, plan.albedos)
         self._pixels = scene.camera.shape[0] * scene.camera.shape[1]

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.prepared.plan import Plan
+from tankrig.light.prepared.plan import PreparationPlan
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class Regression:
         (media, albedos) L2 norm of orders 1 and 2 in the same unit.
     """
 
-    plan: Plan
+    plan: PreparationPlan
     images: Array
     light: Array
     exact: Array

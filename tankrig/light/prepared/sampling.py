@@ -13,12 +13,12 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from tankrig.light.double import double_scattering
-from tankrig.light.paths.lattice import LARGE
+from tankrig.light.paths.block import LARGE
 from tankrig.light.paths.record import image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, sight_line
 from tankrig.light.single import single_scattering
-from tankrig.light.tank.high_orders import CellGrid
+from tankrig.light.tank import CellGrid
 from tankrig.scene import Beam, Medium, Scene
 
 Array = NDArray[np.float64]

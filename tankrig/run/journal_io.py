@@ -1,4 +1,4 @@
-"""What can be told of a run without its pictures: its settings and its journal, read by the json module alone."""
+"""Reading a run's settings and journal without its pictures, by the json module alone."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Fits of a run in words, for whoever watches it."""
+"""Fits of a run as text, for whoever watches it."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The pattern on the wall, and frames that are proven to be of it, each with what was true when it was exposed."""
+"""Displaying patterns, and taking frames proven to be of them, each with what was true when it was exposed."""
 
 from dataclasses import asdict
 from typing import Protocol
@@ -20,7 +20,7 @@ class Tank(Protocol):
         """Ink in the tank now."""
 
 
-class Shown:
+class PatternDisplay:
     """Shows patterns one after another and takes frames of each.
 
     Parameters

@@ -1,22 +1,100 @@
-"""The image of all orders ≥ 3, to a stated error."""
+"""The finite tank: orders 1 and 2 exact, all further orders by as many light paths as the tolerance asks for.
+
+Orders ≥ 3 are smooth along the beams and vary alike from row to row: what is neither is noise.
+The image is projected on low-degree Legendre polynomials in x and on as many common profiles across the rows as stand
+out from the noise. Measured on three beams at σt = .02, ϖ = .99, g = .5 with perspective, half a million paths: error
+2.6 % of the total before, 0.4 % after; no blur does that, as beams are narrower than any blur that would.
+"""
 
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.paths.lattice import LARGE, SMALL, Lattice
+from tankrig.light.double import double_scattering
+from tankrig.light.moments.plan import moment_plan
+from tankrig.light.paths.block import LARGE, SMALL, Lattice
 from tankrig.light.paths.record import CLASSES, GROUPS, Bins, image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, mirror_symmetric, shift_invariant, sight_line
+from tankrig.light.single import single_scattering
 from tankrig.light.surface import to_camera
-from tankrig.light.tank.smoothing import smoothed
+from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Scene
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
+
+NOISE_SHARE = 0.7
+"""Share of the tolerance that the noise of orders ≥ 3 may use up."""
+
+
+def tank_image(
+    scene: Scene, tolerance: float = 0.01, max_order: int | None = None, seed: int = 0, batches: int | None = None
+) -> Prediction:
+    """Image of the finite tank: black walls, matched or Fresnel surface.
+
+    Parameters
+    ----------
+    scene
+        Any scene.
+    tolerance
+        Relative L2 error of the image to stay below.
+    max_order
+        Sum orders 1 … max_order only.
+    seed
+        Of the paths' lattice.
+    batches
+        A fixed number of shifted lattices instead of what the tolerance asks for: the image is then a smooth
+        function of the medium.
+
+    Returns
+    -------
+    Prediction
+        With images of the classes 1, 2, 3, "4-20" and ">20", dark where they were not asked for.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> scene = Scene(Tank(), Medium(0.0002, 0.0198, 0.5), light, Camera("orthographic", (80, 120), 2.0))
+    >>> image = tank_image(scene, tolerance=0.05)
+    >>> [round(float(image.orders[order].sum() / image.image.sum()), 2) for order in (1, 2)]
+    [0.14, 0.24]
+    """
+    highest = max_order or 1_000_000
+    orders: dict[int | str, Array] = {1: single_scattering(scene)}
+    zero = np.zeros(scene.camera.shape)
+    stderr, skipped = zero, [Skipped("light that leaves the tank through its black walls", 0.0)]
+    if highest >= 2:
+        orders[2] = double_scattering(scene, tolerance)
+    known = sum(orders.values(), zero)
+    if highest >= 3 and scene.medium.sigma_s > 0.0:
+        faintest = 0.01 * tolerance
+        noise = NOISE_SHARE * tolerance
+        plan = None if max_order or batches else moment_plan(scene, tolerance)
+        if plan is None:
+            high = high_orders(scene, known, noise, max_order, seed, batches, faintest)
+            orders |= high.by_class
+        else:
+            from tankrig.light.moments.dense import dense_orders
+
+            dense = dense_orders(scene, plan, seed)
+            noise = 0.7 * math.sqrt(tolerance**2 - plan.bound**2)
+            high = high_orders(scene, known + dense.image, noise, plan.above, seed, faintest=faintest)
+            orders |= high.by_class
+            orders["4-20"], orders[">20"] = orders["4-20"] + dense.to_20, dense.beyond_20
+            what = f"above order {plan.above}, degrees beyond {plan.degree} and cells below {plan.side_mm:.1f} mm"
+            skipped.append(Skipped(what, plan.bound))
+        stderr = high.stderr
+        skipped.append(Skipped(f"paths fainter than {faintest:.0e} of their start", 2 * faintest))
+    whole = {key: orders.get(key, zero) for key in ORDER_CLASSES}
+    image = np.sum(list(whole.values()), axis=0)
+    return Prediction(image, "tank", MappingProxyType(whole), stderr, tuple(skipped))
+
 
 FINEST_CELL_MM = 1.5
 """Orders ≥ 3 are smooth on this scale; finer pixels are interpolated."""
@@ -263,3 +341,88 @@ def traced(
         image = image_of_edges(edges, medium.sigma_t, grid.cell_mm[0])
         cells += image * (transmission * (z_mm[1] - z_mm[0]) / points)
     return cells
+
+
+PROFILE_DEGREE = 12
+"""Highest degree of the polynomials in x."""
+
+UNSEEN = 2.5
+"""Real error over the scatter of the projected batches, as the projection is drawn from the same noise: 2.1…2.7."""
+
+
+def smoothed(batches: Array) -> tuple[Array, Array]:
+    """Mean of independent noisy images, with what cannot be told from noise removed.
+
+    Parameters
+    ----------
+    batches
+        (n, classes, rows, columns) images of n independent batches by order class; fewer than 4 don't tell noise from
+        light, and their mean is returned as it is.
+
+    Returns
+    -------
+    images
+        (classes, rows, columns); their sum is the sum's own projection.
+    stderr
+        (rows, columns) one-sigma error of the classes' sum.
+
+    Examples
+    --------
+    >>> x, y = np.linspace(0, 1, 60), np.linspace(-1, 1, 40)
+    >>> truth = np.exp(-y[:, None] ** 2) * np.exp(-2 * x)
+    >>> noisy = truth + np.random.default_rng(0).normal(0, 0.1, (16, 1, 40, 60))
+    >>> images, stderr = smoothed(noisy)
+    >>> before = np.linalg.norm(noisy.mean(axis=(0, 1)) - truth)
+    >>> bool(np.linalg.norm(images[0] - truth) < 0.3 * before)
+    True
+    """
+    count, _, rows, columns = batches.shape
+    if count < 4:
+        return batches.mean(axis=0), np.zeros((rows, columns))
+    along = _legendre(columns)
+    coefficients = batches @ along
+    totals = coefficients.sum(axis=1)
+    project = _projection(totals)
+    if project is None:
+        return batches.mean(axis=0), np.zeros((rows, columns))
+    spread = (project @ totals @ along.T).std(axis=0, ddof=1) / np.sqrt(count)
+    classes = coefficients.mean(axis=0)
+    whole = project @ classes.sum(axis=0)
+    # What stands out in a class need not in the sum: order 3 alone lost 14 % beside a wall where the sum lost 1 %.
+    largest = int(np.argmax(np.abs(classes).sum(axis=(1, 2))))
+    for k in range(len(classes)):
+        own = _projection(coefficients[:, k])
+        if k != largest and own is not None:
+            classes[k] = own @ classes[k]
+    classes[largest] += whole - classes.sum(axis=0)
+    return classes @ along.T, UNSEEN * spread
+
+
+def _projection(batches: Array) -> Array | None:
+    """(rows, rows) that keeps of batches' mean (n, rows, degrees) the profiles that stand out; None without noise.
+
+    Scaled so that the noise is about 1 everywhere, singular values above its largest one are signal. What is just above
+    is kept in part: a profile that came and went as the medium changes would make the image jump.
+    """
+    count, rows, degrees = batches.shape
+    variance = batches.var(axis=0, ddof=1) / count
+    overall = variance.mean()
+    if overall <= 0.0:
+        return None
+    by_row = np.sqrt(variance.mean(axis=1) + 1e-6 * overall)[:, None]
+    by_degree = np.sqrt(variance.mean(axis=0) / overall + 1e-6)
+    profiles, strength, _ = np.linalg.svd(batches.mean(axis=0) / (by_row * by_degree), full_matrices=False)
+    noise = np.sqrt(rows) + np.sqrt(degrees)
+    kept = 1.0 - (noise / np.maximum(strength, noise)) ** 2
+    project: Array = by_row * ((profiles * kept) @ profiles.T) / by_row.T
+    return project
+
+
+def _legendre(columns: int) -> Array:
+    """(columns, degrees) orthonormal cell averages of Legendre polynomials."""
+    from numpy.polynomial import legendre
+
+    edges = np.linspace(-1.0, 1.0, columns + 1)
+    degrees = min(PROFILE_DEGREE, columns - 1) + 1
+    integrals = np.array([legendre.legval(edges, legendre.legint(row)) for row in np.eye(degrees)])
+    return np.linalg.qr(np.diff(integrals, axis=1).T)[0]

@@ -1,4 +1,4 @@
-"""Telling listeners what a run has recorded, without ever waiting for them."""
+"""Passing on to listeners what a run has recorded, without ever waiting for them."""
 
 import logging
 import threading
@@ -16,7 +16,7 @@ _CLOSE_S = 5.0
 _log = logging.getLogger(__name__)
 
 
-class Announcer:
+class EventDispatcher:
     """Calls listeners in a thread of its own, in the order of the journal.
 
     When listeners are slow, events wait and previews do not: beyond a few frames, the pixels of the oldest are let go
@@ -28,7 +28,7 @@ class Announcer:
         self._waiting: deque[tuple[Event, Pixels | None]] = deque()
         self._change = threading.Condition()
         self._closing = False
-        self._thread = threading.Thread(target=self._work, name="run-announcer", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="run-dispatcher", daemon=True)
         self._thread.start()
 
     def listen(self, listener: Listener) -> None:
@@ -36,7 +36,7 @@ class Announcer:
         with self._change:
             self._listeners = (*self._listeners, listener)
 
-    def announce(self, event: Event, pixels: Pixels | None) -> None:
+    def dispatch(self, event: Event, pixels: Pixels | None) -> None:
         """Pass on an acknowledged event; returns at once."""
         with self._change:
             self._waiting.append((event, pixels))
