@@ -1,5 +1,7 @@
 """The calibration page leads a person through a procedure while the rig is lent to it, and shows what is known."""
 
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -55,6 +57,15 @@ def words_of(page) -> str:
     return " ".join(label.text() for label in page._table.findChildren(QLabel))
 
 
+@pytest.fixture(params=[signal.default_int_handler, signal.SIG_IGN], ids=["terminal", "background"])
+def started_from(request: pytest.FixtureRequest) -> Iterator[None]:
+    """A shell starts what it puts into the background with SIGINT ignored, and children inherit that."""
+    before = signal.signal(signal.SIGINT, request.param)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("started_from")
 def test_nothing_else_begins_meanwhile_and_stop_ends_it(window, tmp_path: Path) -> None:
     """STOP is always one press away, also from a pump that is being weighed."""
     wizard = choose(window, "pump", "--volumes 20 --repeats 3")

@@ -13,7 +13,13 @@ from PySide6.QtCore import QObject, QProcess, QProcessEnvironment, QTimer, Signa
 from ui.guide import GUIDED
 
 _PATIENCE_MS = 5000
-_RUN = "import sys; from ui.cli import main; sys.exit(main())"
+_RUN = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from ui.cli import main
+sys.exit(main())
+"""
+"""A window that a script started in the background ignores SIGINT, and so would the program, which it ends with it."""
 
 
 class CalibrationProcess(QObject):
