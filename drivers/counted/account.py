@@ -36,6 +36,8 @@ class CountedPump:
         self.ticks_per_ul, self.increment = counter.ticks_per_ul, counter.increment
         self.most = round(MOST_UL * counter.ticks_per_ul)
         self._file: CountFile
+        self._heard_low = 0
+        """Ticks that it has said, while it moved, to have delivered in all."""
 
     def greet(self) -> Standing:
         """Who it is, what it counts and what that means; settles a dose that was cut off, which never goes on."""
@@ -109,14 +111,18 @@ class CountedPump:
         record, count, trust = self._file.record, reading.count, reading.trust
         total = record.base + count
         low, high = record.unsure or (record.total.low, max(begun.to, record.total.high))
-        short = leg is None or count.high < leg.end
+        end = begun.end if leg is None else leg.end
+        short = end is None or count.high < end
+        if trust is Trust.TIMED_OUT:  # it explains an early end only if it moved until then
+            short = short and total.high < max(low, self._heard_low) + begun.on_its_own
         witnessed = trust is Trust.EXACT
         if self._counter.repeats:  # how often it has begun anew nobody knows
             high = self.most
         restarted = self._counter.counter_restarts and count.best == record.seen.best == 0 and not witnessed
-        if self._counter.repeats or trust is Trust.RESTARTED or count.best < record.seen.best or restarted:
+        restarted |= trust is Trust.RESTARTED or count.best < record.seen.best
+        if self._counter.repeats or restarted or (short and trust in (Trust.UNWITNESSED, Trust.TIMED_OUT)):
             self._file.update(unsure=(low, high), begun=None)
-        elif trust is Trust.STALLED or (trust is Trust.UNWITNESSED and short):
+        elif trust is Trust.STALLED:
             self._file.update(unsure=(min(low, total.high), min(high, total.high)), begun=None)
         else:
             stopped = reading.stopped and count.best > record.seen.best
@@ -168,10 +174,11 @@ class CountedPump:
             raise DeviceError(f"{self.name}: could not be made ready (cleared or refilled); look at it")
         return standing
 
-    def set_off(self, target: int, leg: Leg, unless: Callable[[], bool]) -> None:  # noqa: ARG002, made ready for it
+    def set_off(self, target: int, leg: Leg, unless: Callable[[], bool]) -> None:
         """Write down that it was begun, and begin."""
+        self._heard_low = 0
         try:
-            self._file.update(begun=Begun("dose", target))
+            self._file.update(begun=Begun("dose", target, leg.end, self._counter.on_its_own))
         except DeviceError as error:
             raise NotSetOffError(str(error)) from error
         try:
@@ -187,7 +194,12 @@ class CountedPump:
         """Whether it moves, and what that makes in all."""
         moving, count = self._counter.poll()
         record = self._file.record
-        return moving, record.base + count if count and count.best >= record.seen.best else None
+        if count is None or count.best < record.seen.best:
+            return moving, None
+        total = record.base + count
+        if moving:
+            self._heard_low = max(self._heard_low, total.low)
+        return moving, total
 
     def stop(self) -> None:
         """Put a stop on the wire now."""
