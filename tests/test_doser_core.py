@@ -85,6 +85,19 @@ def test_while_it_doses_being_asked_puts_nothing_on_the_wire(bench: AnyBench) ->
     assert told[-1][0] > told[0][0] + 100.0, "it does not tell how far it is"
 
 
+def test_a_pump_that_goes_on_beyond_its_volume_is_stopped(tmp_path: Path) -> None:
+    """Whatever has become of what it was set to: it is stopped at the first poll that counts more than was asked."""
+    with NewEraBench(tmp_path, world=World(), **SLOW[NewEraBench]) as bench:
+        doser, world = bench.open(), bench.world
+        world.after(1.5, lambda: setattr(bench.board._core, "_left", None))
+        with pytest.raises(DeviceError, match=r"counts .* where 100 were asked, and still moves"):
+            doser.dose_to(100.0)
+        assert bench.true_ul <= 100.0 + 0.25 * UL_PER_S
+        assert doser.stopped
+        assert not bench.moving
+        assert_bounds_hold(doser, bench)
+
+
 # -- what a device knows -----------------------------------------------------------------------------------------------
 
 
