@@ -111,24 +111,32 @@ class CountedPump:
         record, count, trust = self._file.record, reading.count, reading.trust
         total = record.base + count
         low, high = record.unsure or (record.total.low, max(begun.to, record.total.high))
-        end = begun.end if leg is None else leg.end
-        short = end is None or count.high < end
-        if trust is Trust.TIMED_OUT:  # it explains an early end only if it moved until then
-            short = short and total.high < max(low, self._heard_low) + begun.on_its_own
-        witnessed = trust is Trust.EXACT
         if self._counter.repeats:  # how often it has begun anew nobody knows
-            high = self.most
-        restarted = self._counter.counter_restarts and count.best == record.seen.best == 0 and not witnessed
-        restarted |= trust is Trust.RESTARTED or count.best < record.seen.best
-        if self._counter.repeats or restarted or (short and trust in (Trust.UNWITNESSED, Trust.TIMED_OUT)):
+            self._file.update(unsure=(low, self.most), begun=None)
+        elif self._may_have_restarted(reading, begun, leg, max(low, self._heard_low)):
             self._file.update(unsure=(low, high), begun=None)
         elif trust is Trust.STALLED:
             self._file.update(unsure=(min(low, total.high), min(high, total.high)), begun=None)
         else:
             stopped = reading.stopped and count.best > record.seen.best
-            lost = (self._counter.lost_by_stopping if stopped else 0) + (0 if witnessed else self._counter.order)
+            unheard = 0 if trust is Trust.EXACT else self._counter.order  # a stall
+            lost = (self._counter.lost_by_stopping if stopped else 0) + unheard
             base = record.base._replace(low=record.base.low - lost)
             self._file.update(base=base, seen=count, begun=None, unsure=None)
+
+    def _may_have_restarted(self, reading: Reading, begun: Begun, leg: Leg | None, heard_low: int) -> bool:
+        """Whether its power may have failed, heard or not, and its counter lost its meaning."""
+        record, count, trust = self._file.record, reading.count, reading.trust
+        if trust is Trust.RESTARTED or count.best < record.seen.best:
+            return True
+        if trust is Trust.EXACT:
+            return False
+        if self._counter.counter_restarts and count.best == record.seen.best == 0:
+            return True
+        end = begun.end if leg is None else leg.end
+        complete = end is not None and count.high >= end
+        moved_on = (record.base + count).high >= heard_low + begun.on_its_own
+        return not (complete or trust is Trust.STALLED or (trust is Trust.TIMED_OUT and moved_on))
 
     def remember_unknown(self, low: int, high: int) -> None:
         """Keep the bounds; a dose whose end the counter has not told yet stays begun, so that it still can."""
