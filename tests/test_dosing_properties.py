@@ -188,13 +188,15 @@ class Dosing(RuleBasedStateMachine):
 
     @rule(part_ul=st.sampled_from([3.3, 20.0]), mended=st.booleans())
     def prime(self, part_ul: float, mended: bool) -> None:
-        """Into a waste vessel: no ink of the tank's, whatever happens meanwhile."""
+        """Into a waste vessel, where the tube stays until the pump rests: no ink of the tank's, whatever happens."""
         if mended:
             self.put_right()
         if self.guard:
             before_ul, self.held_beside_ul = self.bench.true_ul, self.tank_ul
             with suppress(TankrigError):
                 self.guard.dose_aside(part_ul)
+            while self.bench.moving:
+                self.world.advance(0.1)
             self.held_beside_ul = None
             self.tally["moved beside the tank"] += self.bench.true_ul > before_ul
             self.aside_ul += self.bench.true_ul - before_ul
