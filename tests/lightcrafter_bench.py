@@ -41,7 +41,7 @@ class ScheduledBoard(Board):
     def __init__(self, controller: Controller, schedule: Mapping[int, Callable[["ScheduledBoard"], object]], **kw: Any):
         super().__init__(controller, **kw)
         self.schedule, self.arrived = dict(schedule), 0
-        self.attached = True
+        self.now_s: Callable[[], float] = kw["clock"]
 
     def intr_write(self, *arguments: Any) -> int:
         fault = self.schedule.get(self.arrived)

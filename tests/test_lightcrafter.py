@@ -72,7 +72,7 @@ def test_reports_are_those_of_the_page():
 
 
 class TestLightcrafter(ProjectorContract):
-    """Over a window that swaps in real time, on a stand-in that is quick to lock, to change its mode and to validate."""
+    """Over a window that swaps in real time, on a stand-in that is quick to lock, to change mode and to validate."""
 
     @pytest.fixture
     def reopen(self, tmp_path):

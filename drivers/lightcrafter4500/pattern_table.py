@@ -54,9 +54,8 @@ class Line:
 
     def packed(self) -> bytes:
         """Its three bytes."""
-        return bytes(
-            [self.trigger | self.number << 2, self.bits | self.led << 4, self.black << 1 | self.next_image << 2]
-        )
+        flags = self.black << 1 | self.next_image << 2
+        return bytes([self.trigger | self.number << 2, self.bits | self.led << 4, flags])
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class PatternTable:
 
     @property
     def from_flash(self) -> bool:
-        """Whether patterns come from flash and the sequence is shown once, rather than again and again with the video."""
+        """Whether patterns come from flash and are shown once, rather than from the video, again and again."""
         return bool(self.images)
 
     def configuration(self) -> bytes:

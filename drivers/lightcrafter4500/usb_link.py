@@ -1,4 +1,4 @@
-"""Commands to a LightCrafter 4500: messages in 64-byte reports over USB, each answered within a second or not at all."""
+"""Commands to a LightCrafter 4500: messages in 64-byte reports over USB, each answered within a second or never."""
 
 import errno
 import random
