@@ -155,6 +155,14 @@ def test_empty_and_late_reports_are_passed_over_at_every_command(fault):
     assert bench.displaying
 
 
+def test_a_late_report_that_comes_again_and_again_is_never_taken_for_an_answer():
+    bench = LightcrafterBench()
+    projector = bench.open()
+    for _ in range(300):  # more than there are numbers for a command and its reply
+        bench.faults.stale_reports = 2
+        projector.confirm()
+
+
 def test_late_reports_without_end_are_given_up():
     bench = LightcrafterBench()
     projector = bench.open()

@@ -1,8 +1,8 @@
 """Commands to a LightCrafter 4500: messages in 64-byte reports over USB, each answered within a second or never."""
 
 import errno
-import random
 import struct
+from itertools import count
 from typing import Any
 
 from drivers.clock import Clock, SystemClock
@@ -62,7 +62,8 @@ class UsbLink:
         import usb.util
 
         self._usb, self._clock = usb, clock or SystemClock()
-        self._sequence = random.randrange(256)  # so that a late reply to the program before is not taken for ours
+        self._sequence = 0
+        self._late: set[int] = set()
         self._taken_from_kernel = False
         self._device = _only(backend)
         try:
@@ -141,8 +142,11 @@ class UsbLink:
         flags = _READ if read else 0
         for _ in range(_MOST_STRAY):
             reply = self._report(command, deadline_s)
-            if len(reply) < _HEADER or reply[1] != self._sequence or reply[0] & _READ != flags:
-                continue  # empty, or a late reply to a command that was given up
+            if len(reply) < _HEADER:
+                continue  # empty
+            if reply[1] != self._sequence or reply[0] & _READ != flags:
+                self._late.add(reply[1])  # to a command that was given up
+                continue
             if reply[0] & _REFUSED:
                 raise DeviceError(
                     f"{NAME}: refuses command {_words(command, data)}; end other programs that use it, switch it off "
@@ -157,13 +161,19 @@ class UsbLink:
         )
 
     def _send(self, command: int, data: bytes, read: bool, reply: bool) -> None:
-        self._sequence = (self._sequence + 1) % 256
+        self._sequence = self._next_sequence()
         message = packed(command, data, self._sequence, read, reply)
         try:
             for at in range(0, len(message), _REPORT):
                 self._device.write(_OUT, message[at : at + _REPORT], round(1000 * REPLY_S))
         except self._usb.core.USBError as error:
             raise self._explained(error, f"asked for {_words(command, data)}") from error
+
+    def _next_sequence(self) -> int:
+        """A number that no late reply had, so that another one like it is not taken for an answer."""
+        if len(self._late) > 200:
+            self._late.clear()
+        return next(number % 256 for number in count(self._sequence + 1) if number % 256 not in self._late)
 
     def _whole(self, command: int, reply: bytes, length: int, deadline_s: float) -> bytes:
         """The data of a reply, of which all but the first 60 bytes come in reports without a header."""
