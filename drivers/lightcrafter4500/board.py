@@ -164,10 +164,10 @@ class PatternBoard:
         DeviceError
             If they are not.
         """
-        if not self._displays():
-            raise DeviceError(f"{NAME}: has stopped showing patterns; switch it off and on, and open it again")
         if not self._locked():
             raise DeviceError(f"{NAME}: has lost the video at its HDMI input; check the HDMI cable and open it again")
+        if not self._displays():
+            raise DeviceError(f"{NAME}: has stopped showing patterns; switch it off and on, and open it again")
 
     def _enter(self, mode: int) -> None:
         self._link.write(MODE, bytes([mode]))
