@@ -1,26 +1,35 @@
-"""A LightCrafter 4500 as a projector: USB makes it show every refresh of its HDMI input as one 8-bit pattern."""
+"""A LightCrafter 4500 as a projector.
+
+USB makes it show every refresh of its HDMI input as one 8-bit pattern; in a burst, patterns from its flash, each with a
+trigger for the camera.
+"""
 
 import logging
+import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from drivers.clock import Clock, SystemClock
 from drivers.hdmi.projector import HdmiProjector
-from tankrig.devices import Confirming, Flip, Projector
+from tankrig.devices import BurstTiming, Confirming, Flip, Projector
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
 from .board import PatternBoard
-from .pattern_table import LED, Line, PatternTable, Trigger
+from .flash import Flash, lines
+from .pattern_table import DARK_US, LEAST_EXPOSURE_US, LED, MOST_LINES, Line, PatternTable, Trigger
 from .settings import LightcrafterSettings
 from .usb_link import NAME, UsbLink
 
 _log = logging.getLogger(__name__)
 
+_WITHIN_US = 200
+"""By which a pattern of a burst is lit for less than the camera exposes, so that all of its light is in the frame."""
+
 
 class Lightcrafter:
-    """Implements `tankrig.devices.Projector` and `Confirming`.
+    """Implements `tankrig.devices.Projector`, `Confirming` and `BurstProjector`.
 
     Parameters
     ----------
@@ -49,6 +58,8 @@ class Lightcrafter:
         self._settings = settings
         self._turn = threading.Lock()
         self._closed = False
+        self._on_video, self._burst_loaded = False, False
+        self._flash = Flash(settings.flash, settings.shape) if settings.flash else None
         clock = clock or SystemClock()
         self._link = UsbLink(backend, clock)
         self._board = PatternBoard(self._link, clock)
@@ -58,8 +69,7 @@ class Lightcrafter:
             try:
                 self._board.stop()
                 self._board.enter_pattern_mode()
-                self._board.load(_each_refresh(settings))
-                self._board.start()
+                self._show_video()
             except BaseException:
                 self._board.tell_stop()
                 self._window.close()
@@ -94,6 +104,8 @@ class Lightcrafter:
         """
         with self._turn:
             self._require_open()
+            if not self._on_video:
+                self._show_video()
             flip = self._window.show(pattern)
             self._board.require_displaying()
             return flip
@@ -108,9 +120,45 @@ class Lightcrafter:
         """
         with self._turn:
             self._require_open()
+            if not self._on_video:
+                raise DeviceError(f"{self.name}: shows nothing since its burst; show a pattern first")
             if isinstance(self._window, Confirming):
                 self._window.confirm()
             self._board.require_displaying()
+
+    def load_burst(self, patterns: Sequence[Pattern], exposure_ms: float) -> BurstTiming:
+        """Go dark and get ready to show `patterns`, which are in flash, for a camera that exposes `exposure_ms`.
+
+        Raises
+        ------
+        DeviceError
+            If a pattern is not in flash, they are too many, or `exposure_ms` is too short for them; then what was shown
+            goes on. If the board does not accept them, or this is closed.
+        """
+        with self._turn:
+            self._require_open()
+            table = self._burst(patterns, exposure_ms)
+            self._on_video = False
+            self._board.stop()
+            self._board.load(table)
+            self._burst_loaded = True
+            called = self._settings.burst_trigger != "internal"
+            return BurstTiming(table.exposure_us / 1e3, None if called else table.period_us / 1e3)
+
+    def play_burst(self) -> None:
+        """Show the patterns that were loaded, once, from the first on (as they are called for, where triggered).
+
+        Raises
+        ------
+        DeviceError
+            If none were loaded since the last time, it does not acknowledge, or this is closed.
+        """
+        with self._turn:
+            self._require_open()
+            if not self._burst_loaded:
+                raise DeviceError(f"{self.name}: has no patterns to show in a burst; load them first")
+            self._burst_loaded = False
+            self._board.start_once()
 
     def close(self) -> None:
         """Stop the board's patterns and make sure that it has, which leaves it dark; let go of USB and screen."""
@@ -131,6 +179,32 @@ class Lightcrafter:
             _log.warning("%s; nobody can tell whether it is dark: look at it", error)
         finally:
             self._link.close()
+
+    def _show_video(self) -> None:
+        """Have its HDMI input shown, after whatever it did before."""
+        self._board.stop()
+        self._burst_loaded = False
+        self._board.load(_each_refresh(self._settings))
+        self._board.start()
+        self._on_video = True
+
+    def _burst(self, patterns: Sequence[Pattern], exposure_ms: float) -> PatternTable:
+        settings = self._settings
+        if self._flash is None:
+            raise DeviceError(f"{self.name}: shows no bursts, since nobody has said what its flash holds; set flash")
+        if not 1 <= len(patterns) <= MOST_LINES:
+            raise DeviceError(f"{self.name}: shows 1 to {MOST_LINES} patterns in a burst, not {len(patterns)}")
+        places = self._flash.places(patterns)
+        lit_us = round(1000 * exposure_ms) - _WITHIN_US
+        least_us = max(LEAST_EXPOSURE_US[place.bits - 1] for place in places)
+        if lit_us < least_us:
+            raise DeviceError(
+                f"{self.name}: takes {least_us} µs for a pattern of {places[0].bits} bits, and the camera exposes "
+                f"{exposure_ms:g} ms; expose {math.ceil((least_us + _WITHIN_US) / 100) / 10:g} ms or longer"
+            )
+        found, images = lines(places, LED[settings.led], Trigger[settings.burst_trigger.upper()])
+        period_us = lit_us + _WITHIN_US + max(DARK_US, round(1000 * settings.burst_gap_ms))
+        return PatternTable(found, lit_us, period_us, images)
 
     def _require_open(self) -> None:
         if self._closed:
