@@ -121,6 +121,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         doser, journal = _guarded(rig, run.settings["id"], undo, run)
         done = _settled(doser, open_dose(run), delivered_ul, dose_doubt(run) is not None)
         tank, used_ul = doser.delivered(), doser.used_ul
+        _require_bursts(sequence, rig, patterns)
         _require_seen(rig)
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), tank, used_ul, resume_at=first_step)
         _require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))

@@ -27,18 +27,18 @@ from ui.window.sequence_tables import inline, step_table, steps_in
 from ui.window.sequence_text import Path_, at, line_of, patterns_of
 
 STEPS: dict[str, type[Any]] = {
-    "capture": Capture, "burst": Burst, "dose": Dose, "mix": Mix, "series": Series, "repeat": Repeat, "wait": Wait,
-    "note": Note,
+    "capture": Capture, "dose": Dose, "mix": Mix, "series": Series, "repeat": Repeat, "wait": Wait, "note": Note,
+    "burst": Burst,
 }  # fmt: skip
 NEW: dict[str, dict[str, Any]] = {
     "capture": {"do": "capture", "pattern": "full", "frames": 4},
-    "burst": {"do": "burst", "patterns": ["full"]},
     "dose": {"do": "dose", "total_ul": 100.0},
     "mix": {"do": "mix", "pattern": "full"},
     "series": {"do": "series", "total_ul": [100.0, 200.0], "steps": [{"do": "capture", "pattern": "full"}]},
     "repeat": {"do": "repeat", "times": 2, "steps": [{"do": "capture", "pattern": "full"}]},
     "wait": {"do": "wait", "seconds": 10.0},
     "note": {"do": "note", "text": "what was seen"},
+    "burst": {"do": "burst", "patterns": ["full"]},
 }
 ALWAYS = ("dark", "full")
 PLACE = Qt.ItemDataRole.UserRole
