@@ -255,6 +255,14 @@ def test_closing_stops_it_and_asks_whether_it_has():
     assert (True, 0x1A24, b"") in bench.board.commands
 
 
+def test_closing_stops_it_before_the_desktop_shows_where_the_window_was(monkeypatch):
+    bench = LightcrafterBench()
+    projector, displayed = bench.open(), []
+    monkeypatch.setattr(bench.windows[0], "close", lambda: displayed.append(bench.displaying))
+    projector.close()
+    assert displayed == [False]
+
+
 def test_closing_one_that_cannot_be_stopped_says_so_and_ends(caplog):
     bench = LightcrafterBench()
     projector = bench.open()

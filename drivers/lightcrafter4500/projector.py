@@ -167,9 +167,9 @@ class Lightcrafter:
                 return
             self._closed = True
             try:
-                self._window.close()
+                self._go_dark()  # before the desktop shows where the window was
             finally:
-                self._go_dark()
+                self._window.close()
 
     def _go_dark(self) -> None:
         try:
