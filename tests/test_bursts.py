@@ -15,8 +15,6 @@ from tankrig.pattern.kinds import Full
 from tankrig.run.start import new_run, resumed_run
 from tankrig.run.state import FinishReason
 from tankrig.sequence import Burst, Capture, Pace, Sequence, dry_run
-from ui.window.forms import Form
-from ui.window.steps_editor import words_of
 
 from .memory_rig import SHAPE, MemoryCamera, MemoryProjector, memory_rig
 
@@ -162,15 +160,6 @@ def test_a_dry_run_counts_its_frames_and_its_time():
 def test_a_burst_that_makes_no_sense_is_refused_in_a_sentence(step, reason):
     with pytest.raises(SequenceError, match=reason):
         step()
-
-
-def test_the_window_words_a_burst_and_takes_its_patterns_as_names(qtbot):
-    assert words_of({"do": "burst", "patterns": ["a", "b"], "times": 3}) == "burst of 2 patterns × 3"
-    form = Form(Burst, {"patterns": ["a", "b"]}, {}, skip=("do",))
-    qtbot.addWidget(form)
-    field = form.rows["patterns"]
-    assert field.value == ["a", "b"]
-    assert not field.wrong
 
 
 def test_frames_of_a_burst_follow_each_other_in_time(tmp_path):
