@@ -50,18 +50,18 @@ def fit_glow(blocks: tuple[Block, ...]) -> tuple[Fit, Array]:
     models = Models(tank_like, lambda _: (tank_like, tank_like))
     shot = Shot(observe(image + 0.8 * GLOW, (40, 60), noise), SCENE, models)
     fit = fitted([shot], blocks, Scaling(1.0, 0.0), lambda _: None)
-    sensitivity = fit.problem.sensitivity(fit.coordinates, fit.problem.images(fit.coordinates))
-    return fit, sensitivity.covariance([shot.observation.noise], [fit.problem.views[0].error])
+    (view,) = fit.optimum.problem.views
+    return fit, fit.optimum.sensitivity.covariance([shot.observation.noise], [view.error])
 
 
 def test_a_block_is_fitted_along_without_a_change_to_the_engine() -> None:
     """Phase functions and optics come as blocks: search, steps and uncertainty must take one that they do not know."""
     medium = MediumBlock(RANGE)
     without, spread = fit_glow((medium,))
-    off = (without.problem.values(without.coordinates)["medium"] - TRUTH) / np.sqrt(np.diag(spread))
+    off = (without.optimum.values["medium"] - TRUTH) / np.sqrt(np.diag(spread))
     assert np.abs(off).max() > 10.0
     fit, spread = fit_glow((medium, GlowBlock()))
-    values = fit.problem.values(fit.coordinates)
+    values = fit.optimum.values
     off = (np.append(values["medium"], values["glow"]) - [*TRUTH, 0.8]) / np.sqrt(np.diag(spread))
     assert np.abs(off).max() < 4.0
     assert np.sqrt(spread[3, 3]) < 0.1
@@ -110,11 +110,10 @@ def test_a_correlated_error_is_weighed_and_counted_as_what_it_is() -> None:
         for name, error in (("told", PatternError(patterns)), ("white", SmoothError(np.zeros_like(clean), 60.0))):
             view = View(observe(image, clean.shape, noise), forward, slopes_of(forward, 240.0), error)
             problem = Problem((view,), (MediumBlock(RANGE),), Scaling(1.0, 0.0))
-            at = solve(problem, to_coordinates(MEDIUM), 0.01).coordinates
-            sensitivity = problem.sensitivity(at, problem.images(at))
-            spread = sensitivity.covariance([noise], [error])
-            off[name].append((problem.values(at)["medium"] - TRUTH) / np.sqrt(np.diag(spread)))
-            assert np.allclose(spread, sensitivity.assumed, rtol=1e-6)  # errors are as the fit weighs them
+            best = solve(problem, to_coordinates(MEDIUM), 0.01)
+            spread = best.sensitivity.covariance([noise], [error])
+            off[name].append((best.values["medium"] - TRUTH) / np.sqrt(np.diag(spread)))
+            assert np.allclose(spread, best.sensitivity.assumed, rtol=1e-6)  # errors are as the fit weighs them
     told, white = (np.sqrt(np.mean(np.square(off[name]), axis=0)) for name in ("told", "white"))
     assert (np.abs(told - 1.0) < 0.35).all()
     assert white.max() > 5.0
