@@ -30,7 +30,6 @@ from tankrig.estimation.problem import Evaluation, Problem, View
 from tankrig.estimation.uncertainty import PATTERN, SmoothError, identifiable
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
-from tankrig.threads import THREADS
 
 Vector = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -59,6 +58,8 @@ SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
+DAMPED = 1e-2
+"""Share of the curvature by which a first step is damped, and one after a step that failed."""
 MOST_REFUSED = 3
 """Steps in a row that may fail with a Jacobian just computed, each ten times shorter: what is left is roughness."""
 
@@ -97,6 +98,8 @@ def minimise(
     enough: float,
     most_steps: int = 30,
     longest_step: Vector | float = np.inf,
+    damping: float = DAMPED,
+    anew: bool = False,
 ) -> Place:
     """Minimise half the sum of squares of a residual inside a box.
 
@@ -115,6 +118,10 @@ def minimise(
         Steps tried at most.
     longest_step
         Of each coordinate; further than this no linearisation is trusted.
+    damping
+        Of the first step; 0 where the optimum is near.
+    anew
+        Whether the Jacobian is computed at every step, because that costs nothing more.
 
     Examples
     --------
@@ -131,7 +138,7 @@ def minimise(
     """
     here = evaluate(np.clip(start, *box))
     jacobian = here.jacobian
-    fresh, damping, refused = True, 1e-2, 0
+    fresh, refused = True, 0
     for _ in range(most_steps):
         at, value = here.coordinates, here.residual
         if _promise(value, jacobian, _step(value, jacobian, 0.0, at, box, longest_step)) < enough:
@@ -142,15 +149,18 @@ def minimise(
         step = _step(value, jacobian, damping, at, box, longest_step)
         ahead = evaluate(at + step)
         if ahead.cost < here.cost:
-            jacobian = jacobian + np.outer(ahead.residual - value - jacobian @ step, step) / float(step @ step)
-            here, fresh, refused = ahead, False, 0
+            if anew:
+                jacobian = ahead.jacobian
+            else:
+                jacobian = jacobian + np.outer(ahead.residual - value - jacobian @ step, step) / float(step @ step)
+            here, fresh, refused = ahead, anew, 0
             damping = max(damping / 5.0, 1e-6)
         elif not fresh:
             jacobian, fresh = here.jacobian, True
         elif refused == MOST_REFUSED:
             break
         else:
-            damping, refused = 10.0 * damping, refused + 1
+            damping, refused = max(10.0 * damping, DAMPED), refused + 1
     return here
 
 
@@ -181,15 +191,18 @@ def _step(
     return np.clip(at + step, box[0], box[1]) - at
 
 
-def solve(problem: Problem, start: Vector, enough: float = COARSE_ENOUGH, most_steps: int = 30) -> Evaluation:
+def solve(
+    problem: Problem, start: Vector, enough: float = COARSE_ENOUGH, most_steps: int = 30, damping: float = DAMPED
+) -> Evaluation:
     """Optimum of a problem next to some coordinates; see `minimise`."""
-    return minimise(problem.at, start, problem.box, enough, most_steps, problem.longest_step)
+    return minimise(problem.at, start, problem.box, enough, most_steps, problem.longest_step, damping, problem.quick)
 
 
 def polish(problem: Problem, start: Vector) -> Evaluation:
     """The same, as far as the model's error lets the optimum be known."""
     by_noise = np.concatenate([view.whitened(view.observation.noise) ** 2 for view in problem.views])
-    return solve(problem, start, FINE_ENOUGH + MODEL_ENOUGH * (1.0 - float(np.mean(by_noise))), LAST_STEPS)
+    enough = FINE_ENOUGH + MODEL_ENOUGH * (1.0 - float(np.mean(by_noise)))
+    return solve(problem, start, enough, LAST_STEPS, damping=0.0)
 
 
 def first_guess(problem: Problem, length_mm: float) -> tuple[list[Evaluation], list[Evaluation]]:
@@ -366,7 +379,7 @@ def _rough(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, s
         ambient = float(np.percentile(seen.image[seen.used], 5)) if scaling.offset is None else scaling.offset
         error = share * np.maximum(seen.image - ambient, 0.0)
         views.append(shot.view(image_of(coarse), shot.slopes_of(coarse), error))
-    return Problem(tuple(views), blocks, scaling, 1 if all(shot.models.slopes for shot in shots) else THREADS)
+    return Problem(tuple(views), blocks, scaling, quick=all(shot.models.slopes for shot in shots))
 
 
 def _searched(

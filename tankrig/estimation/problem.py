@@ -15,6 +15,7 @@ from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import Block, Scaling
 from tankrig.estimation.uncertainty import ModelError, Response, Sensitivity, Whitening
 from tankrig.scene import Medium
+from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -84,14 +85,14 @@ class Problem:
         Of parameters; those before say what those after act on.
     scaling
         Gain and offset, known or free.
-    threads
-        That ask models at a time: one for models that answer sooner than a thread begins.
+    quick
+        Whether models answer, derivatives included, sooner than a thread begins.
     """
 
     views: tuple[View, ...]
     blocks: tuple[Block, ...]
     scaling: Scaling
-    threads: int = 1
+    quick: bool = True
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -143,9 +144,9 @@ class Problem:
 
     def of_views(self, answer: Callable[[View], Answer]) -> list[Answer]:
         """What a function says of each view; of several at a time."""
-        if self.threads == 1 or len(self.views) == 1:
+        if self.quick or len(self.views) == 1:
             return [answer(view) for view in self.views]
-        with ThreadPoolExecutor(self.threads) as pool:
+        with ThreadPoolExecutor(THREADS) as pool:
             return list(pool.map(answer, self.views))
 
 
