@@ -44,6 +44,8 @@ FIRST_STEPS, LAST_STEPS = 5, 40
 COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
 """Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's, and errors
 of the model, which the weights count pixel by pixel, move the optimum by more than the weights say."""
+NEAR_ENOUGH = 0.005
+"""The same about exact images, where steps cost nothing: a tenth of a standard deviation."""
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
 """Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
 by less than EQUAL, are left for the accurate model to tell apart."""
@@ -426,20 +428,21 @@ def _corrected(
         seen = [shot.models.exact(one, times) for shot, one in zip(shots, media, strict=True) if shot.models.exact]
         slopes = problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))
         near = [_linear(one.image, medium, slope) for one, medium, slope in zip(seen, media, slopes, strict=True)]
-        return _weighed(problem, shots, near, [_always(slope) for slope in slopes], seen), seen
+        weighed = _weighed(problem, shots, near, [_always(slope) for slope in slopes], seen)
+        return replace(weighed, quick=True), seen
 
     for _ in range(CORRECTIONS):
         progress("correcting by accurate images")
         centre = best
         near, seen = about(centre, 1)
-        best = polish(near, centre.coordinates)
+        best = solve(near, centre.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
         moved = float(np.abs(best.coordinates - centre.coordinates).max())
         if near.at(centre.coordinates).cost - best.cost < CORRECTED or moved < settled:
             break
     if sharper and _held_back(best):
         progress("correcting by images as accurate as the photographs")
         near, seen = about(centre, SHARPER)
-        best = polish(near, best.coordinates)
+        best = solve(near, best.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
     last = tuple(corrected(*one) for one in zip(models, centre.media, seen, strict=True))
     views = tuple(
         replace(view, forward=image_of(model), slopes=own.slopes)
