@@ -44,8 +44,8 @@ FIRST_STEPS, LAST_STEPS = 5, 40
 COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
 """Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's, and errors
 of the model, which the weights count pixel by pixel, move the optimum by more than the weights say."""
-NEAR_ENOUGH = 0.005
-"""The same about exact images, where steps cost nothing: a tenth of a standard deviation."""
+NEAR_ENOUGH, BENT_ENOUGH = 0.005, 0.05
+"""The same about exact images: to first order, where steps cost nothing, and as the models bend."""
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
 """Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
 by less than EQUAL, are left for the accurate model to tell apart."""
@@ -53,9 +53,9 @@ MISFIT = 4.0
 """Mean squared residual, in standard deviations that count the cheap model's error, that a good optimum stays below."""
 SEVERAL_ENOUGH = 20.0
 """The same for the cheap models' fit of several images."""
-CORRECTIONS, CORRECTED = 4, 0.3
-"""Exact images at most that an optimum is corrected by, each at the last one's, and the gain in χ²/2 below which that
-is over."""
+CORRECTIONS, SETTLED = 4, 0.1
+"""Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
+which that is over."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 CLEANINGS = 3
@@ -327,7 +327,6 @@ def fitted(
     progress: Told,
     start: Vector | None = None,
     few: Sequence[int] = (0,),
-    settled: float = 0.0,
     sharper: bool = False,
 ) -> Fit:
     """From images to the optimum: search with the cheap models, go on with accurate ones, correct by exact images.
@@ -346,8 +345,6 @@ def fitted(
         Coordinates to begin from; None to search everywhere.
     few
         Numbers of the images that the search looks at.
-    settled
-        Move of every coordinate below which exact images need not be computed again.
     sharper
         Whether exact images follow more paths where the model's error hides what the images show.
     """
@@ -369,7 +366,7 @@ def fitted(
         versions = [(shot.models.coarse, shot.models.coarse) for shot in shots]
         best = _by_cost(solve(problem, one, SEVERAL_ENOUGH) for one in found)[0]
     if all(shot.models.exact for shot in shots):
-        return _corrected(best, shots, [slope for _, slope in versions], progress, settled, sharper)
+        return _corrected(best, shots, [slope for _, slope in versions], progress, sharper)
     return Fit(best, tuple(fine for fine, _ in versions))
 
 
@@ -400,10 +397,11 @@ def _searched(
     return problem, search(problem.of(few), starts, progress, [look.coordinates for look in rest])
 
 
-def _corrected(
-    best: Evaluation, shots: Sequence[Shot], models: Sequence[Model], progress: Told, settled: float, sharper: bool
-) -> Fit:
-    """The optimum by exact images, each at the last one's, and smooth changes about them.
+def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model], progress: Told, sharper: bool) -> Fit:
+    """The optimum by exact images, and by how other models change about them.
+
+    To first order at first: what is left of paths' noise in that is smooth. Then as the models bend on the way, which
+    says as much as other exact images there would (of what these gained in a dose's fit from afar, 105 %).
 
     Parameters
     ----------
@@ -415,40 +413,34 @@ def _corrected(
         That are differentiated; in the end, with the error that they show at the optimum taken off.
     progress
         Told in words what is being done.
-    settled
-        Move of every coordinate below which that is over.
     sharper
         Whether images follow more paths where the model's error hides what the images show.
     """
     problem = best.problem
 
-    def about(centre: Evaluation, times: int) -> tuple[Problem, list[Prediction]]:
-        """The problem with exact images and changes to first order: what is left of paths' noise in it is smooth."""
-        media = centre.media
+    def about(centre: Evaluation, start: Evaluation, times: int) -> Fit:
+        media, slopes = centre.media, problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))
         seen = [shot.models.exact(one, times) for shot, one in zip(shots, media, strict=True) if shot.models.exact]
-        slopes = problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))
-        near = [_linear(one.image, medium, slope) for one, medium, slope in zip(seen, media, slopes, strict=True)]
-        weighed = _weighed(problem, shots, near, [_always(slope) for slope in slopes], seen)
-        return replace(weighed, quick=True), seen
+        straight = [_linear(one.image, medium, slope) for one, medium, slope in zip(seen, media, slopes, strict=True)]
+        near = _weighed(problem, shots, straight, [_always(slope) for slope in slopes], seen)
+        end = solve(replace(near, quick=True), start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
+        last = tuple(corrected(*one) for one in zip(models, media, seen, strict=True))
+        bent = near.by([image_of(model) for model in last])
+        return Fit(solve(bent, end.coordinates, BENT_ENOUGH, LAST_STEPS, damping=0.0), last)
 
     for _ in range(CORRECTIONS):
         progress("correcting by accurate images")
         centre = best
-        near, seen = about(centre, 1)
-        best = solve(near, centre.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
-        moved = float(np.abs(best.coordinates - centre.coordinates).max())
-        if near.at(centre.coordinates).cost - best.cost < CORRECTED or moved < settled:
+        fit = about(centre, centre, 1)
+        best = fit.optimum
+        if np.abs(best.coordinates - centre.coordinates).max() < SETTLED:
             break
     if sharper and _held_back(best):
         progress("correcting by images as accurate as the photographs")
-        near, seen = about(centre, SHARPER)
-        best = solve(near, best.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
-    last = tuple(corrected(*one) for one in zip(models, centre.media, seen, strict=True))
-    views = tuple(
-        replace(view, forward=image_of(model), slopes=own.slopes)
-        for view, model, own in zip(near.views, last, problem.views, strict=True)
-    )
-    return Fit(replace(problem, views=views).at(best.coordinates), last)
+        fit = about(centre, best, SHARPER)
+    end = fit.optimum
+    views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
+    return replace(fit, optimum=replace(end.problem, views=tuple(views)).at(end.coordinates))
 
 
 def _weighed(

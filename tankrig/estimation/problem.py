@@ -142,6 +142,11 @@ class Problem:
         """The problem of some of the images."""
         return replace(self, views=tuple(self.views[k] for k in few))
 
+    def by(self, forwards: Sequence[Forward]) -> "Problem":
+        """The problem with other models of the images."""
+        views = zip(self.views, forwards, strict=True)
+        return replace(self, views=tuple(replace(view, forward=forward) for view, forward in views))
+
     def of_views(self, answer: Callable[[View], Answer]) -> list[Answer]:
         """What a function says of each view; of several at a time."""
         if self.quick or len(self.views) == 1:

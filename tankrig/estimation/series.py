@@ -39,10 +39,6 @@ Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 
 
-SETTLED = 0.01
-"""Move of every coordinate after which accurate images need not be computed again."""
-
-
 class InkAndWater(Protocol):
     """An earlier estimate."""
 
@@ -154,7 +150,7 @@ def fit_liquid(
     block = MediumBlock(models[0].range or Range.of_tank(max(max(scene.tank.size_mm) for scene in scenes)))
     shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
     begin = None if start is None else block.start(start)
-    fit = fitted(shots, (block,), scaling, lambda _: None, begin, settled=SETTLED)
+    fit = fitted(shots, (block,), scaling, lambda _: None, begin)
     best = fit.optimum
     gain, _, left = left_over(fit)
     if models[0].range is not None and {"sigma_s", "g"} & set(best.at_edge):
@@ -186,7 +182,7 @@ def fit_series(
         begin = np.concatenate([to_coordinates(liquid), [water * ink.length_mm], np.zeros(doses.ml.size)])
     highest = doses.ml.size - 1
     few = [doses.of_image.tolist().index(dose) for dose in sorted({0, highest // 2, highest})]
-    fit = fitted(shots, blocks, scaling, progress, begin, few, SETTLED)
+    fit = fitted(shots, blocks, scaling, progress, begin, few)
     progress("finding the errors")
     return _built(fit, blocks, shots)
 
