@@ -8,7 +8,6 @@ every accepted step, about three times the evaluations here.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
-from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +41,7 @@ START_ASYMMETRY = (0.0, 0.5, 0.85)
 FIRST_STEPS, LAST_STEPS = 5, 40
 """Steps that every start gets before only the best go on, and steps with the accurate model at most."""
 COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
-"""Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's, and errors
+"""Where the searches stop, see `solve`: the cheap model's optimum is only a start for the accurate one's, and errors
 of the model, which the weights count pixel by pixel, move the optimum by more than the weights say."""
 NEAR_ENOUGH, BENT_ENOUGH = 0.005, 0.05
 """The same about exact images: to first order, where steps cost nothing, and as the models bend."""
@@ -66,67 +65,28 @@ MOST_REFUSED = 3
 """Steps in a row that may fail with a Jacobian just computed, each ten times shorter: what is left is roughness."""
 
 
-class LeastSquares(Protocol):
-    """A least-squares problem at some coordinates; what nobody asks for is not computed."""
-
-    @property
-    def coordinates(self) -> Vector:
-        """(k,)."""
-        ...
-
-    @property
-    def residual(self) -> Vector:
-        """(n,) in standard deviations."""
-        ...
-
-    @property
-    def cost(self) -> float:
-        """Half the sum of its squares."""
-        ...
-
-    @property
-    def jacobian(self) -> NDArray[np.float64]:
-        """(n, k) derivatives of the residual by the coordinates."""
-        ...
-
-
-Place = TypeVar("Place", bound=LeastSquares)
-
-
-def minimise(
-    evaluate: Callable[[Vector], Place],
-    start: Vector,
-    box: tuple[Vector, Vector],
-    enough: float,
-    most_steps: int = 30,
-    longest_step: Vector | float = np.inf,
-    damping: float = DAMPED,
-    anew: bool = False,
-) -> Place:
-    """Minimise half the sum of squares of a residual inside a box.
+def solve(
+    problem: Problem, start: Vector, enough: float = COARSE_ENOUGH, most_steps: int = 30, damping: float = DAMPED
+) -> Evaluation:
+    """Optimum of a problem next to some coordinates, in its box.
 
     Parameters
     ----------
-    evaluate
-        The problem at coordinates.
+    problem
+        To minimise.
     start
         Where to begin; moved into the box.
-    box
-        Lowest and highest coordinates.
     enough
         Stop when the linearised problem promises to lower the cost by less than this; 0.005 is a tenth of a standard
         deviation.
     most_steps
         Steps tried at most.
-    longest_step
-        Of each coordinate; further than this no linearisation is trusted.
     damping
         Of the first step; 0 where the optimum is near.
-    anew
-        Whether the Jacobian is computed at every step, because that costs nothing more.
 
     Examples
     --------
+    >>> from types import SimpleNamespace
     >>> @dataclass
     ... class Valley:
     ...     coordinates: Vector
@@ -135,10 +95,12 @@ def minimise(
     ...         self.residual, self.jacobian = np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10], [-1, 0]])
     ...         self.cost = 0.5 * self.residual @ self.residual
     >>> wide = np.full(2, 5.0)
-    >>> minimise(Valley, np.array([-1.2, 1.0]), (-wide, wide), 1e-9, 200).coordinates.round(3).tolist()
+    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), longest_step=np.inf, quick=False)
+    >>> solve(problem, np.array([-1.2, 1.0]), 1e-9, 200).coordinates.round(3).tolist()
     [1.0, 1.0]
     """
-    here = evaluate(np.clip(start, *box))
+    box, longest_step = problem.box, problem.longest_step
+    here = problem.at(np.clip(start, *box))
     jacobian = here.jacobian
     fresh, refused = True, 0
     for _ in range(most_steps):
@@ -149,13 +111,13 @@ def minimise(
             jacobian, fresh = here.jacobian, True
             continue
         step = _step(value, jacobian, damping, at, box, longest_step)
-        ahead = evaluate(at + step)
+        ahead = problem.at(at + step)
         if ahead.cost < here.cost:
-            if anew:
+            if problem.quick:
                 jacobian = ahead.jacobian
             else:
                 jacobian = jacobian + np.outer(ahead.residual - value - jacobian @ step, step) / float(step @ step)
-            here, fresh, refused = ahead, anew, 0
+            here, fresh, refused = ahead, problem.quick, 0
             damping = max(damping / 5.0, 1e-6)
         elif not fresh:
             jacobian, fresh = here.jacobian, True
@@ -191,13 +153,6 @@ def _step(
     step[~free] = 0.0
     step /= max(1.0, float(np.max(np.abs(step) / longest)))
     return np.clip(at + step, box[0], box[1]) - at
-
-
-def solve(
-    problem: Problem, start: Vector, enough: float = COARSE_ENOUGH, most_steps: int = 30, damping: float = DAMPED
-) -> Evaluation:
-    """Optimum of a problem next to some coordinates; see `minimise`."""
-    return minimise(problem.at, start, problem.box, enough, most_steps, problem.longest_step, damping, problem.quick)
 
 
 def polish(problem: Problem, start: Vector) -> Evaluation:
@@ -245,7 +200,7 @@ def search(
         that leads out of it (measured: up to one in four of single starts from anywhere does), or leaves `MISFIT` and
         nothing else has ended there (a thin liquid's g = 0.25 has a twin at −0.31).
     enough
-        Where to stop, see `minimise`.
+        Where to stop, see `solve`.
     """
     ends, agreed = _descend(problem, starts, seen, enough), False
     for other in reserve:

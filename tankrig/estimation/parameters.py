@@ -242,21 +242,15 @@ class MediumBlock(Block):
 
     def at_edge(self, values: Values) -> tuple[str, ...]:
         """See `Range.at_edge`."""
-        return self.range.at_edge(medium_of(values[self.name]))
+        return self.range.at_edge(Medium(*values[self.name]))
 
     def liquid(self, values: Values, dose: int, before: Medium) -> Medium:
         """The same everywhere."""
-        return medium_of(values[self.name])
+        return Medium(*values[self.name])
 
     def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
         """The liquid's own."""
         return by_liquid
-
-
-def medium_of(values: Array | Sequence[float]) -> Medium:
-    """Medium of σa, σs, g."""
-    sigma_a, sigma_s, g = (float(value) for value in values)
-    return Medium(sigma_a, sigma_s, g)
 
 
 @dataclass(frozen=True)

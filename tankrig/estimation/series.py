@@ -25,7 +25,6 @@ from tankrig.estimation.parameters import (
     MediumBlock,
     Range,
     Scaling,
-    medium_of,
     to_coordinates,
 )
 from tankrig.estimation.problem import Evaluation
@@ -206,7 +205,8 @@ def _built(fit: Fit, blocks: tuple[InkBlock, DosesBlock], shots: Sequence[Shot])
         bent = replace(best.problem, blocks=(*blocks, BendBlock(doses))).at(np.append(best.coordinates, 0.0))
         variance = _spread(bent, left, shots, counted)[-1, -1]
         linearity = Linearity(float(bent.sensitivity.step(bent.left)[-1]), math.sqrt(variance))
-    liquid, water = medium_of(best.values[ink.name][:3]), float(best.values[ink.name][3])
+    *coefficients, water = best.values[ink.name].tolist()
+    liquid = Medium(*coefficients)
     determined = identifiable(liquid, spread[:3, :3]) | {"water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)}
     noise_known = all(view.observation.noise_known for view in best.problem.views)
     beyond = float(np.median([one.noisier for one in left])) if noise_known else 1.0
