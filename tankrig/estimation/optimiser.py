@@ -253,9 +253,9 @@ class Shot:
         """Derivatives: the model's own, or by differences of one of its versions."""
         return self.models.slopes_of(model, self.length_mm)
 
-    def view(self, forward: Forward, slopes: Slopes, error: Image, observation: Observation | None = None) -> View:
+    def view(self, forward: Forward, slopes: Slopes, error: Image) -> View:
         """It as a problem has it, with a model whose error has a standard deviation, (rows, columns)."""
-        return View(observation or self.observation, forward, slopes, self.error(error), self.dose)
+        return View(self.observation, forward, slopes, self.error(error), self.dose)
 
     def error(self, sd: Image, counted: float = PATTERN) -> SmoothError:
         """A model's error of a standard deviation, (rows, columns); see `SmoothError`."""
@@ -410,7 +410,8 @@ def _weighed(
     ):
         left = view.observation.image - gain * one.image - offset
         observation = view.observation.with_noise_of(left, by_level=True)
-        views.append(shot.view(forward, slope, counted_error(one, gain), observation))
+        error = shot.error(counted_error(one, gain))
+        views.append(replace(view, forward=forward, slopes=slope, error=error, observation=observation))
     return replace(problem, views=tuple(views))
 
 
