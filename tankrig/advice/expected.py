@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.parameters import NAMES, WIDEST, Scaling
+from tankrig.estimation.parameters import NAMES, WIDEST, Scaling, in_tank
 from tankrig.estimation.uncertainty import Information, Response, SmoothError, total
 from tankrig.scene import Medium, Scene
 
@@ -76,7 +76,7 @@ class Known:
 
     def liquid(self, dose_ml: float) -> Medium:
         """In the tank at a dose."""
-        return Medium(self.water_sigma_a + self.ink.sigma_a * dose_ml, self.ink.sigma_s * dose_ml, self.ink.g)
+        return in_tank(self.ink, self.water_sigma_a, dose_ml)
 
 
 @dataclass(frozen=True)

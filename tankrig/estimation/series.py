@@ -25,22 +25,17 @@ from tankrig.estimation.parameters import (
     MediumBlock,
     Range,
     Scaling,
-    medium_of,
     to_coordinates,
 )
-from tankrig.estimation.problem import Problem
+from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.result import Linearity, LiquidEstimate
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
-from tankrig.estimation.uncertainty import PATTERN, Sensitivity, identifiable
+from tankrig.estimation.uncertainty import PATTERN, identifiable
 from tankrig.estimation.verdict import series_verdict
 from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
-
-
-SETTLED = 0.01
-"""Move of every coordinate after which accurate images need not be computed again."""
 
 
 class InkAndWater(Protocol):
@@ -154,13 +149,14 @@ def fit_liquid(
     block = MediumBlock(models[0].range or Range.of_tank(max(max(scene.tank.size_mm) for scene in scenes)))
     shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
     begin = None if start is None else block.start(start)
-    fit = fitted(shots, (block,), scaling, lambda _: None, begin, settled=SETTLED)
+    fit = fitted(shots, (block,), scaling, lambda _: None, begin)
+    best = fit.optimum
     gain, _, left = left_over(fit)
-    if models[0].range is not None and {"sigma_s", "g"} & set(fit.problem.at_edge(fit.coordinates)):
+    if models[0].range is not None and {"sigma_s", "g"} & set(best.at_edge):
         return None
-    _, spread = _spread(fit.problem, fit.coordinates, left, shots, [PATTERN * one.counted for one in left])
+    spread = _spread(best, left, shots, [PATTERN * one.counted for one in left])
     return LiquidEstimate(
-        fit.problem.liquid(fit.coordinates), spread, gain, rms(np.array([one.rmse for one in left])),
+        best.media[0], spread, gain, rms(np.array([one.rmse for one in left])),
         rms(np.array([one.counted for one in left])),
     )  # fmt: skip
 
@@ -185,7 +181,7 @@ def fit_series(
         begin = np.concatenate([to_coordinates(liquid), [water * ink.length_mm], np.zeros(doses.ml.size)])
     highest = doses.ml.size - 1
     few = [doses.of_image.tolist().index(dose) for dose in sorted({0, highest // 2, highest})]
-    fit = fitted(shots, blocks, scaling, progress, begin, few, SETTLED)
+    fit = fitted(shots, blocks, scaling, progress, begin, few)
     progress("finding the errors")
     return _built(fit, blocks, shots)
 
@@ -198,38 +194,35 @@ def _models(scenes: Sequence[Scene], model_of: ModelOf) -> list[Models]:
 
 def _built(fit: Fit, blocks: tuple[InkBlock, DosesBlock], shots: Sequence[Shot]) -> SeriesEstimate:
     """The estimate at an optimum: errors, linearity, residuals, verdict."""
+    best = fit.optimum
     gain, offsets, left = left_over(fit)
     ink, doses = blocks[0], blocks[0].doses
     # The stated error is counted with what patterns do (see `PATTERN`); what the residuals show beyond it, as it is.
     counted = [math.hypot(PATTERN * one.stated, one.beyond) for one in left]
-    spread = _spread(fit.problem, fit.coordinates, left, shots, counted)[1][:4, :4]
+    spread = _spread(best, left, shots, counted)[:4, :4]
     linearity = None
     if doses.ml.size > 2:
-        bent, at = replace(fit.problem, blocks=(*blocks, BendBlock(doses))), np.append(fit.coordinates, 0.0)
-        sensitivity, wider = _spread(bent, at, left, shots, counted)
-        residual = bent.residual(at)[: bent.pixels]
-        linearity = Linearity(float(sensitivity.step(residual)[-1]), math.sqrt(wider[-1, -1]))
-    values = fit.problem.values(fit.coordinates)
-    liquid, water = medium_of(values[ink.name][:3]), float(values[ink.name][3])
+        bent = replace(best.problem, blocks=(*blocks, BendBlock(doses))).at(np.append(best.coordinates, 0.0))
+        variance = _spread(bent, left, shots, counted)[-1, -1]
+        linearity = Linearity(float(bent.sensitivity.step(bent.left)[-1]), math.sqrt(variance))
+    *coefficients, water = best.values[ink.name].tolist()
+    liquid = Medium(*coefficients)
     determined = identifiable(liquid, spread[:3, :3]) | {"water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)}
-    noise_known = all(view.observation.noise_known for view in fit.problem.views)
+    noise_known = all(view.observation.noise_known for view in best.problem.views)
     beyond = float(np.median([one.noisier for one in left])) if noise_known else 1.0
     shares = rms(np.array([one.unexplained for one in left])), rms(np.array([one.stated for one in left])), beyond
     return SeriesEstimate(
         ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=determined, gain=gain,
-        offsets=tuple(offsets), doses_ml=doses.moved(values["doses"]), images=tuple(one.image for one in left),
+        offsets=tuple(offsets), doses_ml=doses.moved(best.values["doses"]), images=tuple(one.image for one in left),
         residuals=tuple(one.residual for one in left), rmse=np.array([one.rmse for one in left]), linearity=linearity,
         verdict=series_verdict(water, spread, determined, linearity, shares),
     )  # fmt: skip
 
 
-def _spread(
-    problem: Problem, at: Array, left: Sequence[Left], shots: Sequence[Shot], counted: Sequence[float]
-) -> tuple[Sensitivity, Array]:
-    """What the values respond to, and their covariance, with errors of so much of each image's light."""
-    sensitivity = problem.sensitivity(at, problem.images(at))
+def _spread(best: Evaluation, left: Sequence[Left], shots: Sequence[Shot], counted: Sequence[float]) -> Array:
+    """Covariance of the values, with errors of so much of each image's light."""
     errors = [shot.error(share * np.abs(one.light), 1.0) for shot, one, share in zip(shots, left, counted, strict=True)]
-    return sensitivity, sensitivity.covariance([one.noise for one in left], errors)
+    return best.sensitivity.covariance([one.noise for one in left], errors)
 
 
 def doses_of(doses_ml: ArrayLike, doses_sd_ml: ArrayLike, count: int) -> Doses:

@@ -350,7 +350,7 @@ def stretches(
             if by < 0.2:  # the edge is nearer than the interval's end
                 factors.append(1.0)
                 continue
-            change = changed(Medium(*(float(value) for value in best + by * step)))
+            change = changed(Medium(*(best + by * step)))
             change -= others @ (others.T @ change)
             deviance = float(change @ change) - 2.0 * float(change @ left)
             linear = float(np.sum((by * step[k] * straight) ** 2)) - 2.0 * float(by * step[k] * (straight @ left))

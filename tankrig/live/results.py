@@ -5,8 +5,6 @@ from dataclasses import asdict, dataclass, field
 from dataclasses import fields as dataclass_fields
 from typing import Any
 
-import numpy as np
-
 from tankrig.estimation.parameters import NAMES, in_tank
 from tankrig.estimation.result import Linearity
 from tankrig.scene import Medium
@@ -112,7 +110,7 @@ class SeriesFit:
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""
-        return in_tank(np.array([self.ink.sigma_a, self.ink.sigma_s, self.ink.g, self.water.sigma_a]), dose_ml)
+        return in_tank(self.ink, self.water.sigma_a, dose_ml)
 
 
 @dataclass(frozen=True)
