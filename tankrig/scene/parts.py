@@ -172,6 +172,14 @@ def _shape(owner: "Projector | Camera") -> None:
     )
 
 
+def _blur(owner: "Projector | Camera") -> None:
+    if owner.blur_mm is not None:
+        require(
+            number(owner, "blur_mm") >= 0.0,
+            f"blur_mm = {owner.blur_mm} is negative; give the standard deviation in mm, or leave it out",
+        )
+
+
 @dataclass(frozen=True)
 class Projector:
     """What lights the tank through x = 0.
@@ -197,6 +205,10 @@ class Projector:
         A pixel at level v of 255 has (v/255)^gamma of it.
     shading
         How its light falls off over the picture: coefficients of `tankrig.geometry.shading`; empty for even light.
+    blur_mm
+        Standard deviation of what its lens makes of a point, on the wall x = 0: a Gaussian, alike along y and z. 0 is
+        sharp; None where nobody has measured it. No model blurs by it: it says where beams' sides are not to be
+        trusted (`tankrig.scene.outline`).
     """
 
     __pydantic_config__ = CLOSED
@@ -210,6 +222,7 @@ class Projector:
     pixel_power: float = 1.0
     gamma: float = 1.0
     shading: tuple[float, ...] = ()
+    blur_mm: float | None = None
 
     def __post_init__(self) -> None:
         require(
@@ -232,6 +245,7 @@ class Projector:
             require(number(self, name) > 0.0, f"{name} = {getattr(self, name)} is not positive; measure it")
         if self.shading:
             object.__setattr__(self, "shading", numbers(self, "shading", TERMS))
+        _blur(self)
         if self.kind == "calibrated" and self.matrix is not None:
             _calibration(self)
             _shape(self)
@@ -268,6 +282,9 @@ class Camera:
     matrix, distortion, rotation
         Of a calibrated camera: camera matrix in pixels, up to five distortion coefficients, and the rotation vector
         from the world to its frame, all as OpenCV has them (`tankrig.geometry`).
+    blur_mm
+        Standard deviation of what its lens makes of a point, on the plane z = Lz, where `pixel_mm` is: a Gaussian,
+        alike along x and y. 0 is sharp; None where nobody has measured it. See `Projector`.
     """
 
     __pydantic_config__ = CLOSED
@@ -278,6 +295,7 @@ class Camera:
     matrix: Matrix | None = None
     distortion: tuple[float, ...] = ()
     rotation: Vector | None = None
+    blur_mm: float | None = None
 
     def __post_init__(self) -> None:
         require(
@@ -296,6 +314,7 @@ class Camera:
             numbers(self, "position_mm", 3)
         if self.kind == "calibrated":
             _calibration(self)
+        _blur(self)
 
     @property
     def lens(self) -> Lens:
