@@ -326,20 +326,38 @@ class Camera:
         """Of a calibrated camera."""
         return _calibration(self)[1]
 
-    def binned(self, by: int) -> "Camera":
-        """The camera whose pixels are means of `by` × `by` of this one's; what is left over at the ends is dropped.
+    @property
+    def sides_mm(self) -> tuple[float, float]:
+        """Of a pixel on the plane z = Lz, along its rows' and its columns' numbers; about, where calibrated."""
+        if self.kind != "calibrated" or self.matrix is None:
+            return self.pixel_mm, self.pixel_mm
+        taller = math.sqrt(self.matrix[0][0] / self.matrix[1][1])
+        return self.pixel_mm * taller, self.pixel_mm / taller
+
+    def binned(self, by: int, along: int | None = None) -> "Camera":
+        """The camera whose pixels are means of this one's; what is left over at the ends is dropped.
+
+        Parameters
+        ----------
+        by
+            Rows that become one.
+        along
+            Columns that do; as many where None. Other than rows only for a calibrated camera: the pixels of the others
+            are square.
 
         Examples
         --------
         >>> Camera("orthographic", (81, 120), 2.0).binned(4).shape
         (20, 30)
         """
+        along = along or by
         matrix = self.matrix
         if matrix is not None:
             (fx, _, cx), (_, fy, cy), last = matrix
-            matrix = ((fx / by, 0.0, (cx + 0.5) / by - 0.5), (0.0, fy / by, (cy + 0.5) / by - 0.5), last)
-        shape = (self.shape[0] // by, self.shape[1] // by)
-        return replace(self, shape=shape, pixel_mm=self.pixel_mm * by, matrix=matrix)
+            matrix = ((fx / along, 0.0, (cx + 0.5) / along - 0.5), (0.0, fy / by, (cy + 0.5) / by - 0.5), last)
+        require(by == along or self.kind == "calibrated", "only a calibrated camera's pixels need not be square")
+        shape = (self.shape[0] // by, self.shape[1] // along)
+        return replace(self, shape=shape, pixel_mm=self.pixel_mm * math.sqrt(by * along), matrix=matrix)
 
 
 def require(condition: bool, message: str) -> None:
