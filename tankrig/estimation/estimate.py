@@ -238,8 +238,7 @@ def _built(fit: Fit, scene: Scene) -> Estimate:
     # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
     error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
     sensitivity = problem.sensitivity(coordinates, problem.images(coordinates))
-    length = max(scene.tank.size_mm) / scene.camera.pixel_mm
-    spread = sensitivity.covariance([left.noise], [SmoothError(error, length)])
+    spread = sensitivity.covariance([left.noise], [SmoothError.of(scene, error)])
     off, spread = _misalignments(problem, coordinates, spread), spread[:3, :3]
     edges = problem.at_edge(coordinates)
     hopeless = left.unexplained > max(HOPELESS, stated)

@@ -66,6 +66,7 @@ def estimate_series(
     offset: float | Free = "free",
     noise: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
+    masks: Sequence[ArrayLike | None] | None = None,
     start: InkAndWater | Medium | None = None,
     model_of: "ModelOf | None" = None,
     water_sigma_s: float = 0.0,
@@ -89,6 +90,8 @@ def estimate_series(
         "free" for an unknown offset of each image, or the value of all.
     noise
         Standard deviation of a pixel, one for all images or one (scalar or per pixel) for each; None to estimate it.
+    masks
+        Of each image, (rows, columns), True where a pixel is to be left out; None for none.
     start
         An earlier estimate of the same ink, or the ink per mm and ml, to begin from, which saves the search.
     model_of
@@ -115,7 +118,7 @@ def estimate_series(
     if len(scenes) != len(images):
         raise ImageError(f"{len(images)} images but {len(scenes)} scenes; give one scene for all or one for each image")
     doses = doses_of(doses_ml, doses_sd_ml, len(images))
-    observations = observed(images, scenes, noise)
+    observations = observed(images, scenes, noise, masks)
     model_of = in_water(model_of or tank_model, water_sigma_s)
     told = progress or (lambda _: None)
     return fit_series(observations, scenes, doses, Scaling.given(gain, offset), model_of, start, told)
@@ -254,17 +257,23 @@ def doses_of(doses_ml: ArrayLike, doses_sd_ml: ArrayLike, count: int) -> Doses:
 
 
 def observed(
-    images: Sequence[ArrayLike], scenes: Sequence[Scene], noise: ArrayLike | Sequence[ArrayLike] | None
+    images: Sequence[ArrayLike],
+    scenes: Sequence[Scene],
+    noise: ArrayLike | Sequence[ArrayLike] | None,
+    masks: Sequence[ArrayLike | None] | None = None,
 ) -> list[Observation]:
     """Check the images, each against its scene."""
     one_for_all = noise is None or isinstance(noise, float | int | np.number)
     noises: list[Any] = [noise] * len(images) if one_for_all else list(noise)  # type: ignore[arg-type]
     if len(noises) != len(images):
         raise ImageError(f"{len(images)} images but {len(noises)} noises; give one for all or one for each image")
+    masks = [None] * len(images) if masks is None else masks
+    if len(masks) != len(images):
+        raise ImageError(f"{len(images)} images but {len(masks)} masks; give one for each image, or None")
     observations = []
-    for number, (image, scene, sigma) in enumerate(zip(images, scenes, noises, strict=True), start=1):
+    for number, (image, scene, sigma, mask) in enumerate(zip(images, scenes, noises, masks, strict=True), start=1):
         try:
-            observations.append(observe(image, scene.camera.shape, sigma))
+            observations.append(observe(image, scene.camera.shape, sigma, mask))
         except ImageError as error:
             raise ImageError(f"image {number} of {len(images)}: {error}") from error
     return observations

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.parameters import NAMES
-from tankrig.scene import Medium
+from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -100,14 +100,20 @@ class SmoothError:
     sd
         (rows, columns) standard deviation.
     length
-        The tank's, in pixels.
+        The tank's, in pixels, along rows' and columns' numbers.
     counted
         Factor by which `between` counts it, see `PATTERN`.
     """
 
     sd: Image
-    length: float
+    length: tuple[float, float]
     counted: float = PATTERN
+
+    @classmethod
+    def of(cls, scene: Scene, sd: Image, counted: float = PATTERN) -> "SmoothError":
+        """Of a scene's image."""
+        along_y, along_x = (max(scene.tank.size_mm) / side for side in scene.camera.sides_mm)
+        return cls(sd, (along_y, along_x), counted)
 
     def whitening(self, noise: Image, used: Mask) -> Whitening:
         """Of its size in each pixel."""
@@ -117,15 +123,16 @@ class SmoothError:
         """Mean over the correlation lengths."""
         grid = np.zeros((len(responses), *used.shape))
         grid[:, used] = responses * (self.counted * self.sd[used])
-        parts = [_smooth_products(grid, share * self.length) for share in CORRELATION_LENGTHS]
+        parts = [_smooth_products(grid, *(share * one for one in self.length)) for share in CORRELATION_LENGTHS]
         mean: Array = np.mean(parts, axis=0)
         return mean
 
 
-def _smooth_products(grid: Array, length: float) -> Array:
-    """Σ_ij a_i K_ij b_j for all pairs of (k, rows, columns), K a Gaussian correlation of `length` pixels."""
+def _smooth_products(grid: Array, *lengths: float) -> Array:
+    """Σ_ij a_i K_ij b_j for all pairs of (k, rows, columns), K a Gaussian correlation of so many rows and columns."""
     along_y, along_x = (
-        np.exp(-0.5 * ((np.arange(count)[:, None] - np.arange(count)) / length) ** 2) for count in grid.shape[1:]
+        np.exp(-0.5 * ((np.arange(count)[:, None] - np.arange(count)) / length) ** 2)
+        for count, length in zip(grid.shape[1:], lengths, strict=True)
     )
     products: Array = np.einsum("aij,bij->ab", grid, along_y @ grid @ along_x)
     return products

@@ -57,7 +57,8 @@ def _fitted(
 ) -> DoseFit | None:
     began, first = time.perf_counter(), photographs[0]
     scenes = [one.scene for one in photographs]
-    observations = observed([one.image for one in photographs], scenes, [one.noise for one in photographs])
+    noises, masks = [one.noise for one in photographs], [one.mask for one in photographs]
+    observations = observed([one.image for one in photographs], scenes, noises, masks)
     found = fit_liquid(observations, scenes, Scaling.given("free", first.offset), prepared, start)
     if found is None:
         return None
@@ -93,6 +94,7 @@ def fit_all(
         [one.dose_sd_ml for one in photographs],
         offset=photographs[0].offset,
         noise=[one.noise for one in photographs],
+        masks=[one.mask for one in photographs],
         start=start,
         model_of=prepared_model(prepared) if prepared else tank_model,
         water_sigma_s=PURE_WATER_SIGMA_S,

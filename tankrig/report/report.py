@@ -158,7 +158,7 @@ def _reconstructions(results: Results, progress: Callable[[str], None]) -> tuple
         progress(f"rebuilding {one.dose_ml:g} ml by order")
         fit = fits[one.dose_ml]
         prediction = pictures.predicted(one, fit.medium)
-        offset = 0.0 if one.offset == 0.0 else float(np.median(one.image - fit.gain * prediction.image))
+        offset = 0.0 if one.offset == 0.0 else float(np.median((one.image - fit.gain * prediction.image)[one.used]))
         steps = pictures.by_order(one, prediction, fit.gain, offset)
         bound = max(bound, *(part.bound for part in prediction.skipped))
         peak = float(one.image.max())

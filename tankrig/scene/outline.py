@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.geometry.lens import to_pixels
-from tankrig.geometry.pose import directions_to_device
+from tankrig.geometry.pose import to_device
 from tankrig.scene.description import Scene
 from tankrig.scene.footprint import footprints
 
@@ -28,7 +28,7 @@ LAYER_MM = 1.0
 ALONG = 9
 """Points of a ray that are followed into the picture, in which rays are bent."""
 FINE, FINEST = 8, 24
-"""Cells that the reach is drawn in, and cells along a pixel at most."""
+"""Cells that the reach is drawn in, and points looked at along a pixel at most."""
 
 
 def beam_outlines(scene: Scene) -> list[Polygon]:
@@ -57,8 +57,9 @@ def beam_outlines(scene: Scene) -> list[Polygon]:
     """
     outlines = []
     for beam in scene.projector.beams:
-        paths = _seen(scene, _rays(scene, np.array(beam.y_mm), np.full(2, sum(beam.z_mm) / 2.0))[:, [0, -1]])
-        outlines.append(paths[[0, 0, 1, 1], [0, 1, 1, 0]])
+        rays = _rays(scene, np.array(beam.y_mm), np.full(2, sum(beam.z_mm) / 2.0))
+        ends = _in_picture(scene, _on_surface(scene, rays[:, [0, -1]]))
+        outlines.append(ends[[0, 0, 1, 1], [0, 1, 1, 0]])
     return outlines
 
 
@@ -85,22 +86,28 @@ def _entering(scene: Scene, start: Array) -> Array:
     return look_into_water(entry_wall(index, wall_mm, wall_index), scene.projector.position_mm, start).in_water
 
 
-def _seen(scene: Scene, points: Array) -> Array:
-    """(…, 2) where the camera's picture shows points (…, 3), in mm as `beam_outlines` says."""
+def _on_surface(scene: Scene, points: Array) -> Array:
+    """(…, 2) x and y of where the camera's sight of points (…, 3) crosses the plane z = Lz."""
     camera, height = scene.camera, scene.tank.size_mm[2]
     if camera.kind == "orthographic" or camera.position_mm is None:
         return points[..., :2]
     place = np.array(camera.position_mm)
-    if scene.tank.surface_index == 1.0 and camera.kind == "pinhole":
+    if scene.tank.surface_index == 1.0:
         by = (place[2] - height) / (place[2] - points[..., 2:])
         return np.asarray(place[:2] + by * (points[..., :2] - place[:2]))
     from tankrig.geometry.refraction import look_into_water, water_surface
 
     inside = np.minimum(points, [np.inf, np.inf, height])  # a ray's end may be a rounding above
-    sight = look_into_water(water_surface(height, scene.tank.surface_index), place, inside)
-    if camera.kind == "pinhole":
-        return sight.entry_mm[..., :2]
-    pixels = to_pixels(camera.lens, directions_to_device(camera.pose, sight.in_air))
+    return look_into_water(water_surface(height, scene.tank.surface_index), place, inside).entry_mm[..., :2]
+
+
+def _in_picture(scene: Scene, surface: Array) -> Array:
+    """(…, 2) where the camera's picture shows points of the plane z = Lz, in mm as `beam_outlines` says."""
+    camera = scene.camera
+    if camera.kind != "calibrated":
+        return surface
+    points = np.concatenate([surface, np.full((*surface.shape[:-1], 1), scene.tank.size_mm[2])], axis=-1)
+    pixels = to_pixels(camera.lens, to_device(camera.pose, points))
     return np.asarray((pixels + 0.5) * camera.sides_mm[::-1] - [0.0, scene.tank.size_mm[1] / 2.0])
 
 
@@ -158,49 +165,69 @@ def edges_of_light(scene: Scene, reach_mm: float | None = None) -> Mask:
     """
     import cv2
 
-    rows, columns = scene.camera.shape
     reach = edge_reach_mm(scene) if reach_mm is None else reach_mm
     if reach <= 0.0:
-        return np.zeros((rows, columns), bool)
-    sides = scene.camera.sides_mm
-    fine = tuple(int(np.clip(math.ceil(FINE * side / reach), 1, FINEST)) for side in sides)
-    cell = sides[0] / fine[0], sides[1] / fine[1]
-    margin = math.ceil(reach / cell[0]), math.ceil(reach / cell[1])
-    sharp = _lit_columns(scene, (rows * fine[0], columns * fine[1]), cell, margin)
-    sd = reach / REACH
-    blurred = cv2.GaussianBlur(sharp, (0, 0), sd / cell[1], sigmaY=sd / cell[0], borderType=cv2.BORDER_CONSTANT)
-    edge = (np.abs(blurred - sharp) > CHANGED * sharp.max()).astype(np.uint8)
-    beyond = reach - CHANGED_SDS * sd
-    size = 2 * round(beyond / cell[1]) + 1, 2 * round(beyond / cell[0]) + 1
-    near = cv2.dilate(edge, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size))
-    near = near[margin[0] : near.shape[0] - margin[0], margin[1] : near.shape[1] - margin[1]]
-    return np.asarray(near.reshape(rows, fine[0], columns, fine[1]).any(axis=(1, 3)))
+        return np.zeros(scene.camera.shape, bool)
+    cell, sd = reach / FINE, FINE / REACH
+    sharp = _lit_columns(scene, cell, FINE)
+    blurred = cv2.GaussianBlur(sharp, (0, 0), sd, borderType=cv2.BORDER_CONSTANT)
+    changed = (np.abs(blurred - sharp) > CHANGED * sharp.max()).astype(np.uint8)
+    beyond = round(FINE - CHANGED_SDS * sd)
+    near = cv2.dilate(changed, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * beyond + 1, 2 * beyond + 1)))
+    parts = int(np.clip(math.ceil(max(scene.camera.sides_mm) / cell), 1, FINEST))
+    rows, columns = scene.camera.shape
+    return np.asarray(_seen_of(scene, near, cell, FINE, parts).reshape(rows, parts, columns, parts).any(axis=(1, 3)))
 
 
-def _lit_columns(
-    scene: Scene, shape: tuple[int, int], cell_mm: tuple[float, float], margin: tuple[int, int]
-) -> NDArray[np.float32]:
-    """Irradiance times height of what is lit along each line of sight, by cells of the picture and a margin about it."""
-    import cv2
+def lit_pixels(scene: Scene) -> Mask:
+    """(rows, columns) pixels on whose middle line of sight the beams light something."""
+    cell = max(*scene.camera.sides_mm, LAYER_MM) / 4.0
+    return _seen_of(scene, (_lit_columns(scene, cell, 1) > 0.0).astype(np.uint8), cell, 1, 1)
 
-    canvas = np.zeros((shape[0] + 2 * margin[0], shape[1] + 2 * margin[1]), np.float32)
-    corner = np.array([0.0, -scene.tank.size_mm[1] / 2.0])
+
+def _lit_columns(scene: Scene, cell_mm: float, margin: int) -> NDArray[np.float32]:
+    """Irradiance times height of what is lit along each line of sight, by cells of the plane z = Lz and a margin.
+
+    Lit volumes are drawn layer by layer, each column of cells from ray to ray, cells that a ray crosses in part: what
+    one beam ends with the next begins with, to the last digit.
+    """
+    length, width, _ = scene.tank.size_mm
+    shape = math.ceil(width / cell_mm) + 2 * margin, math.ceil(length / cell_mm) + 2 * margin
+    steps, columns = np.zeros((shape[0] + 1, shape[1])), np.arange(shape[1])
     for beam in scene.projector.beams:
         low, high = beam.z_mm
         layers = max(1, math.ceil((high - low) / LAYER_MM))
         middles = low + (np.arange(layers) + 0.5) * (high - low) / layers
-        sides = [_seen(scene, _rays(scene, np.full(layers, y_mm), middles)) for y_mm in beam.y_mm]
-        outlines = np.concatenate([sides[0], sides[1][:, ::-1]], axis=1)
-        at = np.rint((outlines - corner) / cell_mm[::-1] + margin[::-1] - 0.5)
-        at = np.clip(np.nan_to_num(at), -1e6, 1e6).astype(np.int32)
-        for outline in at:
-            left, top = np.maximum(outline.min(axis=0), 0)
-            right, bottom = np.minimum(outline.max(axis=0) + 1, canvas.shape[::-1])
-            if right > left and bottom > top:
-                lit = np.zeros((bottom - top, right - left), np.uint8)
-                cv2.fillPoly(lit, [outline - [left, top]], 1)
-                canvas[top:bottom, left:right] += lit * np.float32(beam.irradiance * (high - low) / layers)
-    return canvas
+        weight = beam.irradiance * (high - low) / layers
+        sides = [
+            _on_surface(scene, _rays(scene, np.full(layers, y_mm), middles)) + [0.0, 0.5 * width] for y_mm in beam.y_mm
+        ]
+        for one, other in zip(*(side / cell_mm + margin for side in sides), strict=True):
+            begin, end = min(one[0, 0], other[0, 0]), max(one[-1, 0], other[-1, 0])
+            lit = columns[(columns + 0.5 >= begin) & (columns + 0.5 < end)]
+            for ray, sign in ((one, weight), (other, -weight)):
+                at = np.clip(np.interp(lit + 0.5, ray[:, 0], ray[:, 1]), 0.0, shape[0] - 1e-9)
+                row = at.astype(int)
+                np.add.at(steps, (row, lit), sign * (row + 1 - at))
+                np.add.at(steps, (row + 1, lit), sign * (at - row))
+    canvas = np.cumsum(steps, axis=0)[:-1]
+    return np.where(canvas > 1e-6 * canvas.max(), canvas, 0.0).astype(np.float32)
+
+
+def _seen_of(scene: Scene, cells: NDArray[np.uint8], cell_mm: float, margin: int, parts: int) -> Mask:
+    """(rows · parts, columns · parts) what the parts of each pixel see of such cells; nothing beside them."""
+    import cv2
+
+    rows, columns = scene.camera.shape
+    corners = footprints(scene.camera, scene.tank).corners_mm + [0.0, 0.5 * scene.tank.size_mm[1]]
+    down, right = ((np.arange(count * parts, dtype=np.float32) + 0.5) / parts for count in (rows, columns))
+    x, y = (
+        cv2.remap(corners[..., k].astype(np.float32), *np.meshgrid(right, down), cv2.INTER_LINEAR) / cell_mm
+        + margin - 0.5
+        for k in (0, 1)
+    )  # fmt: skip
+    x, y = (np.nan_to_num(one, nan=-1e4).astype(np.float32) for one in (x, y))
+    return cv2.remap(cells, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
 
 
 def beside_water(scene: Scene, margin_mm: float = 0.0) -> Mask:

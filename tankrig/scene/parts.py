@@ -285,6 +285,9 @@ class Camera:
     blur_mm
         Standard deviation of what its lens makes of a point, on the plane z = Lz, where `pixel_mm` is: a Gaussian,
         alike along x and y. 0 is sharp; None where nobody has measured it. See `Projector`.
+    bin
+        Pixels along the side of a block that is to be one pixel, see `binned`: `tankrig.load_scene` gives a camera of
+        such pixels, and live fits take them in place of those that they would choose. 0 where left to them.
     """
 
     __pydantic_config__ = CLOSED
@@ -296,6 +299,7 @@ class Camera:
     distortion: tuple[float, ...] = ()
     rotation: Vector | None = None
     blur_mm: float | None = None
+    bin: int = 0
 
     def __post_init__(self) -> None:
         require(
@@ -315,6 +319,10 @@ class Camera:
         if self.kind == "calibrated":
             _calibration(self)
         _blur(self)
+        require(
+            0 <= self.bin <= min(self.shape),
+            f"bin = {self.bin} is no number of pixels of a picture of {list(self.shape)}; give 1 to {min(self.shape)}",
+        )
 
     @property
     def lens(self) -> Lens:
@@ -357,7 +365,7 @@ class Camera:
             matrix = ((fx / along, 0.0, (cx + 0.5) / along - 0.5), (0.0, fy / by, (cy + 0.5) / by - 0.5), last)
         require(by == along or self.kind == "calibrated", "only a calibrated camera's pixels need not be square")
         shape = (self.shape[0] // by, self.shape[1] // along)
-        return replace(self, shape=shape, pixel_mm=self.pixel_mm * math.sqrt(by * along), matrix=matrix)
+        return replace(self, shape=shape, pixel_mm=self.pixel_mm * math.sqrt(by * along), matrix=matrix, bin=0)
 
 
 def require(condition: bool, message: str) -> None:
