@@ -123,7 +123,8 @@ def bins_for(camera: Camera, seen: Sequence[Seen]) -> Bins:
     """
     if camera.bin:
         return Bins(camera.bin, camera.bin)
-    rows, columns = (min(max(1, int(FIT_PIXEL_MM / side)), count) for side, count in zip(camera.sides_mm, camera.shape))
+    sizes = zip(camera.sides_mm, camera.shape, strict=True)
+    rows, columns = (min(max(1, int(FIT_PIXEL_MM / side)), count) for side, count in sizes)
     coarsest = Bins(rows, columns) if camera.kind == "calibrated" else Bins(*[min(rows, columns)] * 2)
     blurred = [one for one in seen if not one.sharp.all() and not one.nothing_left]
     if not blurred:

@@ -120,9 +120,10 @@ def edge_reach_mm(scene: Scene) -> float:
     Examples
     --------
     >>> from tankrig.scene import Beam, Camera, Medium, Projector, Tank
-    >>> light, camera = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),)), Camera("orthographic", (80, 120), 2.0)
-    >>> edge_reach_mm(Scene(Tank(), Medium(0.0, 0.01, 0.0), light, camera))
-    0.0
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),), blur_mm=0.3)
+    >>> sharp, soft = (Camera("orthographic", (80, 120), 2.0, blur_mm=blur_mm) for blur_mm in (None, 0.4))
+    >>> [round(edge_reach_mm(Scene(Tank(), Medium(0.0, 0.01, 0.0), light, camera)), 3) for camera in (sharp, soft)]
+    [0.9, 1.5]
     """
     light, camera = scene.projector, scene.camera
     grown = 1.0
@@ -194,14 +195,13 @@ def _lit_columns(scene: Scene, cell_mm: float, margin: int) -> NDArray[np.float3
     length, width, _ = scene.tank.size_mm
     shape = math.ceil(width / cell_mm) + 2 * margin, math.ceil(length / cell_mm) + 2 * margin
     steps, columns = np.zeros((shape[0] + 1, shape[1])), np.arange(shape[1])
+    corner = np.array([0.0, -0.5 * width])
     for beam in scene.projector.beams:
         low, high = beam.z_mm
         layers = max(1, math.ceil((high - low) / LAYER_MM))
         middles = low + (np.arange(layers) + 0.5) * (high - low) / layers
         weight = beam.irradiance * (high - low) / layers
-        sides = [
-            _on_surface(scene, _rays(scene, np.full(layers, y_mm), middles)) + [0.0, 0.5 * width] for y_mm in beam.y_mm
-        ]
+        sides = [_on_surface(scene, _rays(scene, np.full(layers, y_mm), middles)) - corner for y_mm in beam.y_mm]
         for one, other in zip(*(side / cell_mm + margin for side in sides), strict=True):
             begin, end = min(one[0, 0], other[0, 0]), max(one[-1, 0], other[-1, 0])
             lit = columns[(columns + 0.5 >= begin) & (columns + 0.5 < end)]
@@ -219,7 +219,7 @@ def _seen_of(scene: Scene, cells: NDArray[np.uint8], cell_mm: float, margin: int
     import cv2
 
     rows, columns = scene.camera.shape
-    corners = footprints(scene.camera, scene.tank).corners_mm + [0.0, 0.5 * scene.tank.size_mm[1]]
+    corners = footprints(scene.camera, scene.tank).corners_mm - np.array([0.0, -0.5 * scene.tank.size_mm[1]])
     down, right = ((np.arange(count * parts, dtype=np.float32) + 0.5) / parts for count in (rows, columns))
     x, y = (
         cv2.remap(corners[..., k].astype(np.float32), *np.meshgrid(right, down), cv2.INTER_LINEAR) / cell_mm
@@ -227,7 +227,8 @@ def _seen_of(scene: Scene, cells: NDArray[np.uint8], cell_mm: float, margin: int
         for k in (0, 1)
     )  # fmt: skip
     x, y = (np.nan_to_num(one, nan=-1e4).astype(np.float32) for one in (x, y))
-    return cv2.remap(cells, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    seen = cv2.remap(cells, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(seen > 0)
 
 
 def beside_water(scene: Scene, margin_mm: float = 0.0) -> Mask:
@@ -236,7 +237,7 @@ def beside_water(scene: Scene, margin_mm: float = 0.0) -> Mask:
     x, y = np.moveaxis(footprints(scene.camera, scene.tank).centres_mm, -1, 0)
     with np.errstate(invalid="ignore"):
         inside = (np.minimum(x, length - x) > margin_mm) & (0.5 * width - np.abs(y) > margin_mm)
-    return ~inside
+    return np.asarray(~inside)
 
 
 def blurred_pixels(scene: Scene) -> Mask:
