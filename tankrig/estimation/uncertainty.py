@@ -100,20 +100,23 @@ class SmoothError:
     sd
         (rows, columns) standard deviation.
     length
-        The tank's, in pixels, along rows' and columns' numbers.
+        The tank's, in pixels.
     counted
         Factor by which `between` counts it, see `PATTERN`.
+    taller
+        Height of a pixel over its width.
     """
 
     sd: Image
-    length: tuple[float, float]
+    length: float
     counted: float = PATTERN
+    taller: float = 1.0
 
     @classmethod
     def of(cls, scene: Scene, sd: Image, counted: float = PATTERN) -> "SmoothError":
         """Of a scene's image."""
-        along_y, along_x = (max(scene.tank.size_mm) / side for side in scene.camera.sides_mm)
-        return cls(sd, (along_y, along_x), counted)
+        tall, wide = scene.camera.sides_mm
+        return cls(sd, max(scene.tank.size_mm) / scene.camera.pixel_mm, counted, tall / wide)
 
     def whitening(self, noise: Image, used: Mask) -> Whitening:
         """Of its size in each pixel."""
@@ -123,7 +126,8 @@ class SmoothError:
         """Mean over the correlation lengths."""
         grid = np.zeros((len(responses), *used.shape))
         grid[:, used] = responses * (self.counted * self.sd[used])
-        parts = [_smooth_products(grid, *(share * one for one in self.length)) for share in CORRELATION_LENGTHS]
+        along_y, along_x = self.length / math.sqrt(self.taller), self.length * math.sqrt(self.taller)
+        parts = [_smooth_products(grid, share * along_y, share * along_x) for share in CORRELATION_LENGTHS]
         mean: Array = np.mean(parts, axis=0)
         return mean
 

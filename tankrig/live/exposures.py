@@ -19,7 +19,7 @@ from tankrig.checked_toml import checked
 from tankrig.devices import CameraSettings, Delivered, Pixels
 from tankrig.errors import SceneError, StoreError
 from tankrig.estimation.observation import pixel_noise
-from tankrig.live.bins import HALF, Bins, Seen, bins_for
+from tankrig.image.bins import HALF, Bins, Seen, bins_for
 from tankrig.pattern import Pattern
 from tankrig.run.conditions import Following, clamped
 from tankrig.run.journal import Event
