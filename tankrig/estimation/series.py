@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.estimate import Free, Left, left_over, rms
+from tankrig.estimation.estimate import Free, Left, determined, left_over, rms, spread_of
 from tankrig.estimation.forward import ModelOf, Models, in_water, series_models, tank_model
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted
@@ -31,7 +31,7 @@ from tankrig.estimation.parameters import (
 from tankrig.estimation.problem import Problem
 from tankrig.estimation.result import Linearity, LiquidEstimate
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
-from tankrig.estimation.uncertainty import PATTERN, Sensitivity, identifiable
+from tankrig.estimation.uncertainty import PATTERN, Sensitivity
 from tankrig.estimation.verdict import series_verdict
 from tankrig.scene import Medium, Scene
 
@@ -162,9 +162,10 @@ def fit_liquid(
     if models[0].range is not None and {"sigma_s", "g"} & set(fit.problem.at_edge(fit.coordinates)):
         return None
     _, spread = _spread(fit.problem, fit.coordinates, left, shots, [PATTERN * one.counted for one in left])
+    medium = fit.problem.liquid(fit.coordinates)
     return LiquidEstimate(
-        fit.problem.liquid(fit.coordinates), spread, gain, rms(np.array([one.rmse for one in left])),
-        rms(np.array([one.counted for one in left])),
+        medium, spread, gain, rms(np.array([one.rmse for one in left])), rms(np.array([one.counted for one in left])),
+        determined(medium, spread, left), rms(np.array([one.beyond for one in left])),
     )  # fmt: skip
 
 
@@ -203,8 +204,7 @@ def _built(fit: Fit, blocks: tuple[InkBlock, DosesBlock], shots: Sequence[Shot])
     """The estimate at an optimum: errors, linearity, residuals, verdict."""
     gain, offsets, left = left_over(fit)
     ink, doses = blocks[0], blocks[0].doses
-    # The stated error is counted with what patterns do (see `PATTERN`); what the residuals show beyond it, as it is.
-    counted = [math.hypot(PATTERN * one.stated, one.beyond) for one in left]
+    counted = [PATTERN * one.counted for one in left]
     spread = _spread(fit.problem, fit.coordinates, left, shots, counted)[1][:4, :4]
     linearity = None
     if doses.ml.size > 2:
@@ -214,15 +214,15 @@ def _built(fit: Fit, blocks: tuple[InkBlock, DosesBlock], shots: Sequence[Shot])
         linearity = Linearity(float(sensitivity.step(residual)[-1]), math.sqrt(wider[-1, -1]))
     values = fit.problem.values(fit.coordinates)
     liquid, water = medium_of(values[ink.name][:3]), float(values[ink.name][3])
-    determined = identifiable(liquid, spread[:3, :3]) | {"water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)}
+    known = determined(liquid, spread[:3, :3], left) | {"water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)}
     noise_known = all(view.observation.noise_known for view in fit.problem.views)
     beyond = float(np.median([one.noisier for one in left])) if noise_known else 1.0
     shares = rms(np.array([one.unexplained for one in left])), rms(np.array([one.stated for one in left])), beyond
     return SeriesEstimate(
-        ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=determined, gain=gain,
+        ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=known, gain=gain,
         offsets=tuple(offsets), doses_ml=doses.moved(values["doses"]), images=tuple(one.image for one in left),
         residuals=tuple(one.residual for one in left), rmse=np.array([one.rmse for one in left]), linearity=linearity,
-        verdict=series_verdict(water, spread, determined, linearity, shares),
+        verdict=series_verdict(water, spread, known, linearity, shares),
     )  # fmt: skip
 
 
@@ -232,7 +232,7 @@ def _spread(
     """What the values respond to, and their covariance, with errors of so much of each image's light."""
     sensitivity = problem.sensitivity(at, problem.images(at))
     errors = [shot.error(share * np.abs(one.light), 1.0) for shot, one, share in zip(shots, left, counted, strict=True)]
-    return sensitivity, sensitivity.covariance([one.noise for one in left], errors)
+    return sensitivity, spread_of(problem, at, sensitivity, left, errors)
 
 
 def doses_of(doses_ml: ArrayLike, doses_sd_ml: ArrayLike, count: int) -> Doses:

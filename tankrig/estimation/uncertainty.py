@@ -44,6 +44,9 @@ DETERMINED = 0.2
 DETERMINED_G = 0.1
 """The same for g, absolute."""
 
+PARTS = 4
+"""Parts of an image along each side that are asked whether they agree."""
+
 UNBELIEVED = 1e-4
 """Weight of a prior that has no say."""
 END = 1.96
@@ -246,7 +249,9 @@ class Sensitivity:
         """(k, n) of all images, one after the other."""
         return np.hstack([one.changes for one in self.responses])
 
-    def covariance(self, noise: Sequence[Image], errors: Sequence[ModelError | None]) -> Array:
+    def covariance(
+        self, noise: Sequence[Image], errors: Sequence[ModelError | None], residual: Array | None = None
+    ) -> Array:
         """Covariance of the values, (k, k).
 
         Parameters
@@ -255,11 +260,33 @@ class Sensitivity:
             Standard deviation of the camera's noise in each image, (rows, columns).
         errors
             Of the model, in each image; None where it has none.
+        residual
+            (n,) of all images, whitened, where it holds structure that these do not explain: then what the parts of
+            the images say is taken to differ as it does, see `disagreement`.
         """
         known = Information(self.priors @ self.priors.T, self.priors @ self.priors.T)
         seen = zip(self.responses, noise, errors, strict=True)
         found = total([known, *(one.information(sigma, error) for one, sigma, error in seen)])
+        if residual is not None:
+            found = replace(found, scatter=found.scatter + self.disagreement(residual))
         return found.covariance(self.widest, self.weight)
+
+    def disagreement(self, residual: Array) -> Array:
+        """Scatter (k, k) of J W ε as the parts of the images show it, `PARTS` × `PARTS` of each.
+
+        At the optimum what the parts pull at the values adds up to nothing. How hard they pull against each other tells
+        how far the values would move if one part or another were not there, whatever the reason: a model that does not
+        hold is wrong in one place otherwise than in the next (the covariance of clusters; Liang & Zeger 1986). Parts in
+        the same place of several images count as one, for a camera that is off is so in all.
+        """
+        pulls = np.zeros((len(self.widest), PARTS * PARTS))
+        ends = np.cumsum([one.changes.shape[1] for one in self.responses])
+        for one, left in zip(self.responses, np.split(residual[: ends[-1]], ends[:-1]), strict=True):
+            row, column = (at * PARTS // count for at, count in zip(np.nonzero(one.used), one.used.shape, strict=True))
+            for pull, change in zip(pulls, one.changes * left, strict=True):
+                pull += np.bincount(row * PARTS + column, change, PARTS * PARTS)
+        count = int(np.any(pulls != 0.0, axis=0).sum())
+        return np.asarray(pulls @ pulls.T * (count / max(count - len(self.widest), 1)))
 
     @property
     def assumed(self) -> Array:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from tankrig.estimation.forward import PURE_WATER_SIGMA_S, Models, models_of, prepared_model, tank_model
 from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.series import InkAndWater, estimate_series, fit_liquid, observed
-from tankrig.estimation.uncertainty import identifiable
 from tankrig.image.prepare import Prepared
 from tankrig.live.exposures import Photograph
 from tankrig.live.results import DoseFit, SeriesFit, SingleScattering
@@ -64,7 +63,7 @@ def _fitted(
         return None
     return DoseFit(
         dose_ml=first.dose_ml, dose_sd_ml=first.dose_sd_ml, medium=found.medium, sd=_deviations(found.covariance),
-        identifiable=identifiable(found.medium, found.covariance), gain=found.gain, rmse=found.rmse,
+        identifiable=found.identifiable, gain=found.gain, rmse=found.rmse, structure=found.beyond or None,
         frames=sum(one.frames for one in photographs), patterns=tuple(one.pattern for one in photographs),
         model="prepared" if prepared else "tank", model_error=found.model_error if prepared else None,
         seconds=round(time.perf_counter() - began, 4),

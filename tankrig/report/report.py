@@ -133,7 +133,8 @@ def _dose_row(one: DoseFit, sigma_t: float) -> dict[str, str]:
         "sigma_s": with_error(one.medium.sigma_s, one.sd[1]),
         "g": with_error(one.medium.g, one.sd[2]),
         "sigma_a": with_error(one.medium.sigma_a, one.sd[0]),
-        "known": ", ".join(known) or "none",
+        "known": (", ".join(known) or "none")
+        + (f"; {100.0 * one.structure:.2g} % of the light is not as the model has it" if one.structure else ""),
         "single": "–" if single is None else f"{100.0 * (single.sigma_t / sigma_t - 1.0):+.0f} %",
         "single_rmse": "–" if single is None else f"{single.rmse / one.rmse:.1f} ×",
     }
