@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.forward import Models, error_map, models_of, stated_error
-from tankrig.estimation.misfit import all_faults, moved_by_faults
+from tankrig.estimation.misfit import faults_of, moved_by_faults
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
 from tankrig.estimation.parameters import MediumBlock, Range, Scaling
@@ -271,20 +271,20 @@ def spread_of(
 ) -> Array:
     """Covariance of the values at an optimum: of one image's fit, a dose's, a live one and a series' alike.
 
-    Camera noise and errors of the model as they are counted; where residuals hold structure beyond what the model
-    states, also what the parts of the images disagree by, and what usual faults that look like it move the values by.
+    Camera noise and errors of the model as they are counted; where residuals hold structure, also what usual faults
+    that look like it move the values by; and where that is beyond what the model states, what parts of the images
+    disagree by.
     """
     noise = [one.noise for one in left]
-    if not any(one.beyond > 0.0 for one in left):
+    if not any(one.unexplained > 0.0 for one in left):
         return sensitivity.covariance(noise, errors)
-    residual = problem.residual(coordinates)[: problem.pixels]
-    views, models = (
-        problem.views,
-        [view.whitened(image) for view, image in zip(problem.views, problem.images(coordinates), strict=True)],
-    )
-    changes = [view.whitened(one) for view, one in zip(views, all_faults([one.light for one in left]), strict=True)]
+    residual, views = problem.residual(coordinates)[: problem.pixels], problem.views
+    models = [view.whitened(image) for view, image in zip(views, problem.images(coordinates), strict=True)]
+    changes = [view.whitened(faults_of(one.light)) for view, one in zip(views, left, strict=True)]
     faults = problem.project_out(np.hstack(changes), models)[:, : problem.pixels]
-    return sensitivity.covariance(noise, errors, residual) + moved_by_faults(sensitivity, residual, faults)
+    moved = moved_by_faults(sensitivity, residual, faults, noise, [view.error for view in views])
+    disagreeing = residual if any(one.beyond > 0.0 for one in left) else None
+    return sensitivity.covariance(noise, errors, disagreeing) + moved
 
 
 def determined(medium: Medium, spread: Array, left: Sequence[Left]) -> dict[str, bool]:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.uncertainty import Sensitivity
+from tankrig.estimation.uncertainty import ModelError, Sensitivity
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -32,6 +32,7 @@ def faults_of(image: Image) -> Array:
     """
     from scipy.ndimage import gaussian_filter
 
+    image = np.asarray(image, float)
     rows, columns = image.shape
     y, x = np.linspace(-1.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)
     down, right = np.gradient(image) if min(image.shape) > 1 else (np.zeros_like(image), np.zeros_like(image))
@@ -41,7 +42,9 @@ def faults_of(image: Image) -> Array:
     return np.array([*halos, *moved, image * y, image * x, np.full(image.shape, float(image.mean()))])
 
 
-def moved_by_faults(sensitivity: Sensitivity, residual: Array, faults: Array) -> Array:
+def moved_by_faults(
+    sensitivity: Sensitivity, residual: Array, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError]
+) -> Array:
     """Covariance (k, k) of what faults would have moved the values by, were each what the residual shows of it.
 
     Parameters
@@ -52,20 +55,17 @@ def moved_by_faults(sensitivity: Sensitivity, residual: Array, faults: Array) ->
         (n,) at the optimum, whitened.
     faults
         (faults, n) changes of all images, whitened, less what gain and offset imitate.
+    noise, errors
+        Of each image, as for `Sensitivity.covariance`: what may pass for a fault by chance.
     """
-    changes = sensitivity.changes
-    moved: list[Array] = []
-    for fault in faults:
-        values = sensitivity.step(fault)
-        left = fault - values @ changes
-        power = float(left @ left)
-        size = float(residual @ left) / power if power > 0.0 else 0.0
-        if size**2 * power > SEEN**2:
-            moved.append(size * values)
-    found = np.array(moved).reshape(-1, len(changes))
-    return np.asarray(found.T @ found)
-
-
-def all_faults(images: Sequence[Image]) -> list[Array]:
-    """`faults_of` each image: one bench is at fault in all of them alike."""
-    return [faults_of(np.asarray(image, float)) for image in images]
+    values = np.array([sensitivity.step(fault) for fault in faults])
+    left = faults - values @ sensitivity.changes
+    sized = left / np.maximum(np.sum(left**2, axis=1, keepdims=True), 1e-300)
+    sizes, chance = sized @ residual, np.zeros(len(faults))
+    ends = np.cumsum([one.changes.shape[1] for one in sensitivity.responses])[:-1]
+    seen = zip(sensitivity.responses, np.split(sized, ends, axis=1), noise, errors, strict=True)
+    for one, part, sigma, error in seen:
+        of_image = one.whitening.transposed(part)
+        chance += np.sum((of_image * sigma[one.used]) ** 2, axis=1) + np.diag(error.between(of_image, one.used))
+    moved = (sizes[:, None] * values)[sizes**2 > SEEN**2 * chance]
+    return np.asarray(moved.T @ moved)

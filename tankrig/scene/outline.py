@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Polygon = NDArray[np.float64]
 
-REACH = 3.0
+REACH = 2.5
 """Standard deviations of the blur, to either side of an edge, within which a fit must not look (decision 105)."""
 UNKNOWN_REACH_MM = 1.2
 """The same in mm for calibrated devices whose blur nobody has measured."""
@@ -123,7 +123,7 @@ def edge_reach_mm(scene: Scene) -> float:
     >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),), blur_mm=0.3)
     >>> sharp, soft = (Camera("orthographic", (80, 120), 2.0, blur_mm=blur_mm) for blur_mm in (None, 0.4))
     >>> [round(edge_reach_mm(Scene(Tank(), Medium(0.0, 0.01, 0.0), light, camera)), 3) for camera in (sharp, soft)]
-    [0.9, 1.5]
+    [0.75, 1.25]
     """
     light, camera = scene.projector, scene.camera
     grown = 1.0
