@@ -102,6 +102,7 @@ def compare_models(
     noise: ArrayLike | None = None,
     contenders: Sequence[Contender] = CONTENDERS,
     progress: Callable[[str], None] | None = None,
+    *,
     mask: ArrayLike | None = None,
 ) -> Comparison:
     """Fit an image by several models.
@@ -130,7 +131,7 @@ def compare_models(
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # what a model leaves out is in its verdict
-                found = estimate(image, scene, gain, offset, noise, mask, one.model, one.max_order)
+                found = estimate(image, scene, gain, offset, noise, mask, model=one.model, max_order=one.max_order)
         except TankrigError as error:
             errors.append(error)
             refusal = str(error)
