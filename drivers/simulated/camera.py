@@ -21,13 +21,15 @@ from .sensor import counts
 from .settings import CameraFaults, SimulatedCameraSettings
 from .stream import Stream
 from .tank import SimulatedTank
+from .triggered import TriggeredStream
 
 _EXPOSURE_STEP_MS = 0.1
 _CLOCK_AHEAD_NS = 5_000_000_000
+_LOOK_S = 0.002
 
 
 class SimulatedCamera:
-    """Implements `tankrig.devices.Camera`.
+    """Implements `tankrig.devices.Camera` and `TriggeredCamera`.
 
     It streams all the time, like a video camera: see `Stream`. What a frame shows is worked out when the program takes
     it, from what was in the frame buffer while it was exposed; working out a picture that was not seen before takes
@@ -63,6 +65,7 @@ class SimulatedCamera:
         self._handed_out, self._number = 0, 0
         self._frozen: NDArray[np.uint16] = np.zeros(self.shape, np.uint16)
         self._configured = CameraSettings(exposure_ms=20.0)
+        self._armed: TriggeredStream | None = None
         self._start_stream()
 
     @property
@@ -110,6 +113,8 @@ class SimulatedCamera:
         """
         deadline_ns = time.monotonic_ns() + int(timeout_s * 1e9)
         with self._my_turn("capture"):
+            if self._armed is not None:
+                raise DeviceError(f"{self.name}: exposes on triggers only; disarm it first")
             number = self._next(after_ns, deadline_ns, timeout_s)
             self._number = number + 1
             start_ns = self._stream.start_ns(number)
@@ -117,6 +122,43 @@ class SimulatedCamera:
             self._require_there()
             self._handed_out += 1
             return Frame(pixels, start_ns, start_ns + _CLOCK_AHEAD_NS, time.monotonic_ns(), number)
+
+    def arm(self) -> None:
+        """Expose once for each trigger from now on, and no more by itself; drop what waits from before.
+
+        Raises
+        ------
+        DeviceError
+            If the camera is gone or closed, or a capture is under way.
+        """
+        with self._my_turn("be armed"):
+            period_ns = max(self._exposure_ns(), self._ns(1000.0 / self._settings.most_per_s))
+            self._armed = TriggeredStream(time.monotonic_ns(), period_ns)
+
+    def triggered(self, timeout_s: float) -> Frame | None:
+        """The next exposure, in order; None when no trigger came, or its frame did not arrive, within `timeout_s`.
+
+        Raises
+        ------
+        DeviceError
+            If the camera is not armed, is gone or closed, or a capture is under way.
+        """
+        deadline_ns = time.monotonic_ns() + int(timeout_s * 1e9)
+        with self._my_turn("wait for a trigger"):
+            start_ns = self._next_triggered(deadline_ns)
+            if start_ns is None:
+                return None
+            number, self._number = self._number, self._number + 1
+            pixels = self._pixels(number, start_ns)
+            self._handed_out += 1
+            return Frame(pixels, start_ns, start_ns + _CLOCK_AHEAD_NS, time.monotonic_ns(), number)
+
+    def disarm(self) -> None:
+        """Expose freely again; may be called any number of times."""
+        with self._my_turn("be disarmed"):
+            if self._armed is not None:
+                self._armed = None
+                self._start_stream()
 
     def close(self) -> None:
         """Stop streaming; wakes a capture that waits."""
@@ -143,6 +185,22 @@ class SimulatedCamera:
                 continue
             if self._stream.start_ns(number) > after_ns or self._is("stale"):
                 return number
+
+    def _next_triggered(self, deadline_ns: int) -> int | None:
+        """Start of the next exposure that arrives in time."""
+        if self._armed is None:
+            raise DeviceError(f"{self.name}: waits for no triggers; arm it first")
+        while True:
+            start_ns = None if self._is("silent") else self._armed.take(self._buffer.triggers(0))
+            if start_ns is None:
+                if time.monotonic_ns() > deadline_ns:
+                    return None
+                self._wait(time.monotonic_ns() + int(_LOOK_S * 1e9))
+                continue
+            self._wait(start_ns + self._exposure_ns() + self._ns(self._settings.latency_ms))
+            if np.random.default_rng((self._settings.seed, 2, self._number)).random() >= self.faults.dropped:
+                return start_ns
+            self._number += 1
 
     def _pixels(self, number: int, start_ns: int) -> NDArray[np.uint16]:
         if self._is("frozen"):

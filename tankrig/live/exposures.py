@@ -26,7 +26,7 @@ from tankrig.run.journal import Event
 from tankrig.run.reading import Run
 from tankrig.scene.description import Camera, Medium, Scene
 from tankrig.scene.outline import edge_reach_mm
-from tankrig.sequence import Capture, Dose, Sequence
+from tankrig.sequence import Burst, Capture, Dose, Sequence
 from tankrig.sequence.loading import sequence_from_table
 
 Array = NDArray[np.float64]
@@ -122,7 +122,9 @@ class PhotographPlan:
         """For a sequence on a bench."""
         actions = [task.action for task in sequence.tasks]
         unused = CameraSettings(1.0)
-        settings = tuple(sequence.camera_settings(one) if isinstance(one, Capture) else unused for one in actions)
+        settings = tuple(
+            sequence.camera_settings(one) if isinstance(one, Capture | Burst) else unused for one in actions
+        )
         gains = {one.gain for one in settings if one is not unused}
         if radiometry is not None and not all(radiometry.knows(gain) for gain in gains):
             radiometry = None
