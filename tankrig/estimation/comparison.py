@@ -102,12 +102,14 @@ def compare_models(
     noise: ArrayLike | None = None,
     contenders: Sequence[Contender] = CONTENDERS,
     progress: Callable[[str], None] | None = None,
+    *,
+    mask: ArrayLike | None = None,
 ) -> Comparison:
     """Fit an image by several models.
 
     Parameters
     ----------
-    image, scene, gain, offset, noise
+    image, scene, gain, offset, noise, mask
         As for `tankrig.estimate`.
     contenders
         The models.
@@ -129,7 +131,7 @@ def compare_models(
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # what a model leaves out is in its verdict
-                found = estimate(image, scene, gain, offset, noise, model=one.model, max_order=one.max_order)
+                found = estimate(image, scene, gain, offset, noise, mask, model=one.model, max_order=one.max_order)
         except TankrigError as error:
             errors.append(error)
             refusal = str(error)

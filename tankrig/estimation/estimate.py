@@ -1,7 +1,7 @@
 """`estimate`: from an image of a tank to the coefficients of what is in it."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Literal
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.forward import Models, error_map, models_of, stated_error
+from tankrig.estimation.misfit import faults_of, moved_by_faults
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
 from tankrig.estimation.parameters import MediumBlock, Range, Scaling
@@ -25,7 +26,7 @@ from tankrig.estimation.residual import (
 )
 from tankrig.estimation.result import Estimate as Estimate
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
-from tankrig.estimation.uncertainty import SmoothError, identifiable, overconfidence, stretches
+from tankrig.estimation.uncertainty import ModelError, SmoothError, identifiable, overconfidence, stretches
 from tankrig.estimation.verdict import what_is_determined, what_is_left, what_is_misaligned, what_was_left_out
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
@@ -234,12 +235,10 @@ def _built(fit: Fit, scene: Scene) -> Estimate:
     used, stated = observation.used, left.stated
     # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
     error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
-    length = max(scene.tank.size_mm) / scene.camera.pixel_mm
-    spread = best.sensitivity.covariance([left.noise], [SmoothError(error, length)])
+    spread = spread_of(best, [left], [SmoothError.of(scene, error)])
     off, spread = _misalignments(best, spread), spread[:3, :3]
     edges = best.at_edge
-    hopeless = left.unexplained > max(HOPELESS, stated)
-    known = {name: yes and name not in edges and not hopeless for name, yes in identifiable(medium, spread).items()}
+    known = {name: yes and name not in edges for name, yes in determined(medium, spread, [left]).items()}
     whitened = np.where(used, left.residual, 0.0) / left.noise
     place = standing_out(whitened, used, error / left.noise)
     whole = prediction.model in WHOLE
@@ -261,6 +260,30 @@ def _built(fit: Fit, scene: Scene) -> Estimate:
         noise=rms(left.noise[used]), model_error=left.counted, nuisance=off, structure=structure_map(whitened, used),
         stretch=_stretch(best, spread),
     )  # fmt: skip
+
+
+def spread_of(best: Evaluation, left: Sequence[Left], errors: Sequence[ModelError]) -> Array:
+    """Covariance of the values at an optimum: of one image's fit, a dose's, a live one and a series' alike.
+
+    Camera noise and errors of the model as they are counted; where residuals hold structure, also what usual faults
+    that look like it move the values by; and where that is beyond what the model states, what parts of the images
+    disagree by.
+    """
+    noise, sensitivity = [one.noise for one in left], best.sensitivity
+    if not any(one.unexplained > 0.0 for one in left):
+        return sensitivity.covariance(noise, errors)
+    residual, views = best.left, best.problem.views
+    changes = [view.whitened(faults_of(one.light)) for view, one in zip(views, left, strict=True)]
+    faults = best.project_out(np.hstack(changes))[:, : residual.size]
+    moved = moved_by_faults(sensitivity, residual, faults, noise, [view.error for view in views])
+    disagreeing = residual if any(one.beyond > 0.0 for one in left) else None
+    return sensitivity.covariance(noise, errors, disagreeing) + moved
+
+
+def determined(medium: Medium, spread: Array, left: Sequence[Left]) -> dict[str, bool]:
+    """Which of σa, σs, g images determine: none where what is left of one is more structure than any model leaves."""
+    hopeless = any(one.unexplained > max(HOPELESS, one.stated) for one in left)
+    return {name: yes and not hopeless for name, yes in identifiable(medium, spread).items()}
 
 
 def _misalignments(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:

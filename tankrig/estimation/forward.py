@@ -193,7 +193,9 @@ def _tank(scene: Scene, max_order: int | None, batches: int, seed: int, blur_mm:
     if blur_mm == 0.0:
         return found
     exact = found.orders[1] + found.orders[2]
-    image = exact + gaussian_filter(found.image - exact, blur_mm / scene.camera.pixel_mm, mode="nearest")
+    image = exact + gaussian_filter(
+        found.image - exact, [blur_mm / side for side in scene.camera.sides_mm], mode="nearest"
+    )
     return replace(found, image=image)
 
 

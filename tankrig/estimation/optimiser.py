@@ -259,7 +259,7 @@ class Shot:
 
     def error(self, sd: Image, counted: float = PATTERN) -> SmoothError:
         """A model's error of a standard deviation, (rows, columns); see `SmoothError`."""
-        return SmoothError(sd, self.length_mm / self.scene.camera.pixel_mm, counted)
+        return SmoothError.of(self.scene, sd, counted)
 
 
 @dataclass(frozen=True)

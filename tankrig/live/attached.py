@@ -27,7 +27,7 @@ def require_fittable(sequence: Sequence, bench: Bench) -> None:
     """
     for name, pattern in sequence.drawn(bench.wall).items():
         try:
-            _ = PhotographPlan.of(bench, sequence, [pattern]).scenes
+            PhotographPlan.of(bench, sequence, [pattern]).require_left()
         except SceneError as error:
             raise SequenceError(f'{sequence.name}: pattern "{name}" cannot be fitted: {error}') from error
 

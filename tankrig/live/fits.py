@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from tankrig.estimation.forward import PURE_WATER_SIGMA_S, Models, models_of, prepared_model, tank_model
 from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.series import InkAndWater, estimate_series, fit_liquid, observed
-from tankrig.estimation.uncertainty import identifiable
 from tankrig.image.prepare import Prepared
 from tankrig.live.exposures import Photograph
 from tankrig.live.results import DoseFit, SeriesFit, SingleScattering
@@ -57,13 +56,14 @@ def _fitted(
 ) -> DoseFit | None:
     began, first = time.perf_counter(), photographs[0]
     scenes = [one.scene for one in photographs]
-    observations = observed([one.image for one in photographs], scenes, [one.noise for one in photographs])
+    noises, masks = [one.noise for one in photographs], [one.mask for one in photographs]
+    observations = observed([one.image for one in photographs], scenes, noises, masks)
     found = fit_liquid(observations, scenes, Scaling.given("free", first.offset), prepared, start)
     if found is None:
         return None
     return DoseFit(
         dose_ml=first.dose_ml, dose_sd_ml=first.dose_sd_ml, medium=found.medium, sd=_deviations(found.covariance),
-        identifiable=identifiable(found.medium, found.covariance), gain=found.gain, rmse=found.rmse,
+        identifiable=found.identifiable, gain=found.gain, rmse=found.rmse, structure=found.beyond or None,
         frames=sum(one.frames for one in photographs), patterns=tuple(one.pattern for one in photographs),
         model="prepared" if prepared else "tank", model_error=found.model_error if prepared else None,
         seconds=round(time.perf_counter() - began, 4),
@@ -93,6 +93,7 @@ def fit_all(
         [one.dose_sd_ml for one in photographs],
         offset=photographs[0].offset,
         noise=[one.noise for one in photographs],
+        masks=[one.mask for one in photographs],
         start=start,
         model_of=prepared_model(prepared) if prepared else tank_model,
         water_sigma_s=PURE_WATER_SIGMA_S,

@@ -50,6 +50,8 @@ class DoseFit:
         Number of the newest frame, as the run counts them; −1: of another dose.
     passing
         Whether another fit of the same frames is to come, which lacks nothing.
+    structure
+        Of what is left, relative L2, beyond what noise and the model's own error explain; None where there is none.
     """
 
     dose_ml: float
@@ -69,6 +71,7 @@ class DoseFit:
     newest: int | None = None
     passing: bool = False
     not_seen: int = 0
+    structure: float | None = None
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,7 @@ def to_fields(fit: Fit) -> Fields:
         found |= {"water_sigma_a": found.pop("water").sigma_a, "linearity": fit.linearity and asdict(fit.linearity)}
         return {"fit": "series", **found}
     found |= {**asdict(found.pop("medium")), "single": fit.single and asdict(fit.single)}
-    unknown = {"model_error": None, "single": None, "newest": None, "passing": False}
+    unknown = {"model_error": None, "single": None, "structure": None, "newest": None, "passing": False}
     return {"fit": "dose"} | {
         name: value for name, value in found.items() if name not in unknown or value != unknown[name]
     }

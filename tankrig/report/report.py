@@ -133,7 +133,8 @@ def _dose_row(one: DoseFit, sigma_t: float) -> dict[str, str]:
         "sigma_s": with_error(one.medium.sigma_s, one.sd[1]),
         "g": with_error(one.medium.g, one.sd[2]),
         "sigma_a": with_error(one.medium.sigma_a, one.sd[0]),
-        "known": ", ".join(known) or "none",
+        "known": (", ".join(known) or "none")
+        + (f"; {100.0 * one.structure:.2g} % of the light is not as the model has it" if one.structure else ""),
         "single": "–" if single is None else f"{100.0 * (single.sigma_t / sigma_t - 1.0):+.0f} %",
         "single_rmse": "–" if single is None else f"{single.rmse / one.rmse:.1f} ×",
     }
@@ -158,7 +159,7 @@ def _reconstructions(results: Results, progress: Callable[[str], None]) -> tuple
         progress(f"rebuilding {one.dose_ml:g} ml by order")
         fit = fits[one.dose_ml]
         prediction = pictures.predicted(one, fit.medium)
-        offset = 0.0 if one.offset == 0.0 else float(np.median(one.image - fit.gain * prediction.image))
+        offset = 0.0 if one.offset == 0.0 else float(np.median((one.image - fit.gain * prediction.image)[one.used]))
         steps = pictures.by_order(one, prediction, fit.gain, offset)
         bound = max(bound, *(part.bound for part in prediction.skipped))
         peak = float(one.image.max())

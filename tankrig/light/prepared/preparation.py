@@ -46,7 +46,7 @@ def prepared(
     if rows * columns > MOST_PIXELS:
         raise SceneError(
             f"a camera of {rows} × {columns} pixels has more than the {MOST_PIXELS} that can be prepared; "
-            "bin them: a smaller shape and a larger pixel_mm"
+            "bin them: give camera.bin, the pixels along the side of a bin"
         )
     place = Place.of(scene, box, float(tolerance))
     plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance)
