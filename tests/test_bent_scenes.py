@@ -270,7 +270,7 @@ def rolled(degrees: float) -> Projector:
 
 @pytest.mark.parametrize("roll_degrees", [-2.0, -0.6, 0.0, 1.0, 1.7])
 def test_rays_of_a_rolled_projector_stay_a_beam_each(roll_degrees: float) -> None:
-    """Slivers at the edges of what is rolled by a degree once made 27 beams of three rays, and a minute of each dose."""
+    """Slivers at the edges of what is rolled by a degree made 27 beams of three rays, and a minute of each dose."""
     picture = np.zeros((96, 128), np.uint8)
     for column in (36, 62, 90):
         picture[44:48, column : column + 4] = 255

@@ -90,6 +90,8 @@ class PhotographPlan:
         Of the camera, where it was calibrated for all of them.
     more_doses
         How many different ones a run has recorded already, foreseen or not.
+    ink
+        What is expected of it, per mm and ml; None where nothing is. Only which models are prepared rests on it.
     """
 
     bench: Bench
@@ -98,6 +100,7 @@ class PhotographPlan:
     settings: tuple[CameraSettings, ...]
     radiometry: Radiometry | None = None
     more_doses: int = 0
+    ink: Medium | None = None
 
     @classmethod
     def of(
@@ -117,7 +120,9 @@ class PhotographPlan:
         if radiometry is not None and not all(radiometry.knows(gain) for gain in gains):
             radiometry = None
         doses = tuple(one.total_ul / 1000.0 for one in actions if isinstance(one, Dose))
-        return cls(bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry)
+        return cls(
+            bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry, ink=sequence.ink
+        )
 
     @classmethod
     def of_run(cls, run: Run) -> "PhotographPlan":

@@ -2,6 +2,7 @@
 
 import math
 
+from tankrig.live.preparing import Preparation
 from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit
 
 
@@ -38,3 +39,20 @@ def fit_in_words(fit: Fit | None) -> str:
     shown = ((found.sigma_s, fit.sd[1]), (found.g, fit.sd[2]), (found.sigma_a, fit.sd[0]))
     sigma_s, g, sigma_a = (with_error(*one) for one in shown)
     return f"{subject}: σs {sigma_s}, g {g}, σa {sigma_a} per mm{'' if isinstance(fit, DoseFit) else ' and ml'}"
+
+
+def preparation_in_words(left: Preparation) -> str:
+    """What fits wait for, and for how long; empty where they wait for nothing.
+
+    Examples
+    --------
+    >>> preparation_in_words(Preparation(3, 42.0))
+    '3 models are being prepared for the fit, about 42 s left'
+    >>> preparation_in_words(Preparation(0, 0.0))
+    ''
+    """
+    if left.models == 0:
+        return ""
+    what = "1 model is" if left.models == 1 else f"{left.models} models are"
+    how_long = "" if left.seconds_left is None else f", about {left.seconds_left:.0f} s left"
+    return f"{what} being prepared for the fit{how_long}"

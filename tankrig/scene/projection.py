@@ -184,9 +184,11 @@ class _Patch:
         beams = []
         for rows in _groups(light, self.row_mm, alike):
             along = self.cells[slice(*rows)].sum(axis=0) * self.row_mm
-            columns = _groups(along, self.column_mm, lambda first, end, along=along: self._looks_even(along[first:end]))
-            beams += [self._beam(rows, one) for one in columns]
+            beams += [self._beam(rows, columns) for columns in self._even_widths(along)]
         return beams
+
+    def _even_widths(self, light: Array) -> list[tuple[int, int]]:
+        return _groups(light, self.column_mm, lambda first, end: self._looks_even(light[first:end]))
 
     def _even_heights(self, light: Array) -> list[tuple[int, int]]:
         lifted = self.coarser * LIFTED_MM / self.row_mm
