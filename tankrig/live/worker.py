@@ -300,14 +300,13 @@ class Fitter:
         return fit_dose_prepared(photographs, models, start)
 
     def _begin(self) -> None:
-        """Have models prepared before there is anything to fit: for the ink expected, or else for a first look."""
+        """Have models prepared before there is anything to fit: for the ink expected, and for a first look."""
         if self._preparing is None or self._plan is None:
             return
         scenes = list(self._plan.scenes.values())
         doses_ml = sorted({one for one in self._plan.doses_ml if one > 0.0})
-        if self._plan.ink is None or not doses_ml:
-            self._preparing.want(scenes[:1], LOOK)
-        else:
+        self._preparing.want(scenes[:1], LOOK)
+        if self._plan.ink is not None:
             for dose_ml in reversed(doses_ml):  # what is wanted last comes first
                 self._preparing.want(scenes, self._preparing.box(diluted(self._plan.ink, 1.0, dose_ml)))
 

@@ -69,9 +69,7 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
 
     results = results_of(run)
     if not results.doses:
-        raise ImageError(
-            f"{run.path}: nothing is fitted, so there is nothing to report; fit it: tankrig refit {run.path}"
-        )
+        raise ImageError(f"{run.path}: nothing of it is fitted, so there is nothing to report; {results.left_out[0]}")
     spans = spans_of(run)
     progress("drawing")
     with mpl.rc_context(STYLE):

@@ -34,7 +34,7 @@ DEGREES = 20
 """Polynomials along x that keep a noisy image."""
 
 
-SHARE = 0.05
+SHARE = 0.1
 """Of the tolerance that is asked for, which order 2 is computed to."""
 
 
