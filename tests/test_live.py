@@ -441,6 +441,8 @@ def test_the_time_that_models_still_take_is_told_by_those_that_are_done(monkeypa
         for k, scene in enumerate([plan().scenes[PATTERNS["sheet"].hash]] * 3)
     ]
     preparing.want(scenes, box_for(LIQUID))
+    go_on.put(0.0)
+    told.get(timeout=10)
     assert preparing.left == Preparation(3, None)  # nothing tells yet
     now_s[0] = 10.0
     go_on.put(0.25)

@@ -18,10 +18,10 @@ Alike = Callable[[int, int], bool]
 
 ROW_MM, COLUMN_MM = 0.5, 0.25
 """Height and width of the cells of the wall that light is collected in."""
-SEEN_MM = 1.0
-"""Standard deviation of the Gaussian through which light is compared along y: what is finer, no picture shows."""
-LEVELS = 0.005
-"""By how much of the brightest the light along y may differ, as it is compared."""
+LEVELS = 0.0025
+"""By how much of the brightest, seen from above, light within a beam may be brighter or darker than its mean."""
+EDGE_MM, EDGE_CELLS = 0.04, 2
+"""How far a beam's edges may be from the light's, and how many cells at either end may hold them."""
 LIFTED_MM, ASIDE_MM = 0.1, 0.05
 """How far light may be moved along z and along y, on average: from above the former is hardly seen."""
 FARTHER_MM = 4.0
@@ -143,10 +143,10 @@ class _Patch:
         Height and width of a cell.
     wall
         Rows and columns of the wall.
-    levels
-        Light that may be too much or too little along y, as it is compared, W/mm.
+    brightest
+        Most light of any column of the wall, W/mm.
     coarser
-        Times as far as light may be moved otherwise.
+        Times as far from the light as beams may be otherwise.
     """
 
     cells: Array
@@ -154,7 +154,7 @@ class _Patch:
     row_mm: float
     column_mm: float
     wall: tuple[int, int]
-    levels: float
+    brightest: float
     coarser: float
 
     def beams(self) -> list[Beam]:
@@ -196,12 +196,13 @@ class _Patch:
 
     def _looks_even(self, light: Array) -> bool:
         """Whether a beam looks, from above, like columns with so much light, W/mm."""
+        inside = light[EDGE_CELLS:-EDGE_CELLS]
+        if inside.size and np.abs(inside - inside.mean()).max() > self.coarser * LEVELS * self.brightest:
+            return False
         middle, half = _spread(light)
-        edges = np.arange(-1, light.size + 2)  # a beam may reach beyond its cells by part of one
-        beam = np.diff(np.clip(edges, middle - half, middle + half)) * (light.sum() / (2.0 * half))
-        far = round(3.0 * SEEN_MM / self.column_mm)
-        blur = np.exp(-0.5 * (np.arange(-far, far + 1) * self.column_mm / SEEN_MM) ** 2)
-        return bool(np.abs(np.convolve(beam - np.pad(light, 1), blur / blur.sum())).max() <= self.levels)
+        rising = np.clip((np.arange(light.size + 1) - middle + half) / (2.0 * half), 0.0, 1.0) * light.sum()
+        moved_mm = np.abs(rising - np.cumsum(np.pad(light, (1, 0)))).max() * self.column_mm / self.brightest
+        return bool(moved_mm <= self.coarser * EDGE_MM)
 
     def _beam(self, rows: tuple[int, int], columns: tuple[int, int]) -> Beam:
         """Light, middle and spread of a block of cells."""
@@ -220,12 +221,12 @@ def _patches(cells: Array, width: float, height: float, coarser: float) -> Itera
 
     rows, columns = cells.shape
     row_mm, column_mm = height / rows, width / columns
-    levels = coarser * LEVELS * float(cells.sum(axis=0).max()) * row_mm
+    brightest = float(cells.sum(axis=0).max()) * row_mm
     numbers, _ = label(cells > 0.0, np.ones((3, 3)))
     for number, place in enumerate(find_objects(numbers), start=1):
         own = np.where(numbers[place] == number, cells[place], 0.0)
         first = place[0].start, place[1].start
-        yield _Patch(own, first, row_mm, column_mm, (rows, columns), levels, coarser)
+        yield _Patch(own, first, row_mm, column_mm, (rows, columns), brightest, coarser)
 
 
 def _groups(light: Array, cell_mm: float, alike: Alike) -> list[tuple[int, int]]:
