@@ -20,7 +20,7 @@ ROW_MM, COLUMN_MM = 0.5, 0.25
 """Height and width of the cells of the wall that light is collected in."""
 LEVELS = 0.0025
 """By how much of the brightest, seen from above, light within a beam may be brighter or darker than its mean."""
-EDGE_MM, EDGE_CELLS = 0.04, 2
+EDGE_MM, EDGE_CELLS = 0.04, 3
 """How far a beam's edges may be from the light's, and how many cells at either end may hold them."""
 LIFTED_MM, ASIDE_MM = 0.1, 0.05
 """How far light may be moved along z and along y, on average: from above the former is hardly seen."""
