@@ -92,9 +92,10 @@ def test_doses_are_fitted_while_a_person_doses_and_all_are_soon_after_the_last_f
         assert fits, f"{dose_ml} ml was not fitted"
         fit, true = fits[-1][2], diluted(INK, 1.0, dose_ml)
         off = f"σs {fit.medium.sigma_s / true.sigma_s - 1.0:+.2%}, g {fit.medium.g - true.g:+.4f}"
-        print(f"\n{dose_ml:g} ml: first fit {fits[0][0] - at_s:.1f} s after its last frame, "
-              f"whole {fits[-1][0] - at_s:.1f} s ({fits[0][1] - at_cpu_s:.1f} and {fits[-1][1] - at_cpu_s:.1f} s of its CPU); "
-              f"models off by {fit.model_error or 0.0:.2%}; {off}")  # fmt: skip
+        first, whole = fits[0], fits[-1]
+        print(f"\n{dose_ml:g} ml: fitted {first[0] - at_s:.1f} s after its last frame, whole {whole[0] - at_s:.1f} s "
+              f"({first[1] - at_cpu_s:.1f} and {whole[1] - at_cpu_s:.1f} s of its CPU); models off by "
+              f"{fit.model_error or 0.0:.2%}; {off}")  # fmt: skip
         assert fit.model == "prepared"
         assert fit.medium.sigma_s == pytest.approx(true.sigma_s, rel=0.03)
     print(f"all fits {found[-1][0] - last_s:.1f} s after the last frame ({found[-1][1] - last_cpu_s:.1f} s of CPU)")

@@ -1,5 +1,6 @@
 """Fits of a run that has been recorded: what it lacks, and making that as the live fit would have."""
 
+import math
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -52,7 +53,10 @@ class Unfitted:
 
 
 def unfitted(run: Run) -> Unfitted:
-    """What a run lacks, by its journal alone: doses whose lit frames are not all in their last fit, and the series."""
+    """What a run lacks, by its journal alone: doses whose lit frames are not all in their last fit, and the series.
+
+    A fit that was made after the run's end has seen all that can be read.
+    """
     lit = {key for key, pattern in run.patterns.items() if pattern.pixels.any()}
     frames: dict[float, int] = {}
     for event in run.events("frame"):
@@ -60,7 +64,9 @@ def unfitted(run: Run) -> Unfitted:
         if event["pattern_hash"] in lit and dose_ml > 0.0 and event["index"] not in run.unsure_doses:
             frames[dose_ml] = frames.get(dose_ml, 0) + 1
     doses, series = fits_in([event.fields for event in fits_that_hold(run)])
-    fitted = {one.dose_ml: one.frames + one.left_out for one in doses}
+    ended = run.end.seq if run.end is not None else math.inf
+    since = {event.get("dose_ml") for event in run.fits if event.seq > ended and "error" not in event.fields}
+    fitted = {one.dose_ml: math.inf if one.dose_ml in since else one.frames + one.left_out for one in doses}
     missing = tuple(dose_ml for dose_ml in sorted(frames) if fitted.get(dose_ml, 0) < frames[dose_ml])
     whole = series is not None and len(series.doses_ml) >= len(frames)
     return Unfitted(missing, len(frames) > 1 and not whole)
