@@ -125,6 +125,7 @@ def fit_liquid(
     scaling: Scaling,
     models: Sequence[Models] | None = None,
     start: Medium | None = None,
+    progress: Told = lambda _: None,
 ) -> LiquidEstimate | None:
     """One liquid from several patterns with one gain.
 
@@ -138,6 +139,8 @@ def fit_liquid(
         Of the scenes, all for one range; None for the tank model.
     start
         Where to begin; searched for where None.
+    progress
+        Told in a few words what is being done; what it raises ends the fit.
 
     Returns
     -------
@@ -152,7 +155,7 @@ def fit_liquid(
     block = MediumBlock(models[0].range or Range.of_tank(max(max(scene.tank.size_mm) for scene in scenes)))
     shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
     begin = None if start is None else block.start(start)
-    fit = fitted(shots, (block,), scaling, lambda _: None, begin)
+    fit = fitted(shots, (block,), scaling, progress, begin)
     best = fit.optimum
     gain, _, left = left_over(fit)
     if models[0].range is not None and {"sigma_s", "g"} & set(best.at_edge):

@@ -101,6 +101,8 @@ class PhotographPlan:
         How many different ones a run has recorded already, foreseen or not.
     saturation
         Count from which on the camera's pixels are saturated, where that is known.
+    ink
+        What is expected of it, per mm and ml; None where nothing is. Only which models are prepared rests on it.
     """
 
     bench: Bench
@@ -110,6 +112,7 @@ class PhotographPlan:
     radiometry: Radiometry | None = None
     more_doses: int = 0
     saturation: float | None = None
+    ink: Medium | None = None
 
     @classmethod
     def of(
@@ -129,7 +132,9 @@ class PhotographPlan:
         if radiometry is not None and not all(radiometry.knows(gain) for gain in gains):
             radiometry = None
         doses = tuple(one.total_ul / 1000.0 for one in actions if isinstance(one, Dose))
-        return cls(bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry)
+        return cls(
+            bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry, ink=sequence.ink
+        )
 
     @classmethod
     def of_run(cls, run: Run) -> "PhotographPlan":

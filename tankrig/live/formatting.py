@@ -3,6 +3,7 @@
 import math
 
 from tankrig.estimation.verdict import SYMBOLS
+from tankrig.live.preparing import Preparation
 from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit
 
 
@@ -56,3 +57,20 @@ def doubts(fit: DoseFit | SeriesFit) -> str:
     if isinstance(fit, DoseFit) and fit.structure:
         said += f"; {100.0 * fit.structure:.2g} % of the light is not as the model has it, and counted in the errors"
     return said
+
+
+def preparation_in_words(left: Preparation) -> str:
+    """What fits wait for, and for how long; empty where they wait for nothing.
+
+    Examples
+    --------
+    >>> preparation_in_words(Preparation(3, 42.0))
+    '3 models are being prepared for the fit, about 42 s left'
+    >>> preparation_in_words(Preparation(0, 0.0))
+    ''
+    """
+    if left.models == 0:
+        return ""
+    what = "1 model is" if left.models == 1 else f"{left.models} models are"
+    how_long = "" if left.seconds_left is None else f", about {left.seconds_left:.0f} s left"
+    return f"{what} being prepared for the fit{how_long}"

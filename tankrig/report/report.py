@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tankrig.errors import ImageError
 from tankrig.figures.tank_image import STYLE
 from tankrig.files import require_writable, whole_file
 from tankrig.live.exposures import Photograph, PhotographPlan
@@ -27,7 +28,9 @@ WORDS = {"1": "order 1", "1–3": "orders 1–3", "1–20": "orders 1–20", "al
 
 
 def write_report(path: Path, out: Path | None = None, progress: Callable[[str], None] = lambda _: None) -> Path:
-    """Write a run's report: one HTML file with all pictures in it.
+    """Write a run's report from the fits that it has recorded: one HTML file with all pictures in it.
+
+    What has not been fitted is left out, and the page says so; `tankrig.live.refit.refit` fits it.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ def write_report(path: Path, out: Path | None = None, progress: Callable[[str], 
     out
         The file, or a folder for report.html; the run's own folder where None.
     progress
-        Told in a few words what is being done.
+        Told in a few words what is being done; what it raises ends it.
 
     Returns
     -------
@@ -48,7 +51,7 @@ def write_report(path: Path, out: Path | None = None, progress: Callable[[str], 
     StoreError
         When the run cannot be read or the file not be written.
     ImageError
-        When the run has nothing to report.
+        When the run has nothing to report, or nothing of it has been fitted.
     """
     run = open_run(path)
     target = path / "report.html" if out is None else out if out.suffix == ".html" else out / "report.html"
@@ -64,7 +67,9 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
     import jinja2
     import matplotlib as mpl
 
-    results = results_of(run, progress)
+    results = results_of(run)
+    if not results.doses:
+        raise ImageError(f"{run.path}: nothing of it is fitted, so there is nothing to report; {results.left_out[0]}")
     spans = spans_of(run)
     progress("drawing")
     with mpl.rc_context(STYLE):
@@ -91,7 +96,7 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
         series=_series(results),
         totals=totals(spans),
         spans=spans,
-        skipped=skipped_of(run, PhotographPlan.of_run(run), faintest),
+        skipped=[*results.left_out, *skipped_of(run, PhotographPlan.of_run(run), faintest)],
         settings=settings_of(run),
         footer=f"made by tankrig {version('tankrig')}",
     )

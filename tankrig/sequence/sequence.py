@@ -13,7 +13,7 @@ from tankrig.errors import SequenceError
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import AnyKind, Dark, Full, draw
 from tankrig.pattern.wall import Wall
-from tankrig.scene.description import CLOSED
+from tankrig.scene.description import CLOSED, Medium
 from tankrig.sequence.steps import Burst, Capture, Dose, Mix, Step, Task, written_out
 
 _ALWAYS: dict[str, AnyKind] = {"dark": Dark(), "full": Full()}
@@ -36,6 +36,9 @@ class Sequence:
     any_exposure
         A person's reason why exposures need not be whole numbers of the projector's periods; without one they must,
         where the rig file tells the period.
+    ink
+        What is expected of it, per mm and ml: models for the live fit are then prepared before the first dose. A wrong
+        expectation costs time and nothing else.
 
     Raises
     ------
@@ -62,6 +65,7 @@ class Sequence:
     exposure_ms: float = 20.0
     gain: float = 1.0
     any_exposure: str = ""
+    ink: Medium | None = None
 
     def __post_init__(self) -> None:
         for key in ("exposure_ms", "gain"):

@@ -15,15 +15,21 @@ NAMES = ("sigma_a", "sigma_s", "g")
 SHOWN = ("sigma_s", "g", "sigma_a")
 
 
-def fits_of(run: Path, description: "RigFile") -> dict[str, Any]:
-    """The last fits that a run recorded: by dose, and per ml; with the truth where its rig is simulated."""
+def fits_of(run: Path, description: "RigFile | None") -> dict[str, Any]:
+    """The last fits that a run recorded: by dose, and per ml; with the truth where its rig is simulated.
+
+    `unfitted` says, in words, what has been recorded and not fitted, and how to fit it; empty where nothing.
+    """
     from drivers.rig import true_liquids
     from drivers.simulated.tank import mixture
+    from tankrig.live.refit import unfitted
     from tankrig.report.results import recorded
     from tankrig.run.reading import open_run
 
-    doses, series = recorded(open_run(run))
-    truth = true_liquids(description)
+    opened = open_run(run)
+    doses, series = recorded(opened)
+    truth = true_liquids(description) if description else None
+    missing = unfitted(opened)
     rows = []
     for fit in doses:
         row = {
@@ -38,7 +44,7 @@ def fits_of(run: Path, description: "RigFile") -> dict[str, Any]:
             liquid = mixture(*truth, fit.dose_ml)
             row["truth"], sigma_t = _named(liquid), liquid.sigma_t
         rows.append({**row, "single_sigma_t_ratio": None if fit.single is None else fit.single.sigma_t / sigma_t})
-    found: dict[str, Any] = {"doses": rows}
+    found: dict[str, Any] = {"doses": rows, "unfitted": missing.sentence(run) if missing else ""}
     if series is not None:
         found |= {"ink_per_ml": _named(series.ink), "ink_sd": list(series.sd), "verdict": series.verdict}
         found["ink_determined"] = dict(series.identifiable)

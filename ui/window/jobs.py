@@ -106,9 +106,11 @@ def refit(path: Path, patterns: Sequence[str], free_offset: bool) -> "tuple[list
 
 
 def report(path: Path) -> Path:
-    """Write a run's report."""
+    """Write a run's report, once what it lacks is fitted."""
+    from tankrig.live.refit import refit as fit_what_is_missing
     from tankrig.report import write_report
 
+    fit_what_is_missing(path)
     return write_report(path)
 
 

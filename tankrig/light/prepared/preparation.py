@@ -127,6 +127,6 @@ class _Work:
         if sample.batches:
             image = self.sampling.sample(sample.sigma_t, sample.g, sample.index, sample.batches).astype(np.float32)
         else:
-            image = exact_images(self._scene, sample.sigma_t, sample.g)
+            image = exact_images(self._scene, sample.sigma_t, sample.g, self._plan.tolerance)
         self._place.keep(path, {"image": image})
         return image
