@@ -1,8 +1,8 @@
-"""Light scattered once on a simulated bench: followed back from each camera pixel, through the water, to the projector.
+"""Light scattered once on a simulated bench: followed back from each camera pixel through the water to the projector.
 
-The Monte Carlo's own order 1 spreads beams over pixels; this one asks, all along a pixel's line of sight, how bright the
-projector's picture is there. So every pixel of the projector counts, blurred as its lens blurs it, and the two check
-each other.
+The Monte Carlo's own order 1 spreads beams over pixels; this one asks, all along a pixel's line of sight, how bright
+the projector's picture is there. So every pixel of the projector counts, blurred as its lens blurs it, and the two
+check each other.
 """
 
 import math
@@ -203,14 +203,14 @@ def _may_be_lit(above: Array, here: Array, level: float, length: float, half_wid
         return False
     if max(above[_X], here[_X]) <= 0.0 or min(above[_X], here[_X]) >= length:
         return False
-    return min(abs(above[_Y]), abs(here[_Y])) < half_width
+    return bool(min(abs(above[_Y]), abs(here[_Y])) < half_width)
 
 
 @part
 def _tile(lit: NDArray[np.bool_], row: float, column: float) -> bool:
     """Whether there may be light within a tile's side of a place of the picture."""
     r, c = math.floor(row / _TILE), math.floor(column / _TILE)
-    return lit[min(max(r, 0), lit.shape[0] - 1), min(max(c, 0), lit.shape[1] - 1)]
+    return bool(lit[min(max(r, 0), lit.shape[0] - 1), min(max(c, 0), lit.shape[1] - 1)])
 
 
 @part
@@ -223,4 +223,4 @@ def _between(picture: Array, row: float, column: float) -> float:
     below, right = row - r, column - c
     upper = (1.0 - right) * picture[r, c] + right * picture[r, c + 1]
     lower = (1.0 - right) * picture[r + 1, c] + right * picture[r + 1, c + 1]
-    return (1.0 - below) * upper + below * lower
+    return float((1.0 - below) * upper + below * lower)

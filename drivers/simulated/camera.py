@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,8 @@ from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
-from .bench_ink import InkInView
 from .bench_poses import Held
-from .bench_truth import random_bench
+from .bench_tank import InkInView, true_bench
 from .bench_view import BoardsInView
 from .diffuser import behind_diffuser
 from .light import frame_buffer
@@ -306,10 +304,9 @@ class SimulatedCamera:
 
 def _bench(settings: SimulatedCameraSettings) -> tuple[BoardsInView | None, InkInView | None]:
     """What stands in place of the tank of `Truth.bench`, where there is a bench: boards, and ink through its optics."""
-    if settings.boards is None:
+    bench, boards = true_bench(settings), settings.boards
+    if bench is None or boards is None:
         return None, None
-    boards, truth = settings.boards, settings.truth
-    drawn = random_bench(boards.seed, boards.camera_shape, boards.projector_shape)
-    bench = replace(drawn, leak=truth.leak)
-    ink = InkInView(bench, truth.tolerance, settings.seed, PictureStore(settings.folder / "pictures"), repr(boards))
+    store = PictureStore(settings.folder / "pictures")
+    ink = InkInView(bench, settings.truth.tolerance, settings.seed, store, repr(boards))
     return BoardsInView(bench, boards.board), ink

@@ -2,12 +2,14 @@
 
 import contextlib
 import os
-import tempfile
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tankrig.errors import StoreError
+from tankrig.files import whole_file
 
 _MOST_BYTES = 400_000_000
 
@@ -33,21 +35,15 @@ class PictureStore:
             with np.load(path) as kept:
                 picture: NDArray[np.float32] = kept["picture"]
             os.utime(path)
-        except Exception:  # none, or one that was cut short or damaged, in any of the ways that a ZIP file can be
+        except Exception:  # none, or one that was damaged, in any of the ways that a ZIP file can be
             return None
         return picture
 
     def put(self, of: str, picture: NDArray[np.floating]) -> None:
         """Keep a picture; whole or not at all."""
-        with contextlib.suppress(OSError):
-            self._folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=self._folder, suffix=".part", delete=False) as file:
-                try:
-                    np.savez(file, picture=picture.astype(np.float32))
-                    file.close()
-                    os.replace(file.name, self._path(of))
-                except OSError:
-                    os.unlink(file.name)
+        with contextlib.suppress(StoreError, OSError):  # another process may tidy up at the same time
+            with whole_file(self._path(of)) as unfinished:
+                np.savez(unfinished, picture=picture.astype(np.float32))
             self._make_room()
 
     def _make_room(self) -> None:
