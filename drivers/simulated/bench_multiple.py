@@ -7,6 +7,7 @@ as much less noise.
 """
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -48,10 +49,10 @@ def scattered_more(
     bench, pattern, medium, seed
         As named.
     """
-    pixel_mm = true_scene(bench, pattern, medium).camera.pixel_mm
-    side = max(1, round(_BLOCK_MM / pixel_mm))
-    judged = max(1, round(_JUDGED_MM / pixel_mm / side))
-    scene = true_scene(bench, pattern, medium, side)
+    scene = true_scene(bench, pattern, medium)
+    side = max(1, round(_BLOCK_MM / scene.camera.pixel_mm))
+    judged = max(1, round(_JUDGED_MM / scene.camera.pixel_mm / side))
+    scene = replace(scene, camera=scene.camera.binned(side))
     coarse = _binned(once, side)
     smoothed = _Smoother(bench, coarse, side, scene.camera.pixel_mm)
 
