@@ -86,7 +86,7 @@ def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> 
     if brightest < _DIM * saturation:
         return Testimony(
             None,
-            "the camera sees too little of its light: clear water, which needs ink or paper, a cap, or something covers it",
+            "the camera sees too little of its light: clear water (it needs ink or paper), a cap, or a cover",
         )
     lit = light > _LIT * brightest
     if abs(float(back[lit].mean())) > _BACK * float(light[lit].mean()):
