@@ -13,10 +13,12 @@ from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
-from .bench_poses import Place
+from .bench_poses import Held
+from .bench_tank import InkInView, true_bench
 from .bench_view import BoardsInView
 from .diffuser import behind_diffuser
 from .light import frame_buffer
+from .picture_store import PictureStore
 from .sensor import counts
 from .settings import CameraFaults, SimulatedCameraSettings
 from .stream import Stream
@@ -56,9 +58,9 @@ class SimulatedCamera:
     def __init__(self, settings: SimulatedCameraSettings) -> None:
         self._settings = settings
         self.faults: CameraFaults = settings.faults
-        self.tank = SimulatedTank(settings.truth, settings.folder / "state", settings.seed)
+        self._boards, view = _bench(settings)
+        self.tank = SimulatedTank(settings.truth, settings.folder / "state", settings.seed, view)
         self.before_lens = "nothing"
-        self._boards = BoardsInView(settings.boards) if settings.boards else None
         self._buffer = frame_buffer(settings.folder)
         self._closed = threading.Event()
         self._lock = threading.Lock()
@@ -235,13 +237,13 @@ class SimulatedCamera:
         with self._my_turn("look elsewhere"):
             self._start_stream()  # none that waits was exposed to the new light
 
-    def hold(self, place: Place, number: int) -> None:
+    def hold(self, place: Held, number: int = 0) -> None:
         """Hold the board before the camera, as a person would at a real one.
 
         Parameters
         ----------
         place
-            Where; see `Place`.
+            Where; see `Place`. "nothing" takes it away.
         number
             Of the view.
 
@@ -260,7 +262,7 @@ class SimulatedCamera:
             self._start_stream()
 
     def _radiance(self, shown: Mapping[Pattern, float], start_ns: int) -> NDArray[np.float64]:
-        if self._boards is not None and self.before_lens == "nothing":
+        if self._boards is not None and self._boards.held and self.before_lens == "nothing":
             return self._boards.radiance(shown)
         if self.before_lens == "nothing":
             return self.tank.seen(shown, start_ns)
@@ -298,3 +300,13 @@ class SimulatedCamera:
 
     def _ns(self, time_ms: float) -> int:
         return max(1, round(time_ms * self._settings.time_scale * 1e6))
+
+
+def _bench(settings: SimulatedCameraSettings) -> tuple[BoardsInView | None, InkInView | None]:
+    """What stands in place of the tank of `Truth.bench`, where there is a bench: boards, and ink through its optics."""
+    bench, boards = true_bench(settings), settings.boards
+    if bench is None or boards is None:
+        return None, None
+    store = PictureStore(settings.folder / "pictures")
+    ink = InkInView(bench, settings.truth.tolerance, settings.seed, store, repr(boards))
+    return BoardsInView(bench, boards.board), ink
