@@ -35,6 +35,8 @@ class Board:
         From the squares to the edge of the plate.
     thickness_mm
         Of the plate.
+    square_sd_mm
+        Standard deviation of `square_mm`: as for a width of seven squares that was measured to within 0.015 mm.
 
     Examples
     --------
@@ -50,6 +52,7 @@ class Board:
     dictionary: str = "DICT_4X4_50"
     margin_mm: float = 5.0
     thickness_mm: float = 3.0
+    square_sd_mm: float = 0.0012
 
     def __post_init__(self) -> None:
         import cv2
@@ -58,6 +61,11 @@ class Board:
             raise ImageError(
                 f"a board of {self.columns} × {self.rows} squares of {self.square_mm:g} mm with markers of "
                 f"{self.marker_mm:g} mm cannot be; give at least 3 × 3 squares, and markers smaller than squares"
+            )
+        if not 0.0 <= self.square_sd_mm < 0.1 * self.square_mm:
+            raise ImageError(
+                f"squares of {self.square_mm:g} ± {self.square_sd_mm:g} mm are not measured; give the standard "
+                f"deviation of one square's side, in mm"
             )
         if self.dictionary not in _dictionaries():
             raise ImageError(f"dictionary {self.dictionary!r} is unknown; use one of {', '.join(_dictionaries())}")
