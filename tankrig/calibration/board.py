@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.calibration.edge_blur import square_edges_px
 from tankrig.errors import ImageError
 
 Points = NDArray[np.float64]
@@ -119,6 +120,8 @@ class BoardView:
         Between white and black squares, of the camera's range.
     saturated
         Part of the board's pixels that are at the highest count.
+    edge_px
+        Standard deviation of the edges between squares, pixels' own area and all; NaN where too few are seen.
     """
 
     ids: NDArray[np.int64]
@@ -127,6 +130,7 @@ class BoardView:
     blur_px: float
     contrast: float
     saturated: float
+    edge_px: float = float("nan")
 
     def points_mm(self, board: Board) -> Points:
         """(n, 3) the same corners on the board."""
@@ -195,7 +199,9 @@ def find_board(pixels: NDArray[Any], board: Board, saturation: int) -> BoardView
     known = np.asarray(ids, np.int64).ravel()
     found = _refined(pixels, np.asarray(corners, np.float32).reshape(-1, 1, 2), known, board)
     rows, columns = pixels.shape
-    return BoardView(known, found, (rows, columns), *_quality(pixels, found, known, board, saturation))
+    edges = square_edges_px(pixels, found, known, board)
+    edge = float(np.median(edges)) if edges.size >= LEAST_CORNERS else float("nan")
+    return BoardView(known, found, (rows, columns), *_quality(pixels, found, known, board, saturation), edge)
 
 
 def _refined(pixels: NDArray[Any], corners: NDArray[np.float32], ids: NDArray[np.int64], board: Board) -> Points:

@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.calibration.board import Board, BoardView, Points, rms_length
+from tankrig.calibration.edge_blur import Blur, camera_blur
 from tankrig.calibration.file import Calibration
 from tankrig.calibration.uncertainty import Named, corner_pairs, found_covariance, noise_covariance
 from tankrig.errors import CalibrationError
@@ -46,6 +48,8 @@ class CameraFound:
         Part of the picture, in 8 × 6 cells, that corners were seen in.
     tilt_deg
         Largest angle between two views of the board.
+    blur
+        Of the lens; None where too few edges were seen.
     """
 
     lens: Lens
@@ -57,6 +61,7 @@ class CameraFound:
     residuals_px: Points
     coverage: float
     tilt_deg: float
+    blur: Blur | None = None
 
     @property
     def sd(self) -> dict[str, float]:
@@ -85,14 +90,17 @@ class CameraFound:
 
     def calibration(self, device: str) -> Calibration:
         """To be kept in a file."""
-        result = {**{name: getattr(self.lens, name) for name in INTRINSICS}, **self.known.table()}
+        result: dict[str, Any] = {**{name: getattr(self.lens, name) for name in INTRINSICS}, **self.known.table()}
+        sd = dict(self.sd)
+        if self.blur:
+            result["blur_px"], sd["blur_px"] = self.blur.px, self.blur.sd_px
         how_well = {"rms_px": self.rms_px, "coverage": self.coverage, "tilt_deg": self.tilt_deg}
         return Calibration(
             "camera",
             device,
             self.shape,
             result,
-            self.sd,
+            sd,
             {**how_well, "views": len(self.view_rms_px)},
             self.doubts,
             arrays={"corners_px": self.corners_px, "residuals_px": self.residuals_px, **self.known.array()},
@@ -140,7 +148,16 @@ def calibrate_camera(views: Sequence[BoardView], board: Board) -> CameraFound:
     residuals = np.concatenate([_residuals(lens, pose, view, board) for pose, view in zip(poses, used, strict=True)])
     coverage = covered(corners, views[0].shape)
     return CameraFound(
-        lens, known, views[0].shape, tuple(errors.tolist()), left_out, corners, residuals, float(coverage.mean()), tilt
+        lens,
+        known,
+        views[0].shape,
+        tuple(errors.tolist()),
+        left_out,
+        corners,
+        residuals,
+        float(coverage.mean()),
+        tilt,
+        camera_blur(used),
     )
 
 
@@ -200,7 +217,9 @@ def _known(lens: Lens, poses: _Poses, views: Sequence[BoardView], board: Board) 
     for number, (pose, view) in enumerate(zip(poses, views, strict=True)):
         expected, by = cv2.projectPoints(view.points_mm(board), *pose, lens.matrix, lens.distortion)
         rows, first = slice(row, row + len(by)), len(LENS) + 6 * number
-        slope[rows, : len(LENS)] = by[:, 6 : 6 + len(LENS)]  # after rotation and shift, in OpenCV's order, which is ours
+        slope[rows, : len(LENS)] = by[
+            :, 6 : 6 + len(LENS)
+        ]  # after rotation and shift, in OpenCV's order, which is ours
         slope[rows, first : first + 6] = by[:, :6]
         misses.append((expected.reshape(-1, 2) - view.corners_px).ravel())
         row += len(by)

@@ -1,11 +1,13 @@
 """At which projector pixel each corner of a board lies, from what camera pixels about it decode to."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.calibration.board import LEAST_CORNERS, Board, BoardView, Points
+from tankrig.calibration.edge_blur import StripeBlur, stripe_blurs
 from tankrig.calibration.gray_code import Decoded
 
 LEAST_PIXELS = 24
@@ -28,6 +30,10 @@ class LitBoard:
         Median over corners of the scatter of decoded pixels about them.
     lit
         Part of the corners that the camera saw and that are in the projector's light.
+    slopes
+        (n, 2, 2) by how much those, x and y, change from camera pixel to camera pixel, along x and y.
+    stripes
+        How edges of the projector's finest stripes are blurred on it.
     light
         (camera rows, camera columns) the projector's white less its black, in proportion to radiance; None where the
         camera's radiometry is not known.
@@ -37,6 +43,8 @@ class LitBoard:
     projector_px: Points
     scatter_px: float
     lit: float
+    slopes: Points
+    stripes: tuple[StripeBlur, ...] = ()
     light: NDArray[np.float32] | None = None
 
     @property
@@ -75,16 +83,26 @@ def lit_corners(view: BoardView, decoded: Decoded, board: Board, light: NDArray[
     found = [_at(x, y, decoded, reach) for x, y in view.corners_px]
     known = np.array([one is not None for one in found], bool)
     kept = [one for one in found if one is not None]
-    pixels = np.array([[x, y] for x, y, _ in kept]).reshape(-1, 2)
-    scatter = float(np.median([one[2] for one in kept])) if kept else 0.0
-    corners = BoardView(
-        view.ids[known], view.corners_px[known], view.shape, view.blur_px, view.contrast, view.saturated
-    )
-    return LitBoard(corners, pixels, scatter, float(known.mean()), light)
+    pixels = np.array([one.place for one in kept]).reshape(-1, 2)
+    slopes = np.array([one.slope for one in kept]).reshape(-1, 2, 2)
+    scatter = float(np.median([one.scatter for one in kept])) if kept else 0.0
+    corners = replace(view, ids=view.ids[known], corners_px=view.corners_px[known])
+    return LitBoard(corners, pixels, scatter, float(known.mean()), slopes, stripe_blurs(decoded), light)
 
 
-def _at(x: float, y: float, decoded: Decoded, reach: int) -> tuple[float, float, float] | None:
-    """Projector pixel of a place in the camera's picture, and the scatter about it; None where too little is known."""
+class _Decoded(NamedTuple):
+    """A place of the camera's picture."""
+
+    place: Points
+    """(2,) its projector pixel."""
+    slope: Points
+    """(2, 2) change of that along x and y of the camera."""
+    scatter: float
+    """Of the pixels about it."""
+
+
+def _at(x: float, y: float, decoded: Decoded, reach: int) -> _Decoded | None:
+    """What a place in the camera's picture decodes to; None where too little is known."""
     rows, columns = decoded.known.shape
     row, column = round(y), round(x)
     box = (
@@ -108,7 +126,7 @@ def _at(x: float, y: float, decoded: Decoded, reach: int) -> tuple[float, float,
             return None
     if scatter > MOST_SCATTER_PX:
         return None
-    return float(solution[0, 0]), float(solution[0, 1]), scatter
+    return _Decoded(solution[0], solution[1:3].T / reach, scatter)
 
 
 def _square_px(view: BoardView, board: Board) -> float:

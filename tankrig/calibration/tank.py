@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from tankrig.calibration.board import Board, BoardView, Points, rms_length
 from tankrig.calibration.board_pose import before_camera, in_tank, misses_px, placed
 from tankrig.calibration.camera import LENS
 from tankrig.calibration.file import Calibration
-from tankrig.calibration.tolerances import WITHIN, Tolerances
+from tankrig.calibration.tolerances import USUAL, WITHIN, Tolerances
 from tankrig.calibration.uncertainty import (
     Named,
     corner_pairs,
@@ -108,7 +108,7 @@ class TankFound:
 
     def calibration(self, device: str, rests_on: dict[str, str]) -> Calibration:
         """To be kept in a file; `rests_on` holds the hash of the camera's."""
-        result = {
+        result: dict[str, Any] = {
             "camera_rotation": list(self.camera.rotation),
             "camera_translation_mm": list(self.camera.translation_mm),
             "camera_position_mm": self.camera.centre_mm,
@@ -132,7 +132,7 @@ def calibrate_tank(
     size_mm: Vector,
     water_index: float = 1.33,
     lens_covariance: Points | None = None,
-    tolerances: Tolerances = Tolerances(),
+    tolerances: Tolerances = USUAL,
 ) -> TankFound:
     """Find the tank and its water before the camera.
 
@@ -184,7 +184,7 @@ def calibrate_tank(
     lean, lean_covariance = fit.lean(found, held.values)
     misses = fit.misses(found, held.values)
     return TankFound(
-        camera=_pose(found),
+        camera=pose_of(found),
         level_mm=float(found[6]),
         water_index=water_index,
         known=fit.known(found, slope, held),
@@ -213,8 +213,10 @@ def _held(
         "lean_x_rad": WITHIN * float(np.deg2rad(tolerances.surface_deg)),
         "lean_y_rad": WITHIN * float(np.deg2rad(tolerances.surface_deg)),
     }
-    return Named(tuple(LENS), numbers, covariance).prefixed("camera.").beside(
-        independent(sds, {"water_index": water_index})
+    return (
+        Named(tuple(LENS), numbers, covariance)
+        .prefixed("camera.")
+        .beside(independent(sds, {"water_index": water_index}))
     )
 
 
@@ -227,8 +229,8 @@ def on_floor(
     return np.array([*rotation_vector(turned), *corner])
 
 
-def _pose(numbers: Points) -> Pose:
-    """Rotation, then place."""
+def pose_of(numbers: Points) -> Pose:
+    """From (6,) its rotation vector and then its place."""
     a, b, c = (float(value) for value in numbers[:3])
     return Pose.at(numbers[3:6], (a, b, c))
 
@@ -288,7 +290,7 @@ class _Bundle:
     def misses(self, sought: Points, held: Points) -> list[Points]:
         """(n, 2) of each view."""
         lens, (index, scale, *laid), lean = Lens(*held[:8].tolist()), held[8:13], held[13:15]
-        camera, level = _pose(sought), float(sought[6])
+        camera, level = pose_of(sought), float(sought[6])
         boards = iter(sought[_OWN:].reshape(-1, 6))
         lying = on_floor(self._board, self._size_mm, *(float(one) for one in laid))
         found = []
@@ -321,7 +323,7 @@ class _Bundle:
         return sought, slopes(lambda numbers: self.all_misses(numbers, held), sought, steps)
 
     def lean(self, sought: Points, held: Points) -> tuple[Points, Points]:
-        """(2,) how the surface leans about x and y when that is sought, too, and its covariance by the corners' noise."""
+        """(2,) how the surface leans about x and y when that is sought, too, and its covariance by noise."""
         from scipy.optimize import least_squares
 
         def misses(numbers: Points) -> Points:

@@ -38,3 +38,6 @@ class Tolerances:
             value = getattr(self, field.name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise CalibrationError(f"tolerances.{field.name} = {value} is none; give a number from 0 up")
+
+
+USUAL = Tolerances()

@@ -138,7 +138,7 @@ def slopes(function: Callable[[Array], Array], at: Array, steps: Array) -> Array
 
 
 def corner_pairs(views: Sequence[BoardView], board: Board) -> tuple[Array, Array]:
-    """Which coordinates of corners, x and y of each in turn, are the same and which are neighbours': (2n, 2n) of 0 and 1.
+    """(2n, 2n) of 0 and 1: coordinates of corners, x and y of each in turn, that are the same, and those of neighbours.
 
     Corners of one view that are neighbours on the board share pixels and what the method of finding them is pulled by.
     """

@@ -1,0 +1,268 @@
+"""How far lenses spread edges: squares of a board in the camera's picture, stripes of the projector on a board."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from tankrig.calibration.board import Board, BoardView, Points
+    from tankrig.calibration.gray_code import Decoded
+    from tankrig.calibration.lit_corners import LitBoard
+
+Array = NDArray[np.float64]
+
+PIXEL_VARIANCE = 1.0 / 12.0
+"""Of a square pixel's area, in pixels², along any direction."""
+_STEPS = 12
+_LEAST_MEASURED = 3
+_MOST_MISFIT = 0.1
+_PART = (0.2, 0.8)
+"""Of a square's side, from corner to corner, along which its edge is looked at."""
+_LEAST_PIXELS, _ENOUGH_PIXELS = 24, 500
+METHOD = 0.02
+"""By which a blur may be off besides what scatters: discrete pixels, and the print's own edges."""
+_NEAR_PX = 4.0
+"""From an edge of the projector's stripes, in its pixels: half of what the narrowest is wide."""
+_LEAST_STRIPE_PIXELS = 400
+_EVEN = 0.25
+"""By which light about a pixel may differ where stripes are looked at: no edge of the board is near."""
+
+
+def spreads(distance: Array, value: Array, weight: Array, start: float, width: Array | None = None) -> Array:
+    """Standard deviations s of blurred edges, each fitted by a + b Φ((d − d₀)/s), Φ being the normal distribution.
+
+    Parameters
+    ----------
+    distance, value, weight
+        (edges, pixels) across the edge, what is seen there, and 0 for pixels that do not count.
+    start
+        First guess of s, in the unit of distance.
+    width
+        (edges,) first guess of the width of a stripe that begins with the edge: a + b Φ((d − d₀)/s)
+        − b Φ((d − d₀ − w)/s). None: what begins does not end.
+
+    Returns
+    -------
+    (edges,) array
+        NaN where no edge was found.
+
+    Notes
+    -----
+    Gauss–Newton over a, b, d₀, ln s and w, all edges at once.
+
+    Examples
+    --------
+    >>> from scipy.special import ndtr
+    >>> d = np.linspace(-3.0, 3.0, 61)[None]
+    >>> spreads(d, 5.0 - 2.0 * ndtr((d - 0.2) / 0.7), np.ones_like(d), 1.0).round(6).tolist()
+    [0.7]
+    """
+    from scipy.special import ndtr
+
+    count = len(value)
+    wide = np.full(count, np.inf) if width is None else width.astype(float)
+    lit, dark = weight * ((distance > 0.0) & (distance < wide[:, None])), weight * (distance < -start)
+    before, behind = (np.sum(part * value, axis=1) / np.maximum(np.sum(part, axis=1), 1e-9) for part in (dark, lit))
+    base, height = before, behind - before
+    middle, log_spread = np.zeros(count), np.full(count, np.log(start))
+    with np.errstate(all="ignore"):  # edges that are none end in NaN
+        for _ in range(_STEPS):
+            spread = np.exp(log_spread)[:, None]
+            first = (distance - middle[:, None]) / spread
+            last = first - wide[:, None] / spread
+            bells = [np.exp(-0.5 * one * one) / np.sqrt(2.0 * np.pi) for one in (first, last)]
+            curve = ndtr(first) - ndtr(last)
+            turns = first * bells[0] - np.where(np.isfinite(last), last, 0.0) * bells[1]
+            per = height[:, None] / spread
+            design = np.stack([np.ones_like(curve), curve, -per * (bells[0] - bells[1]), -per * spread * turns], -1)
+            if width is not None:
+                design = np.concatenate([design, (per * bells[1])[..., None]], axis=-1)
+            off = value - base[:, None] - height[:, None] * curve
+            step, good = _steps(design, off, weight)
+            base, height = base + step[:, 0], height + step[:, 1]
+            middle = middle + np.clip(step[:, 2], -start, start)
+            log_spread = log_spread + np.clip(step[:, 3], -0.5, 0.5)
+            if width is not None:
+                wide = wide + np.clip(step[:, 4], -start, start)
+        misfit = np.sqrt(np.sum(weight * off * off, axis=1) / np.sum(weight, axis=1)) / np.abs(height)
+        good &= (np.abs(step[:, 3]) < 1e-2) & (misfit < _MOST_MISFIT) & (np.abs(middle) < 2.0 * start)
+    return np.where(good, np.exp(log_spread), np.nan)
+
+
+def _steps(design: Array, off: Array, weight: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """(edges, parameters) of Gauss–Newton, and which edges have one."""
+    normal = np.einsum("ep,epi,epj->eij", weight, design, design)
+    right = np.einsum("ep,epi,ep->ei", weight, design, off)
+    scale = np.sqrt(np.einsum("eii->ei", normal))
+    normal = normal / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(design.shape[-1])
+    good = np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+    step = np.full(right.shape, np.nan)
+    step[good] = np.linalg.solve(normal[good], (right / scale)[good][..., None])[..., 0] / scale[good]
+    return step, good
+
+
+def square_edges_px(pixels: NDArray[Any], corners_px: "Points", ids: NDArray[Any], board: "Board") -> Array:
+    """(n,) standard deviations, in pixels, of the edges between a board's squares; those of its pixels are in them.
+
+    Parameters
+    ----------
+    pixels
+        (rows, columns).
+    corners_px, ids
+        Where corners are seen, and which.
+    board
+        Seen.
+
+    Notes
+    -----
+    Along the straight line between two corners, all pixels tell of one edge; being slanted to the grid it is sampled
+    far finer than pixels are apart (ISO 12233). In the white square a marker's black rim begins a little farther on, so
+    what is fitted is a stripe.
+    """
+    at = {int(one): place for one, place in zip(ids, corners_px, strict=True)}
+    across = board.columns - 1
+    pairs = [
+        (at[one], at[one + step])
+        for one in at
+        for step in (1, across)
+        if one + step in at and (step == across or one % across < across - 1)
+    ]
+    gap = 0.5 * (1.0 - board.marker_mm / board.square_mm)
+    edges = [_about(pixels, first, last, gap) for first, last in pairs]
+    edges = [edge for edge in edges if edge[0].size >= _LEAST_PIXELS]
+    if not edges:
+        return np.zeros(0)
+    distance, value, weight = np.zeros((3, len(edges), max(edge[0].size for edge in edges)))
+    for row, (away, seen, _) in enumerate(edges):
+        distance[row, : away.size], value[row, : away.size], weight[row, : away.size] = away, seen, 1.0
+    found = spreads(distance, value, weight, 0.8, np.array([edge[2] for edge in edges]))
+    return found[np.isfinite(found)]
+
+
+def _about(pixels: NDArray[Any], first: "Points", last: "Points", gap: float) -> tuple[Array, Array, float]:
+    """Distances of pixels from the line between two corners, into the white, what is seen there, and its width."""
+    rows, columns = pixels.shape
+    way = last - first
+    length = float(np.hypot(*way))
+    way = way / length
+    reach = 2.0 * gap * length
+    low, high = np.minimum(first, last) - reach, np.maximum(first, last) + reach
+    x, y = np.meshgrid(
+        np.arange(max(int(low[0]), 0), min(int(high[0]) + 2, columns)),
+        np.arange(max(int(low[1]), 0), min(int(high[1]) + 2, rows)),
+    )
+    along = ((x - first[0]) * way[0] + (y - first[1]) * way[1]) / length
+    away = (y - first[1]) * way[0] - (x - first[0]) * way[1]
+    near = (along > _PART[0]) & (along < _PART[1]) & (np.abs(away) < reach)
+    away, seen = away[near], pixels[y[near], x[near]].astype(float)
+    close = np.abs(away) < 0.5 * reach
+    if np.sum(seen[close & (away > 0.0)]) * np.sum(close & (away < 0.0)) < np.sum(seen[close & (away < 0.0)]) * np.sum(
+        close & (away > 0.0)
+    ):
+        away = -away
+    inside = np.flatnonzero(away < 0.8 * reach)  # behind the marker's rim its bits begin
+    inside = inside[:: -(-inside.size // _ENOUGH_PIXELS) or 1]
+    return away[inside], seen[inside], 0.5 * reach
+
+
+@dataclass(frozen=True)
+class Blur:
+    """Standard deviation of what a lens spreads, besides its pixels' own area.
+
+    Parameters
+    ----------
+    px, sd_px
+        In the device's pixels, and its standard deviation.
+    """
+
+    px: float
+    sd_px: float
+
+    @classmethod
+    def of(cls, variances_px2: Sequence[float]) -> "Blur | None":
+        """From variances that were measured apart from each other; None from fewer than three.
+
+        Examples
+        --------
+        >>> Blur.of([0.24, 0.25, 0.26]).px
+        0.5
+        """
+        found = np.array([one for one in variances_px2 if np.isfinite(one)])
+        if found.size < _LEAST_MEASURED:
+            return None
+        mean, sd = float(found.mean()), float(found.std(ddof=1) / np.sqrt(found.size))
+        width = float(np.sqrt(max(mean, 0.0)))
+        return cls(width, float(np.hypot(sd / (2.0 * max(width, np.sqrt(sd), 1e-3)), METHOD * width)))
+
+
+def camera_blur(views: "Sequence[BoardView]") -> Blur | None:
+    """Of the camera's lens, by the edges of boards in its pictures."""
+    return Blur.of([view.edge_px**2 - PIXEL_VARIANCE for view in views])
+
+
+def projector_blur(views: "Sequence[LitBoard]") -> Blur | None:
+    """Of the projector's lens, by its stripes on boards, less what the camera's adds in the same pictures."""
+    return Blur.of([one.variance_px2 - one.camera_px2 * view.view.edge_px**2 for view in views for one in view.stripes])
+
+
+@dataclass(frozen=True)
+class StripeBlur:
+    """Edges of the projector's finest stripes on a board, as the camera sees them.
+
+    Parameters
+    ----------
+    variance_px2
+        Of the blur of projector and camera together, in projector pixels².
+    camera_px2
+        What a variance of one camera pixel² makes of that.
+    """
+
+    variance_px2: float
+    camera_px2: float
+
+
+def stripe_blurs(decoded: "Decoded") -> tuple[StripeBlur, ...]:
+    """Of columns and of rows; fewer where too little of the board is even.
+
+    Notes
+    -----
+    The difference between stripes and their inverse, over that between white and black, is free of albedo and of
+    ambient light, and of gamma, since only black and white are shown. Where each pixel is across the stripes, the waves
+    have told.
+    """
+    import cv2
+
+    light = cv2.GaussianBlur(decoded.contrast, (0, 0), 1.0)
+    around = np.ones((7, 7), np.uint8)
+    even = decoded.known & (cv2.dilate(light, around) - cv2.erode(light, around) < _EVEN * light)
+    found = []
+    for places, stripes in ((decoded.columns, decoded.fine_columns), (decoded.rows, decoded.fine_rows)):
+        down, across = np.gradient(places)
+        slope2 = (down**2 + across**2).astype(float)
+        away, rising = _from_edges(places)
+        used = even & np.isfinite(slope2) & (np.abs(away) < _NEAR_PX)
+        if used.sum() < _LEAST_STRIPE_PIXELS:
+            continue
+        value = np.where(rising, stripes, -stripes)[used].astype(float)
+        weight = light[used].astype(float)  # one over the variance of photon noise
+        spread = float(spreads(away[used][None].astype(float), value[None], weight[None] / weight.mean(), 1.0)[0])
+        if np.isfinite(spread):
+            found.append(StripeBlur(spread**2, float(np.median(slope2[used]))))
+    return tuple(found)
+
+
+def _from_edges(places: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Distance from the nearest edge of the finest stripes, in projector pixels, and whether light begins there.
+
+    The last bit of a Gray code changes at every second edge of stripes: half a period from the left, and then every
+    period, to light and to dark in turn.
+    """
+    from tankrig.calibration.gray_code import PERIOD
+
+    place = places + np.float32(0.5)
+    number = np.rint(place / np.float32(PERIOD) - np.float32(0.5))
+    rising: NDArray[np.bool_] = np.nan_to_num(number) % 2 == 0
+    return place - np.float32(PERIOD) * (number + np.float32(0.5)), rising
