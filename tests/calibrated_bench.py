@@ -80,7 +80,9 @@ def calibrated(
     tank = calibrate_tank(seen, BOARD, camera.lens, TANK_MM, lens_covariance=camera.known.covariance)
     lit = [photographer.lit("flooded slant", k) for k in range(views[2])]
     wall = entry_wall(tank.water_index, *PANE)
-    projector = calibrate_projector(lit, BOARD, camera.lens, tank.camera, tank.surface, wall, shapes[1], TANK_MM, tank.known)
+    projector = calibrate_projector(
+        lit, BOARD, camera.lens, tank.camera, tank.surface, wall, shapes[1], TANK_MM, tank.known
+    )
     return Calibrated(bench, camera, tank, projector)
 
 

@@ -10,7 +10,7 @@ from tankrig.geometry.shading import shading_terms
 
 
 def true_numbers(bench: TrueBench) -> dict[str, float]:
-    """Camera, water, wall and board as the camera's and the tank's covariances name them; the projector's by its own."""
+    """Camera, water, wall and board as the tank's covariance names them; the projector's numbers by its own."""
     return {
         **_optics(bench.camera, "camera."),
         **_optics(bench.projector, ""),

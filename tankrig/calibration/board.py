@@ -199,7 +199,7 @@ def find_board(pixels: NDArray[Any], board: Board, saturation: int) -> BoardView
     known = np.asarray(ids, np.int64).ravel()
     found = _refined(pixels, np.asarray(corners, np.float32).reshape(-1, 1, 2), known, board)
     rows, columns = pixels.shape
-    edges = square_edges_px(pixels, found, known, board)
+    edges = square_edges_px(pixels, found[_edges(known, board)], 0.5 * (1.0 - board.marker_mm / board.square_mm))
     edge = float(np.median(edges)) if edges.size >= LEAST_CORNERS else float("nan")
     return BoardView(known, found, (rows, columns), *_quality(pixels, found, known, board, saturation), edge)
 
@@ -264,6 +264,18 @@ def _refuse_another(board: Board, markers: Any, marker_ids: Any) -> None:
             f"the markers lie {np.median(off):.1f} mm from where a board of {board.columns} × {board.rows} squares of "
             f"{board.square_mm:g} mm with markers of {board.marker_mm:g} mm has them; measure and describe that board"
         )
+
+
+def _edges(ids: NDArray[np.int64], board: Board) -> NDArray[np.int64]:
+    """(edges, 2) which of the corners are both ends of an edge between squares."""
+    at, across = {int(one): index for index, one in enumerate(ids)}, board.columns - 1
+    ends = [
+        (at[one], at[one + step])
+        for one in at
+        for step in (1, across)
+        if one + step in at and (step == across or one % across < across - 1)
+    ]
+    return np.array(ends, np.int64).reshape(-1, 2)
 
 
 def _quality(

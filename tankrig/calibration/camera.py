@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.calibration.board import Board, BoardView, Points, rms_length
-from tankrig.calibration.edge_blur import Blur, camera_blur
+from tankrig.calibration.edge_blur import PIXEL_VARIANCE, Blur
 from tankrig.calibration.file import Calibration
 from tankrig.calibration.uncertainty import Named, corner_pairs, found_covariance, noise_covariance
 from tankrig.errors import CalibrationError
@@ -157,7 +157,7 @@ def calibrate_camera(views: Sequence[BoardView], board: Board) -> CameraFound:
         residuals,
         float(coverage.mean()),
         tilt,
-        camera_blur(used),
+        Blur.of([view.edge_px**2 - PIXEL_VARIANCE for view in used]),
     )
 
 

@@ -1,16 +1,11 @@
-"""How far lenses spread edges: squares of a board in the camera's picture, stripes of the projector on a board."""
+"""How far a lens spreads edges, by a curve that is fitted across them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from tankrig.calibration.board import Board, BoardView, Points
-    from tankrig.calibration.gray_code import Decoded
-    from tankrig.calibration.lit_corners import LitBoard
 
 Array = NDArray[np.float64]
 
@@ -24,11 +19,6 @@ _PART = (0.2, 0.8)
 _LEAST_PIXELS, _ENOUGH_PIXELS = 24, 500
 METHOD = 0.02
 """By which a blur may be off besides what scatters: discrete pixels, and the print's own edges."""
-_NEAR_PX = 4.0
-"""From an edge of the projector's stripes, in its pixels: half of what the narrowest is wide."""
-_LEAST_STRIPE_PIXELS = 400
-_EVEN = 0.25
-"""By which light about a pixel may differ where stripes are looked at: no edge of the board is near."""
 
 
 def spreads(distance: Array, value: Array, weight: Array, start: float, width: Array | None = None) -> Array:
@@ -104,17 +94,17 @@ def _steps(design: Array, off: Array, weight: Array) -> tuple[Array, NDArray[np.
     return step, good
 
 
-def square_edges_px(pixels: NDArray[Any], corners_px: "Points", ids: NDArray[Any], board: "Board") -> Array:
+def square_edges_px(pixels: NDArray[Any], edges_px: Array, gap: float) -> Array:
     """(n,) standard deviations, in pixels, of the edges between a board's squares; those of its pixels are in them.
 
     Parameters
     ----------
     pixels
         (rows, columns).
-    corners_px, ids
-        Where corners are seen, and which.
-    board
-        Seen.
+    edges_px
+        (edges, 2, 2) x and y of both ends of each.
+    gap
+        Width of the white between an edge and the marker beside it, over the edge's length.
 
     Notes
     -----
@@ -122,16 +112,7 @@ def square_edges_px(pixels: NDArray[Any], corners_px: "Points", ids: NDArray[Any
     far finer than pixels are apart (ISO 12233). In the white square a marker's black rim begins a little farther on, so
     what is fitted is a stripe.
     """
-    at = {int(one): place for one, place in zip(ids, corners_px, strict=True)}
-    across = board.columns - 1
-    pairs = [
-        (at[one], at[one + step])
-        for one in at
-        for step in (1, across)
-        if one + step in at and (step == across or one % across < across - 1)
-    ]
-    gap = 0.5 * (1.0 - board.marker_mm / board.square_mm)
-    edges = [_about(pixels, first, last, gap) for first, last in pairs]
+    edges = [_about(pixels, first, last, gap) for first, last in edges_px]
     edges = [edge for edge in edges if edge[0].size >= _LEAST_PIXELS]
     if not edges:
         return np.zeros(0)
@@ -142,7 +123,7 @@ def square_edges_px(pixels: NDArray[Any], corners_px: "Points", ids: NDArray[Any
     return found[np.isfinite(found)]
 
 
-def _about(pixels: NDArray[Any], first: "Points", last: "Points", gap: float) -> tuple[Array, Array, float]:
+def _about(pixels: NDArray[Any], first: Array, last: Array, gap: float) -> tuple[Array, Array, float]:
     """Distances of pixels from the line between two corners, into the white, what is seen there, and its width."""
     rows, columns = pixels.shape
     way = last - first
@@ -196,73 +177,3 @@ class Blur:
         mean, sd = float(found.mean()), float(found.std(ddof=1) / np.sqrt(found.size))
         width = float(np.sqrt(max(mean, 0.0)))
         return cls(width, float(np.hypot(sd / (2.0 * max(width, np.sqrt(sd), 1e-3)), METHOD * width)))
-
-
-def camera_blur(views: "Sequence[BoardView]") -> Blur | None:
-    """Of the camera's lens, by the edges of boards in its pictures."""
-    return Blur.of([view.edge_px**2 - PIXEL_VARIANCE for view in views])
-
-
-def projector_blur(views: "Sequence[LitBoard]") -> Blur | None:
-    """Of the projector's lens, by its stripes on boards, less what the camera's adds in the same pictures."""
-    return Blur.of([one.variance_px2 - one.camera_px2 * view.view.edge_px**2 for view in views for one in view.stripes])
-
-
-@dataclass(frozen=True)
-class StripeBlur:
-    """Edges of the projector's finest stripes on a board, as the camera sees them.
-
-    Parameters
-    ----------
-    variance_px2
-        Of the blur of projector and camera together, in projector pixels².
-    camera_px2
-        What a variance of one camera pixel² makes of that.
-    """
-
-    variance_px2: float
-    camera_px2: float
-
-
-def stripe_blurs(decoded: "Decoded") -> tuple[StripeBlur, ...]:
-    """Of columns and of rows; fewer where too little of the board is even.
-
-    Notes
-    -----
-    The difference between stripes and their inverse, over that between white and black, is free of albedo and of
-    ambient light, and of gamma, since only black and white are shown. Where each pixel is across the stripes, the waves
-    have told.
-    """
-    import cv2
-
-    light = cv2.GaussianBlur(decoded.contrast, (0, 0), 1.0)
-    around = np.ones((7, 7), np.uint8)
-    even = decoded.known & (cv2.dilate(light, around) - cv2.erode(light, around) < _EVEN * light)
-    found = []
-    for places, stripes in ((decoded.columns, decoded.fine_columns), (decoded.rows, decoded.fine_rows)):
-        down, across = np.gradient(places)
-        slope2 = (down**2 + across**2).astype(float)
-        away, rising = _from_edges(places)
-        used = even & np.isfinite(slope2) & (np.abs(away) < _NEAR_PX)
-        if used.sum() < _LEAST_STRIPE_PIXELS:
-            continue
-        value = np.where(rising, stripes, -stripes)[used].astype(float)
-        weight = light[used].astype(float)  # one over the variance of photon noise
-        spread = float(spreads(away[used][None].astype(float), value[None], weight[None] / weight.mean(), 1.0)[0])
-        if np.isfinite(spread):
-            found.append(StripeBlur(spread**2, float(np.median(slope2[used]))))
-    return tuple(found)
-
-
-def _from_edges(places: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Distance from the nearest edge of the finest stripes, in projector pixels, and whether light begins there.
-
-    The last bit of a Gray code changes at every second edge of stripes: half a period from the left, and then every
-    period, to light and to dark in turn.
-    """
-    from tankrig.calibration.gray_code import PERIOD
-
-    place = places + np.float32(0.5)
-    number = np.rint(place / np.float32(PERIOD) - np.float32(0.5))
-    rising: NDArray[np.bool_] = np.nan_to_num(number) % 2 == 0
-    return place - np.float32(PERIOD) * (number + np.float32(0.5)), rising

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.calibration.board import LEAST_CORNERS, Board, BoardView, Points
-from tankrig.calibration.edge_blur import StripeBlur, stripe_blurs
 from tankrig.calibration.gray_code import Decoded
+from tankrig.calibration.stripe_blur import StripeBlur, stripe_blurs
 
 LEAST_PIXELS = 24
 MOST_SCATTER_PX = 1.0

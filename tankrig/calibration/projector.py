@@ -9,7 +9,7 @@ import numpy as np
 from tankrig.calibration.board import Board, Points, rms_length
 from tankrig.calibration.board_pose import NOWHERE_PX, in_tank, placed
 from tankrig.calibration.camera import INTRINSICS, LENS
-from tankrig.calibration.edge_blur import Blur, projector_blur
+from tankrig.calibration.edge_blur import Blur
 from tankrig.calibration.evenness import Evenness, measure_evenness
 from tankrig.calibration.file import Calibration
 from tankrig.calibration.lit_corners import LitBoard
@@ -240,7 +240,7 @@ def calibrate_projector(
         corners_px=corners,
         residuals_px=-misses,
         coverage=_between(corners, shape),
-        blur=projector_blur(views),
+        blur=_blur(views),
         sd_without=() if seen_by is not None else ("camera", "tank"),
     )
     if any(one.light is None for one in views):
@@ -385,6 +385,11 @@ class _Bundle:
 
 def _off(expected: Points, found: Points) -> Points:
     return np.nan_to_num(expected - found, nan=NOWHERE_PX)
+
+
+def _blur(views: Sequence[LitBoard]) -> Blur | None:
+    """By stripes on boards, less what the camera adds in the same pictures."""
+    return Blur.of([one.variance_px2 - one.camera_px2 * view.view.edge_px**2 for view in views for one in view.stripes])
 
 
 def _between(corners_px: Points, shape: tuple[int, int]) -> float:

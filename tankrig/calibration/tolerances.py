@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from tankrig.errors import CalibrationError
+from tankrig.scene.parts import CLOSED
 
 WITHIN = 1.0 / np.sqrt(3.0)
 """Standard deviation of what lies anywhere within ± 1 (rectangular distribution; GUM 4.3.7)."""
@@ -26,6 +27,7 @@ class Tolerances:
         How far the water's surface leans from the tank's floor, about x and about y.
     """
 
+    __pydantic_config__ = CLOSED
     water_index: float = 0.0005
     wall_index: float = 0.003
     wall_mm: float = 0.05
