@@ -78,7 +78,8 @@ def measure_evenness(
     -----
     White paper's radiance is in proportion to a pixel's light times the pixels per area of the board, which geometry
     knows, |∂(u, v)/∂(x, y)|. Each placing has a factor of its own: paper is no ideal diffuser, and lamps drift; what
-    differs within a placing is the projector's. Points about one marker are off together. What wall and surface reflect differs by 0.1 % within a picture.
+    differs within a placing is the projector's. What wall and surface reflect differs by 0.1 % within a picture. Points
+    about one marker are off together, and the standard deviations say so.
     """
     designs, logs, groups = [], [], []
     for number, view in enumerate(views):

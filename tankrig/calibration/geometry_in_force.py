@@ -60,8 +60,11 @@ def sd_without(calibration: Calibration) -> str:
         older = " and ".join(str(one) for one in kinds)
         again = ", ".join(f"tankrig calibrate {one}" for one in (*kinds, calibration.kind))
         return f"the errors of {older}, whose files were written before covariances were kept; run {again}"
-    if calibration.kind in GEOMETRY and "covariance_of" not in calibration.result:
-        return f"the errors that it shares with others: the file is older; run tankrig calibrate {calibration.kind}"
+    if calibration.kind in ("tank", "projector") and "covariance_of" not in calibration.result:
+        return (
+            f"the errors of what it rests on, since it was measured before those were carried over; run tankrig "
+            f"calibrate {calibration.kind} again"
+        )
     return ""
 
 

@@ -116,7 +116,7 @@ def _seen_from(decoded: Decoded, edge_px: float) -> tuple[NDArray[np.float32], N
         return none, none
     down, across = np.gradient(decoded.contrast)
     share = np.float32(edge_px**2) / np.maximum(decoded.contrast, np.float32(1.0))
-    return across * share, down * share
+    return (across * share).astype(np.float32), (down * share).astype(np.float32)
 
 
 def _at(
