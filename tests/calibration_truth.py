@@ -1,9 +1,11 @@
 """What is true of a simulated bench, by the names that calibrations state their uncertainties under."""
 
+import cv2
 import numpy as np
 
 from drivers.simulated.bench_optics import vignetting
 from drivers.simulated.bench_truth import TrueBench, TrueOptics
+from tankrig.calibration.edge_blur import PIXEL_VARIANCE
 from tankrig.calibration.uncertainty import Named
 from tankrig.geometry.pose import rotation_vector
 from tankrig.geometry.shading import shading_terms
@@ -43,6 +45,23 @@ def true_shading(bench: TrueBench) -> np.ndarray:
     terms = shading_terms(np.stack([x, y], axis=-1).reshape(-1, 2), bench.projector.shape)
     design = np.column_stack([terms, np.ones(len(terms))])
     return np.linalg.lstsq(design, np.log(vignetting(bench.projector, x, y).ravel()), rcond=None)[0][:-1]
+
+
+def true_blurs(bench: TrueBench) -> dict[str, float]:
+    """Standard deviations, px, of what "camera" and "projector" spread: of the kernels that the twin really applies.
+
+    The twin's projector is interpolated between its pixels, which spreads its edges once more, by a pixel's area.
+    """
+    return {
+        "camera": float(np.sqrt(_kernel_variance(bench.camera.blur_px))),
+        "projector": float(np.sqrt(_kernel_variance(bench.projector.blur_px) + PIXEL_VARIANCE)),
+    }
+
+
+def _kernel_variance(sigma: float) -> float:
+    """Of OpenCV's Gaussian kernel of single precision, which is cut off and sampled at whole pixels."""
+    kernel = cv2.getGaussianKernel(round(8.0 * sigma + 1.0) | 1, sigma).ravel()
+    return float(np.sum(kernel * (np.arange(kernel.size) - kernel.size // 2) ** 2))
 
 
 def _optics(optics: TrueOptics, prefix: str) -> dict[str, float]:
