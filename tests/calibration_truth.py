@@ -38,13 +38,23 @@ def off(known: Named, bench: TrueBench, names: tuple[str, ...], prefix: str = ""
     return errors, found.covariance
 
 
-def true_shading(bench: TrueBench) -> np.ndarray:
-    """(6,) the coefficients that come nearest to how the projector's light falls off."""
+def true_shading(bench: TrueBench, seen_px: np.ndarray) -> np.ndarray:
+    """(6,) the coefficients that come nearest to how the projector's light falls off, where boards have shown it.
+
+    Parameters
+    ----------
+    bench
+        Its truth.
+    seen_px
+        (n, 2) corners of boards in the projector's picture.
+    """
     rows, columns = bench.projector.shape
-    x, y = np.meshgrid(np.arange(0.0, columns, 4.0), np.arange(0.0, rows, 4.0))
-    terms = shading_terms(np.stack([x, y], axis=-1).reshape(-1, 2), bench.projector.shape)
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(0.0, columns, 4.0), np.arange(0.0, rows, 4.0)))
+    hull = cv2.convexHull(seen_px.astype(np.float32))
+    inside = np.array([cv2.pointPolygonTest(hull, point, False) >= 0 for point in zip(x, y, strict=True)])
+    terms = shading_terms(np.stack([x, y], axis=-1)[inside], bench.projector.shape)
     design = np.column_stack([terms, np.ones(len(terms))])
-    return np.linalg.lstsq(design, np.log(vignetting(bench.projector, x, y).ravel()), rcond=None)[0][:-1]
+    return np.linalg.lstsq(design, np.log(vignetting(bench.projector, x, y)[inside]), rcond=None)[0][:-1]
 
 
 def true_blurs(bench: TrueBench) -> dict[str, float]:

@@ -83,7 +83,7 @@ def stated(found: Calibrated, into: Coverage) -> None:
     squared = float((errors / sds) @ np.linalg.solve(covariance / np.outer(sds, sds), errors / sds))
     into.groups.setdefault("all of the geometry", []).append((squared, errors.size))
     assert found.projector.evenness is not None
-    fall_off = np.array(found.projector.evenness.coefficients) - true_shading(bench)
+    fall_off = np.array(found.projector.evenness.coefficients) - true_shading(bench, found.projector.corners_px)
     for number, (error, sd) in enumerate(zip(fall_off, found.projector.evenness.sd, strict=True)):
         into.add(f"projector: shading {number}", error, np.array(sd))
     true = true_blurs(bench)

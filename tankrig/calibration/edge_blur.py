@@ -17,7 +17,7 @@ _MOST_MISFIT = 0.1
 _PART = (0.2, 0.8)
 """Of a square's side, from corner to corner, along which its edge is looked at."""
 _LEAST_PIXELS, _ENOUGH_PIXELS = 24, 500
-METHOD = 0.02
+METHOD = 0.03
 """By which a blur may be off besides what scatters: discrete pixels, and the print's own edges."""
 
 

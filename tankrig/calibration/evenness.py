@@ -106,12 +106,14 @@ def measure_evenness(
 
 
 def _grouped(design: Points, off: Points, group: NDArray[np.int64]) -> Points:
-    """Covariance of a fit to points that are off together where they are near each other (Liang and Zeger 1986)."""
+    """Covariance of a fit to points that are off together where they are near each other (CR3; Bell and McCaffrey 2002)."""
     inverse = np.linalg.pinv(design.T @ design)
-    pulls = np.array([design[group == one].T @ off[group == one] for one in np.unique(group)])
-    count, (points, parameters) = len(pulls), design.shape
-    few = count / (count - 1) * (points - 1) / (points - parameters)
-    return np.asarray(few * inverse @ (pulls.T @ pulls) @ inverse)
+    pulls = []
+    for one in np.unique(group):
+        rows = design[group == one]
+        without = np.eye(len(rows)) - rows @ inverse @ rows.T  # as if the fit had not known the group
+        pulls.append(rows.T @ np.linalg.lstsq(without, off[group == one], rcond=1e-6)[0])
+    return np.asarray(inverse @ (np.transpose(pulls) @ np.array(pulls)) @ inverse)
 
 
 def _white(
