@@ -106,7 +106,7 @@ def measure_evenness(
 
 
 def _grouped(design: Points, off: Points, group: NDArray[np.int64]) -> Points:
-    """Covariance of a fit to points that are off together where they are near each other (CR3; Bell and McCaffrey 2002)."""
+    """Covariance of a fit to points that are off together where they are near (CR3; Bell and McCaffrey 2002)."""
     inverse = np.linalg.pinv(design.T @ design)
     pulls = []
     for one in np.unique(group):
