@@ -275,7 +275,7 @@ class _Bundle:
     """Corners of all views as a function of what is sought and of what is held.
 
     Sought are the camera's rotation (3) and place (3), the water's level (1), and the poses of boards (6 each); held is
-    what `HELD` names.
+    what `_held` names.
 
     Parameters
     ----------
