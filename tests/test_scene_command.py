@@ -24,6 +24,7 @@ from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
 from tankrig.geometry.refraction import entry_wall
 from tankrig.scene import Medium
+from tankrig.scene.loading import whole_scene
 from tankrig.scene.writing import scene_text
 from ui.cli import main
 
@@ -104,6 +105,7 @@ def test_the_scene_that_is_exported_is_the_one_that_a_run_is_fitted_by(
     assert read.medium == medium
     assert read.tank == used.tank
     assert read.camera == replace(used, camera=used.camera.binned(12)).camera
+    assert whole_scene(told["path"]).camera == replace(used.camera, bin=12)
     assert read.camera.blur_mm == pytest.approx(0.6 * used.camera.pixel_mm)
     assert read.projector.blur_mm == pytest.approx(0.7 * 0.4, rel=0.05)  # 400 mm away, 1000 px of focal length
     ours, theirs = (

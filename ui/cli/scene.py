@@ -101,7 +101,7 @@ def scene(
     by = _binning(bench, pattern) if bins == "auto" else bins
     known = measured_places(found)
     comments = [
-        f'Pattern "{pattern.name}" of {source}, camera binned {by} × {by}; written by tankrig scene.',
+        f'Pattern "{pattern.name}" of {source}; written by tankrig scene.',
         *[f"Rests on {line}." for line in _rests_on(found)],
         *[f"Measured: {one.what} {one.text}." for one in known],
         *[f"Not measured: {line}." for line in unsure],
@@ -162,11 +162,12 @@ def _of_run(folder: Path, pattern_name: str) -> _Source:
 
 
 def _binning(bench: "Bench", pattern: "Pattern") -> int:
-    """As a fit of a run puts pixels together."""
+    """As a fit of a run puts pixels together, and no coarser either way."""
     from tankrig.live.exposures import PhotographPlan
     from tankrig.sequence import Capture, Sequence
 
-    return PhotographPlan.of(bench, Sequence("scene", (Capture("full"),)), [pattern]).binning
+    bins = PhotographPlan.of(bench, Sequence("scene", (Capture("full"),)), [pattern]).bins
+    return min(bins.by, bins.along)
 
 
 def _rests_on(found: Mapping[str, "Calibration"]) -> list[str]:
@@ -189,7 +190,7 @@ def _write(
     from tankrig.scene.writing import scene_text
 
     seen = bench.scene(pattern, medium or Medium(*PLACEHOLDER))
-    seen = replace(seen, camera=seen.camera.binned(by))
+    seen = replace(seen, camera=replace(seen.camera, bin=by if by > 1 else 0))
     require_writable(path.parent)
     image = None
     if bench.light == "calibrated":
