@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from tankrig.calibration.board import Board, BoardView
-from tankrig.calibration.edge_blur import Blur, spreads
+from tankrig.calibration.edge_blur import OF_SQUARES, Blur, spreads
 from tankrig.calibration.uncertainty import corner_pairs, found_covariance, noise_covariance
 
 BOARD = Board()
@@ -70,7 +70,7 @@ def test_too_few_edges_tell_no_blur() -> None:
     found = Blur.of([0.36, 0.36, 0.36, 0.36])
     assert found is not None
     assert found.px == pytest.approx(0.6)
-    assert found.sd_px >= 0.03 * 0.6
+    assert found.sd_px >= OF_SQUARES * 0.6
 
 
 def test_the_windows_picture_lies_where_the_camera_sees_it() -> None:

@@ -17,8 +17,9 @@ _MOST_MISFIT = 0.1
 _PART = (0.2, 0.8)
 """Of a square's side, from corner to corner, along which its edge is looked at."""
 _LEAST_PIXELS, _ENOUGH_PIXELS = 24, 500
-METHOD = 0.03
-"""By which a blur may be off besides what scatters: discrete pixels, and the print's own edges."""
+OF_SQUARES, OF_STRIPES = 0.025, 0.05
+"""By which a blur may be off besides what scatters: by the print's own edges and whole pixels; and for stripes by the
+camera's blur that is taken off, and by waves that gamma bends."""
 
 
 def spreads(distance: Array, value: Array, weight: Array, start: float, width: Array | None = None) -> Array:
@@ -163,8 +164,15 @@ class Blur:
     sd_px: float
 
     @classmethod
-    def of(cls, variances_px2: Sequence[float]) -> "Blur | None":
+    def of(cls, variances_px2: Sequence[float], method: float = OF_SQUARES) -> "Blur | None":
         """From variances that were measured apart from each other; None from fewer than three.
+
+        Parameters
+        ----------
+        variances_px2
+            NaN where one could not be measured.
+        method
+            Share by which all may be off together.
 
         Examples
         --------
@@ -176,4 +184,4 @@ class Blur:
             return None
         mean, sd = float(found.mean()), float(found.std(ddof=1) / np.sqrt(found.size))
         width = float(np.sqrt(max(mean, 0.0)))
-        return cls(width, float(np.hypot(sd / (2.0 * max(width, np.sqrt(sd), 1e-3)), METHOD * width)))
+        return cls(width, float(np.hypot(sd / (2.0 * max(width, np.sqrt(sd), 1e-3)), method * width)))

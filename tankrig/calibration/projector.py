@@ -9,7 +9,7 @@ import numpy as np
 from tankrig.calibration.board import Board, Points, rms_length
 from tankrig.calibration.board_pose import NOWHERE_PX, in_tank, placed
 from tankrig.calibration.camera import INTRINSICS, LENS
-from tankrig.calibration.edge_blur import Blur
+from tankrig.calibration.edge_blur import OF_STRIPES, Blur
 from tankrig.calibration.evenness import Evenness, measure_evenness
 from tankrig.calibration.file import Calibration
 from tankrig.calibration.lit_corners import LitBoard
@@ -389,7 +389,8 @@ def _off(expected: Points, found: Points) -> Points:
 
 def _blur(views: Sequence[LitBoard]) -> Blur | None:
     """By stripes on boards, less what the camera adds in the same pictures."""
-    return Blur.of([one.variance_px2 - one.camera_px2 * view.view.edge_px**2 for view in views for one in view.stripes])
+    variances = [one.variance_px2 - one.camera_px2 * view.view.edge_px**2 for view in views for one in view.stripes]
+    return Blur.of(variances, OF_STRIPES)
 
 
 def _between(corners_px: Points, shape: tuple[int, int]) -> float:
