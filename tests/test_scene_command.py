@@ -262,3 +262,22 @@ def test_report_and_window_show_what_was_measured_and_not_what_was_believed(
     assert measured["water level"].startswith("112.00 ± 0.20 mm (tank-")
     shutil.rmtree(tmp_path / "run" / FOLDER)
     assert "cannot be told" in settings_of(run)[2][0][1]
+
+
+def test_the_scene_of_a_run_is_the_one_that_it_was_recorded_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever the rig file has become since."""
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "rig.toml"
+    file.write_text(SIMULATED.read_text(encoding="utf-8"), encoding="utf-8")
+    (tmp_path / "one.toml").write_text(SEQUENCE, encoding="utf-8")
+    assert main(["run", "one.toml", "--rig", "rig.toml", "--out", "run", "--no-fit"]) == 0
+    capsys.readouterr()
+    then = load_rig_file(file).bench
+    file.write_text(file.read_text(encoding="utf-8").replace("[240.0, 160.0, 120.0]", "[240.0, 160.0, 118.0]"))
+    told = exported(capsys, "run", "--out", "of_run.toml", "--medium", "0.0,0.01,0.3")
+    assert tankrig.load_scene("of_run.toml").tank == then.tank
+    assert told["believed"][0].startswith("where camera, water and projector are is only believed")
+    assert main(["scene", "run", "--pattern", "stripes"]) == 2
+    assert 'has no pattern "stripes"; it has ray' in capsys.readouterr().err
