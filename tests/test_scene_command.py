@@ -23,7 +23,7 @@ from tankrig.calibration.uncertainty import Named
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
 from tankrig.geometry.refraction import entry_wall
-from tankrig.scene import Medium
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.loading import whole_scene
 from tankrig.scene.writing import scene_text
 from ui.cli import main
@@ -139,6 +139,12 @@ def test_a_pattern_that_is_not_there_is_named(rig: Path, capsys: pytest.CaptureF
         assert main(["scene", "--rig", str(rig), "--pattern", "full", *words]) == 2
 
 
+def text_of_a_scene() -> str:
+    beams = (Beam((-2.0, 2.0), (58.0, 62.0)),)
+    camera = Camera("orthographic", (80, 120), 2.0)
+    return scene_text(Scene(Tank(), Medium(0.0, 0.01, 0.3), Projector("collimated", beams), camera))
+
+
 def damaged(folder: Path, how: str) -> str:
     """Spoil the calibrations; what must be said."""
     kind = {"chain": "camera", "gone": "camera", "covariance": "tank"}.get(how, "projector")
@@ -177,11 +183,14 @@ def test_calibrations_that_cannot_be_of_this_bench_are_refused_before_anything_m
 ) -> None:
     """A lens of another camera would put everything in the wrong place, and the fit would look fine."""
     said = damaged(Path(load_rig_file(rig).calibration_folder), how)
+    (tmp_path / "scene.toml").write_text(text_of_a_scene(), encoding="utf-8")
+    np.save(tmp_path / "frame.npy", np.full((80, 120), 500, np.uint16))
     there = sorted(tmp_path.rglob("*"))
     for command in (
         ["scene", "--rig", str(rig), "--pattern", "full"],
         ["run", "one.toml", "--rig", str(rig), "--out", "run"],
         ["run", "one.toml", "--rig", str(rig), "--out", "run", "--dry-run"],
+        ["fit", "frame.npy", "--scene", "scene.toml", "--rig", str(rig), "--exposure-ms", "20"],
     ):
         assert main(command) == 2
         told = capsys.readouterr().err
