@@ -43,22 +43,22 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
     folder = Path(rig.calibration_folder)
     for unusable in all_in(folder):
         if isinstance(unusable, StoreError):
-            yield failed("calibration file can be used", unusable)
+            yield replace(failed("calibration file can be used", unusable), part="calibration")
     try:
         found = usable(folder, rig.calibration)
     except StoreError as error:
-        yield failed("calibration that the rig file names is there", error)
+        yield replace(failed("calibration that the rig file names is there", error), part="calibration")
         return
     for over in passed_over(folder, rig.calibration):
         what = f"newest calibration of the {over.kind} can be used"
-        yield Check(what, False, f"runs are refused: {over.question}", over.remedy)
+        yield Check(what, False, f"runs are refused: {over.question}", over.remedy, over.kind)
     for kind, device in KINDS.items():
         if kind in found:
-            yield _fits(found[kind], devices.get(device), found, folder)
+            yield replace(_fits(found[kind], devices.get(device), found, folder), part=kind)
         else:
             yield Check(
                 f"{kind} is calibrated", None, "has not been measured; the rig file is believed",
-                f"tankrig calibrate {kind} --rig FILE",
+                f"tankrig calibrate {kind} --rig FILE", kind,
             )  # fmt: skip
     yield from _as_believed(rig, found)
 
@@ -85,7 +85,7 @@ def _as_believed(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Che
             None if in_use and not passed and kind != "latency" else passed,
             f"{name} = {_shown(measured)} measured, {_shown(value)} in the rig file"
             + ("; what was measured is used" if in_use and kind != "latency" else ""),
-            f"correct {key}",
+            f"correct {key}", "rig file",
         )  # fmt: skip
 
 

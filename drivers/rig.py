@@ -15,7 +15,7 @@ from tankrig.calibration.geometry_in_force import measured
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked, read_toml
 from tankrig.devices import Camera, Projector
-from tankrig.dosing import DoseLimits
+from tankrig.dosing import DoseLimits, TankLedger
 from tankrig.errors import DeviceError, SceneError
 from tankrig.run.rig import Rig, RigLock
 from tankrig.scene.description import CLOSED, Medium
@@ -167,6 +167,25 @@ def _measured(description: RigFile, found: Mapping[str, Calibration]) -> Bench:
         return bench
     response = tuple(Radiometry.of(found["radiometry"]).response.curve.tolist())
     return replace(bench, wall=replace(bench.wall, response=response))
+
+
+@contextmanager
+def tank_ledger(description: RigFile) -> Iterator[TankLedger | None]:
+    """The ledger of the rig's tank while it is read; None where nothing was ever dosed into it.
+
+    Raises
+    ------
+    StoreError
+        When it is no ledger, or another program doses into the tank.
+    """
+    if not description.ledger.exists():
+        yield None
+        return
+    ledger = TankLedger(description.ledger)
+    try:
+        yield ledger
+    finally:
+        ledger.close()
 
 
 @contextmanager

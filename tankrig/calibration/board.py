@@ -15,6 +15,10 @@ LEAST_CORNERS = 6
 MOST_SATURATED = 0.02
 LEAST_CONTRAST = 0.08
 MOST_BLUR_PX = 2.5
+LEAST_MARKERS = 4
+"""From which on a picture shows a board."""
+_LEAST_RANGE = 0.01
+"""Between a picture's dark and bright parts, of the camera's range, from which on markers are looked for."""
 _WRONG_LAYOUT = 0.06
 """Of a square: markers that lie farther from where the description has them than this are another board's."""
 
@@ -190,6 +194,38 @@ def find_board(pixels: NDArray[Any], board: Board, saturation: int) -> BoardView
     return BoardView(known, found, (rows, columns), *_quality(pixels, found, known, board, saturation))
 
 
+def markers_of_any_board(pixels: NDArray[Any], saturation: int) -> tuple[int, str]:
+    """How many different markers of calibration boards a picture shows, and of which dictionary.
+
+    Parameters
+    ----------
+    pixels
+        (rows, columns), 8 or 16 bits.
+    saturation
+        The camera's highest count.
+
+    Returns
+    -------
+    (int, str)
+        Of the dictionary that most are of; fewer than `LEAST_MARKERS` of them may be chance. 0 where the picture is so
+        dark or even that nothing in it could be told from noise.
+    """
+    import cv2
+
+    dark, bright = np.percentile(pixels[::4, ::4], (1.0, 99.0))
+    if bright - dark < _LEAST_RANGE * saturation:
+        return 0, ""
+    picture = _eight_bits(pixels)
+    how = cv2.aruco.DetectorParameters()
+    how.errorCorrectionRate = 0.0  # bits that are wrong make markers of anything
+    seen = []
+    for name in _largest_dictionaries():
+        detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), how)
+        _, ids, _ = detector.detectMarkers(picture)
+        seen.append((0 if ids is None else len(np.unique(ids)), name))
+    return max(seen)
+
+
 def _refined(pixels: NDArray[Any], corners: NDArray[np.float32], ids: NDArray[np.int64], board: Board) -> Points:
     """Corners to a few hundredths of a pixel, from all bits, in windows that no marker reaches into."""
     import cv2
@@ -291,3 +327,10 @@ def _dictionaries() -> tuple[str, ...]:
 
     found = [name for name in dir(cv2.aruco) if name.startswith("DICT_") and name[-2:].isdigit()]
     return tuple(sorted(found, key=lambda name: (name[:9], len(name), name)))
+
+
+def _largest_dictionaries() -> tuple[str, ...]:
+    """Without those that begin a larger one: DICT_4X4_50 is the first markers of DICT_4X4_1000."""
+    found = _dictionaries()
+    part_of_another = {name for name in found if name.rpartition("_")[2] in ("50", "100", "250")}
+    return tuple(name for name in found if name not in part_of_another)

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.calibration.board import LEAST_MARKERS, markers_of_any_board
 from tankrig.devices import Camera, CameraSettings, Projector
-from tankrig.errors import DeviceError
+from tankrig.errors import DeviceError, ImageError
 from tankrig.pattern import Pattern
 from tankrig.sequence.exposure import ExposureRule
 
@@ -118,6 +119,25 @@ def require_seen(projector: Projector, camera: Camera, rule: ExposureRule) -> No
             f"{camera.name}: asked before the run, it does not see what {projector.name} shows: {testimony.finding}; "
             f"look at both, or leave flash_before_run out of the rig file where the camera cannot tell"
         )
+
+
+def require_no_board(projector: Projector, camera: Camera, rule: ExposureRule) -> None:
+    """Refuse a bench whose camera sees a calibration's board, by a white flash and by no light of the projector's.
+
+    Raises
+    ------
+    ImageError
+        When a board is there, where ink is to be seen.
+    """
+    exposure_ms = bright_exposure_ms(projector, camera, rule, _LONGEST_MS)
+    for level in (255, 0):  # the room's light may show what the projector's does not reach
+        flash = Pattern(f"level {level}", np.full(projector.shape, level, np.uint8))
+        seen, dictionary = markers_of_any_board(mean_of(projector, camera, flash, exposure_ms), camera.saturation)
+        if seen >= LEAST_MARKERS:
+            raise ImageError(
+                f"{camera.name}: sees a calibration's board, {seen} markers of {dictionary}, where ink is to be seen; "
+                f"take the board away"
+            )
 
 
 def bright_exposure_ms(projector: Projector, camera: Camera, rule: ExposureRule, longest_ms: float = 1000.0) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from tankrig.bench import Bench
 from tankrig.calibration.file import FOLDER, copy_to
-from tankrig.calibration.witness import require_seen
+from tankrig.calibration.witness import require_no_board, require_seen
 from tankrig.checked_toml import checked
 from tankrig.devices import BurstProjector, Delivered
 from tankrig.dosing import DoseDone, GuardedDoser, TankLedger
@@ -25,6 +25,7 @@ from tankrig.pattern import Pattern
 from tankrig.run.burst import can_burst
 from tankrig.run.event_dispatcher import EventDispatcher
 from tankrig.run.folder import create_run, require_new
+from tankrig.run.light_seen import require_light_seen
 from tankrig.run.reading import Run, open_run
 from tankrig.run.recovery import dose_doubt, open_dose
 from tankrig.run.rig import Rig
@@ -53,7 +54,9 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
     Raises
     ------
     SequenceError
-        When the sequence breaks a budget or cannot be shown by the projector.
+        When the sequence breaks a budget, cannot be shown by the projector, or lights nothing that the camera sees.
+    ImageError
+        When a calibration's board is before the camera.
     StoreError
         When the folder cannot be made or the disk is too small.
     UndecidedError
@@ -62,6 +65,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
     with ExitStack() as undo:
         undo.callback(rig.close)
         patterns = sequence.drawn(rig.bench.wall)
+        require_light_seen(sequence, rig.bench)
         run_id = f"{path.name}-{uuid.uuid4().hex[:8]}"
         doser, journal = _guarded(rig, run_id, undo)
         _settled(doser, None, delivered_ul)
@@ -151,8 +155,11 @@ def _require_bursts(sequence: Sequence, rig: Rig, patterns: Mapping[str, Pattern
 
 
 def _require_seen(rig: Rig) -> None:
+    """What the camera can tell of the light before anything moves."""
     if rig.flash_before_run:
         require_seen(rig.projector, rig.camera, rig.exposure)
+    if rig.bench.light == "calibrated":  # where boards are held before the camera
+        require_no_board(rig.projector, rig.camera, rig.exposure)
 
 
 def _guarded(rig: Rig, run_id: str, undo: ExitStack, run: Run | None = None) -> tuple[GuardedDoser, RunJournal]:
