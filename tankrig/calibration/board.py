@@ -17,6 +17,8 @@ LEAST_CONTRAST = 0.08
 MOST_BLUR_PX = 2.5
 LEAST_MARKERS = 4
 """From which on a picture shows a board."""
+_COMMON = ("DICT_4X4_100", "DICT_5X5_100", "DICT_6X6_100", "DICT_7X7_100", "DICT_APRILTAG_36h11")
+"""Dictionaries that boards are made of, which begin with their first markers."""
 _LEAST_RANGE = 0.01
 """Between a picture's dark and bright parts, of the camera's range, from which on markers are looked for."""
 _WRONG_LAYOUT = 0.06
@@ -219,7 +221,7 @@ def markers_of_any_board(pixels: NDArray[Any], saturation: int) -> tuple[int, st
     how = cv2.aruco.DetectorParameters()
     how.errorCorrectionRate = 0.0  # bits that are wrong make markers of anything
     seen = []
-    for name in _largest_dictionaries():
+    for name in _COMMON:
         detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), how)
         _, ids, _ = detector.detectMarkers(picture)
         seen.append((0 if ids is None else len(np.unique(ids)), name))
@@ -327,10 +329,3 @@ def _dictionaries() -> tuple[str, ...]:
 
     found = [name for name in dir(cv2.aruco) if name.startswith("DICT_") and name[-2:].isdigit()]
     return tuple(sorted(found, key=lambda name: (name[:9], len(name), name)))
-
-
-def _largest_dictionaries() -> tuple[str, ...]:
-    """Without those that begin a larger one: DICT_4X4_50 is the first markers of DICT_4X4_1000."""
-    found = _dictionaries()
-    part_of_another = {name for name in found if name.rpartition("_")[2] in ("50", "100", "250")}
-    return tuple(name for name in found if name not in part_of_another)
