@@ -20,9 +20,9 @@ from tankrig.devices import Delivered
 from tankrig.dosing import TankLedger
 from tankrig.dosing.records import Joint
 from tankrig.errors import ImageError, SequenceError
+from tankrig.live.light_seen import require_light_seen
 from tankrig.pattern.kinds import Dark, GrayCode, Sheet
 from tankrig.pattern.wall import Wall
-from tankrig.run.light_seen import require_light_seen
 from tankrig.run.start import new_run
 from tankrig.scene import Camera, Tank
 from tankrig.sequence import Capture, ExposureRule, Sequence
@@ -181,7 +181,9 @@ def test_patterns_beside_the_picture_are_refused_and_all_others_taken(rows: int,
     if beyond_mm < 0.0:
         require_light_seen(sequence, bench)
     else:
-        with pytest.raises(SequenceError, match='one: pattern "sheet" lights nothing that the camera sees'):
+        with pytest.raises(
+            SequenceError, match='one: pattern "sheet" cannot be fitted: it lights nothing that the camera sees'
+        ):
             require_light_seen(sequence, bench)
 
 
@@ -191,7 +193,7 @@ def test_a_calibrated_projector_that_lights_beside_the_tank_is_refused_and_what_
     beside = replace(CALIBRATED, projector=replace(CALIBRATED.projector, position_mm=(-300.0, 0.0, 400.0)))
     require_light_seen(Sequence("one", (Capture("low"), Capture("black"), Capture("code")), patterns), CALIBRATED)
     require_light_seen(Sequence("one", (Capture("black"),), patterns), beside)
-    with pytest.raises(SequenceError, match='pattern "low" lights nothing in the tank'):
+    with pytest.raises(SequenceError, match='pattern "low" cannot be fitted: it lights nothing in the tank'):
         require_light_seen(Sequence("one", (Capture("low"),), patterns), beside)
 
 
@@ -205,9 +207,12 @@ def test_the_dry_run_and_the_run_name_the_dark_pattern_and_make_nothing(
     steps = "".join(f'[[steps]]\ndo = "capture"\npattern = "{name}"\n' for name in ("dark", "full", "shape"))
     Path("one.toml").write_text(f'name = "one"\n[patterns.shape]\nkind = "image"\npath = "black.png"\n{steps}')
     there = sorted(tmp_path.rglob("*"))
-    for words in (["--dry-run"], [], ["--no-fit"]):
+    for words in (["--dry-run"], []):
         assert main(["run", "one.toml", "--out", "run", *words]) == 2
         said = capsys.readouterr()
-        assert re.fullmatch(r'tankrig: one: pattern "shape" lights nothing, all of its pixels are 0; .*\n', said.err)
+        assert re.fullmatch(
+            r'tankrig: one: pattern "shape" cannot be fitted: it lights nothing, all of its pixels are 0; .*\n',
+            said.err,
+        )
         assert said.out == ""
     assert sorted(tmp_path.rglob("*")) == there

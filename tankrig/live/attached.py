@@ -8,6 +8,7 @@ from functools import cache
 from tankrig.bench import Bench
 from tankrig.errors import SceneError, SequenceError, StoreError
 from tankrig.live.exposures import PhotographPlan
+from tankrig.live.light_seen import require_light_seen
 from tankrig.live.live_fit import LiveFit
 from tankrig.live.results import DoseFit, Fit, to_fields
 from tankrig.run.reading import open_run
@@ -23,8 +24,9 @@ def require_fittable(sequence: Sequence, bench: Bench) -> None:
     Raises
     ------
     SequenceError
-        When a pattern cannot be drawn, or what it lights cannot be modelled.
+        When a pattern cannot be drawn, what it lights cannot be modelled, or the camera sees nothing of its light.
     """
+    require_light_seen(sequence, bench)
     for name, pattern in sequence.drawn(bench.wall).items():
         try:
             _ = PhotographPlan.of(bench, sequence, [pattern]).scenes

@@ -25,7 +25,6 @@ from tankrig.pattern import Pattern
 from tankrig.run.burst import can_burst
 from tankrig.run.event_dispatcher import EventDispatcher
 from tankrig.run.folder import create_run, require_new
-from tankrig.run.light_seen import require_light_seen
 from tankrig.run.reading import Run, open_run
 from tankrig.run.recovery import dose_doubt, open_dose
 from tankrig.run.rig import Rig
@@ -54,7 +53,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
     Raises
     ------
     SequenceError
-        When the sequence breaks a budget, cannot be shown by the projector, or lights nothing that the camera sees.
+        When the sequence breaks a budget or cannot be shown by the projector.
     ImageError
         When a calibration's board is before the camera.
     StoreError
@@ -65,7 +64,6 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
     with ExitStack() as undo:
         undo.callback(rig.close)
         patterns = sequence.drawn(rig.bench.wall)
-        require_light_seen(sequence, rig.bench)
         run_id = f"{path.name}-{uuid.uuid4().hex[:8]}"
         doser, journal = _guarded(rig, run_id, undo)
         _settled(doser, None, delivered_ul)

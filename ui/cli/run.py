@@ -108,7 +108,6 @@ def planned(sequence: "Sequence", description: "RigFile", run_folder: Path | Non
     from drivers.rig import calibrated_bench, tank_ledger
     from tankrig.devices import Delivered
     from tankrig.live.attached import require_fittable
-    from tankrig.run.light_seen import require_light_seen
     from tankrig.run.start import require_place
     from tankrig.sequence import dry_run
 
@@ -117,9 +116,10 @@ def planned(sequence: "Sequence", description: "RigFile", run_folder: Path | Non
     frame_bytes = rows * columns * 2
     if run_folder is not None:
         require_place(run_folder, sequence.frames * frame_bytes)
-    require_light_seen(sequence, bench)
     if fit:
         require_fittable(sequence, bench)
+    else:
+        sequence.drawn(bench.wall)
     with tank_ledger(description) as ledger:
         tank = Delivered(0.0, 0.0, 0.0) if ledger is None else ledger.tank
     rule = description.exposure_rule

@@ -35,7 +35,7 @@ def require_light_seen(sequence: Sequence, bench: Bench) -> None:
     for name, pattern in sequence.drawn(bench.wall).items():
         meant_to_be_dark = isinstance(sequence.patterns.get(name, Dark() if name == "dark" else None), Dark)
         if not meant_to_be_dark and (fault := _unseen(pattern, bench)):
-            raise SequenceError(f'{sequence.name}: pattern "{name}" {fault}')
+            raise SequenceError(f'{sequence.name}: pattern "{name}" cannot be fitted: it {fault}')
 
 
 def _unseen(pattern: Pattern, bench: Bench) -> str:
@@ -47,7 +47,7 @@ def _unseen(pattern: Pattern, bench: Bench) -> str:
             warnings.simplefilter("ignore", UserWarning)  # about how well it can be modelled
             scene = bench.scene(pattern, _ANY)
     except SceneError as error:
-        return f"lights nothing in the tank ({str(error).partition(';')[0]}); move it into the tank's entry wall"
+        return f"lights nothing in the tank ({error})"
     if not _in_the_picture(scene):
         return "lights nothing that the camera sees: its beams pass beside the picture; move the pattern or the camera"
     return ""
