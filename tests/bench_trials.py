@@ -121,18 +121,20 @@ def _times(path: Path) -> tuple[tuple[float, ...], float]:
     run = tankrig.open_run(path)
     last: dict[float, int] = {}
     for event in run.events("frame"):
-        last[round(run.conditions[event["index"]].tank.volume_ul / 1000.0, 4)] = event.mono_ns
+        last[round(run.conditions[event["index"]].tank.volume_ul / 1000.0, 4)] = event.moment.mono_ns
     fits = [event for event in run.fits if event.get("fit") in ("dose", "series")]
     dose_s = []
     for dose_ml, ended_ns in sorted(last.items()):
         after = [
-            event.mono_ns
+            event.moment.mono_ns
             for event in fits
-            if event.get("fit") == "dose" and abs(event["dose_ml"] - dose_ml) < 1e-4 and event.mono_ns > ended_ns
+            if event.get("fit") == "dose" and abs(event["dose_ml"] - dose_ml) < 1e-4 and event.moment.mono_ns > ended_ns
         ]
         dose_s.append((min(after) - ended_ns) / 1e9 if after else float("nan"))
     newest_ns = max(last.values())
-    series = [event.mono_ns for event in fits if event.get("fit") == "series" and event.mono_ns > newest_ns]
+    series = [
+        event.moment.mono_ns for event in fits if event.get("fit") == "series" and event.moment.mono_ns > newest_ns
+    ]
     return tuple(dose_s), (max(series) - newest_ns) / 1e9 if series else float("nan")
 
 
