@@ -24,8 +24,8 @@ TIME_SCALE = 0.02
 """Of all waiting for projector and camera; light is gathered as in the whole exposure."""
 STEPS_PER_S, MIXING_S = 20_000.0, 0.3
 """A quick plunger and a stirrer in a hurry."""
-_SET_ASIDE, _TRIES = 3, 2
-"""Exit status of a calibration with doubts, and how often one is tried."""
+_SET_ASIDE = 3
+"""Exit status of a calibration with doubts."""
 _TOO_BUSY = (
     "this computer is too busy to time the light of a bench that is in such a hurry; the latency of the rig file is "
     "believed, as it would be at a bench where nobody has measured it"
@@ -110,8 +110,8 @@ def left_of(folder: Path) -> Iterator[list[str]]:
     description = load_rig_file(folder / RIG)
     calibrations, run = Path(description.calibration_folder), folder / RUN
     for words in way_of(folder):
-        done = words[1] in usable(calibrations) if words[0] == "calibrate" else run.exists()
-        if not done:
+        measured = words[0] == "calibrate" and words[1] in usable(calibrations)
+        if not (measured or run.exists()):
             yield words
     end = open_run(run).end
     if end is None or end["reason"] != "completed":
@@ -153,15 +153,12 @@ def walk(folder: Path, as_json: bool) -> int:
 
 
 def _tried(words: list[str], parts: list[Part], as_json: bool) -> int:
-    """Carry out a command, and one that was set aside once more; its exit status, for which latency does not count."""
-    for _ in range(_TRIES):
-        parts.append(_carried_out(words, as_json))
-        if words[0] != "calibrate" or parts[-1].status != _SET_ASIDE:
-            return parts[-1].status
-    if words[1] == "latency":
+    """Carry out a command and give its exit status, for which a latency that was set aside does not count."""
+    parts.append(_carried_out(words, as_json))
+    if words[:2] == ["calibrate", "latency"] and parts[-1].status == _SET_ASIDE:
         click.echo(_TOO_BUSY, err=True)
         return 0
-    return _SET_ASIDE
+    return parts[-1].status
 
 
 def _carried_out(words: list[str], as_json: bool) -> Part:
