@@ -124,14 +124,19 @@ def _fits(one: Calibration, device: Any, found: Mapping[str, Calibration], folde
 def level_check(projector: Projector, camera: Camera, wall: Wall, rule: ExposureRule = _ANY) -> Check:
     """Whether the projector's levels make the light that they are taken to make; three flashes."""
     what = "projector's levels make the light they are taken to make"
+
+    def plain(level: int) -> Pattern:
+        return Pattern(f"level {level}", np.full(projector.shape, level, np.uint8))
+
     try:
         exposure_ms = bright_exposure_ms(projector, camera, rule)
-        plain = (Pattern(f"level {level}", np.full(projector.shape, level, np.uint8)) for level in (0, _LEVEL, 255))
-        dark, half, full = (mean_of(projector, camera, pattern, exposure_ms) for pattern in plain)
+        dark, full = (mean_of(projector, camera, plain(level), exposure_ms) for level in (0, 255))
+        light, seen = full - dark, float((full - dark).max())
+        dim = seen < _DIM * camera.saturation
+        half = dark if dim else mean_of(projector, camera, plain(_LEVEL), exposure_ms)
     except TankrigError as error:
         return replace(failed(what, error), passed=None)  # a dark tank is no fault of the devices
-    light, seen = full - dark, float((full - dark).max())
-    if seen < _DIM * camera.saturation:
+    if dim:
         return Check(what, None, "the camera sees too little of its light to tell", "put a diffuser before the camera")
     lit = light > 0.3 * seen
     ratio, taken = float((half - dark)[lit].sum() / light[lit].sum()), float(wall.fractions[_LEVEL])

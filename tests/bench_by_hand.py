@@ -46,7 +46,9 @@ def make_small(folder: Path) -> None:
     rig["camera"]["boards"]["camera_shape"] = rig["bench"]["camera"]["shape"] = camera
     rig["camera"]["boards"]["projector_shape"] = rig["projector"]["shape"] = projector
     rig["bench"]["wall"]["shape"] = projector
-    rig["bench"]["camera"]["pixel_mm"] = 0.625
+    (fx, _, _), (_, fy, _), _ = rig["bench"]["camera"]["matrix"]
+    middle = (camera[1] - 1) / 2, (camera[0] - 1) / 2
+    rig["bench"]["camera"]["matrix"] = [[fx / 2, 0.0, middle[0]], [0.0, fy / 2, middle[1]], [0.0, 0.0, 1.0]]
     (folder / "rig.toml").write_text(tomlkit.dumps(rig), encoding="utf-8")
     sequence: Any = tomlkit.parse((folder / "bench_dilution.toml").read_text(encoding="utf-8"))
     series = next(step for step in sequence["steps"] if step["do"] == "series")

@@ -62,6 +62,8 @@ def witness(projector: Projector, camera: Camera, rule: ExposureRule) -> Testimo
     gray = number ^ (number >> 1)  # neighbours differ in one bit, so that a pixel between two is one or the other
     dark = mean_of(projector, camera, _columns(projector, np.zeros_like(gray)), exposure_ms)
     light = mean_of(projector, camera, _columns(projector, np.ones_like(gray)), exposure_ms) - dark
+    if _brightest(light) < _DIM * camera.saturation:
+        return told_by(light, [], dark - dark, camera.saturation)
     seen = [
         mean_of(projector, camera, _columns(projector, gray >> bit & 1), exposure_ms) - dark for bit in range(_BITS)
     ]
@@ -83,7 +85,7 @@ def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> 
     saturation
         Highest count.
     """
-    brightest = float(np.quantile(light, 0.999))
+    brightest = _brightest(light)
     if brightest < _DIM * saturation:
         return Testimony(None, "the camera sees too little of its light: dark water, a cap, or something covers it all")
     lit = light > _LIT * brightest
@@ -109,6 +111,10 @@ def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> 
     if not (steps @ across > 0.0).all():
         return Testimony(False, "the bands do not follow each other as they were shown; it shows something else")
     return Testimony(True, f"all {BANDS} bands of its picture are seen, one beside the other")
+
+
+def _brightest(light: Image) -> float:
+    return float(np.quantile(light, 0.999))
 
 
 def require_seen(projector: Projector, camera: Camera, rule: ExposureRule) -> None:
