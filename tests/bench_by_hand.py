@@ -40,7 +40,10 @@ def typed(
 
 
 def make_small(folder: Path) -> None:
-    """Fewer pixels, two doses and fewer frames: what the short form of the walk leaves out."""
+    """Fewer pixels, two doses and fewer frames: what the short form of the walk leaves out.
+
+    Lenses that blur by parts of a pixel blur twice as many mm with half as many pixels, so that rays are made wider.
+    """
     rig: Any = tomlkit.parse((folder / "rig.toml").read_text(encoding="utf-8"))
     camera, projector = [270, 480], [192, 256]
     rig["camera"]["boards"]["camera_shape"] = rig["bench"]["camera"]["shape"] = camera
@@ -51,6 +54,7 @@ def make_small(folder: Path) -> None:
     rig["bench"]["camera"]["matrix"] = [[fx / 2, 0.0, middle[0]], [0.0, fy / 2, middle[1]], [0.0, 0.0, 1.0]]
     (folder / "rig.toml").write_text(tomlkit.dumps(rig), encoding="utf-8")
     sequence: Any = tomlkit.parse((folder / "bench_dilution.toml").read_text(encoding="utf-8"))
+    sequence["patterns"]["rays"]["width_mm"] = 10.0
     series = next(step for step in sequence["steps"] if step["do"] == "series")
     series["total_ul"] = series["total_ul"][:2]
     for step in series["steps"]:
