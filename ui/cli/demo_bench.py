@@ -105,6 +105,7 @@ def left_of(folder: Path) -> Iterator[list[str]]:
     """The commands that are still to be carried out, each asked for once those before it are done."""
     from drivers.rig import load_rig_file
     from tankrig.calibration.file import usable
+    from tankrig.live.refit import unfitted
     from tankrig.run.reading import open_run
 
     description = load_rig_file(folder / RIG)
@@ -116,6 +117,8 @@ def left_of(folder: Path) -> Iterator[list[str]]:
     end = open_run(run).end
     if end is None or end["reason"] != "completed":
         yield ["run", "--resume", str(run), "--rig", str(folder / RIG)]
+    if unfitted(open_run(run)):
+        yield ["refit", str(run), "--rig", str(folder / RIG)]
     if not (run / "report.html").exists():
         yield ["report", str(run)]
 

@@ -11,6 +11,7 @@ from tankrig.errors import StoreError, TankrigError
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
+    from tankrig.sequence import Sequence
 
 GEOMETRY = ("camera", "tank", "projector")
 CALIBRATIONS = ("radiometry", *GEOMETRY, "latency")
@@ -169,27 +170,45 @@ def _ink(description: "RigFile") -> Step:
 
 
 def _sequence(description: "RigFile", sequence_file: Path | None) -> Iterator[Step]:
-    """What the run itself needs, and the commands that begin it."""
+    """What the run itself needs, and the command that begins it."""
     run = f"tankrig run {quote(str(sequence_file)) if sequence_file else 'SEQUENCE'} {RIG}"
     what = "the sequence can be carried out"
     if sequence_file is None:
         yield Step(what, None, "which one was not said", f"{run} --dry-run")
     else:
-        yield _dry_run(what, description, sequence_file, run)
+        from tankrig.sequence import load_sequence
+        from ui.cli.run import planned
+
+        try:
+            sequence = load_sequence(sequence_file)
+            plan = planned(sequence, description)
+        except TankrigError as error:
+            yield Step(what, False, *_parted(error))
+        else:
+            told = f"{plan.frames} frames, {plan.ink_ul:g} µl of ink, {plan.seconds:.0f} s"
+            yield Step(what, True, told, f"{run} --dry-run")
+            yield _models(description, sequence)
     yield Step("the run is fitted", None, "it fits itself while it goes on, and ends with a report", run)
 
 
-def _dry_run(what: str, description: "RigFile", sequence_file: Path, run: str) -> Step:
-    from tankrig.sequence import load_sequence
-    from ui.cli.run import planned
+def _models(description: "RigFile", sequence: "Sequence") -> Step:
+    """Those that can be foreseen before there is any ink; a run prepares them by itself, and then waits for them."""
+    from drivers.rig import calibrated_bench
+    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.preparing import LOOK, box_for, is_kept
+    from tankrig.live.results import diluted
 
-    try:
-        sequence = load_sequence(sequence_file)
-        plan = planned(sequence, description)
-    except TankrigError as error:
-        return Step(what, False, *_parted(error))
-    told = f"{plan.frames} frames, {plan.ink_ul:g} µl of ink, {plan.seconds:.0f} s"
-    return Step(what, True, told, f"{run} --dry-run")
+    bench = calibrated_bench(description)
+    plan = PhotographPlan.of(bench, sequence, list(sequence.drawn(bench.wall).values()))
+    scenes = list(plan.scenes.values())
+    wanted = [(scene, LOOK) for scene in scenes[:1]]
+    if sequence.ink is not None:
+        boxes = [box_for(diluted(sequence.ink, 1.0, dose_ml)) for dose_ml in plan.doses_ml if dose_ml > 0.0]
+        wanted += [(scene, box) for box in boxes for scene in scenes]
+    kept = sum(is_kept(*one) for one in wanted)
+    ink = "" if sequence.ink else "; ink = { … } in the sequence says which more will be wanted"
+    finding = f"{kept} of {len(wanted)} that can be foreseen are kept; the run prepares the others first{ink}"
+    return Step("models for the live fit are prepared", kept == len(wanted) or None, finding, wanted=False)
 
 
 def _parted(error: TankrigError) -> tuple[str, str]:
