@@ -1,7 +1,7 @@
 """What fits say: of one image, of several images of one liquid, of a dilution series, and order by order."""
 
 import math
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,7 +178,7 @@ class SeriesEstimate:
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""
-        return in_tank(np.array([*astuple(self.ink), self.water.sigma_a]), dose_ml)
+        return in_tank(np.array([*self.ink.coefficients, self.water.sigma_a]), dose_ml)
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ STRETCH_MM = 20.0
 
 @kernel
 def along_sight_in_bent_light(
-    geometry: Geometry, x: float, y: float, sigma_t: float, phase: PhaseRecord, edges: tuple[float, float, float, float],
-    rule: tuple[NDArray[np.float64], NDArray[np.float64]],
+    geometry: Geometry, x: float, y: float, sigma_t: float, phase: PhaseRecord,
+    edges: tuple[float, float, float, float], rule: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> float:  # fmt: skip
     """∫ p exp(−σt (d₁ + d₂)) E/E₀ ds along the line of sight through (x, y, Lz), times the surface's transmission.
 

@@ -47,8 +47,8 @@ SLANTED_PARTS = 5
 
 @kernel
 def across_sights(
-    geometry: Geometry, x: float, low: float, high: float, corners: NDArray[np.float64], sigma_t: float, phase: PhaseRecord,
-    edges: tuple[float, float, float, float], y_rule: Rule, depth_rule: Rule,
+    geometry: Geometry, x: float, low: float, high: float, corners: NDArray[np.float64], sigma_t: float,
+    phase: PhaseRecord, edges: tuple[float, float, float, float], y_rule: Rule, depth_rule: Rule,
 ) -> float:  # fmt: skip
     """∫ dy of what is seen along the lines through (x, low … high, Lz), cut at the rows of the beam's corners."""
     nodes, weights = y_rule
@@ -306,7 +306,18 @@ def _add_beam_in_quadrangles(
             for k in range(3):
                 if ends[k + 1] > ends[k]:
                     total += _slice(
-                        geometry, xs, ys, ends[k], ends[k + 1], corners, sigma_t, phase, edges, x_rule, y_rule, depth_rule
+                        geometry,
+                        xs,
+                        ys,
+                        ends[k],
+                        ends[k + 1],
+                        corners,
+                        sigma_t,
+                        phase,
+                        edges,
+                        x_rule,
+                        y_rule,
+                        depth_rule,
                     )
             image[row, column] += strength * total
 

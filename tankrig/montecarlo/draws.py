@@ -64,7 +64,8 @@ def turning(cosine: float, phase: AnyTable) -> float:
     place = math.acos(min(max(cosine, -1.0), 1.0)) * (STEPS / math.pi)
     step = min(int(place), STEPS - 1)
     share = (phase.cosines[step] - cosine) / (phase.cosines[step] - phase.cosines[step + 1])
-    return phase.values[step] + share * (phase.values[step + 1] - phase.values[step])
+    density: float = phase.values[step] + share * (phase.values[step + 1] - phase.values[step])
+    return density
 
 
 @part
@@ -114,7 +115,7 @@ def draw_scattered(
     if len(phase) == 1:
         return draw_turn(ux, uy, uz, phase.g, state)
     u, state = draw(state)
-    step = min(max(np.searchsorted(phase.below, u, side="right") - 1, 0), phase.values.size - 2)
+    step = min(max(int(np.searchsorted(phase.below, u, side="right")) - 1, 0), phase.values.size - 2)
     # p goes linearly from `here` to `there` with cos θ, which falls; the root of a quadratic, without cancellation.
     width = phase.cosines[step] - phase.cosines[step + 1]
     here, there = phase.values[step], phase.values[step + 1]
@@ -125,9 +126,7 @@ def draw_scattered(
 
 
 @part
-def _turned(
-    ux: float, uy: float, uz: float, cosine: float, state: np.uint64
-) -> tuple[float, float, float, np.uint64]:
+def _turned(ux: float, uy: float, uz: float, cosine: float, state: np.uint64) -> tuple[float, float, float, np.uint64]:
     """Direction at an angle from direction u, anywhere around it."""
     a, b, state = draw_azimuth(state)
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))

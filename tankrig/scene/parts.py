@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from tankrig.errors import SceneError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
 from tankrig.geometry.shading import TERMS
@@ -75,6 +76,10 @@ class Tank:
         return (self.refractive_index, self.wall_mm, self.wall_index) if self.entry == "glass" else (1.0, 0.0, 1.0)
 
 
+_LEFT_OUT = math.nan
+"""A g that was not given; told by its identity."""
+
+
 @dataclass(frozen=True)
 class Medium:
     """Absorption and scattering coefficients in 1/mm, and how one scattering turns light.
@@ -101,7 +106,7 @@ class Medium:
     __pydantic_config__ = CLOSED
     sigma_a: float
     sigma_s: float
-    g: float = math.nan
+    g: float = _LEFT_OUT
     phase: AnyPhase | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -110,7 +115,7 @@ class Medium:
             require(value >= 0.0, f"{name} = {value} is negative; give a coefficient in 1/mm that is zero or more")
         if self.phase is not None:
             self._take_mean_cosine(self.phase)
-        require(not math.isnan(self.g), "g is missing; give the mean cosine of one scattering, or a phase")
+        require(self.g is not _LEFT_OUT, "g is missing; give the mean cosine of one scattering, or a phase")
         require(
             -1.0 < number(self, "g") < 1.0,
             f"g = {self.g} is outside −1 < g < 1; give the mean cosine of one scattering",
@@ -119,12 +124,17 @@ class Medium:
     def _take_mean_cosine(self, phase: PhaseFunction) -> None:
         mean = phase.mean_cosine
         require(
-            math.isnan(self.g) or abs(self.g - mean) < 1e-9,
+            self.g is _LEFT_OUT or abs(self.g - mean) < 1e-9,
             f"g = {self.g} is not the mean cosine of the phase, {mean:.6g}; leave one of them out",
         )
         henyey_greenstein = isinstance(phase, HenyeyGreenstein)
         object.__setattr__(self, "g", mean)
         object.__setattr__(self, "phase", None if henyey_greenstein else phase)
+
+    @property
+    def coefficients(self) -> tuple[float, float, float]:
+        """σa, σs and g."""
+        return self.sigma_a, self.sigma_s, self.g
 
     @property
     def phase_function(self) -> PhaseFunction:

@@ -49,7 +49,7 @@ class TableRecord(NamedTuple):
 
 
 PhaseRecord = HenyeyGreensteinRecord | TableRecord
-FORMULA = len(HenyeyGreensteinRecord._fields)
+"""Kernels tell them apart by their length."""
 
 
 def henyey_greenstein_record(g: float) -> HenyeyGreensteinRecord:
@@ -84,13 +84,14 @@ def henyey_greenstein(cosine: float, g: float) -> float:
 @part
 def phase_density(cosine: float, phase: PhaseRecord) -> float:
     """p(cos θ) in 1/sr of any phase function."""
-    if len(phase) == FORMULA:
+    if len(phase) == 2:
         return henyey_greenstein(cosine, phase.g)
     steps = phase.density.size - 1
     place = math.sqrt(max(0.5 - 0.5 * cosine, 0.0)) * steps
     step = min(int(place), steps - 1)
     share = place - step
-    return (1.0 - share) * phase.density[step] + share * phase.density[step + 1]
+    density: float = (1.0 - share) * phase.density[step] + share * phase.density[step + 1]
+    return density
 
 
 @part
@@ -108,13 +109,14 @@ def drawn_cosine(u: float, phase: PhaseRecord) -> float:
 
     Tables have even steps of 1 − (1 − u)^(1/4): few scatterings turn back, and those that do are seen.
     """
-    if len(phase) == FORMULA:
+    if len(phase) == 2:
         return henyey_greenstein_cosine(u, phase.g)
     steps = phase.cosines.size - 1
     place = (1.0 - math.sqrt(math.sqrt(1.0 - u))) * steps
     step = min(int(place), steps - 1)
     share = place - step
-    return (1.0 - share) * phase.cosines[step] + share * phase.cosines[step + 1]
+    cosine: float = (1.0 - share) * phase.cosines[step] + share * phase.cosines[step + 1]
+    return cosine
 
 
 def phase_function(cosine: NDArray[np.floating], g: float) -> NDArray[np.floating]:

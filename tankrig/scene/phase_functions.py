@@ -5,6 +5,7 @@ and the record that kernels read.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Annotated, Literal
@@ -37,7 +38,9 @@ class PhaseFunction:
 
     @cached_property
     def _table(self) -> Array:
-        return _normalised(self.density(1.0 - 2.0 * _steps() ** 2))
+        values = self.density(1.0 - 2.0 * _steps() ** 2)
+        values[0] = _straight_on(self.density, float(values[1]))
+        return _normalised(values)
 
     @cached_property
     def mean_cosine(self) -> float:
@@ -203,7 +206,7 @@ class FournierForand(PhaseFunction):
 
     def density(self, cosine: Array) -> Array:
         """See `PhaseFunction.density`."""
-        squared = np.maximum(2.0 - 2.0 * cosine, 1e-9)  # u² with u = 2 sin(θ/2); p has a pole at 0
+        squared = np.maximum(2.0 - 2.0 * cosine, 1e-15)  # u² with u = 2 sin(θ/2); p has a pole at 0
         power = 0.5 * (3.0 - self.slope)
         delta, behind = (one / (3.0 * (self.index - 1.0) ** 2) for one in (squared, 4.0))
         delta = np.where(np.abs(delta - 1.0) < 1e-6, 1.0 + 1e-6, delta)  # 0/0 there
@@ -249,17 +252,17 @@ class Tabulated(PhaseFunction):
         )
         require(bool((p >= 0.0).all()), f"the table has a negative value, {p.min():g}; a density is zero or more")
         require(bool(p.max() > 0.0), "the table is zero everywhere")
-        integral = 2.0 * math.pi * float(np.trapezoid(p, x))
-        require(
-            abs(integral - 1.0) <= _UNNORMALISED,
-            f"the table's integral over all directions is {integral:.4g} and not 1; scale its values, in 1/sr",
-        )
         low, high = np.minimum(p[1:], p[:-1]), np.maximum(p[1:], p[:-1])
         steep = high > _RATIO * low + 1e-3 * float(p.mean())
         require(
             not steep.any(),
             f"the table is too coarse about cosine {x[1:][steep][0] if steep.any() else 0.0:.6g}: p changes by more "
             f"than {_RATIO:g} times from row to row; give more rows there",
+        )
+        integral = 2.0 * math.pi * float(np.trapezoid(p, x))
+        require(
+            abs(integral - 1.0) <= _UNNORMALISED,
+            f"the table's integral over all directions is {integral:.4g} and not 1; scale its values, in 1/sr",
         )
 
     def density(self, cosine: Array) -> Array:
@@ -358,6 +361,16 @@ def _quadrature() -> tuple[Array, Array]:
     points, weights = np.polynomial.legendre.leggauss(3)
     steps, half = _steps(), 0.5 / (NODES - 1)
     return (steps[:-1, None] + half * (1.0 + points)).ravel(), np.tile(half * weights, NODES - 1)
+
+
+def _straight_on(density: Callable[[Array], Array], first: float) -> float:
+    """p at θ = 0 with which the table's first step holds the light that p has there, where p may have a pole."""
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    power = 12.0  # s = h x¹²: a pole like s^−1.9 is smooth in x
+    x = 0.5 + 0.5 * nodes
+    share = x**power
+    light = float(0.5 * weights @ (power * x ** (2.0 * power - 1.0) * density(1.0 - 2.0 * (share / (NODES - 1)) ** 2)))
+    return max(6.0 * light - 2.0 * first, 0.0)
 
 
 def _normalised(table: Array) -> Array:

@@ -203,7 +203,12 @@ def depth_below(geometry: Geometry, x: float, y0: float, z0: float, mirrored: bo
 
 @kernel
 def _cuts(
-    cuts: NDArray[np.float64], low: float, high: float, distance: float, phase: PhaseRecord, cos_out: float,
+    cuts: NDArray[np.float64],
+    low: float,
+    high: float,
+    distance: float,
+    phase: PhaseRecord,
+    cos_out: float,
     lobe: float,
 ) -> int:
     """Fill `cuts` with ascending ends of panels in T between tan α = low/d and high/d; return how many."""
@@ -411,7 +416,19 @@ def fill_table(
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     half = y0.size // 2 if mirror_symmetric(scene) else 0
     some, one_sided = y0[: y0.size - half], values[:, : y0.size - half]
-    given = (one_sided, geometry, decay, sigma_t, scene.medium.phase_function.record, x, fractions, some, z0, mirrored, *rule)
+    given = (
+        one_sided,
+        geometry,
+        decay,
+        sigma_t,
+        scene.medium.phase_function.record,
+        x,
+        fractions,
+        some,
+        z0,
+        mirrored,
+        *rule,
+    )
     with ThreadPoolExecutor(THREADS) as pool:
         parts = [pool.submit(fill, *given, part, THREADS) for part in range(THREADS)]
         for part in parts:
@@ -511,8 +528,8 @@ def lagrange(nodes: Array, at: float) -> Array:
 
 @kernel
 def _fill_shifted(
-    values: Array, geometry: Geometry, decay: float, sigma_t: float, phase: PhaseRecord, x: Array, fractions: Array, y0: Array,
-    z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
+    values: Array, geometry: Geometry, decay: float, sigma_t: float, phase: PhaseRecord, x: Array, fractions: Array,
+    y0: Array, z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
 ) -> None:  # fmt: skip
     """Every second x, where only y − y₀ matters: both lines are put symmetrically about y = 0, inside the tank."""
     for i in range(part, x.size, parts):
@@ -538,8 +555,8 @@ def _fill_shifted(
 
 @kernel
 def _fill_slanted(
-    values: Array, geometry: Geometry, decay: float, sigma_t: float, phase: PhaseRecord, x: Array, fractions: Array, y0: Array,
-    z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
+    values: Array, geometry: Geometry, decay: float, sigma_t: float, phase: PhaseRecord, x: Array, fractions: Array,
+    y0: Array, z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
 ) -> None:  # fmt: skip
     """Every second x, with nodes between the crossing and either side wall; J over `share_seen`."""
     inside = 0.999 * geometry.half_width  # at the wall itself both are 0

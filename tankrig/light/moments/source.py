@@ -60,8 +60,8 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
             )
             edges = np.zeros((up, 2, along + 2, across + 2, moments))
             _follow(
-                edges, geometry, cells.size_mm, medium.sigma_t, medium.albedo, medium.phase_function.record, beams, shifted, LARGE.points,
-                order, degree,
+                edges, geometry, cells.size_mm, medium.sigma_t, medium.albedo, medium.phase_function.record, beams,
+                shifted, LARGE.points, order, degree,
             )  # fmt: skip
             averages = image_of_edges(np.moveaxis(edges, -1, 0), medium.sigma_t, cells.size_mm[0])
             total += averages * ((z_mm[1] - z_mm[0]) / LARGE.points)
