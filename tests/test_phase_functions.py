@@ -14,7 +14,6 @@ from tankrig.light.lightfield.spectrum import spectrum
 from tankrig.montecarlo import simulate
 from tankrig.montecarlo.draws import phase_table
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
-from tankrig.scene.phase import phase_function
 from tankrig.scene.phase_functions import (
     FournierForand,
     HenyeyGreenstein,
@@ -24,6 +23,7 @@ from tankrig.scene.phase_functions import (
     ReynoldsMcCormick,
     Tabulated,
     TwoTerm,
+    phase_function,
 )
 
 BEAD = Mie(1.0, 1.5868, 1.3317, 633.0)

@@ -8,21 +8,86 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator
 
 from tankrig.scene.checks import CLOSED, number, require
-from tankrig.scene.phase import NODES, PhaseRecord, TableRecord, henyey_greenstein_record, phase_function
 
 Array = NDArray[np.float64]
+
+NODES = 4097
+"""Of a table: a step is 0.03° at the forward peak."""
 
 _UNNORMALISED = 0.02
 """Relative error of a table's own integral that is taken for rounding of its numbers."""
 _RATIO = 50.0
 """Of neighbouring values of a table, from which on what is between them is anybody's guess."""
+
+
+class HenyeyGreensteinRecord(NamedTuple):
+    """Henyey–Greenstein, for kernels: its asymmetry, and `TableRecord.width`."""
+
+    g: float
+    width: float
+
+
+class TableRecord(NamedTuple):
+    """Any other phase function, for kernels.
+
+    Parameters
+    ----------
+    g
+        Mean cosine; also of the Henyey–Greenstein lobes that guide paths, whatever p is.
+    width
+        tan(θ/2) at which p has fallen to a third from where it is largest, about which quadratures are graded.
+    density
+        (n,) p in 1/sr at even steps of sin(θ/2) from 0 to 1.
+    cosines
+        (n,) cos θ of the inverse of the distribution; see `drawn_cosine`.
+    """
+
+    g: float
+    width: float
+    density: Array
+    cosines: Array
+
+
+PhaseRecord = HenyeyGreensteinRecord | TableRecord
+"""Kernels tell them apart by their length."""
+
+
+def henyey_greenstein_record(g: float) -> HenyeyGreensteinRecord:
+    """Henyey–Greenstein with asymmetry g, for kernels."""
+    return HenyeyGreensteinRecord(float(g), 0.5 * (1.0 - abs(g)))
+
+
+def phase_function(cosine: NDArray[np.floating], g: float) -> NDArray[np.floating]:
+    """Phase function p(cos θ) in 1/sr, for arrays (Eq. 5 with its exponent corrected to 3/2).
+
+    Parameters
+    ----------
+    cosine
+        cos θ of each scattering, any shape.
+    g
+        Asymmetry; −1 < g < 1.
+
+    Returns
+    -------
+    array of the shape and precision of `cosine`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> nodes, weights = np.polynomial.legendre.leggauss(200)
+    >>> float(np.round(2 * np.pi * np.sum(weights * phase_function(nodes, 0.8)), 9))
+    1.0
+    """
+    cosine = np.asarray(cosine)
+    spread = (1.0 - abs(g)) ** 2 + 2.0 * abs(g) * (1.0 - np.sign(g or 1.0) * cosine)
+    value: NDArray[np.floating] = (1.0 - g) * (1.0 + g) / (4.0 * np.pi * spread**1.5)
+    return value
 
 
 class PhaseFunction:
@@ -343,9 +408,16 @@ class Mixture(PhaseFunction):
         return np.asarray(sum(share * part.at(cosine) for part, share in zip(self.parts, self.shares, strict=True)))
 
 
-AnyPhase = Annotated[
-    HenyeyGreenstein | TwoTerm | ReynoldsMcCormick | FournierForand | Tabulated | Mie, Discriminator("kind")
-]
+class _ByKind:
+    """Has a file's `kind` choose; pydantic itself is loaded when a file is read, and not with every scene."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic import Discriminator
+
+        return handler.generate_schema(Annotated[source, Discriminator("kind")])
+
+
+AnyPhase = Annotated[HenyeyGreenstein | TwoTerm | ReynoldsMcCormick | FournierForand | Tabulated | Mie, _ByKind()]
 """Those that files name by their `kind`."""
 
 

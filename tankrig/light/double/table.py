@@ -37,7 +37,8 @@ from tankrig.light.rays import (
     sighting_row,
 )
 from tankrig.scene import Scene
-from tankrig.scene.phase import PhaseRecord, phase_density
+from tankrig.scene.phase import phase_density
+from tankrig.scene.phase_functions import PhaseRecord
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]

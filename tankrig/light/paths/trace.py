@@ -54,12 +54,12 @@ from tankrig.light.paths.record import (
 )
 from tankrig.light.rays import Geometry
 from tankrig.scene.phase import (
-    PhaseRecord,
     drawn_cosine,
     henyey_greenstein,
     henyey_greenstein_cosine,
     phase_density,
 )
+from tankrig.scene.phase_functions import PhaseRecord
 
 Array = NDArray[np.float64]
 
