@@ -132,7 +132,10 @@ def level_check(projector: Projector, camera: Camera, wall: Wall, rule: Exposure
         return replace(failed(what, error), passed=None)  # a dark tank is no fault of the devices
     light, seen = full - dark, float((full - dark).max())
     if seen < _DIM * camera.saturation:
-        return Check(what, None, "the camera sees too little of its light to tell", "put a diffuser before the camera")
+        return Check(
+            what, None, "the camera sees too little of its light to tell, as with clear water",
+            "put ink into the tank, a sheet of paper where the light falls, or a diffuser before the camera",
+        )  # fmt: skip
     lit = light > 0.3 * seen
     ratio, taken = float((half - dark)[lit].sum() / light[lit].sum()), float(wall.fractions[_LEVEL])
     gamma = np.log(max(ratio, 1e-6)) / np.log(_LEVEL / 255.0)

@@ -121,7 +121,12 @@ def load_rig_file(path: str | os.PathLike[str], beside: Path | None = None) -> R
             }
     for name, usual in (("folder", "."), ("calibration_folder", FOLDER)):
         table[name] = str(beside / str(table.get(name, usual)))
-    return checked(RigFile, table, str(file), SceneError)
+    description = checked(RigFile, table, str(file), SceneError)
+    if description.camera["driver"] == "simulated-camera":
+        from drivers.simulated.agreement import require_agreement
+
+        require_agreement(str(file), description.projector, description.camera)
+    return description
 
 
 SIMULATED = Path(__file__).parent / "simulated" / "rig.toml"

@@ -4,6 +4,7 @@ Times are nanoseconds of the monotonic clock (`time.monotonic_ns`). Every call t
 `DeviceError` that names the device; `close` may be called any number of times.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -58,6 +59,33 @@ class Confirming(Protocol):
 
     def confirm(self) -> None:
         """Raise a DeviceError unless what was shown last is still on the output."""
+
+
+@dataclass(frozen=True)
+class BurstTiming:
+    """When the patterns of a burst come.
+
+    Parameters
+    ----------
+    lit_ms
+        For how long each is lit, which ends before the camera's exposure does; dark otherwise.
+    period_ms
+        From one to the next; None where somebody else's trigger calls for each.
+    """
+
+    lit_ms: float
+    period_ms: float | None
+
+
+@runtime_checkable
+class BurstProjector(Protocol):
+    """A projector that shows patterns one after the other by itself, and triggers the camera with each."""
+
+    def load_burst(self, patterns: Sequence[Pattern], exposure_ms: float) -> BurstTiming:
+        """Go dark and get ready to show `patterns` for a camera that exposes `exposure_ms` from each trigger on."""
+
+    def play_burst(self) -> None:
+        """Show the patterns that were loaded, once; returns when the first is about to come."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +150,20 @@ class Camera(Protocol):
 
     def close(self) -> None:
         """Stop streaming and let go of the device; wakes a capture that waits."""
+
+
+@runtime_checkable
+class TriggeredCamera(Protocol):
+    """A camera that can expose on an electrical trigger, rather than freely."""
+
+    def arm(self) -> None:
+        """Expose once for each trigger from now on, and no more by itself; drop what waits from before."""
+
+    def triggered(self, timeout_s: float) -> Frame | None:
+        """The next exposure, in order; None when no trigger came, or its frame did not arrive, within `timeout_s`."""
+
+    def disarm(self) -> None:
+        """Expose freely again; may be called any number of times."""
 
 
 class Delivered(NamedTuple):

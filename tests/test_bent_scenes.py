@@ -7,6 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 import tankrig
 from tankrig.bench import Bench
@@ -213,17 +215,68 @@ def test_a_picture_brings_its_light_to_the_wall_where_its_pixels_aim(picture: np
     assert len(beams) < 100
 
 
+def light_and_moments(cells: np.ndarray) -> np.ndarray:
+    """Light, and its middle along y and z, mm, of cells of the wall of BEHIND_GLASS."""
+    rows, columns = cells.shape
+    z, y = (np.arange(rows) + 0.5) * 60.0 / rows, (np.arange(columns) + 0.5) * 80.0 / columns - 40.0
+    light = cells.sum()
+    area = 60.0 * 80.0 / cells.size
+    return np.array([light * area, cells.sum(axis=0) @ y / light, cells.sum(axis=1) @ z / light])
+
+
 def test_beams_are_the_pictures_light_and_nothing_else(picture: np.ndarray) -> None:
     cells = irradiance_on_wall(BEHIND_GLASS.tank, PROJECTOR, picture)
     rows, columns = cells.shape
-    z, y = (np.arange(rows) + 0.5) * 60.0 / rows, (np.arange(columns) + 0.5) * 80.0 / columns - 40.0
+    z, y = np.arange(rows + 1) * 60.0 / rows, np.arange(columns + 1) * 80.0 / columns - 40.0
     drawn = np.zeros_like(cells)
     for beam in lit_by(BEHIND_GLASS, picture).projector.beams:
-        inside = (z > beam.z_mm[0]) & (z < beam.z_mm[1])
-        drawn += inside[:, None] * ((y > beam.y_mm[0]) & (y < beam.y_mm[1])) * beam.irradiance
+        height, width = np.diff(np.clip(z, *beam.z_mm)), np.diff(np.clip(y, *beam.y_mm))
+        drawn += height[:, None] * width * beam.irradiance * cells.size / (60.0 * 80.0)
     dark = cv2.dilate(cells, np.ones((5, 5))) == 0.0
     assert (drawn[dark] == 0.0).all()
-    assert np.abs(np.cumsum(cells - drawn, axis=1)).max() * 80.0 / columns < 0.5 * cells.max()  # mm that light is moved
+    brightest = cells.sum(axis=0).max()
+    along_y = np.abs(np.cumsum((cells - drawn).sum(axis=0))).max() * 80.0 / columns
+    assert along_y < 0.05 * brightest  # mm that light is moved, as it is seen from above
+    assert np.abs(np.cumsum((cells - drawn).sum(axis=1))).max() * 60.0 / rows < 0.3 * cells.sum(axis=1).max()
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.floats(-2.0, 2.0),
+    st.lists(st.tuples(st.integers(0, 80), st.integers(0, 110), st.integers(2, 15), st.integers(2, 17),
+                       st.integers(60, 255)), min_size=1, max_size=4),
+)  # fmt: skip
+def test_whatever_the_picture_beams_keep_its_light_and_where_that_is(
+    roll_degrees: float, parts: list[tuple[int, int, int, int, int]]
+) -> None:
+    """Light that merging loses or moves, gain and coefficients take up."""
+    picture = np.zeros((96, 128), np.uint8)
+    for row, column, height, width, level in parts:
+        picture[row : row + height, column : column + width] = level
+    projector = rolled(roll_degrees)
+    cells = irradiance_on_wall(BEHIND_GLASS.tank, projector, picture)
+    assume(cells.any())
+    beams = lit_by(replace(BEHIND_GLASS, projector=projector), picture).projector.beams
+    light = np.array([beam.power for beam in beams])
+    middles = np.array([(sum(beam.y_mm) / 2, sum(beam.z_mm) / 2) for beam in beams])
+    found = np.array([light.sum(), *(light @ middles / light.sum())])
+    assert found == pytest.approx(light_and_moments(cells), rel=1e-9, abs=1e-9)
+
+
+def rolled(degrees: float) -> Projector:
+    turn = cv2.Rodrigues(np.array([0.0, 0.0, np.radians(degrees)]))[0] @ cv2.Rodrigues(np.array(PROJECTOR.rotation))[0]
+    return replace(PROJECTOR, rotation=tuple(cv2.Rodrigues(turn)[0].ravel().tolist()))
+
+
+@pytest.mark.parametrize("roll_degrees", [-0.8, 0.0, 1.2, 2.0, 3.1])  # from −2 to 2, as it is rolled by −1.2 itself
+def test_rays_of_a_rolled_projector_stay_a_beam_each(roll_degrees: float) -> None:
+    """Slivers at the edges of what is rolled by a degree made 27 beams of three rays, and a minute of each dose."""
+    picture = np.zeros((96, 128), np.uint8)
+    for column in (36, 62, 90):
+        picture[44:48, column : column + 4] = 255
+    beams = lit_by(replace(BEHIND_GLASS, projector=rolled(roll_degrees)), picture).projector.beams
+    assert len(beams) <= 6
+    assert len(beams) >= 3
 
 
 def test_a_bench_makes_scenes_of_patterns_as_calibrated(picture: np.ndarray) -> None:

@@ -85,6 +85,19 @@ def test_while_it_doses_being_asked_puts_nothing_on_the_wire(bench: AnyBench) ->
     assert told[-1][0] > told[0][0] + 100.0, "it does not tell how far it is"
 
 
+def test_a_pump_that_goes_on_beyond_its_volume_is_stopped(tmp_path: Path) -> None:
+    """Whatever has become of what it was set to: it is stopped at the first poll that counts more than was asked."""
+    with NewEraBench(tmp_path, world=World(), **SLOW[NewEraBench]) as bench:
+        doser, world = bench.open(), bench.world
+        world.after(1.5, lambda: setattr(bench.board._core, "_left", None))
+        with pytest.raises(DeviceError, match=r"counts .* where 100 were asked, and still moves"):
+            doser.dose_to(100.0)
+        assert bench.true_ul <= 100.0 + 0.25 * UL_PER_S
+        assert doser.stopped
+        assert not bench.moving
+        assert_bounds_hold(doser, bench)
+
+
 # -- what a device knows -----------------------------------------------------------------------------------------------
 
 
@@ -288,6 +301,42 @@ def test_a_count_file_of_an_earlier_version_still_asks_a_person(bench: AnyBench,
     again.clear_stop()
     again.dose_to(30.0)
     assert 28.0 < bench.true_ul <= 30.0
+
+
+def test_a_dose_that_had_ended_is_settled_for_the_next_program(tmp_path: Path) -> None:
+    """Its program was killed before it wrote that down: the counter stands where the leg was to end."""
+    with NewEraBench(tmp_path, world=World(), **SLOW[NewEraBench]) as bench:
+        doser, count = bench.open(), tmp_path / "count"
+        begun: list[bytes] = []
+        bench.world.after(1.5, lambda: begun.append(count.read_bytes()))
+        doser.dose_to(100.0)
+        doser.close()
+        count.write_bytes(begun[0])
+        again = bench.open()
+        assert again.stopped
+        assert not again.unknown
+        assert_bounds_hold(again, bench)
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_dose_begun_by_an_earlier_version_is_read(tmp_path: Path, ends: bool) -> None:
+    """Its count file says neither where the leg ends nor how far the pump goes on its own."""
+    with NewEraBench(tmp_path, world=World(), **SLOW[NewEraBench]) as bench:
+        doser, count = bench.open(), tmp_path / "count"
+        begun: list[dict[str, Any]] = []
+        bench.world.after(1.5, lambda: begun.append(json.loads(count.read_bytes())))
+        if not ends:
+            bench.world.after(2.0, lambda: bench.do("unplug"))
+        with nullcontext() if ends else pytest.raises(UndecidedError):
+            doser.dose_to(300.0)
+        doser.close()
+        bench.world.advance(5.0)
+        bench.do("plug")
+        count.write_text(json.dumps(begun[0] | {"begun": {"what": "dose", "to": begun[0]["begun"]["to"]}}))
+        again = bench.open()
+        assert again.stopped
+        assert again.unknown == ends, "the alarm of its watchdog settles it, and nothing else"
+        assert_bounds_hold(again, bench)
 
 
 # -- time --------------------------------------------------------------------------------------------------------------

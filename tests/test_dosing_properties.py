@@ -58,6 +58,7 @@ SOON_S = st.floats(0.0, 3.0)
 RULES = (
     "person's word outside the bounds refused",
     "silent pump answered again and was settled",
+    "silent pump answered again and did not know",
     "hung in a dose while others polled",
     "second doser on the count refused",
     "looked at from another thread while dosing",
@@ -101,6 +102,7 @@ class Dosing(RuleBasedStateMachine):
         self.bench = self.make_bench(self.folder, seed)
         self.journal, self.run, self.run_began_ul, self.aside_ul = Journal(), 0, 0.0, 0.0
         self.held_beside_ul: float | None = None
+        self.uncounted_ul = 0.0
         self.tally["cases"] += 1
         self.open()
 
@@ -111,6 +113,11 @@ class Dosing(RuleBasedStateMachine):
     def tank_ul(self) -> float:
         """What the tank really holds: what was delivered, less what went elsewhere."""
         return self.bench.true_ul - self.aside_ul if self.held_beside_ul is None else self.held_beside_ul
+
+    @property
+    def counted_ul(self) -> float:
+        """What the doser's total should be: what was delivered, less what a person's word has left out of it."""
+        return self.bench.true_ul - self.uncounted_ul
 
     # -- programs ------------------------------------------------------------------------------------------------------
 
@@ -181,13 +188,15 @@ class Dosing(RuleBasedStateMachine):
 
     @rule(part_ul=st.sampled_from([3.3, 20.0]), mended=st.booleans())
     def prime(self, part_ul: float, mended: bool) -> None:
-        """Into a waste vessel: no ink of the tank's, whatever happens meanwhile."""
+        """Into a waste vessel, where the tube stays until the pump rests: no ink of the tank's, whatever happens."""
         if mended:
             self.put_right()
         if self.guard:
             before_ul, self.held_beside_ul = self.bench.true_ul, self.tank_ul
             with suppress(TankrigError):
                 self.guard.dose_aside(part_ul)
+            while self.bench.moving:
+                self.world.advance(0.1)
             self.held_beside_ul = None
             self.tally["moved beside the tank"] += self.bench.true_ul > before_ul
             self.aside_ul += self.bench.true_ul - before_ul
@@ -257,7 +266,7 @@ class Dosing(RuleBasedStateMachine):
             before = self.bench.written(self.doser)
             told, held = self.doser.delivered(), self.guard.delivered()
             assert self.bench.written(self.doser) == before, "it was asked while it doses, which feeds its watchdog"
-            for bounds, true_ul in ((told, self.bench.true_ul), (held, self.tank_ul)):
+            for bounds, true_ul in ((told, self.counted_ul), (held, self.tank_ul)):
                 assert bounds.low_ul - ROUNDING_UL <= true_ul <= bounds.high_ul + ROUNDING_UL
             self.tally["looked at from another thread while dosing"] += 1
 
@@ -282,11 +291,21 @@ class Dosing(RuleBasedStateMachine):
         self.world.advance(1.0)
         assert self.bench.true_ul == after_ul, "it still moves"
 
-    @rule(part_ul=PARTS, delay_s=SOON_S, silence_s=st.sampled_from([1.0, 10.0, 60.0, 120.0]), deaf=st.booleans())
-    def dose_and_fall_silent(self, part_ul: float, delay_s: float, silence_s: float, deaf: bool) -> None:
-        """Nothing is heard of it for a while; when it answers again, what it knows counts."""
+    @rule(
+        part_ul=PARTS,
+        delay_s=SOON_S,
+        silence_s=st.sampled_from([1.0, 10.0, 60.0, 120.0]),
+        deaf=st.booleans(),
+        unheard=st.sampled_from([None, "stall", "reset"]),
+    )
+    def dose_and_fall_silent(
+        self, part_ul: float, delay_s: float, silence_s: float, deaf: bool, unheard: str | None
+    ) -> None:
+        """Nothing is heard of it for a while, nor of what befalls it; when it answers again, what it knows counts."""
         self.put_right()
         self.world.after(delay_s, lambda: self.bench.faults(mute=True, deaf=deaf))
+        if unheard:
+            self.world.after(delay_s + 0.3, lambda: self.bench.faults(**{f"{unheard}_after": 0}))
         with self.meanwhile(delay_s + silence_s, self.bench.no_faults):
             self.dose(part_ul)
         if self.doser and self.doser.unknown:
@@ -294,7 +313,7 @@ class Dosing(RuleBasedStateMachine):
             settled = not self.doser.unknown
             self.tally["silent pump answered again and was settled"] += settled
             self.tally["silent pump answered again and did not know"] += not settled
-            assert low_ul - ROUNDING_UL <= self.bench.true_ul <= high_ul + ROUNDING_UL
+            assert low_ul - ROUNDING_UL <= self.counted_ul <= high_ul + ROUNDING_UL
 
     # -- faults and people ---------------------------------------------------------------------------------------------
 
@@ -368,10 +387,13 @@ class Dosing(RuleBasedStateMachine):
         if self.doser and self.doser.unknown:
             self.say_what_cannot_be(self.doser, wrong_ul, sign)
         if self.guard and self.guard.undecided:
+            beside = self.doser.unknown and self.ledger.aside_ul is not None
             with suppress(TankrigError):
                 self.guard.resolve(self.tank_ul)
                 assert not self.guard.undecided
                 self.tally["decided by a person"] += 1
+                if beside:  # the person was asked for the tank's content: what went beside it is in nobody's count
+                    self.uncounted_ul = self.bench.true_ul - self.doser._volume().volume_ul
 
     def say_what_cannot_be(self, doser: PumpDoser, wrong_ul: float, sign: int) -> None:
         _, low_ul, high_ul = doser.delivered()
@@ -399,7 +421,7 @@ class Dosing(RuleBasedStateMachine):
             assert low_ul - ROUNDING_UL <= self.tank_ul <= high_ul + ROUNDING_UL
         if self.doser and self.doser.unknown:
             _, low_ul, high_ul = self.doser.delivered()
-            assert low_ul - ROUNDING_UL <= self.bench.true_ul <= high_ul + ROUNDING_UL
+            assert low_ul - ROUNDING_UL <= self.counted_ul <= high_ul + ROUNDING_UL
 
     def teardown(self) -> None:
         self.abandon()

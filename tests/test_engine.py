@@ -4,7 +4,7 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -21,6 +21,7 @@ from tankrig.estimation.problem import Problem, View
 from tankrig.estimation.result import Linearity
 from tankrig.estimation.uncertainty import SmoothError, Whitening
 from tankrig.live.results import DoseFit, FailedFit, SeriesFit, SingleScattering, fits_in, from_fields, to_fields
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 from tests.test_estimation import MEDIUM, SCENE, noisy, tank_like
 
@@ -50,18 +51,18 @@ def fit_glow(blocks: tuple[Block, ...]) -> tuple[Fit, Array]:
     models = Models(tank_like, lambda _: (tank_like, tank_like))
     shot = Shot(observe(image + 0.8 * GLOW, (40, 60), noise), SCENE, models)
     fit = fitted([shot], blocks, Scaling(1.0, 0.0), lambda _: None)
-    sensitivity = fit.problem.sensitivity(fit.coordinates, fit.problem.images(fit.coordinates))
-    return fit, sensitivity.covariance([shot.observation.noise], [fit.problem.views[0].error])
+    (view,) = fit.optimum.problem.views
+    return fit, fit.optimum.sensitivity.covariance([shot.observation.noise], [view.error])
 
 
 def test_a_block_is_fitted_along_without_a_change_to_the_engine() -> None:
     """Phase functions and optics come as blocks: search, steps and uncertainty must take one that they do not know."""
     medium = MediumBlock(RANGE)
     without, spread = fit_glow((medium,))
-    off = (without.problem.values(without.coordinates)["medium"] - TRUTH) / np.sqrt(np.diag(spread))
+    off = (without.optimum.values["medium"] - TRUTH) / np.sqrt(np.diag(spread))
     assert np.abs(off).max() > 10.0
     fit, spread = fit_glow((medium, GlowBlock()))
-    values = fit.problem.values(fit.coordinates)
+    values = fit.optimum.values
     off = (np.append(values["medium"], values["glow"]) - [*TRUTH, 0.8]) / np.sqrt(np.diag(spread))
     assert np.abs(off).max() < 4.0
     assert np.sqrt(spread[3, 3]) < 0.1
@@ -110,14 +111,63 @@ def test_a_correlated_error_is_weighed_and_counted_as_what_it_is() -> None:
         for name, error in (("told", PatternError(patterns)), ("white", SmoothError(np.zeros_like(clean), 60.0))):
             view = View(observe(image, clean.shape, noise), forward, slopes_of(forward, 240.0), error)
             problem = Problem((view,), (MediumBlock(RANGE),), Scaling(1.0, 0.0))
-            at = solve(problem, to_coordinates(MEDIUM), 0.01).coordinates
-            sensitivity = problem.sensitivity(at, problem.images(at))
-            spread = sensitivity.covariance([noise], [error])
-            off[name].append((problem.values(at)["medium"] - TRUTH) / np.sqrt(np.diag(spread)))
-            assert np.allclose(spread, sensitivity.assumed, rtol=1e-6)  # errors are as the fit weighs them
+            best = solve(problem, to_coordinates(MEDIUM), 0.01)
+            spread = best.sensitivity.covariance([noise], [error])
+            off[name].append((best.values["medium"] - TRUTH) / np.sqrt(np.diag(spread)))
+            assert np.allclose(spread, best.sensitivity.assumed, rtol=1e-6)  # errors are as the fit weighs them
     told, white = (np.sqrt(np.mean(np.square(off[name]), axis=0)) for name in ("told", "white"))
     assert (np.abs(told - 1.0) < 0.35).all()
     assert white.max() > 5.0
+
+
+def truth_found(fit: Fit, models: Models, image: Array, noise: float) -> Array:
+    """How far a fit is from where its problem is solved with the exact model throughout, in standard deviations."""
+    exact = models.exact
+    forward = image_of(models.coarse if exact is None else lambda medium: exact(medium, 1))
+    (view,) = fit.optimum.problem.views
+    whole = replace(view, forward=forward, slopes=slopes_of(forward, 240.0, step=1e-3))
+    best = solve(replace(fit.optimum.problem, views=(whole,), quick=True), fit.optimum.coordinates, 1e-7, 99, 0.0)
+    spread = best.sensitivity.covariance([np.full(image.shape, noise)], [None])
+    return (fit.optimum.values["medium"] - best.values["medium"]) / np.sqrt(np.diag(spread))
+
+
+@pytest.mark.parametrize("share", [1.0, 1.1, 0.9])
+def test_a_live_fit_asks_a_quick_model_for_few_images(share: float) -> None:
+    """Each frame is fitted anew while it is watched: a fit that solves twice, or creeps, halves the frames fitted."""
+    image, noise = noisy(MEDIUM)
+    asked: list[Medium] = []
+
+    def counted(medium: Medium) -> Prediction:
+        asked.append(medium)
+        return tank_like(medium)
+
+    own = slopes_of(image_of(tank_like), 240.0)
+    models = Models(counted, lambda _: (counted, counted), own, RANGE)
+    shot = Shot(observe(image, (40, 60), noise), SCENE, models)
+    start = to_coordinates(Medium(share * MEDIUM.sigma_a, share * MEDIUM.sigma_s, MEDIUM.g))
+    fit = fitted([shot], (MediumBlock(RANGE),), Scaling(None, 0.0), lambda _: None, start)
+    assert len(set(asked)) <= 4
+    assert np.abs(truth_found(fit, models, image, noise)).max() < 0.3
+
+
+def test_one_exact_image_takes_a_cheap_model_to_the_optimum_of_the_exact_one() -> None:
+    """Exact images cost most of a dose's fit: stopping short biases it, and asking for another doubles its time."""
+    image, noise = noisy(MEDIUM)
+    tilt, asked = 1.0 + 0.003 * np.cos(COLUMNS / 15.0), []
+
+    def cheap(medium: Medium) -> Prediction:
+        return replace(tank_like(medium), image=tank_like(medium).image * tilt)
+
+    def exact(medium: Medium, _: int) -> Prediction:
+        asked.append(medium)
+        return tank_like(medium)
+
+    models = Models(cheap, None, exact=exact)
+    shot = Shot(observe(image, (40, 60), noise), SCENE, models)
+    start = to_coordinates(Medium(0.93 * MEDIUM.sigma_a, 1.05 * MEDIUM.sigma_s, 0.98 * MEDIUM.g))
+    fit = fitted([shot], (MediumBlock(RANGE),), Scaling(None, 0.0), lambda _: None, start)
+    assert len(asked) == 1
+    assert np.abs(truth_found(fit, models, image, noise)).max() < 0.3
 
 
 @settings(max_examples=40, deadline=None)

@@ -1,6 +1,7 @@
 """The live fit: newest first, never in the run's way, and gone when the program that started it is."""
 
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -22,12 +23,13 @@ from tankrig.errors import ImageError
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
 from tankrig.light.tank import tank_image
+from tankrig.live import preparing as preparing_module
 from tankrig.live import worker
 from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
 from tankrig.live.fits import fit_dose_prepared
 from tankrig.live.live_fit import LiveFit
-from tankrig.live.preparing import Preparing, box_for
-from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, to_fields
+from tankrig.live.preparing import LOOK, Preparation, Preparing, box_for
+from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, diluted, to_fields
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import Sheet
 from tankrig.pattern.wall import Wall
@@ -103,11 +105,11 @@ def test_the_newest_dose_is_fitted_first_and_the_series_only_over_doses_that_are
     """A fit that falls behind must catch up with what a person is looking at, not work off old frames."""
     asked: list[tuple[str, object]] = []
 
-    def fit_dose(photographs: list[Photograph], _start: Medium | None) -> DoseFit:
+    def fit_dose(photographs: list[Photograph], *_: object) -> DoseFit:
         asked.append(("dose", photographs[0].dose_ml))
         return DoseFit(photographs[0].dose_ml, INK)
 
-    def fit_all(photographs: list[Photograph], _start: object, _models: object) -> SeriesFit:
+    def fit_all(photographs: list[Photograph], *_: object) -> SeriesFit:
         asked.append(("series", tuple(one.dose_ml for one in photographs)))
         return SeriesFit((), INK, INK)
 
@@ -146,7 +148,7 @@ def test_a_run_that_goes_on_is_not_fitted_again_where_it_was_fitted(monkeypatch:
     """Resuming a long run would else begin with minutes of fits that stand in its journal already."""
     starts: list[tuple[float, Medium | None]] = []
 
-    def fit_dose(photographs: list[Photograph], start: Medium | None) -> DoseFit:
+    def fit_dose(photographs: list[Photograph], start: Medium | None, _progress: object) -> DoseFit:
         starts.append((photographs[0].dose_ml, start))
         return DoseFit(photographs[0].dose_ml, INK)
 
@@ -345,6 +347,116 @@ def test_a_dose_waits_for_its_models_then_each_frame_is_fitted_and_the_last_fit_
     assert isinstance(whole, DoseFit)
     assert (whole.passing, whole.newest, whole.single) == (False, 4, single)
     assert fitter.next(exposures, last=True) is None
+
+
+class Boxes(Ready):
+    """Stands in for preparing: says what was wanted, first things first, and hands out models of chosen boxes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.wanted: list[Box] = []
+        self.ready: set[Box] = set()
+
+    def want(self, scenes: list[Scene], box: Box) -> None:
+        assert list(scenes)
+        self.wanted = [box, *(one for one in self.wanted if one != box)]
+
+    def models(self, scenes: list[Scene], box: Box) -> list[object] | None:
+        return [box] * len(scenes) if box in self.ready else None
+
+
+def seen_at(volume_ul: float) -> Exposures:
+    exposures = Exposures(plan())
+    exposures.take(dosed(volume_ul), None)
+    exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 500, np.uint16))
+    return exposures
+
+
+def test_a_first_look_tells_which_models_the_first_dose_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without it the first dose on a bench was searched for by the tank model, for six minutes."""
+    looked, liquid = Medium(0.0003, 0.009, 0.5), Medium(0.0004, 0.008, 0.6)
+    asked: list[Box] = []
+
+    def fit(photographs: list[Photograph], models: list[Box], _start: Medium) -> DoseFit:
+        asked.append(models[0])
+        return DoseFit(photographs[0].dose_ml, looked if models[0] == LOOK else liquid, model="prepared")
+
+    monkeypatch.setattr(worker, "fit_dose_prepared", fit)
+    boxes, exposures = Boxes(), seen_at(100.0)
+    fitter = worker.Fitter((), boxes, plan())  # type: ignore[arg-type]
+    assert boxes.wanted == [LOOK]  # before there is any frame
+    assert fitter.next(exposures, last=False) is None
+    assert fitter.waiting
+    boxes.ready.add(LOOK)
+    assert fitter.next(exposures, last=False) is None
+    assert fitter.waiting
+    assert boxes.wanted[0] == box_for(looked)
+    boxes.ready.add(box_for(looked))
+    found = fitter.next(exposures, last=False)
+    assert isinstance(found, DoseFit)
+    assert (found.medium, found.passing) == (liquid, True)
+    assert asked == [LOOK, box_for(looked)]
+    assert set(boxes.wanted[:2]) == {box_for(liquid), box_for(diluted(liquid, 0.1, 0.2))}
+
+
+def test_models_of_the_ink_expected_come_first_and_a_look_corrects_a_wrong_word(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What a bottle says must not keep a dose from being fitted, nor be believed."""
+    stated, true = Medium(0.004, 0.1, 0.6), Medium(0.0004, 0.02, 0.6)
+    found_in: list[Box] = []
+
+    def fit(photographs: list[Photograph], models: list[Box], _start: Medium) -> DoseFit | None:
+        found_in.append(models[0])
+        right = models[0].sigma_t[0] < true.sigma_t < models[0].sigma_t[1]
+        return DoseFit(photographs[0].dose_ml, true, model="prepared") if right else None
+
+    monkeypatch.setattr(worker, "fit_dose_prepared", fit)
+    expected = replace(plan(), ink=stated)
+    boxes, exposures = Boxes(), seen_at(100.0)
+    fitter = worker.Fitter((), boxes, expected)  # type: ignore[arg-type]
+    first, second = (box_for(diluted(stated, 1.0, dose_ml)) for dose_ml in (0.1, 0.2))
+    assert boxes.wanted == [first, second, LOOK]
+    boxes.ready |= {first, LOOK, box_for(true)}
+    found = fitter.next(exposures, last=False)
+    assert isinstance(found, DoseFit)
+    assert found.medium == true
+    assert found_in == [first, LOOK, box_for(true)]
+
+
+def test_the_time_that_models_still_take_is_told_by_those_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A person who sees 40 s left waits; one who sees nothing ends the run."""
+    now_s, told, go_on = [0.0], queue.Queue[None](), queue.Queue[float]()
+
+    def prepare(_scene: Scene, _tolerance: float, progress: Callable[[float], None], *_: object, **__: object) -> str:
+        while (share := go_on.get(timeout=10)) < 1.0:
+            progress(share)
+            told.put(None)
+        return "model"
+
+    monkeypatch.setattr(preparing_module, "prepare", prepare)
+    preparing = Preparing(lambda _: told.put(None), lambda: now_s[0])
+    scenes = [
+        replace(scene, medium=Medium(0.0, 0.01 * (1 + k), 0.5))
+        for k, scene in enumerate([plan().scenes[PATTERNS["sheet"].hash]] * 3)
+    ]
+    preparing.want(scenes, box_for(LIQUID))
+    go_on.put(0.0)
+    told.get(timeout=10)
+    assert preparing.left == Preparation(3, None)  # nothing tells yet
+    now_s[0] = 10.0
+    go_on.put(0.25)
+    told.get(timeout=10)
+    assert preparing.left.seconds_left == pytest.approx(0.75 * 40.0 + 2 * 40.0)
+    now_s[0] = 20.0
+    go_on.put(1.0)
+    told.get(timeout=10)
+    assert preparing.left == Preparation(2, pytest.approx(40.0))
+    for _ in range(2):
+        go_on.put(1.0)
+        told.get(timeout=10)
+    assert preparing.left == Preparation(0, 0.0)
+    preparing.close()
 
 
 def test_frames_of_ink_that_had_not_mixed_are_left_out_and_a_flickering_lamp_is_not() -> None:

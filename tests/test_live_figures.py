@@ -59,7 +59,7 @@ def test_frames_become_numbers_in_time_to_be_watched(shape: tuple[int, int], pix
             else:
                 scene = replace(bench.scene(pattern, LIQUID), camera=plan.camera)
                 radiance = np.sum(list(tank_image(scene, seed=3, batches=16).orders.values()), axis=0)
-                picture = np.kron(COUNTS * radiance, np.ones((plan.binning, plan.binning)))
+                picture = np.kron(COUNTS * radiance, np.ones((plan.bins.by, plan.bins.along)))
             pictures[name] = [rng.poisson(100.0 + picture).astype(np.uint16) for _ in range(2)]
             for pixels in pictures[name]:
                 fields = {"pattern_hash": pattern.hash, "step": step + 1, "index": index}

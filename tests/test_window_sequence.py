@@ -162,3 +162,16 @@ def test_whatever_a_file_says_it_opens_and_the_rest_can_be_edited(text):
     while page.document.undo.canUndo():
         page.document.undo.undo()
     assert page.document.text == text
+
+
+def test_a_bursts_patterns_are_a_line_of_names(qtbot):
+    from tankrig.sequence import Burst
+    from ui.window.forms import Form
+    from ui.window.steps_editor import words_of
+
+    assert words_of({"do": "burst", "patterns": ["a", "b"], "times": 3}) == "burst of 2 patterns × 3"
+    form = Form(Burst, {"patterns": ["a", "b"]}, {}, skip=("do",))
+    qtbot.addWidget(form)
+    field = form.rows["patterns"]
+    assert field.value == ["a", "b"]
+    assert not field.wrong

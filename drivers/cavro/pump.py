@@ -15,6 +15,7 @@ from . import wire
 from .settings import CavroSettings
 
 ATTEMPTS = 3
+GREETINGS = 2
 PIECE_S = 1.0
 VALVE_S = 2.0
 INITIALISE_S = 60.0
@@ -45,6 +46,7 @@ class CavroPump:
     """
 
     margin, order, increment, most_doubt, counter_restarts, repeats = 0, 1, 1, 10, False, False
+    on_its_own = 0
 
     def __init__(self, settings: CavroSettings, name: str, clock: Clock, opener: PortOpener = open_port) -> None:
         self._settings, self._name, self.model, self._clock = settings, name, "", clock
@@ -65,14 +67,14 @@ class CavroPump:
                 f"{self._name}: speed_ul_per_s = {self._settings.speed_ul_per_s:g} is not one it can do; give "
                 f"{lowest:.3g} to {highest:.3g}"
             )
-        for attempt in range(ATTEMPTS):
+        for attempt in range(GREETINGS):
             try:
                 for _ in range(2):
                     self._ask("Q", "".__eq__)
                 self.model = self._ask("&", _is_firmware).data.strip()
                 break
             except NoReplyError as error:
-                if attempt == ATTEMPTS - 1:
+                if attempt == GREETINGS - 1:
                     raise DeviceError(
                         f"{self._name}: no Cavro pump answers there at {self._settings.baud} baud; check port, baud, "
                         f"address {self._settings.address}, cable and power"

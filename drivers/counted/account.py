@@ -36,6 +36,8 @@ class CountedPump:
         self.ticks_per_ul, self.increment = counter.ticks_per_ul, counter.increment
         self.most = round(MOST_UL * counter.ticks_per_ul)
         self._file: CountFile
+        self._heard_low = 0
+        """Ticks that it has said, while it moved, to have delivered in all."""
 
     def greet(self) -> Standing:
         """Who it is, what it counts and what that means; settles a dose that was cut off, which never goes on."""
@@ -109,20 +111,32 @@ class CountedPump:
         record, count, trust = self._file.record, reading.count, reading.trust
         total = record.base + count
         low, high = record.unsure or (record.total.low, max(begun.to, record.total.high))
-        short = leg is None or count.high < leg.end
-        witnessed = trust is Trust.EXACT
         if self._counter.repeats:  # how often it has begun anew nobody knows
-            high = self.most
-        restarted = self._counter.counter_restarts and count.best == record.seen.best == 0 and not witnessed
-        if self._counter.repeats or trust is Trust.RESTARTED or count.best < record.seen.best or restarted:
+            self._file.update(unsure=(low, self.most), begun=None)
+        elif self._may_have_restarted(reading, begun, leg, max(low, self._heard_low)):
             self._file.update(unsure=(low, high), begun=None)
-        elif trust is Trust.STALLED or (trust is Trust.UNWITNESSED and short):
+        elif trust is Trust.STALLED:
             self._file.update(unsure=(min(low, total.high), min(high, total.high)), begun=None)
         else:
             stopped = reading.stopped and count.best > record.seen.best
-            lost = (self._counter.lost_by_stopping if stopped else 0) + (0 if witnessed else self._counter.order)
+            unheard = 0 if trust is Trust.EXACT else self._counter.order  # a stall
+            lost = (self._counter.lost_by_stopping if stopped else 0) + unheard
             base = record.base._replace(low=record.base.low - lost)
             self._file.update(base=base, seen=count, begun=None, unsure=None)
+
+    def _may_have_restarted(self, reading: Reading, begun: Begun, leg: Leg | None, heard_low: int) -> bool:
+        """Whether its power may have failed, heard or not, and its counter lost its meaning."""
+        record, count, trust = self._file.record, reading.count, reading.trust
+        if trust is Trust.RESTARTED or count.best < record.seen.best:
+            return True
+        if trust is Trust.EXACT:
+            return False
+        if self._counter.counter_restarts and count.best == record.seen.best == 0:
+            return True
+        end = begun.end if leg is None else leg.end
+        complete = end is not None and count.high >= end
+        moved_on = (record.base + count).high >= heard_low + begun.on_its_own
+        return not (complete or trust is Trust.STALLED or (trust is Trust.TIMED_OUT and moved_on))
 
     def remember_unknown(self, low: int, high: int) -> None:
         """Keep the bounds; a dose whose end the counter has not told yet stays begun, so that it still can."""
@@ -168,10 +182,11 @@ class CountedPump:
             raise DeviceError(f"{self.name}: could not be made ready (cleared or refilled); look at it")
         return standing
 
-    def set_off(self, target: int, leg: Leg, unless: Callable[[], bool]) -> None:  # noqa: ARG002, made ready for it
+    def set_off(self, target: int, leg: Leg, unless: Callable[[], bool]) -> None:
         """Write down that it was begun, and begin."""
+        self._heard_low = 0
         try:
-            self._file.update(begun=Begun("dose", target))
+            self._file.update(begun=Begun("dose", target, leg.end, self._counter.on_its_own))
         except DeviceError as error:
             raise NotSetOffError(str(error)) from error
         try:
@@ -187,7 +202,12 @@ class CountedPump:
         """Whether it moves, and what that makes in all."""
         moving, count = self._counter.poll()
         record = self._file.record
-        return moving, record.base + count if count and count.best >= record.seen.best else None
+        if count is None or count.best < record.seen.best:
+            return moving, None
+        total = record.base + count
+        if moving:
+            self._heard_low = max(self._heard_low, total.low)
+        return moving, total
 
     def stop(self) -> None:
         """Put a stop on the wire now."""

@@ -13,6 +13,7 @@ class Trust(Enum):
 
     EXACT = "the counter is right"
     UNWITNESSED = "replies were lost in which it may have said that it stalled"
+    TIMED_OUT = "its watchdog has acted; what it may have said before that was not heard"
     STALLED = "it stalled: it delivered at most what it counted"
     RESTARTED = "it lost its count"
 
@@ -47,6 +48,8 @@ class Counter(Protocol):
     """Ticks it can deliver without counting beyond a renewal."""
     counter_restarts: bool
     """Whether the counter begins at 0 again when the power fails."""
+    on_its_own: int
+    """Ticks it surely delivers when nobody is heard any more, until its watchdog stops it; 0 without a watchdog."""
     repeats: bool
     """Whether it begins its last order anew by itself when its power comes back (found so when it was greeted)."""
 

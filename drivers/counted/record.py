@@ -17,10 +17,22 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Begun:
-    """Something that was begun and is not known to have ended: a dose that ends at `to` ticks in all, or a renewal."""
+    """Something that was begun and is not known to have ended.
+
+    Parameters
+    ----------
+    what, to
+        A dose that ends at `to` ticks in all, or a renewal.
+    end
+        What the counter shows when the leg that was set off is complete; None where an earlier version wrote it.
+    on_its_own
+        Ticks that the pump delivers after it was last heard, until its watchdog stops it.
+    """
 
     what: Literal["dose", "renewal"]
     to: int
+    end: int | None = None
+    on_its_own: int = 0
 
 
 @dataclass(frozen=True)

@@ -220,6 +220,9 @@ class PumpDoser:
             if self._clock.wait(self._stop_asked, POLL_S):
                 self._pump.stop()
             moving, heard = self._pump.poll()
+            if moving and heard and heard.low > self._known.high:
+                told_ul, most_ul = (ticks / self._ticks_per_ul for ticks in (heard.low, self._known.high))
+                raise DeviceError(f"{self.name}: counts {told_ul:g} µl where {most_ul:g} were asked, and still moves")
             if moving and heard and not self.stopped:  # a stop may cost steps that were counted
                 certain = self._hear(heard, certain)
             if moving and self._clock.monotonic() > deadline_s:

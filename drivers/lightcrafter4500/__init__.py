@@ -1,4 +1,4 @@
-"""TI's DLP LightCrafter 4500: set up over USB so that it shows what comes over HDMI, one 8-bit plane, without gamma.
+"""TI's DLP LightCrafter 4500: shows what comes over HDMI, 8 bits without gamma, and bursts of patterns from its flash.
 
 What is known about it, and which of it was never seen on a real one: firmware_notes/lightcrafter4500.md.
 """
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .projector import Lightcrafter
+    from .simulated import SimulatedLightcrafter
 
 
 def open_lightcrafter(settings: Mapping[str, Any]) -> "Lightcrafter":
@@ -19,3 +20,15 @@ def open_lightcrafter(settings: Mapping[str, Any]) -> "Lightcrafter":
     from .settings import LightcrafterSettings
 
     return Lightcrafter(checked(LightcrafterSettings, dict(settings), "lightcrafter-4500", DeviceError))
+
+
+def open_simulated_lightcrafter(settings: Mapping[str, Any]) -> "SimulatedLightcrafter":
+    """Driver `simulated-lightcrafter`: the same on its stand-in (settings: `SimulatedLightcrafterSettings`)."""
+    from tankrig.checked_toml import checked
+    from tankrig.errors import DeviceError
+
+    from .settings import SimulatedLightcrafterSettings
+    from .simulated import SimulatedLightcrafter
+
+    table = checked(SimulatedLightcrafterSettings, dict(settings), "simulated-lightcrafter", DeviceError)
+    return SimulatedLightcrafter(table)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from drivers.check import Check
+from drivers.check import Check, failed
 from drivers.health import Found
 from tankrig.errors import DeviceError
 
@@ -27,13 +27,28 @@ def find() -> Iterator[Found]:
 
 
 def checks(_settings: Mapping[str, Any], device: Any) -> Iterator[Check]:
-    """That its USB answers."""
-    if device is not None:
+    """That its USB answers, that it shows its video input, and what it warns of."""
+    if device is None:
+        yield _answers()
         return
+    try:
+        device.confirm()
+    except DeviceError as error:
+        yield failed("LightCrafter shows its video input", error)
+    else:
+        yield Check("LightCrafter shows its video input", True, "its sequencer runs, and it is locked to the video")
+    yield Check(
+        "LightCrafter has no reserve about its settings", not device.warnings or None,
+        "; ".join(device.warnings) or "it warns of nothing",
+        "nothing has to be done while pictures are as they should be; exposure_us at least 230 µs below the period "
+        "makes room for black",
+    )  # fmt: skip
+
+
+def _answers() -> Check:
+    what = "LightCrafter answers on USB"
     try:
         UsbLink().close()
     except DeviceError as error:
-        finding, _, remedy = str(error).rpartition("; ")
-        yield Check("LightCrafter answers on USB", False, finding, remedy)
-    else:
-        yield Check("LightCrafter answers on USB", True, NAME)
+        return failed(what, error)
+    return Check(what, True, NAME)

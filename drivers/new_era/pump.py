@@ -1,6 +1,7 @@
 """A New Era pump on its line, as `drivers.counted.counter.Counter` (firmware_notes/new_era.md)."""
 
 import itertools
+import math
 import random
 import re
 from collections.abc import Callable, Iterator
@@ -17,7 +18,11 @@ from . import wire
 from .settings import NewEraSettings
 
 ATTEMPTS = 3
-GREETINGS = 6
+GREETINGS = 3
+IGNORED = 4
+"""Commands that a pump may ignore, or answer with an alarm, after its power has come."""
+WATCHDOG_EARLY = 0.9
+"""Part of the watchdog's time that a pump surely moves on for (unverified)."""
 LARGEST_IN_UL_MM = 14.0
 _DIGITS, _DIGITS_AND_POINT = 9999, 5
 _VERSION = re.compile(r"NE\d+X?V[\d.]+")
@@ -71,9 +76,14 @@ class NewEraPump:
         self._unit, self._unit_ul, self.order = _unit(settings.diameter_mm)
         self.tick_ul, self.ticks_per_ul = self._unit_ul / 1000.0, 1000.0 / self._unit_ul
         self.margin, self.most_doubt, self.increment = 3 * self.order, 5 * self.order, 10 * self.order
+        self.on_its_own = math.floor(WATCHDOG_EARLY * settings.watchdog_s / self.duration_s(1))
         self._enter = f"{settings.address}SAF{settings.watchdog_s}\r".encode()
         self._stop = 2 * wire.packet(f"{settings.address}STP") + 2 * f"\r{settings.address}STP".encode() + b"\r"
+        status = f"{settings.address}"
+        self._wake = b"\r" + IGNORED * wire.packet(status) + b"\r" + IGNORED * f"{status}\r".encode()
         self._heard_alarms: set[str] = set()
+        self._alarms_told = 0
+        self._ready_in: tuple[int, int] | None = None
         self._gap = self._stopping = True
         self._marks = itertools.cycle(random.sample(range(3, 41), 38))  # not those of the last program
         self.repeats = self._tells_power_failure_mode = False
@@ -86,11 +96,13 @@ class NewEraPump:
     def greet(self) -> None:
         """See who it is, and whether it begins anew by itself when its power comes back.
 
-        After power-up it may ignore some commands and answers one with an alarm.
+        After power-up it may ignore some commands and answers one with an alarm: status queries, in the form of either
+        mode, take their place.
         """
-        for attempt in range(GREETINGS):
+        for _ in range(GREETINGS):
+            self._line.send(self._wake, replies=2 * IGNORED + 2)
             with suppress(NoReplyError):
-                self.model = self._ask("VER", _SHAPES["VER"].fullmatch, attempts=1 if attempt else 2).data
+                self.model = self._ask("VER", _SHAPES["VER"].fullmatch, attempts=1).data
                 break
         else:
             raise DeviceError(
@@ -176,7 +188,9 @@ class NewEraPump:
     def _reading(self, count: Count) -> Reading:
         alarms, self._heard_alarms = self._heard_alarms, set()
         gap, self._gap = self._gap, True  # until the next dose sets off, nothing is known of alarms between
-        trust = Trust.UNWITNESSED if gap and "T" not in alarms else Trust.EXACT
+        trust = Trust.UNWITNESSED if gap else Trust.EXACT
+        if "T" in alarms:  # it may have taken the place of another that was not told yet
+            trust = Trust.TIMED_OUT
         if "S" in alarms:
             trust = Trust.STALLED
         if "R" in alarms:
@@ -223,28 +237,53 @@ class NewEraPump:
         self._command("DIRINF")
         self._set("PHN", "2")
         self._set("FUN", "STP")
+        for _ in range(2 * ATTEMPTS):
+            life = self._life
+            try:
+                self._read_back(ticks, count)
+            except NoReplyError:
+                if not self._line.patient:
+                    raise
+            else:
+                if self._life == life:
+                    self._ready_in = life
+                    return
+        raise NoReplyError(f"{self._name}: loses replies while it is made ready; check the cable and dose again")
+
+    @property
+    def _life(self) -> tuple[int, int]:
+        """Another one whenever the pump may have lost its power since, and with it all that was set.
+
+        It answers the first command of each life with an alarm, and does not carry it out: so the alarm has been heard,
+        or a reply was missed.
+        """
+        return self._line.missed, self._alarms_told
+
+    def _read_back(self, ticks: int, count: Count) -> None:
+        """Everything that decides what `RUN` does, in one pass that begins with the order of replies proved."""
+        rests = self._mark()
+        self._set("PHN", "2")
+        self._expect(FUN="STP")
         self._set("PHN", "1")
-        self._verify(ticks)
+        self._expect(
+            DIA=self._diameter,
+            RAT="".join(_rate(self._settings.rate_ml_per_min)),
+            VOL=f"{wire.number(ticks)}{self._unit}",
+            DIR="INF",
+            FUN="RAT",
+            PHN="1",
+        )
+        if self._tells_power_failure_mode:
+            self._expect(PF="0")
         counted = self._ask("DIS", lambda text: wire.dispensed(text, self._unit_ul) is not None)
-        if counted.status != "S" or wire.dispensed(counted.data, self._unit_ul) != count:
+        if not rests or counted.status != "S" or wire.dispensed(counted.data, self._unit_ul) != count:
             raise DeviceError(f"{self._name}: was reset or used while it was made ready; dose again")
 
-    def _verify(self, ticks: int) -> None:
-        expected = {
-            "DIA": self._diameter,
-            "RAT": "".join(_rate(self._settings.rate_ml_per_min)),
-            "VOL": f"{wire.number(ticks)}{self._unit}",
-            "DIR": "INF",
-            "FUN": "RAT",
-            "PHN": "1",
-        }
-        for command, wanted in expected.items():
-            found = self._query(command)
-            if not _same_setting(found, wanted):
-                raise DeviceError(f"{self._name}: {command} reads back as {found!r} and not {wanted!r}; reset the pump")
-
     def go(self, unless: Callable[[], bool]) -> bool:
-        """RUN, sent once; without a reply it may have been obeyed, which the counter will tell."""
+        """RUN, sent once, in the life that was made ready; if nothing answers, the counter tells whether it moved."""
+        ready_in, self._ready_in = self._ready_in, None
+        if self._life != ready_in:
+            return False
         self._heard_alarms.clear()
         self._gap = self._stopping = False
         try:
@@ -289,8 +328,15 @@ class NewEraPump:
     def _set(self, command: str, value: str) -> None:
         """Set, and read back."""
         self._command(f"{command}{value}")
-        if not _same_setting(found := self._query(command), value):
-            raise DeviceError(f"{self._name}: {command} reads back as {found!r} and not {value!r}; reset the pump")
+        self._expect(**{command: value})
+
+    def _expect(self, **settings: str) -> None:
+        for command, wanted in settings.items():
+            if not _same_setting(found := self._query(command), wanted):
+                raise DeviceError(
+                    f"{self._name}: {command} reads back as {found!r} and not {wanted!r}; dose again, and if that "
+                    "repeats reset the pump"
+                )
 
     def _command(self, command: str) -> None:
         """Give a command that may be given twice."""
@@ -381,6 +427,7 @@ class NewEraPump:
             return
         if found.alarm:
             self._heard_alarms.add(found.alarm)
+            self._alarms_told += 1
         elif found.status == "P" or (found.status == "I" and not self._stopping):
             self._gap = False
 

@@ -5,8 +5,12 @@ Rays are followed with formulae of this module's own, not with those that calibr
 
 import numpy as np
 
+from tankrig.pattern import Pattern
+
 from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
 
+FINER = 2
+"""Points of `thrown` along the side of a projector pixel."""
 _STEP_MM = 0.05
 
 
@@ -27,7 +31,7 @@ def projector_pixels(bench: TrueBench, points: Array, filled: bool) -> tuple[Arr
     start, index = bench.projector.centre_mm, bench.water_index if filled else 1.0
     across = points[..., 1:] - start[1:]
     offset = np.linalg.norm(across, axis=-1)
-    depths = (-start[0] - bench.pane_mm, bench.pane_mm, np.maximum(points[..., 0], 0.0))
+    depths = (-start[0] - bench.pane_mm, bench.pane_mm, points[..., 0])
     sine = _through_layers(offset, depths, (1.0, bench.pane_index, index))[..., None]
     aside = across / np.maximum(offset, 1e-12)[..., None]
     in_air, inside = (np.concatenate([np.sqrt(1.0 - one**2), one * aside], axis=-1) for one in (sine, sine / index))
@@ -59,6 +63,23 @@ def illumination(bench: TrueBench, points: Array, across: Array, filled: bool) -
     lit = way @ np.cross(across[0], across[1]) > 0.0
     power = vignetting(bench.projector, pixels[..., 0], pixels[..., 1])
     return pixels, lit * power * density * distance**2 / (matrix[0, 0] * matrix[1, 1])
+
+
+def thrown(bench: TrueBench, pattern: Pattern) -> Array:
+    """The light of a pattern's pixels, blurred by the projector's lens, of that of a white one.
+
+    Returns
+    -------
+    array (FINER · rows, FINER · columns)
+        To be read linearly between its points; what that blurs is taken off the lens's blur.
+    """
+    import cv2
+
+    light = (pattern.pixels / 255.0) ** bench.gamma + bench.leak
+    fine = np.repeat(np.repeat(light, FINER, axis=0), FINER, axis=1).astype(np.float32)
+    # A pixel is a square, with variance 1/12; FINER points and straight lines between them have 1/12 + 1/12 FINER².
+    blur_px = np.sqrt(max(bench.projector.blur_px**2 - 1.0 / (12.0 * FINER**2), 0.01))
+    return np.asarray(cv2.GaussianBlur(fine, (0, 0), FINER * blur_px))
 
 
 def vignetting(optics: TrueOptics, x: Array, y: Array) -> Array:

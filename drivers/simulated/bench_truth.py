@@ -68,6 +68,8 @@ class TrueBench:
         How far off the board lies when it is laid into the corner, along x and y, and turned.
     room, full
         Radiance of white paper in the room's light, and in the projector's on the wall; W/mm²/sr.
+    leak
+        Part of the light of level 255 that every pixel of the projector has besides, at level 0 too.
     """
 
     camera: TrueOptics
@@ -82,7 +84,8 @@ class TrueBench:
     laid_mm: tuple[float, float]
     laid_rad: float
     room: float = 0.9e-3
-    full: float = 1.5e-3
+    full: float = 3e-2
+    leak: float = 0.0
 
 
 def random_bench(seed: int, camera_shape: tuple[int, int], projector_shape: tuple[int, int]) -> TrueBench:

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from tankrig.calibration.board import Board
 from tankrig.pattern import Pattern
 
-from .bench_optics import camera_rays, illumination, vignetting
-from .bench_poses import FILLED, Place, board_pose
-from .bench_truth import Array, TrueBench, random_bench
-from .settings import BoardBench
+from .bench_optics import FINER, camera_rays, illumination, thrown, vignetting
+from .bench_poses import FILLED, Held, Place, board_pose
+from .bench_truth import Array, TrueBench
 
 Map = NDArray[np.float32]
 
@@ -67,11 +66,10 @@ class BoardInView:
         """Light of the projector's pixels where each sample is lit from, of that of a white one."""
         import cv2
 
-        light = ((pattern.pixels / 255.0) ** self._bench.gamma).astype(np.float32)
-        blurred = cv2.GaussianBlur(light, (0, 0), self._bench.projector.blur_px)
         x, y = self._from
-        thrown: Map = cv2.remap(blurred, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-        return thrown
+        light = thrown(self._bench, pattern)
+        seen: Map = cv2.remap(light, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        return seen
 
     def _bounding_box(self) -> tuple[int, int, int, int] | None:
         """Rows and columns of the picture that the plate can be in."""
@@ -112,7 +110,10 @@ class BoardInView:
         )
         if self._lit:
             pixels, strength = illumination(self._bench, points, self._rotation.T[:2], self._filled)
-            self._from = [_spline(nodes_y, nodes_x, pixels[..., k], fine).astype(np.float32) for k in range(2)]
+            self._from = [
+                ((_spline(nodes_y, nodes_x, pixels[..., k], fine) + 0.5) * FINER - 0.5).astype(np.float32)
+                for k in range(2)
+            ]
             self._beam: Map = _spline(nodes_y, nodes_x, strength, fine).astype(np.float32)
 
     def _on_board(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -129,22 +130,29 @@ class BoardInView:
 
 
 class BoardsInView:
-    """The board wherever it is held before the camera of a bench; nothing at first.
+    """The board wherever it is held before the camera of a bench; nowhere at first.
 
     Parameters
     ----------
-    settings
-        Which bench, and which board.
+    bench
+        Where.
+    board
+        What.
     """
 
-    def __init__(self, settings: BoardBench) -> None:
-        self.bench = random_bench(settings.seed, settings.camera_shape, settings.projector_shape)
-        self._board = settings.board
+    def __init__(self, bench: TrueBench, board: Board) -> None:
+        self.bench = bench
+        self._board = board
         self._view: BoardInView | None = None
 
-    def hold(self, place: Place, number: int) -> None:
-        """Put the board there."""
-        self._view = BoardInView(self.bench, self._board, place, number)
+    @property
+    def held(self) -> bool:
+        """Whether there is a board before the camera."""
+        return self._view is not None
+
+    def hold(self, place: Held, number: int) -> None:
+        """Put the board there, or take it away."""
+        self._view = None if place == "nothing" else BoardInView(self.bench, self._board, place, number)
 
     def radiance(self, shown: Mapping[Pattern, float]) -> Array:
         """See `BoardInView`."""

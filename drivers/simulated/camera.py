@@ -13,21 +13,25 @@ from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
-from .bench_poses import Place
+from .bench_poses import Held
+from .bench_tank import InkInView, true_bench
 from .bench_view import BoardsInView
 from .diffuser import behind_diffuser
 from .light import frame_buffer
+from .picture_store import PictureStore
 from .sensor import counts
 from .settings import CameraFaults, SimulatedCameraSettings
 from .stream import Stream
 from .tank import SimulatedTank
+from .triggered import TriggeredStream
 
 _EXPOSURE_STEP_MS = 0.1
 _CLOCK_AHEAD_NS = 5_000_000_000
+_LOOK_S = 0.002
 
 
 class SimulatedCamera:
-    """Implements `tankrig.devices.Camera`.
+    """Implements `tankrig.devices.Camera` and `TriggeredCamera`.
 
     It streams all the time, like a video camera: see `Stream`. What a frame shows is worked out when the program takes
     it, from what was in the frame buffer while it was exposed; working out a picture that was not seen before takes
@@ -54,15 +58,16 @@ class SimulatedCamera:
     def __init__(self, settings: SimulatedCameraSettings) -> None:
         self._settings = settings
         self.faults: CameraFaults = settings.faults
-        self.tank = SimulatedTank(settings.truth, settings.folder / "state", settings.seed)
+        self._boards, view = _bench(settings)
+        self.tank = SimulatedTank(settings.truth, settings.folder / "state", settings.seed, view)
         self.before_lens = "nothing"
-        self._boards = BoardsInView(settings.boards) if settings.boards else None
         self._buffer = frame_buffer(settings.folder)
         self._closed = threading.Event()
         self._lock = threading.Lock()
         self._handed_out, self._number = 0, 0
         self._frozen: NDArray[np.uint16] = np.zeros(self.shape, np.uint16)
         self._configured = CameraSettings(exposure_ms=20.0)
+        self._armed: TriggeredStream | None = None
         self._start_stream()
 
     @property
@@ -110,6 +115,8 @@ class SimulatedCamera:
         """
         deadline_ns = time.monotonic_ns() + int(timeout_s * 1e9)
         with self._my_turn("capture"):
+            if self._armed is not None:
+                raise DeviceError(f"{self.name}: exposes on triggers only; disarm it first")
             number = self._next(after_ns, deadline_ns, timeout_s)
             self._number = number + 1
             start_ns = self._stream.start_ns(number)
@@ -117,6 +124,43 @@ class SimulatedCamera:
             self._require_there()
             self._handed_out += 1
             return Frame(pixels, start_ns, start_ns + _CLOCK_AHEAD_NS, time.monotonic_ns(), number)
+
+    def arm(self) -> None:
+        """Expose once for each trigger from now on, and no more by itself; drop what waits from before.
+
+        Raises
+        ------
+        DeviceError
+            If the camera is gone or closed, or a capture is under way.
+        """
+        with self._my_turn("be armed"):
+            period_ns = max(self._exposure_ns(), self._ns(1000.0 / self._settings.most_per_s))
+            self._armed = TriggeredStream(time.monotonic_ns(), period_ns)
+
+    def triggered(self, timeout_s: float) -> Frame | None:
+        """The next exposure, in order; None when no trigger came, or its frame did not arrive, within `timeout_s`.
+
+        Raises
+        ------
+        DeviceError
+            If the camera is not armed, is gone or closed, or a capture is under way.
+        """
+        deadline_ns = time.monotonic_ns() + int(timeout_s * 1e9)
+        with self._my_turn("wait for a trigger"):
+            start_ns = self._next_triggered(deadline_ns)
+            if start_ns is None:
+                return None
+            number, self._number = self._number, self._number + 1
+            pixels = self._pixels(number, start_ns)
+            self._handed_out += 1
+            return Frame(pixels, start_ns, start_ns + _CLOCK_AHEAD_NS, time.monotonic_ns(), number)
+
+    def disarm(self) -> None:
+        """Expose freely again; may be called any number of times."""
+        with self._my_turn("be disarmed"):
+            if self._armed is not None:
+                self._armed = None
+                self._start_stream()
 
     def close(self) -> None:
         """Stop streaming; wakes a capture that waits."""
@@ -143,6 +187,22 @@ class SimulatedCamera:
                 continue
             if self._stream.start_ns(number) > after_ns or self._is("stale"):
                 return number
+
+    def _next_triggered(self, deadline_ns: int) -> int | None:
+        """Start of the next exposure that arrives in time."""
+        if self._armed is None:
+            raise DeviceError(f"{self.name}: waits for no triggers; arm it first")
+        while True:
+            start_ns = None if self._is("silent") else self._armed.take(self._buffer.triggers(0))
+            if start_ns is None:
+                if time.monotonic_ns() > deadline_ns:
+                    return None
+                self._wait(time.monotonic_ns() + int(_LOOK_S * 1e9))
+                continue
+            self._wait(start_ns + self._exposure_ns() + self._ns(self._settings.latency_ms))
+            if np.random.default_rng((self._settings.seed, 2, self._number)).random() >= self.faults.dropped:
+                return start_ns
+            self._number += 1
 
     def _pixels(self, number: int, start_ns: int) -> NDArray[np.uint16]:
         if self._is("frozen"):
@@ -177,13 +237,13 @@ class SimulatedCamera:
         with self._my_turn("look elsewhere"):
             self._start_stream()  # none that waits was exposed to the new light
 
-    def hold(self, place: Place, number: int) -> None:
+    def hold(self, place: Held, number: int = 0) -> None:
         """Hold the board before the camera, as a person would at a real one.
 
         Parameters
         ----------
         place
-            Where; see `Place`.
+            Where; see `Place`. "nothing" takes it away.
         number
             Of the view.
 
@@ -202,7 +262,7 @@ class SimulatedCamera:
             self._start_stream()
 
     def _radiance(self, shown: Mapping[Pattern, float], start_ns: int) -> NDArray[np.float64]:
-        if self._boards is not None and self.before_lens == "nothing":
+        if self._boards is not None and self._boards.held and self.before_lens == "nothing":
             return self._boards.radiance(shown)
         if self.before_lens == "nothing":
             return self.tank.seen(shown, start_ns)
@@ -240,3 +300,13 @@ class SimulatedCamera:
 
     def _ns(self, time_ms: float) -> int:
         return max(1, round(time_ms * self._settings.time_scale * 1e6))
+
+
+def _bench(settings: SimulatedCameraSettings) -> tuple[BoardsInView | None, InkInView | None]:
+    """What stands in place of the tank of `Truth.bench`, where there is a bench: boards, and ink through its optics."""
+    bench, boards = true_bench(settings), settings.boards
+    if bench is None or boards is None:
+        return None, None
+    store = PictureStore(settings.folder / "pictures")
+    ink = InkInView(bench, settings.truth.tolerance, settings.seed, store, repr(boards))
+    return BoardsInView(bench, boards.board), ink

@@ -1,16 +1,16 @@
-"""The light that the simulated projector sends into a tank, moment by moment: what the simulated camera sees it by."""
+"""The light that a simulated projector sends into a tank, moment by moment, and its wire to the camera's trigger."""
 
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from weakref import WeakValueDictionary
 
 from tankrig.pattern import Pattern
 
-_REMEMBERED = 256
-"""Flips; far more than happen while frames wait in a camera's queue."""
+_REMEMBERED = 1024
+"""Flips and triggers; far more than happen while frames wait in a camera's queue, or in a burst."""
 
 
 class FrameBuffer:
@@ -28,7 +28,22 @@ class FrameBuffer:
 
     def __init__(self) -> None:
         self._flips: deque[tuple[int, Pattern | None]] = deque([(0, None)], maxlen=_REMEMBERED)
+        self._triggers: deque[int] = deque(maxlen=_REMEMBERED)
         self._lock = threading.Lock()
+        self.catch_up: Callable[[], object] = lambda: None
+        """Called before anybody looks: a projector that works by itself tells here what it has shown meanwhile."""
+
+    def flash(self, pattern: Pattern, lit_ns: int, dark_ns: int) -> None:
+        """Light the tank with `pattern` from `lit_ns` to `dark_ns`, and trigger the camera at `lit_ns`."""
+        with self._lock:
+            self._flips.extend([(lit_ns, pattern), (dark_ns, None)])
+            self._triggers.append(lit_ns)
+
+    def triggers(self, after_ns: int) -> list[int]:
+        """When the camera was triggered later than `after_ns`, in order."""
+        self.catch_up()
+        with self._lock:
+            return [at_ns for at_ns in self._triggers if at_ns > after_ns]
 
     def show(self, pattern: Pattern | None, lit_ns: int) -> None:
         """Light the tank with `pattern`, or not at all, from `lit_ns` on, which rises from call to call."""
@@ -45,6 +60,7 @@ class FrameBuffer:
 
     def shown(self, start_ns: int, end_ns: int) -> Mapping[Pattern, float]:
         """Parts of the time from `start_ns` to `end_ns` in which each pattern was shown."""
+        self.catch_up()
         with self._lock:
             flips = list(self._flips)
         parts: dict[Pattern, float] = {}

@@ -1,13 +1,16 @@
 """What a rig file says about the simulated projector, the simulated camera, and the tank between them."""
 
 from pathlib import Path
+from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from tankrig.bench import Bench
 from tankrig.calibration.board import Board
 from tankrig.pattern.wall import Wall
 from tankrig.scene.description import Camera, Medium, Tank
+
+from .bench_truth import TANK_MM
 
 _CLOSED = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -218,6 +221,8 @@ class BoardBench(BaseModel):
         (rows, columns).
     board
         That is held there, whatever a calibration takes it for.
+    level_mm
+        Height of the water over the floor; None: drawn with the rest.
     """
 
     model_config = _CLOSED
@@ -226,6 +231,7 @@ class BoardBench(BaseModel):
     board: Board = Board()
     camera_shape: tuple[int, int] = (540, 960)
     projector_shape: tuple[int, int] = (384, 512)
+    level_mm: float | None = Field(default=None, gt=0.0)
 
 
 class SimulatedCameraSettings(BaseModel):
@@ -267,3 +273,26 @@ class SimulatedCameraSettings(BaseModel):
     seed: int = Field(default=0, ge=0)
     boards: BoardBench | None = None
     time_scale: float = Field(default=1.0, gt=0.0, le=10.0)
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        """Refuse a truth that contradicts itself."""
+        length, width, height = TANK_MM if self.boards else self.truth.bench.tank.size_mm
+        x, y = self.truth.inlet_mm
+        if not (0.0 <= x <= length and abs(y) <= width / 2):
+            raise ValueError(
+                f"truth.inlet_mm = [{x:g}, {y:g}] is outside the tank, x 0 … {length:g} mm, y ±{width / 2:g} mm; give "
+                f"a place in it"
+            )
+        if self.boards is None:
+            return self
+        if "bench" in self.truth.model_fields_set:
+            raise ValueError(
+                "truth.bench and boards are two truths of one bench; remove truth.bench, since boards draws its own"
+            )
+        level_mm = self.boards.level_mm
+        if level_mm is not None and level_mm > height:
+            raise ValueError(
+                f"boards.level_mm = {level_mm:g} is above the tank, which is {height:g} mm high; fill in less"
+            )
+        return self

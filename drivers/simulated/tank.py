@@ -5,7 +5,7 @@ import struct
 from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,11 @@ class Radiance(NamedTuple):
 
     image: Image
     stderr: Image
+
+
+def seed_of(seed: int, pattern: Pattern, medium: Medium) -> int:
+    """Of one picture's noise: with one seed for all, a fit of several would take their common noise for the ink."""
+    return int.from_bytes(sha256(f"{seed} {pattern.hash} {medium}".encode()).digest()[:6])
 
 
 def mixture(water: Medium, ink: Medium, volume_ml: float) -> Medium:
@@ -51,6 +56,20 @@ def mixture(water: Medium, ink: Medium, volume_ml: float) -> Medium:
     return Medium(sigma_a, sigma_s, turned / sigma_s if sigma_s > 0.0 else 0.0)
 
 
+class View(Protocol):
+    """What a camera sees of the tank through its lens, whatever lights it and whatever is in it."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+
+    def radiance(self, pattern: Pattern, medium: Medium) -> Radiance:
+        """When all is `medium`."""
+
+    def blob(self, inlet_mm: tuple[float, float], plume_mm: float) -> Image:
+        """(rows, columns) of a Gaussian about (x, y) with a standard deviation, of its mean over the tank."""
+
+
 class SimulatedTank:
     """Radiance by Monte Carlo, computed once for each pattern and medium, and a plume on top of it.
 
@@ -66,13 +85,16 @@ class SimulatedTank:
         The doser's state file, which counts the plunger's steps; where there is none, no ink is in the tank.
     seed
         Of the Monte Carlo.
+    view
+        Through which it is seen; None: as `truth.bench` says.
     """
 
-    def __init__(self, truth: Truth, state: Path, seed: int) -> None:
+    def __init__(self, truth: Truth, state: Path, seed: int, view: View | None = None) -> None:
         self.truth = truth
-        self._state, self._seed = state, seed
+        self._state = state
+        self._view: View = _IdealView(truth, seed) if view is None else view
         self._images: dict[tuple[str, Medium], Radiance] = {}
-        self._blob = _blob(truth)
+        self._blob = self._view.blob(truth.inlet_mm, truth.plume_mm)
         self._unspread = _Unspread(truth.mixing_s)
 
     @property
@@ -91,30 +113,17 @@ class SimulatedTank:
         if key not in self._images:
             while len(self._images) >= _IMAGES_KEPT:
                 del self._images[next(iter(self._images))]
-            self._images[key] = self._simulated(pattern, medium)
+            self._images[key] = self._view.radiance(pattern, medium)
         return self._images[key]
 
     def seen(self, shown: Mapping[Pattern, float], now_ns: int) -> Image:
         """(rows, columns) mean radiance, W/mm²/sr, when patterns are `shown` for parts of the time, by `now_ns`."""
         delivery = self._delivery()
         medium = self._medium(delivery)
-        image = np.zeros(self.truth.bench.camera.shape)
+        image = np.zeros(self._view.shape)
         for pattern, part in shown.items():
             image += part * self.radiance(pattern, medium).image
         return image * (1.0 + self._unspread.part(delivery, now_ns) * (self._blob - 1.0))
-
-    def _simulated(self, pattern: Pattern, medium: Medium) -> Radiance:
-        truth = self.truth
-        if medium.sigma_s == 0.0 or not truth.bench.wall.beams(pattern, truth.bench.tank):
-            dark = np.zeros(truth.bench.camera.shape)
-            return Radiance(dark, dark)
-        from tankrig.montecarlo import simulate_to  # half a second, which a dark first picture need not wait for
-
-        scene = truth.bench.scene(pattern, medium)
-        # With one seed for all, pictures would share their noise, and a fit of several would take it for the ink.
-        seed = int.from_bytes(sha256(f"{self._seed} {pattern.hash} {medium}".encode()).digest()[:6])
-        tally = simulate_to(scene, truth.tolerance, seed=seed, coarsen=truth.coarsen)
-        return Radiance(tally.image, tally.stderr)
 
     def _ml(self, delivery: TrueDelivery) -> float:
         return delivery.steps / self.truth.steps_per_ul / 1000.0
@@ -146,11 +155,33 @@ class _Unspread:
         return self._unspread / delivery.steps if delivery.steps else 0.0
 
 
-def _blob(truth: Truth) -> Image:
-    camera, width_mm = truth.bench.camera, truth.bench.tank.size_mm[1]
-    rows, columns = camera.shape
-    x_mm = (np.arange(columns) + 0.5) * camera.pixel_mm - truth.inlet_mm[0]
-    y_mm = (np.arange(rows) + 0.5) * camera.pixel_mm - width_mm / 2 - truth.inlet_mm[1]
-    blob: Image = np.exp(-(x_mm**2 + y_mm[:, None] ** 2) / (2 * truth.plume_mm**2))
-    blob /= blob.mean()
-    return blob
+class _IdealView:
+    """The tank as `Truth.bench` has it: order 1 in the camera's pixels, the rest in blocks of them."""
+
+    def __init__(self, truth: Truth, seed: int) -> None:
+        self._truth, self._seed = truth, seed
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self._truth.bench.camera.shape
+
+    def radiance(self, pattern: Pattern, medium: Medium) -> Radiance:
+        truth = self._truth
+        if medium.sigma_s == 0.0 or not truth.bench.wall.beams(pattern, truth.bench.tank):
+            dark = np.zeros(truth.bench.camera.shape)
+            return Radiance(dark, dark)
+        from tankrig.montecarlo import simulate_to  # half a second, which a dark first picture need not wait for
+
+        scene = truth.bench.scene(pattern, medium)
+        seed = seed_of(self._seed, pattern, medium)
+        tally = simulate_to(scene, truth.tolerance, seed=seed, coarsen=truth.coarsen)
+        return Radiance(tally.image, tally.stderr)
+
+    def blob(self, inlet_mm: tuple[float, float], plume_mm: float) -> Image:
+        camera, width_mm = self._truth.bench.camera, self._truth.bench.tank.size_mm[1]
+        rows, columns = camera.shape
+        x_mm = (np.arange(columns) + 0.5) * camera.pixel_mm - inlet_mm[0]
+        y_mm = (np.arange(rows) + 0.5) * camera.pixel_mm - width_mm / 2 - inlet_mm[1]
+        blob: Image = np.exp(-(x_mm**2 + y_mm[:, None] ** 2) / (2 * plume_mm**2))
+        blob /= blob.mean()
+        return blob

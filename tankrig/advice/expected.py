@@ -7,12 +7,12 @@ information. That is what a fit of all of them would state, to first order.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.parameters import NAMES, WIDEST, Scaling
+from tankrig.estimation.parameters import NAMES, WIDEST, Scaling, in_tank
 from tankrig.estimation.uncertainty import Information, Response, SmoothError, total
 from tankrig.scene import Medium, Scene
 
@@ -38,6 +38,8 @@ class Shot:
         Ink in the tank.
     frames
         That are averaged.
+    used
+        (rows, columns) pixels that a fit would look at; None for all.
     """
 
     pattern: str
@@ -45,6 +47,7 @@ class Shot:
     dose_ml: float
     dose_sd_ml: float
     frames: int
+    used: NDArray[np.bool_] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ class Known:
 
     def liquid(self, dose_ml: float) -> Medium:
         """In the tank at a dose."""
-        return Medium(self.water_sigma_a + self.ink.sigma_a * dose_ml, self.ink.sigma_s * dose_ml, self.ink.g)
+        return in_tank(self.ink, self.water_sigma_a, dose_ml)
 
 
 @dataclass(frozen=True)
@@ -150,9 +153,10 @@ def _about_liquid(known: Known, shot: Shot, answer: Answer) -> Information:
     radiance, slopes = answer(shot.scene, known.liquid(shot.dose_ml))
     image = known.gain * radiance
     noise = np.sqrt(known.noise(image) / shot.frames)
-    error = SmoothError(known.model_error * image, max(shot.scene.tank.size_mm) / shot.scene.camera.pixel_mm)
-    changes = np.vstack([known.gain * slopes.reshape(3, -1), image.reshape(1, -1)])
-    weights, used = error.whitening(noise, np.ones(image.shape, bool)), np.ones(image.shape, bool)
-    one, model = weights.whiten(np.ones(image.size)), weights.whiten(image.ravel())
+    error = SmoothError.of(shot.scene, known.model_error * image)
+    used = np.ones(image.shape, bool) if shot.used is None else shot.used
+    changes = np.vstack([known.gain * slopes[:, used], image[used]])
+    weights = error.whitening(noise, used)
+    one, model = weights.whiten(np.ones(image[used].size)), weights.whiten(image[used])
     left = Scaling(1.0, None if known.offset_free else 0.0).project_out(weights.whiten(changes), [model], [one])
     return Response(left, weights, used).information(noise, error)

@@ -39,7 +39,7 @@ def from_run(run: Run) -> tuple[Known, list[Shot], list[str]]:
     if not photographs or not doses:
         lacks = "fit of one yet; make a report of it first" if photographs else "photograph of ink yet; record some"
         raise ImageError(f"{run.path}: has no {lacks}, so there is nothing to advise from")
-    shots = [Shot(one.pattern, one.scene, one.dose_ml, one.dose_sd_ml, one.frames) for one in photographs]
+    shots = [Shot(one.pattern, one.scene, one.dose_ml, one.dose_sd_ml, one.frames, one.used) for one in photographs]
     ink, water, gain = _ink(doses, series)
     errors = [one.model_error for one in doses if one.model_error is not None]
     error = float(np.median(errors)) if errors else MODEL_ERROR
@@ -67,8 +67,8 @@ def _ink(doses: Sequence[DoseFit], series: SeriesFit | None) -> tuple[Medium, fl
 
 def _noise_of(photographs: Sequence[Photograph]) -> Callable[[Array], Array]:
     """Variance of one frame as a straight line in its brightness, as the photographs show it."""
-    bright = np.concatenate([one.image.ravel() for one in photographs])
-    variance = np.concatenate([one.noise.ravel() ** 2 * one.frames for one in photographs])
+    bright = np.concatenate([one.image[one.used] for one in photographs])
+    variance = np.concatenate([one.noise[one.used] ** 2 * one.frames for one in photographs])
     design = np.stack([np.ones(bright.size), bright], axis=1)
     base, slope = np.linalg.lstsq(design, variance, rcond=None)[0]
     floor = max(0.1 * float(variance.mean()), 1e-300)

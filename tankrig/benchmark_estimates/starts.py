@@ -85,8 +85,7 @@ def _started(records: Records, prepared: Prepared, name: str, gain: str, starts:
     values = np.array(found)
     best = np.unravel_index(np.argmin(costs), (starts, 2))
     at = to_coordinates(Medium(*values[best]))
-    sensitivity = problem.sensitivity(at, problem.images(at))
-    spread = sensitivity.covariance([observation.noise], [problem.views[0].error])
+    spread = problem.at(at).sensitivity.covariance([observation.noise], [problem.views[0].error])
     alone, same = (np.abs(values - values[best]) < SAME_SD * np.sqrt(np.diag(spread))).all(axis=2).mean(axis=0)
     return {
         "liquid": name, "gain": gain, "alone": float(alone), "same": float(same), "failed": failed,

@@ -114,7 +114,7 @@ def measured(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
     tables["projector"]["gamma"] = radiometry.result["projector"]["gamma"] if radiometry else bench.wall.gamma
     name = str(found["projector"].path)
     tank = checked(Tank, tables["tank"], name, SceneError)
-    camera = checked(Camera, tables["camera"], name, SceneError)
+    camera = replace(checked(Camera, tables["camera"], name, SceneError), bin=bench.camera.bin)
     projector = checked(Projector, tables["projector"], name, SceneError)
     return replace(bench, tank=tank, light="calibrated", camera=camera, projector=projector)
 

@@ -181,8 +181,8 @@ def _black_and_white(
             f"before it"
         )
     raise DeviceError(
-        f"{camera.name}: sees no difference between black and white of {projector.name}; point it at the light, or "
-        f"open its aperture"
+        f"{camera.name}: sees no difference between black and white of {projector.name}, as with clear water; put ink "
+        f"into the tank or a sheet of paper where the light falls, or open the aperture"
     )
 
 

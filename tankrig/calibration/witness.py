@@ -84,7 +84,10 @@ def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> 
     """
     brightest = float(np.quantile(light, 0.999))
     if brightest < _DIM * saturation:
-        return Testimony(None, "the camera sees too little of its light: dark water, a cap, or something covers it all")
+        return Testimony(
+            None,
+            "the camera sees too little of its light: clear water (it needs ink or paper), a cap, or a cover",
+        )
     lit = light > _LIT * brightest
     if abs(float(back[lit].mean())) > _BACK * float(light[lit].mean()):
         return Testimony(False, "dark is not what it was a second ago: it follows late, or other light comes and goes")

@@ -14,7 +14,7 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -102,12 +102,14 @@ def compare_models(
     noise: ArrayLike | None = None,
     contenders: Sequence[Contender] = CONTENDERS,
     progress: Callable[[str], None] | None = None,
+    *,
+    mask: ArrayLike | None = None,
 ) -> Comparison:
     """Fit an image by several models.
 
     Parameters
     ----------
-    image, scene, gain, offset, noise
+    image, scene, gain, offset, noise, mask
         As for `tankrig.estimate`.
     contenders
         The models.
@@ -129,7 +131,7 @@ def compare_models(
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # what a model leaves out is in its verdict
-                found = estimate(image, scene, gain, offset, noise, model=one.model, max_order=one.max_order)
+                found = estimate(image, scene, gain, offset, noise, mask, model=one.model, max_order=one.max_order)
         except TankrigError as error:
             errors.append(error)
             refusal = str(error)
@@ -140,24 +142,12 @@ def compare_models(
     best = min(fitted, key=lambda fit: fit.rmse)
     pixels = int(np.isfinite(best.residual).sum())
     effective = effective_pixels(np.asarray(best.residual, float))
-    free = 3 + (gain == "free") + (offset == "free")
-    floor = effective * math.log(best.rmse**2)
     rows = []
     for fit in fits:
-        aic = bic = math.inf
-        if fit.estimate is not None:
-            worse = effective * math.log(fit.estimate.rmse**2) - floor
-            aic, bic = worse + 2.0 * free, worse + free * math.log(effective)
-        rows.append(Compared(fit.contender, fit.estimate, fit.seconds, aic, bic, fit.refusal))
-    lowest = min(row.aic for row in rows), min(row.bic for row in rows)
-    return Comparison(
-        tuple(
-            Compared(row.contender, row.estimate, row.seconds, row.aic - lowest[0], row.bic - lowest[1], row.refusal)
-            for row in rows
-        ),
-        pixels,
-        effective,
-    )
+        # The penalties 2 k and k ln n_eff are the same for all, as each model is fitted with the same coefficients.
+        worse = math.inf if fit.estimate is None else 2.0 * effective * math.log(fit.estimate.rmse / best.rmse)
+        rows.append(replace(fit, aic=worse, bic=worse))
+    return Comparison(tuple(rows), pixels, effective)
 
 
 def effective_pixels(residual: Array) -> float:

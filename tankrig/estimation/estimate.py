@@ -1,7 +1,7 @@
 """`estimate`: from an image of a tank to the coefficients of what is in it."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Literal
@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.forward import Models, error_map, models_of, stated_error
+from tankrig.estimation.misfit import faults_of, moved_by_faults
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
 from tankrig.estimation.parameters import MediumBlock, Range, Scaling
-from tankrig.estimation.problem import Problem
+from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import (
     WHOLE,
     cause_of,
@@ -25,7 +26,7 @@ from tankrig.estimation.residual import (
 )
 from tankrig.estimation.result import Estimate as Estimate
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
-from tankrig.estimation.uncertainty import Sensitivity, SmoothError, identifiable, overconfidence, stretches
+from tankrig.estimation.uncertainty import ModelError, SmoothError, identifiable, overconfidence, stretches
 from tankrig.estimation.verdict import what_is_determined, what_is_left, what_is_misaligned, what_was_left_out
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
@@ -143,21 +144,18 @@ def fit_models(
 
 def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
     """The fit with what may be off in the set-up; edges that come off pixels' edges bend the way, so it is repeated."""
-    at, cost = np.concatenate([fit.optimum.coordinates, np.zeros(len(misalignment.names))]), fit.optimum.cost
-    (view,), (medium,), block = fit.problem.views, fit.problem.blocks, SetUpBlock(misalignment, np.ones(at.size - 3))
-    problem = replace(fit.problem, blocks=(medium, block))
+    best, none = fit.optimum, np.zeros(len(misalignment.names))
+    at, (view,), (medium,) = np.concatenate([best.coordinates, none]), best.problem.views, best.problem.blocks
     for _ in range(ALIGNINGS):
-        before, known = cost, misalignment.at(problem.liquid(at))
-        block = SetUpBlock(known, np.ones(len(known.names)))
-        problem = replace(problem, blocks=(medium, block))
-        sensitivity = problem.sensitivity(at, problem.images(at))
-        weight = overconfidence(sensitivity, problem.believed(block), [view.observation.noise], [view.error])
-        problem = replace(problem, blocks=(medium, replace(block, weight=weight)))
-        best = polish(problem, at)
-        at, cost = best.coordinates, best.cost
-        if before - cost < ALIGNED:
+        before, block = best.cost, SetUpBlock(misalignment.at(best.media[0]), np.ones(none.size))
+        problem = replace(best.problem, blocks=(medium, block))
+        sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
+        weight = overconfidence(sensitivity, believed, [view.observation.noise], [view.error])
+        best = polish(replace(problem, blocks=(medium, replace(block, weight=weight))), at)
+        at = best.coordinates
+        if before - best.cost < ALIGNED:
             break
-    return replace(fit, problem=problem, optimum=best)
+    return replace(fit, optimum=best)
 
 
 @dataclass(frozen=True)
@@ -207,15 +205,15 @@ def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
     ImageError
         When the images are dark where the scenes are bright.
     """
-    images = fit.problem.images(fit.coordinates)
-    gain, offsets = fit.problem.scale(images)
+    best = fit.optimum
+    gain, offsets = best.scale
     if gain <= 0.0:
         raise ImageError(
             "the image is dark where the scene's light is and bright where it is not; check that image and scene "
             "belong together and which way up the image is"
         )
     found = []
-    for view, image, offset, prediction in zip(fit.problem.views, images, offsets, fit.predictions, strict=True):
+    for view, image, offset, prediction in zip(best.problem.views, best.images, offsets, fit.predictions, strict=True):
         seen, used = view.observation, view.observation.used
         light = gain * image
         residual = np.where(used, seen.image - light - offset, np.nan)
@@ -231,26 +229,23 @@ def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
 
 def _built(fit: Fit, scene: Scene) -> Estimate:
     """The estimate at an optimum: its errors, what the residual says, and the verdict."""
-    problem, coordinates = fit.problem, fit.coordinates
+    best = fit.optimum
     gain, (offset,), (left,) = left_over(fit)
-    medium, observation, prediction = problem.liquid(coordinates), problem.views[0].observation, left.prediction
+    medium, observation, prediction = best.media[0], best.problem.views[0].observation, left.prediction
     used, stated = observation.used, left.stated
     # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
     error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
-    sensitivity = problem.sensitivity(coordinates, problem.images(coordinates))
-    length = max(scene.tank.size_mm) / scene.camera.pixel_mm
-    spread = sensitivity.covariance([left.noise], [SmoothError(error, length)])
-    off, spread = _misalignments(problem, coordinates, spread), spread[:3, :3]
-    edges = problem.at_edge(coordinates)
-    hopeless = left.unexplained > max(HOPELESS, stated)
-    known = {name: yes and name not in edges and not hopeless for name, yes in identifiable(medium, spread).items()}
+    spread = spread_of(best, [left], [SmoothError.of(scene, error)])
+    off, spread = _misalignments(best, spread), spread[:3, :3]
+    edges = best.at_edge
+    known = {name: yes and name not in edges for name, yes in determined(medium, spread, [left]).items()}
     whitened = np.where(used, left.residual, 0.0) / left.noise
     place = standing_out(whitened, used, error / left.noise)
     whole = prediction.model in WHOLE
     held = left.unexplained <= stated and place is None
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
     misaligned = cache(partial(misalignments, scene, medium))  # eight images, and two may ask
-    cause = cause_of(problem, sensitivity, coordinates, scene, misaligned) if not held and whole else None
+    cause = cause_of(best, scene, misaligned) if not held and whole else None
     aside = whole and misalignment_left_out(observation, left.image, gain, misaligned)
     noisier = left.noisier if observation.noise_known else 1.0
     sentences = [
@@ -263,30 +258,52 @@ def _built(fit: Fit, scene: Scene) -> Estimate:
         medium=medium, covariance=spread, identifiable=known, gain=gain, offset=offset, image=left.image,
         residual=left.residual, rmse=left.rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model,
         noise=rms(left.noise[used]), model_error=left.counted, nuisance=off, structure=structure_map(whitened, used),
-        stretch=_stretch(fit, sensitivity, spread, gain),
+        stretch=_stretch(best, spread),
     )  # fmt: skip
 
 
-def _misalignments(problem: Problem, coordinates: Array, spread: Array) -> dict[str, tuple[float, float]]:
+def spread_of(best: Evaluation, left: Sequence[Left], errors: Sequence[ModelError]) -> Array:
+    """Covariance of the values at an optimum: of one image's fit, a dose's, a live one and a series' alike.
+
+    Camera noise and errors of the model as they are counted; where residuals hold structure, also what usual faults
+    that look like it move the values by; and where that is beyond what the model states, what parts of the images
+    disagree by.
+    """
+    noise, sensitivity = [one.noise for one in left], best.sensitivity
+    if not any(one.unexplained > 0.0 for one in left):
+        return sensitivity.covariance(noise, errors)
+    residual, views = best.left, best.problem.views
+    changes = [view.whitened(faults_of(one.light)) for view, one in zip(views, left, strict=True)]
+    faults = best.project_out(np.hstack(changes))[:, : residual.size]
+    moved = moved_by_faults(sensitivity, residual, faults, noise, [view.error for view in views])
+    disagreeing = residual if any(one.beyond > 0.0 for one in left) else None
+    return sensitivity.covariance(noise, errors, disagreeing) + moved
+
+
+def determined(medium: Medium, spread: Array, left: Sequence[Left]) -> dict[str, bool]:
+    """Which of σa, σs, g images determine: none where what is left of one is more structure than any model leaves."""
+    hopeless = any(one.unexplained > max(HOPELESS, one.stated) for one in left)
+    return {name: yes and not hopeless for name, yes in identifiable(medium, spread).items()}
+
+
+def _misalignments(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:
     """Value and standard deviation of each term, in its unit."""
-    block = problem.blocks[-1]
+    block = best.problem.blocks[-1]
     if not isinstance(block, SetUpBlock):
         return {}
-    off, sds = problem.values(coordinates)[block.name], np.sqrt(np.diag(spread))[problem.believed(block)]
+    off, sds = best.values[block.name], np.sqrt(np.diag(spread))[best.problem.believed(block)]
     terms = zip(block.misalignment.sd.items(), off, sds, strict=True)
     return {name: (float(one) * unit, float(sd) * unit) for (name, unit), one, sd in terms}
 
 
-def _stretch(fit: Fit, sensitivity: Sensitivity, spread: Array, gain: float) -> dict[str, tuple[float, float]]:
-    problem, (view,) = fit.problem, fit.problem.views
-    medium, models = problem.liquid(fit.coordinates), [view.whitened(problem.images(fit.coordinates)[0])]
+def _stretch(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:
+    (view,), (medium,), (gain, _) = best.problem.views, best.media, best.scale
 
     def changed(other: Medium) -> Array:
         change = gain * view.whitened(view.forward(other) - view.forward(medium))
-        return problem.project_out(change[None], models)[0, : problem.pixels]
+        return best.project_out(change[None])[0, : best.left.size]
 
-    residual = problem.residual(fit.coordinates)[: problem.pixels]
-    return stretches(medium, spread, residual, sensitivity.changes, changed)
+    return stretches(medium, spread, best.left, best.sensitivity.changes, changed)
 
 
 def rms(values: Image) -> float:

@@ -92,13 +92,13 @@ class Models:
     exact: Exact | None = None
     central: bool = True
 
+    def slopes_of(self, model: Model, length_mm: float) -> Slopes:
+        """Derivatives: the model's own, or by differences of one of its versions."""
+        return self.slopes or slopes_of(image_of(model), length_mm, self.central)
+
     def refined(self, medium: Medium) -> tuple[Model, Model]:
         """See `refine`."""
         return self.refine(medium) if self.refine is not None else (self.coarse, self.coarse)
-
-    def slopes_of(self, slope: Model, length_mm: float) -> Slopes:
-        """Derivatives: the model's own, or of one of its versions by differences."""
-        return self.slopes or slopes_of(image_of(slope), length_mm, self.central)
 
 
 def models_of(scene: Scene, model: "str | Prepared", max_order: int | None) -> Models:
@@ -144,15 +144,19 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None) -> 
         return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, float(np.clip(medium.g, *box.g)))
 
     @remembered
-    def predicted(medium: Medium) -> Prediction:
+    def answered(medium: Medium) -> tuple[Prediction, Image]:
         near = inside(medium)
+        image, slopes = model.predict(near, derivatives=True)
         error = Skipped("noise and polynomials of the prepared model", model.error_at(near))
-        return Prediction(model.predict(near), "prepared", skipped=(error,))
+        return Prediction(image, "prepared", skipped=(error,)), slopes
+
+    def predicted(medium: Medium) -> Prediction:
+        return answered(medium)[0]
 
     albedo, g = ((edges[0], min(edges[1], 1.0 - 1e-6)) for edges in (box.albedo, box.g))
     scattering = (box.sigma_t[0] * albedo[0], box.sigma_t[1])
     return Models(
-        predicted, lambda _: (predicted, predicted), lambda medium: model.predict(inside(medium), derivatives=True)[1],
+        predicted, lambda _: (predicted, predicted), lambda medium: answered(medium)[1],
         Range.of_media(scattering, albedo, g, sigma_t=box.sigma_t),
     )  # fmt: skip
 
@@ -189,7 +193,9 @@ def _tank(scene: Scene, max_order: int | None, batches: int, seed: int, blur_mm:
     if blur_mm == 0.0:
         return found
     exact = found.orders[1] + found.orders[2]
-    image = exact + gaussian_filter(found.image - exact, blur_mm / scene.camera.pixel_mm, mode="nearest")
+    image = exact + gaussian_filter(
+        found.image - exact, [blur_mm / side for side in scene.camera.sides_mm], mode="nearest"
+    )
     return replace(found, image=image)
 
 

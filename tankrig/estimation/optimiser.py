@@ -6,7 +6,7 @@ the Jacobian along for nothing, and it is computed anew only when a step fails. 
 every accepted step, about three times the evaluations here.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,18 +25,14 @@ from tankrig.estimation.forward import (
 )
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import Block, Scaling
-from tankrig.estimation.problem import Problem, View
+from tankrig.estimation.problem import Evaluation, Problem, View
 from tankrig.estimation.uncertainty import PATTERN, SmoothError, identifiable
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
-from tankrig.threads import THREADS
 
 Vector = NDArray[np.float64]
 Image = NDArray[np.floating]
 Told = Callable[[str], object]
-Residual = Callable[[Vector], Vector]
-Linearise = Callable[[Vector], tuple[Vector, NDArray[np.float64]]]
-"""Coordinates to the residual (n,) and its Jacobian (n, k)."""
 
 START_MEAN_FREE_PATHS = (0.6, 2.4, 9.6)
 START_ALBEDO = 0.97
@@ -45,8 +41,10 @@ START_ASYMMETRY = (0.0, 0.5, 0.85)
 FIRST_STEPS, LAST_STEPS = 5, 40
 """Steps that every start gets before only the best go on, and steps with the accurate model at most."""
 COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
-"""Where the searches stop, see `minimise`: the cheap model's optimum is only a start for the accurate one's, and errors
+"""Where the searches stop, see `solve`: the cheap model's optimum is only a start for the accurate one's, and errors
 of the model, which the weights count pixel by pixel, move the optimum by more than the weights say."""
+NEAR_ENOUGH, BENT_ENOUGH = 0.005, 0.05
+"""The same about exact images: to first order, where steps cost nothing, and as the models bend."""
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
 """Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
 by less than EQUAL, are left for the accurate model to tell apart."""
@@ -54,84 +52,80 @@ MISFIT = 4.0
 """Mean squared residual, in standard deviations that count the cheap model's error, that a good optimum stays below."""
 SEVERAL_ENOUGH = 20.0
 """The same for the cheap models' fit of several images."""
-CORRECTIONS, CORRECTED = 4, 0.3
-"""Exact images at most that an optimum is corrected by, each at the last one's, and the gain in χ²/2 below which that
-is over."""
+CORRECTIONS, SETTLED = 4, 0.1
+"""Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
+which that is over."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
+DAMPED = 1e-2
+"""Share of the curvature by which a first step is damped, and one after a step that failed."""
 MOST_REFUSED = 3
 """Steps in a row that may fail with a Jacobian just computed, each ten times shorter: what is left is roughness."""
 
 
-@dataclass(frozen=True)
-class Optimum:
-    """Where a search ended: coordinates and half the sum of squared residuals."""
-
-    coordinates: Vector
-    cost: float
-
-
-def minimise(
-    residual: Residual,
-    linearise: Linearise,
-    start: Vector,
-    box: tuple[Vector, Vector],
-    enough: float,
-    most_steps: int = 30,
-    longest_step: Vector | float = np.inf,
-) -> Optimum:
-    """Minimise half the sum of squares of `residual` inside a box.
+def solve(
+    problem: Problem, start: Vector, enough: float = COARSE_ENOUGH, most_steps: int = 30, damping: float = DAMPED
+) -> Evaluation:
+    """Optimum of a problem next to some coordinates, in its box.
 
     Parameters
     ----------
-    residual, linearise
-        Residual in standard deviations, without and with its Jacobian.
+    problem
+        To minimise.
     start
         Where to begin; moved into the box.
-    box
-        Lowest and highest coordinates.
     enough
         Stop when the linearised problem promises to lower the cost by less than this; 0.005 is a tenth of a standard
         deviation.
     most_steps
         Steps tried at most.
-    longest_step
-        Of each coordinate; further than this no linearisation is trusted.
+    damping
+        Of the first step; 0 where the optimum is near.
 
     Examples
     --------
-    >>> valley = lambda u: np.array([10 * (u[1] - u[0] ** 2), 1 - u[0], u[2] - 0.5])
-    >>> slope = lambda u: (valley(u), np.array([[-20 * u[0], 10, 0], [-1, 0, 0], [0, 0, 1.0]]))
-    >>> wide = np.full(3, 5.0)
-    >>> minimise(valley, slope, np.array([-1.2, 1.0, 0.0]), (-wide, wide), 1e-9, 200).coordinates.round(3).tolist()
-    [1.0, 1.0, 0.5]
+    >>> from types import SimpleNamespace
+    >>> @dataclass
+    ... class Valley:
+    ...     coordinates: Vector
+    ...     def __post_init__(self):
+    ...         x, y = self.coordinates
+    ...         self.residual, self.jacobian = np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10], [-1, 0]])
+    ...         self.cost = 0.5 * self.residual @ self.residual
+    >>> wide = np.full(2, 5.0)
+    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), longest_step=np.inf, quick=False)
+    >>> solve(problem, np.array([-1.2, 1.0]), 1e-9, 200).coordinates.round(3).tolist()
+    [1.0, 1.0]
     """
-    at = np.clip(start, *box)
-    value, jacobian = linearise(at)
-    fresh, damping, refused = True, 1e-2, 0
+    box, longest_step = problem.box, problem.longest_step
+    here = problem.at(np.clip(start, *box))
+    jacobian = here.jacobian
+    fresh, refused = True, 0
     for _ in range(most_steps):
+        at, value = here.coordinates, here.residual
         if _promise(value, jacobian, _step(value, jacobian, 0.0, at, box, longest_step)) < enough:
             if fresh:
                 break
-            value, jacobian = linearise(at)
-            fresh = True
+            jacobian, fresh = here.jacobian, True
             continue
         step = _step(value, jacobian, damping, at, box, longest_step)
-        new = residual(at + step)
-        if float(new @ new) < float(value @ value):
-            jacobian = jacobian + np.outer(new - value - jacobian @ step, step) / float(step @ step)
-            at, value, fresh, refused = at + step, new, False, 0
+        ahead = problem.at(at + step)
+        if ahead.cost < here.cost:
+            if problem.quick:
+                jacobian = ahead.jacobian
+            else:
+                jacobian = jacobian + np.outer(ahead.residual - value - jacobian @ step, step) / float(step @ step)
+            here, fresh, refused = ahead, problem.quick, 0
             damping = max(damping / 5.0, 1e-6)
         elif not fresh:
-            value, jacobian = linearise(at)
-            fresh = True
+            jacobian, fresh = here.jacobian, True
         elif refused == MOST_REFUSED:
             break
         else:
-            damping, refused = 10.0 * damping, refused + 1
-    return Optimum(at, 0.5 * float(value @ value))
+            damping, refused = max(10.0 * damping, DAMPED), refused + 1
+    return here
 
 
 def _promise(value: Vector, jacobian: NDArray[np.float64], step: Vector) -> float:
@@ -161,30 +155,30 @@ def _step(
     return np.clip(at + step, box[0], box[1]) - at
 
 
-def solve(problem: Problem, start: Vector, enough: float = COARSE_ENOUGH, most_steps: int = 30) -> Optimum:
-    """Optimum of a problem next to some coordinates; see `minimise`."""
-    whole = problem.residual_and_jacobian
-    return minimise(problem.residual, whole, start, problem.box, enough, most_steps, problem.longest_step)
-
-
-def polish(problem: Problem, start: Vector) -> Optimum:
+def polish(problem: Problem, start: Vector) -> Evaluation:
     """The same, as far as the model's error lets the optimum be known."""
     by_noise = np.concatenate([view.whitened(view.observation.noise) ** 2 for view in problem.views])
-    return solve(problem, start, FINE_ENOUGH + MODEL_ENOUGH * (1.0 - float(np.mean(by_noise))), LAST_STEPS)
+    enough = FINE_ENOUGH + MODEL_ENOUGH * (1.0 - float(np.mean(by_noise)))
+    return solve(problem, start, enough, LAST_STEPS, damping=0.0)
 
 
-def first_guess(problem: Problem, length_mm: float) -> tuple[list[Optimum], list[Optimum]]:
+def first_guess(problem: Problem, length_mm: float) -> tuple[list[Evaluation], list[Evaluation]]:
     """Where to start from: the best of a few densities for each of a few g, best first; and the others."""
-    ranked = []
+    first, rest = [], []
     for g in START_ASYMMETRY:
         looks = []
         for paths in START_MEAN_FREE_PATHS:
             sigma_s = paths / length_mm
-            at = np.clip(problem.start(Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g)), *problem.box)
-            looks.append(Optimum(at, 0.5 * float(np.sum(problem.residual(at) ** 2))))
-        ranked.append(sorted(looks, key=lambda look: look.cost))
-    first, rest = [one[0] for one in ranked], [look for one in ranked for look in one[1:]]
-    return sorted(first, key=lambda look: look.cost), sorted(rest, key=lambda look: look.cost)
+            start = problem.start(Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g))
+            looks.append(problem.at(np.clip(start, *problem.box)))
+        best, *others = _by_cost(looks)
+        first.append(best)
+        rest += others
+    return _by_cost(first), _by_cost(rest)
+
+
+def _by_cost(places: Iterable[Evaluation]) -> list[Evaluation]:
+    return sorted(places, key=lambda one: one.cost)
 
 
 def search(
@@ -206,39 +200,38 @@ def search(
         that leads out of it (measured: up to one in four of single starts from anywhere does), or leaves `MISFIT` and
         nothing else has ended there (a thin liquid's g = 0.25 has a twin at −0.31).
     enough
-        Where to stop, see `minimise`.
+        Where to stop, see `solve`.
     """
     ends, agreed = _descend(problem, starts, seen, enough), False
     for other in reserve:
-        at_edge = {"sigma_s", "g"} & set(problem.at_edge(ends[0].coordinates))
+        at_edge = {"sigma_s", "g"} & set(ends[0].at_edge)
         misfit = 2.0 * ends[0].cost > MISFIT * problem.pixels
         if not at_edge and (agreed or not misfit):
             break
         more = _descend(problem, [other], seen, enough)
         agreed = not _distinct(more[0], ends[0])
-        ends = sorted([*ends, *more], key=lambda end: end.cost)
+        ends = _by_cost([*ends, *more])
     return [end.coordinates for end in ends if end.cost < ends[0].cost + EQUAL]
 
 
-def _descend(problem: Problem, starts: Sequence[Vector], seen: Told, enough: float) -> list[Optimum]:
+def _descend(problem: Problem, starts: Sequence[Vector], seen: Told, enough: float) -> list[Evaluation]:
     """Distinct optima below some starts, best first; the least promising starts are given up early."""
     tried = []
     for number, start in enumerate(starts, 1):
         seen(f"searching from start {number} of {len(starts)}")
         tried.append(solve(problem, start, enough, FIRST_STEPS))
-    tried.sort(key=lambda end: end.cost)
     seen("searching from the best")
-    ends: list[Optimum] = []
-    for one in tried:
+    ends: list[Evaluation] = []
+    for one in _by_cost(tried):
         if ends and one.cost > RIVAL * ends[0].cost:
             break
         end = solve(problem, one.coordinates, enough)
         if all(_distinct(end, other) for other in ends):
             ends.append(end)
-    return sorted(ends, key=lambda end: end.cost)
+    return _by_cost(ends)
 
 
-def _distinct(one: Optimum, other: Optimum) -> bool:
+def _distinct(one: Evaluation, other: Evaluation) -> bool:
     return bool(np.abs(one.coordinates - other.coordinates).max() > DISTINCT)
 
 
@@ -256,32 +249,30 @@ class Shot:
         """Longest side of the tank."""
         return max(self.scene.tank.size_mm)
 
-    def view(self, forward: Forward, slopes: Slopes, error: Image, observation: Observation | None = None) -> View:
+    def slopes_of(self, model: Model) -> Slopes:
+        """Derivatives: the model's own, or by differences of one of its versions."""
+        return self.models.slopes_of(model, self.length_mm)
+
+    def view(self, forward: Forward, slopes: Slopes, error: Image) -> View:
         """It as a problem has it, with a model whose error has a standard deviation, (rows, columns)."""
-        return View(observation or self.observation, forward, slopes, self.error(error), self.dose)
+        return View(self.observation, forward, slopes, self.error(error), self.dose)
 
     def error(self, sd: Image, counted: float = PATTERN) -> SmoothError:
         """A model's error of a standard deviation, (rows, columns); see `SmoothError`."""
-        return SmoothError(sd, self.length_mm / self.scene.camera.pixel_mm, counted)
+        return SmoothError.of(self.scene, sd, counted)
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A problem, its optimum, and each view's model as it was used there."""
+    """Where a fit ended: the problem there, and each view's model as it was used."""
 
-    problem: Problem
-    optimum: Optimum
+    optimum: Evaluation
     models: tuple[Model, ...]
-
-    @property
-    def coordinates(self) -> Vector:
-        """Of the optimum."""
-        return self.optimum.coordinates
 
     @property
     def predictions(self) -> list[Prediction]:
         """The models' images there, without what may be misaligned."""
-        return _seen(self.problem, self.models, self.coordinates)
+        return [model(liquid) for model, liquid in zip(self.models, self.optimum.media, strict=True)]
 
 
 def fitted(
@@ -291,7 +282,6 @@ def fitted(
     progress: Told,
     start: Vector | None = None,
     few: Sequence[int] = (0,),
-    settled: float = 0.0,
     sharper: bool = False,
 ) -> Fit:
     """From images to the optimum: search with the cheap models, go on with accurate ones, correct by exact images.
@@ -310,99 +300,102 @@ def fitted(
         Coordinates to begin from; None to search everywhere.
     few
         Numbers of the images that the search looks at.
-    settled
-        Move of every coordinate below which exact images need not be computed again.
     sharper
         Whether exact images follow more paths where the model's error hides what the images show.
     """
-    models = [shot.models for shot in shots]
-    length_mm = max(shot.length_mm for shot in shots)
-    coarse = [one.coarse for one in models]
-    slopes = [one.slopes_of(one.coarse, length_mm) for one in models]
-    light = [_above_ambient(shot.observation, scaling) for shot in shots]
-
-    def rough(share: float) -> Problem:
-        views = zip(shots, coarse, slopes, light, strict=True)
-        made = tuple(one.view(image_of(a), b, share * c) for one, a, b, c in views)
-        return Problem(made, blocks, scaling, 1 if all(one.slopes for one in models) else THREADS)
-
-    problem, found = rough(COARSE), [] if start is None else [start]
     if start is None:
-        progress("looking at a few media")
-        first, rest = first_guess(problem.of(few), length_mm)
-        starts, reserve = [look.coordinates for look in first], [look.coordinates for look in rest]
-        if len(few) > 1:  # they have no twins
-            rivals = [look.coordinates for look in first[1:2] if look.cost < RIVAL * first[0].cost]
-            found = search(problem.of(few), [starts[0], *rivals], progress, enough=SEVERAL_ENOUGH)
-        else:
-            share = stated_error(_seen(problem.of(few), [coarse[few[0]]], starts[0])[0])
-            problem = rough(float(np.clip(share, 0.1 * COARSE, COARSE)))
-            found = search(problem.of(few), starts, progress, reserve)
-    best = Optimum(found[0], np.inf)
-    if start is not None or len(few) < len(shots):
-        progress("fitting all images")
-        best = min((solve(problem, one, SEVERAL_ENOUGH) for one in found), key=lambda end: end.cost)
-        found = [best.coordinates]
-    versions = [(one.coarse, one.coarse) for one in models]
-    if all(one.refine for one in models):
+        problem, found = _searched(shots, blocks, scaling, progress, few)
+    else:
+        problem, found = _rough(shots, blocks, scaling), [start]
+    if all(shot.models.refine for shot in shots):
         progress("refining")
-        versions = [one.refined(problem.liquid(found[0], shot.dose)) for one, shot in zip(models, shots, strict=True)]
-        seen = _seen(problem, [fine for fine, _ in versions], found[0])
-        slopes = [one.slopes_of(slope, length_mm) for one, (_, slope) in zip(models, versions, strict=True)]
-        problem = _weighed(problem, shots, [image_of(fine) for fine, _ in versions], slopes, seen)
-        best = min((polish(problem, one) for one in found), key=lambda end: end.cost)
-    if all(one.exact for one in models):
-        return _corrected(problem, best, shots, [slope for _, slope in versions], progress, settled, sharper)
-    return Fit(problem, best, tuple(fine for fine, _ in versions))
+        media = problem.at(found[0]).media
+        versions = [shot.models.refined(liquid) for shot, liquid in zip(shots, media, strict=True)]
+        seen = [fine(liquid) for (fine, _), liquid in zip(versions, media, strict=True)]
+        forwards = [image_of(fine) for fine, _ in versions]
+        slopes = [shot.slopes_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
+        problem = _weighed(problem, shots, forwards, slopes, seen)
+        best = _by_cost(polish(problem, one) for one in found)[0]
+    else:
+        progress("fitting all images")
+        versions = [(shot.models.coarse, shot.models.coarse) for shot in shots]
+        best = _by_cost(solve(problem, one, SEVERAL_ENOUGH) for one in found)[0]
+    if all(shot.models.exact for shot in shots):
+        return _corrected(best, shots, [slope for _, slope in versions], progress, sharper)
+    return Fit(best, tuple(fine for fine, _ in versions))
 
 
-def _corrected(
-    problem: Problem, best: Optimum, shots: Sequence[Shot], models: Sequence[Model], progress: Told, settled: float,
-    sharper: bool,
-) -> Fit:  # fmt: skip
-    """The optimum by exact images, each at the last one's, and smooth changes about them.
+def _rough(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, share: float = COARSE) -> Problem:
+    """The problem of the cheap models, with errors of a share of the light, about."""
+    views = []
+    for shot in shots:
+        seen, coarse = shot.observation, shot.models.coarse
+        ambient = float(np.percentile(seen.image[seen.used], 5)) if scaling.offset is None else scaling.offset
+        error = share * np.maximum(seen.image - ambient, 0.0)
+        views.append(shot.view(image_of(coarse), shot.slopes_of(coarse), error))
+    return Problem(tuple(views), blocks, scaling, quick=all(shot.models.slopes for shot in shots))
+
+
+def _searched(
+    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told, few: Sequence[int]
+) -> tuple[Problem, list[Vector]]:
+    """The problem of the cheap models, and the ends of a search of it that looks at few images, best first."""
+    problem = _rough(shots, blocks, scaling)
+    progress("looking at a few media")
+    first, rest = first_guess(problem.of(few), shots[0].length_mm)
+    starts = [look.coordinates for look in first]
+    if len(few) > 1:  # they have no twins, and need no reserve
+        starts = starts[: 2 if first[1].cost < RIVAL * first[0].cost else 1]
+        return problem, search(problem.of(few), starts, progress, enough=SEVERAL_ENOUGH)
+    share = stated_error(shots[few[0]].models.coarse(first[0].media[0]))
+    problem = _rough(shots, blocks, scaling, float(np.clip(share, 0.1 * COARSE, COARSE)))
+    return problem, search(problem.of(few), starts, progress, [look.coordinates for look in rest])
+
+
+def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model], progress: Told, sharper: bool) -> Fit:
+    """The optimum by exact images, and by how other models change about them.
+
+    To first order at first: what is left of paths' noise in that is smooth. Then as the models bend on the way, which
+    says as much as other exact images there would (of what these gained in a dose's fit from afar, 105 %).
 
     Parameters
     ----------
-    problem, best
-        That was solved, and where.
+    best
+        Of the problem that was solved.
     shots
         Whose exact images are asked for.
     models
         That are differentiated; in the end, with the error that they show at the optimum taken off.
     progress
         Told in words what is being done.
-    settled
-        Move of every coordinate below which that is over.
     sharper
         Whether images follow more paths where the model's error hides what the images show.
     """
+    problem = best.problem
 
-    def about(at: Vector, times: int) -> tuple[Problem, list[Prediction]]:
-        """The problem with exact images and changes to first order: what is left of paths' noise in it is smooth."""
-        media = [problem.liquid(at, shot.dose) for shot in shots]
+    def about(centre: Evaluation, start: Evaluation, times: int) -> Fit:
+        media, slopes = centre.media, problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))
         seen = [shot.models.exact(one, times) for shot, one in zip(shots, media, strict=True) if shot.models.exact]
-        slopes = problem.of_views(lambda view: view.slopes(problem.liquid(at, view.dose)))
-        near = [_linear(one.image, medium, slope) for one, medium, slope in zip(seen, media, slopes, strict=True)]
-        return _weighed(problem, shots, near, [view.slopes for view in problem.views], seen), seen
+        straight = [_linear(one.image, medium, slope) for one, medium, slope in zip(seen, media, slopes, strict=True)]
+        near = _weighed(problem, shots, straight, [_always(slope) for slope in slopes], seen)
+        end = solve(replace(near, quick=True), start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
+        last = tuple(corrected(*one) for one in zip(models, media, seen, strict=True))
+        bent = near.by([image_of(model) for model in last])
+        return Fit(solve(bent, end.coordinates, BENT_ENOUGH, LAST_STEPS, damping=0.0), last)
 
     for _ in range(CORRECTIONS):
         progress("correcting by accurate images")
-        centre = best.coordinates
-        near, seen = about(centre, 1)
-        misfit = near.residual(centre)
-        best = polish(near, centre)
-        moved = float(np.abs(best.coordinates - centre).max())
-        if 0.5 * float(misfit @ misfit) - best.cost < CORRECTED or moved < settled:
+        centre = best
+        fit = about(centre, centre, 1)
+        best = fit.optimum
+        if np.abs(best.coordinates - centre.coordinates).max() < SETTLED:
             break
-    if sharper and _held_back(near, best):
+    if sharper and _held_back(best):
         progress("correcting by images as accurate as the photographs")
-        near, seen = about(centre, SHARPER)
-        best = polish(near, best.coordinates)
-    media = [problem.liquid(centre, shot.dose) for shot in shots]
-    last = tuple(corrected(model, medium, one) for model, medium, one in zip(models, media, seen, strict=True))
-    views = (replace(view, forward=image_of(model)) for view, model in zip(near.views, last, strict=True))
-    return Fit(replace(problem, views=tuple(views)), best, last)
+        fit = about(centre, best, SHARPER)
+    end = fit.optimum
+    views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
+    return replace(fit, optimum=replace(end.problem, views=tuple(views)).at(end.coordinates))
 
 
 def _weighed(
@@ -410,12 +403,15 @@ def _weighed(
     seen: Sequence[Prediction],
 ) -> Problem:  # fmt: skip
     """The problem with other models, weighed by the errors that their images state and the noise that these leave."""
-    gain, offsets = problem.scale([one.image for one in seen])
+    gain, offsets = problem.scale(problem.whitened([one.image for one in seen]))
     views = []
-    for k, (shot, view) in enumerate(zip(shots, problem.views, strict=True)):
-        left = view.observation.image - gain * seen[k].image - offsets[k]
+    for shot, view, forward, slope, one, offset in zip(
+        shots, problem.views, forwards, slopes, seen, offsets, strict=True
+    ):
+        left = view.observation.image - gain * one.image - offset
         observation = view.observation.with_noise_of(left, by_level=True)
-        views.append(shot.view(forwards[k], slopes[k], counted_error(seen[k], gain), observation))
+        error = shot.error(counted_error(one, gain))
+        views.append(replace(view, forward=forward, slopes=slope, error=error, observation=observation))
     return replace(problem, views=tuple(views))
 
 
@@ -425,41 +421,32 @@ def _linear(image: Image, centre: Medium, slopes: Image) -> Forward:
     return lambda medium: np.asarray(image + np.tensordot(np.array(medium.coefficients) - at, slopes, 1))
 
 
-def _seen(problem: Problem, models: Sequence[Model], at: Vector) -> list[Prediction]:
-    """What models say of the views at coordinates."""
-    return [model(problem.liquid(at, view.dose)) for model, view in zip(models, problem.views, strict=True)]
+def _always(slopes: Image) -> Slopes:
+    return lambda _: slopes
 
 
-def _held_back(problem: Problem, best: Optimum) -> bool:
+def _held_back(best: Evaluation) -> bool:
     """Whether the model's error leaves a coefficient undetermined that noise alone would not."""
-    sensitivity = problem.sensitivity(best.coordinates, problem.images(best.coordinates))
-    noise, medium = [view.observation.noise for view in problem.views], problem.liquid(best.coordinates)
+    views, medium = best.problem.views, best.media[0]
+    noise = [view.observation.noise for view in views]
     with_error, without = (
-        identifiable(medium, sensitivity.covariance(noise, errors))
-        for errors in ([view.error for view in problem.views], [None] * len(noise))
+        identifiable(medium, best.sensitivity.covariance(noise, errors))
+        for errors in ([view.error for view in views], [None] * len(noise))
     )
     return with_error != without
 
 
-def _above_ambient(seen: Observation, scaling: Scaling) -> Image:
-    """The light in an image, about, for errors in proportion to it."""
-    ambient = float(np.percentile(seen.image[seen.used], 5)) if scaling.offset is None else scaling.offset
-    return np.maximum(seen.image - ambient, 0.0)
-
-
 def without_outliers(fit: Fit) -> Fit:
     """The fit without pixels that it shows to be none of the liquid's light."""
-    problem, best = fit.problem, fit.optimum
+    best = fit.optimum
     for _ in range(CLEANINGS):
-        images = problem.images(best.coordinates)
-        gain, offsets = problem.scale(images)
+        gain, offsets = best.scale
         views = tuple(
             replace(view, observation=view.observation.cleaned(gain * image + offset))
-            for view, image, offset in zip(problem.views, images, offsets, strict=True)
+            for view, image, offset in zip(best.problem.views, best.images, offsets, strict=True)
         )
-        cleaned = replace(problem, views=views)
-        if cleaned.pixels == problem.pixels:
+        cleaned = replace(best.problem, views=views)
+        if cleaned.pixels == best.problem.pixels:
             break
-        problem = cleaned
-        best = polish(problem, best.coordinates)
-    return replace(fit, problem=problem, optimum=best)
+        best = polish(cleaned, best.coordinates)
+    return replace(fit, optimum=best)

@@ -66,11 +66,14 @@ def noise_by_level(deviation: Array, level: Array, used: Mask) -> Array:
         Where a pixel counts.
     """
     size, at = np.abs(deviation[used]), level[used]
-    order = np.argsort(at, kind="stable")
-    parts = np.array_split(order, int(np.clip(size.size // LEAST, 1, LEVELS)))
+    order, levels = np.argsort(at, kind="stable"), int(np.clip(size.size // LEAST, 1, LEVELS))
+    longer = size.size % levels  # levels that hold one pixel more
+    cut = longer * (size.size // levels + 1)
+    parts = [order[:cut].reshape(longer, -1)] if longer else []
+    parts.append(order[cut:].reshape(levels - longer, -1))
     # |x| of a normal x is below 1.645 standard deviations in nine of ten cases.
-    sds = [float(np.quantile(size[part], BULK)) / 1.645 for part in parts]
-    return np.interp(level, [float(np.median(at[part])) for part in parts], sds)
+    sds = np.concatenate([np.quantile(size[part], BULK, axis=1) for part in parts]) / 1.645
+    return np.interp(level, np.concatenate([np.median(at[part], axis=1) for part in parts]), sds)
 
 
 def stand_out(deviation: Array, noise: Array, allowed: Array | float, used: Mask) -> Mask:

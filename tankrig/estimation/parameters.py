@@ -8,7 +8,7 @@ liquid of a view, or to its image besides; problem, optimiser, uncertainty and v
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,13 +93,17 @@ class Range:
 
     @classmethod
     def of_media(
-        cls, sigma_s: tuple[float, float], albedo: tuple[float, float], g: tuple[float, float], **other: Any
+        cls,
+        sigma_s: tuple[float, float],
+        albedo: tuple[float, float],
+        g: tuple[float, float],
+        sigma_t: tuple[float, float] = (0.0, math.inf),
     ) -> "Range":
         """From coefficients, 1/mm, each (low, high)."""
         edges = [
             np.array([math.log(sigma_s[k]), math.log(albedo[k] / (1.0 - albedo[k])), math.atanh(g[k])]) for k in (0, 1)
         ]
-        return cls(edges[0], edges[1], **other)
+        return cls(edges[0], edges[1], sigma_t)
 
     @classmethod
     def of_tank(cls, length_mm: float) -> "Range":
@@ -242,21 +246,15 @@ class MediumBlock(Block):
 
     def at_edge(self, values: Values) -> tuple[str, ...]:
         """See `Range.at_edge`."""
-        return self.range.at_edge(medium_of(values[self.name]))
+        return self.range.at_edge(Medium(*values[self.name]))
 
     def liquid(self, values: Values, dose: int, before: Medium) -> Medium:
         """The same everywhere."""
-        return medium_of(values[self.name])
+        return Medium(*values[self.name])
 
     def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
         """The liquid's own."""
         return by_liquid
-
-
-def medium_of(values: Array | Sequence[float]) -> Medium:
-    """Medium of σa, σs, g."""
-    sigma_a, sigma_s, g = (float(value) for value in values)
-    return Medium(sigma_a, sigma_s, g)
 
 
 @dataclass(frozen=True)
@@ -335,7 +333,8 @@ class InkBlock(Block):
 
     def liquid(self, values: Values, dose: int, before: Medium) -> Medium:
         """So much ink in the water."""
-        return in_tank(values[self.name], float(self.doses.moved(values["doses"])[dose]))
+        *ink, water = values[self.name].tolist()
+        return in_tank(Medium(*ink), water, float(self.doses.moved(values["doses"])[dose]))
 
     def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
         """In proportion to the dose."""
@@ -343,10 +342,9 @@ class InkBlock(Block):
         return np.stack([dose_ml * by_liquid[0], dose_ml * by_liquid[1], by_liquid[2], by_liquid[0]])
 
 
-def in_tank(ink_and_water: Array, dose_ml: float) -> Medium:
-    """The liquid of so much ink: from its σa and σs per mm and ml, g, and the water's σa."""
-    sigma_a, sigma_s, g, water = (float(value) for value in ink_and_water)
-    return Medium(water + sigma_a * dose_ml, sigma_s * dose_ml, g)
+def in_tank(ink: Medium, water_sigma_a: float, dose_ml: float) -> Medium:
+    """The liquid of so much ink, given per mm and ml, in water that absorbs."""
+    return Medium(water_sigma_a + ink.sigma_a * dose_ml, ink.sigma_s * dose_ml, ink.g)
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,14 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from tankrig.estimation.forward import Forward, Slopes
 from tankrig.estimation.observation import Observation
-from tankrig.estimation.parameters import Block, Scaling, Values
+from tankrig.estimation.parameters import Block, Scaling
 from tankrig.estimation.uncertainty import ModelError, Response, Sensitivity, Whitening
 from tankrig.scene import Medium
+from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -50,9 +52,15 @@ class View:
         """Of the errors assumed, on the pixels that are used."""
         return self.error.whitening(self.observation.noise, self.observation.used)
 
+    @cached_property
+    def pixels(self) -> NDArray[np.intp]:
+        """(n,) numbers of those that are used: far quicker to pick by than a mask."""
+        return np.flatnonzero(self.observation.used)
+
     def whitened(self, images: Image) -> Array:
         """The used pixels of images, (…, rows, columns), in standard deviations."""
-        return self.whitening.whiten(np.asarray(images[..., self.observation.used], float))
+        flat = np.reshape(images, (*images.shape[:-2], -1))
+        return self.whitening.whiten(np.asarray(flat[..., self.pixels], float))
 
     @cached_property
     def one(self) -> Array:
@@ -77,14 +85,14 @@ class Problem:
         Of parameters; those before say what those after act on.
     scaling
         Gain and offset, known or free.
-    threads
-        That ask models at a time: one for models that answer sooner than a thread begins.
+    quick
+        Whether models answer, derivatives included, sooner than a thread begins.
     """
 
     views: tuple[View, ...]
     blocks: tuple[Block, ...]
     scaling: Scaling
-    threads: int = 1
+    quick: bool = True
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -101,90 +109,30 @@ class Problem:
         """Used, in all images."""
         return sum(int(view.observation.used.sum()) for view in self.views)
 
+    @cached_property
+    def prior_weight(self) -> Array:
+        """(k,) of coordinates that are expected to be 0 ± 1; 0 where nothing is known."""
+        return np.concatenate([block.prior_weight for block in self.blocks])
+
     def start(self, densest: Medium) -> Array:
         """Coordinates to begin from when the densest liquid is about this."""
         return np.concatenate([one.start(densest) for one in self.blocks])
 
-    def values(self, coordinates: Array) -> dict[str, Array]:
-        """Of each block, by its name."""
-        return {one.name: one.values(part) for one, part in zip(self.blocks, self._split(coordinates), strict=True)}
+    def at(self, coordinates: Array) -> "Evaluation":
+        """The problem at some coordinates."""
+        return Evaluation(self, coordinates)
 
-    def liquid(self, coordinates: Array, dose: int = 0) -> Medium:
-        """The liquid of views at a dose."""
-        return self._liquid(self.values(coordinates), dose)
+    def scale(self, models: Sequence[Array]) -> tuple[float, list[float]]:
+        """The best gain for all whitened models, and the best offset of each image."""
+        return self.scaling.solve(models, [view.one for view in self.views], [view.observed for view in self.views])
 
-    def _liquid(self, values: Values, dose: int) -> Medium:
-        liquid = UNKNOWN
-        for block in self.blocks:
-            liquid = block.liquid(values, dose, liquid)
-        return liquid
+    def whitened(self, images: Sequence[Image]) -> list[Array]:
+        """Used pixels of an image of each view, in standard deviations."""
+        return [view.whitened(image) for view, image in zip(self.views, images, strict=True)]
 
-    def at_edge(self, coordinates: Array) -> tuple[str, ...]:
-        """Names of values at an edge of the range, where no optimum is."""
-        values = self.values(coordinates)
-        return tuple(name for block in self.blocks for name in block.at_edge(values))
-
-    def images(self, coordinates: Array) -> list[Image]:
-        """Radiance, (rows, columns), of each view."""
-        values = self.values(coordinates)
-        liquids = {dose: self._liquid(values, dose) for dose in self._doses}
-
-        def image(view: View) -> Image:
-            liquid = liquids[view.dose]
-            found = view.forward(liquid)
-            for block in self.blocks:
-                found = found + block.added(values, liquid)
-            return found
-
-        return self.of_views(image)
-
-    def scale(self, images: Sequence[Image]) -> tuple[float, list[float]]:
-        """The best gain for all model images, and the best offset of each."""
-        return self._scale(self._models(images))
-
-    def residual(self, coordinates: Array) -> Array:
-        """Observed less fitted, whitened, one image after the other; then expected less found of what is known."""
-        return self._residual(self._models(self.images(coordinates)), coordinates)
-
-    def residual_and_jacobian(self, coordinates: Array) -> tuple[Array, Array]:
-        """The same with its derivatives by the coordinates, (n + priors, k)."""
-        images = self.images(coordinates)
-        found = self.sensitivity(coordinates, images)
-        turned = -np.concatenate([found.changes, found.priors], axis=1).T
-        at = 0
-        for block, part in zip(self.blocks, self._split(coordinates), strict=True):
-            turned[:, at : at + part.size] = turned[:, at : at + part.size] @ block.slopes(part)
-            at += part.size
-        weight = self._prior_weight
-        known = np.diag(np.sqrt(weight))[weight > 0.0]
-        return self._residual(self._models(images), coordinates), np.vstack([turned, known])
-
-    def sensitivity(self, coordinates: Array, images: Sequence[Image]) -> Sensitivity:
-        """What the fit responds to at some coordinates, whose images are given."""
-        values, models = self.values(coordinates), self._models(images)
-        gain, _ = self._scale(models)
-        liquids = {dose: self._liquid(values, dose) for dose in self._doses}
-
-        def changes(view: View) -> Array:
-            liquid = liquids[view.dose]
-            by_liquid = view.slopes(liquid)
-            found = [block.changes(values, view.dose, liquid, by_liquid) for block in self.blocks]
-            return view.whitened(gain * np.concatenate(found))
-
-        left = self.project_out(np.hstack(self.of_views(changes)), models)
-        cuts = np.cumsum([model.size for model in models])
-        parts = np.split(left, cuts, axis=1)
-        responses = tuple(
-            Response(part, view.whitening, view.observation.used)
-            for part, view in zip(parts[:-1], self.views, strict=True)
-        )
-        widest = np.concatenate([block.widest(values) for block in self.blocks])
-        weight = self._prior_weight
-        return Sensitivity(responses, parts[-1], widest, np.where(weight > 0.0, weight, 1.0))
-
-    def project_out(self, changes: Array, models: Sequence[Array]) -> Array:
-        """Part of whitened changes (k, n) that no gain and no offset could make of whitened models, then of priors."""
-        return self.scaling.project_out(changes, models, [view.one for view in self.views])
+    def split(self, coordinates: Array) -> list[Array]:
+        """The coordinates of each block."""
+        return np.split(coordinates, np.cumsum([len(block.names) for block in self.blocks])[:-1])
 
     def believed(self, block: Block) -> NDArray[np.bool_]:
         """(k,) which values are a block's."""
@@ -194,36 +142,133 @@ class Problem:
         """The problem of some of the images."""
         return replace(self, views=tuple(self.views[k] for k in few))
 
+    def by(self, forwards: Sequence[Forward]) -> "Problem":
+        """The problem with other models of the images."""
+        views = zip(self.views, forwards, strict=True)
+        return replace(self, views=tuple(replace(view, forward=forward) for view, forward in views))
+
     def of_views(self, answer: Callable[[View], Answer]) -> list[Answer]:
         """What a function says of each view; of several at a time."""
-        if self.threads == 1 or len(self.views) == 1:
+        if self.quick or len(self.views) == 1:
             return [answer(view) for view in self.views]
-        with ThreadPoolExecutor(self.threads) as pool:
+        with ThreadPoolExecutor(THREADS) as pool:
             return list(pool.map(answer, self.views))
 
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """A problem at some coordinates. What is asked of it is computed then, and once.
+
+    Parameters
+    ----------
+    problem
+        Whose.
+    coordinates
+        (k,) of all blocks, one after the other.
+    """
+
+    problem: Problem
+    coordinates: Array
+
     @cached_property
-    def _doses(self) -> set[int]:
-        return {view.dose for view in self.views}
+    def values(self) -> dict[str, Array]:
+        """Of each block, by its name."""
+        parts = zip(self.problem.blocks, self.problem.split(self.coordinates), strict=True)
+        return {block.name: block.values(part) for block, part in parts}
+
+    @cached_property
+    def liquids(self) -> dict[int, Medium]:
+        """Of the views, by the number of their dose."""
+        found = {}
+        for dose in {view.dose for view in self.problem.views}:
+            found[dose] = UNKNOWN
+            for block in self.problem.blocks:
+                found[dose] = block.liquid(self.values, dose, found[dose])
+        return found
 
     @property
-    def _prior_weight(self) -> Array:
-        return np.concatenate([block.prior_weight for block in self.blocks])
+    def media(self) -> list[Medium]:
+        """The liquid of each view."""
+        return [self.liquids[view.dose] for view in self.problem.views]
 
-    def _split(self, coordinates: Array) -> list[Array]:
-        return np.split(coordinates, np.cumsum([len(block.names) for block in self.blocks])[:-1])
+    @property
+    def at_edge(self) -> tuple[str, ...]:
+        """Names of values at an edge of the range, where no optimum is."""
+        return tuple(name for block in self.problem.blocks for name in block.at_edge(self.values))
 
-    def _models(self, images: Sequence[Image]) -> list[Array]:
-        return [view.whitened(image) for view, image in zip(self.views, images, strict=True)]
+    @cached_property
+    def images(self) -> list[Image]:
+        """Radiance, (rows, columns), of each view."""
 
-    def _scale(self, models: Sequence[Array]) -> tuple[float, list[float]]:
-        return self.scaling.solve(models, [view.one for view in self.views], [view.observed for view in self.views])
+        def image(view: View) -> Image:
+            liquid = self.liquids[view.dose]
+            found = view.forward(liquid)
+            for block in self.problem.blocks:
+                found = found + block.added(self.values, liquid)
+            return found
 
-    def _residual(self, models: Sequence[Array], coordinates: Array) -> Array:
-        gain, offsets = self._scale(models)
-        left = [
-            view.observed - gain * model - offset * view.one
-            for view, model, offset in zip(self.views, models, offsets, strict=True)
-        ]
-        weight = self._prior_weight
-        known = (coordinates * np.sqrt(weight))[weight > 0.0]
-        return np.concatenate([*left, self.scaling.prior_residuals(gain, offsets), known])
+        return self.problem.of_views(image)
+
+    @cached_property
+    def models(self) -> list[Array]:
+        """The images, whitened."""
+        return self.problem.whitened(self.images)
+
+    @cached_property
+    def scale(self) -> tuple[float, list[float]]:
+        """The best gain for all images, and the best offset of each."""
+        return self.problem.scale(self.models)
+
+    @cached_property
+    def left(self) -> Array:
+        """(n,) observed less fitted, whitened, one image after the other."""
+        gain, offsets = self.scale
+        parts = zip(self.problem.views, self.models, offsets, strict=True)
+        return np.concatenate([view.observed - gain * model - offset * view.one for view, model, offset in parts])
+
+    @cached_property
+    def residual(self) -> Array:
+        """(n + priors,) the same; then expected less found of what is known."""
+        weight = self.problem.prior_weight
+        known = (self.coordinates * np.sqrt(weight))[weight > 0.0]
+        return np.concatenate([self.left, self.problem.scaling.prior_residuals(*self.scale), known])
+
+    @cached_property
+    def cost(self) -> float:
+        """Half the sum of squared residuals."""
+        return 0.5 * float(self.residual @ self.residual)
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """(n + priors, k) derivatives of the residual by the coordinates."""
+        found = self.sensitivity
+        by_values = -np.concatenate([found.changes, found.priors], axis=1).T
+        parts = self.problem.split(self.coordinates)
+        chain = block_diag(*(block.slopes(part) for block, part in zip(self.problem.blocks, parts, strict=True)))
+        weight = self.problem.prior_weight
+        return np.vstack([by_values @ chain, np.diag(np.sqrt(weight))[weight > 0.0]])
+
+    @cached_property
+    def sensitivity(self) -> Sensitivity:
+        """What the fit responds to."""
+        gain, _ = self.scale
+
+        def changes(view: View) -> Array:
+            liquid = self.liquids[view.dose]
+            by_liquid = view.slopes(liquid)
+            found = [block.changes(self.values, view.dose, liquid, by_liquid) for block in self.problem.blocks]
+            return view.whitened(gain * np.concatenate(found))
+
+        left = self.project_out(np.hstack(self.problem.of_views(changes)))
+        *parts, priors = np.split(left, np.cumsum([model.size for model in self.models]), axis=1)
+        responses = tuple(
+            Response(part, view.whitening, view.observation.used)
+            for part, view in zip(parts, self.problem.views, strict=True)
+        )
+        widest = np.concatenate([block.widest(self.values) for block in self.problem.blocks])
+        weight = self.problem.prior_weight
+        return Sensitivity(responses, priors, widest, np.where(weight > 0.0, weight, 1.0))
+
+    def project_out(self, changes: Array) -> Array:
+        """Part of whitened changes (k, n) that no gain and no offset could make of the images, then of priors."""
+        return self.problem.scaling.project_out(changes, self.models, [view.one for view in self.problem.views])

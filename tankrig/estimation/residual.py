@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.observation import Observation
-from tankrig.estimation.problem import Problem
+from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.set_up import USUAL, Misalignment
-from tankrig.estimation.uncertainty import Sensitivity
 from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
@@ -118,17 +117,13 @@ def likely_cause(
     return (best, min(shares[best], 1.0)) if shares[best] > TELLING else None
 
 
-def cause_of(
-    problem: Problem, sensitivity: Sensitivity, coordinates: Array, scene: Scene, misaligned: Callable[[], Array]
-) -> tuple[str, float] | None:
+def cause_of(best: Evaluation, scene: Scene, misaligned: Callable[[], Array]) -> tuple[str, float] | None:
     """What the structure of the residual looks like, and the share of it that this explains.
 
     Parameters
     ----------
-    problem, coordinates
-        That was solved, and where.
-    sensitivity
-        Of the fit there.
+    best
+        The optimum.
     scene
         As described.
     misaligned
@@ -137,12 +132,12 @@ def cause_of(
     from tankrig.light.double import double_scattering
     from tankrig.light.single import single_scattering
 
-    scene = replace(scene, medium=problem.liquid(coordinates))
-    (view,), (image,) = problem.views, problem.images(coordinates)
-    fitted = np.linalg.qr(sensitivity.changes.T)[0]
+    (view,), (image,), (medium,) = best.problem.views, best.images, best.media
+    scene = replace(scene, medium=medium)
+    fitted = np.linalg.qr(best.sensitivity.changes.T)[0]
 
     def project_out(changes: Array) -> Array:
-        left = problem.project_out(view.whitened(changes), [view.whitened(image)])[:, : problem.pixels]
+        left = best.project_out(view.whitened(changes))[:, : best.left.size]
         new: Array = left - (left @ fitted) @ fitted.T
         return new
 
@@ -162,7 +157,7 @@ def cause_of(
         "another phase function": lambda: [single_scattering(scene), double_scattering(scene, 0.01)],
         "beams of another brightness than described, or missing": beams,
     }
-    return likely_cause(problem.residual(coordinates)[: problem.pixels], project_out, causes)
+    return likely_cause(best.left, project_out, causes)
 
 
 def misalignment_left_out(

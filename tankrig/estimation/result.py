@@ -113,6 +113,10 @@ class LiquidEstimate:
         Root mean square of the residuals, all images.
     model_error
         Counted, relative L2: what the models state or, where that is more, what the residuals show.
+    identifiable
+        Which of "sigma_a", "sigma_s", "g" the images determine.
+    beyond
+        Structure of the residuals beyond what the models state, relative L2.
     """
 
     medium: Medium
@@ -120,6 +124,8 @@ class LiquidEstimate:
     gain: float
     rmse: float
     model_error: float
+    identifiable: dict[str, bool]
+    beyond: float
 
 
 @dataclass(frozen=True)
@@ -178,7 +184,7 @@ class SeriesEstimate:
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""
-        return in_tank(np.array([*self.ink.coefficients, self.water.sigma_a]), dose_ml)
+        return in_tank(self.ink, self.water.sigma_a, dose_ml)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.estimate import Free, Left, left_over, rms
+from tankrig.estimation.estimate import Free, Left, determined, left_over, rms, spread_of
 from tankrig.estimation.forward import ModelOf, Models, in_water, series_models, tank_model
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted
@@ -25,22 +25,17 @@ from tankrig.estimation.parameters import (
     MediumBlock,
     Range,
     Scaling,
-    medium_of,
     to_coordinates,
 )
-from tankrig.estimation.problem import Problem
+from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.result import Linearity, LiquidEstimate
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
-from tankrig.estimation.uncertainty import PATTERN, Sensitivity, identifiable
+from tankrig.estimation.uncertainty import PATTERN, ModelError
 from tankrig.estimation.verdict import series_verdict
 from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
-
-
-SETTLED = 0.01
-"""Move of every coordinate after which accurate images need not be computed again."""
 
 
 class InkAndWater(Protocol):
@@ -66,6 +61,7 @@ def estimate_series(
     offset: float | Free = "free",
     noise: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
+    masks: Sequence[ArrayLike | None] | None = None,
     start: InkAndWater | Medium | None = None,
     model_of: "ModelOf | None" = None,
     water_sigma_s: float = 0.0,
@@ -89,6 +85,8 @@ def estimate_series(
         "free" for an unknown offset of each image, or the value of all.
     noise
         Standard deviation of a pixel, one for all images or one (scalar or per pixel) for each; None to estimate it.
+    masks
+        Of each image, (rows, columns), True where a pixel is to be left out; None for none.
     start
         An earlier estimate of the same ink, or the ink per mm and ml, to begin from, which saves the search.
     model_of
@@ -115,7 +113,7 @@ def estimate_series(
     if len(scenes) != len(images):
         raise ImageError(f"{len(images)} images but {len(scenes)} scenes; give one scene for all or one for each image")
     doses = doses_of(doses_ml, doses_sd_ml, len(images))
-    observations = observed(images, scenes, noise)
+    observations = observed(images, scenes, noise, masks)
     model_of = in_water(model_of or tank_model, water_sigma_s)
     told = progress or (lambda _: None)
     return fit_series(observations, scenes, doses, Scaling.given(gain, offset), model_of, start, told)
@@ -127,6 +125,7 @@ def fit_liquid(
     scaling: Scaling,
     models: Sequence[Models] | None = None,
     start: Medium | None = None,
+    progress: Told = lambda _: None,
 ) -> LiquidEstimate | None:
     """One liquid from several patterns with one gain.
 
@@ -140,6 +139,8 @@ def fit_liquid(
         Of the scenes, all for one range; None for the tank model.
     start
         Where to begin; searched for where None.
+    progress
+        Told in a few words what is being done; what it raises ends the fit.
 
     Returns
     -------
@@ -154,14 +155,16 @@ def fit_liquid(
     block = MediumBlock(models[0].range or Range.of_tank(max(max(scene.tank.size_mm) for scene in scenes)))
     shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
     begin = None if start is None else block.start(start)
-    fit = fitted(shots, (block,), scaling, lambda _: None, begin, settled=SETTLED)
+    fit = fitted(shots, (block,), scaling, progress, begin)
+    best = fit.optimum
     gain, _, left = left_over(fit)
-    if models[0].range is not None and {"sigma_s", "g"} & set(fit.problem.at_edge(fit.coordinates)):
+    if models[0].range is not None and {"sigma_s", "g"} & set(best.at_edge):
         return None
-    _, spread = _spread(fit.problem, fit.coordinates, left, shots, [PATTERN * one.counted for one in left])
+    spread = _spread(best, left, shots)
+    medium = best.media[0]
     return LiquidEstimate(
-        fit.problem.liquid(fit.coordinates), spread, gain, rms(np.array([one.rmse for one in left])),
-        rms(np.array([one.counted for one in left])),
+        medium, spread, gain, rms(np.array([one.rmse for one in left])), rms(np.array([one.counted for one in left])),
+        determined(medium, spread, left), rms(np.array([one.beyond for one in left])),
     )  # fmt: skip
 
 
@@ -185,7 +188,7 @@ def fit_series(
         begin = np.concatenate([to_coordinates(liquid), [water * ink.length_mm], np.zeros(doses.ml.size)])
     highest = doses.ml.size - 1
     few = [doses.of_image.tolist().index(dose) for dose in sorted({0, highest // 2, highest})]
-    fit = fitted(shots, blocks, scaling, progress, begin, few, SETTLED)
+    fit = fitted(shots, blocks, scaling, progress, begin, few)
     progress("finding the errors")
     return _built(fit, blocks, shots)
 
@@ -198,38 +201,46 @@ def _models(scenes: Sequence[Scene], model_of: ModelOf) -> list[Models]:
 
 def _built(fit: Fit, blocks: tuple[InkBlock, DosesBlock], shots: Sequence[Shot]) -> SeriesEstimate:
     """The estimate at an optimum: errors, linearity, residuals, verdict."""
+    best = fit.optimum
     gain, offsets, left = left_over(fit)
     ink, doses = blocks[0], blocks[0].doses
-    # The stated error is counted with what patterns do (see `PATTERN`); what the residuals show beyond it, as it is.
-    counted = [math.hypot(PATTERN * one.stated, one.beyond) for one in left]
-    spread = _spread(fit.problem, fit.coordinates, left, shots, counted)[1][:4, :4]
+    spread = _spread(best, left, shots)[:4, :4]
     linearity = None
     if doses.ml.size > 2:
-        bent, at = replace(fit.problem, blocks=(*blocks, BendBlock(doses))), np.append(fit.coordinates, 0.0)
-        sensitivity, wider = _spread(bent, at, left, shots, counted)
-        residual = bent.residual(at)[: bent.pixels]
-        linearity = Linearity(float(sensitivity.step(residual)[-1]), math.sqrt(wider[-1, -1]))
-    values = fit.problem.values(fit.coordinates)
-    liquid, water = medium_of(values[ink.name][:3]), float(values[ink.name][3])
-    determined = identifiable(liquid, spread[:3, :3]) | {"water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)}
-    noise_known = all(view.observation.noise_known for view in fit.problem.views)
+        bent = replace(best.problem, blocks=(*blocks, BendBlock(doses))).at(np.append(best.coordinates, 0.0))
+        linearity = Linearity(float(bent.sensitivity.step(bent.left)[-1]), _sd_of_bend(bent, left, shots))
+    *coefficients, water = best.values[ink.name].tolist()
+    liquid = Medium(*coefficients)
+    known = determined(liquid, spread[:3, :3], left) | {"water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)}
+    noise_known = all(view.observation.noise_known for view in best.problem.views)
     beyond = float(np.median([one.noisier for one in left])) if noise_known else 1.0
     shares = rms(np.array([one.unexplained for one in left])), rms(np.array([one.stated for one in left])), beyond
     return SeriesEstimate(
-        ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=determined, gain=gain,
-        offsets=tuple(offsets), doses_ml=doses.moved(values["doses"]), images=tuple(one.image for one in left),
+        ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=known, gain=gain,
+        offsets=tuple(offsets), doses_ml=doses.moved(best.values["doses"]), images=tuple(one.image for one in left),
         residuals=tuple(one.residual for one in left), rmse=np.array([one.rmse for one in left]), linearity=linearity,
-        verdict=series_verdict(water, spread, determined, linearity, shares),
+        verdict=series_verdict(water, spread, known, linearity, shares),
     )  # fmt: skip
 
 
-def _spread(
-    problem: Problem, at: Array, left: Sequence[Left], shots: Sequence[Shot], counted: Sequence[float]
-) -> tuple[Sensitivity, Array]:
-    """What the values respond to, and their covariance, with errors of so much of each image's light."""
-    sensitivity = problem.sensitivity(at, problem.images(at))
-    errors = [shot.error(share * np.abs(one.light), 1.0) for shot, one, share in zip(shots, left, counted, strict=True)]
-    return sensitivity, sensitivity.covariance([one.noise for one in left], errors)
+def _spread(best: Evaluation, left: Sequence[Left], shots: Sequence[Shot]) -> Array:
+    """Covariance of the values."""
+    return spread_of(best, left, _errors(shots, left, [PATTERN * one.counted for one in left]))
+
+
+def _sd_of_bend(bent: Evaluation, left: Sequence[Left], shots: Sequence[Shot]) -> float:
+    """Standard deviation of the bend, if it were none: structure that residuals hold may be the bend's own.
+
+    The stated error is counted with what patterns do (see `PATTERN`); what the residuals show beyond it, as it is.
+    """
+    counted = [math.hypot(PATTERN * one.stated, one.beyond) for one in left]
+    spread = bent.sensitivity.covariance([one.noise for one in left], _errors(shots, left, counted))
+    return math.sqrt(spread[-1, -1])
+
+
+def _errors(shots: Sequence[Shot], left: Sequence[Left], shares: Sequence[float]) -> list[ModelError]:
+    """Errors of so much of each image's light."""
+    return [shot.error(share * np.abs(one.light), 1.0) for shot, one, share in zip(shots, left, shares, strict=True)]
 
 
 def doses_of(doses_ml: ArrayLike, doses_sd_ml: ArrayLike, count: int) -> Doses:
@@ -254,17 +265,23 @@ def doses_of(doses_ml: ArrayLike, doses_sd_ml: ArrayLike, count: int) -> Doses:
 
 
 def observed(
-    images: Sequence[ArrayLike], scenes: Sequence[Scene], noise: ArrayLike | Sequence[ArrayLike] | None
+    images: Sequence[ArrayLike],
+    scenes: Sequence[Scene],
+    noise: ArrayLike | Sequence[ArrayLike] | None,
+    masks: Sequence[ArrayLike | None] | None = None,
 ) -> list[Observation]:
     """Check the images, each against its scene."""
     one_for_all = noise is None or isinstance(noise, float | int | np.number)
     noises: list[Any] = [noise] * len(images) if one_for_all else list(noise)  # type: ignore[arg-type]
     if len(noises) != len(images):
         raise ImageError(f"{len(images)} images but {len(noises)} noises; give one for all or one for each image")
+    masks = [None] * len(images) if masks is None else masks
+    if len(masks) != len(images):
+        raise ImageError(f"{len(images)} images but {len(masks)} masks; give one for each image, or None")
     observations = []
-    for number, (image, scene, sigma) in enumerate(zip(images, scenes, noises, strict=True), start=1):
+    for number, (image, scene, sigma, mask) in enumerate(zip(images, scenes, noises, masks, strict=True), start=1):
         try:
-            observations.append(observe(image, scene.camera.shape, sigma))
+            observations.append(observe(image, scene.camera.shape, sigma, mask))
         except ImageError as error:
             raise ImageError(f"image {number} of {len(images)}: {error}") from error
     return observations

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.parameters import NAMES
-from tankrig.scene import Medium
+from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -43,6 +43,9 @@ DETERMINED = 0.2
 """Relative standard deviation of a coefficient up to which it counts as determined."""
 DETERMINED_G = 0.1
 """The same for g, absolute."""
+
+PARTS = 4
+"""Parts of an image along each side that are asked whether they agree."""
 
 UNBELIEVED = 1e-4
 """Weight of a prior that has no say."""
@@ -103,11 +106,20 @@ class SmoothError:
         The tank's, in pixels.
     counted
         Factor by which `between` counts it, see `PATTERN`.
+    taller
+        Height of a pixel over its width.
     """
 
     sd: Image
     length: float
     counted: float = PATTERN
+    taller: float = 1.0
+
+    @classmethod
+    def of(cls, scene: Scene, sd: Image, counted: float = PATTERN) -> "SmoothError":
+        """Of a scene's image."""
+        tall, wide = scene.camera.sides_mm
+        return cls(sd, max(scene.tank.size_mm) / scene.camera.pixel_mm, counted, tall / wide)
 
     def whitening(self, noise: Image, used: Mask) -> Whitening:
         """Of its size in each pixel."""
@@ -117,15 +129,17 @@ class SmoothError:
         """Mean over the correlation lengths."""
         grid = np.zeros((len(responses), *used.shape))
         grid[:, used] = responses * (self.counted * self.sd[used])
-        parts = [_smooth_products(grid, share * self.length) for share in CORRELATION_LENGTHS]
+        along_y, along_x = self.length / math.sqrt(self.taller), self.length * math.sqrt(self.taller)
+        parts = [_smooth_products(grid, share * along_y, share * along_x) for share in CORRELATION_LENGTHS]
         mean: Array = np.mean(parts, axis=0)
         return mean
 
 
-def _smooth_products(grid: Array, length: float) -> Array:
-    """Σ_ij a_i K_ij b_j for all pairs of (k, rows, columns), K a Gaussian correlation of `length` pixels."""
+def _smooth_products(grid: Array, *lengths: float) -> Array:
+    """Σ_ij a_i K_ij b_j for all pairs of (k, rows, columns), K a Gaussian correlation of so many rows and columns."""
     along_y, along_x = (
-        np.exp(-0.5 * ((np.arange(count)[:, None] - np.arange(count)) / length) ** 2) for count in grid.shape[1:]
+        np.exp(-0.5 * ((np.arange(count)[:, None] - np.arange(count)) / length) ** 2)
+        for count, length in zip(grid.shape[1:], lengths, strict=True)
     )
     products: Array = np.einsum("aij,bij->ab", grid, along_y @ grid @ along_x)
     return products
@@ -235,7 +249,9 @@ class Sensitivity:
         """(k, n) of all images, one after the other."""
         return np.hstack([one.changes for one in self.responses])
 
-    def covariance(self, noise: Sequence[Image], errors: Sequence[ModelError | None]) -> Array:
+    def covariance(
+        self, noise: Sequence[Image], errors: Sequence[ModelError | None], residual: Array | None = None
+    ) -> Array:
         """Covariance of the values, (k, k).
 
         Parameters
@@ -244,11 +260,33 @@ class Sensitivity:
             Standard deviation of the camera's noise in each image, (rows, columns).
         errors
             Of the model, in each image; None where it has none.
+        residual
+            (n,) of all images, whitened, where it holds structure that these do not explain: then what the parts of
+            the images say is taken to differ as it does, see `disagreement`.
         """
         known = Information(self.priors @ self.priors.T, self.priors @ self.priors.T)
         seen = zip(self.responses, noise, errors, strict=True)
         found = total([known, *(one.information(sigma, error) for one, sigma, error in seen)])
+        if residual is not None:
+            found = replace(found, scatter=found.scatter + self.disagreement(residual))
         return found.covariance(self.widest, self.weight)
+
+    def disagreement(self, residual: Array) -> Array:
+        """Scatter (k, k) of J W ε as the parts of the images show it, `PARTS` × `PARTS` of each.
+
+        At the optimum what the parts pull at the values adds up to nothing. How hard they pull against each other tells
+        how far the values would move if one part or another were not there, whatever the reason: a model that does not
+        hold is wrong in one place otherwise than in the next (the covariance of clusters; Liang & Zeger 1986). Parts in
+        the same place of several images count as one, for a camera that is off is so in all.
+        """
+        pulls = np.zeros((len(self.widest), PARTS * PARTS))
+        ends = np.cumsum([one.changes.shape[1] for one in self.responses])
+        for one, left in zip(self.responses, np.split(residual[: ends[-1]], ends[:-1]), strict=True):
+            row, column = (at * PARTS // count for at, count in zip(np.nonzero(one.used), one.used.shape, strict=True))
+            for pull, change in zip(pulls, one.changes * left, strict=True):
+                pull += np.bincount(row * PARTS + column, change, PARTS * PARTS)
+        count = int(np.any(pulls != 0.0, axis=0).sum())
+        return np.asarray(pulls @ pulls.T * (count / max(count - len(self.widest), 1)))
 
     @property
     def assumed(self) -> Array:

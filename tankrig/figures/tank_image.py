@@ -61,8 +61,8 @@ def signed(largest: Image, noise: float) -> "Normalize":
 def pixel_centres(scene: Scene, shape: tuple[int, int]) -> tuple[Image, Image]:
     """x (columns) and y (rows) of the pixels' centres on the plane z = Lz, mm."""
     rows, columns = shape
-    pixel_mm = scene.camera.pixel_mm
-    return (np.arange(columns) + 0.5) * pixel_mm, (np.arange(rows) + 0.5) * pixel_mm - scene.tank.size_mm[1] / 2
+    tall, wide = scene.camera.sides_mm
+    return (np.arange(columns) + 0.5) * wide, (np.arange(rows) + 0.5) * tall - scene.tank.size_mm[1] / 2
 
 
 def draw(axes: "Axes", image: Image, scene: Scene, colours: str, scale: "Normalize", title: str = "") -> "AxesImage":
@@ -84,8 +84,8 @@ def draw(axes: "Axes", image: Image, scene: Scene, colours: str, scale: "Normali
         Above the image.
     """
     rows, columns = image.shape
-    pixel_mm, low = scene.camera.pixel_mm, -scene.tank.size_mm[1] / 2
-    extent = (0.0, columns * pixel_mm, low, low + rows * pixel_mm)
+    (tall, wide), low = scene.camera.sides_mm, -scene.tank.size_mm[1] / 2
+    extent = (0.0, columns * wide, low, low + rows * tall)
     shown = axes.imshow(image, cmap=colours, norm=scale, origin="lower", extent=extent, interpolation="nearest")
     axes.set_title(title)
     return shown

@@ -12,8 +12,39 @@ from tankrig.errors import ImageError
 
 NUMPY_SUFFIXES = (".npz", ".npy")
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff")
+MOST_COUNTS = 65_535
 DEFAULT_ARRAY = "total"
 """Array taken from an .npz of several when none is named: what predictions and reference images call the whole."""
+
+
+def read_frame(path: str | os.PathLike[str], array: str | None = None) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Read a raw frame of a camera, counts of 8 or 16 bits.
+
+    Parameters
+    ----------
+    path, array
+        As for `read_image`.
+
+    Raises
+    ------
+    ImageError
+        In one sentence: the file, what is wrong with it, and what to do.
+    """
+    values = _shaped(Path(path), _values(path, array))
+    if values.dtype.kind in "iu" and values.size and 0 <= values.min() <= values.max() <= MOST_COUNTS:
+        return values.astype(np.uint16)
+    raise ImageError(f"{path}: holds no counts from 0 to {MOST_COUNTS}; give a frame as the camera delivered it")
+
+
+def read_mask(path: str | os.PathLike[str]) -> NDArray[np.bool_]:
+    """Read a mask: an image of any type, True where it is not 0.
+
+    Raises
+    ------
+    ImageError
+        In one sentence: the file, what is wrong with it, and what to do.
+    """
+    return np.asarray(_shaped(Path(path), _values(path, None)) != 0)
 
 
 def read_image(path: str | os.PathLike[str], array: str | None = None, scale: float = 1.0) -> NDArray[np.float64]:
@@ -46,18 +77,23 @@ def read_image(path: str | os.PathLike[str], array: str | None = None, scale: fl
     array([[0.5, 0.5, 0.5],
            [0.5, 0.5, 0.5]])
     """
+    if not (math.isfinite(scale) and scale > 0.0):
+        raise ImageError(f"scale = {scale} is not a positive finite number; give the radiance per count")
+    return scale * _checked(Path(path), _values(path, array))
+
+
+def _values(path: str | os.PathLike[str], array: str | None) -> NDArray[np.generic]:
+    """What a file holds."""
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix not in NUMPY_SUFFIXES + PICTURE_SUFFIXES:
         raise ImageError(
             f"{file}: is none of {', '.join(NUMPY_SUFFIXES + PICTURE_SUFFIXES)}; convert it to one of them"
         )
-    if not (math.isfinite(scale) and scale > 0.0):
-        raise ImageError(f"scale = {scale} is not a positive finite number; give the radiance per count")
     if array is not None and suffix != ".npz":
         raise ImageError(f'{file}: holds one image only, no array "{array}"; leave the array\'s name out')
     try:
-        values = _read_numpy(file, array) if suffix in NUMPY_SUFFIXES else _read_picture(file)
+        return _read_numpy(file, array) if suffix in NUMPY_SUFFIXES else _read_picture(file)
     except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
         if isinstance(error, ImageError):
             raise
@@ -65,7 +101,6 @@ def read_image(path: str | os.PathLike[str], array: str | None = None, scale: fl
             error.strerror if isinstance(error, OSError) and error.strerror else "damaged, or not what its name says"
         )
         raise ImageError(f"{file}: cannot be read ({reason}); give a whole image file") from error
-    return scale * _checked(file, values)
 
 
 def _read_numpy(file: Path, array: str | None) -> NDArray[np.generic]:
@@ -109,11 +144,16 @@ def _read_picture(file: Path) -> NDArray[np.generic]:
     return picture
 
 
-def _checked(file: Path, values: NDArray[np.generic]) -> NDArray[np.float64]:
+def _shaped(file: Path, values: NDArray[np.generic]) -> NDArray[np.generic]:
     if values.ndim != 2:
         raise ImageError(
             f"{file}: has shape {list(values.shape)}, so not one grey image; give (rows, columns) of one channel"
         )
+    return values
+
+
+def _checked(file: Path, values: NDArray[np.generic]) -> NDArray[np.float64]:
+    values = _shaped(file, values)
     if values.dtype.kind in "iub" and values.dtype.itemsize < 2:
         raise ImageError(
             f"{file}: has 8 bits per pixel, whose steps hide the dim light that the fit needs; "

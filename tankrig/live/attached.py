@@ -3,18 +3,23 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import cache
 
 from tankrig.bench import Bench
 from tankrig.errors import SceneError, SequenceError, StoreError
-from tankrig.live.exposures import PhotographPlan
+from tankrig.live.exposures import PhotographPlan, fits_that_hold
 from tankrig.live.live_fit import LiveFit
-from tankrig.live.results import DoseFit, Fit, to_fields
-from tankrig.run.reading import open_run
+from tankrig.live.results import DoseFit, Fit, fits_in, to_fields
+from tankrig.run.journal_io import read_settings
+from tankrig.run.reading import Run, open_run
 from tankrig.run.runner import Runner
+from tankrig.scene.description import Medium
 from tankrig.sequence import Sequence
 
 PATIENCE_S = 240.0
+LOOKED_BACK = 5
+"""Runs beside one, the latest first, among which its ink is looked for."""
 
 
 def require_fittable(sequence: Sequence, bench: Bench) -> None:
@@ -27,7 +32,7 @@ def require_fittable(sequence: Sequence, bench: Bench) -> None:
     """
     for name, pattern in sequence.drawn(bench.wall).items():
         try:
-            _ = PhotographPlan.of(bench, sequence, [pattern]).scenes
+            PhotographPlan.of(bench, sequence, [pattern]).require_left()
         except SceneError as error:
             raise SequenceError(f'{sequence.name}: pattern "{name}" cannot be fitted: {error}') from error
 
@@ -44,7 +49,7 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
     runner
         Of the run, new or resumed.
     patience_s
-        How long the run's end waits for the last fits; those that come later are lost, and `tankrig report` makes them.
+        How long the run's end waits for the last fits; `tankrig refit` makes those that would come later.
     """
     run = open_run(runner.path)
 
@@ -63,9 +68,29 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
         with suppress(StoreError):
             runner.record("note", text=sentence, warning=True)
 
-    with LiveFit(PhotographPlan.of_run(run), record, run, tell) as fit:
+    plan = PhotographPlan.of_run(run)
+    plan = replace(plan, ink=plan.ink or ink_before(run))
+    with LiveFit(plan, record, run, tell) as fit:
         runner.fitted = True
         runner.latest_fit = next((event.fields for event in reversed(run.fits)), None)
         runner.listen(fit.see)
         runner.before_end.append(lambda: fit.finished or time.monotonic() > latest_s())
         yield fit
+
+
+def ink_before(run: Run) -> Medium | None:
+    """What the latest run beside this one, on the same rig, found of its ink, per mm and ml; None where none did.
+
+    The next run is likely to have the same ink: models for its doses are then prepared, or found prepared, before its
+    first dose. If it has another, that costs time and nothing else.
+    """
+    beside = (mark.parent for mark in run.path.parent.glob("*/zarr.json") if mark.parent != run.path)
+    latest = sorted(beside, key=lambda path: (path / "zarr.json").stat().st_mtime, reverse=True)
+    for path in latest[:LOOKED_BACK]:
+        with suppress(StoreError, OSError, KeyError, TypeError):  # damaged, or no run at all
+            if read_settings(path).get("rig") != run.settings.get("rig"):
+                continue
+            _, series = fits_in([event.fields for event in fits_that_hold(open_run(path))])
+            if series is not None:
+                return series.ink
+    return None

@@ -17,20 +17,21 @@ from tankrig.calibration.file import FOLDER, usable
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked
 from tankrig.devices import CameraSettings, Delivered, Pixels
-from tankrig.errors import StoreError
+from tankrig.errors import SceneError, StoreError
 from tankrig.estimation.observation import pixel_noise
+from tankrig.image.bins import HALF, Bins, Seen, bins_for
 from tankrig.pattern import Pattern
 from tankrig.run.conditions import Following, clamped
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run
 from tankrig.scene.description import Camera, Medium, Scene
-from tankrig.sequence import Capture, Dose, Sequence
+from tankrig.scene.outline import edge_reach_mm
+from tankrig.sequence import Burst, Capture, Dose, Sequence
 from tankrig.sequence.loading import sequence_from_table
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-FIT_PIXEL_MM = 4.0
-"""Frames are binned to pixels of at most this before a fit: the tank's light is smooth, and beams are as wide."""
 UNSETTLED = 0.01
 """A frame that differs from those before it by more than this share of the picture shows ink that has not mixed yet."""
 UNSETTLED_SIGMAS = 6.0
@@ -60,6 +61,8 @@ class Photograph:
         0 where the dark was subtracted, else "free".
     frames
         How many it is the mean of.
+    mask
+        (rows, columns), True where a bin tells nothing of the liquid, see `PhotographPlan.counts`; None: all tell.
     """
 
     pattern: str
@@ -70,6 +73,12 @@ class Photograph:
     noise: Array
     offset: Any
     frames: int
+    mask: Mask | None = None
+
+    @property
+    def used(self) -> Mask:
+        """(rows, columns) bins that count."""
+        return np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
 
 
 @dataclass(frozen=True)
@@ -90,6 +99,10 @@ class PhotographPlan:
         Of the camera, where it was calibrated for all of them.
     more_doses
         How many different ones a run has recorded already, foreseen or not.
+    saturation
+        Count from which on the camera's pixels are saturated, where that is known.
+    ink
+        What is expected of it, per mm and ml; None where nothing is. Only which models are prepared rests on it.
     """
 
     bench: Bench
@@ -98,6 +111,8 @@ class PhotographPlan:
     settings: tuple[CameraSettings, ...]
     radiometry: Radiometry | None = None
     more_doses: int = 0
+    saturation: float | None = None
+    ink: Medium | None = None
 
     @classmethod
     def of(
@@ -110,12 +125,16 @@ class PhotographPlan:
         """For a sequence on a bench."""
         actions = [task.action for task in sequence.tasks]
         unused = CameraSettings(1.0)
-        settings = tuple(sequence.camera_settings(one) if isinstance(one, Capture) else unused for one in actions)
+        settings = tuple(
+            sequence.camera_settings(one) if isinstance(one, Capture | Burst) else unused for one in actions
+        )
         gains = {one.gain for one in settings if one is not unused}
         if radiometry is not None and not all(radiometry.knows(gain) for gain in gains):
             radiometry = None
         doses = tuple(one.total_ul / 1000.0 for one in actions if isinstance(one, Dose))
-        return cls(bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry)
+        return cls(
+            bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry, ink=sequence.ink
+        )
 
     @classmethod
     def of_run(cls, run: Run) -> "PhotographPlan":
@@ -127,7 +146,8 @@ class PhotographPlan:
         if radiometry is not None and not all(radiometry.knows(one.camera.gain) for one in conditions if one.camera):
             radiometry = None
         plan = cls.of(bench, sequence, list(run.patterns.values()), radiometry)
-        return replace(plan, more_doses=len({one.tank.volume_ul for one in conditions}))
+        more_doses = len({one.tank.volume_ul for one in conditions})
+        return replace(plan, more_doses=more_doses, saturation=run.settings.get("saturation"))
 
     @property
     def doses(self) -> int:
@@ -138,30 +158,71 @@ class PhotographPlan:
     @cached_property
     def scenes(self) -> dict[str, Scene]:
         """What the fit sees of the patterns that light anything, by hash; the media mean nothing."""
-        lit = {key: pattern for key, pattern in self.patterns.items() if pattern.pixels.any()}
-        scenes = {key: self.bench.scene(pattern, ANY) for key, pattern in lit.items()}
-        return {key: Scene(scene.tank, ANY, scene.projector, self.camera) for key, scene in scenes.items()}
+        whole = self._whole_scenes.items()
+        return {key: Scene(scene.tank, ANY, scene.projector, self.camera) for key, scene in whole}
 
     @cached_property
-    def binning(self) -> int:
-        """Pixels along a bin: as many as fit into `FIT_PIXEL_MM` and divide the frame."""
-        camera = self.bench.camera
-        most = max(1, int(FIT_PIXEL_MM / camera.pixel_mm))
-        return max(by for by in range(1, most + 1) if camera.shape[0] % by == 0 and camera.shape[1] % by == 0)
+    def _whole_scenes(self) -> dict[str, Scene]:
+        """The same with the whole camera."""
+        lit = {key: pattern for key, pattern in self.patterns.items() if pattern.pixels.any()}
+        return {key: self.bench.scene(pattern, ANY) for key, pattern in lit.items()}
+
+    @cached_property
+    def _seen(self) -> dict[str, Seen]:
+        """Of the lit patterns by hash."""
+        return {key: Seen.of(scene) for key, scene in self._whole_scenes.items()}
+
+    @cached_property
+    def bins(self) -> Bins:
+        """That frames are put together to."""
+        return bins_for(self.bench.camera, list(self._seen.values()))
 
     @cached_property
     def camera(self) -> Camera:
         """The camera as the fit sees it."""
-        return self.bench.camera.binned(self.binning)
+        return self.bins.camera(self.bench.camera)
+
+    @cached_property
+    def counts(self) -> dict[str, Mask]:
+        """(rows, columns) bins that count for a fit, by the hash of the pattern.
+
+        Left out are bins that blur matters to, in any of their pixels, and bins most of whose pixels are hot.
+        """
+        healthy = self.bins.shares(self._healthy) > HALF if self._healthy is not None else True
+        return {key: (self.bins.shares(seen.sharp) == 1.0) & healthy for key, seen in self._seen.items()}
+
+    @cached_property
+    def _healthy(self) -> Mask | None:
+        """(rows, columns) pixels that are not hot; None where all are, as far as is known."""
+        hot = self.radiometry.hot if self.radiometry is not None else np.zeros(0, bool)
+        return ~hot if hot.any() else None
+
+    def require_left(self) -> None:
+        """Refuse patterns that lenses blur so far that nothing of their light is left to fit.
+
+        Raises
+        ------
+        SceneError
+            Naming how far it blurs, and what to do.
+        """
+        for key, seen in self._seen.items():
+            if seen.nothing_left:
+                raise SceneError(
+                    f"camera and projector blur light to {edge_reach_mm(self._whole_scenes[key]):.2g} mm on either "
+                    "side of an edge, which leaves nothing of its light to fit; make its stripes or rays wider, or "
+                    "focus and calibrate anew"
+                )
 
     @property
     def size(self) -> int:
         """Numbers that the sums take."""
         rows, columns = self.camera.shape
-        return 3 + self.doses * 4 + self.doses * len(self.patterns) * (1 + 2 * rows * columns)
+        return 3 + self.doses * 4 + self.doses * len(self.patterns) * (1 + 3 * rows * columns)
 
-    def binned(self, pixels: Pixels, settings: CameraSettings) -> Array:
+    def binned(self, pixels: Pixels, settings: CameraSettings) -> tuple[Array, Mask]:
         """A frame as the fit sees it: counts per ms at gain 1, made proportional to radiance where that is known.
+
+        Each bin is the mean of its pixels that are not hot.
 
         Parameters
         ----------
@@ -170,18 +231,26 @@ class PhotographPlan:
         settings
             Of the camera, as read back.
 
+        Returns
+        -------
+        (rows, columns) of the bins, and which of them hold no saturated pixel
+
         Raises
         ------
         StoreError
             When the camera was calibrated, but not at this gain.
         """
-        by, (rows, columns) = self.binning, self.camera.shape
+        full = self._saturated(pixels, settings)
+        below = self.bins.shares(full) == 0.0 if full.any() else np.ones(self.camera.shape, bool)
         if self.radiometry is not None:
-            light = self.radiometry.corrected(pixels, settings)
-            return np.asarray(light.reshape(rows, by, columns, by).mean(axis=(1, 3)))
-        lines = pixels.reshape(rows, by, columns * by).sum(axis=1, dtype=np.uint32)  # whole rows first: 5 × faster
-        bins: Array = lines.reshape(rows, columns, by).sum(axis=2) / (by * by * settings.exposure_ms * settings.gain)
-        return bins
+            return self.bins.means(self.radiometry.light(pixels, settings), self._healthy), below
+        per_ms = self.bins.size * settings.exposure_ms * settings.gain
+        return self.bins.sums(pixels) / per_ms, below
+
+    def _saturated(self, pixels: Pixels, settings: CameraSettings) -> Mask:
+        if self.radiometry is not None:
+            return self.radiometry.saturated(pixels, settings)
+        return np.asarray(pixels >= (np.inf if self.saturation is None else self.saturation))
 
 
 class Exposures:
@@ -199,12 +268,13 @@ class Exposures:
         self.plan = plan
         numbers = np.zeros(plan.size) if numbers is None else numbers
         shape = (plan.doses, len(plan.patterns), *plan.camera.shape)
-        cuts = np.cumsum([3, plan.doses * 4, shape[0] * shape[1], int(np.prod(shape))])
+        cuts = np.cumsum([3, plan.doses * 4, shape[0] * shape[1], *[int(np.prod(shape))] * 2])
         # The dose under way, the newest frame, and frames that could not be taken in.
-        self._now, doses, counts, sums, squares = np.split(numbers, cuts)
+        self._now, doses, counts, sums, squares, seen = np.split(numbers, cuts)
         # Of each dose: ml, its standard deviation, frames left out, and whether the last one was.
         self._doses, self._counts = doses.reshape(plan.doses, 4), counts.reshape(shape[:2])
-        self._sums, self._squares = sums.reshape(shape), squares.reshape(shape)
+        # Of each bin: the sum over its frames that are not saturated there, that of their squares, and their number.
+        self._sums, self._squares, self._seen = (one.reshape(shape) for one in (sums, squares, seen))
         self._index = {key: index for index, key in enumerate(plan.patterns)}
         self._lit = list(plan.scenes)
         self._conditions = Following()
@@ -270,7 +340,7 @@ class Exposures:
             if pixels is None or not self._sees(settings) or not self._enter(then.tank):
                 self._now[2] += 1
                 return False
-            self._add(self._index[event["pattern_hash"]], lit, self.plan.binned(pixels, settings))
+            self._add(self._index[event["pattern_hash"]], lit, *self.plan.binned(pixels, settings))
             return lit
         return False
 
@@ -307,47 +377,53 @@ class Exposures:
             self._doses[self.dose] = dose_ml, sd_ml, 0.0, 0.0
         return True
 
-    def _add(self, pattern: int, lit: bool, binned: Array) -> None:
+    def _add(self, pattern: int, lit: bool, binned: Array, below: Mask) -> None:
         if lit:
-            self._leave_out_what_had_not_mixed(pattern, binned)
+            self._leave_out_what_had_not_mixed(pattern, binned, below)
+        binned = np.where(below, binned, 0.0)
         self._sums[self.dose, pattern] += binned
         self._squares[self.dose, pattern] += binned**2
+        self._seen[self.dose, pattern] += below
         self._counts[self.dose, pattern] += 1
 
-    def _leave_out_what_had_not_mixed(self, pattern: int, binned: Array) -> None:
+    def _leave_out_what_had_not_mixed(self, pattern: int, binned: Array, below: Mask) -> None:
         """Begin the dose anew where a frame is not of the liquid that the frames before it are of."""
-        count = int(self._counts[self.dose, pattern])
-        if count == 0:
+        if self._counts[self.dose, pattern] == 0:
             return
-        changed = differs(binned, self._sums[self.dose, pattern] / count)
+        seen = self._seen[self.dose, pattern]
+        both = below & (seen > 0)
+        before = self._sums[self.dose, pattern] / np.maximum(seen, 1)
+        changed = bool(both.any()) and differs(np.where(both, binned, 0.0), np.where(both, before, 0.0))
         self._doses[self.dose, 3] = changed
         if changed:
             lit = [self._index[key] for key in self._lit]
             self._doses[self.dose, 2] += self._counts[self.dose, lit].sum()
-            for kept in (self._counts, self._sums, self._squares):
+            for kept in (self._counts, self._sums, self._squares, self._seen):
                 kept[self.dose, lit] = 0.0
 
     def _photograph(self, dose: int, key: str) -> Photograph:
         pattern, plan = self.plan.patterns[key], self.plan
-        count, mean, variance = self._mean(dose, self._index[key])
+        count, seen, mean, variance = self._mean(dose, self._index[key])
+        used = plan.counts[key] & (seen > 0)
         dark_at = [index for other, index in self._index.items() if not plan.patterns[other].pixels.any()]
         offset: Any = "free"
-        total = _photon_transfer(mean, variance, count) / count
+        total = _photon_transfer(mean, variance, count, used if used.any() else seen > 0) / np.maximum(seen, 1)
         if dark_at and self._counts[dose, dark_at[0]]:
-            dark_count, dark, dark_variance = self._mean(dose, dark_at[0])
+            dark_count, _, dark, dark_variance = self._mean(dose, dark_at[0])
             mean = mean - dark
             if dark_count > 1:
                 total = total + float(np.mean(dark_variance)) / dark_count
             offset = 0.0
         dose_ml, sd_ml = (float(value) for value in self._doses[dose, :2])
-        return Photograph(pattern.name, dose_ml, sd_ml, plan.scenes[key], mean, np.sqrt(total), offset, count)
+        return Photograph(pattern.name, dose_ml, sd_ml, plan.scenes[key], mean, np.sqrt(total), offset, count, ~used)
 
-    def _mean(self, dose: int, pattern: int) -> tuple[int, Array, Array]:
-        """Frames, their mean, and their variance from frame to frame."""
-        count = int(self._counts[dose, pattern])
+    def _mean(self, dose: int, pattern: int) -> tuple[int, Array, Array, Array]:
+        """Frames, how many of them show each bin, their mean, and their variance from frame to frame."""
+        seen = self._seen[dose, pattern]
+        count = np.maximum(seen, 1.0)
         mean = self._sums[dose, pattern] / count
-        variance = np.maximum(self._squares[dose, pattern] / count - mean**2, 0.0) * count / max(count - 1, 1)
-        return count, mean, variance
+        variance = np.maximum(self._squares[dose, pattern] / count - mean**2, 0.0) * count / np.maximum(count - 1, 1)
+        return int(self._counts[dose, pattern]), seen, mean, variance
 
 
 def differs(frame: Array, before: Array) -> bool:
@@ -375,17 +451,17 @@ def differs(frame: Array, before: Array) -> bool:
     return bool(seen > beyond and seen > UNSETTLED**2 * float(np.mean(bright**2)))
 
 
-def _photon_transfer(mean: Array, variance: Array, count: int) -> Array:
+def _photon_transfer(mean: Array, variance: Array, count: int, used: Mask) -> Array:
     """Variance of one frame as a straight line in its brightness, from what frames of the same scene differ by.
 
     A line through thousands of pixels is known far better than any pixel's own variance from a few frames. One frame
     has no differences to tell; it is taken to be noisy by 0.5 % of the peak.
     """
     if count < 2:
-        return np.full(mean.shape, (0.005 * float(mean.max())) ** 2)
+        return np.full(mean.shape, (0.005 * float(mean[used].max())) ** 2)
     design = np.stack([np.ones(mean.size), mean.ravel()], axis=1)
-    line = np.linalg.lstsq(design, variance.ravel(), rcond=None)[0]
-    floor = max(0.1 * float(variance.mean()), 1e-12 * float(mean.max()) ** 2)
+    line = np.linalg.lstsq(design[used.ravel()], variance[used], rcond=None)[0]
+    floor = max(0.1 * float(variance[used].mean()), 1e-12 * float(mean[used].max()) ** 2)
     spread: Array = np.maximum((design @ line).reshape(mean.shape), floor)
     return spread
 

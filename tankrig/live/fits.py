@@ -1,7 +1,7 @@
 """The fits of a run's photographs: one dose, the series, single scattering."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 from tankrig.estimation.forward import PURE_WATER_SIGMA_S, Models, models_of, prepared_model, tank_model
 from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.series import InkAndWater, estimate_series, fit_liquid, observed
-from tankrig.estimation.uncertainty import identifiable
 from tankrig.image.prepare import Prepared
 from tankrig.live.exposures import Photograph
 from tankrig.live.results import DoseFit, SeriesFit, SingleScattering
 from tankrig.live.single import fit_single
 from tankrig.scene import Medium
 
+Told = Callable[[str], None]
 
-def fit_dose(photographs: Sequence[Photograph], start: Medium | None = None) -> DoseFit:
+
+def fit_dose(
+    photographs: Sequence[Photograph], start: Medium | None = None, progress: Told = lambda _: None
+) -> DoseFit:
     """Fit all photographs of one dose by the tank model, and by single scattering beside it.
 
     Parameters
@@ -27,6 +30,8 @@ def fit_dose(photographs: Sequence[Photograph], start: Medium | None = None) -> 
         Of one dose.
     start
         Where to begin, where that is known.
+    progress
+        Told in a few words what is being done, now and then; what it raises ends the fit.
 
     Raises
     ------
@@ -34,7 +39,7 @@ def fit_dose(photographs: Sequence[Photograph], start: Medium | None = None) -> 
         When they cannot be fitted.
     """
     began = time.perf_counter()
-    fit = _fitted(photographs, None, start)
+    fit = _fitted(photographs, None, start, progress)
     assert fit is not None  # the tank model answers for any medium
     return replace(with_single(fit, photographs), seconds=round(time.perf_counter() - began, 3))
 
@@ -53,17 +58,21 @@ def fit_dose_prepared(photographs: Sequence[Photograph], models: Sequence[Prepar
 
 
 def _fitted(
-    photographs: Sequence[Photograph], prepared: Sequence[Models] | None, start: Medium | None
+    photographs: Sequence[Photograph],
+    prepared: Sequence[Models] | None,
+    start: Medium | None,
+    progress: Told = lambda _: None,
 ) -> DoseFit | None:
     began, first = time.perf_counter(), photographs[0]
     scenes = [one.scene for one in photographs]
-    observations = observed([one.image for one in photographs], scenes, [one.noise for one in photographs])
-    found = fit_liquid(observations, scenes, Scaling.given("free", first.offset), prepared, start)
+    noises, masks = [one.noise for one in photographs], [one.mask for one in photographs]
+    observations = observed([one.image for one in photographs], scenes, noises, masks)
+    found = fit_liquid(observations, scenes, Scaling.given("free", first.offset), prepared, start, progress)
     if found is None:
         return None
     return DoseFit(
         dose_ml=first.dose_ml, dose_sd_ml=first.dose_sd_ml, medium=found.medium, sd=_deviations(found.covariance),
-        identifiable=identifiable(found.medium, found.covariance), gain=found.gain, rmse=found.rmse,
+        identifiable=found.identifiable, gain=found.gain, rmse=found.rmse, structure=found.beyond or None,
         frames=sum(one.frames for one in photographs), patterns=tuple(one.pattern for one in photographs),
         model="prepared" if prepared else "tank", model_error=found.model_error if prepared else None,
         seconds=round(time.perf_counter() - began, 4),
@@ -76,9 +85,14 @@ def with_single(fit: DoseFit, photographs: Sequence[Photograph]) -> DoseFit:
 
 
 def fit_all(
-    photographs: Sequence[Photograph], start: InkAndWater | Medium | None = None, prepared: Sequence[Prepared] = ()
+    photographs: Sequence[Photograph],
+    start: InkAndWater | Medium | None = None,
+    prepared: Sequence[Prepared] = (),
+    progress: Told = lambda _: None,
 ) -> SeriesFit:
     """Fit the series: all photographs of all doses, by prepared models where there are any that hold the media.
+
+    `progress` is told in a few words what is being done; what it raises ends the fit.
 
     Raises
     ------
@@ -93,9 +107,11 @@ def fit_all(
         [one.dose_sd_ml for one in photographs],
         offset=photographs[0].offset,
         noise=[one.noise for one in photographs],
+        masks=[one.mask for one in photographs],
         start=start,
         model_of=prepared_model(prepared) if prepared else tank_model,
         water_sigma_s=PURE_WATER_SIGMA_S,
+        progress=progress,
     )
     return SeriesFit(
         doses_ml=tuple(sorted({one.dose_ml for one in photographs})), ink=found.ink, water=found.water,

@@ -2,6 +2,8 @@
 
 import math
 
+from tankrig.estimation.verdict import SYMBOLS
+from tankrig.live.preparing import Preparation
 from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit
 
 
@@ -37,4 +39,38 @@ def fit_in_words(fit: Fit | None) -> str:
     found = fit.medium if isinstance(fit, DoseFit) else fit.ink
     shown = ((found.sigma_s, fit.sd[1]), (found.g, fit.sd[2]), (found.sigma_a, fit.sd[0]))
     sigma_s, g, sigma_a = (with_error(*one) for one in shown)
-    return f"{subject}: σs {sigma_s}, g {g}, σa {sigma_a} per mm{'' if isinstance(fit, DoseFit) else ' and ml'}"
+    unit = "per mm" if isinstance(fit, DoseFit) else "per mm and ml"
+    return f"{subject}: σs {sigma_s}, g {g}, σa {sigma_a} {unit}{doubts(fit)}"
+
+
+def doubts(fit: DoseFit | SeriesFit) -> str:
+    """What must not be taken from a fit's numbers, to be added to them; empty where there is nothing.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Medium
+    >>> doubts(DoseFit(0.4, Medium(2.6e-4, 0.0048, 0.71), identifiable={"sigma_a": False, "g": True}, structure=0.012))
+    '; not determined: σa; 1.2 % of the light is not as the model has it, and counted in the errors'
+    """
+    no = [symbol for name, symbol in SYMBOLS.items() if not fit.identifiable.get(name, True)]
+    said = f"; not determined: {', '.join(no)}" if no else ""
+    if isinstance(fit, DoseFit) and fit.structure:
+        said += f"; {100.0 * fit.structure:.2g} % of the light is not as the model has it, and counted in the errors"
+    return said
+
+
+def preparation_in_words(left: Preparation) -> str:
+    """What fits wait for, and for how long; empty where they wait for nothing.
+
+    Examples
+    --------
+    >>> preparation_in_words(Preparation(3, 42.0))
+    '3 models are being prepared for the fit, about 42 s left'
+    >>> preparation_in_words(Preparation(0, 0.0))
+    ''
+    """
+    if left.models == 0:
+        return ""
+    what = "1 model is" if left.models == 1 else f"{left.models} models are"
+    how_long = "" if left.seconds_left is None else f", about {left.seconds_left:.0f} s left"
+    return f"{what} being prepared for the fit{how_long}"

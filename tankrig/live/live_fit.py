@@ -16,6 +16,7 @@ import numpy as np
 from tankrig.devices import Pixels
 from tankrig.errors import StoreError
 from tankrig.live.exposures import Exposures, Photograph, PhotographPlan, fits_that_hold
+from tankrig.live.preparing import Preparation
 from tankrig.live.results import Fit, from_fields
 from tankrig.live.worker import Shared, work
 from tankrig.run.event_dispatcher import EventDispatcher
@@ -88,6 +89,8 @@ class LiveFit:
         self._on_result, self._on_trouble = on_result, on_trouble
         self._path = run.path if run else None
         self._closing = threading.Event()
+        self.preparation = Preparation(0, 0.0)
+        """How far the models are that fits wait for, as it was told last."""
         self._last_step = len(plan.settings) - 1
         try:
             for event in run.journal if run else ():
@@ -200,10 +203,13 @@ class LiveFit:
             try:
                 if not self._results.poll(_POLL_S):
                     continue
-                table = self._results.recv()
+                found: Fit | Preparation = self._results.recv()
             except (EOFError, OSError):
                 return
+            if isinstance(found, Preparation):
+                self.preparation = found
+                continue
             try:
-                self._on_result(table)
+                self._on_result(found)
             except Exception:
                 _log.exception("a fit could not be passed on; the next ones are")

@@ -5,8 +5,6 @@ from dataclasses import asdict, dataclass, field
 from dataclasses import fields as dataclass_fields
 from typing import Any
 
-import numpy as np
-
 from tankrig.estimation.parameters import NAMES, in_tank
 from tankrig.estimation.result import Linearity
 from tankrig.scene import Medium
@@ -52,6 +50,8 @@ class DoseFit:
         Number of the newest frame, as the run counts them; −1: of another dose.
     passing
         Whether another fit of the same frames is to come, which lacks nothing.
+    structure
+        Of what is left, relative L2, beyond what noise and the model's own error explain; None where there is none.
     """
 
     dose_ml: float
@@ -71,6 +71,7 @@ class DoseFit:
     newest: int | None = None
     passing: bool = False
     not_seen: int = 0
+    structure: float | None = None
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ class SeriesFit:
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""
-        return in_tank(np.array([self.ink.sigma_a, self.ink.sigma_s, self.ink.g, self.water.sigma_a]), dose_ml)
+        return in_tank(self.ink, self.water.sigma_a, dose_ml)
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ def to_fields(fit: Fit) -> Fields:
         found |= {"water_sigma_a": found.pop("water").sigma_a, "linearity": fit.linearity and asdict(fit.linearity)}
         return {"fit": "series", **found}
     found |= {**asdict(found.pop("medium")), "single": fit.single and asdict(fit.single)}
-    unknown = {"model_error": None, "single": None, "newest": None, "passing": False}
+    unknown = {"model_error": None, "single": None, "structure": None, "newest": None, "passing": False}
     return {"fit": "dose"} | {
         name: value for name, value in found.items() if name not in unknown or value != unknown[name]
     }

@@ -32,14 +32,16 @@ def fit_single(photographs: Sequence[Photograph], liquid: Medium) -> tuple[float
     """
     from scipy.optimize import minimize_scalar
 
-    weight = np.concatenate([(1.0 / one.noise).ravel() for one in photographs])
-    observed = np.concatenate([one.image.ravel() for one in photographs])
+    used = [one.used for one in photographs]
+    weight = np.concatenate([1.0 / one.noise[counts] for one, counts in zip(photographs, used, strict=True)])
+    observed = np.concatenate([one.image[counts] for one, counts in zip(photographs, used, strict=True)])
     scaling = Scaling(None, 0.0 if photographs[0].offset == 0.0 else None)
 
     def residual(log_sigma_t: float) -> np.ndarray:
         by = math.exp(log_sigma_t) / liquid.sigma_t
         medium = Medium(by * liquid.sigma_a, by * liquid.sigma_s, liquid.g)
-        model = np.concatenate([single_scattering(replace(one.scene, medium=medium)).ravel() for one in photographs])
+        images = [single_scattering(replace(one.scene, medium=medium)) for one in photographs]
+        model = np.concatenate([image[counts] for image, counts in zip(images, used, strict=True)])
         gain, (offset,) = scaling.solve([weight * model], [weight], [weight * observed])
         return observed - gain * model - offset
 

@@ -2,7 +2,8 @@
 
 import os
 import threading
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import connection, parent_process
@@ -15,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from tankrig.errors import TankrigError
+from tankrig.light.prepared.box import Box
 from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
 from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
-from tankrig.live.preparing import Preparing
+from tankrig.live.preparing import LOOK, LOOK_START, Preparation, Preparing
 from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, diluted
 from tankrig.scene.description import Medium
 
@@ -25,6 +27,8 @@ NICENESS = 10
 LOCK_S = 5.0
 QUIET_S = 0.3
 """Without new frames for so long, what takes longer is done too: single scattering for comparison, and the series."""
+TOLD_S = 1.0
+"""From one word on how far models are to the next."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Shared:
     news, last
         Set when there are new frames, and when no more will come.
     results
-        Where fits go.
+        Where fits go, and how far the models are that they wait for.
     earlier
         What was fitted before, where a run goes on.
     """
@@ -85,22 +89,65 @@ def _end_with_parent(memory: SharedMemory) -> None:
 def _fit(shared: Shared, memory: SharedMemory) -> None:
     preparing = Preparing(lambda _: shared.news.set())
     fitter = Fitter(shared.earlier, preparing, shared.plan)
-    try:
+    told: list[Preparation] = []
+
+    def look() -> tuple[Exposures | None, bool]:
+        last = shared.last.is_set()
+        shared.news.clear()
+        return _copy(shared, memory), last
+
+    def wait(seconds: float | None) -> bool:
+        """Until there is news; meanwhile it is told how far the models are."""
+        begun_s = time.monotonic()
         while True:
-            last = shared.last.is_set()
-            shared.news.clear()
-            exposures = _copy(shared, memory)
-            if exposures is not None and _send(shared, fitter.next(exposures, last)):
-                continue
-            if fitter.unfinished and (last or not shared.news.wait(QUIET_S)):
-                _send(shared, fitter.finish())
-            elif last and not fitter.waiting:
-                return
-            elif not fitter.unfinished:
-                shared.news.wait()
+            left = preparing.left
+            if [left] != told:
+                told[:] = [left]
+                shared.results.send(left)
+            passed_s = time.monotonic() - begun_s
+            longest_s = TOLD_S if seconds is None else min(TOLD_S, max(0.0, seconds - passed_s))
+            if shared.news.wait(longest_s):
+                return True
+            if seconds is not None and passed_s >= seconds:
+                return False
+
+    try:
+        for fit in fit_all_there_is(fitter, look, wait):
+            shared.results.send(fit)
     finally:
         shared.results.close()  # the run need not wait for what is being computed
         preparing.close()
+
+
+def fit_all_there_is(
+    fitter: "Fitter",
+    look: Callable[[], tuple[Exposures | None, bool]],
+    wait: Callable[[float | None], bool],
+) -> Iterator[Fit]:
+    """Fits of whatever is newest, again and again, until the last frame is in and all is fitted.
+
+    Parameters
+    ----------
+    fitter
+        Decides what is next.
+    look
+        Gives the sums as they are now, None where they cannot be read at once, and whether no more frames will come.
+    wait
+        Waits for new frames or models, for so many seconds or for ever; whether there are any.
+    """
+    while True:
+        exposures, last = look()
+        fit = None if exposures is None else fitter.next(exposures, last)
+        if fit is not None:
+            yield fit
+        elif fitter.unfinished and (last or not wait(QUIET_S)):
+            whole = fitter.finish()
+            if whole is not None:
+                yield whole
+        elif exposures is not None and last and not fitter.waiting:
+            return
+        elif not fitter.unfinished:
+            wait(None)
 
 
 def _copy(shared: Shared, memory: SharedMemory) -> Exposures | None:
@@ -114,18 +161,14 @@ def _copy(shared: Shared, memory: SharedMemory) -> Exposures | None:
     return Exposures(shared.plan, numbers)
 
 
-def _send(shared: Shared, fit: Fit | None) -> bool:
-    if fit is not None:
-        shared.results.send(fit)
-    return fit is not None
-
-
 class Fitter:
     """Decides what to fit next: the dose under way first, then the series of the doses that are over.
 
-    A dose is fitted by models prepared for what is foreseen of it. Where nothing is foreseen, or they cannot be
-    prepared, it is fitted by the tank model, which takes half a minute instead of milliseconds; while they are being
-    prepared, they are waited for.
+    A dose is fitted by models prepared for what is foreseen of it: from another dose, from the ink that the run is
+    expected to have, or from a first look at one of its photographs, by a model of nearly all media that is prepared
+    before there is any ink. While models are being prepared they are waited for; where they cannot be prepared, or do
+    not hold the liquid, the dose is fitted by the tank model, which takes half a minute instead of milliseconds, and on
+    a bench some minutes.
 
     Parameters
     ----------
@@ -135,23 +178,33 @@ class Fitter:
         Of models; None to do without.
     plan
         Of the run; needed for preparing.
+    progress
+        Told in a few words what the tank model's fit, or that of the series, is doing; what it raises ends the fit.
     """
 
     def __init__(
-        self, earlier: Iterable[Fit] = (), preparing: Preparing | None = None, plan: PhotographPlan | None = None
+        self,
+        earlier: Iterable[Fit] = (),
+        preparing: Preparing | None = None,
+        plan: PhotographPlan | None = None,
+        progress: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._preparing, self._plan = preparing, plan
+        self._preparing, self._plan, self._progress = preparing, plan, progress
         self._fitted: dict[float, int] = {}
         self._liquid: dict[float, Medium] = {}
+        self._looked: dict[float, Medium | None] = {}
         self._latest: tuple[Medium, float] | None = None
         self._in_series = 0
         self._series: SeriesFit | None = None
         self._passing: tuple[DoseFit, list[Photograph]] | None = None
         self.waiting = False
+        self._awaited = False
         for fit in earlier:
             if isinstance(fit, DoseFit):
                 self._fitted[fit.dose_ml] = fit.frames + fit.left_out
                 self._keep(fit)
+        if self._latest is None:
+            self._begin()
 
     @property
     def unfinished(self) -> bool:
@@ -199,26 +252,63 @@ class Fitter:
     def _dose(self, photographs: list[Photograph], about: Callable[[DoseFit], DoseFit]) -> DoseFit | FailedFit | None:
         """The fit of a dose, with what is to be said about its frames; None while its models are being prepared."""
         dose_ml = photographs[0].dose_ml
-        start, scenes = self._start(dose_ml), [one.scene for one in photographs]
         self._passing = None
         try:
-            if start is not None and self._preparing is not None:
-                box = self._preparing.box(start)
-                models = self._preparing.models(scenes, box)
-                if models is None and self._preparing.under_way(scenes, box):
-                    self._preparing.want(scenes, box)
-                    return None
-                quick = fit_dose_prepared(photographs, models, start) if models else None
-                if quick:
-                    quick = about(quick)
-                    self._keep(quick)
-                    self._passing = quick, photographs
-                    return replace(quick, passing=True)
-            fit = about(fit_dose(photographs, start))
+            quick = self._quick(photographs)
+            if self._awaited:
+                return None
+            if quick is not None:
+                quick = about(quick)
+                self._keep(quick)
+                self._passing = quick, photographs
+                return replace(quick, passing=True)
+            fit = about(fit_dose(photographs, self._start(dose_ml), self._progress))
         except TankrigError as error:
             return FailedFit(dose_ml, str(error))
         self._keep(fit)
         return fit
+
+    def _quick(self, photographs: list[Photograph]) -> DoseFit | None:
+        """The fit by prepared models; None where they cannot be had, or while they are `_awaited`."""
+        self._awaited = False
+        if self._preparing is None:
+            return None
+        dose_ml = photographs[0].dose_ml
+        start = self._start(dose_ml)
+        if start is not None:
+            found = self._fit_within(self._preparing.box(start), photographs, start)
+            if found is not None or self._awaited or dose_ml in self._looked:
+                return found
+        if dose_ml in self._looked:
+            return None
+        look = self._fit_within(LOOK, photographs[:1], LOOK_START)
+        if self._awaited:
+            return None
+        self._looked[dose_ml] = None if look is None else look.medium
+        return None if look is None else self._quick(photographs)
+
+    def _fit_within(self, box: Box, photographs: list[Photograph], start: Medium) -> DoseFit | None:
+        """The fit by models of a box, or None; `_awaited` where they are not ready yet."""
+        assert self._preparing is not None
+        scenes = [one.scene for one in photographs]
+        models = self._preparing.models(scenes, box)
+        if models is None:
+            self._awaited = self._preparing.under_way(scenes, box)
+            if self._awaited:
+                self._preparing.want(scenes, box)
+            return None
+        return fit_dose_prepared(photographs, models, start)
+
+    def _begin(self) -> None:
+        """Have models prepared before there is anything to fit: for the ink expected, and for a first look."""
+        if self._preparing is None or self._plan is None:
+            return
+        scenes = list(self._plan.scenes.values())
+        doses_ml = sorted({one for one in self._plan.doses_ml if one > 0.0})
+        self._preparing.want(scenes[:1], LOOK)
+        if self._plan.ink is not None:
+            for dose_ml in reversed(doses_ml):  # what is wanted last comes first
+                self._preparing.want(scenes, self._preparing.box(diluted(self._plan.ink, 1.0, dose_ml)))
 
     def _keep(self, fit: DoseFit) -> None:
         """Remember what a dose is, and have models prepared for it and for the next one."""
@@ -232,18 +322,23 @@ class Fitter:
         self._preparing.want(scenes, self._preparing.box(fit.medium))
 
     def _start(self, dose_ml: float) -> Medium | None:
-        """Where to begin: the dose's own last fit, what the series foresees, or another dose's liquid, diluted."""
-        if dose_ml in self._liquid:
-            return self._liquid[dose_ml]
+        """Where to begin: the dose's own last fit or look, what the series foresees, another dose's liquid, diluted, or
+        the ink expected."""
+        own = self._liquid.get(dose_ml) or self._looked.get(dose_ml)
+        if own is not None:
+            return own
         if self._series is not None:
             return self._series.at(dose_ml)
-        return None if self._latest is None else diluted(*self._latest, dose_ml)
+        if self._latest is not None:
+            return diluted(*self._latest, dose_ml)
+        expected = None if self._plan is None else self._plan.ink
+        return None if expected is None else diluted(expected, 1.0, dose_ml)
 
     def _all(self, photographs: list[Photograph]) -> Fit:
         models = self._preparing.all_models if self._preparing else ()
         start = None if self._latest is None else diluted(*self._latest, 1.0)
         try:
-            self._series = fit_all(photographs, self._series or start, models)
+            self._series = fit_all(photographs, self._series or start, models, self._progress)
         except TankrigError as error:
             return FailedFit(None, str(error))
         return self._series

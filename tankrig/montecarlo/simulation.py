@@ -5,12 +5,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.montecarlo.first_order import first_order
-from tankrig.montecarlo.kernel_scene import beam_table, kernel_scene, pixel_weights
+from tankrig.montecarlo.kernel_scene import KernelScene, beam_table, kernel_scene, pixel_weights
 from tankrig.montecarlo.tally import CLASSES
 from tankrig.montecarlo.transport import trace
 from tankrig.prediction import ORDER_CLASSES
@@ -64,7 +65,13 @@ class Tally:
 
 
 def simulate(
-    scene: Scene, photons: int, seed: int = 0, max_order: int | None = None, threads: int = THREADS, coarsen: int = 1
+    scene: Scene,
+    photons: int,
+    seed: int = 0,
+    max_order: int | None = None,
+    threads: int = THREADS,
+    coarsen: int = 1,
+    min_order: int = 1,
 ) -> Tally:
     """Image of a scene by Monte Carlo, without bias, order 1 without noise.
 
@@ -83,11 +90,13 @@ def simulate(
     coarsen
         Side, in pixels, of the blocks in which orders 2 and up are counted and between which they are interpolated:
         far fewer photons where the camera is finer than multiply scattered light is.
+    min_order
+        2: leave order 1 out, for who has it from elsewhere.
 
     Raises
     ------
     ValueError
-        When a number is below 1.
+        When a number is below 1, or `min_order` above 2.
 
     Examples
     --------
@@ -105,15 +114,16 @@ def simulate(
     highest = 2**62 if max_order is None else max_order
     if min(photons, highest, threads, coarsen) < 1:
         raise ValueError("photons, max_order, threads and coarsen are counts; give 1 or more of each")
+    if min_order not in (1, 2):
+        raise ValueError(f"min_order = {min_order} is neither 1 nor 2; orders from 2 on are counted together")
     per_batch = math.ceil(photons / BATCHES)
     coarse = _coarser(scene, coarsen)
     sums, squares, energy = np.zeros((CLASSES, *coarse.camera.shape)), np.zeros(coarse.camera.shape), np.zeros(2)
     if highest > 1 and sum(beam.power for beam in scene.projector.beams) > 0.0:
         symmetric = _mirror_symmetric(coarse)
+        lit = _lit(coarse)
         with ThreadPoolExecutor(threads) as pool:
-            for counts, fates in _in_order(
-                pool, lambda batch: _batch(coarse, per_batch, (seed, batch), highest), threads
-            ):
+            for counts, fates in _in_order(pool, lambda batch: _batch(lit, per_batch, (seed, batch), highest), threads):
                 if symmetric:
                     counts = 0.5 * (counts + counts[:, ::-1])
                 sums += counts
@@ -121,12 +131,10 @@ def simulate(
                 energy += fates
     means = sums / BATCHES
     variance = np.maximum(squares / BATCHES - means.sum(axis=0) ** 2, 0.0) / (BATCHES - 1)
-    images = [first_order(scene), *(_enlarged(mean, coarsen, scene) for mean in means)]
-    orders = {
-        name: image
-        for name, lowest, image in zip(ORDER_CLASSES, LOWEST_ORDERS, images, strict=True)
-        if lowest <= highest
-    }
+    orders: dict[int | str, Image] = {1: first_order(scene)} if min_order == 1 else {}
+    for name, lowest, mean in zip(ORDER_CLASSES[1:], LOWEST_ORDERS[1:], means, strict=True):
+        if lowest <= highest:
+            orders[name] = _enlarged(mean, coarsen, scene)
     stderr = _enlarged(np.sqrt(variance), coarsen, scene)
     absorbed, escaped = energy / BATCHES
     return Tally(orders, stderr, per_batch * BATCHES, float(absorbed), float(escaped))
@@ -162,16 +170,30 @@ def simulate_to(
         photons = math.ceil(photons * max(1.1 * (tally.noise / tolerance) ** 2, 1.5))
 
 
-def _batch(scene: Scene, photons: int, seed: tuple[int, int], highest: int) -> Batch:
-    """One independent part of a run: images by class of orders, and what became of the light."""
-    numbers = np.random.default_rng(seed)
-    images = np.zeros((CLASSES, *scene.camera.shape))
+class _Lit(NamedTuple):
+    """What all batches of a scene share: its flat numbers, its beams that carry light, and how large pixels are."""
+
+    shape: tuple[int, int]
+    scene: KernelScene
+    beams: Image
+    powers: Image
+    weights: Image | float
+
+
+def _lit(scene: Scene) -> _Lit:
     beams = tuple(beam for beam in scene.projector.beams if beam.power > 0.0)
     lit = replace(scene, projector=replace(scene.projector, beams=beams))
     powers = np.cumsum([beam.power for beam in beams])
+    return _Lit(scene.camera.shape, kernel_scene(lit), beam_table(lit), powers, pixel_weights(lit))
+
+
+def _batch(lit: _Lit, photons: int, seed: tuple[int, int], highest: int) -> Batch:
+    """One independent part of a run: images by class of orders, and what became of the light."""
+    numbers = np.random.default_rng(seed)
+    images = np.zeros((CLASSES, *lit.shape))
     key = np.uint64(numbers.integers(2**63))
-    fates = trace(kernel_scene(lit), beam_table(lit), powers, photons, highest, key, numbers.random(3), images)
-    images *= pixel_weights(lit)
+    fates = trace(lit.scene, lit.beams, lit.powers, photons, highest, key, numbers.random(3), images)
+    images *= lit.weights
     return images, fates
 
 

@@ -57,8 +57,8 @@ def by_order(photograph: Photograph, prediction: Prediction, gain: float, offset
     rebuilt = []
     for name, count in SUMS.items():
         image = gain * np.sum([prediction.orders[order] for order in ORDER_CLASSES[:count]], axis=0) + offset
-        residual = photograph.image - image
-        rebuilt.append(Reconstruction(name, image, residual, float(np.sqrt(np.mean(residual**2)))))
+        residual = np.where(photograph.used, photograph.image - image, np.nan)
+        rebuilt.append(Reconstruction(name, image, residual, float(np.sqrt(np.nanmean(residual**2)))))
     return rebuilt
 
 

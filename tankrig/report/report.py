@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tankrig.errors import ImageError
 from tankrig.figures.tank_image import STYLE
 from tankrig.files import require_writable, whole_file
 from tankrig.live.exposures import Photograph, PhotographPlan
@@ -27,7 +28,9 @@ WORDS = {"1": "order 1", "1–3": "orders 1–3", "1–20": "orders 1–20", "al
 
 
 def write_report(path: Path, out: Path | None = None, progress: Callable[[str], None] = lambda _: None) -> Path:
-    """Write a run's report: one HTML file with all pictures in it.
+    """Write a run's report from the fits that it has recorded: one HTML file with all pictures in it.
+
+    What has not been fitted is left out, and the page says so; `tankrig.live.refit.refit` fits it.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ def write_report(path: Path, out: Path | None = None, progress: Callable[[str], 
     out
         The file, or a folder for report.html; the run's own folder where None.
     progress
-        Told in a few words what is being done.
+        Told in a few words what is being done; what it raises ends it.
 
     Returns
     -------
@@ -48,7 +51,7 @@ def write_report(path: Path, out: Path | None = None, progress: Callable[[str], 
     StoreError
         When the run cannot be read or the file not be written.
     ImageError
-        When the run has nothing to report.
+        When the run has nothing to report, or nothing of it has been fitted.
     """
     run = open_run(path)
     target = path / "report.html" if out is None else out if out.suffix == ".html" else out / "report.html"
@@ -64,7 +67,9 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
     import jinja2
     import matplotlib as mpl
 
-    results = results_of(run, progress)
+    results = results_of(run)
+    if not results.doses:
+        raise ImageError(f"{run.path}: nothing of it is fitted, so there is nothing to report; {results.left_out[0]}")
     spans = spans_of(run)
     progress("drawing")
     with mpl.rc_context(STYLE):
@@ -91,7 +96,7 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
         series=_series(results),
         totals=totals(spans),
         spans=spans,
-        skipped=skipped_of(run, PhotographPlan.of_run(run), faintest),
+        skipped=[*results.left_out, *skipped_of(run, PhotographPlan.of_run(run), faintest)],
         settings=settings_of(run),
         footer=f"made by tankrig {version('tankrig')}",
     )
@@ -133,7 +138,8 @@ def _dose_row(one: DoseFit, sigma_t: float) -> dict[str, str]:
         "sigma_s": with_error(one.medium.sigma_s, one.sd[1]),
         "g": with_error(one.medium.g, one.sd[2]),
         "sigma_a": with_error(one.medium.sigma_a, one.sd[0]),
-        "known": ", ".join(known) or "none",
+        "known": (", ".join(known) or "none")
+        + (f"; {100.0 * one.structure:.2g} % of the light is not as the model has it" if one.structure else ""),
         "single": "–" if single is None else f"{100.0 * (single.sigma_t / sigma_t - 1.0):+.0f} %",
         "single_rmse": "–" if single is None else f"{single.rmse / one.rmse:.1f} ×",
     }
@@ -158,7 +164,7 @@ def _reconstructions(results: Results, progress: Callable[[str], None]) -> tuple
         progress(f"rebuilding {one.dose_ml:g} ml by order")
         fit = fits[one.dose_ml]
         prediction = pictures.predicted(one, fit.medium)
-        offset = 0.0 if one.offset == 0.0 else float(np.median(one.image - fit.gain * prediction.image))
+        offset = 0.0 if one.offset == 0.0 else float(np.median((one.image - fit.gain * prediction.image)[one.used]))
         steps = pictures.by_order(one, prediction, fit.gain, offset)
         bound = max(bound, *(part.bound for part in prediction.skipped))
         peak = float(one.image.max())

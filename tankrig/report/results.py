@@ -1,14 +1,12 @@
-"""What a run found: its fits from the journal, or made now where the run did not make them."""
+"""What a run found: the last fits in its journal, and what they are of."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from tankrig.errors import ImageError
 from tankrig.live.exposures import Photograph, exposures_of, fits_that_hold
-from tankrig.live.fits import fit_all, fit_dose
-from tankrig.live.results import DoseFit, SeriesFit, diluted, fits_in
+from tankrig.live.refit import unfitted
+from tankrig.live.results import DoseFit, SeriesFit, fits_in
 from tankrig.run.reading import Run
-from tankrig.scene import Medium
 
 
 @dataclass(frozen=True)
@@ -20,25 +18,26 @@ class Results:
     photographs
         What was fitted, in the order of the doses.
     doses
-        Of each dose that could be fitted.
+        Of each dose that is fitted.
     series
-        Of all doses; None below two doses.
+        Of all these doses; None where there is none.
+    left_out
+        What is not fitted, and how to fit it, in sentences.
     """
 
     photographs: list[Photograph]
     doses: list[DoseFit]
     series: SeriesFit | None
+    left_out: tuple[str, ...] = ()
 
 
-def results_of(run: Run, progress: Callable[[str], None] = lambda _: None) -> Results:
-    """The last fits of each dose and of the whole series.
+def results_of(run: Run) -> Results:
+    """The last fits of each dose and of the whole series, as the run has recorded them.
 
     Parameters
     ----------
     run
         Recorded, finished or not.
-    progress
-        Told in a few words what is being fitted.
 
     Raises
     ------
@@ -51,27 +50,17 @@ def results_of(run: Run, progress: Callable[[str], None] = lambda _: None) -> Re
             f"{run.path}: has no photograph of a lit pattern with ink in the tank, so there is nothing to report; "
             "record some first"
         )
-    doses_ml = sorted({one.dose_ml for one in photographs})
+    doses_ml = {one.dose_ml for one in photographs}
     made, series = recorded(run)
-    doses: list[DoseFit] = []
-    for dose_ml in doses_ml:
-        here = [one for one in photographs if one.dose_ml == dose_ml]
-        fit = next((one for one in made if one.dose_ml == dose_ml), None)
-        if fit is None or fit.frames != sum(one.frames for one in here):
-            progress(f"fitting {dose_ml:g} ml")
-            fit = fit_dose(here, _near(doses, dose_ml))
-        doses.append(fit)
-    if len(doses_ml) > 1 and (series is None or series.doses_ml != tuple(doses_ml)):
-        progress("fitting the series")
-        series = fit_all(photographs)
-    return Results(photographs, doses, series)
+    doses = [one for one in made if one.dose_ml in doses_ml]
+    fitted = {one.dose_ml for one in doses}
+    missing = unfitted(run)
+    of_all = series is not None and fitted == set(series.doses_ml)
+    left_out = (missing.sentence(run.path),) if missing else ()
+    shown = [one for one in photographs if one.dose_ml in fitted]
+    return Results(shown, doses, series if of_all else None, left_out)
 
 
 def recorded(run: Run) -> tuple[list[DoseFit], SeriesFit | None]:
     """The last fit of each dose that the run made while it went on, by dose, and its last fit of the series."""
     return fits_in([event.fields for event in fits_that_hold(run)])
-
-
-def _near(doses: list[DoseFit], dose_ml: float) -> Medium | None:
-    """Where to begin: what the dose before would be with so much ink."""
-    return diluted(doses[-1].medium, doses[-1].dose_ml, dose_ml) if doses else None

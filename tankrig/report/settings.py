@@ -2,8 +2,11 @@
 
 from typing import Any
 
+import numpy as np
+
 from tankrig.live.exposures import PhotographPlan
 from tankrig.run.reading import Run
+from tankrig.scene.outline import edge_reach_mm
 
 Pairs = list[tuple[str, str]]
 
@@ -54,8 +57,8 @@ def skipped_of(run: Run, plan: PhotographPlan, faintest: float) -> list[str]:
     missing = sum(event["missing"] for event in gaps)
     failed = [event for event in run.fits if event.get("error")]
     lines = [
-        f"Frames were averaged and binned {plan.binning} × {plan.binning} to pixels of {plan.camera.pixel_mm:g} mm "
-        "before they were fitted; the model averages over the same pixels.",
+        _binned(plan),
+        *_blurred(plan),
         f"Light paths fainter than a small share of their start: at most {100.0 * faintest:.2g} % of the image.",
         f"{missing} frames were lost by the camera while it was recording."
         if missing else "The camera lost no frame while it was recording.",
@@ -70,6 +73,27 @@ def skipped_of(run: Run, plan: PhotographPlan, faintest: float) -> list[str]:
     if run.end is None:
         lines.append("The run has no end: it was cut off, or goes on.")
     return lines
+
+
+def _binned(plan: PhotographPlan) -> str:
+    bins, (tall, wide) = plan.bins, plan.camera.sides_mm
+    size = f"{tall:g} mm" if tall == wide else f"{tall:.3g} × {wide:.3g} mm"
+    return (
+        f"Frames were averaged and binned {bins.by} × {bins.along} to pixels of {size} before they were fitted; the "
+        "model averages over the same pixels."
+    )
+
+
+def _blurred(plan: PhotographPlan) -> list[str]:
+    """What blur keeps out of the fits; nothing where nothing says that lenses blur."""
+    reach_mm = max((edge_reach_mm(scene) for scene in plan.scenes.values()), default=0.0)
+    if reach_mm == 0.0:
+        return []
+    share = 1.0 - float(np.mean([counts.mean() for counts in plan.counts.values()]))
+    return [
+        f"Pixels within {reach_mm:.2g} mm of an edge of the light, where lenses blur it, and what looks beside the "
+        f"water: {100.0 * share:.0f} % of the pictures."
+    ]
 
 
 def _at(position: Any) -> str:

@@ -28,7 +28,11 @@ def spans_of(run: Run) -> list[Span]:
     spans: list[Span] = []
     begun: Event | None = None
     zero_ns, shift_s, latest_s = 0, 0.0, 0.0
+    ended = False
     for event in run.journal:
+        ended = event.kind == "end" or (ended and event.kind != "session")
+        if ended and event.kind == "fit":
+            continue  # made anew, any time later
         if event.kind == "session":
             zero_ns, shift_s = event.moment.mono_ns, latest_s
         now_s = (event.moment.mono_ns - zero_ns) / 1e9 + shift_s

@@ -1,16 +1,19 @@
 """Displaying patterns, and taking frames proven to be of them, each with what was true when it was exposed."""
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from typing import Protocol
 
 from tankrig.devices import CameraSettings, Confirming, Delivered, Frame
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
+from tankrig.run.burst import IncompleteBurstError, take_burst
 from tankrig.run.conditions import Conditions, clamped, spanning
 from tankrig.run.rig import Rig
 from tankrig.run.writer import RunWriter
 
 _CAMERA_TIMEOUT_S = 5.0
+_BURST_TAKES = 3
 
 
 class Tank(Protocol):
@@ -67,6 +70,31 @@ class PatternDisplay:
                 f"and fitted; ask for what it can do to be rid of this line",
                 warning=True,
             )
+
+    def burst(self, patterns: Sequence[Pattern], settings: CameraSettings) -> tuple[list[Frame], Conditions]:
+        """One frame of each pattern, taken in one burst, and what was true meanwhile; again where frames are lost.
+
+        Raises
+        ------
+        DeviceError
+            When the devices cannot, or frames are lost again and again.
+        """
+        self.forget()
+        if settings != self._asked:
+            self._configure(settings)
+        for take in range(1, _BURST_TAKES + 1):
+            before = self._tank.delivered()
+            try:
+                frames, timing = take_burst(self._rig.projector, self._rig.camera, patterns, self._set.exposure_ms)
+            except IncompleteBurstError as error:
+                if take == _BURST_TAKES:
+                    raise
+                self._writer.put("note", text=f"a burst is taken again: {error}", warning=True)
+            else:
+                break
+        # The light is within the exposure, so that it is the light that says for how long.
+        lit = replace(self._set, exposure_ms=timing.lit_ms)
+        return frames, Conditions(spanning(before, self._tank.delivered()), lit)
 
     def forget(self) -> None:
         """Time goes by, or others may use the rig: show the next pattern anew, whichever it is."""

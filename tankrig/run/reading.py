@@ -64,7 +64,7 @@ class Run:
     @property
     def end(self) -> Event | None:
         """How the run ended; None while it goes on or when it was cut off."""
-        last = next((event for event in reversed(self.journal) if event.kind != "note"), None)
+        last = next((event for event in reversed(self.journal) if event.kind not in ("note", "fit")), None)
         return last if last is not None and last.kind == "end" else None
 
     @property

@@ -19,7 +19,7 @@ from tankrig.run.progress import Progress, ProgressEstimator
 from tankrig.run.rig import Rig
 from tankrig.run.state import FinishReason, RunState, RunStates
 from tankrig.run.writer import RunWriter
-from tankrig.sequence import Capture, Dose, DryRun, Mix, Note, Sequence, Wait
+from tankrig.sequence import Burst, Capture, Dose, DryRun, Mix, Note, Sequence, Wait
 
 _log = logging.getLogger(__name__)
 
@@ -312,6 +312,8 @@ class Runner:
                 fields = self._mix(mix, task.label)
             case Capture() as capture:
                 fields = self._capture(capture, step)
+            case Burst() as burst:
+                fields = self._burst(burst, step)
             case Wait(seconds):
                 self._estimator.waiting_for = "time to pass"
                 self._states.sleep(seconds)
@@ -375,6 +377,22 @@ class Runner:
             if pattern.pixels.any():
                 self._newest_lit = index
             previous = frame.sequence
+        return {}
+
+    def _burst(self, burst: Burst, step: int) -> dict[str, Any]:
+        patterns = [self._plan.patterns[name] for name in burst.patterns]
+        taken = self._plan.frames_taken if step == self._plan.first_step else 0
+        self._estimator.waiting_for = self._rig.camera.name
+        settings = self._plan.sequence.camera_settings(burst)
+        while taken < burst.frames:
+            self._states.check()
+            now = patterns[taken % len(patterns) :]
+            frames, conditions = self._display.burst(now, settings)
+            for frame, pattern in zip(frames, now, strict=True):
+                index = self._writer.put_frame(frame, step, pattern.hash, **conditions.line())
+                if pattern.pixels.any():
+                    self._newest_lit = index
+            taken += len(now)
         return {}
 
     def _enough(self, capture: Capture, begun_s: float, frames: int) -> str:

@@ -15,13 +15,14 @@ from tankrig.bench import Bench
 from tankrig.calibration.file import FOLDER, copy_to
 from tankrig.calibration.witness import require_seen
 from tankrig.checked_toml import checked
-from tankrig.devices import Delivered
+from tankrig.devices import BurstProjector, Delivered
 from tankrig.dosing import DoseDone, GuardedDoser, TankLedger
 from tankrig.dosing.evidence import Account
 from tankrig.dosing.records import COUNT_KEYS, Noted
-from tankrig.errors import StoreError, UndecidedError
+from tankrig.errors import SequenceError, StoreError, UndecidedError
 from tankrig.files import require_writable
 from tankrig.pattern import Pattern
+from tankrig.run.burst import can_burst
 from tankrig.run.event_dispatcher import EventDispatcher
 from tankrig.run.folder import create_run, require_new
 from tankrig.run.reading import Run, open_run
@@ -30,7 +31,7 @@ from tankrig.run.rig import Rig
 from tankrig.run.runner import RunJournal, Runner, RunPlan
 from tankrig.run.state import FinishReason
 from tankrig.run.writer import RunWriter
-from tankrig.sequence import Sequence, dry_run
+from tankrig.sequence import Burst, Sequence, dry_run
 from tankrig.sequence.exposure import require_camera_keeps
 from tankrig.sequence.loading import sequence_from_table, sequence_table
 
@@ -69,6 +70,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
         )  # fmt: skip
         require_place(path, took.disk_bytes)
         require_camera_keeps(sequence, rig.exposure, rig.camera)
+        _require_bursts(sequence, rig, patterns)
         _require_seen(rig)
         settings = {
             "name": sequence.name,
@@ -119,6 +121,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
         doser, journal = _guarded(rig, run.settings["id"], undo, run)
         done = _settled(doser, open_dose(run), delivered_ul, dose_doubt(run) is not None)
         tank, used_ul = doser.delivered(), doser.used_ul
+        _require_bursts(sequence, rig, patterns)
         _require_seen(rig)
         took = dry_run(sequence, rig.limits, rig.pace, _frame_bytes(rig), tank, used_ul, resume_at=first_step)
         _require_room(path, took.disk_bytes - len(run.events("frame")) * _frame_bytes(rig))
@@ -127,6 +130,24 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
             journal.dose_done(done)
         undo.pop_all()
         return runner
+
+
+def _require_bursts(sequence: Sequence, rig: Rig, patterns: Mapping[str, Pattern]) -> None:
+    """Have every burst of a sequence loaded once, so that what cannot be shown is refused before anything moves."""
+    loaded = set()
+    for task in sequence.tasks:
+        if not isinstance(task.action, Burst):
+            continue
+        if not isinstance(rig.projector, BurstProjector) or not can_burst(rig.projector, rig.camera):
+            raise SequenceError(
+                f"{sequence.name}: {task.label}: {rig.projector.name} and {rig.camera.name} take no bursts, since one "
+                f"of them has no trigger; write capture steps"
+            )
+        asked = (task.action.patterns, sequence.camera_settings(task.action))
+        if asked not in loaded:
+            loaded.add(asked)
+            exposure_ms = rig.camera.configure(asked[1]).exposure_ms
+            rig.projector.load_burst([patterns[name] for name in asked[0]], exposure_ms)
 
 
 def _require_seen(rig: Rig) -> None:

@@ -13,7 +13,7 @@ from tankrig.scene.description import Scene
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
-    """Read a scene file.
+    """Read a scene file; where its camera says `bin`, its pixels are bins of so many.
 
     Parameters
     ----------
@@ -54,6 +54,12 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     ...     load_scene(file).medium
     Medium(sigma_a=0.0002, sigma_s=0.0198, g=0.5)
     """
+    scene = whole_scene(path)
+    return replace(scene, camera=scene.camera.binned(scene.camera.bin)) if scene.camera.bin else scene
+
+
+def whole_scene(path: str | os.PathLike[str]) -> Scene:
+    """Read a scene file as `load_scene` does, but with every pixel of its camera."""
     file = Path(path)
     table = read_toml(file, "a scene file", SceneError)
     return replace(scene_from_table(table, str(file)), source=str(file))

@@ -211,6 +211,14 @@ def _shape(owner: "Projector | Camera") -> None:
     )
 
 
+def _blur(owner: "Projector | Camera") -> None:
+    if owner.blur_mm is not None:
+        require(
+            number(owner, "blur_mm") >= 0.0,
+            f"blur_mm = {owner.blur_mm} is negative; give the standard deviation in mm, or leave it out",
+        )
+
+
 @dataclass(frozen=True)
 class Projector:
     """What lights the tank through x = 0.
@@ -236,6 +244,10 @@ class Projector:
         A pixel at level v of 255 has (v/255)^gamma of it.
     shading
         How its light falls off over the picture: coefficients of `tankrig.geometry.shading`; empty for even light.
+    blur_mm
+        Standard deviation of what its lens makes of a point, on the wall x = 0: a Gaussian, alike along y and z. 0 is
+        sharp; None where nobody has measured it. No model blurs by it: it says where beams' sides are not to be
+        trusted (`tankrig.scene.outline`).
     """
 
     __pydantic_config__ = CLOSED
@@ -249,6 +261,7 @@ class Projector:
     pixel_power: float = 1.0
     gamma: float = 1.0
     shading: tuple[float, ...] = ()
+    blur_mm: float | None = None
 
     def __post_init__(self) -> None:
         require(
@@ -271,6 +284,7 @@ class Projector:
             require(number(self, name) > 0.0, f"{name} = {getattr(self, name)} is not positive; measure it")
         if self.shading:
             object.__setattr__(self, "shading", numbers(self, "shading", TERMS))
+        _blur(self)
         if self.kind == "calibrated" and self.matrix is not None:
             _calibration(self)
             _shape(self)
@@ -307,6 +321,12 @@ class Camera:
     matrix, distortion, rotation
         Of a calibrated camera: camera matrix in pixels, up to five distortion coefficients, and the rotation vector
         from the world to its frame, all as OpenCV has them (`tankrig.geometry`).
+    blur_mm
+        Standard deviation of what its lens makes of a point, on the plane z = Lz, where `pixel_mm` is: a Gaussian,
+        alike along x and y. 0 is sharp; None where nobody has measured it. See `Projector`.
+    bin
+        Pixels along the side of a block that is to be one pixel, see `binned`: `tankrig.load_scene` gives a camera of
+        such pixels, and live fits take them in place of those that they would choose. 0 where left to them.
     """
 
     __pydantic_config__ = CLOSED
@@ -317,6 +337,8 @@ class Camera:
     matrix: Matrix | None = None
     distortion: tuple[float, ...] = ()
     rotation: Vector | None = None
+    blur_mm: float | None = None
+    bin: int = 0
 
     def __post_init__(self) -> None:
         require(
@@ -335,6 +357,11 @@ class Camera:
             numbers(self, "position_mm", 3)
         if self.kind == "calibrated":
             _calibration(self)
+        _blur(self)
+        require(
+            0 <= self.bin <= min(self.shape),
+            f"bin = {self.bin} is no number of pixels of a picture of {list(self.shape)}; give 1 to {min(self.shape)}",
+        )
 
     @property
     def lens(self) -> Lens:
@@ -346,17 +373,35 @@ class Camera:
         """Of a calibrated camera."""
         return _calibration(self)[1]
 
-    def binned(self, by: int) -> "Camera":
-        """The camera whose pixels are means of `by` × `by` of this one's; what is left over at the ends is dropped.
+    @property
+    def sides_mm(self) -> tuple[float, float]:
+        """Of a pixel on the plane z = Lz, along its rows' and its columns' numbers; about, where calibrated."""
+        if self.kind != "calibrated" or self.matrix is None:
+            return self.pixel_mm, self.pixel_mm
+        taller = math.sqrt(self.matrix[0][0] / self.matrix[1][1])
+        return self.pixel_mm * taller, self.pixel_mm / taller
+
+    def binned(self, by: int, along: int | None = None) -> "Camera":
+        """The camera whose pixels are means of this one's; what is left over at the ends is dropped.
+
+        Parameters
+        ----------
+        by
+            Rows that become one.
+        along
+            Columns that do; as many where None. Other than rows only for a calibrated camera: the pixels of the others
+            are square.
 
         Examples
         --------
         >>> Camera("orthographic", (81, 120), 2.0).binned(4).shape
         (20, 30)
         """
+        along = along or by
         matrix = self.matrix
         if matrix is not None:
             (fx, _, cx), (_, fy, cy), last = matrix
-            matrix = ((fx / by, 0.0, (cx + 0.5) / by - 0.5), (0.0, fy / by, (cy + 0.5) / by - 0.5), last)
-        shape = (self.shape[0] // by, self.shape[1] // by)
-        return replace(self, shape=shape, pixel_mm=self.pixel_mm * by, matrix=matrix)
+            matrix = ((fx / along, 0.0, (cx + 0.5) / along - 0.5), (0.0, fy / by, (cy + 0.5) / by - 0.5), last)
+        require(by == along or self.kind == "calibrated", "only a calibrated camera's pixels need not be square")
+        shape = (self.shape[0] // by, self.shape[1] // along)
+        return replace(self, shape=shape, pixel_mm=self.pixel_mm * math.sqrt(by * along), matrix=matrix, bin=0)

@@ -1,9 +1,9 @@
 """From a picture on a calibrated projector to the beams that it lights on the wall x = 0."""
 
+import math
 import warnings
-from collections.abc import Callable
-from dataclasses import replace
-from itertools import pairwise
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,19 @@ from tankrig.scene.checks import require
 from tankrig.scene.description import Beam, Projector, Scene, Tank
 
 Array = NDArray[np.float64]
-Part = tuple[float, float, Array]
-"""Start and end in cells, and mean irradiance, across the other axis or (1,)."""
+Alike = Callable[[int, int], bool]
+"""Whether cells between two numbers, the latter not counted, may become one."""
 
 ROW_MM, COLUMN_MM = 0.5, 0.25
 """Height and width of the cells of the wall that light is collected in."""
-ALIKE_MM = 0.3
-"""Rows of cells become one band of beams when that moves no light farther across it."""
-LEVELS = 0.02
-"""Irradiances become one beam within this share of the brightest."""
+LEVELS = 0.0025
+"""By how much of the brightest, seen from above, light within a beam may be brighter or darker than its mean."""
+EDGE_MM, EDGE_CELLS = 0.04, 3
+"""How far a beam's edges may be from the light's, and how many cells at either end may hold them."""
+LIFTED_MM, ASIDE_MM = 0.1, 0.05
+"""How far light may be moved along z and along y, on average: from above the former is hardly seen."""
+FARTHER_MM = 4.0
+"""So far beyond cells that cannot join others it is looked whether the next ones can, together with them."""
 MOST_BEAMS = 400
 
 
@@ -49,7 +53,7 @@ def lit_by(scene: Scene, picture: NDArray[np.generic]) -> Scene:
     Warns
     -----
     UserWarning
-        When the picture has so many levels that beams had to hold more of them than `LEVELS` allows.
+        When the picture has so much detail that beams had to differ from it by more than `LEVELS` and `LIFTED_MM`.
     """
     beams = beams_of(scene.tank, scene.projector, picture)
     return replace(scene, projector=replace(scene.projector, beams=beams))
@@ -60,16 +64,16 @@ def beams_of(tank: Tank, projector: Projector, picture: NDArray[np.generic]) -> 
     cells = irradiance_on_wall(tank, projector, picture)
     require(bool(cells.any()), "nothing of the picture reaches the tank; check the projector's pose, and the picture")
     _, width, height = tank.size_mm
-    levels = LEVELS
+    coarser = 1.0
     while True:
-        beams = tuple(_merged(cells, width, height, levels))
+        beams = tuple(beam for patch in _patches(cells, width, height, coarser) for beam in patch.beams())
         if len(beams) <= MOST_BEAMS:
             break
-        levels *= 1.5
-    if levels > LEVELS:
+        coarser *= 1.5
+    if coarser > 1.0:
         warnings.warn(
-            f"the picture has too many levels for {MOST_BEAMS} beams; they were merged where they differ by less than "
-            f"{levels:.0%} of the brightest",
+            f"the picture has too much detail for {MOST_BEAMS} beams; they were merged where they differ by less than "
+            f"{coarser * LEVELS:.1%} of the brightest, or by {coarser * LIFTED_MM:.1g} mm in height",
             stacklevel=3,
         )
     return beams
@@ -119,71 +123,159 @@ def irradiance_on_wall(tank: Tank, projector: Projector, picture: NDArray[np.gen
     return cells / cell_area
 
 
-def _merged(cells: Array, width: float, height: float, levels: float) -> list[Beam]:
-    """Few beams with the light of the cells."""
-    rows, columns = cells.shape
-    column = width / columns
-    tolerance = ALIKE_MM * float(cells.max())
-    beams = []
-    for low, high, irradiance in _bands(cells, column, tolerance):
-        z_mm = (low * height / rows, min(high * height / rows, height))
-        if z_mm[1] <= z_mm[0]:
-            continue
-        for start, end, level in _runs(irradiance, levels * float(cells.max())):
-            y_mm = (start * column - 0.5 * width, min(end * column, width) - 0.5 * width)
-            if level > 0.0 and y_mm[1] > y_mm[0]:
-                beams.append(Beam(y_mm, z_mm, float(level[0])))
-    return beams
+@dataclass(frozen=True)
+class _Patch:
+    """Lit cells that touch each other, and how they become few beams.
 
-
-def _bands(cells: Array, column: float, tolerance: float) -> list[Part]:
-    """Bands of rows that are alike: their light, added up across, differs by at most `tolerance` in W per mm of z."""
-    sums = np.cumsum(cells, axis=1) * column
-    edges = [0]
-    for row in range(1, len(cells)):
-        band = sums[edges[-1] : row + 1]
-        if np.abs(band - band.mean(axis=0)).max() > tolerance:
-            edges.append(row)
-    bands = [(float(low), float(high), cells[low:high].mean(axis=0)) for low, high in pairwise([*edges, len(cells)])]
-    return _without_thin(bands, 1.0, lambda light: np.abs(np.cumsum(light)).max() * column <= tolerance)
-
-
-def _runs(irradiance: Array, tolerance: float) -> list[Part]:
-    """Runs of cells whose irradiances are within `tolerance` of each other, dark ones apart."""
-    edges, low, high = [0], irradiance[0], irradiance[0]
-    for cell in range(1, irradiance.size):
-        value = irradiance[cell]
-        low, high = min(low, value), max(high, value)
-        if high - low > tolerance or (value == 0.0) != (irradiance[cell - 1] == 0.0):
-            edges.append(cell)
-            low = high = value
-    ends = pairwise([*edges, irradiance.size])
-    return _without_thin([(float(a), float(b), irradiance[a:b].mean(keepdims=True)) for a, b in ends], 3.0)
-
-
-def _without_thin(
-    parts: list[Part], thin: float, negligible: Callable[[Array], bool] = lambda light: light.size == 1
-) -> list[Part]:
-    """The same light without parts that only hold the edge between their neighbours, which is moved instead.
+    They are cut into blocks, and a beam has the light of its block, its middle, and its spread along y and z: no light
+    is lost, its first moments stay, and an edge that shares cells with the dark is where it is. There are two ways to
+    cut: into bands of columns that begin and end at nearly the same heights, which suits flat light, as a picture that
+    is rolled by a degree has it; and into bands of rows, which suits tall light that leans. The one with fewer beams
+    is taken (decision 107).
 
     Parameters
     ----------
-    parts
-        In order.
-    thin
-        Size up to which a part may hold an edge.
-    negligible
-        Whether light may be left where it is not.
+    cells
+        (rows, columns) irradiance of the patch, W/mm²; 0 where it is not.
+    first
+        Row and column of the wall where they begin.
+    row_mm, column_mm
+        Height and width of a cell.
+    wall
+        Rows and columns of the wall.
+    brightest
+        Most light of any column of the wall, W/mm.
+    coarser
+        Times as far from the light as beams may be otherwise.
     """
-    kept = parts[:1]
-    for index, (_, end, light) in enumerate(parts[1:], 1):
-        first, start, before = kept[-1]  # where the part before ends is where this one starts, moved or not
-        if index + 1 < len(parts) and end - start <= thin + 0.5:
-            after = parts[index + 1][2]
-            step = float(after.sum() - before.sum())
-            share = float(light.sum() - before.sum()) / step if step else -1.0
-            if 0.0 <= share <= 1.0 and negligible(light - before - share * (after - before)):
-                kept[-1] = (first, end - share * (end - start), before)
-                continue
-        kept.append((start, end, light))
-    return kept
+
+    cells: Array
+    first: tuple[int, int]
+    row_mm: float
+    column_mm: float
+    wall: tuple[int, int]
+    brightest: float
+    coarser: float
+
+    def beams(self) -> list[Beam]:
+        """All of them."""
+        return min(self._by_columns(), self._by_rows(), key=len)
+
+    def _by_columns(self) -> list[Beam]:
+        light, rising = self.cells.sum(axis=0) * self.row_mm, np.cumsum(self.cells, axis=0).T
+        lifted = self.coarser * LIFTED_MM / self.row_mm
+
+        def alike(first: int, end: int) -> bool:
+            return self._looks_even(light[first:end]) and _apart(rising[first:end]) <= lifted
+
+        return [
+            self._beam((low, high), columns)
+            for columns in _groups(light, self.column_mm, alike)
+            for low, high in self._even_heights(self.cells[:, slice(*columns)].sum(axis=1))
+        ]
+
+    def _by_rows(self) -> list[Beam]:
+        light, rising = self.cells.sum(axis=1), np.cumsum(self.cells, axis=1)
+        aside, lifted = self.coarser * ASIDE_MM / self.column_mm, self.coarser * LIFTED_MM / self.row_mm
+
+        def alike(low: int, high: int) -> bool:
+            return _uneven(light[low:high]) <= lifted and _apart(rising[low:high]) <= aside
+
+        beams = []
+        for rows in _groups(light, self.row_mm, alike):
+            along = self.cells[slice(*rows)].sum(axis=0) * self.row_mm
+            beams += [self._beam(rows, columns) for columns in self._even_widths(along)]
+        return beams
+
+    def _even_widths(self, light: Array) -> list[tuple[int, int]]:
+        return _groups(light, self.column_mm, lambda first, end: self._looks_even(light[first:end]))
+
+    def _even_heights(self, light: Array) -> list[tuple[int, int]]:
+        lifted = self.coarser * LIFTED_MM / self.row_mm
+        return _groups(light, self.row_mm, lambda low, high: _uneven(light[low:high]) <= lifted)
+
+    def _looks_even(self, light: Array) -> bool:
+        """Whether a beam looks, from above, like columns with so much light, W/mm."""
+        inside = light[EDGE_CELLS:-EDGE_CELLS]
+        if inside.size and np.abs(inside - inside.mean()).max() > self.coarser * LEVELS * self.brightest:
+            return False
+        middle, half = _spread(light)
+        rising = np.clip((np.arange(light.size + 1) - middle + half) / (2.0 * half), 0.0, 1.0) * light.sum()
+        moved_mm = np.abs(rising - np.cumsum(np.pad(light, (1, 0)))).max() * self.column_mm / self.brightest
+        return bool(moved_mm <= self.coarser * EDGE_MM)
+
+    def _beam(self, rows: tuple[int, int], columns: tuple[int, int]) -> Beam:
+        """Light, middle and spread of a block of cells."""
+        block = self.cells[slice(*rows), slice(*columns)]
+        z_mm = _edges(block.sum(axis=1), self.first[0] + rows[0], self.row_mm, self.wall[0])
+        y_mm = _edges(block.sum(axis=0), self.first[1] + columns[0], self.column_mm, self.wall[1])
+        area = (y_mm[1] - y_mm[0]) * (z_mm[1] - z_mm[0])
+        half_width = 0.5 * self.wall[1] * self.column_mm
+        light = float(block.sum()) * self.row_mm * self.column_mm
+        return Beam((y_mm[0] - half_width, y_mm[1] - half_width), z_mm, light / area)
+
+
+def _patches(cells: Array, width: float, height: float, coarser: float) -> Iterator[_Patch]:
+    """Lit cells of a wall, those that touch each other together."""
+    from scipy.ndimage import find_objects, label
+
+    rows, columns = cells.shape
+    row_mm, column_mm = height / rows, width / columns
+    brightest = float(cells.sum(axis=0).max()) * row_mm
+    numbers, _ = label(cells > 0.0, np.ones((3, 3)))
+    for number, place in enumerate(find_objects(numbers), start=1):
+        own = np.where(numbers[place] == number, cells[place], 0.0)
+        first = place[0].start, place[1].start
+        yield _Patch(own, first, row_mm, column_mm, (rows, columns), brightest, coarser)
+
+
+def _groups(light: Array, cell_mm: float, alike: Alike) -> list[tuple[int, int]]:
+    """Neighbouring lit cells that are alike, as numbers of the first and of the one after the last; dark ones apart."""
+    farther = round(FARTHER_MM / cell_mm)
+    lit = np.flatnonzero(np.diff(np.pad(light > 0.0, 1).astype(int))).reshape(-1, 2)
+    groups: list[tuple[int, int]] = []
+    for first, last in lit.tolist():
+        while first < last:
+            end = beyond = first + 1
+            while beyond < min(end + farther, last):
+                beyond += 1
+                if alike(first, beyond):
+                    end = beyond
+            groups.append((first, end))
+            first = end
+    return groups
+
+
+def _apart(rising: Array) -> float:
+    """How far, in cells, light is moved on average when lines of cells all get the mean's shape.
+
+    Parameters
+    ----------
+    rising
+        (lines, cells) sums of each line's light up to each cell.
+    """
+    own = rising[:, -1:]
+    return float(np.abs(rising - own * (rising.sum(axis=0) / own.sum())).sum() / own.sum())
+
+
+def _uneven(light: Array) -> float:
+    """How far, in cells, it is moved on average when it becomes even with its own middle and spread."""
+    middle, half = _spread(light)
+    even = np.clip((np.arange(light.size + 1) - middle + half) / (2.0 * half), 0.0, 1.0)
+    return float(np.abs(even - np.cumsum(np.pad(light, (1, 0))) / light.sum()).sum())
+
+
+def _spread(light: Array) -> tuple[float, float]:
+    """Middle, in cells from the first one's edge, and half the width of even light with the variance of some cells."""
+    at = np.arange(light.size) + 0.5
+    middle = float(light @ at / light.sum())
+    variance = float(light @ (at - middle) ** 2 / light.sum()) + 1.0 / 12.0
+    return middle, math.sqrt(3.0 * variance)
+
+
+def _edges(light: Array, first: int, cell_mm: float, count: int) -> tuple[float, float]:
+    """Where even light begins and ends with the middle of cells, and with their spread as far as the wall goes, mm."""
+    middle, half = _spread(light)
+    at = first + middle
+    half = min(half, at, count - at)
+    return (at - half) * cell_mm, (at + half) * cell_mm

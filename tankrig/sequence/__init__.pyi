@@ -4,6 +4,7 @@ from .dry_run import dry_run as dry_run
 from .exposure import ExposureRule as ExposureRule
 from .loading import load_sequence as load_sequence
 from .sequence import Sequence as Sequence
+from .steps import Burst as Burst
 from .steps import Capture as Capture
 from .steps import Dose as Dose
 from .steps import Mix as Mix

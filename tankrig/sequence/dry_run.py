@@ -8,7 +8,7 @@ from tankrig.errors import SequenceError
 from tankrig.scene.description import CLOSED
 from tankrig.sequence.exposure import ExposureRule, require_whole_periods
 from tankrig.sequence.sequence import Sequence
-from tankrig.sequence.steps import Action, Capture, Dose, Mix, Wait
+from tankrig.sequence.steps import Action, Burst, Capture, Dose, Mix, Wait
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,12 @@ class Pace:
             case Capture():
                 # A frame counts when its exposure began after the flip, so one under way is waited out.
                 return self.flip_s + (action.frames + 1) * sequence.camera_settings(action).exposure_ms / 1000
+            case Burst():
+                # Each time the projector is told what to show, and each pattern is followed by some dark.
+                return (
+                    action.times * self.flip_s
+                    + 1.2 * action.frames * sequence.camera_settings(action).exposure_ms / 1000
+                )
             case Wait(seconds):
                 return seconds
             case _:
@@ -154,7 +160,7 @@ def dry_run(
                 raise SequenceError(f"{sequence.name}: {task.label}: {refusal}")
             run_used_ul += action.total_ul - tank.low_ul
             tank = dosed_to(action.total_ul, tank)
-        frames = action.frames if isinstance(action, Capture) else 0
+        frames = action.frames if isinstance(action, Capture | Burst) else 0
         at_most = isinstance(action, Capture) and action.until is not None
         steps.append(PlannedStep(task.label, type(action), seconds, ink_ul, frames, at_most))
     return DryRun(tuple(steps), sequence.frames * frame_bytes)

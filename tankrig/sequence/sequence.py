@@ -13,8 +13,8 @@ from tankrig.errors import SequenceError
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import AnyKind, Dark, Full, draw
 from tankrig.pattern.wall import Wall
-from tankrig.scene.description import CLOSED
-from tankrig.sequence.steps import Capture, Dose, Mix, Step, Task, written_out
+from tankrig.scene.description import CLOSED, Medium
+from tankrig.sequence.steps import Burst, Capture, Dose, Mix, Step, Task, written_out
 
 _ALWAYS: dict[str, AnyKind] = {"dark": Dark(), "full": Full()}
 
@@ -30,12 +30,15 @@ class Sequence:
     steps
         What to do, in order.
     patterns
-        What `Capture` and `Mix` can name, besides "dark" and "full".
+        What `Capture`, `Burst` and `Mix` can name, besides "dark" and "full".
     exposure_ms, gain
         Of the camera, where a step does not say otherwise.
     any_exposure
         A person's reason why exposures need not be whole numbers of the projector's periods; without one they must,
         where the rig file tells the period.
+    ink
+        What is expected of it, per mm and ml: models for the live fit are then prepared before the first dose. A wrong
+        expectation costs time and nothing else.
 
     Raises
     ------
@@ -62,6 +65,7 @@ class Sequence:
     exposure_ms: float = 20.0
     gain: float = 1.0
     any_exposure: str = ""
+    ink: Medium | None = None
 
     def __post_init__(self) -> None:
         for key in ("exposure_ms", "gain"):
@@ -71,8 +75,8 @@ class Sequence:
             raise SequenceError("steps is empty; give at least one step")
         total_ul = 0.0
         for task in self.tasks:
-            if isinstance(task.action, Capture | Mix):
-                self._require_pattern(task, task.action.pattern)
+            for pattern in _patterns_of(task):
+                self._require_pattern(task, pattern)
             if isinstance(task.action, Dose):
                 if task.action.total_ul < total_ul:
                     raise SequenceError(
@@ -96,14 +100,14 @@ class Sequence:
     @property
     def frames(self) -> int:
         """How many frames it records."""
-        return sum(task.action.frames for task in self.tasks if isinstance(task.action, Capture))
+        return sum(task.action.frames for task in self.tasks if isinstance(task.action, Capture | Burst))
 
     @property
     def ink_ul(self) -> float:
         """What the tank holds when it is done."""
         return max((task.action.total_ul for task in self.tasks if isinstance(task.action, Dose)), default=0.0)
 
-    def camera_settings(self, step: Capture | Mix) -> CameraSettings:
+    def camera_settings(self, step: Capture | Mix | Burst) -> CameraSettings:
         """For one step."""
         return CameraSettings(step.exposure_ms or self.exposure_ms, step.gain or self.gain)
 
@@ -116,7 +120,7 @@ class Sequence:
             When one cannot be drawn with this projector.
         """
         kinds = _ALWAYS | dict(self.patterns)
-        used = [task.action.pattern for task in self.tasks if isinstance(task.action, Capture | Mix)]
+        used = [pattern for task in self.tasks for pattern in _patterns_of(task)]
         patterns = {}
         for name in dict.fromkeys([*used, "dark"]):
             try:
@@ -124,3 +128,14 @@ class Sequence:
             except SequenceError as error:
                 raise SequenceError(f"patterns.{name}: {error}") from error
         return patterns
+
+
+def _patterns_of(task: Task) -> tuple[str, ...]:
+    """Names of the patterns that a task shows, in their order."""
+    match task.action:
+        case Capture(pattern) | Mix(pattern):
+            return (pattern,)
+        case Burst(patterns):
+            return patterns
+        case _:
+            return ()

@@ -104,7 +104,39 @@ class Capture:
         _require_positive(self)
 
 
-def _require_positive(step: Mix | Capture) -> None:
+@dataclass(frozen=True)
+class Burst:
+    """Have the projector show patterns one after the other by itself, and trigger the camera with each.
+
+    Parameters
+    ----------
+    patterns
+        Of the sequence, in the order in which they are shown; one may come several times.
+    times
+        How often all of them are shown.
+    exposure_ms, gain
+        Where they differ from the sequence's. Each pattern is lit within one exposure.
+    """
+
+    __pydantic_config__ = CLOSED
+    patterns: tuple[str, ...]
+    times: int = 1
+    exposure_ms: float | None = None
+    gain: float | None = None
+    do: Literal["burst"] = "burst"
+
+    def __post_init__(self) -> None:
+        _require(len(self.patterns) > 0, "patterns is empty; name what to show")
+        _require(self.times >= 1, f"times = {self.times} shows nothing; give 1 or more")
+        _require_positive(self)
+
+    @property
+    def frames(self) -> int:
+        """How many it records: one of each pattern, each time."""
+        return len(self.patterns) * self.times
+
+
+def _require_positive(step: Mix | Capture | Burst) -> None:
     for name in ("exposure_ms", "gain"):
         value = getattr(step, name)
         good = value is None or 0.0 < value < float("inf")
@@ -168,10 +200,10 @@ class Series:
         _require(len(self.steps) > 0, "steps is empty; give what to do at each dose")
 
 
-Action = Dose | Mix | Capture | Wait | Note
+Action = Dose | Mix | Capture | Burst | Wait | Note
 """What the runner does."""
 
-Step = Annotated[Dose | Mix | Capture | Wait | Note | Repeat | Series, Field(discriminator="do")]
+Step = Annotated[Dose | Mix | Capture | Burst | Wait | Note | Repeat | Series, Field(discriminator="do")]
 """What a sequence is written in."""
 
 
@@ -197,6 +229,8 @@ class Task:
             case Capture(pattern, frames, until=until):
                 what = f"capture {pattern}" + (f" × {frames}" if frames > 1 else "")
                 what += f" at most until {until}" if until else ""
+            case Burst(patterns, times):
+                what = f"burst of {len(patterns)} patterns" + (f" × {times}" if times > 1 else "")
             case Wait(seconds):
                 what = f"wait {seconds:g} s"
             case Note(text):

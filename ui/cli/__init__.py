@@ -30,6 +30,7 @@ COMMANDS = (
     "doctor",
     "calibrate",
     "recover",
+    "refit",
     "report",
 )
 """In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -."""

@@ -142,7 +142,7 @@ def _candidates(
         seconds = sum(pace.seconds(one, steps, held_ul) for one in (Dose(total), Mix())) if dosed else 0.0
         seconds += pace.seconds(Capture("full", frames), steps, total)
         for key, scene in plan.scenes.items():
-            shot = Shot(plan.patterns[key].name, scene, total / 1000.0, sd * total / 1000.0, frames)
+            shot = Shot(plan.patterns[key].name, scene, total / 1000.0, sd * total / 1000.0, frames, plan.counts[key])
             found.append(Candidate(shot, seconds / 60.0, total - held_ul))
     return found
 

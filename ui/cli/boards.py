@@ -3,11 +3,12 @@
 import select
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import click
 
+from tankrig.errors import DeviceError
 from ui.guide import console, emit, guided, picture, somebody, watching
 
 if TYPE_CHECKING:
@@ -81,6 +82,8 @@ def opened(description: "RigFile", *kinds: str) -> Iterator[list[Any]]:
 class Holder:
     """Asks for a board to be held, shows what the camera sees of it, and takes the pictures that are good.
 
+    In a `with` statement it has the board taken away at the end, however that comes.
+
     Parameters
     ----------
     camera
@@ -103,6 +106,16 @@ class Holder:
         self._camera, self._pictures, self._board = camera, pictures, board
         self.console = console()
         self._seen: list[Any] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._hold is None:
+            self._say("The board can be taken away.")
+            return
+        with suppress(DeviceError):  # a camera that is gone sees no board
+            self._hold("nothing")
 
     def good_views(self, place: str, count: int, take: "Callable[[BoardView], _Taken | None]") -> "list[_Taken]":
         """So many of what `take` makes of good views; fewer where no better ones can be had.

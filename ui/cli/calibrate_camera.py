@@ -31,8 +31,9 @@ def camera(rig: Path | None, views: int, exposure_ms: float | None, accept: bool
     description = described(rig)
     click.echo(f"takes about {views * _SECONDS_A_VIEW / 60.0:.0f} minutes on the bench, handling included", err=True)
     with opened(description, "camera") as (device,):
-        holder = Holder(device, Pictures(device, exposure_ms), held)
-        found = calibrate_camera(holder.good_views("air", views, lambda view: view), held)
+        with Holder(device, Pictures(device, exposure_ms), held) as holder:
+            seen = holder.good_views("air", views, lambda view: view)
+        found = calibrate_camera(seen, held)
         name = device.name
     kept = keep(
         found.calibration(name),

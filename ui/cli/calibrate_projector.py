@@ -80,7 +80,8 @@ def projector(
             return found
 
         device.show(patterns[0])
-        boards = holder.good_views("slant" if empty else "flooded slant", views, lit)
+        with holder:
+            boards = holder.good_views("slant" if empty else "flooded slant", views, lit)
         name, shape = device.name, device.shape
     tank = description.bench.tank
     pane = (tank.wall_mm, tank.wall_index) if tank.entry == "glass" else (0.0, 1.52)

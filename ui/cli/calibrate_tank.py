@@ -40,11 +40,11 @@ def tank(rig: Path | None, views: int, exposure_ms: float | None, accept: bool, 
     click.echo(f"takes about {_MINUTES} minutes on the bench, filling not included", err=True)
     with opened(description, "camera") as (device,):
         known.require_for(device.name, device.shape)
-        holder = Holder(device, Pictures(device, exposure_ms), held)
         seen: list[tuple[Place, BoardView]] = []
         places: tuple[tuple[Place, int], ...] = (("floor", 1), ("flooded", 1), ("water", views))
-        for place, count in places:
-            seen += [(place, view) for view in holder.good_views(place, count, lambda view: view)]
+        with Holder(device, Pictures(device, exposure_ms), held) as holder:
+            for place, count in places:
+                seen += [(place, view) for view in holder.good_views(place, count, lambda view: view)]
         name = device.name
     believed = description.bench.tank
     found = calibrate_tank(seen, held, lens_of(known), believed.size_mm, believed.refractive_index)

@@ -44,18 +44,21 @@ def compare(
     import tankrig
     from tankrig.estimation.comparison import compare_models
     from tankrig.image.reading import read_image
+    from tankrig.scene.outline import blurred_pixels
 
     image: Any
     sigma: Any = noise
+    mask: Any = None
     if given.is_dir():
-        image, scene, sigma, offset = _photograph(given, dose_ml, pattern, noise, offset)
+        image, scene, sigma, offset, mask = _photograph(given, dose_ml, pattern, noise, offset)
     elif scene_file is None:
         raise click.UsageError("an image needs --scene FILE")
     else:
         scene, image = tankrig.load_scene(scene_file), read_image(given, array, scale)
+        mask = blurred_pixels(scene)
     with Console(stderr=True).status("reading") as status:
         try:
-            found = compare_models(image, scene, gain, offset, sigma, progress=lambda what: status.update(what))
+            found = compare_models(image, scene, gain, offset, sigma, progress=status.update, mask=mask)
         except tankrig.ImageError as error:
             raise tankrig.ImageError(f"{given}: {error}") from error
     if as_json:
@@ -67,7 +70,7 @@ def compare(
 
 def _photograph(
     folder: Path, dose_ml: float | None, pattern: str | None, noise: float | None, offset: Any
-) -> "tuple[Any, Scene, Any, Any]":
+) -> "tuple[Any, Scene, Any, Any, Any]":
     """One of a run's photographs."""
     from tankrig.live.exposures import exposures_of
     from tankrig.run.reading import open_run
@@ -80,7 +83,8 @@ def _photograph(
         there = ", ".join(sorted({f"{one.pattern} at {one.dose_ml:g} ml" for one in photographs})) or "none"
         raise ImageError(f"{folder}: has no such photograph of ink; there is {there}")
     one = here[0]
-    return one.image, one.scene, one.noise if noise is None else noise, one.offset if offset == "free" else offset
+    sigma = one.noise if noise is None else noise
+    return one.image, one.scene, sigma, one.offset if offset == "free" else offset, one.mask
 
 
 def _row(row: "Compared") -> dict[str, Any]:

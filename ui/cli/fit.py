@@ -3,20 +3,23 @@
 import json
 import math
 import time
-from contextlib import ExitStack
-from dataclasses import asdict, replace
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from tankrig.errors import StoreError
 from ui.cli.options import json_option, out_option, scene_option
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
+    from tankrig.calibration.radiometry import Radiometry
     from tankrig.estimation.estimate import Estimate
     from tankrig.estimation.result import Reconstruction
+    from tankrig.live.one_picture import Picture
 
 LEVEL = 0.95
 """Of the intervals that are printed."""
@@ -40,6 +43,26 @@ class FreeOrNumber(click.ParamType[Any]):
         return number
 
 
+class Edges(click.ParamType[Any]):
+    """The words "auto" or "none", or mm."""
+
+    name = "auto|none|MM"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Text to None (what the scene says), or mm; 0 for none."""
+        if value is None or isinstance(value, float):
+            return value
+        if value in ("auto", "none"):
+            return None if value == "auto" else 0.0
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not number > 0.0 or math.isinf(number):
+            self.fail(f'{value!r} is neither "auto" nor "none" nor a length in mm', param, ctx)
+        return number
+
+
 class Nuisance(click.ParamType[Any]):
     """NAME=SD, such as z_mm=0.5."""
 
@@ -56,7 +79,9 @@ class Nuisance(click.ParamType[Any]):
             self.fail(f"{value!r} is not NAME=SD, such as z_mm=0.5", param, ctx)
 
 
-@click.command(epilog="Example: tankrig fit tank.png --scene scene.toml --scale 2e-8 --gain 1 --out fitted")
+@click.command(
+    epilog="Example: tankrig fit tank.png --scene scene.toml --rig rig.toml --exposure-ms 40 --dark dark.png"
+)
 @click.argument("image_file", metavar="IMAGE", type=click.Path(path_type=Path))
 @scene_option
 @click.option("--array", metavar="NAME", help='Which array of an .npz; default: the only image, or "total".')
@@ -79,6 +104,31 @@ class Nuisance(click.ParamType[Any]):
     multiple=True,
     help="Fit along what may be off, with its standard deviation: z_mm, y_mm, tilt_mrad, scale.",
 )
+@click.option(
+    "--rig",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Rig file of the bench: the radiometry in force makes radiance of raw frames.",
+)
+@click.option(
+    "--exposure-ms", type=click.FloatRange(min=0.0, min_open=True), help="IMAGE is a raw frame with this exposure."
+)
+@click.option(
+    "--gain-setting",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Gain that the camera was set to.",
+)
+@click.option("--dark", type=click.Path(path_type=Path), metavar="FILE", help="Raw frame without light, subtracted.")
+@click.option("--mask", type=click.Path(path_type=Path), metavar="FILE", help="Image; where it is not 0 is left out.")
+@click.option(
+    "--edges",
+    type=Edges(),
+    default="auto",
+    show_default=True,
+    help="Leave out what lenses blur at the sides of beams: as the scene's blur says, none, or so far to either side.",
+)
 @click.option("--max-order", type=click.IntRange(min=1), help="Fit orders of scattering 1 … N only.")
 @out_option("out", "Folder for the picture (.png), the numbers (.json) and the images (.npz).")
 @json_option
@@ -92,49 +142,75 @@ def fit(
     noise: float | None,
     model: str,
     nuisance: tuple[tuple[str, float], ...],
+    rig: Path | None,
+    exposure_ms: float | None,
+    gain_setting: float,
+    dark: Path | None,
+    mask: Path | None,
+    edges: float | None,
     max_order: int | None,
     out: Path,
     as_json: bool,
 ) -> None:
     """Fit σa, σs and g to IMAGE, a picture of the lit tank.
 
-    IMAGE is .npz, .npy, or a 16-bit or floating-point .png or .tif whose pixels are those of the scene's camera.
+    IMAGE is .npz, .npy, or a 16-bit or floating-point .png or .tif whose pixels are those of the scene's camera. With
+    --exposure-ms it is a raw frame, counts of 8 or 16 bits, and becomes radiance by --rig and --dark. A calibrated
+    camera's pixels are put together to bins, and what lenses blur at the sides of beams is left out.
+
     Prints the coefficients with intervals, a verdict, and how well 1, 3, 20 and all orders of scattering rebuild the
     image; writes a picture of that beside the observation.
     """
-    from rich.console import Console
-
     import tankrig
     from tankrig.estimation.forward import FINE
     from tankrig.estimation.result import by_order
-    from tankrig.files import require_writable
-    from tankrig.image.reading import read_image
+    from tankrig.files import require_writable, whole_file
 
-    scene = tankrig.load_scene(scene_file)
-    image = read_image(image_file, array, scale)
+    if exposure_ms is None and dark is not None:
+        raise click.UsageError("--dark belongs to a raw frame; give its --exposure-ms too")
+    raw = _Raw(exposure_ms, gain_setting, dark, rig) if exposure_ms is not None else None
+    try:
+        picture = _picture(image_file, scene_file, array, scale, raw, edges, mask)
+    except tankrig.ImageError as error:
+        raise error if str(image_file) in str(error) else tankrig.ImageError(f"{image_file}: {error}") from error
     require_writable(out)
+    if raw is not None and dark is not None and offset == "free":
+        offset = 0.0
+    scene, image, stem = picture.scene, picture.image, out / f"{image_file.stem}-fit"
     asked: dict[str, Any] = {"gain": gain, "offset": offset, "noise": noise, "nuisance": dict(nuisance)}
-    with Console(stderr=True).status("reading") as status:
+    seen: dict[str, Any] = {**asked, "mask": picture.mask if picture.mask.any() else None}
+    fitted = None
+    with _told() as tell:
         started = time.perf_counter()
         try:
-            fitted = tankrig.estimate(
-                image, scene, **asked, model=model, max_order=max_order, progress=lambda what: status.update(what)
-            )
+            fitted = tankrig.estimate(image, scene, **seen, model=model, max_order=max_order, progress=tell)
+            seconds = time.perf_counter() - started
+            tell("rebuilding by order")
+            whole = "tank" if model == "prepared" else model  # a prepared model doesn't tell orders apart
+            prediction = tankrig.predict(replace(scene, medium=fitted.medium), whole, FINE, max_order)
+            rebuilt = by_order(fitted, prediction)
+            tell("comparing with single scattering")
+            single = tankrig.estimate(image, scene, **seen, model="single") if model != "single" else None
         except tankrig.ImageError as error:
             raise tankrig.ImageError(f"{image_file}: {error}") from error
-        seconds = time.perf_counter() - started
-        whole = "tank" if model == "prepared" else model  # a prepared model doesn't tell orders apart
-        prediction = tankrig.predict(replace(scene, medium=fitted.medium), whole, FINE, max_order)
-        rebuilt = by_order(fitted, prediction)
-        status.update("comparing with single scattering")
-        single = tankrig.estimate(image, scene, **asked, model="single") if model != "single" else None
-        status.update("drawing")
-        stem = out / f"{image_file.stem}-fit"
+        except KeyboardInterrupt:
+            if fitted is None:
+                raise
+            found = {"image": str(image_file), "scene": str(scene_file), **asked, **_numbers(fitted, (), None)}
+            with whole_file(stem.with_name(f"{stem.name}.json")) as file:
+                text = json.dumps({**found, "unfinished": True}, ensure_ascii=False, indent=1)
+                file.write_text(text + "\n", encoding="utf-8")
+            raise tankrig.TankrigError(
+                f"stopped on request; the coefficients had been found and are in {stem}.json, said to be unfinished: "
+                "without picture, orders and single scattering"
+            ) from None
+        tell("drawing")
         numbers = {
             "image": str(image_file),
             "scene": str(scene_file),
             **asked,
             **_numbers(fitted, rebuilt, single),
+            **_left_out(picture),
             "seconds": round(seconds, 2),
             "picture": f"{stem}.png",
             "arrays": f"{stem}.npz",
@@ -144,7 +220,89 @@ def fit(
         click.echo(json.dumps(numbers, ensure_ascii=False))
     else:
         _tell(fitted, rebuilt, single, seconds)
+        _tell_left_out(picture)
         click.echo(f"written  {stem}.png, .json, .npz")
+
+
+@dataclass(frozen=True)
+class _Raw:
+    """How a raw frame was taken, and where its radiometry is."""
+
+    exposure_ms: float
+    gain: float
+    dark: Path | None
+    rig: Path | None
+
+
+def _picture(
+    image_file: Path, scene_file: Path, array: str | None, scale: float, raw: _Raw | None, edges: float | None,
+    mask_file: Path | None,
+) -> "Picture":  # fmt: skip
+    """The image as it is fitted."""
+    from tankrig.devices import CameraSettings
+    from tankrig.image.reading import read_frame, read_image, read_mask
+    from tankrig.live.one_picture import picture_of, radiance_of
+    from tankrig.scene.loading import whole_scene
+
+    scene, good = whole_scene(scene_file), None
+    if raw is None:
+        image = read_image(image_file, array, scale)
+    else:
+        settings = CameraSettings(raw.exposure_ms, raw.gain)
+        dark = None if raw.dark is None else read_frame(raw.dark)
+        image, good = radiance_of(read_frame(image_file, array), settings, _radiometry(raw.rig), dark)
+        image = scale * image
+    mask = None if mask_file is None else read_mask(mask_file)
+    return picture_of(image, scene, good, edges, mask)
+
+
+def _radiometry(rig: Path | None) -> "Radiometry | None":
+    """That is in force on a bench."""
+    from drivers.rig import load_rig_file
+    from tankrig.calibration.file import in_force
+    from tankrig.calibration.radiometry import Radiometry
+
+    if rig is None:
+        return None
+    description = load_rig_file(rig)
+    found = in_force(Path(description.calibration_folder), description.calibration)
+    if "radiometry" not in found:
+        raise StoreError(
+            f"{rig}: the camera's radiometry is not calibrated; run tankrig calibrate radiometry, or leave --rig out"
+        )
+    return Radiometry.of(found["radiometry"])
+
+
+@contextmanager
+def _told() -> "Iterator[Callable[[str], None]]":
+    """What is being done, with the time that it has taken."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("reading")
+        yield lambda what: progress.update(task, description=what)
+
+
+def _left_out(picture: "Picture") -> dict[str, Any]:
+    bins = picture.bins
+    return {
+        "bins": None if bins is None else [bins.by, bins.along],
+        "left_out": {"edges": picture.blurred, "all": float(picture.mask.mean())},
+    }
+
+
+def _tell_left_out(picture: "Picture") -> None:
+    if picture.bins is not None:
+        tall, wide = picture.scene.camera.sides_mm
+        click.echo(f"bins     {picture.bins.by} × {picture.bins.along} pixels, {tall:.3g} × {wide:.3g} mm")
+    if picture.mask.any():
+        edges = (
+            f", {100.0 * picture.blurred:.0f} % of the pixels for blur or beside the water" if picture.blurred else ""
+        )
+        click.echo(f"left out {100.0 * float(picture.mask.mean()):.0f} % of the image{edges}")
 
 
 def _numbers(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Estimate | None") -> dict[str, Any]:

@@ -19,6 +19,7 @@ from ui.cli.options import json_option, out_option, rig_option
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
+    from tankrig.live.live_fit import LiveFit
     from tankrig.run.journal import Event
     from tankrig.run.runner import Outcome, Runner
     from tankrig.sequence import DryRun, Sequence
@@ -182,10 +183,11 @@ def carry_out(runner: "Runner", fit: bool) -> "Outcome":
             outcomes.append(error)
 
     thread = threading.Thread(target=work, name="run")
-    with _aborting_on_signals(runner), _given_up_unless_begun(runner), fitted_live(runner) if fit else nullcontext():
+    fitting = fitted_live(runner) if fit else nullcontext()
+    with _aborting_on_signals(runner), _given_up_unless_begun(runner), fitting as live:
         thread.start()
         try:
-            _draw(runner, thread, fit)
+            _draw(runner, thread, live)
         except BaseException:
             _abort(runner)  # nobody sees any more what it does
             _wait_for(thread)
@@ -198,14 +200,14 @@ def carry_out(runner: "Runner", fit: bool) -> "Outcome":
     return outcome
 
 
-def _draw(runner: "Runner", thread: threading.Thread, fit: bool) -> None:
+def _draw(runner: "Runner", thread: threading.Thread, live: "LiveFit | None") -> None:
     """Show how far the run is until its thread ends, and what a person has to be told when it happens."""
     from rich.console import Console, Group
     from rich.live import Live
     from rich.progress import BarColumn, Progress, TextColumn
     from rich.text import Text
 
-    from tankrig.live.formatting import fit_in_words
+    from tankrig.live.formatting import fit_in_words, preparation_in_words
     from tankrig.live.results import from_fields
 
     warnings: SimpleQueue[str] = SimpleQueue()
@@ -224,8 +226,11 @@ def _draw(runner: "Runner", thread: threading.Thread, fit: bool) -> None:
             thread.join(_POLL_S)
             now = runner.progress()
             bar.update(task, completed=now.step, description=f"{now.label}, {_duration(now.remaining_s)} left")
-            fitted = f"\n{fit_in_words(from_fields(runner.latest_fit) if runner.latest_fit else None)}" if fit else ""
-            beneath.plain = f"waiting for {now.waiting_for or 'the rig'}{fitted}"
+            lines = [f"waiting for {now.waiting_for or 'the rig'}"]
+            if live is not None:
+                lines.append(fit_in_words(from_fields(runner.latest_fit) if runner.latest_fit else None))
+                lines.append(preparation_in_words(live.preparation))
+            beneath.plain = "\n".join(lines)
             while not warnings.empty():
                 console.print(Text(warnings.get()), soft_wrap=True)
     while not warnings.empty():
@@ -274,13 +279,15 @@ def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -
     frames, doses = len(run.events("frame")), run.events("dose_done")
     delivered_ul = run.tank.volume_ul if doses and run.tank else None
     said = {"run": str(path), "reason": outcome.reason.value, "frames": frames, "delivered_ul": delivered_ul}
-    found = fits_of(path, description) if fit else {"doses": []}
+    found = fits_of(path, description) if fit else {"doses": [], "unfitted": ""}
     report = _reported(path) if completed and found["doses"] else None
     if as_json:
         click.echo(json.dumps({**said, **found, "report": report} if fit else said, ensure_ascii=False))
     else:
         if found["doses"]:
             tell_fits(found)
+        if found["unfitted"]:
+            click.echo(found["unfitted"])
         ink = f", the tank holds {delivered_ul:g} µl" if delivered_ul is not None else ""
         click.echo(f"{outcome.reason.value}: {path}, {frames} frames{ink}")
         if not completed:

@@ -143,11 +143,12 @@ class FitPage(QWidget):
             indices: Indices = table[np.clip(image * (TOP / peak), 0.0, 65_535.0).astype(np.uint16)]
             return indices
 
-        reach = float(np.percentile(np.abs(one.residual), 99.5)) / peak or 1e-6
+        residual = np.nan_to_num(one.residual)  # nothing where a pixel was left out
+        reach = float(np.percentile(np.abs(residual), 99.5)) / peak or 1e-6
         if self._same.isChecked():
-            left, colours, same = toned(np.abs(one.residual)), palette, "|residual|, same scale"
+            left, colours, same = toned(np.abs(residual)), palette, "|residual|, same scale"
         else:
-            part = np.clip(one.residual / (peak * reach), -1.0, 1.0)
+            part = np.clip(residual / (peak * reach), -1.0, 1.0)
             left, colours = (127.5 * (1.0 + part)).astype(np.uint8), residual_palette()
             same = f"residual, ±{100.0 * reach:.2g} % of peak"
 

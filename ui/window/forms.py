@@ -109,6 +109,8 @@ class Form(QWidget):
             field: CheckedField = NumberField(unit_of(name), low, high, label_of(name), optional, hint is int)
         elif name == "path":
             field = _file_field(name)
+        elif typing.get_origin(hint) is tuple and str in typing.get_args(hint):
+            field = CheckedField(_read_words, "", f"{label_of(name)}: names with blanks between them")
         elif typing.get_origin(hint) is tuple:
             field = _numbers_field(name, hint, optional)
         else:
@@ -147,6 +149,12 @@ def _file_field(name: str) -> CheckedField:
     choose.clicked.connect(lambda: ask_for_file(field, "Choose a picture", Path.cwd(), PICTURES, take))
     field.add(choose)
     return field
+
+
+def _read_words(text: str) -> tuple[list[str] | None, str]:
+    """Several words with commas or blanks between them."""
+    words = text.replace(",", " ").split()
+    return (words, "") if words else (None, "give one name or more, with blanks between them")
 
 
 def _numbers_field(name: str, hint: Any, optional: bool) -> CheckedField:

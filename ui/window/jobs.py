@@ -25,8 +25,8 @@ class Comparison:
     ----------
     pattern, dose_ml
         What it is of.
-    observed, model
-        (rows, columns), counts per ms.
+    observed, model, residual
+        (rows, columns), counts per ms; the residual is NaN where a pixel was left out.
     rmse
         Root mean square of what each sum of orders leaves, as a part of the observed peak; "single" is single
         scattering at its own best σt.
@@ -38,14 +38,10 @@ class Comparison:
     dose_ml: float
     observed: Image
     model: Image
+    residual: Image
     rmse: dict[str, float]
     tank: Tank
     camera: Camera
-
-    @property
-    def residual(self) -> Image:
-        """Observed less model."""
-        return self.observed - self.model
 
 
 def compare(photograph: "Photograph", fit: "DoseFit") -> Comparison:
@@ -54,15 +50,17 @@ def compare(photograph: "Photograph", fit: "DoseFit") -> Comparison:
 
     prediction = predicted(photograph, fit.medium)
     gain, peak = fit.gain, float(photograph.image.max())
-    offset = 0.0 if photograph.offset == 0.0 else float(np.median(photograph.image - gain * prediction.image))
+    left = (photograph.image - gain * prediction.image)[photograph.used]
+    offset = 0.0 if photograph.offset == 0.0 else float(np.median(left))
     rebuilt = by_order(photograph, prediction, gain, offset)
     rmse = {one.orders: one.rmse / peak for one in rebuilt}
     if fit.single is not None:
         rmse["single"] = _single(photograph, fit.medium, fit.single.sigma_t) / peak
     scene = photograph.scene
     return Comparison(
-        photograph.pattern, photograph.dose_ml, photograph.image, rebuilt[-1].image, rmse, scene.tank, scene.camera
-    )
+        photograph.pattern, photograph.dose_ml, photograph.image, rebuilt[-1].image, rebuilt[-1].residual, rmse,
+        scene.tank, scene.camera,
+    )  # fmt: skip
 
 
 def _single(photograph: "Photograph", medium: Medium, sigma_t: float) -> float:
@@ -71,9 +69,9 @@ def _single(photograph: "Photograph", medium: Medium, sigma_t: float) -> float:
 
     by = sigma_t / medium.sigma_t
     thinned = replace(photograph.scene, medium=Medium(by * medium.sigma_a, by * medium.sigma_s, medium.g))
-    image = single_scattering(thinned)
-    gain = float(np.vdot(image, photograph.image) / np.vdot(image, image))
-    return float(np.sqrt(np.mean((photograph.image - gain * image) ** 2)))
+    image, observed = single_scattering(thinned)[photograph.used], photograph.image[photograph.used]
+    gain = float(np.vdot(image, observed) / np.vdot(image, image))
+    return float(np.sqrt(np.mean((observed - gain * image) ** 2)))
 
 
 def fits_of(path: Path) -> "tuple[list[DoseFit], SeriesFit | None, list[Photograph]]":
@@ -108,9 +106,11 @@ def refit(path: Path, patterns: Sequence[str], free_offset: bool) -> "tuple[list
 
 
 def report(path: Path) -> Path:
-    """Write a run's report."""
+    """Write a run's report, once what it lacks is fitted."""
+    from tankrig.live.refit import refit as fit_what_is_missing
     from tankrig.report import write_report
 
+    fit_what_is_missing(path)
     return write_report(path)
 
 

@@ -275,6 +275,8 @@ class RigHost(QObject):
 
     def _carry_out(self, order: RunOrder) -> None:
         from tankrig.live.attached import fitted_live, require_fittable
+        from tankrig.live.refit import unfitted
+        from tankrig.run.reading import open_run
         from tankrig.run.start import new_run, resumed_run
 
         self._set(RigState.RUNNING)
@@ -300,6 +302,9 @@ class RigHost(QObject):
             finally:
                 self._fit = self._runner = self._guard = None
         self._trouble = ""
+        missing = unfitted(open_run(outcome.path))
+        if missing:
+            _log.warning("%s", missing.sentence(outcome.path))
         self.run_ended.emit(outcome)
 
     def _heard(self, event: "Event", _: "Pixels | None") -> None:
@@ -357,6 +362,8 @@ class RigHost(QObject):
             self._publish()
 
     def _publish(self) -> None:
+        from tankrig.live.formatting import preparation_in_words
+
         guard, runner = self._guard, self._runner
         status = RigStatus(self._state, self._trouble, target_ul=self._target_ul, undecided=self._question)
         if guard is not None:
@@ -366,7 +373,9 @@ class RigHost(QObject):
                     undecided=self._question or (None if self._dosing() else guard.undecided),
                 )  # fmt: skip
         if runner is not None:
-            status = replace(status, progress=runner.progress(), run_state=runner.state)
+            fit = self._fit
+            preparation = preparation_in_words(fit.preparation) if fit is not None else ""
+            status = replace(status, progress=runner.progress(), run_state=runner.state, preparation=preparation)
             if runner.state is RunState.RUNNING and status.progress is not None:
                 status = replace(status, target_ul=None)
         self.status_changed.emit(status)

@@ -63,13 +63,13 @@ def _summary(path: Path) -> RunSummary:
 
 
 def _ends(journal: Path) -> tuple[Event | None, Event | None]:
-    """The first whole line of a journal and the last that is no note, whatever lies between."""
+    """The first whole line of a journal and the last that is no note and no fit, whatever lies between."""
     with journal.open("rb") as file:
         first = file.readline()
         file.seek(max(0, journal.stat().st_size - TAIL_BYTES))
         tail = file.read().splitlines(keepends=True)
     events = (event for line in reversed(tail) if (event := _event(line)))
-    return _event(first), next((event for event in events if event.kind != "note"), None)
+    return _event(first), next((event for event in events if event.kind not in ("note", "fit")), None)
 
 
 def _event(line: bytes) -> Event | None:

@@ -43,6 +43,8 @@ class RigStatus:
         What a person has to decide about the ink before anything moves.
     progress, run_state
         Of the run.
+    preparation
+        What its fits wait for, in words; empty where they wait for nothing.
     """
 
     state: RigState = RigState.OPENING
@@ -54,6 +56,7 @@ class RigStatus:
     undecided: str | None = None
     progress: Progress | None = None
     run_state: RunState | None = None
+    preparation: str = ""
 
     @property
     def running(self) -> bool:
@@ -87,6 +90,7 @@ class RigStatus:
             return "the run is being ended"
         state = "pausing after" if self.run_state is RunState.PAUSING else "running"
         waiting = f"; waiting for {now.waiting_for}" if now.waiting_for else ""
+        models = f"; {self.preparation}" if self.preparation else ""
         if now.step >= now.steps:
-            return "finishing: the last fits are being made"
-        return f"{state} step {now.step + 1} of {now.steps}: {now.label}{waiting}"
+            return f"finishing: the last fits are being made{models}"
+        return f"{state} step {now.step + 1} of {now.steps}: {now.label}{waiting}{models}"

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 )
 
 from tankrig.errors import SequenceError
-from tankrig.sequence.steps import Capture, Dose, Mix, Note, Repeat, Series, Wait
+from tankrig.sequence.steps import Burst, Capture, Dose, Mix, Note, Repeat, Series, Wait
 from ui.window import theme
 from ui.window.forms import Form
 from ui.window.sequence_document import SequenceDocument
@@ -28,6 +28,7 @@ from ui.window.sequence_text import Path_, at, line_of, patterns_of
 
 STEPS: dict[str, type[Any]] = {
     "capture": Capture, "dose": Dose, "mix": Mix, "series": Series, "repeat": Repeat, "wait": Wait, "note": Note,
+    "burst": Burst,
 }  # fmt: skip
 NEW: dict[str, dict[str, Any]] = {
     "capture": {"do": "capture", "pattern": "full", "frames": 4},
@@ -37,6 +38,7 @@ NEW: dict[str, dict[str, Any]] = {
     "repeat": {"do": "repeat", "times": 2, "steps": [{"do": "capture", "pattern": "full"}]},
     "wait": {"do": "wait", "seconds": 10.0},
     "note": {"do": "note", "text": "what was seen"},
+    "burst": {"do": "burst", "patterns": ["full"]},
 }
 ALWAYS = ("dark", "full")
 PLACE = Qt.ItemDataRole.UserRole
@@ -58,6 +60,9 @@ def words_of(step: Any) -> str:
         case "capture":
             most = " at most, until it is known" if "until" in step else ""
             return f"capture {step.get('pattern', '?')} × {step.get('frames', 1)}{most}"
+        case "burst":
+            patterns = step.get("patterns", [])
+            return f"burst of {len(patterns) if isinstance(patterns, list) else '?'} patterns × {step.get('times', 1)}"
         case "wait":
             return f"wait {step.get('seconds', '?')} s"
         case "note":

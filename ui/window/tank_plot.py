@@ -81,7 +81,7 @@ class TankPlot:
             return
         moved, self._place = self._place[0] != place, (place, shape)
         rows, columns = camera.shape
-        rect = QRectF(0.0, -tank.size_mm[1] / 2, columns * camera.pixel_mm, rows * camera.pixel_mm)
+        rect = QRectF(0.0, -tank.size_mm[1] / 2, columns * camera.sides_mm[1], rows * camera.sides_mm[0])
         self.image.setRect(rect)
         if moved:
             self.plot.setRange(rect, padding=0.02)

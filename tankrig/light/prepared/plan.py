@@ -17,6 +17,8 @@ EXACT_RATE = (3.8, 3.4)
 PATHS_RATE = (3.0, 2.6)
 """The same of orders ≥ 3, whose noise weighs more than their polynomials' error: 7 and 6 over the whole box."""
 ALBEDO_RATE = 1.9
+ROUGH, ROUGHLY = 0.1, 0.6
+"""Tolerance from which on degrees are this share of those: 1 to 3 % off over the box of a first look, decision 108."""
 FULLNESS = 1.2
 MEDIA_PER_PRODUCT = 8
 """Media at which paths are followed, per coefficient to be found from them."""
@@ -77,7 +79,7 @@ class PreparationPlan:
         return Coordinates(self.box, self.length_mm)
 
     def _degrees(self, rates: tuple[float, float]) -> tuple[int, int]:
-        spans = self.coordinates.spans
+        spans = self.coordinates.spans * (ROUGHLY if self.tolerance >= ROUGH else 1.0)
         return max(2, math.ceil(rates[0] * spans[0])), max(2, math.ceil(rates[1] * spans[2]))
 
     @cached_property

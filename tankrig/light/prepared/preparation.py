@@ -46,7 +46,7 @@ def prepared(
     if rows * columns > MOST_PIXELS:
         raise SceneError(
             f"a camera of {rows} × {columns} pixels has more than the {MOST_PIXELS} that can be prepared; "
-            "bin them: a smaller shape and a larger pixel_mm"
+            "bin them: give camera.bin, the pixels along the side of a bin"
         )
     place = Place.of(scene, box, float(tolerance))
     plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance)
@@ -127,6 +127,6 @@ class _Work:
         if sample.batches:
             image = self.sampling.sample(sample.sigma_t, sample.g, sample.index, sample.batches).astype(np.float32)
         else:
-            image = exact_images(self._scene, sample.sigma_t, sample.g)
+            image = exact_images(self._scene, sample.sigma_t, sample.g, self._plan.tolerance)
         self._place.keep(path, {"image": image})
         return image

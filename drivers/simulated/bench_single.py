@@ -1,0 +1,226 @@
+"""Light scattered once on a simulated bench: followed back from each camera pixel through the water to the projector.
+
+The Monte Carlo's own order 1 spreads beams over pixels; this one asks, all along a pixel's line of sight, how bright
+the projector's picture is there. So every pixel of the projector counts, blurred as its lens blurs it, and the two
+check each other.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
+
+from tankrig.compiled import kernel, part
+from tankrig.geometry.optics import fresnel_reflectance
+from tankrig.scene.description import Medium
+from tankrig.scene.phase_functions import phase_function
+
+from .bench_optics import FINER, camera_rays, illumination, projector_pixels
+from .bench_truth import TANK_MM, Array, TrueBench
+
+_NODE_PX, _NODE_MM, _STEP_MM = 15, 4.0, 0.5
+"""From node to node across the picture and down the water, and from point to point between those."""
+_TILE = 32
+_NOTHING = 1e-30
+
+_U, _V, _Y_WALL, _Z_WALL, _X, _Y, _LN = range(7)
+
+
+class _Sight(NamedTuple):
+    """What does not depend on the medium, at nodes (planes, rows, columns): down the water, or in its mirror image.
+
+    Parameters
+    ----------
+    places
+        (planes, rows, columns, 6): pixel of the projector, y and z where its light crosses the wall, x and y; mm.
+    ln_strength
+        Logarithm of the fluence by a white pixel there, of that on the wall before the lens, times what the surface
+        lets through, times the line of sight's length per mm of height.
+    path_mm
+        Through water, from the wall and on to the surface.
+    cosine
+        Of the angle of scattering.
+    """
+
+    places: Array
+    ln_strength: Array
+    path_mm: Array
+    cosine: Array
+
+
+def scattered_once(bench: TrueBench, thrown: Array, medium: Medium) -> Array:
+    """Radiance at the middle of each camera pixel, before the camera's own blur and vignetting.
+
+    The integral along the line of sight of σs p(θ) e^{−σt path} times the fluence, and (1 − F)/n² at the surface; the
+    light that the water's surface throws back down is scattered too.
+
+    Parameters
+    ----------
+    bench
+        Its truth.
+    thrown
+        The projector's light, see `bench_optics.thrown`.
+    medium
+        In the tank.
+
+    Returns
+    -------
+    array (rows, columns)
+        W/mm²/sr.
+    """
+    image = np.zeros(bench.camera.shape)
+    if medium.sigma_s > 0.0 and thrown.any():
+        lit = _lit_tiles(thrown)
+        for sight in _lines_of_sight(bench):
+            ln = sight.ln_strength - medium.sigma_t * sight.path_mm
+            ln += np.log(np.pi * bench.full * medium.sigma_s * phase_function(sight.cosine, medium.g))
+            nodes = np.concatenate([sight.places, ln[..., None]], axis=-1)
+            _gather(nodes, thrown, lit, FINER, bench.level_mm, TANK_MM[0], TANK_MM[1] / 2, _STEP_MM, image)
+    return image
+
+
+def looks_in(bench: TrueBench) -> Array:
+    """1 for each camera pixel whose middle looks through the water's surface, else 0."""
+    rows, columns = bench.camera.shape
+    pixels = np.stack(np.meshgrid(np.arange(columns, dtype=float), np.arange(rows, dtype=float)), axis=-1)
+    x, y, _ = np.moveaxis(camera_rays(bench, pixels, filled=True)[0], -1, 0)
+    return np.asarray((x > 0.0) & (x < TANK_MM[0]) & (np.abs(y) < TANK_MM[1] / 2), float)
+
+
+def _lit_tiles(thrown: Array) -> NDArray[np.bool_]:
+    """Whether there is light in a square tile of a picture, or in one beside it."""
+    tiles = np.zeros([-(-n // _TILE) * _TILE for n in thrown.shape], bool)
+    tiles[: thrown.shape[0], : thrown.shape[1]] = thrown > 0.0
+    some = tiles.reshape(tiles.shape[0] // _TILE, _TILE, tiles.shape[1] // _TILE, _TILE).any(axis=(1, 3))
+    return np.asarray(maximum_filter(some, 3))
+
+
+@lru_cache(maxsize=2)
+def _lines_of_sight(bench: TrueBench) -> tuple[_Sight, _Sight]:
+    rows, columns = (np.linspace(0.0, n - 1.0, max(2, round(n / _NODE_PX))) for n in bench.camera.shape)
+    start, way = camera_rays(bench, np.stack(np.meshgrid(columns, rows), axis=-1), filled=True)
+    depths = np.linspace(0.0, bench.level_mm, max(2, round(bench.level_mm / _NODE_MM)) + 1)
+    down = (start[..., 2] - bench.level_mm + depths[:, None, None]) / -way[..., 2]
+    points = start + down[..., None] * way
+    in_air = np.sqrt(1.0 - bench.water_index**2 * (1.0 - (way @ bench.surface) ** 2))
+    through = (1.0 - fresnel_reflectance(in_air, 1.0 / bench.water_index)) / bench.water_index**2
+    offset = (points - start) @ bench.surface
+    mirrored = points - 2.0 * offset[..., None] * bench.surface
+    return (
+        _sight(bench, points, points, way, down, through, False),
+        _sight(bench, mirrored, points, way, down, through, True),
+    )
+
+
+def _sight(
+    bench: TrueBench, lit: Array, points: Array, way: Array, down: Array, through: Array, thrown_back: bool
+) -> _Sight:
+    """Of points that are lit as if they were at `lit`, and seen along `way` at a distance `down` from the surface."""
+    pixels, strength = illumination(bench, lit, np.eye(3)[1:], filled=True)
+    _, arriving = projector_pixels(bench, lit, filled=True)
+    path = lit[..., 0] / arriving[..., 0]
+    wall = lit - path[..., None] * arriving
+    weight = strength / arriving[..., 0] * through / -way[..., 2]
+    if thrown_back:
+        rising = arriving @ bench.surface
+        weight = weight * fresnel_reflectance(np.clip(rising, 0.0, 1.0), bench.water_index)
+        arriving = arriving - 2.0 * rising[..., None] * bench.surface
+    cosine = -np.sum(arriving * way, axis=-1)
+    places = np.stack([pixels[..., 0], pixels[..., 1], wall[..., 1], wall[..., 2], *np.moveaxis(points, -1, 0)[:2]], -1)
+    return _Sight(places, np.log(np.maximum(weight, _NOTHING)), path + down, cosine)
+
+
+@kernel
+def _gather(
+    nodes: Array,
+    thrown: Array,
+    lit: NDArray[np.bool_],
+    finer: int,
+    level: float,
+    length: float,
+    half_width: float,
+    step: float,
+    image: Array,
+) -> None:
+    """Add to each pixel the light along its line of sight: linear between nodes, but exponential in brightness."""
+    planes, node_rows, node_columns, count = nodes.shape
+    rows, columns = image.shape
+    above, here, change = np.empty(count), np.empty(count), np.empty(count)
+    spacing = level / (planes - 1)
+    points = max(1, math.ceil(spacing / step))
+    for row in range(rows):
+        at = row * (node_rows - 1) / max(rows - 1, 1)
+        r = min(int(at), node_rows - 2)
+        lower = at - r
+        for column in range(columns):
+            at = column * (node_columns - 1) / max(columns - 1, 1)
+            c = min(int(at), node_columns - 2)
+            right = at - c
+            total = 0.0
+            for plane in range(planes):
+                for k in range(count):
+                    left_value = (1.0 - lower) * nodes[plane, r, c, k] + lower * nodes[plane, r + 1, c, k]
+                    right_value = (1.0 - lower) * nodes[plane, r, c + 1, k] + lower * nodes[plane, r + 1, c + 1, k]
+                    here[k] = (1.0 - right) * left_value + right * right_value
+                if plane == 0:
+                    if not (0.0 < here[_X] < length and abs(here[_Y]) < half_width):
+                        break  # it does not look through the surface
+                elif _may_be_lit(above, here, level, length, half_width):
+                    u, v = 0.5 * (above[_U] + here[_U]), 0.5 * (above[_V] + here[_V])
+                    far = max(abs(here[_U] - above[_U]), abs(here[_V] - above[_V])) * finer > _TILE
+                    if not (far or _tile(lit, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)):
+                        for k in range(count):
+                            above[k] = here[k]
+                        continue
+                    for k in range(count):
+                        change[k] = (here[k] - above[k]) / points
+                    ratio = math.exp(change[_LN])
+                    strength = math.exp(above[_LN] - 0.5 * change[_LN])
+                    for point in range(points):
+                        strength *= ratio
+                        x, y = above[_X] + (point + 0.5) * change[_X], above[_Y] + (point + 0.5) * change[_Y]
+                        y_wall = above[_Y_WALL] + (point + 0.5) * change[_Y_WALL]
+                        z_wall = above[_Z_WALL] + (point + 0.5) * change[_Z_WALL]
+                        if not (0.0 < x < length and abs(y) < half_width):
+                            continue
+                        if not (0.0 < z_wall < level and abs(y_wall) < half_width):
+                            continue
+                        u, v = above[_U] + (point + 0.5) * change[_U], above[_V] + (point + 0.5) * change[_V]
+                        light = _between(thrown, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)
+                        total += light * strength
+                for k in range(count):
+                    above[k] = here[k]
+            image[row, column] += total * spacing / points
+
+
+@part
+def _may_be_lit(above: Array, here: Array, level: float, length: float, half_width: float) -> bool:
+    """Whether light that crossed the wall in the water may be on a stretch of a line of sight."""
+    if max(above[_Z_WALL], here[_Z_WALL]) <= 0.0 or min(above[_Z_WALL], here[_Z_WALL]) >= level:
+        return False
+    if max(above[_X], here[_X]) <= 0.0 or min(above[_X], here[_X]) >= length:
+        return False
+    return bool(min(abs(above[_Y]), abs(here[_Y])) < half_width)
+
+
+@part
+def _tile(lit: NDArray[np.bool_], row: float, column: float) -> bool:
+    """Whether there may be light within a tile's side of a place of the picture."""
+    r, c = math.floor(row / _TILE), math.floor(column / _TILE)
+    return bool(lit[min(max(r, 0), lit.shape[0] - 1), min(max(c, 0), lit.shape[1] - 1)])
+
+
+@part
+def _between(picture: Array, row: float, column: float) -> float:
+    """A picture between its pixels; 0 beside it."""
+    rows, columns = picture.shape
+    if not (0.0 <= row < rows - 1 and 0.0 <= column < columns - 1):
+        return 0.0
+    r, c = int(row), int(column)
+    below, right = row - r, column - c
+    upper = (1.0 - right) * picture[r, c] + right * picture[r, c + 1]
+    lower = (1.0 - right) * picture[r + 1, c] + right * picture[r + 1, c + 1]
+    return float((1.0 - below) * upper + below * lower)

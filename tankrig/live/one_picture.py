@@ -1,0 +1,134 @@
+"""One picture from a file, made ready for a fit as a run's photographs are: radiometry, edges, bins."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.calibration.radiometry import Radiometry
+from tankrig.devices import CameraSettings, Pixels
+from tankrig.errors import ImageError
+from tankrig.image.bins import HALF, Bins, Seen, bins_for
+from tankrig.scene import Scene
+from tankrig.scene.outline import beside_water, blurred_pixels, edges_of_light, lit_pixels
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What is given to `tankrig.estimate`.
+
+    Parameters
+    ----------
+    image, mask
+        (rows, columns), and where it is to be left out.
+    scene
+        What the image shows, in its pixels.
+    bins
+        That the camera's pixels were put together to; None where they were not.
+    blurred
+        Share of the pixels that blur matters to, or that look beside the water.
+    """
+
+    image: Array
+    mask: Mask
+    scene: Scene
+    bins: Bins | None
+    blurred: float
+
+
+def radiance_of(
+    pixels: Pixels, settings: CameraSettings, radiometry: Radiometry | None, dark: Pixels | None
+) -> tuple[Array, Mask]:
+    """A raw frame as counts per ms, proportional to radiance where the camera's radiometry is known.
+
+    Parameters
+    ----------
+    pixels
+        (rows, columns) counts.
+    settings
+        That it was taken with.
+    radiometry
+        Of the camera; None where it was not calibrated.
+    dark
+        A frame with the same settings and no light, which is subtracted.
+
+    Returns
+    -------
+    (rows, columns) of the image, and which of its pixels are good: neither hot nor saturated, as far as is known
+
+    Raises
+    ------
+    ImageError
+        When frame, dark frame and calibration have different shapes.
+    StoreError
+        When the camera was calibrated, but not at this gain.
+    """
+    if dark is not None and dark.shape != pixels.shape:
+        raise ImageError(
+            f"the dark frame has shape {list(dark.shape)} and the frame {list(pixels.shape)}; take it anew"
+        )
+    good = np.ones(pixels.shape, bool)
+    if radiometry is None:
+        per_ms = settings.exposure_ms * settings.gain
+        return (pixels - (0.0 if dark is None else dark.astype(float))) / per_ms, good
+    light = radiometry.light(pixels, settings)
+    if dark is not None:
+        light = light - radiometry.light(dark, settings)
+    return light, good & ~radiometry.hot & ~radiometry.saturated(pixels, settings)
+
+
+def picture_of(
+    image: Array, scene: Scene, good: Mask | None = None, edges: float | None = None, mask: Mask | None = None
+) -> Picture:
+    """An image with its scene, binned where its camera is calibrated or says `bin`, and what is to be left out of it.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) as the scene's camera takes it, or in the bins that the camera says.
+    scene
+        Of the whole camera; see `tankrig.scene.loading.whole_scene`.
+    good
+        Pixels that count; None for all.
+    edges
+        mm to either side of the edges of light that are left out, 0 for none; None for what the scene's blur says.
+    mask
+        Pixels or bins that a person leaves out; None for none.
+
+    Raises
+    ------
+    ImageError
+        When the mask has another shape, or edges leave nothing of the light.
+    """
+    if scene.camera.bin and image.shape == scene.camera.binned(scene.camera.bin).shape:
+        scene = replace(scene, camera=scene.camera.binned(scene.camera.bin))
+    if mask is not None and mask.shape != image.shape:
+        raise ImageError(
+            f"the mask has shape {list(mask.shape)} but the image has {list(image.shape)}; give one of its shape"
+        )
+    left_out = np.zeros(image.shape, bool) if mask is None else mask
+    counts = ~left_out if good is None else good & ~left_out
+    if image.shape != scene.camera.shape:  # the fit says what is wrong with it
+        return Picture(image, ~counts, scene, None, 0.0)
+    if edges is None:
+        blurred = blurred_pixels(scene)
+    elif edges > 0.0:
+        blurred = edges_of_light(scene, edges) | beside_water(scene, edges)
+    else:
+        blurred = np.zeros(image.shape, bool)
+    seen = Seen(~blurred, lit_pixels(scene))
+    if seen.nothing_left:
+        raise ImageError(
+            "blur matters to all of the light that is seen: its beams are narrower than it reaches; make them wider, "
+            "focus and calibrate anew, or give --edges in mm"
+        )
+    share = float(blurred.mean())
+    if scene.camera.kind != "calibrated" and not scene.camera.bin:
+        return Picture(image, blurred | ~counts, scene, None, share)
+    bins = bins_for(scene.camera, [seen])
+    used = (bins.shares(seen.sharp) == 1.0) & (bins.shares(counts) > HALF)
+    binned = replace(scene, camera=bins.camera(scene.camera))
+    return Picture(bins.means(image, counts), ~used, binned, bins, share)

@@ -1,0 +1,174 @@
+"""Fits of a run that has been recorded: what it lacks, and making that as the live fit would have."""
+
+import math
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from tankrig.live.exposures import Exposures, PhotographPlan, exposures_of, fits_that_hold
+from tankrig.live.fits import fit_all, fit_dose
+from tankrig.live.preparing import Preparation, Preparing
+from tankrig.live.results import DoseFit, Fit, SeriesFit, diluted, fits_in, to_fields
+from tankrig.live.worker import Fitter, fit_all_there_is
+from tankrig.run.reading import Run, open_run
+from tankrig.run.writer import RunWriter
+
+POLL_S = 0.2
+
+Told = Callable[[str, Preparation], object]
+"""Told in a few words what is being done, and how far the models are; what it raises ends the fitting."""
+
+
+@dataclass(frozen=True)
+class Unfitted:
+    """What a run has recorded and not fitted.
+
+    Parameters
+    ----------
+    doses_ml
+        Rising.
+    series
+        Whether it has two doses or more, and no fit of all of them together.
+    """
+
+    doses_ml: tuple[float, ...] = ()
+    series: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.doses_ml) or self.series
+
+    def __str__(self) -> str:
+        """In words.
+
+        >>> str(Unfitted((0.1, 0.4), True))
+        '0.1 ml, 0.4 ml and the series'
+        """
+        names = [f"{dose_ml:g} ml" for dose_ml in self.doses_ml] + ["the series"] * self.series
+        return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+    def sentence(self, path: Path) -> str:
+        """What is missing, and how to get it."""
+        return f"{self} {'are' if len(self.doses_ml) + self.series > 1 else 'is'} not fitted: tankrig refit {path}"
+
+
+def unfitted(run: Run) -> Unfitted:
+    """What a run lacks, by its journal alone: doses whose lit frames are not all in their last fit, and the series.
+
+    A fit that was made after the run's end has seen all that can be read.
+    """
+    lit = {key for key, pattern in run.patterns.items() if pattern.pixels.any()}
+    frames: dict[float, int] = {}
+    for event in run.events("frame"):
+        dose_ml = run.conditions[event["index"]].tank.volume_ul / 1000.0
+        if event["pattern_hash"] in lit and dose_ml > 0.0 and event["index"] not in run.unsure_doses:
+            frames[dose_ml] = frames.get(dose_ml, 0) + 1
+    doses, series = fits_in([event.fields for event in fits_that_hold(run)])
+    ended = run.end.seq if run.end is not None else math.inf
+    since = {event.get("dose_ml") for event in run.fits if event.seq > ended and "error" not in event.fields}
+    fitted = {one.dose_ml: math.inf if one.dose_ml in since else one.frames + one.left_out for one in doses}
+    missing = tuple(dose_ml for dose_ml in sorted(frames) if fitted.get(dose_ml, 0) < frames[dose_ml])
+    whole = series is not None and len(series.doses_ml) >= len(frames)
+    return Unfitted(missing, len(frames) > 1 and not whole)
+
+
+def refit(path: Path, everything: bool = False, model: str = "prepared", progress: Told = lambda *_: None) -> list[Fit]:
+    """Fit what a run lacks, or everything anew, and record each fit in its journal as soon as it is made.
+
+    What ends it, be it an error, Ctrl-C or what `progress` raises, loses no fit that was made: the next call goes on.
+
+    Parameters
+    ----------
+    path
+        Of the run, which nobody is recording.
+    everything
+        Whether what is fitted already is fitted anew.
+    model
+        "prepared": as the live fit does; "tank": by following light paths at every step, which takes longer.
+    progress
+        Told what is being done, in this thread.
+
+    Returns
+    -------
+    list
+        The fits, in the order in which they were made; empty when nothing was missing.
+
+    Raises
+    ------
+    StoreError
+        When the run is being recorded, cannot be read, or no fit can be recorded in it.
+    """
+    made: list[Fit] = []
+    if not everything and not unfitted(open_run(path)):
+        return made
+    with RunWriter(path) as writer:
+        run = open_run(path)
+        for fit in fits_made(run, everything, model, progress):
+            writer.put("fit", **to_fields(fit))
+            writer.flush()
+            made.append(fit)
+    return made
+
+
+def fits_made(
+    run: Run, everything: bool = False, model: str = "prepared", progress: Told = lambda *_: None
+) -> Iterator[Fit]:
+    """The fits that a run lacks, or all of them, one after the other; see `refit`."""
+    nothing = Preparation(0, 0.0)
+    progress("reading the frames", nothing)
+    exposures = exposures_of(run)
+    doses, series = ([], None) if everything else fits_in([event.fields for event in fits_that_hold(run)])
+
+    def told(words: str) -> None:
+        progress(words, nothing)
+
+    if model == "tank":
+        yield from _by_tank_model(exposures, doses, series, told)
+    else:
+        yield from _as_live(run, exposures, doses, progress)
+
+
+def _by_tank_model(
+    exposures: Exposures, doses: list[DoseFit], series: SeriesFit | None, progress: Callable[[str], None]
+) -> Iterator[Fit]:
+    known = {one.dose_ml: one for one in doses}
+    photographs = exposures.photographs()
+    doses_ml = sorted({one.dose_ml for one in photographs})
+    near: DoseFit | None = None
+    for dose_ml in doses_ml:
+        here = [one for one in photographs if one.dose_ml == dose_ml]
+        fit = known.get(dose_ml)
+        if fit is None or fit.frames < sum(one.frames for one in here):
+            start = None if near is None else diluted(near.medium, near.dose_ml, dose_ml)
+            progress(f"fitting {dose_ml:g} ml")
+            fit = fit_dose(here, start, progress)
+            yield fit
+        near = fit
+    if len(doses_ml) > 1 and (series is None or series.doses_ml != tuple(doses_ml)):
+        progress("fitting the series")
+        yield fit_all(photographs, progress=progress)
+
+
+def _as_live(run: Run, exposures: Exposures, doses: list[DoseFit], progress: Told) -> Iterator[Fit]:
+    """By the live fit's own decisions, with all frames there at once."""
+    news = threading.Event()
+    preparing = Preparing(lambda _: news.set())
+
+    def told(words: str) -> None:
+        progress(words, preparing.left)
+
+    def wait(_: float | None) -> bool:
+        while not news.wait(POLL_S):
+            progress("preparing models", preparing.left)
+        news.clear()
+        return True
+
+    try:
+        plan = PhotographPlan.of_run(run)
+        fitter = Fitter(doses, preparing, plan, told)
+        for fit in fit_all_there_is(fitter, lambda: (exposures, True), wait):
+            if not (isinstance(fit, DoseFit) and fit.passing):
+                yield fit
+            told("fitting")
+    finally:
+        preparing.close()

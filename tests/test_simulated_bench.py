@@ -1,0 +1,205 @@
+"""The simulated bench shows ink as it shows boards: through its own lens, glass and water, and nothing else."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.registry import open_device
+from drivers.rig import SIMULATED, load_rig_file
+from drivers.simulated import bench_ink
+from drivers.simulated.bench_optics import thrown
+from drivers.simulated.bench_single import scattered_once
+from drivers.simulated.bench_tank import InkInView
+from drivers.simulated.bench_truth import TrueBench, random_bench
+from drivers.simulated.camera import SimulatedCamera
+from drivers.simulated.light import frame_buffer
+from drivers.simulated.picture_store import PictureStore
+from tankrig.devices import CameraSettings
+from tankrig.errors import SceneError
+from tankrig.montecarlo import first_order, simulate
+from tankrig.pattern import Pattern
+from tankrig.scene import Medium
+from ui.cli import main
+
+CAMERA, PROJECTOR = (135, 240), (96, 128)
+INK = Medium(0.0002, 0.008, 0.6)
+
+
+def pattern(*lit: tuple[slice, slice], level: int = 255) -> Pattern:
+    pixels = np.zeros(PROJECTOR, np.uint8)
+    for rows, columns in lit:
+        pixels[rows, columns] = level
+    return Pattern("spots", pixels)
+
+
+LEFT, RIGHT = (slice(40, 44), slice(40, 44)), (slice(55, 70), slice(80, 84))
+
+
+@pytest.fixture(scope="module")
+def bench() -> TrueBench:
+    return random_bench(5, CAMERA, PROJECTOR)
+
+
+@pytest.fixture
+def view(bench: TrueBench, tmp_path: Path) -> InkInView:
+    return InkInView(bench, 0.02, 0, PictureStore(tmp_path / "pictures"), "bench 5")
+
+
+def blocks(image: np.ndarray, side: int = 3) -> np.ndarray:
+    rows, columns = (n // side for n in image.shape)
+    return np.asarray(image.reshape(rows, side, columns, side).mean(axis=(1, 3)))
+
+
+def test_order_1_is_the_monte_carlos(bench: TrueBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Followed back from the camera and forth from the projector, with no formula in common; light is neither lost
+    nor made, and finer cells on the wall bring the second nearer to the first."""
+    light = pattern(LEFT, RIGHT)
+    back = blocks(scattered_once(bench, thrown(bench, light), INK))
+    off = []
+    for cell_mm in (2.0, 1.0, 0.5):
+        monkeypatch.setattr(bench_ink, "_CELL_MM", cell_mm)
+        forth = first_order(bench_ink.true_scene(bench, light, INK, 3))
+        assert back.sum() == pytest.approx(forth.sum(), rel=0.004)
+        off.append(float(np.linalg.norm(back - forth) / np.linalg.norm(forth)))
+    assert off[2] < 0.03
+    assert off[2] < 0.6 * off[1] < 0.36 * off[0]
+
+
+@pytest.mark.long
+def test_all_orders_are_the_monte_carlos(bench: TrueBench) -> None:
+    """Through a lens that neither blurs nor darkens the corners, in pixels of 4 mm."""
+    sharp = replace(bench, camera=replace(bench.camera, blur_px=0.01, vignetting=0.0))
+    light = pattern(LEFT, RIGHT)
+    seen = InkInView(sharp, 0.01, 0, PictureStore(Path("nowhere")), "sharp")._computed(light, INK)
+    true = simulate(bench_ink.true_scene(sharp, light, INK, 3), 400_000, seed=9, min_order=2)
+    more = blocks(seen.image - scattered_once(sharp, thrown(sharp, light), INK))
+    assert more.sum() == pytest.approx(true.image.sum(), rel=0.01)
+    scale = np.linalg.norm(blocks(seen.image))
+    assert np.linalg.norm(more - true.image) / scale < 0.02 + np.linalg.norm(true.stderr) / scale
+
+
+def test_light_of_two_patterns_adds_up_and_levels_follow_gamma(view: InkInView, bench: TrueBench) -> None:
+    left, right, both = (view.radiance(pattern(*lit), INK).image for lit in ((LEFT,), (RIGHT,), (LEFT, RIGHT)))
+    assert np.linalg.norm(blocks(left + right - both)) < 0.03 * np.linalg.norm(blocks(both))
+    half = view.radiance(pattern(LEFT, level=128), INK).image
+    np.testing.assert_allclose(half, (128 / 255) ** bench.gamma * left, rtol=1e-6, atol=0.0)
+
+
+def test_level_0_leaks_part_of_whites_light(bench: TrueBench, tmp_path: Path) -> None:
+    leaking = InkInView(replace(bench, leak=0.01), 0.05, 0, PictureStore(tmp_path), "leaking")
+    white, dark = (leaking.radiance(pattern((slice(None), slice(None)), level=level), INK).image for level in (255, 0))
+    np.testing.assert_allclose(dark, white * 0.01 / 1.01, rtol=1e-6)
+
+
+def test_clear_water_shows_next_to_nothing(view: InkInView) -> None:
+    water, ink = (view.radiance(pattern(LEFT), one).image.max() for one in (Medium(5.65e-5, 1.9e-6, 0.0), INK))
+    assert 0.0 < water < 1e-3 * ink
+
+
+def test_a_plume_lies_about_its_inlet_and_keeps_the_mean(view: InkInView, bench: TrueBench) -> None:
+    blob = view.blob((60.0, 20.0), 15.0)
+    row, column = np.unravel_index(np.argmax(blob), blob.shape)
+    from drivers.simulated.bench_optics import camera_rays
+
+    start, way = camera_rays(bench, np.array([float(column), float(row)]), filled=True)
+    middle = start + (bench.level_mm / 2 - start[2]) / way[2] * way
+    np.testing.assert_allclose(middle[:2], (60.0, 20.0), atol=1.5)
+    assert blob.max() == pytest.approx(240.0 * 160.0 / (2.0 * np.pi * 15.0**2), rel=0.02)
+
+
+def test_a_picture_is_computed_once_for_all_who_ask(
+    bench: TrueBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = InkInView(bench, 0.05, 0, PictureStore(tmp_path), "bench 5").radiance(pattern(LEFT), INK)
+    later = InkInView(bench, 0.05, 0, PictureStore(tmp_path), "bench 5")
+    monkeypatch.setattr(later, "_computed", None)
+    np.testing.assert_array_equal(later.radiance(pattern(LEFT), INK).image, first.image)
+    other = InkInView(bench, 0.05, 1, PictureStore(tmp_path), "bench 5").radiance(pattern(LEFT), INK)
+    assert (other.image != first.image).any()
+
+
+def test_a_store_keeps_no_more_than_it_may_and_survives_damage(tmp_path: Path) -> None:
+    store, picture = PictureStore(tmp_path, most_bytes=10_000), np.ones((20, 20))
+    for number in range(12):
+        store.put(str(number), picture)
+    assert sum(path.stat().st_size for path in tmp_path.iterdir()) <= 10_000
+    assert store.get("11") is not None
+    for path in tmp_path.iterdir():
+        path.write_bytes(path.read_bytes()[:100])
+    assert store.get("11") is None
+    store.put("11", picture)
+    np.testing.assert_array_equal(store.get("11"), picture)
+
+
+@pytest.fixture
+def camera(tmp_path: Path) -> Iterator[SimulatedCamera]:
+    settings = {
+        "folder": str(tmp_path),
+        "time_scale": 0.001,
+        "boards": {"seed": 5, "camera_shape": list(CAMERA), "projector_shape": list(PROJECTOR)},
+        "truth": {"water": {"sigma_a": 2e-4, "sigma_s": 0.008, "g": 0.6}, "tolerance": 0.05},
+    }
+    opened = open_device("simulated-camera", settings)
+    yield opened  # type: ignore[misc]
+    opened.close()
+
+
+def test_a_board_is_seen_while_it_is_held_and_then_the_tank(camera: SimulatedCamera, tmp_path: Path) -> None:
+    camera.configure(CameraSettings(2000.0))
+    frame_buffer(tmp_path).show(pattern(LEFT, RIGHT), lit_ns=1)
+    tank = camera.capture(0, 60.0).pixels.astype(float)
+    camera.configure(CameraSettings(20.0))
+    camera.hold("air", 0)
+    board = camera.capture(0, 60.0).pixels.astype(float)
+    camera.hold("nothing")
+    camera.configure(CameraSettings(2000.0))
+    again = camera.capture(0, 60.0).pixels.astype(float)
+    assert np.corrcoef(tank.ravel(), again.ravel())[0, 1] > 0.9
+    assert abs(np.corrcoef(tank.ravel(), board.ravel())[0, 1]) < 0.5
+
+
+def test_twice_the_exposure_is_twice_the_light(camera: SimulatedCamera, tmp_path: Path) -> None:
+    frame_buffer(tmp_path).show(pattern(LEFT, RIGHT), lit_ns=1)
+    black = camera._settings.sensor.black
+    light = []
+    for exposure_ms in (100.0, 200.0):
+        camera.configure(CameraSettings(exposure_ms))
+        light.append(np.mean([camera.capture(0, 60.0).pixels for _ in range(4)]) - black)
+    assert light[1] == pytest.approx(2.0 * light[0], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("[camera.truth]\n", '[camera.truth]\nbench = "."\n', "camera.truth.bench|truth.bench"),
+        ("[camera.truth]\n", "[camera.truth]\ninlet_mm = [300.0, 0.0]\n", "outside the tank"),
+        ("projector_shape = [384, 512]", "projector_shape = [768, 1024]", "the same projector's"),
+        ("camera_shape = [540, 960]", "camera_shape = [540, 960]\nlevel_mm = 130.0", "above the tank"),
+        ('driver = "simulated-camera"\nfolder = "./simulated/bench"', 'driver = "simulated-camera"\nfolder = "./b"',
+         "two tanks"),
+    ],
+)  # fmt: skip
+def test_a_bench_that_contradicts_itself_is_refused_before_anything_moves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
+) -> None:
+    text = SIMULATED.with_name("bench.toml").read_text(encoding="utf-8")
+    assert old in text
+    rig = tmp_path / "rig.toml"
+    rig.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(SceneError, match=told):
+        load_rig_file(rig)
+    assert main(["doctor", str(rig)]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert not (tmp_path / "simulated").exists()
+
+
+def test_two_truths_of_one_bench_are_refused(tmp_path: Path) -> None:
+    text = SIMULATED.with_name("bench.toml").read_text(encoding="utf-8")
+    bench = text[text.index("[bench]") :].replace("[bench", "[camera.truth.bench")
+    rig = tmp_path / "rig.toml"
+    rig.write_text(text + bench, encoding="utf-8")
+    with pytest.raises(SceneError, match="two truths of one bench"):
+        load_rig_file(rig)

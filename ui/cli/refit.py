@@ -1,0 +1,72 @@
+"""`tankrig refit`: the fits that a run lacks, or all of them anew, into its journal."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ui.cli.fits import fits_of, tell_fits
+from ui.cli.options import json_option, rig_option
+
+if TYPE_CHECKING:
+    from tankrig.live.refit import Told
+
+
+@click.command(epilog="Example: tankrig refit runs/2026-11-20T10-00-00")
+@click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
+@click.option("--all", "everything", is_flag=True, help="Fit every dose and the series anew, fitted or not.")
+@click.option(
+    "--model",
+    type=click.Choice(["prepared", "tank"]),
+    default="prepared",
+    show_default=True,
+    help="As the live fit does, or by following light paths at every step, which takes longer.",
+)
+@rig_option
+@json_option
+def refit(run: Path, everything: bool, model: str, rig: Path | None, as_json: bool) -> int:
+    """Fit what RUN lacks, and record it in RUN: doses whose frames were not all fitted, and the series.
+
+    Each fit is recorded as soon as it is made. Ctrl-C ends it, and the next call goes on: models that were prepared, or
+    begun, are kept on disk. --rig names the simulated rig of the run, whose truth is then told beside the fits.
+    """
+    from drivers.rig import load_rig_file
+    from tankrig.live.refit import refit as fit_again
+    from tankrig.live.results import FailedFit
+
+    description = None if rig is None else load_rig_file(rig)
+    with progress_shown() as told:
+        made = fit_again(run, everything, model, told)
+    failed = [one for one in made if isinstance(one, FailedFit)]
+    found = fits_of(run, description)
+    if as_json:
+        errors = [{"dose_ml": one.dose_ml, "error": one.error} for one in failed]
+        click.echo(json.dumps({"run": str(run), "fits": len(made), **found, "failed": errors}, ensure_ascii=False))
+        return 1 if failed else 0
+    if found["doses"]:
+        tell_fits(found)
+    for one in failed:
+        click.echo(f"{'the series' if one.dose_ml is None else f'{one.dose_ml:g} ml'} cannot be fitted: {one.error}")
+    done = len(made) - len(failed)
+    click.echo(f"{done} fits recorded in {run}" if made else f"{run}: everything is fitted; --all fits it anew")
+    return 1 if failed else 0
+
+
+@contextmanager
+def progress_shown() -> "Iterator[Told]":
+    """What is being fitted, and for how long models are still prepared, on stderr."""
+    from rich.console import Console
+
+    from tankrig.live.formatting import preparation_in_words
+    from tankrig.live.preparing import Preparation
+
+    with Console(stderr=True).status("reading") as status:
+
+        def told(words: str, left: Preparation) -> None:
+            waiting = preparation_in_words(left)
+            status.update(f"{words}; {waiting}" if waiting else words)
+
+        yield told
