@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from drivers.check import Check, failed
-from drivers.rig import RigFile
+from drivers.rig import RigFile, require_of_bench
 from tankrig.calibration.file import Calibration, all_in, passed_over, usable
+from tankrig.calibration.geometry_in_force import DEVICES
 from tankrig.calibration.witness import bright_exposure_ms, mean_of
 from tankrig.devices import Camera, Projector
 from tankrig.errors import StoreError, TankrigError
@@ -17,10 +18,8 @@ from tankrig.pattern import Pattern
 from tankrig.pattern.wall import Wall
 from tankrig.sequence import ExposureRule
 
-KINDS: Mapping[str, str] = {
-    "camera": "camera", "projector": "projector", "tank": "camera", "radiometry": "camera", "latency": "projector",
-}  # fmt: skip
-"""What can be calibrated, and the device that it holds for."""
+KINDS = ("camera", "projector", "tank", "radiometry", "latency")
+"""What can be calibrated, in the order of the checks."""
 STALE_DAYS = 90.0
 _CLOSE = 2.0
 """mm, ms; by which measured and believed may differ, whatever the uncertainty."""
@@ -52,15 +51,24 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
     for over in passed_over(folder, rig.calibration):
         what = f"newest calibration of the {over.kind} can be used"
         yield Check(what, False, f"runs are refused: {over.question}", over.remedy)
-    for kind, device in KINDS.items():
+    yield from _of_one_bench(rig, found)
+    for kind in KINDS:
         if kind in found:
-            yield _fits(found[kind], devices.get(device), found, folder)
+            yield _fits(found[kind], devices.get(DEVICES[kind]), found, folder)
         else:
             yield Check(
                 f"{kind} is calibrated", None, "has not been measured; the rig file is believed",
                 f"tankrig calibrate {kind} --rig FILE",
             )  # fmt: skip
     yield from _as_believed(rig, found)
+
+
+def _of_one_bench(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Check]:
+    """What a run would be refused for, before any device is opened."""
+    try:
+        require_of_bench(rig, found)
+    except StoreError as error:
+        yield failed("calibrations are of this rig and belong together", error)
 
 
 def _as_believed(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Check]:

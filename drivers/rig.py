@@ -11,8 +11,9 @@ from typing import Any
 from drivers.registry import open_device
 from tankrig.bench import Bench
 from tankrig.calibration.file import FOLDER, Calibration, in_force, usable
-from tankrig.calibration.geometry_in_force import measured
+from tankrig.calibration.geometry_in_force import DEVICES, USED, measured, require_of_one_bench
 from tankrig.calibration.radiometry import Radiometry
+from tankrig.calibration.tolerances import Tolerances
 from tankrig.checked_toml import checked, read_toml
 from tankrig.devices import Camera, Projector
 from tankrig.dosing import DoseLimits
@@ -48,6 +49,8 @@ class RigFile:
     exposure
         The period of the projector's light, where that is not what its `refresh_hz` says, and a person's reason why
         exposures need not be whole numbers of it.
+    tolerances
+        By how much what no calibration measures may be off; the calibrations' stated uncertainties hold it.
     flash_before_run
         Whether the camera is asked, before a run begins, if it sees what the projector is told to show.
     """
@@ -64,6 +67,7 @@ class RigFile:
     calibration_folder: str = FOLDER
     calibration: dict[str, str] = field(default_factory=dict)
     exposure: ExposureRule = field(default_factory=ExposureRule)
+    tolerances: Tolerances = field(default_factory=Tolerances)
     flash_before_run: bool = False
 
     @property
@@ -166,7 +170,21 @@ def calibrated_bench(description: RigFile) -> Bench:
     return _measured(description, in_force(Path(description.calibration_folder), description.calibration))
 
 
+def require_of_bench(description: RigFile, found: Mapping[str, Calibration]) -> None:
+    """Refuse calibrations of another rig than the file describes, and such as do not belong together.
+
+    Raises
+    ------
+    StoreError
+        See `tankrig.calibration.geometry_in_force.require_of_one_bench`.
+    """
+    bench = description.bench
+    shapes = {"camera": bench.camera.shape, "projector": bench.wall.shape}
+    require_of_one_bench(found, description.name, shapes)
+
+
 def _measured(description: RigFile, found: Mapping[str, Calibration]) -> Bench:
+    require_of_bench(description, found)
     bench = measured(description.bench, found)
     if "radiometry" not in found:
         return bench
@@ -232,8 +250,10 @@ def open_rig(description: RigFile, looking: bool = False) -> Rig:
             doser = beside.submit(opened, "doser")  # it boots while the others are opened
             devices = {kind: opened(kind) for kind in ("projector", "camera")}
             devices["doser"] = doser.result()
-        if "radiometry" in calibrations:
-            calibrations["radiometry"].require_for(devices["camera"].name, devices["camera"].shape)
+        for kind in USED:
+            if kind in calibrations:
+                device = devices[DEVICES[kind]]
+                calibrations[kind].require_for(device.name, device.shape)
         for kind, shape in (("projector", bench.wall.shape), ("camera", bench.camera.shape)):
             if tuple(devices[kind].shape) != tuple(shape):
                 raise DeviceError(

@@ -77,10 +77,12 @@ def calibrated(
     camera = calibrate_camera([photographer.view("air", k) for k in range(views[0])], BOARD)
     seen = [("floor", photographer.view("floor", 0)), ("flooded", photographer.view("flooded", 0))]
     seen += [("water", photographer.view("water", k)) for k in range(views[1])]
-    tank = calibrate_tank(seen, BOARD, camera.lens, TANK_MM)
+    tank = calibrate_tank(seen, BOARD, camera.lens, TANK_MM, lens_covariance=camera.known.covariance)
     lit = [photographer.lit("flooded slant", k) for k in range(views[2])]
     wall = entry_wall(tank.water_index, *PANE)
-    projector = calibrate_projector(lit, BOARD, camera.lens, tank.camera, tank.surface, wall, shapes[1])
+    projector = calibrate_projector(
+        lit, BOARD, camera.lens, tank.camera, tank.surface, wall, shapes[1], TANK_MM, tank.known
+    )
     return Calibrated(bench, camera, tank, projector)
 
 

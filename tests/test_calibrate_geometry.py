@@ -114,7 +114,7 @@ def test_a_board_outside_the_light_is_not_used(photographer: Photographer) -> No
     assert (whole.lit, whole.fault) == (1.0, None)
     nowhere = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     with pytest.raises(CalibrationError, match="3 good views are too few"):
-        calibrate_projector([whole] * 3, BOARD, Lens(1, 1, 0, 0), nowhere, None, entry_wall(1.33), SMALL[1])
+        calibrate_projector([whole] * 3, BOARD, Lens(1, 1, 0, 0), nowhere, None, entry_wall(1.33), SMALL[1], TANK_MM)
 
 
 # All together

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.calibration.edge_blur import square_edges_px
 from tankrig.errors import ImageError
 
 Points = NDArray[np.float64]
@@ -35,6 +36,8 @@ class Board:
         From the squares to the edge of the plate.
     thickness_mm
         Of the plate.
+    square_sd_mm
+        Standard deviation of `square_mm`: as for a width of seven squares that was measured to within 0.015 mm.
 
     Examples
     --------
@@ -50,6 +53,7 @@ class Board:
     dictionary: str = "DICT_4X4_50"
     margin_mm: float = 5.0
     thickness_mm: float = 3.0
+    square_sd_mm: float = 0.0012
 
     def __post_init__(self) -> None:
         import cv2
@@ -58,6 +62,11 @@ class Board:
             raise ImageError(
                 f"a board of {self.columns} × {self.rows} squares of {self.square_mm:g} mm with markers of "
                 f"{self.marker_mm:g} mm cannot be; give at least 3 × 3 squares, and markers smaller than squares"
+            )
+        if not 0.0 <= self.square_sd_mm < 0.1 * self.square_mm:
+            raise ImageError(
+                f"squares of {self.square_mm:g} ± {self.square_sd_mm:g} mm are not measured; give the standard "
+                f"deviation of one square's side, in mm"
             )
         if self.dictionary not in _dictionaries():
             raise ImageError(f"dictionary {self.dictionary!r} is unknown; use one of {', '.join(_dictionaries())}")
@@ -111,6 +120,8 @@ class BoardView:
         Between white and black squares, of the camera's range.
     saturated
         Part of the board's pixels that are at the highest count.
+    edge_px
+        Standard deviation of the edges between squares, pixels' own area and all; NaN where too few are seen.
     """
 
     ids: NDArray[np.int64]
@@ -119,6 +130,7 @@ class BoardView:
     blur_px: float
     contrast: float
     saturated: float
+    edge_px: float = float("nan")
 
     def points_mm(self, board: Board) -> Points:
         """(n, 3) the same corners on the board."""
@@ -187,7 +199,9 @@ def find_board(pixels: NDArray[Any], board: Board, saturation: int) -> BoardView
     known = np.asarray(ids, np.int64).ravel()
     found = _refined(pixels, np.asarray(corners, np.float32).reshape(-1, 1, 2), known, board)
     rows, columns = pixels.shape
-    return BoardView(known, found, (rows, columns), *_quality(pixels, found, known, board, saturation))
+    edges = square_edges_px(pixels, found[_edges(known, board)], 0.5 * (1.0 - board.marker_mm / board.square_mm))
+    edge = float(np.median(edges)) if edges.size >= LEAST_CORNERS else float("nan")
+    return BoardView(known, found, (rows, columns), *_quality(pixels, found, known, board, saturation), edge)
 
 
 def _refined(pixels: NDArray[Any], corners: NDArray[np.float32], ids: NDArray[np.int64], board: Board) -> Points:
@@ -250,6 +264,18 @@ def _refuse_another(board: Board, markers: Any, marker_ids: Any) -> None:
             f"the markers lie {np.median(off):.1f} mm from where a board of {board.columns} × {board.rows} squares of "
             f"{board.square_mm:g} mm with markers of {board.marker_mm:g} mm has them; measure and describe that board"
         )
+
+
+def _edges(ids: NDArray[np.int64], board: Board) -> NDArray[np.int64]:
+    """(edges, 2) which of the corners are both ends of an edge between squares."""
+    at, across = {int(one): index for index, one in enumerate(ids)}, board.columns - 1
+    ends = [
+        (at[one], at[one + step])
+        for one in at
+        for step in (1, across)
+        if one + step in at and (step == across or one % across < across - 1)
+    ]
+    return np.array(ends, np.int64).reshape(-1, 2)
 
 
 def _quality(

@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.calibration.board import Board, BoardView, Points, rms_length
+from tankrig.calibration.edge_blur import PIXEL_VARIANCE, Blur
 from tankrig.calibration.file import Calibration
+from tankrig.calibration.uncertainty import Named, corner_pairs, found_covariance, noise_covariance
 from tankrig.errors import CalibrationError
 from tankrig.geometry.lens import Lens
 
@@ -19,6 +22,8 @@ MOST_FOCAL_SD = 0.01
 _OUTLIER = 3.0
 _CELLS = (6, 8)
 INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+LENS = INTRINSICS[:-1]
+"""What is fitted; k3 is held at zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +34,8 @@ class CameraFound:
     ----------
     lens
         Its numbers; k3 is held at zero.
-    sd
-        Their standard deviations, by name.
+    known
+        Its numbers but k3 with their covariance.
     shape
         (rows, columns) of the pictures.
     view_rms_px
@@ -43,10 +48,12 @@ class CameraFound:
         Part of the picture, in 8 × 6 cells, that corners were seen in.
     tilt_deg
         Largest angle between two views of the board.
+    blur
+        Of the lens; None where too few edges were seen.
     """
 
     lens: Lens
-    sd: dict[str, float]
+    known: Named
     shape: tuple[int, int]
     view_rms_px: tuple[float, ...]
     left_out: tuple[int, ...]
@@ -54,6 +61,12 @@ class CameraFound:
     residuals_px: Points
     coverage: float
     tilt_deg: float
+    blur: Blur | None = None
+
+    @property
+    def sd(self) -> dict[str, float]:
+        """Standard deviations, by name."""
+        return {**{name: self.known.sd(name) for name in LENS}, "k3": 0.0}
 
     @property
     def rms_px(self) -> float:
@@ -77,17 +90,20 @@ class CameraFound:
 
     def calibration(self, device: str) -> Calibration:
         """To be kept in a file."""
-        result = {name: getattr(self.lens, name) for name in INTRINSICS}
+        result: dict[str, Any] = {**{name: getattr(self.lens, name) for name in INTRINSICS}, **self.known.table()}
+        sd = dict(self.sd)
+        if self.blur:
+            result["blur_px"], sd["blur_px"] = self.blur.px, self.blur.sd_px
         how_well = {"rms_px": self.rms_px, "coverage": self.coverage, "tilt_deg": self.tilt_deg}
         return Calibration(
             "camera",
             device,
             self.shape,
             result,
-            self.sd,
+            sd,
             {**how_well, "views": len(self.view_rms_px)},
             self.doubts,
-            arrays={"corners_px": self.corners_px, "residuals_px": self.residuals_px},
+            arrays={"corners_px": self.corners_px, "residuals_px": self.residuals_px, **self.known.array()},
         )
 
 
@@ -110,28 +126,38 @@ def calibrate_camera(views: Sequence[BoardView], board: Board) -> CameraFound:
     Notes
     -----
     Zhang's method as in OpenCV (`calibrateCameraExtended`) with k1, k2, p1, p2; views whose error is more than three
-    times that of the median view are left out, and the rest fitted again. Standard deviations take the residuals for
-    the corners' noise.
+    times that of the median view are left out, and the rest fitted again. The covariance takes the residuals
+    for the corners' noise, alike or opposed from neighbour to neighbour as they show.
     """
     _refuse(views)
     used, left_out = list(views), tuple[int, ...]()
-    lens, sd, errors, poses = _fit(used, board)
+    lens, errors, poses = _fit(used, board)
     good = errors <= max(_OUTLIER * float(np.median(errors)), 0.1)
     if not good.all() and good.sum() >= LEAST_VIEWS:
         left_out = tuple(np.flatnonzero(~good).tolist())
         used = [view for view, fits in zip(views, good, strict=True) if fits]
-        lens, sd, errors, poses = _fit(used, board)
+        lens, errors, poses = _fit(used, board)
+    known = _known(lens, poses, used, board)
     tilt = _largest_angle_deg(poses)
-    if tilt < LEAST_TILT_DEG or not sd["fx"] < MOST_FOCAL_SD * lens.fx:
+    if tilt < LEAST_TILT_DEG or not known.sd("fx") < MOST_FOCAL_SD * lens.fx:
         raise CalibrationError(
             f"the views are too much alike: the board was tilted by {tilt:.0f}° between them, and the focal length is "
-            f"known to {100 * sd['fx'] / lens.fx:.1f} %; tilt it by 30° to all four sides"
+            f"known to {100 * known.sd('fx') / lens.fx:.1f} %; tilt it by 30° to all four sides"
         )
     corners = np.concatenate([view.corners_px for view in used])
     residuals = np.concatenate([_residuals(lens, pose, view, board) for pose, view in zip(poses, used, strict=True)])
     coverage = covered(corners, views[0].shape)
     return CameraFound(
-        lens, sd, views[0].shape, tuple(errors.tolist()), left_out, corners, residuals, float(coverage.mean()), tilt
+        lens,
+        known,
+        views[0].shape,
+        tuple(errors.tolist()),
+        left_out,
+        corners,
+        residuals,
+        float(coverage.mean()),
+        tilt,
+        Blur.of([view.edge_px**2 - PIXEL_VARIANCE for view in used]),
     )
 
 
@@ -162,14 +188,14 @@ def _refuse(views: Sequence[BoardView]) -> None:
 _Poses = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 
-def _fit(views: Sequence[BoardView], board: Board) -> tuple[Lens, dict[str, float], NDArray[np.float64], _Poses]:
+def _fit(views: Sequence[BoardView], board: Board) -> tuple[Lens, NDArray[np.float64], _Poses]:
     import cv2
 
     points = [view.points_mm(board).astype(np.float32) for view in views]
     corners = [view.corners_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
     rows, columns = views[0].shape
     try:
-        _, matrix, distortion, rotations, shifts, sd, _, errors = cv2.calibrateCameraExtended(
+        _, matrix, distortion, rotations, shifts, _, _, errors = cv2.calibrateCameraExtended(
             points, corners, (columns, rows), None, None, flags=cv2.CALIB_FIX_K3
         )
     except cv2.error as error:
@@ -178,9 +204,29 @@ def _fit(views: Sequence[BoardView], board: Board) -> tuple[Lens, dict[str, floa
         ) from error
     matrix[0, 1] = 0.0
     lens = Lens.of(matrix, distortion.ravel()[:5])
-    sds = dict(zip(INTRINSICS, np.ravel(sd)[:9].tolist(), strict=True))
     poses = [(np.ravel(rotation), np.ravel(shift)) for rotation, shift in zip(rotations, shifts, strict=True)]
-    return lens, sds, np.ravel(errors), poses
+    return lens, np.ravel(errors), poses
+
+
+def _known(lens: Lens, poses: _Poses, views: Sequence[BoardView], board: Board) -> Named:
+    """The lens with its covariance."""
+    import cv2
+
+    slope = np.zeros((sum(2 * len(view.ids) for view in views), len(LENS) + 6 * len(views)))
+    misses, row = [], 0
+    for number, (pose, view) in enumerate(zip(poses, views, strict=True)):
+        expected, by = cv2.projectPoints(view.points_mm(board), *pose, lens.matrix, lens.distortion)
+        rows, first = slice(row, row + len(by)), len(LENS) + 6 * number
+        slope[rows, : len(LENS)] = by[
+            :, 6 : 6 + len(LENS)
+        ]  # after rotation and shift, in OpenCV's order, which is ours
+        slope[rows, first : first + 6] = by[:, :6]
+        misses.append((expected.reshape(-1, 2) - view.corners_px).ravel())
+        row += len(by)
+    noise = noise_covariance(np.concatenate(misses), slope, [corner_pairs(views, board)])
+    covariance, _ = found_covariance(slope, noise)
+    values = np.array([getattr(lens, name) for name in LENS])
+    return Named(LENS, values, covariance[: len(LENS), : len(LENS)])
 
 
 def _residuals(

@@ -26,6 +26,9 @@ _ALONG = (-0.25, 0.0, 0.25)
 _LEAST_WIDE_PX = 4.0
 """Width of a white stripe in whose middle no black is seen through blur."""
 _CLIPPED = 3.0
+_SIDES = 4 * len(_ALONG)
+"""Points about one marker, which lie near each other."""
+_MANY = 10_000
 _LEAST_POINTS = 60
 
 
@@ -75,16 +78,19 @@ def measure_evenness(
     -----
     White paper's radiance is in proportion to a pixel's light times the pixels per area of the board, which geometry
     knows, |∂(u, v)/∂(x, y)|. Each placing has a factor of its own: paper is no ideal diffuser, and lamps drift; what
-    differs within a placing is the projector's. What wall and surface reflect differs by 0.1 % within a picture.
+    differs within a placing is the projector's. What wall and surface reflect differs by 0.1 % within a picture. Points
+    about one marker are off together, and the standard deviations say so.
     """
-    designs, logs = [], []
+    designs, logs, groups = [], [], []
     for number, view in enumerate(views):
         assert view.light is not None
-        pixels, light = _white(view, board, camera, projector, shape)
+        pixels, light, group = _white(view, board, camera, projector, shape)
         which = np.zeros((len(light), len(views)))
         which[:, number] = 1.0
         designs.append(np.hstack([shading_terms(pixels, shape), which]))
         logs.append(np.log(light))
+        groups.append(group + number * _MANY)
+    group = np.concatenate(groups)
     design, value = np.concatenate(designs), np.concatenate(logs)
     kept = np.ones(value.size, bool)
     for _ in range(3):
@@ -94,9 +100,20 @@ def measure_evenness(
         off = value - design @ solution
         scatter = 1.4826 * float(np.median(np.abs(off[kept])))
         kept = np.abs(off) <= _CLIPPED * scatter
-    covariance = scatter**2 * np.linalg.pinv(design[kept].T @ design[kept])
+    covariance = _grouped(design[kept], off[kept], group[kept])
     sd = np.sqrt(np.maximum(np.diag(covariance)[:TERMS], 0.0))
     return Evenness(tuple(solution[:TERMS].tolist()), tuple(sd.tolist()), scatter)
+
+
+def _grouped(design: Points, off: Points, group: NDArray[np.int64]) -> Points:
+    """Covariance of a fit to points that are off together where they are near (CR3; Bell and McCaffrey 2002)."""
+    inverse = np.linalg.pinv(design.T @ design)
+    pulls = []
+    for one in np.unique(group):
+        rows = design[group == one]
+        without = np.eye(len(rows)) - rows @ inverse @ rows.T  # as if the fit had not known the group
+        pulls.append(rows.T @ np.linalg.lstsq(without, off[group == one], rcond=1e-6)[0])
+    return np.asarray(inverse @ (np.transpose(pulls) @ np.array(pulls)) @ inverse)
 
 
 def _white(
@@ -105,8 +122,8 @@ def _white(
     camera: tuple[Lens, Pose, Window | None],
     projector: tuple[Lens, Pose, Window],
     shape: tuple[int, int],
-) -> tuple[Points, Points]:
-    """Projector pixels of white places of the board, and what light those would give by their density alone."""
+) -> tuple[Points, Points, NDArray[np.int64]]:
+    """Projector pixels of white places of the board, what light those give over their density, and which are near."""
     import cv2
 
     assert view.light is not None
@@ -132,7 +149,7 @@ def _white(
         bright = light.ravel() > 0.2 * np.median(light)
         wide = np.linalg.norm(right - left, axis=1) > _LEAST_WIDE_PX
     good = inside & bright & wide & (density > 0.0)
-    return pixels[good], light.ravel()[good] / density[good]
+    return pixels[good], light.ravel()[good] / density[good], np.flatnonzero(good) // _SIDES
 
 
 def _white_places(board: Board) -> tuple[Points, Points]:

@@ -50,6 +50,8 @@ class Calibration:
         By kind, the hashes of the calibrations that it was measured with.
     arrays
         What is too large for text; kept in an .npz file beside.
+    rig
+        Name of the rig that it is of, as its file says; empty where it was written before that was kept.
     date
         ISO 8601, UTC.
     program
@@ -67,6 +69,7 @@ class Calibration:
     doubts: tuple[str, ...] = ()
     rests_on: Mapping[str, str] = field(default_factory=dict)
     arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    rig: str = ""
     date: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     program: str = field(default_factory=lambda: f"tankrig {version('tankrig')}")
     path: Path | None = None
@@ -341,7 +344,7 @@ def _unused(folder: Path, calibration: Calibration) -> Path:
 
 
 def _table(calibration: Calibration) -> dict[str, Any]:
-    plain = ("kind", "device", "shape", "date", "program", "doubts", "result", "sd", "how_well", "rests_on")
+    plain = ("kind", "device", "shape", "rig", "date", "program", "doubts", "result", "sd", "how_well", "rests_on")
     return {"format": FORMAT, **{name: _plain(getattr(calibration, name)) for name in plain}}
 
 

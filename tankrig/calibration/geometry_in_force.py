@@ -4,9 +4,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from tankrig.bench import Bench
 from tankrig.calibration.camera import INTRINSICS
 from tankrig.calibration.file import Calibration
+from tankrig.calibration.uncertainty import Named
 from tankrig.checked_toml import checked
 from tankrig.errors import SceneError, StoreError
 from tankrig.geometry.lens import Lens
@@ -16,6 +19,14 @@ from tankrig.scene.description import Camera, Projector, Tank
 if TYPE_CHECKING:
     from tankrig.geometry.refraction import Window
 
+GEOMETRY = ("camera", "tank", "projector")
+USED = (*GEOMETRY, "radiometry")
+"""What a fit rests on."""
+DEVICES: Mapping[str, str] = {
+    "camera": "camera", "tank": "camera", "radiometry": "camera", "projector": "projector", "latency": "projector",
+}  # fmt: skip
+"""What can be calibrated, and the device that it holds for."""
+
 
 def require(found: Mapping[str, Calibration], kind: str) -> Calibration:
     """The calibration of a kind that is in force.
@@ -23,18 +34,81 @@ def require(found: Mapping[str, Calibration], kind: str) -> Calibration:
     Raises
     ------
     StoreError
-        When there is none, or it rests on another one than is in force.
+        When there is none, or it rests on one that is not there or not in force.
     """
     if kind not in found:
         raise StoreError(f"there is no calibration of the {kind} yet; run tankrig calibrate {kind} first")
     one = found[kind]
     for other, hashed in one.rests_on.items():
-        if other in found and found[other].hash != hashed:
+        if other not in found:
+            raise StoreError(
+                f"{one.path}: rests on a calibration of the {other} that is not there; put its file back, or run "
+                f"tankrig calibrate {other}, then {kind}"
+            )
+        if found[other].hash != hashed:
             raise StoreError(
                 f"{one.path}: rests on another calibration of the {other} than {found[other].path}, which is in force; "
                 f"run tankrig calibrate {kind} again"
             )
     return one
+
+
+def sd_without(calibration: Calibration) -> str:
+    """Which errors a calibration's standard deviations leave out, in a sentence; empty where they leave out none."""
+    kinds = calibration.result.get("sd_without", ())
+    if kinds:
+        older = " and ".join(str(one) for one in kinds)
+        again = ", ".join(f"tankrig calibrate {one}" for one in (*kinds, calibration.kind))
+        return f"the errors of {older}, whose files were written before covariances were kept; run {again}"
+    if calibration.kind in ("tank", "projector") and "covariance_of" not in calibration.result:
+        return (
+            f"the errors of what it rests on, since it was measured before those were carried over; run tankrig "
+            f"calibrate {calibration.kind} again"
+        )
+    return ""
+
+
+def require_of_one_bench(
+    found: Mapping[str, Calibration], rig: str, shapes: Mapping[str, tuple[int, int]] | None = None
+) -> None:
+    """Refuse calibrations that cannot all be of one rig; nothing has to be open for it.
+
+    Parameters
+    ----------
+    found
+        Calibrations in force, by kind.
+    rig
+        Name of the rig; those written before names were kept are of any.
+    shapes
+        (rows, columns) of its "camera" and "projector", where known.
+
+    Raises
+    ------
+    StoreError
+        When one is of another rig, of another device than the rest, or of another resolution; when what it rests on is
+        not there or is not what is in force; or when its covariance is damaged.
+    """
+    used = {kind: one for kind, one in found.items() if kind in USED}
+    for kind, one in used.items():
+        again = f"put the files of rig {rig} there, or calibrate anew (tankrig calibrate {kind})"
+        if one.rig and one.rig != rig:
+            raise StoreError(f"{one.path}: was measured on rig {one.rig}, and this is rig {rig}; {again}")
+        device = DEVICES[kind]
+        for other, those in used.items():
+            if DEVICES[other] == device and those.device != one.device:
+                raise StoreError(
+                    f"{one.path}: was measured with {one.device}, and {those.path} with {those.device}, so they are "
+                    f"not of one bench; {again}"
+                )
+        shape = (shapes or {}).get(device)
+        if shape is not None and tuple(one.shape) != tuple(shape):
+            raise StoreError(
+                f"{one.path}: was measured with {list(one.shape)} pixels (rows, columns), and the rig's {device} has "
+                f"{list(shape)}; {again}"
+            )
+        if kind in GEOMETRY:
+            require(found, kind)
+            Named.of(one)
 
 
 def lens_of(calibration: Calibration) -> Lens:
@@ -92,6 +166,38 @@ def scene_tables(found: Mapping[str, Calibration], size_mm: Vector) -> dict[str,
     }
 
 
+def _blurs(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
+    """With the lenses' blur, in mm where the light and the picture are: on the wall, and on the water."""
+    camera, projector = bench.camera, bench.projector
+    assert projector is not None
+    if "blur_px" in found["camera"].result:
+        camera = replace(camera, blur_mm=float(found["camera"].result["blur_px"]) * camera.pixel_mm)
+    if "blur_px" in found["projector"].result:
+        side_mm = projector_pixel_mm(projector, bench.tank)
+        projector = replace(projector, blur_mm=float(found["projector"].result["blur_px"]) * side_mm)
+    return replace(bench, camera=camera, projector=projector)
+
+
+def projector_pixel_mm(projector: Projector, tank: Tank) -> float:
+    """Side of a square as large as the median of the patches that pixels light on the wall x = 0 of the tank."""
+    from tankrig.geometry.refraction import entry_wall
+    from tankrig.geometry.view import rays_of
+
+    assert projector.shape is not None
+    rows, columns = projector.shape
+    corners = np.stack(np.meshgrid(np.linspace(0, columns - 1, 33), np.linspace(0, rows - 1, 25)), axis=-1)
+    at = rays_of(projector.lens, projector.pose, corners, entry_wall(*tank.entry_bends))[0][..., 1:]
+    across, along = at[1:, 1:] - at[:-1, :-1], at[1:, :-1] - at[:-1, 1:]
+    cell = (columns - 1) / 32 * (rows - 1) / 24
+    areas = 0.5 * np.abs(across[..., 0] * along[..., 1] - across[..., 1] * along[..., 0]) / cell
+    middle = 0.25 * (at[1:, 1:] + at[:-1, :-1] + at[1:, :-1] + at[:-1, 1:])
+    _, width, height = tank.size_mm
+    inside = (np.abs(middle[..., 0]) < width / 2) & (middle[..., 1] > 0.0) & (middle[..., 1] < height)
+    if not (inside & np.isfinite(areas)).any():
+        raise SceneError("no pixel of the projector lights the tank's wall; check matrix, rotation and position_mm")
+    return float(np.sqrt(np.median(areas[inside & np.isfinite(areas)])))
+
+
 def measured(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
     """A bench with geometry as measured; as it was where camera, tank or projector was not.
 
@@ -116,7 +222,7 @@ def measured(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
     tank = checked(Tank, tables["tank"], name, SceneError)
     camera = replace(checked(Camera, tables["camera"], name, SceneError), bin=bench.camera.bin)
     projector = checked(Projector, tables["projector"], name, SceneError)
-    return replace(bench, tank=tank, light="calibrated", camera=camera, projector=projector)
+    return _blurs(replace(bench, tank=tank, light="calibrated", camera=camera, projector=projector), found)
 
 
 def _device(calibration: Calibration, pose: Pose) -> dict[str, Any]:

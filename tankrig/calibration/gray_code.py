@@ -34,6 +34,10 @@ class Decoded:
         Where the projector's white is seen at all.
     saturated
         Where white is at the highest count.
+    contrast
+        (camera rows, camera columns) float32 counts of white less those of black.
+    fine_columns, fine_rows
+        The finest stripes less their inverse, over that: from −1 to 1.
     """
 
     columns: NDArray[np.float32]
@@ -41,6 +45,9 @@ class Decoded:
     known: NDArray[np.bool_]
     lit: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
+    contrast: NDArray[np.float32]
+    fine_columns: NDArray[np.float32]
+    fine_rows: NDArray[np.float32]
 
 
 def gray_code_patterns(shape: tuple[int, int]) -> tuple[Pattern, ...]:
@@ -131,7 +138,16 @@ def decode(frames: Sequence[NDArray[Any]], shape: tuple[int, int], saturation: i
     down = _axis(frames[half:], rows, contrast, known)
     across[~known] = np.nan
     down[~known] = np.nan
-    return Decoded(across, down, known, lit, saturated)
+    fine = [_finest(frames[start:], size, contrast) for start, size in ((2, columns), (half, rows))]
+    return Decoded(across, down, known, lit, saturated, contrast, *fine)
+
+
+def _finest(frames: Sequence[NDArray[Any]], size: int, contrast: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The last bit of an axis less its inverse, over the contrast."""
+    last = 2 * _bits(size)
+    difference = frames[last - 2].astype(np.float32) - frames[last - 1]
+    found: NDArray[np.float32] = difference / np.maximum(contrast, np.float32(1.0))
+    return found
 
 
 def _axis(

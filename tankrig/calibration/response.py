@@ -105,5 +105,6 @@ def fit_response(levels: Sequence[int], radiance: Sequence[float], sd: Sequence[
     parts = (rising - rising[0]) / full
     curve = PchipInterpolator(at, parts**_STRAIGHTENED)(np.arange(256)) ** (1.0 / _STRAIGHTENED)
     curve[[0, -1]] = 0.0, 1.0  # by what they are parts of, whatever the powers round to
-    relative = np.hypot(spread, spread[0]) / full
+    shares = np.stack([spread, parts * spread[-1], (1.0 - parts) * spread[0]])  # brightest and darkest are in all
+    relative = np.sqrt((shares**2).sum(axis=0)) / full
     return Response(np.maximum.accumulate(curve), np.interp(np.arange(256), at, relative), float(rising[0] / full))

@@ -2,16 +2,26 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from tankrig.calibration.board import Board, BoardView, Points, rms_length
 from tankrig.calibration.board_pose import before_camera, in_tank, misses_px, placed
+from tankrig.calibration.camera import LENS
 from tankrig.calibration.file import Calibration
+from tankrig.calibration.tolerances import USUAL, WITHIN, Tolerances
+from tankrig.calibration.uncertainty import (
+    Named,
+    corner_pairs,
+    found_covariance,
+    independent,
+    noise_covariance,
+    slopes,
+)
 from tankrig.errors import CalibrationError
 from tankrig.geometry.lens import Lens
-from tankrig.geometry.pose import Pose, rotation_matrix, rotation_vector
+from tankrig.geometry.pose import Pose, Vector, rotation_matrix, rotation_vector
 from tankrig.geometry.refraction import Window, water_surface
 
 Place = Literal["floor", "flooded", "water"]
@@ -19,6 +29,12 @@ Place = Literal["floor", "flooded", "water"]
 MOST_RMS_PX = 0.5
 MOST_MOVED_PX = 1.0
 MOST_TILT_DEG = 0.3
+FOUND = (*(f"camera.rotation_{axis}" for axis in "xyz"), *(f"camera.{axis}_mm" for axis in "xyz"), "level_mm")
+"""What is sought but for the boards, by the names of its covariance; rotations are the parts of the vector, in rad."""
+_OWN = len(FOUND)
+_POSE_STEPS = [1e-5] * 3 + [1e-3] * 3
+_STEPS = np.array([1e-2] * 4 + [1e-4] * 2 + [1e-5] * 2 + [1e-5, 1e-6, 1e-3, 1e-3] + [1e-5] * 3)
+"""Of lens, index, scale, the board's place and turn, and lean: small beside what they are known to, for derivatives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +49,8 @@ class TankFound:
         Height of the water over the floor.
     water_index
         That was taken for the water's.
-    sd
-        Standard deviations of `camera_rotation` (3, rad), `camera_position_mm` (3) and `level_mm`.
+    known
+        `FOUND`, then what was held, with their covariance.
     tilt_deg, tilt_sd_deg
         Of the water's surface from the floor; the rest takes it for level.
     view_rms_px
@@ -43,18 +59,27 @@ class TankFound:
         (n, 2) of all corners.
     shape
         (rows, columns) of the pictures.
+    sd_without
+        Kinds of calibration whose errors the covariance leaves out, since those files know none.
     """
 
     camera: Pose
     level_mm: float
     water_index: float
-    sd: dict[str, float | list[float]]
+    known: Named
     tilt_deg: float
     tilt_sd_deg: float
     view_rms_px: tuple[float, ...]
     corners_px: Points
     residuals_px: Points
     shape: tuple[int, int]
+    sd_without: tuple[str, ...] = ()
+
+    @property
+    def sd(self) -> dict[str, float | list[float]]:
+        """Standard deviations of `camera_rotation` (3, rad), `camera_position_mm` (3) and `level_mm`."""
+        each = [self.known.sd(name) for name in FOUND]
+        return {"camera_rotation": each[:3], "camera_position_mm": each[3:6], "level_mm": each[6]}
 
     @property
     def rms_px(self) -> float:
@@ -83,15 +108,18 @@ class TankFound:
 
     def calibration(self, device: str, rests_on: dict[str, str]) -> Calibration:
         """To be kept in a file; `rests_on` holds the hash of the camera's."""
-        result = {
+        result: dict[str, Any] = {
             "camera_rotation": list(self.camera.rotation),
             "camera_translation_mm": list(self.camera.translation_mm),
             "camera_position_mm": self.camera.centre_mm,
             "level_mm": self.level_mm,
             "water_index": self.water_index,
+            **self.known.table(),
         }
+        if self.sd_without:
+            result["sd_without"] = list(self.sd_without)
         how_well = {"rms_px": self.rms_px, "tilt_deg": self.tilt_deg, "tilt_sd_deg": self.tilt_sd_deg}
-        arrays = {"corners_px": self.corners_px, "residuals_px": self.residuals_px}
+        arrays = {"corners_px": self.corners_px, "residuals_px": self.residuals_px, **self.known.array()}
         return Calibration(
             "tank", device, self.shape, result, self.sd, how_well, self.doubts, rests_on=rests_on, arrays=arrays
         )
@@ -101,8 +129,10 @@ def calibrate_tank(
     views: Sequence[tuple[Place, BoardView]],
     board: Board,
     lens: Lens,
-    size_mm: tuple[float, float, float],
+    size_mm: Vector,
     water_index: float = 1.33,
+    lens_covariance: Points | None = None,
+    tolerances: Tolerances = USUAL,
 ) -> TankFound:
     """Find the tank and its water before the camera.
 
@@ -119,6 +149,10 @@ def calibrate_tank(
         Inside of the tank; its height is the most that the water's can be.
     water_index
         Refractive index of the water.
+    lens_covariance
+        (8, 8) of the lens's fx, fy, cx, cy, k1, k2, p1, p2; None where it is not known, and then left out.
+    tolerances
+        By how much what is taken for granted may be off.
 
     Raises
     ------
@@ -131,6 +165,9 @@ def calibrate_tank(
     water to all corners, each traced by Snell's law. The floor's view alone fixes the pose; the same board through
     water appears nearer by 1 − 1/n of its depth, which fixes the level to about 0.1 mm; boards at other depths add to
     both and show in their residuals whether refraction is understood.
+
+    Lens, index of the water, scale of the print, place of the board on the floor and lean of the surface are held, and
+    their uncertainties carried over (`tankrig.calibration.uncertainty`): lens and camera then belong together.
     """
     floors = [view for place, view in views if place == "floor"]
     if not floors or not any(place != "floor" for place, _ in views):
@@ -141,50 +178,69 @@ def calibrate_tank(
     level = _first_level(
         [view for place, view in views if place == "flooded"], board, lens, start, size_mm, water_index
     )
-    fit = _Bundle(views, board, lens, size_mm, water_index)
-    known, covariance = fit.solve(start, level, tilted=False)
-    leaning, leaning_covariance = fit.solve(start, level, tilted=True)
-    lean = leaning[7:9]
-    tilt = float(np.linalg.norm(lean))
-    tilt_sd = float(np.sqrt(np.trace(leaning_covariance[7:9, 7:9])))
-    misses = fit.misses(known)
-    pose = _pose(known)
-    turned = -pose.matrix.T  # of the position with the translation, the rotation held
-    sd: dict[str, float | list[float]] = {
-        "camera_rotation": np.sqrt(np.diag(covariance)[:3]).tolist(),
-        "camera_position_mm": np.sqrt(np.diag(turned @ covariance[3:6, 3:6] @ turned.T)).tolist(),
-        "level_mm": float(np.sqrt(covariance[6, 6])),
-    }
+    held = _held(lens, lens_covariance, water_index, board, tolerances)
+    fit = _Bundle(views, board, size_mm)
+    found, slope = fit.solve(fit.start(start, level, held.values), held.values)
+    lean, lean_covariance = fit.lean(found, held.values)
+    misses = fit.misses(found, held.values)
     return TankFound(
-        camera=pose,
-        level_mm=float(known[6]),
+        camera=pose_of(found),
+        level_mm=float(found[6]),
         water_index=water_index,
-        sd=sd,
-        tilt_deg=float(np.rad2deg(tilt)),
-        tilt_sd_deg=float(np.rad2deg(tilt_sd)),
+        known=fit.known(found, slope, held),
+        tilt_deg=float(np.rad2deg(np.linalg.norm(lean))),
+        tilt_sd_deg=float(np.rad2deg(np.sqrt(np.trace(lean_covariance)))),
         view_rms_px=tuple(rms_length(miss) for miss in misses),
         corners_px=np.concatenate([view.corners_px for _, view in views]),
         residuals_px=-np.concatenate(misses),
         shape=floors[0].shape,
+        sd_without=() if lens_covariance is not None else ("camera",),
     )
 
 
-def on_floor(board: Board, size_mm: tuple[float, float, float]) -> Points:
-    """(6,) pose of the board that lies in the corner of the floor."""
-    corner = [board.margin_mm, size_mm[1] / 2 - board.margin_mm, board.thickness_mm]
-    return np.array([np.pi, 0.0, 0.0, *corner])
+def _held(
+    lens: Lens, lens_covariance: Points | None, water_index: float, board: Board, tolerances: Tolerances
+) -> Named:
+    """What the fit takes for granted, and how uncertain it is, in the order of `_STEPS`."""
+    numbers = np.array([getattr(lens, name) for name in LENS])
+    covariance = np.zeros((len(LENS), len(LENS))) if lens_covariance is None else lens_covariance
+    sds = {
+        "water_index": WITHIN * tolerances.water_index,
+        "board_scale": board.square_sd_mm / board.square_mm,
+        "laid_x_mm": WITHIN * tolerances.laid_mm,
+        "laid_y_mm": WITHIN * tolerances.laid_mm,
+        "laid_rad": WITHIN * float(np.deg2rad(tolerances.laid_deg)),
+        "lean_x_rad": WITHIN * float(np.deg2rad(tolerances.surface_deg)),
+        "lean_y_rad": WITHIN * float(np.deg2rad(tolerances.surface_deg)),
+    }
+    return (
+        Named(tuple(LENS), numbers, covariance)
+        .prefixed("camera.")
+        .beside(independent(sds, {"water_index": water_index}))
+    )
 
 
-def _pose(numbers: Points) -> Pose:
-    a, b, c, x, y, z = (float(value) for value in numbers[:6])
-    return Pose((a, b, c), (x, y, z))
+def on_floor(
+    board: Board, size_mm: Vector, off_x_mm: float = 0.0, off_y_mm: float = 0.0, turned_rad: float = 0.0
+) -> Points:
+    """(6,) pose of the board that lies in the corner of the floor, or so far from the walls, and turned by so much."""
+    corner = [board.margin_mm + off_x_mm, size_mm[1] / 2 - board.margin_mm - off_y_mm, board.thickness_mm]
+    turned = rotation_matrix([0.0, 0.0, turned_rad]) @ rotation_matrix([np.pi, 0.0, 0.0])
+    return np.array([*rotation_vector(turned), *corner])
 
 
-def _camera(floor: BoardView, board: Board, lens: Lens, size_mm: tuple[float, float, float]) -> Pose:
+def pose_of(numbers: Points) -> Pose:
+    """From (6,) its rotation vector and then its place."""
+    a, b, c = (float(value) for value in numbers[:3])
+    return Pose.at(numbers[3:6], (a, b, c))
+
+
+def _camera(floor: BoardView, board: Board, lens: Lens, size_mm: Vector) -> Pose:
     """Its pose, from the view of the floor alone: board → camera after tank → board."""
     seen, laid = before_camera(floor, board, lens), on_floor(board, size_mm)
     rotation = rotation_matrix(seen[:3]) @ rotation_matrix(laid[:3]).T
-    return _pose(np.array([*rotation_vector(rotation), *(seen[3:] - rotation @ laid[3:])]))
+    x, y, z = (float(one) for one in seen[3:] - rotation @ laid[3:])
+    return Pose(rotation_vector(rotation), (x, y, z))
 
 
 def _first_level(
@@ -192,7 +248,7 @@ def _first_level(
     board: Board,
     lens: Lens,
     camera: Pose,
-    size_mm: tuple[float, float, float],
+    size_mm: Vector,
     water_index: float,
 ) -> float:
     """By trial; half the tank's height where no view says."""
@@ -216,76 +272,93 @@ def _first_level(
 
 
 class _Bundle:
-    """Corners of all views as a function of camera pose (6), level (1), lean of the surface (2), boards (6 each).
+    """Corners of all views as a function of what is sought and of what is held.
+
+    Sought are the camera's rotation (3) and place (3), the water's level (1), and the poses of boards (6 each); held is
+    what `_held` names.
 
     Parameters
     ----------
-    views, board, lens, size_mm, water_index
+    views, board, size_mm
         See `calibrate_tank`.
     """
 
-    def __init__(
-        self,
-        views: Sequence[tuple[Place, BoardView]],
-        board: Board,
-        lens: Lens,
-        size_mm: tuple[float, float, float],
-        water_index: float,
-    ) -> None:
-        self._views, self._board, self._lens, self._index = views, board, lens, water_index
-        self._laid = on_floor(board, size_mm)
-        self._middle = (size_mm[0] / 2, 0.0)
+    def __init__(self, views: Sequence[tuple[Place, BoardView]], board: Board, size_mm: Vector) -> None:
+        self._views, self._board = views, board
+        self._size_mm = size_mm
 
-    def misses(self, numbers: Points) -> list[Points]:
+    def misses(self, sought: Points, held: Points) -> list[Points]:
         """(n, 2) of each view."""
-        boards = iter(numbers[9:].reshape(-1, 6))
+        lens, (index, scale, *laid), lean = Lens(*held[:8].tolist()), held[8:13], held[13:15]
+        camera, level = pose_of(sought), float(sought[6])
+        boards = iter(sought[_OWN:].reshape(-1, 6))
+        lying = on_floor(self._board, self._size_mm, *(float(one) for one in laid))
         found = []
         for place, view in self._views:
-            pose = next(boards) if place == "water" else self._laid
-            points = placed(pose, view.points_mm(self._board))
+            pose = next(boards) if place == "water" else lying
+            points = placed(pose, (1.0 + scale) * view.points_mm(self._board))
             if place == "floor":
-                found.append(misses_px(self._lens, _pose(numbers), view, points))
+                found.append(misses_px(lens, camera, view, points))
             else:
-                camera, points = self._levelled(numbers, points)
-                surface = water_surface(float(numbers[6]), self._index)
-                found.append(misses_px(self._lens, camera, view, points, surface))
+                seen_from, seen = levelled(camera, points, lean, level, self._size_mm)
+                found.append(misses_px(lens, seen_from, view, seen, water_surface(level, float(index))))
         return found
 
-    def solve(self, camera: Pose, level: float, tilted: bool) -> tuple[Points, Points]:
-        """Best numbers and their covariance; with a level surface unless `tilted`."""
+    def all_misses(self, sought: Points, held: Points) -> Points:
+        """Of all views, one after the other: x and y of each corner in turn."""
+        return np.concatenate(self.misses(sought, held)).ravel()
+
+    def start(self, camera: Pose, level: float, held: Points) -> Points:
+        """What is sought, as each view alone says."""
+        lens, surface = Lens(*held[:8].tolist()), water_surface(level, float(held[8]))
+        boards = [in_tank(view, self._board, lens, camera, surface) for where, view in self._views if where == "water"]
+        return np.concatenate([camera.rotation, camera.centre_mm, [level], *boards])
+
+    def solve(self, start: Points, held: Points) -> tuple[Points, Points]:
+        """What is sought, and the derivatives of the misses by it."""
         from scipy.optimize import least_squares
 
-        surface = water_surface(level, self._index)
-        boards = [
-            in_tank(view, self._board, self._lens, camera, surface) for where, view in self._views if where == "water"
-        ]
-        start = np.concatenate([[*camera.rotation, *camera.translation_mm, level, 0.0, 0.0], *boards])
-        free = np.ones(start.size, bool)
-        free[7:9] = tilted
+        sought = np.asarray(least_squares(self.all_misses, start, x_scale="jac", args=(held,)).x)
+        steps = np.array(_POSE_STEPS + [1e-3] + _POSE_STEPS * ((sought.size - _OWN) // 6))
+        return sought, slopes(lambda numbers: self.all_misses(numbers, held), sought, steps)
+
+    def lean(self, sought: Points, held: Points) -> tuple[Points, Points]:
+        """(2,) how the surface leans about x and y when that is sought, too, and its covariance by noise."""
+        from scipy.optimize import least_squares
 
         def misses(numbers: Points) -> Points:
-            return np.concatenate(self.misses(_filled(start, free, numbers))).ravel()
+            return self.all_misses(numbers[2:], np.concatenate([held[:13], numbers[:2]]))
 
-        scale = np.array(([1e-3] * 3 + [1.0] * 3) + [1.0] + [1e-3] * 2 + ([1e-2] * 3 + [1.0] * 3) * len(boards))
-        found = least_squares(misses, start[free], x_scale=scale[free])
-        covariance = np.zeros((start.size, start.size))
+        found = least_squares(misses, np.concatenate([[0.0, 0.0], sought]), x_scale="jac")
         noise = 2.0 * found.cost / max(found.fun.size - found.x.size, 1)
-        jacobian = np.asarray(found.jac)
-        covariance[np.ix_(free, free)] = noise * np.linalg.inv(jacobian.T @ jacobian)
-        return _filled(start, free, found.x), covariance
+        covariance, _ = found_covariance(np.asarray(found.jac), noise * np.eye(found.fun.size))
+        return found.x[:2], covariance[:2, :2]
 
-    def _levelled(self, numbers: Points, points: Points) -> tuple[Pose, Points]:
-        """Camera and points in a frame whose z is across the surface, turned about the middle of the tank."""
-        if not numbers[7:9].any():
-            return _pose(numbers), points
-        rotation, camera = rotation_matrix([*numbers[7:9], 0.0]), _pose(numbers)
-        pivot = np.array([*self._middle, numbers[6]])
-        matrix = camera.matrix @ rotation.T
-        shift = np.array(camera.translation_mm) + camera.matrix @ pivot - matrix @ pivot
-        return _pose(np.array([*rotation_vector(matrix), *shift])), (points - pivot) @ rotation.T + pivot
+    def known(self, sought: Points, slope: Points, held: Named) -> Named:
+        """Camera and level, then what was held, with their covariance."""
+        held_slope = slopes(lambda numbers: self.all_misses(sought, numbers), held.values, _STEPS)
+        pairs = corner_pairs([view for _, view in self._views], self._board)
+        misses = self.all_misses(sought, held.values)
+        noise = noise_covariance(misses, np.hstack([slope, held_slope]), [pairs])
+        covariance, across = found_covariance(slope, noise, held_slope, held.covariance)
+        return held.after(FOUND, sought[:_OWN], covariance[:_OWN, :_OWN], across[:_OWN])
 
 
-def _filled(start: Points, free: Points, numbers: Points) -> Points:
-    whole = start.copy()
-    whole[free] = numbers
-    return whole
+def levelled(camera: Pose, points: Points, lean: Points, level_mm: float, size_mm: Vector) -> tuple[Pose, Points]:
+    """Camera and points in a frame whose z is across the surface, turned about the middle of the tank.
+
+    Parameters
+    ----------
+    camera, points
+        In the tank's frame.
+    lean
+        (2,) angles in rad by which the frame is turned about x and then y.
+    level_mm, size_mm
+        Of the water, inside of the tank.
+    """
+    if not lean.any():
+        return camera, points
+    rotation = rotation_matrix([*lean, 0.0])
+    pivot = np.array([size_mm[0] / 2, 0.0, level_mm])
+    turned = Pose.at((camera.centre_mm - pivot) @ rotation.T + pivot, rotation_vector(camera.matrix @ rotation.T))
+    return turned, (points - pivot) @ rotation.T + pivot

@@ -4,7 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from tankrig.bench import Bench
+from tankrig.calibration.places import believed, measured_places
+from tankrig.checked_toml import checked
+from tankrig.errors import StoreError
 from tankrig.live.exposures import PhotographPlan
+from tankrig.run.calibrations import calibrations_of
 from tankrig.run.reading import Run
 from tankrig.scene.outline import edge_reach_mm
 
@@ -12,7 +17,7 @@ Pairs = list[tuple[str, str]]
 
 
 def settings_of(run: Run) -> list[Pairs]:
-    """Two tables: the experiment, and the bench."""
+    """Tables: the experiment, the bench, and where it was calibrated what was measured of it."""
     sequence: dict[str, Any] = dict(run.settings["sequence"])
     bench: dict[str, Any] = dict(run.settings["bench"])
     doses = run.events("dose_done")
@@ -29,17 +34,40 @@ def settings_of(run: Run) -> list[Pairs]:
         ("program", str(sessions[0]["program"]) if sessions else "?"),
         ("sessions", str(len(sessions))),
     ]
-    tank, wall, camera = bench["tank"], bench["wall"], bench["camera"]
-    lengths = " × ".join(f"{side:g}" for side in tank["size_mm"])
+    tank, camera = bench["tank"], bench["camera"]
+    lengths = " × ".join(f"{side:.5g}" for side in tank["size_mm"])
     geometry: Pairs = [
         ("rig", str(run.settings.get("rig", ""))),
         ("tank", f"{lengths} mm, {tank['surface']} surface"),
-        ("light", str(bench["light"]) + _at(bench.get("light_position_mm"))),
-        ("projector", f"{wall['shape'][1]} × {wall['shape'][0]} pixels on y = {_span(wall['y_mm'])}, "
-                      f"z = {_span(wall['z_mm'])} mm"),
-        ("camera", f"{camera['kind']}{_at(camera.get('position_mm'))}, pixels of {camera['pixel_mm']:g} mm"),
+        *_light(bench),
+        ("camera", f"{camera['kind']}{_at(camera.get('position_mm'))}, pixels of {camera['pixel_mm']:.4g} mm"),
     ]  # fmt: skip
-    return [experiment, geometry]
+    return [experiment, geometry, *_measured(run)]
+
+
+def _light(bench: dict[str, Any]) -> Pairs:
+    """Where it comes from: as measured, where the bench was calibrated."""
+    wall, projector = bench["wall"], bench.get("projector") or {}
+    pixels = f"{wall['shape'][1]} × {wall['shape'][0]} pixels"
+    if bench["light"] == "calibrated":
+        return [("light", f"calibrated{_at(projector.get('position_mm'))}"), ("projector", pixels)]
+    light = str(bench["light"]) + _at(bench.get("light_position_mm"))
+    return [("light", light), ("projector", f"{pixels} on y = {_span(wall['y_mm'])}, z = {_span(wall['z_mm'])} mm")]
+
+
+def _measured(run: Run) -> list[Pairs]:
+    """A table of what the calibrations in force had found, each with its standard deviation and file; or none."""
+    try:
+        found = calibrations_of(run)
+    except StoreError as error:
+        return [[("measured", f"what it rests on cannot be told: {error}")]]
+    rows: Pairs = [(one.what, f"{one.text} ({one.calibration})") for one in measured_places(found)]
+    notes = dict.fromkeys(f"{one.calibration}: {one.note}" for one in measured_places(found) if one.note)
+    rows += [("not in the ±", note) for note in notes]
+    if rows:
+        bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
+        rows += [("not measured", line) for line in believed(bench, found)]
+    return [rows] if rows else []
 
 
 def _exposures(run: Run, sequence: dict[str, Any]) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from tankrig.bench import Bench
 from tankrig.calibration.file import FOLDER, copy_to
+from tankrig.calibration.places import measured_places
 from tankrig.calibration.witness import require_seen
 from tankrig.checked_toml import checked
 from tankrig.devices import BurstProjector, Delivered
@@ -81,6 +82,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
             "sequence": sequence_table(sequence),
             "exposure": asdict(rig.exposure),
             "calibrations": {kind: one.hash for kind, one in rig.calibrations.items()},
+            "measured": [asdict(one) for one in measured_places(rig.calibrations)],
         }
         create_run(path, rig.camera.shape, _dtype(rig), sequence.frames, settings, list(patterns.values()))
         undo.callback(shutil.rmtree, path, ignore_errors=True)  # nothing is recorded in it yet

@@ -69,6 +69,27 @@ def footprints(camera: Camera, tank: Tank) -> Footprints:
 
 
 @lru_cache(maxsize=16)
+def picture_corners_mm(camera: Camera, tank: Tank) -> Array:
+    """(4, 2) x and y on the plane z = Lz of the picture's corners: of its first row, then of its last from the right.
+
+    Examples
+    --------
+    >>> picture_corners_mm(Camera("orthographic", (2, 3), 10.0), Tank()).tolist()
+    [[0.0, -80.0], [30.0, -80.0], [30.0, -60.0], [0.0, -60.0]]
+    """
+    rows, columns = camera.shape
+    if camera.kind != "calibrated":
+        c = footprints(camera, tank).corners_mm
+        return np.stack([c[0, 0], c[0, -1], c[-1, -1], c[-1, 0]])
+    ends = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]]) - 0.5
+    pose = camera.pose
+    way = directions_to_world(pose, to_rays(camera.lens, ends))
+    centre = pose.centre_mm
+    down = np.where(way[..., 2] < 0.0, way[..., 2], np.nan)
+    return np.asarray(centre[:2] + ((tank.size_mm[2] - centre[2]) / down)[..., None] * way[..., :2])
+
+
+@lru_cache(maxsize=16)
 def typical_pixel_mm(camera: Camera, tank: Tank) -> float:
     """Side of a square as large as the median of the pixels that look into the tank, mm.
 

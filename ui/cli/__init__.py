@@ -22,6 +22,7 @@ COMMANDS = (
     "advise",
     "fit",
     "compare",
+    "scene",
     "predict",
     "prepare",
     "benchmark",

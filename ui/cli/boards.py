@@ -39,6 +39,9 @@ def board_options(command: Command) -> Command:
     options = (
         click.option("--board", "squares", default="7x5", show_default=True, metavar="NxN", help="Columns and rows."),
         click.option("--square-mm", default=20.0, show_default=True, help="Side of a square, measured on the print."),
+        click.option(
+            "--square-sd-mm", default=0.0012, show_default=True, help="How well that is known: standard deviation."
+        ),
         click.option("--marker-mm", default=15.0, show_default=True, help="Side of a marker."),
         click.option("--dictionary", default="DICT_4X4_50", show_default=True, help="Of its markers (OpenCV's name)."),
         click.option("--margin-mm", default=5.0, show_default=True, help="From the squares to the plate's edge."),

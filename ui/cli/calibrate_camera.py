@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from ui.cli.boards import Holder, board_of, board_options, opened
-from ui.cli.calibrating import accept_option, described, keep, tell
+from ui.cli.calibrating import accept_option, blurred, described, keep, tell
 from ui.cli.options import json_option, rig_option
 
 _SECONDS_A_VIEW = 12.0
@@ -44,6 +44,7 @@ def camera(rig: Path | None, views: int, exposure_ms: float | None, accept: bool
     rows = {one: f"{getattr(found.lens, one):.6g} ± {found.sd[one]:.2g}" for one in INTRINSICS[:-1]}
     rows["corners off by"] = f"{found.rms_px:.3f} px rms, {len(found.view_rms_px)} views"
     rows["covered"] = f"{found.coverage:.0%} of the picture, views tilted by up to {found.tilt_deg:.0f}° to each other"
+    rows |= blurred(kept, "px")
     if found.left_out:
         rows["left out"] = f"views {', '.join(str(number + 1) for number in found.left_out)}, unlike the others"
     return tell(kept, rows, as_json)

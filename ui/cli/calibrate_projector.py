@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ui.cli.boards import Holder, board_of, board_options, opened
-from ui.cli.calibrating import accept_option, described, keep, tell
+from ui.cli.calibrating import accept_option, blurred, described, keep, left_out, tell
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ def projector(
     from tankrig.calibration.pictures import Pictures
     from tankrig.calibration.projector import MOST_RMS_PX, calibrate_projector
     from tankrig.calibration.radiometry import Radiometry
+    from tankrig.calibration.uncertainty import Named
     from tankrig.figures.geometry_figure import write_geometry_figure
     from tankrig.geometry.refraction import entry_wall
 
@@ -88,7 +89,16 @@ def projector(
     surface = None if empty else surface_of(known["tank"])
     wall = entry_wall(surface.water_index if surface else 1.0, *pane)
     found = calibrate_projector(
-        boards, held, lens_of(known["camera"]), camera_pose(known["tank"]), surface, wall, shape
+        boards,
+        held,
+        lens_of(known["camera"]),
+        camera_pose(known["tank"]),
+        surface,
+        wall,
+        shape,
+        tank.size_mm,
+        Named.of(known["tank"]),
+        description.tolerances,
     )
     kept = keep(
         found.calibration(name, {kind: one.hash for kind, one in known.items()}),
@@ -104,6 +114,7 @@ def projector(
     rows["corners off by"] = f"{found.rms_px:.3f} projector px rms, {len(found.view_rms_px)} views"
     rows["between corners"] = f"{found.coverage:.0%} of its picture"
     rows["light"] = _evenness(found)
+    rows |= blurred(kept, "projector px") | left_out(kept)
     return tell(kept, rows, as_json)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ui.cli.boards import Holder, board_of, board_options, opened
-from ui.cli.calibrating import accept_option, described, keep, tell
+from ui.cli.calibrating import accept_option, described, keep, left_out, tell
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
@@ -25,13 +25,15 @@ _MINUTES = 6
 def tank(rig: Path | None, views: int, exposure_ms: float | None, accept: bool, as_json: bool, **board: Any) -> int:
     """Find the tank before the camera, and its water's level, with a board on its floor and then in the water.
 
-    Wants the camera calibrated. The tank's inside and its water's refractive index are those of the rig file. The
-    result is a dated file in the folder calibration/ beside the rig file, used from then on.
+    Wants the camera calibrated. The tank's inside and its water's refractive index are those of the rig file, whose
+    table [tolerances] says by how much they, and the board's place on the floor, may be off. The result is a dated file
+    in the folder calibration/ beside the rig file, used from then on.
     """
     from tankrig.calibration.file import in_force
     from tankrig.calibration.geometry_in_force import lens_of, require
     from tankrig.calibration.pictures import Pictures
     from tankrig.calibration.tank import MOST_RMS_PX, calibrate_tank
+    from tankrig.calibration.uncertainty import Named
     from tankrig.figures.geometry_figure import write_geometry_figure
 
     held = board_of(**board)
@@ -47,7 +49,16 @@ def tank(rig: Path | None, views: int, exposure_ms: float | None, accept: bool, 
                 seen += [(place, view) for view in holder.good_views(place, count, lambda view: view)]
         name = device.name
     believed = description.bench.tank
-    found = calibrate_tank(seen, held, lens_of(known), believed.size_mm, believed.refractive_index)
+    lens = Named.of(known)
+    found = calibrate_tank(
+        seen,
+        held,
+        lens_of(known),
+        believed.size_mm,
+        believed.refractive_index,
+        lens.covariance if lens else None,
+        description.tolerances,
+    )
     kept = keep(
         found.calibration(name, {"camera": known.hash}),
         description,
@@ -61,4 +72,4 @@ def tank(rig: Path | None, views: int, exposure_ms: float | None, accept: bool, 
     rows["water level"] = f"{found.level_mm:.2f} ± {kept.sd['level_mm']:.2g} mm"
     rows["surface leans by"] = f"{found.tilt_deg:.2f} ± {found.tilt_sd_deg:.2g}°"
     rows["corners off by"] = f"{found.rms_px:.3f} px rms, {len(found.view_rms_px)} views"
-    return tell(kept, rows, as_json)
+    return tell(kept, rows | left_out(kept), as_json)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,10 +68,25 @@ def keep(
     """Save a calibration beside the rig file, and its picture beside it."""
     from tankrig.calibration.file import save
 
-    kept = save(calibration, Path(description.calibration_folder), accept)
+    kept = save(replace(calibration, rig=description.name), Path(description.calibration_folder), accept)
     if draw is not None and kept.path is not None:
         draw(kept.path.with_suffix(".png"))
     return kept
+
+
+def blurred(kept: "Calibration", unit: str) -> dict[str, str]:
+    """What the lens spreads, in words; nothing where that was not measured."""
+    if "blur_px" not in kept.result:
+        return {"blurs by": "not measured; show more of the board's edges, in focus"}
+    return {"blurs by": f"{kept.result['blur_px']:.2f} ± {kept.sd['blur_px']:.2g} {unit} (standard deviation)"}
+
+
+def left_out(kept: "Calibration") -> dict[str, str]:
+    """Which errors the stated standard deviations do not hold; nothing where they hold all."""
+    from tankrig.calibration.geometry_in_force import sd_without
+
+    why = sd_without(kept)
+    return {"not in the ±": why} if why else {}
 
 
 def tell(kept: "Calibration", rows: Mapping[str, str], as_json: bool) -> int:

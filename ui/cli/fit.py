@@ -258,7 +258,7 @@ def _picture(
 
 def _radiometry(rig: Path | None) -> "Radiometry | None":
     """That is in force on a bench."""
-    from drivers.rig import load_rig_file
+    from drivers.rig import load_rig_file, require_of_bench
     from tankrig.calibration.file import in_force
     from tankrig.calibration.radiometry import Radiometry
 
@@ -266,6 +266,7 @@ def _radiometry(rig: Path | None) -> "Radiometry | None":
         return None
     description = load_rig_file(rig)
     found = in_force(Path(description.calibration_folder), description.calibration)
+    require_of_bench(description, found)
     if "radiometry" not in found:
         raise StoreError(
             f"{rig}: the camera's radiometry is not calibrated; run tankrig calibrate radiometry, or leave --rig out"

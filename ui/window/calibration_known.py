@@ -5,6 +5,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from tankrig.calibration.places import measured_places
 from tankrig.errors import StoreError, TankrigError
 from tankrig.live.formatting import with_error
 
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
     from tankrig.calibration.file import Calibration
 
 BELIEVED = "taken from the rig file; not measured by tankrig"
+
+MEASURED_INSTEAD = ("light", "projector to wall", "camera")
+"""What the rig file says of these is not used once camera, tank and projector have been measured."""
 
 _UNITS = {"percent": "%", "px": "px", "mm": "mm", "ms": "ms", "deg": "°"}
 
@@ -35,11 +39,29 @@ def known_of(rig: "RigFile", file: Path, folder: Path) -> Iterator[Known]:
     folder
         Where pump calibrations lie.
     """
+    found = _in_use(rig)
+    places = measured_places(found)
     yield from _measured(rig)
+    for one in places:
+        yield Known(one.what, one.text, one.calibration + (f"; not in the ±: {one.note}" if one.note else ""))
     yield from _weighed(rig, folder)
     note = f"{BELIEVED}; file of {datetime.fromtimestamp(file.stat().st_mtime):%Y-%m-%d %H:%M}"
     for what, value in _believed(rig):
+        if places and what in MEASURED_INSTEAD:
+            continue
+        if what == "projector's brightness" and "radiometry" in found:
+            value = value.partition(",")[0]  # its gamma was measured
         yield Known(what, value, note)
+
+
+def _in_use(rig: "RigFile") -> "dict[str, Calibration]":
+    """Calibrations that count; none where that cannot be told, which `_measured` says."""
+    from tankrig.calibration.file import usable
+
+    try:
+        return usable(Path(rig.calibration_folder), rig.calibration)
+    except TankrigError:
+        return {}
 
 
 def _measured(rig: "RigFile") -> Iterator[Known]:

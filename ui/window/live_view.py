@@ -165,14 +165,11 @@ class LiveView(QWidget):
         """Rows and columns of the region of interest."""
         if self._bench is None or not self._roi.isVisible():
             return None
-        camera, low = self._bench.camera, -self._bench.tank.size_mm[1] / 2
-        at, size = self._roi.pos(), self._roi.size()
+        camera, at, size = self._bench.camera, self._roi.pos(), self._roi.size()
+        corners = [self._plot.pixel_at(x, y) for x in (at.x(), at.x() + size.x()) for y in (at.y(), at.y() + size.y())]
         (bottom, top), (left, right) = (
-            (int(np.clip(edge / camera.pixel_mm, 0, most)) for edge in edges)
-            for edges, most in (
-                ((at.y() - low, at.y() + size.y() - low), camera.shape[0]),
-                ((at.x(), at.x() + size.x()), camera.shape[1]),
-            )
+            (int(np.clip(min(edges), 0, most)), int(np.clip(max(edges), 0, most)))
+            for edges, most in zip(zip(*corners, strict=True), camera.shape, strict=True)
         )
         return (slice(bottom, top), slice(left, right)) if right - left > 2 and top - bottom > 2 else None
 
@@ -183,9 +180,8 @@ class LiveView(QWidget):
     def _read(self, at: QPointF) -> None:
         if self.frame is None or self._bench is None:
             return
-        pixel_mm, low = self._bench.camera.pixel_mm, -self._bench.tank.size_mm[1] / 2
         rows, columns = self.frame.pixels.shape
-        row, column = int((at.y() - low) // pixel_mm), int(at.x() // pixel_mm)
+        row, column = (int(one // 1) for one in self._plot.pixel_at(at.x(), at.y()))
         if not (0 <= row < rows and 0 <= column < columns):
             self._read_out.setText("point at the picture to read counts and radiance")
             return

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
-from PySide6.QtCore import QRectF, Qt
-from PySide6.QtGui import QImage
+from PySide6.QtCore import QPointF, QRectF, Qt
+from PySide6.QtGui import QImage, QPolygonF, QTransform
 from PySide6.QtWidgets import QGraphicsItem, QSizePolicy
 
 from tankrig.scene.description import Camera, Tank
+from tankrig.scene.footprint import picture_corners_mm
 
 
 class IndexedImage(pg.ImageItem):  # type: ignore[misc]
@@ -69,6 +70,7 @@ class TankPlot:
         self.image = IndexedImage()
         self.plot.addItem(self.image)
         self._place: tuple[Any, ...] = (None, None)
+        self._to_pixels = QTransform()
 
     def show_indices(self, indices: NDArray[np.uint8], palette: NDArray[np.uint8]) -> None:
         """Show (rows, columns) indices into a (256, 3) palette."""
@@ -80,11 +82,21 @@ class TankPlot:
         if (place, shape) == self._place:
             return
         moved, self._place = self._place[0] != place, (place, shape)
-        rows, columns = camera.shape
-        rect = QRectF(0.0, -tank.size_mm[1] / 2, columns * camera.sides_mm[1], rows * camera.sides_mm[0])
-        self.image.setRect(rect)
+        corners = picture_corners_mm(camera, tank)
+        rows, columns = shape
+        to_mm = _projective([(0, 0), (columns, 0), (columns, rows), (0, rows)], corners.tolist())
+        full_rows, full_columns = camera.shape
+        ends = [(0, 0), (full_columns, 0), (full_columns, full_rows), (0, full_rows)]
+        self._to_pixels = _projective(corners.tolist(), ends)
+        self.image.setTransform(to_mm)
         if moved:
-            self.plot.setRange(rect, padding=0.02)
+            (left, low), (right, high) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+            self.plot.setRange(QRectF(left, low, right - left, high - low), padding=0.02)
+
+    def pixel_at(self, x_mm: float, y_mm: float) -> tuple[float, float]:
+        """(row, column) of the camera's picture that shows a place of the water; whole numbers are pixels' edges."""
+        at = self._to_pixels.map(QPointF(x_mm, y_mm))
+        return float(at.y()), float(at.x())
 
     @property
     def dot_mm(self) -> float:
@@ -100,6 +112,14 @@ class TankPlot:
     def fit(self) -> None:
         """Show the whole picture again."""
         self.plot.setRange(self.image.mapRectToParent(self.image.boundingRect()), padding=0.02)
+
+
+def _projective(here: list[Any], there: list[Any]) -> QTransform:
+    """That takes four points to four others."""
+    one, other = (QPolygonF([QPointF(*point) for point in points]) for points in (here, there))
+    found = QTransform()
+    QTransform.quadToQuad(one, other, found)
+    return found
 
 
 def pen(colour: str, width: float = 1.5, dashed: bool = False) -> Any:

@@ -1,0 +1,45 @@
+"""By how much what is not measured may be off."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from tankrig.errors import CalibrationError
+from tankrig.scene.parts import CLOSED
+
+WITHIN = 1.0 / np.sqrt(3.0)
+"""Standard deviation of what lies anywhere within ± 1 (rectangular distribution; GUM 4.3.7)."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What the geometry takes for granted lies within these of the truth, either way, and anywhere there.
+
+    Parameters
+    ----------
+    water_index
+        Refractive index of the water; 0.0005 are 5 °C, or 3 g of salt to the litre.
+    wall_index, wall_mm
+        Refractive index and thickness of the wall's glass.
+    laid_mm, laid_deg
+        Place of the board that is laid into the corner of the floor, along each wall, and how far it is turned there.
+    surface_deg
+        How far the water's surface leans from the tank's floor, about x and about y.
+    """
+
+    __pydantic_config__ = CLOSED
+    water_index: float = 0.0005
+    wall_index: float = 0.003
+    wall_mm: float = 0.05
+    laid_mm: float = 0.1
+    laid_deg: float = 0.05
+    surface_deg: float = 0.05
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise CalibrationError(f"tolerances.{field.name} = {value} is none; give a number from 0 up")
+
+
+USUAL = Tolerances()

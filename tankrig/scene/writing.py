@@ -1,0 +1,94 @@
+"""From a `Scene` to the text of a scene file."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields
+from typing import Any
+
+from tankrig.scene.description import Camera, Projector, Scene
+
+_PLAIN_CAMERA = ("matrix", "distortion", "rotation")
+_PLAIN_PROJECTOR = (*_PLAIN_CAMERA, "shape", "pixel_power", "gamma", "shading")
+
+
+def scene_text(scene: Scene, comments: Sequence[str] = (), image: str | None = None) -> str:
+    """A scene file that `load_scene` reads as the same scene.
+
+    Parameters
+    ----------
+    scene
+        To be written.
+    comments
+        Lines that stand above it.
+    image
+        Name of the PNG beside the file whose picture the projector shows, in place of beams.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Medium, Tank
+    >>> beams = (Beam((-2.0, 2.0), (58.0, 62.0)),)
+    >>> scene = Scene(
+    ...     Tank(), Medium(0.0002, 0.0198, 0.5), Projector("collimated", beams), Camera("orthographic", (80, 120), 2.0)
+    ... )
+    >>> text = scene_text(scene, ["One beam."])
+    >>> text.splitlines()[:3]
+    ['# One beam.', '', '[tank]']
+    >>> import tomllib
+    >>> from tankrig.scene.loading import scene_from_table
+    >>> scene_from_table(tomllib.loads(text), "text") == scene
+    True
+    """
+    import tomlkit
+
+    document = tomlkit.document()
+    for line in comments:
+        document.add(tomlkit.comment(line))
+    if comments:
+        document.add(tomlkit.nl())
+    tables = {
+        "tank": _table(scene.tank, always=("size_mm", "surface")),
+        "medium": _table(scene.medium),
+        "projector": _projector(scene.projector, image),
+        "camera": _camera(scene.camera),
+    }
+    for name, values in tables.items():
+        table = tomlkit.table()
+        for key, value in values.items():
+            table.add(key, value)
+        document.add(name, table)
+    return tomlkit.dumps(document)
+
+
+def _projector(projector: Projector, image: str | None) -> dict[str, Any]:
+    left_out = ("beams",) if projector.kind == "calibrated" else ("beams", *_PLAIN_PROJECTOR)
+    table = _table(projector, left_out)
+    if image is not None:
+        return {**table, "image": image}
+    beams = [{"y_mm": list(one.y_mm), "z_mm": list(one.z_mm), "irradiance": one.irradiance} for one in projector.beams]
+    return {**table, "beams": beams}
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    if camera.kind == "calibrated":  # a scene puts its typical pixel in
+        return _table(camera, ("pixel_mm",))
+    return _table(camera, _PLAIN_CAMERA)
+
+
+def _table(part: Any, left_out: Sequence[str] = (), always: Sequence[str] = ()) -> dict[str, Any]:
+    """Fields of a part of a scene that say something."""
+    found = {}
+    for field in fields(part):
+        value = getattr(part, field.name)
+        usual = field.default if field.default is not MISSING else None
+        if field.name in always or not (field.name in left_out or value is None or value == usual):
+            found[field.name] = _plain(value)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return [_plain(one) for one in value]
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if hasattr(value, "__dataclass_fields__"):
+        return _table(value)
+    return value
