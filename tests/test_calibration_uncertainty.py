@@ -77,7 +77,8 @@ def test_too_few_edges_tell_no_blur() -> None:
     assert found.sd_px >= OF_SQUARES * 0.6
 
 
-def test_the_windows_picture_lies_where_the_camera_sees_it(qapp: object) -> None:
+@pytest.mark.usefixtures("qapp")
+def test_the_windows_picture_lies_where_the_camera_sees_it() -> None:
     """A calibrated camera sees more than the tank, turned, and its first row at +y."""
     from tankrig.geometry.pose import Pose
     from tankrig.scene import Camera, Tank
