@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
+from tankrig.scene.checks import require
 from tankrig.scene.description import Beam, Projector, Scene, Tank
-from tankrig.scene.parts import require
 
 Array = NDArray[np.float64]
 Alike = Callable[[int, int], bool]
