@@ -14,7 +14,7 @@ from tankrig.estimation.series import estimate_series
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
-from tankrig.scene.phase import phase_function
+from tankrig.scene.phase_functions import phase_function
 from ui.cli import main
 
 SCENE = Scene(

@@ -367,3 +367,12 @@ def test_a_bent_scene_is_prepared_and_its_medium_found(tmp_path: Path, monkeypat
     found = tankrig.estimate(truth.image, SMALL, gain=1.0, offset=0.0, noise=0.01 * float(truth.image.max()))
     assert found.medium.sigma_s == pytest.approx(MEDIUM.sigma_s, rel=0.05)
     assert found.medium.g == pytest.approx(MEDIUM.g, abs=0.05)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(30.0, 60.0), st.floats(40.0, 80.0))
+def test_a_picture_that_lights_all_of_a_wall_of_any_size_makes_a_scene(height: float, width: float) -> None:
+    """A level of 107.72305640647748 mm ended runs: the wall's cells added up to an ulp more."""
+    tank = replace(BEHIND_GLASS.tank, size_mm=(BEHIND_GLASS.tank.size_mm[0], width, height))
+    lit = lit_by(replace(BEHIND_GLASS, tank=tank), np.full((96, 128), 255, np.uint8))
+    assert max(beam.z_mm[1] for beam in lit.projector.beams) <= height

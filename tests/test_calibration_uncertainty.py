@@ -1,5 +1,9 @@
 """The arithmetic under the calibrations' stated uncertainties, and of blurred edges."""
 
+import os
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -73,17 +77,14 @@ def test_too_few_edges_tell_no_blur() -> None:
     assert found.sd_px >= OF_SQUARES * 0.6
 
 
+@pytest.mark.usefixtures("qapp")
 def test_the_windows_picture_lies_where_the_camera_sees_it() -> None:
     """A calibrated camera sees more than the tank, turned, and its first row at +y."""
-    from PySide6.QtWidgets import QApplication
-
     from tankrig.geometry.pose import Pose
     from tankrig.scene import Camera, Tank
     from tankrig.scene.footprint import footprints
     from ui.window.tank_plot import TankPlot
 
-    app = QApplication.instance() or QApplication([])
-    assert app is not None
     pose = Pose.looking([118.0, 4.0, 620.0], [121.0, -2.0, 0.0], [0.05, -1.0, 0.0])
     calibrated = Camera(
         "calibrated", (90, 160), position_mm=tuple(pose.centre_mm.tolist()), rotation=pose.rotation,

@@ -16,7 +16,7 @@ from tankrig.estimation.parameters import Scaling
 from tankrig.figures.paper import collimated_cases, fitted, observed
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
-from tankrig.scene.phase import phase_function
+from tankrig.scene.phase_functions import phase_function
 
 SCENE = Scene(
     Tank(),

@@ -12,7 +12,7 @@ from tankrig.light.lightfield import lightfield_orders
 from tankrig.light.lightfield.kernel import scattering_kernel
 from tankrig.light.lightfield.spectrum import spectrum
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank, load_scene
-from tankrig.scene.phase import phase_function
+from tankrig.scene.phase_functions import phase_function
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
 CLASSES = {1: "order1", 2: "order2", 3: "order3", "4-20": "order4_20", ">20": "order_gt20"}

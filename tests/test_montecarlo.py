@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tankrig.geometry.optics import fresnel_reflectance, mirror, refract
 from tankrig.montecarlo import Tally, first_order, simulate, simulate_to
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank, load_scene
-from tankrig.scene.phase import phase_function
+from tankrig.scene.phase_functions import phase_function
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
 CASES = sorted(path.stem for path in REFERENCE.glob("*.npz"))

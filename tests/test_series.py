@@ -13,7 +13,7 @@ from tankrig.estimation.parameters import Doses, Scaling
 from tankrig.estimation.series import SeriesEstimate, fit_series
 from tankrig.prediction import Prediction
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
-from tankrig.scene.phase import phase_function
+from tankrig.scene.phase_functions import phase_function
 
 SCENE = Scene(
     Tank(),

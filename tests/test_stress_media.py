@@ -14,7 +14,7 @@ from tankrig.light.single import single_scattering
 from tankrig.light.tank import tank_image
 from tankrig.montecarlo import simulate
 from tankrig.scene import Medium, Scene
-from tankrig.scene.phase import phase_function
+from tankrig.scene.phase_functions import phase_function
 from tests.stress_scenes import medium_of, relative, scene_of, with_camera
 
 ABSORBED = (0.5, *(10.0**-power for power in range(1, 10)), 0.0)

@@ -16,7 +16,6 @@ from scipy.ndimage import maximum_filter
 from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import fresnel_reflectance
 from tankrig.scene.description import Medium
-from tankrig.scene.phase import phase_function
 
 from .bench_optics import FINER, camera_rays, illumination, projector_pixels
 from .bench_truth import TANK_MM, Array, TrueBench
@@ -76,7 +75,7 @@ def scattered_once(bench: TrueBench, thrown: Array, medium: Medium) -> Array:
         lit = _lit_tiles(thrown)
         for sight in _lines_of_sight(bench):
             ln = sight.ln_strength - medium.sigma_t * sight.path_mm
-            ln += np.log(np.pi * bench.full * medium.sigma_s * phase_function(sight.cosine, medium.g))
+            ln += np.log(np.pi * bench.full * medium.sigma_s * medium.phase_function.at(sight.cosine))
             nodes = np.concatenate([sight.places, ln[..., None]], axis=-1)
             _gather(nodes, thrown, lit, FINER, bench.level_mm, TANK_MM[0], TANK_MM[1] / 2, _STEP_MM, image)
     return image

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.montecarlo.draws import draw, draw_turn, scrambled
+from tankrig.montecarlo.draws import draw, draw_scattered, scrambled, turning
 from tankrig.montecarlo.kernel_scene import KernelScene, beam_table, departure, flight, kernel_scene, seen
 from tankrig.scene import Scene
-from tankrig.scene.phase import henyey_greenstein
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
@@ -99,6 +98,6 @@ def _follow(
             px, py, vx, vy, vz, path, factor = seen(scene, x, y, z)
             column, row = math.floor(px / scene.pixel), math.floor((py + scene.half_width) / scene.pixel)
             if factor > 0.0 and 0 <= column < scene.columns and 0 <= row < scene.rows:
-                lobe = henyey_greenstein(ux * vx + uy * vy + uz * vz, scene.g)
+                lobe = turning(ux * vx + uy * vy + uz * vz, scene.phase)
                 image[row, column] += weight * factor * lobe * math.exp(-scene.sigma_t * path)
-            ux, uy, uz, state = draw_turn(ux, uy, uz, scene.g, state)
+            ux, uy, uz, state = draw_scattered(ux, uy, uz, scene.phase, state)

@@ -1,6 +1,5 @@
 """Many noise draws of one truth: scatter against the Cramér–Rao bound, and the bias."""
 
-from dataclasses import astuple
 from functools import partial
 from typing import Any
 
@@ -73,10 +72,10 @@ def _drawn(name: str, gain: str, image: Array, draws: int) -> dict[str, Any]:
     assert whole.exact is not None
     local = near(corrected(whole.refined(centre)[1], centre, whole.exact(centre, 1)), centre, reach)
     fits = [_fit(noisy(seed), noise, scaling, local) for seed in range(draws)]
-    values, true = np.array([astuple(one.medium) for one in fits]), np.array(astuple(truth))
+    values, true = np.array([one.medium.coefficients for one in fits]), np.array(truth.coefficients)
     stated = np.sqrt(np.mean([np.diag(one.covariance) for one in fits], axis=0))
     inside = [_inside(one, truth) for one in fits]
-    apart = np.array([astuple(one.medium) for one in full]) - values[:FULL]
+    apart = np.array([one.medium.coefficients for one in full]) - values[:FULL]
     bound = cramer_rao(local, truth, scaling, noise, fits[0].gain)
     return {
         "liquid": name, "gain": gain, "truth": true.tolist(), "mean": values.mean(axis=0).tolist(),

@@ -1,6 +1,6 @@
 """Searches from anywhere in the allowed range: whether they end at one optimum."""
 
-from dataclasses import astuple, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -80,7 +80,7 @@ def _started(records: Records, prepared: Prepared, name: str, gain: str, starts:
         ends = [search(problem, [start], _silently, others)[0] for others in ((), reserve)]
         polished = [polish(problem, end) for end in ends]
         costs.append([end.cost for end in polished])
-        found.append([astuple(to_medium(end.coordinates)) for end in polished])
+        found.append([to_medium(end.coordinates).coefficients for end in polished])
     failed = int((~np.isfinite(costs)).sum())
     values = np.array(found)
     best = np.unravel_index(np.argmin(costs), (starts, 2))

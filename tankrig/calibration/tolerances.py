@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from tankrig.errors import CalibrationError
-from tankrig.scene.parts import CLOSED
+from tankrig.scene.checks import CLOSED
 
 WITHIN = 1.0 / np.sqrt(3.0)
 """Standard deviation of what lies anywhere within ± 1 (rectangular distribution; GUM 4.3.7)."""

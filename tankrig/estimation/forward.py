@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tankrig.errors import SceneError
 from tankrig.estimation.parameters import NAMES, Range
 from tankrig.image.predict import predict
+from tankrig.image.prepare import require_henyey_greenstein
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 
@@ -110,6 +111,7 @@ def models_of(scene: Scene, model: "str | Prepared", max_order: int | None) -> M
         When a prepared model is of another scene; on the first image, when the model is unknown or cannot treat the
         scene.
     """
+    require_henyey_greenstein(scene)
     if model == "prepared":
         from tankrig.image.prepare import prepare
 
@@ -204,6 +206,7 @@ def series_models(scene: Scene, model_of: ModelOf) -> Models:
 
     What few lattices say about their noise in each pixel is noise itself: it counts in proportion to the image.
     """
+    require_henyey_greenstein(scene)
 
     def even(model: Model) -> Model:
         def image(medium: Medium) -> Prediction:

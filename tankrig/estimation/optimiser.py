@@ -7,7 +7,7 @@ every accepted step, about three times the evaluations here.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -417,8 +417,8 @@ def _weighed(
 
 def _linear(image: Image, centre: Medium, slopes: Image) -> Forward:
     """An image, and changes of it to first order."""
-    at = np.array(astuple(centre))
-    return lambda medium: np.asarray(image + np.tensordot(np.array(astuple(medium)) - at, slopes, 1))
+    at = np.array(centre.coefficients)
+    return lambda medium: np.asarray(image + np.tensordot(np.array(medium.coefficients) - at, slopes, 1))
 
 
 def _always(slopes: Image) -> Slopes:

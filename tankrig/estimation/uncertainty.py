@@ -388,7 +388,8 @@ def stretches(
             if by < 0.2:  # the edge is nearer than the interval's end
                 factors.append(1.0)
                 continue
-            change = changed(Medium(*(best + by * step)))
+            sigma_a, sigma_s, g = (float(value) for value in best + by * step)
+            change = changed(Medium(sigma_a, sigma_s, g))
             change -= others @ (others.T @ change)
             deviance = float(change @ change) - 2.0 * float(change @ left)
             linear = float(np.sum((by * step[k] * straight) ** 2)) - 2.0 * float(by * step[k] * (straight @ left))

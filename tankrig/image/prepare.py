@@ -90,6 +90,21 @@ class Prepared:
         return self.answer.error_at(medium)
 
 
+def require_henyey_greenstein(scene: Scene) -> None:
+    """Refuse a scene whose liquid has another phase function, which fits and prepared models do not know yet.
+
+    Raises
+    ------
+    SceneError
+        When it has.
+    """
+    if scene.medium.phase is not None:
+        raise SceneError(
+            f'medium.phase of kind "{scene.medium.phase.kind}" is known to predictions only; fits and prepared models '
+            f"know Henyey–Greenstein: leave it out, and take their σs and g for those of a Henyey–Greenstein liquid"
+        )
+
+
 def prepare(
     scene: Scene,
     tolerance: float = 0.01,
@@ -135,6 +150,7 @@ def prepare(
     from tankrig.light.prepared.box import Box
     from tankrig.light.prepared.preparation import prepared
 
+    require_henyey_greenstein(scene)
     if not 0.0 < tolerance <= 1.0:
         raise SceneError(f"tolerance = {tolerance} is outside 0 … 1; give a relative error such as 0.01")
     if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.rays import Geometry, bent_light, light_kept, path_inside, sight_line
-from tankrig.scene.phase import henyey_greenstein
+from tankrig.scene.phase import phase_density
+from tankrig.scene.phase_functions import PhaseRecord
 
 STRETCH_MM = 20.0
 """Over which a beam's side faces count as planes; they bulge by less than 0.05 mm."""
@@ -19,8 +20,8 @@ STRETCH_MM = 20.0
 
 @kernel
 def along_sight_in_bent_light(
-    geometry: Geometry, x: float, y: float, sigma_t: float, g: float, edges: tuple[float, float, float, float],
-    rule: tuple[NDArray[np.float64], NDArray[np.float64]],
+    geometry: Geometry, x: float, y: float, sigma_t: float, phase: PhaseRecord,
+    edges: tuple[float, float, float, float], rule: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> float:  # fmt: skip
     """∫ p exp(−σt (d₁ + d₂)) E/E₀ ds along the line of sight through (x, y, Lz), times the surface's transmission.
 
@@ -30,8 +31,8 @@ def along_sight_in_bent_light(
         Numbers of the scene.
     x, y
         Where the line of sight leaves the surface, mm.
-    sigma_t, g
-        Extinction in 1/mm and asymmetry.
+    sigma_t, phase
+        Extinction in 1/mm, and the phase function.
     edges
         y low, y high, z low, z high of the beam on the plane x = 0.
     rule
@@ -64,7 +65,7 @@ def along_sight_in_bent_light(
                 px, py, pz = x - vx * depth, y - vy * depth, geometry.height - vz * depth
                 ux, uy, uz, spread, _ = bent_light(geometry, px, py, pz)
                 value = spread * light_kept(geometry, uz) * math.exp(-sigma_t * (px / ux + depth))
-                total += weights[k] * half * value * henyey_greenstein(ux * vx + uy * vy + uz * vz, g)
+                total += weights[k] * half * value * phase_density(ux * vx + uy * vy + uz * vz, phase)
     return transmission * total
 
 

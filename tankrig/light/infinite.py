@@ -28,6 +28,8 @@ _STEP = 0.12
 """Of ln|k| along the contour: singularities lie π/4 off it, so the trapezoid's error is exp(−2π·π/4/step) = 1e−18."""
 _LONGEST = 50_000
 """Degrees kept at most; only reached within a fiftieth of a mean free path, where scattered light hardly matters."""
+_MOST_MOMENTS, _NO_MOMENT = 1000, 1e-9
+"""Of a tabulated phase function: its degrees, and what of them is its table's rounding."""
 
 
 def require_absorption(medium: Medium) -> None:
@@ -107,7 +109,11 @@ def continued_fraction(
 
 
 def _scattering(medium: Medium) -> Floats:
-    """σs g^l for all degrees above rounding."""
+    """σs χ_l for all degrees above rounding; χ_l = g^l for Henyey–Greenstein."""
+    if medium.phase is not None:
+        moments = medium.phase.moments(_MOST_MOMENTS)
+        above = np.flatnonzero(np.abs(moments) > _NO_MOMENT)
+        return np.asarray(medium.sigma_s * moments[: above[-1] + 1])
     count = 1 if medium.g == 0.0 else 1 + math.ceil(37.0 / -math.log(abs(medium.g)))
     return medium.sigma_s * np.power(medium.g, np.arange(min(count, _LONGEST)))
 

@@ -33,7 +33,8 @@ from tankrig.light.rays import (
 )
 from tankrig.scene import Scene
 from tankrig.scene.footprint import footprints
-from tankrig.scene.phase import henyey_greenstein
+from tankrig.scene.phase import phase_density
+from tankrig.scene.phase_functions import PhaseRecord
 from tankrig.threads import THREADS
 
 Rule = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -47,8 +48,8 @@ SLANTED_PARTS = 5
 
 @kernel
 def across_sights(
-    geometry: Geometry, x: float, low: float, high: float, corners: NDArray[np.float64], sigma_t: float, g: float,
-    edges: tuple[float, float, float, float], y_rule: Rule, depth_rule: Rule,
+    geometry: Geometry, x: float, low: float, high: float, corners: NDArray[np.float64], sigma_t: float,
+    phase: PhaseRecord, edges: tuple[float, float, float, float], y_rule: Rule, depth_rule: Rule,
 ) -> float:  # fmt: skip
     """∫ dy of what is seen along the lines through (x, low … high, Lz), cut at the rows of the beam's corners."""
     nodes, weights = y_rule
@@ -59,7 +60,7 @@ def across_sights(
         if half > 0.0:
             for j in range(nodes.size):
                 y = start + half * (1.0 + nodes[j])
-                total += half * weights[j] * _along_sight(geometry, x, y, sigma_t, g, edges, depth_rule)
+                total += half * weights[j] * _along_sight(geometry, x, y, sigma_t, phase, edges, depth_rule)
         start = max(start, end)
     return total
 
@@ -90,13 +91,13 @@ def _along_sight(
     x: float,
     y: float,
     sigma_t: float,
-    g: float,
+    phase: PhaseRecord,
     edges: tuple[float, float, float, float],
     rule: Rule,
 ) -> float:
     """∫ p exp(−σt (d₁ + d₂)) E/E₀ ds along the line of sight through (x, y, Lz), times the surface's transmission."""
     if bent(geometry):
-        return along_sight_in_bent_light(geometry, x, y, sigma_t, g, edges, rule)
+        return along_sight_in_bent_light(geometry, x, y, sigma_t, phase, edges, rule)
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     low, high = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
     low, high = _clip_to_beam(geometry, x, y, vx, vy, vz, edges, low, high)
@@ -119,7 +120,7 @@ def _along_sight(
                 path = distance * px / dx
             else:
                 cosine, spread, path = vx, 1.0, px
-            total += weights[k] * half * henyey_greenstein(cosine, g) * spread * math.exp(-sigma_t * (path + depth))
+            total += weights[k] * half * phase_density(cosine, phase) * spread * math.exp(-sigma_t * (path + depth))
     return transmission * total
 
 
@@ -181,6 +182,7 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
     True
     """
     medium, camera = scene.medium, scene.camera
+    phase = medium.phase_function.record
     image = np.zeros(camera.shape)
     if medium.sigma_s == 0.0:
         return image
@@ -190,7 +192,7 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
     for geometry, beams in light_sources(scene):
         for beam in beams:
             _add_beam(
-                image, geometry, camera.pixel_mm, medium.sigma_t, medium.sigma_s * beam.irradiance, medium.g,
+                image, geometry, camera.pixel_mm, medium.sigma_t, medium.sigma_s * beam.irradiance, phase,
                 (*beam.y_mm, *beam.z_mm), *rules,
             )  # fmt: skip
     return image
@@ -203,7 +205,7 @@ def _add_beam(
     pixel_mm: float,
     sigma_t: float,
     strength: float,
-    g: float,
+    phase: PhaseRecord,
     edges: tuple[float, float, float, float],
     x_rule: Rule,
     y_rule: Rule,
@@ -232,7 +234,7 @@ def _add_beam(
                 for row in range(top, bottom + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
-                    total = across_sights(geometry, x, low, high, corners, sigma_t, g, edges, y_rule, depth_rule)
+                    total = across_sights(geometry, x, low, high, corners, sigma_t, phase, edges, y_rule, depth_rule)
                     image[row, column] += strength * total / pixel_mm * 0.5 * x_weights[i] / parts
 
 
@@ -259,6 +261,7 @@ MARGIN_MM = 0.5
 def single_scattering_in_quadrangles(scene: Scene) -> NDArray[np.float64]:
     """`single_scattering` for a calibrated camera: (rows, columns), W/mm²/sr; 0 where a pixel looks elsewhere."""
     medium, seen = scene.medium, footprints(scene.camera, scene.tank)
+    phase = medium.phase_function.record
     image = np.zeros(scene.camera.shape)
     x_rule, y_rule, depth_rule = (np.polynomial.legendre.leggauss(count) for count in (2, 3, 4))
     lit = [(geometry, beam) for geometry, beams in light_sources(scene) for beam in beams if beam.irradiance > 0.0]
@@ -267,7 +270,7 @@ def single_scattering_in_quadrangles(scene: Scene) -> NDArray[np.float64]:
         for geometry, beam in lit:
             strength, edges = medium.sigma_s * beam.irradiance, (*beam.y_mm, *beam.z_mm)
             _add_beam_in_quadrangles(
-                image, geometry, seen.corners_mm, medium.sigma_t, strength, medium.g, edges, x_rule, y_rule, depth_rule,
+                image, geometry, seen.corners_mm, medium.sigma_t, strength, phase, edges, x_rule, y_rule, depth_rule,
                 part, THREADS,
             )  # fmt: skip
 
@@ -279,7 +282,7 @@ def single_scattering_in_quadrangles(scene: Scene) -> NDArray[np.float64]:
 @kernel
 def _add_beam_in_quadrangles(
     image: NDArray[np.float64], geometry: Geometry, grid: NDArray[np.float64], sigma_t: float, strength: float,
-    g: float, edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule,
+    phase: PhaseRecord, edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule,
     part: int, parts: int,
 ) -> None:  # fmt: skip
     """Add one beam's order 1, integrated over each pixel's area, to one of so many parts of the rows."""
@@ -304,7 +307,18 @@ def _add_beam_in_quadrangles(
             for k in range(3):
                 if ends[k + 1] > ends[k]:
                     total += _slice(
-                        geometry, xs, ys, ends[k], ends[k + 1], corners, sigma_t, g, edges, x_rule, y_rule, depth_rule
+                        geometry,
+                        xs,
+                        ys,
+                        ends[k],
+                        ends[k + 1],
+                        corners,
+                        sigma_t,
+                        phase,
+                        edges,
+                        x_rule,
+                        y_rule,
+                        depth_rule,
                     )
             image[row, column] += strength * total
 
@@ -326,7 +340,7 @@ def _rows_seen(
 @kernel
 def _slice(
     geometry: Geometry, xs: NDArray[np.float64], ys: NDArray[np.float64], left: float, right: float,
-    corners: NDArray[np.float64], sigma_t: float, g: float, edges: tuple[float, float, float, float],
+    corners: NDArray[np.float64], sigma_t: float, phase: PhaseRecord, edges: tuple[float, float, float, float],
     x_rule: Rule, y_rule: Rule, depth_rule: Rule,
 ) -> float:  # fmt: skip
     """Integral over the part of a pixel between two x, with no corner of it between them."""
@@ -358,7 +372,7 @@ def _slice(
             corners.sort()
             if corners[3] <= low or corners[0] >= high:
                 continue
-            along = across_sights(geometry, x, low, high, corners, sigma_t, g, edges, y_rule, depth_rule)
+            along = across_sights(geometry, x, low, high, corners, sigma_t, phase, edges, y_rule, depth_rule)
             total += 0.5 * width / parts * weights[i] * along
     return total
 

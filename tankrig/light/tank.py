@@ -332,7 +332,8 @@ def traced(
             edges[:] = 0.0
         trace(
             edges, cells if z_mm is None else cells[:, :0], bins, geometry, shiftable, grid.cell_mm,
-            medium.sigma_t, medium.albedo, medium.g, table, shifted, 0, points, max_order, faintest, thinning,
+            medium.sigma_t, medium.albedo, medium.phase_function.record, table, shifted, 0, points, max_order,
+            faintest, thinning,
         )  # fmt: skip
         if z_mm is None:
             cells *= power.sum() / (points * grid.cell_mm[0] * grid.cell_mm[1])

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.geometry.optics import reflectance
+from tankrig.montecarlo.draws import turning
 from tankrig.montecarlo.kernel_scene import (
     KernelScene,
     beam_table,
@@ -17,7 +18,6 @@ from tankrig.montecarlo.kernel_scene import (
     seen,
 )
 from tankrig.scene import Scene
-from tankrig.scene.phase import henyey_greenstein
 
 SHEET_MM = 1.0
 """Largest thickness of the horizontal sheets that a beam is cut into."""
@@ -167,7 +167,7 @@ def _show_cell(
     _, edge_y, _, _, _, _, _ = seen(scene, x, y + half_y, z)
     tau = scene.sigma_t * half_z / vz  # the way to the surface differs within the cell
     factor *= math.exp(-scene.sigma_t * path) * math.sinh(tau) / tau
-    value = scattered * factor * henyey_greenstein(ux * vx + uy * vy + uz * vz, scene.g)
+    value = scattered * factor * turning(ux * vx + uy * vy + uz * vz, scene.phase)
     _share_out(scene, px, py, abs(edge_x - px), abs(edge_y - py), value, image)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel, part
 from tankrig.geometry.lens import to_rays
 from tankrig.geometry.optics import crossing_offset, entry_slope, pixel_seen, reflectance
+from tankrig.montecarlo.draws import AnyTable, phase_table
 from tankrig.scene import Camera, Scene
 from tankrig.scene.footprint import footprints
 
@@ -31,7 +32,7 @@ class KernelScene(NamedTuple):
     """Refractive index that the surface shows; 1 when matched."""
     sigma_t: float
     albedo: float
-    g: float
+    phase: AnyTable
     rows: int
     columns: int
     pixel: float
@@ -61,7 +62,7 @@ def kernel_scene(scene: Scene) -> KernelScene:
         float(scene.tank.surface_index),
         float(scene.medium.sigma_t),
         float(scene.medium.albedo),
-        float(scene.medium.g),
+        phase_table(scene.medium.phase_function),
         int(rows),
         int(columns),
         float(scene.camera.pixel_mm),

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
+from tankrig.montecarlo.draws import turning
 from tankrig.montecarlo.kernel_scene import KernelScene, pixel_at, seen
-from tankrig.scene.phase import henyey_greenstein
 
 CLASSES = 4
 """Orders 2, 3, 4–20 and above 20; order 1 needs no photons."""
@@ -100,7 +100,7 @@ def _show_point(
     across, along = pixel_at(scene, px, py)
     column, row = int(across), int(along)
     if factor > 0.0 and across >= 0.0 and column < scene.columns and along >= 0.0 and row < scene.rows:
-        lobe = henyey_greenstein(ux * vx + uy * vy + uz * vz, scene.g)
+        lobe = turning(ux * vx + uy * vy + uz * vz, scene.phase)
         images[kind, row, column] += scattered * factor * lobe * math.exp(-scene.sigma_t * (distance + path))
 
 
@@ -123,7 +123,7 @@ def _show_upright(
     """`_show_point` for evenly spaced points under an orthographic camera, where each is a constant times the last."""
     _, _, _, _, _, path, factor = seen(scene, x, y, z)
     slope = scene.sigma_t * (1.0 - uz) * step
-    value = scattered * factor * henyey_greenstein(uz, scene.g) * math.exp(-scene.sigma_t * path - u * slope)
+    value = scattered * factor * turning(uz, scene.phase) * math.exp(-scene.sigma_t * path - u * slope)
     ratio = math.exp(-slope)
     scale = 1.0 / scene.pixel
     column, row = (x + ux * u * step) * scale, (y + uy * u * step + scene.half_width) * scale

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.montecarlo.draws import draw, draw_turn, scrambled
+from tankrig.montecarlo.draws import AnyTable, draw, draw_scattered, draw_turn, scrambled, turning
 from tankrig.montecarlo.kernel_scene import KernelScene, departure, flight, seen
 from tankrig.montecarlo.tally import score_flight
 from tankrig.scene.phase import henyey_greenstein
@@ -62,7 +62,7 @@ def trace(
     absorbed, escaped
         Fractions of the light that were absorbed and that left the tank.
     """
-    lobes = abs(scene.g) >= LOBES_FROM
+    lobes = abs(scene.phase.g) >= LOBES_FROM
     radiance = powers[-1] / photons / (scene.pixel * scene.pixel)  # of one photon per steradian on one pixel
     absorbed, escaped = 0.0, 0.0
     for photon in range(photons):
@@ -100,17 +100,19 @@ def trace(
             if lobes:
                 _, _, vx, vy, vz, _, _ = seen(scene, x, y, z)
                 bias = TOWARD_CAMERA if weight < HEAVY else 0.0
-                wx, wy, wz, state = draw_turn(vx, vy, vz, scene.g, state)
-                phase, lobe, drawn = _densities(ux, uy, uz, vx, vy, vz, wx, wy, wz, scene.g, bias)
+                wx, wy, wz, state = draw_turn(vx, vy, vz, scene.phase.g, state)
+                phase, lobe, drawn = _densities(ux, uy, uz, vx, vy, vz, wx, wy, wz, scene.phase, bias)
                 u, state = draw(state)
                 first, reflected, second = flight(scene, x, y, z, wx, wy, wz)
                 power = weight * phase / (drawn + lobe) * radiance
                 score_flight(scene, x, y, z, wx, wy, wz, first, reflected, second, power, order + 1, u, images)
             u, state = draw(state)
-            ax, ay, az = (vx, vy, vz) if u < bias else (ux, uy, uz)
-            wx, wy, wz, state = draw_turn(ax, ay, az, scene.g, state)
+            if u < bias:
+                wx, wy, wz, state = draw_turn(vx, vy, vz, scene.phase.g, state)
+            else:
+                wx, wy, wz, state = draw_scattered(ux, uy, uz, scene.phase, state)
             if lobes:
-                phase, lobe, drawn = _densities(ux, uy, uz, vx, vy, vz, wx, wy, wz, scene.g, bias)
+                phase, lobe, drawn = _densities(ux, uy, uz, vx, vy, vz, wx, wy, wz, scene.phase, bias)
                 weight *= phase / drawn
                 share = drawn / (drawn + lobe)
             ux, uy, uz = wx, wy, wz
@@ -163,10 +165,10 @@ def _densities(
     wx: float,
     wy: float,
     wz: float,
-    g: float,
+    table: AnyTable,
     bias: float,
 ) -> tuple[float, float, float]:
     """Of direction w, per sr: phase function from u, lobe about the camera's v, and the mixture that a photon draws."""
-    phase = henyey_greenstein(ux * wx + uy * wy + uz * wz, g)
-    lobe = henyey_greenstein(vx * wx + vy * wy + vz * wz, g)
+    phase = turning(ux * wx + uy * wy + uz * wz, table)
+    lobe = henyey_greenstein(vx * wx + vy * wy + vz * wz, table.g)
     return phase, lobe, (1.0 - bias) * phase + bias * lobe

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field, replace
 
+from tankrig.scene.checks import CLOSED, require
 from tankrig.scene.footprint import typical_pixel_mm
-from tankrig.scene.parts import CLOSED, Beam, Camera, Interval, Matrix, Medium, Projector, Tank, Vector, require
+from tankrig.scene.parts import Beam, Camera, Interval, Matrix, Medium, Projector, Tank, Vector
 
 __all__ = ["CLOSED", "Beam", "Camera", "Interval", "Matrix", "Medium", "Projector", "Scene", "Tank", "Vector"]
 

@@ -1,5 +1,6 @@
 """From a scene file (TOML) to a checked `Scene`."""
 
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -74,6 +75,9 @@ def scene_from_table(table: dict[str, Any], name: str) -> Scene:
     """
     if "source" in table:  # a field of Scene that no file may set
         raise SceneError(f'{name}: key "source" is unknown; remove it')
+    if isinstance(table.get("medium"), dict) and table["medium"].keys() == {"sigma_a", "sigma_s"}:
+        raise SceneError(f'{name}: key "medium.g" is missing; add it, or a phase')
+    table = {**table, "medium": _with_phase_table(table.get("medium"), Path(name).parent, name)}
     projector = table.get("projector")
     image = None
     if isinstance(projector, dict) and "image" in projector:
@@ -87,6 +91,33 @@ def scene_from_table(table: dict[str, Any], name: str) -> Scene:
         if not present:
             raise SceneError(f'{name}: key "{key}" is missing; add it')
     return scene if image is None else _lit(scene, Path(name).parent / str(image), name)
+
+
+def _with_phase_table(medium: Any, folder: Path, name: str) -> Any:
+    """The table `medium` with the rows of its phase function's file, where it names one."""
+    phase = medium.get("phase") if isinstance(medium, dict) else None
+    if not (isinstance(phase, dict) and phase.get("kind") == "table" and "file" in phase):
+        return medium
+    file = folder / str(phase["file"])
+    cosines, values = [], []
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise SceneError(f'{name}: medium.phase.file = "{phase["file"]}" cannot be read; give a text file') from error
+    for number, line in enumerate(lines, 1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        try:
+            cosine, value = (float(word) for word in words)
+        except ValueError as error:
+            raise SceneError(f'{file}: row {number}, "{line[:40]}", is not "cosine value"; mend it') from error
+        cosines.append(cosine)
+        values.append(value)
+    if not all(math.isfinite(one) for one in (*cosines, *values)):
+        raise SceneError(f"{file}: holds a number that is not finite; mend it")
+    rest = {key: value for key, value in phase.items() if key != "file"}
+    return {**medium, "phase": {**rest, "cosines": cosines, "values": values}}
 
 
 DARK = {"y_mm": [-1e-9, 1e-9], "z_mm": [0.0, 1e-9], "irradiance": 0.0}

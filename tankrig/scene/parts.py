@@ -1,20 +1,19 @@
 """What is in the tank, what lights it and what looks at it: frozen, checked, in mm and W."""
 
 import math
-from dataclasses import dataclass, replace
-from typing import Literal, SupportsFloat
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from tankrig.errors import SceneError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
 from tankrig.geometry.shading import TERMS
+from tankrig.scene.checks import CLOSED, finite, number, numbers, require
+from tankrig.scene.phase_functions import AnyPhase, HenyeyGreenstein, PhaseFunction
 
 Vector = tuple[float, float, float]
 Interval = tuple[float, float]
 Matrix = tuple[Vector, Vector, Vector]
-
-CLOSED = {"extra": "forbid", "strict": True}
-"""Read by the scene file's validation: an unknown key is refused, and a number in quotes is not a number."""
 
 
 @dataclass(frozen=True)
@@ -77,30 +76,70 @@ class Tank:
         return (self.refractive_index, self.wall_mm, self.wall_index) if self.entry == "glass" else (1.0, 0.0, 1.0)
 
 
+_LEFT_OUT = math.nan
+"""A g that was not given; told by its identity."""
+
+
 @dataclass(frozen=True)
 class Medium:
-    """Absorption and scattering coefficients in 1/mm and the asymmetry g of a Henyey–Greenstein phase function.
+    """Absorption and scattering coefficients in 1/mm, and how one scattering turns light.
+
+    Parameters
+    ----------
+    sigma_a, sigma_s
+        In 1/mm.
+    g
+        Mean cosine of one scattering: of a Henyey–Greenstein phase function, where no other is given.
+    phase
+        Another phase function; g is its mean cosine then, and need not be given.
 
     Examples
     --------
     >>> milk = Medium(sigma_a=0.0002, sigma_s=0.0198, g=0.5)
     >>> round(milk.sigma_t, 6), round(milk.albedo, 6)
     (0.02, 0.99)
+    >>> from tankrig.scene.phase_functions import TwoTerm
+    >>> round(Medium(0.0, 0.01, phase=TwoTerm(0.9, -0.4, 0.9)).g, 4)
+    0.77
     """
 
     __pydantic_config__ = CLOSED
     sigma_a: float
     sigma_s: float
-    g: float
+    g: float = _LEFT_OUT
+    phase: AnyPhase | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("sigma_a", "sigma_s"):
             value = number(self, name)
             require(value >= 0.0, f"{name} = {value} is negative; give a coefficient in 1/mm that is zero or more")
+        if self.phase is not None:
+            self._take_mean_cosine(self.phase)
+        require(self.g is not _LEFT_OUT, "g is missing; give the mean cosine of one scattering, or a phase")
         require(
             -1.0 < number(self, "g") < 1.0,
             f"g = {self.g} is outside −1 < g < 1; give the mean cosine of one scattering",
         )
+
+    def _take_mean_cosine(self, phase: PhaseFunction) -> None:
+        mean = phase.mean_cosine
+        require(
+            self.g is _LEFT_OUT or abs(self.g - mean) < 1e-9,
+            f"g = {self.g} is not the mean cosine of the phase, {mean:.6g}; leave one of them out",
+        )
+        henyey_greenstein = isinstance(phase, HenyeyGreenstein)
+        object.__setattr__(self, "g", mean)
+        object.__setattr__(self, "phase", None if henyey_greenstein else phase)
+
+    @property
+    def coefficients(self) -> tuple[float, float, float]:
+        """σa, σs and g."""
+        return self.sigma_a, self.sigma_s, self.g
+
+    @property
+    def phase_function(self) -> PhaseFunction:
+        """`phase`, or Henyey–Greenstein with g."""
+        return self.phase or HenyeyGreenstein(self.g)
 
     @property
     def sigma_t(self) -> float:
@@ -366,32 +405,3 @@ class Camera:
         require(by == along or self.kind == "calibrated", "only a calibrated camera's pixels need not be square")
         shape = (self.shape[0] // by, self.shape[1] // along)
         return replace(self, shape=shape, pixel_mm=self.pixel_mm * math.sqrt(by * along), matrix=matrix, bin=0)
-
-
-def require(condition: bool, message: str) -> None:
-    """Refuse with a sentence what does not hold."""
-    if not condition:
-        raise SceneError(message)
-
-
-def finite(name: str, given: object) -> float:
-    """A finite float of what was given under a name."""
-    value = float(given) if isinstance(given, SupportsFloat) else math.nan
-    require(math.isfinite(value), f"{name} = {given!r} is not a finite number; give a finite one")
-    return value
-
-
-def number(owner: object, name: str) -> float:
-    """Make a field a finite float, in place."""
-    value = finite(name, getattr(owner, name))
-    object.__setattr__(owner, name, value)  # the only way to set a field of a frozen dataclass
-    return value
-
-
-def numbers(owner: object, name: str, count: int) -> tuple[float, ...]:
-    """Make a field a tuple of `count` finite floats, in place."""
-    given = tuple(getattr(owner, name))
-    require(len(given) == count, f"{name} = {list(given)} has {len(given)} numbers; give {count}")
-    values = tuple(finite(f"{name}[{index}]", value) for index, value in enumerate(given))
-    object.__setattr__(owner, name, values)
-    return values

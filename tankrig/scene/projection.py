@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
+from tankrig.scene.checks import require
 from tankrig.scene.description import Beam, Projector, Scene, Tank
-from tankrig.scene.parts import require
 
 Array = NDArray[np.float64]
 Alike = Callable[[int, int], bool]
@@ -76,7 +76,15 @@ def beams_of(tank: Tank, projector: Projector, picture: NDArray[np.generic]) -> 
             f"{coarser * LEVELS:.1%} of the brightest, or by {coarser * LIFTED_MM:.1g} mm in height",
             stacklevel=3,
         )
-    return beams
+    return tuple(_rounded_inside(beam, width, height) for beam in beams)
+
+
+def _rounded_inside(beam: Beam, width: float, height: float) -> Beam:
+    """A beam whose edges no rounding has moved out of the wall: n cells of a wall's n-th part may be an ulp larger."""
+    (left, right), (low, high) = beam.y_mm, beam.z_mm
+    return replace(
+        beam, y_mm=(max(left, -0.5 * width), min(right, 0.5 * width)), z_mm=(max(low, 0.0), min(high, height))
+    )
 
 
 def irradiance_on_wall(tank: Tank, projector: Projector, picture: NDArray[np.generic]) -> Array:

@@ -37,7 +37,8 @@ from tankrig.light.rays import (
     sighting_row,
 )
 from tankrig.scene import Scene
-from tankrig.scene.phase import henyey_greenstein
+from tankrig.scene.phase import phase_density
+from tankrig.scene.phase_functions import PhaseRecord
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ SPREAD = 0.05
 def pair_radiance(
     geometry: Geometry,
     sigma_t: float,
-    g: float,
+    phase: PhaseRecord,
     x: float,
     y: float,
     y0: float,
@@ -76,8 +77,8 @@ def pair_radiance(
     ----------
     geometry
         Numbers of the scene.
-    sigma_t, g
-        Extinction in 1/mm and asymmetry.
+    sigma_t, phase
+        Extinction in 1/mm, and the phase function.
     x, y
         Where the line of sight leaves the surface, mm.
     y0, z0
@@ -130,7 +131,7 @@ def pair_radiance(
                 # Unit vector from the light ray to C, perpendicular to the ray.
                 dx, dy, dz = (qx + t * px) / distance, (qy + t * py) / distance, (qz + t * pz) / distance
                 lobe = dx * ax + dy * ay + dz * az
-                count = _cuts(cuts, foot - s_max, foot - s_min, distance, g, cos_out, lobe)
+                count = _cuts(cuts, foot - s_max, foot - s_min, distance, phase, cos_out, lobe)
                 if mirrored:
                     count = _cut_at_critical_angle(cuts, count, geometry.refractive_index, uz, dz)
                 used = 0
@@ -147,7 +148,7 @@ def pair_radiance(
                 inner = 0.0
                 for k in range(used):
                     s, c = _circle(at[k])
-                    value = henyey_greenstein(s, g) * henyey_greenstein(s * cos_out + c * lobe, g)
+                    value = phase_density(s, phase) * phase_density(s * cos_out + c * lobe, phase)
                     kept = exponential(-sigma_t * distance * (1.0 - at[k]) / (1.0 + at[k]))
                     inner += share[k] * 2.0 / (1.0 + at[k] * at[k]) * value * kept
                 total += half * weights[i] * inner * math.exp(-sigma_t * (foot + t))
@@ -203,7 +204,13 @@ def depth_below(geometry: Geometry, x: float, y0: float, z0: float, mirrored: bo
 
 @kernel
 def _cuts(
-    cuts: NDArray[np.float64], low: float, high: float, distance: float, g: float, cos_out: float, lobe: float
+    cuts: NDArray[np.float64],
+    low: float,
+    high: float,
+    distance: float,
+    phase: PhaseRecord,
+    cos_out: float,
+    lobe: float,
 ) -> int:
     """Fill `cuts` with ascending ends of panels in T between tan α = low/d and high/d; return how many."""
     first, last = _half_tangent(low, distance), _half_tangent(high, distance)
@@ -214,7 +221,7 @@ def _cuts(
         count = _insert(cuts, count, peak)
     if first < GRAZING < last:
         count = _insert(cuts, count, GRAZING)
-    width = 0.5 * (1.0 - abs(g))
+    g, width = phase.g, phase.width
     if width < 0.35:
         forward = math.copysign(1.0, g)
         reach = width
@@ -410,7 +417,19 @@ def fill_table(
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     half = y0.size // 2 if mirror_symmetric(scene) else 0
     some, one_sided = y0[: y0.size - half], values[:, : y0.size - half]
-    given = (one_sided, geometry, decay, sigma_t, scene.medium.g, x, fractions, some, z0, mirrored, *rule)
+    given = (
+        one_sided,
+        geometry,
+        decay,
+        sigma_t,
+        scene.medium.phase_function.record,
+        x,
+        fractions,
+        some,
+        z0,
+        mirrored,
+        *rule,
+    )
     with ThreadPoolExecutor(THREADS) as pool:
         parts = [pool.submit(fill, *given, part, THREADS) for part in range(THREADS)]
         for part in parts:
@@ -510,8 +529,8 @@ def lagrange(nodes: Array, at: float) -> Array:
 
 @kernel
 def _fill_shifted(
-    values: Array, geometry: Geometry, decay: float, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array,
-    z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
+    values: Array, geometry: Geometry, decay: float, sigma_t: float, phase: PhaseRecord, x: Array, fractions: Array,
+    y0: Array, z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
 ) -> None:  # fmt: skip
     """Every second x, where only y − y₀ matters: both lines are put symmetrically about y = 0, inside the tank."""
     for i in range(part, x.size, parts):
@@ -521,7 +540,7 @@ def _fill_shifted(
                 value = pair_radiance(
                     geometry,
                     sigma_t,
-                    g,
+                    phase,
                     x[i],
                     y0[0] + 0.5 * delta,
                     y0[0] - 0.5 * delta,
@@ -537,8 +556,8 @@ def _fill_shifted(
 
 @kernel
 def _fill_slanted(
-    values: Array, geometry: Geometry, decay: float, sigma_t: float, g: float, x: Array, fractions: Array, y0: Array,
-    z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
+    values: Array, geometry: Geometry, decay: float, sigma_t: float, phase: PhaseRecord, x: Array, fractions: Array,
+    y0: Array, z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
 ) -> None:  # fmt: skip
     """Every second x, with nodes between the crossing and either side wall; J over `share_seen`."""
     inside = 0.999 * geometry.half_width  # at the wall itself both are 0
@@ -553,7 +572,7 @@ def _fill_slanted(
                         delta = max(span, 1e-6) * fractions[k]
                         y = crossing + delta if side == 1 else crossing - delta
                         y = min(max(y, -inside), inside)
-                        value = pair_radiance(geometry, sigma_t, g, x[i], y, y0[m], z0[j], mirrored, nodes, weights)
+                        value = pair_radiance(geometry, sigma_t, phase, x[i], y, y0[m], z0[j], mirrored, nodes, weights)
                         share = max(share_seen(geometry, x[i], y, abs(y - crossing), depth), 1e-9)
                         value *= math.exp(decay * (x[i] + delta)) / share
                         values[j, m, side, i, k] = value

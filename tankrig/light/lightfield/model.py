@@ -12,7 +12,7 @@ from tankrig.light.lightfield.convolution import convolve, resample
 from tankrig.light.lightfield.kernel import scattering_kernel
 from tankrig.light.lightfield.spectrum import Orders
 from tankrig.light.single import single_scattering
-from tankrig.scene import Scene
+from tankrig.scene import Medium, Scene
 
 Image = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ def _from_kernel(scene: Scene, orders: Orders, tolerance: float) -> Image:
     columns, rows = math.ceil(length / step - 1e-9), math.ceil(width / step - 1e-9)
     # A cell's light seen from a cell: two box averages of variance step²/12 each, for which the Gaussian stands.
     blur = math.sqrt(length / columns * width / rows / 6.0)
-    degree = _degree(scene.medium.g, orders, tolerance)
+    degree = _degree(_decay(scene.medium), orders, tolerance)
     detail = min(2 * degree, degree + 8)
     reach = math.hypot(*scene.tank.size_mm)
     kernel = scattering_kernel(scene.medium, orders, blur, reach, degree, detail)
@@ -116,10 +116,17 @@ def left_out(scene: Scene, tolerance: float = 0.01) -> list[tuple[str, float]]:
     [('walls between scatterings, from order 3 on', inf), ('harmonics above degree 48', 0.38)]
     """
     items = [("walls between scatterings, from order 3 on", math.inf)]
-    bound = abs(scene.medium.g) ** (2 * _HIGHEST_DEGREE)
+    bound = _decay(scene.medium) ** (2 * _HIGHEST_DEGREE)
     if bound > 0.5 * tolerance:
         items.append((f"harmonics above degree {_HIGHEST_DEGREE}", bound))
     return items
+
+
+def _decay(medium: Medium) -> float:
+    """Factor from degree to degree by which the phase function's moments fall: |g| for Henyey–Greenstein."""
+    if medium.phase is None:
+        return abs(medium.g)
+    return float(abs(medium.phase.moments(_HIGHEST_DEGREE)[-1]) ** (1.0 / _HIGHEST_DEGREE))
 
 
 def _degree(g: float, orders: Orders, tolerance: float) -> int:

@@ -36,7 +36,9 @@ def order_sum(medium: Medium, orders: Orders, wave_number: Floats, order: int, d
     """
     first, last = orders
     degrees = np.arange(order, degree + 1)
-    scattering = medium.sigma_s * medium.g**degrees * np.exp(-2.0 * (degrees / max(degree, 1)) ** 8)
+    scattering = (
+        medium.sigma_s * medium.phase_function.moments(degree)[order:] * np.exp(-2.0 * (degrees / max(degree, 1)) ** 8)
+    )
     step = scattering[:, None] * streaming_inverse(wave_number, medium.sigma_t, order, degree)
     power = np.linalg.matrix_power(step, first - 1)
     if last != first:

@@ -62,9 +62,10 @@ def dense_orders(scene: Scene, plan: MomentPlan, seed: int = 0, residual: float 
     if mirror_symmetric(scene):
         emission = 0.5 * (emission + emission[:, :, ::-1] * parities(plan.degree)[1][:, None, None, None])
     source = emission.astype(np.float32)
-    forward = medium.g ** (plan.degree + 1)
+    moments = medium.phase_function.moments(plan.degree + 1)
+    forward = moments[-1]
     scaled = medium.sigma_t - forward * medium.sigma_s
-    scattering_moments = _column(medium.sigma_s * (medium.g**level - forward))
+    scattering_moments = _column(medium.sigma_s * (moments[level] - forward))
     transport = propagation(plan.degree, cells, scaled, scene.tank.surface_index)
     field = solved(transport, scattering_moments, transport(source), residual)
     whole = _seen(scene, cells, scattering_moments * field + source, scaled)
@@ -78,7 +79,7 @@ def _orders_to(last: int, scene: Scene, cells: Cells, source: Single, above: int
     medium = scene.medium
     degree = min(math.isqrt(len(source)) - 1, 2)
     transport = propagation(degree, cells, medium.sigma_t, scene.tank.surface_index)
-    scattered = _column(medium.sigma_s * medium.g ** degrees(degree))
+    scattered = _column(medium.sigma_s * medium.phase_function.moments(degree)[degrees(degree)])
     emission = source[: (degree + 1) ** 2]
     total = np.zeros_like(emission)
     for _ in range(above, last):

@@ -71,14 +71,15 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     if shallow or not -0.02 < medium.g < 0.87 or not shift_invariant(scene):
         return None
     above = 3 if degree == 0 else 5  # fewer scatterings leave beams narrower than cells
-    while above < 12 and g ** ((degree + 1) * above) > 0.004:
+    beyond = float(medium.phase_function.moments(degree + 1)[-1])
+    while above < 12 and abs(beyond) ** above > 0.004:
         above += 1
-    scaled = medium.sigma_t - medium.g ** (degree + 1) * medium.sigma_s
+    scaled = medium.sigma_t - beyond * medium.sigma_s
     cells = min(max(shortest * scaled / DENSEST_CELL, FEWEST_CELLS), MOST_CELLS[degree])
     side = shortest / cells
     noise = 0.02 * (g / 0.85) ** 4 * medium.albedo**above  # of one lattice (measured)
     batches = max(4, math.ceil((noise / (NOISE_SHARE * tolerance)) ** 2))
-    angular, spatial = 0.6 * g ** ((degree + 1) * above), 0.001 + 0.03 * (side * scaled) ** 3
+    angular, spatial = 0.6 * abs(beyond) ** above, 0.001 + 0.03 * (side * scaled) ** 3
     # Light that fades away from the beams like exp(−κr) is spread over cells: 2 % at σt = .2, ϖ = .9, g = .2.
     fading = 3.0 * medium.sigma_a * (medium.sigma_a + medium.sigma_s * (1.0 - medium.g))
     spatial += 0.008 * (0.5 * fading * side * shortest) ** 2

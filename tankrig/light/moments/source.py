@@ -14,6 +14,7 @@ from tankrig.light.paths.record import column_of, image_of_edges
 from tankrig.light.paths.trace import advance, narrow, scatter
 from tankrig.light.rays import Geometry, geometry_of
 from tankrig.scene import Scene
+from tankrig.scene.phase_functions import PhaseRecord
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
@@ -59,8 +60,8 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
             )
             edges = np.zeros((up, 2, along + 2, across + 2, moments))
             _follow(
-                edges, geometry, cells.size_mm, medium.sigma_t, medium.albedo, medium.g, beams, shifted, LARGE.points,
-                order, degree,
+                edges, geometry, cells.size_mm, medium.sigma_t, medium.albedo, medium.phase_function.record, beams,
+                shifted, LARGE.points, order, degree,
             )  # fmt: skip
             averages = image_of_edges(np.moveaxis(edges, -1, 0), medium.sigma_t, cells.size_mm[0])
             total += averages * ((z_mm[1] - z_mm[0]) / LARGE.points)
@@ -68,21 +69,22 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
 
     with ThreadPoolExecutor(THREADS) as pool:
         mean = sum(pool.map(batch, range(batches)), np.zeros(())) / batches
-    scale = medium.g ** degrees(degree) / cells.size_mm[2]
+    scale = medium.phase_function.moments(degree)[degrees(degree)] / cells.size_mm[2]
     result: Array = mean.transpose(0, 3, 2, 1) * scale[:, None, None, None]
     return result
 
 
 @kernel
 def _follow(
-    edges: Array, geometry: Geometry, cell_mm: tuple[float, float, float], sigma_t: float, albedo: float, g: float,
+    edges: Array, geometry: Geometry, cell_mm: tuple[float, float, float], sigma_t: float, albedo: float,
+    phase: PhaseRecord,
     beams: Array, lattice: Array, points: int, last: int, degree: int,
 ) -> None:  # fmt: skip
     """Follow paths to their scattering number `last` and record weight · Y_lm of their direction before it.
 
     `edges` is (nz, 2, ny + 2, nx + 2, moments); `beams` (n, 5): y low, y high, z low, z high, irradiance.
     """
-    sampling = PathSampling(sigma_t, albedo, g, False, 0.0)
+    sampling = PathSampling(sigma_t, albedo, phase, False, 0.0)
     block, values = empty_block(), np.empty((degree + 1) ** 2)
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     for start in range(0, points, BLOCK):

@@ -20,6 +20,7 @@ from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.light.elementary import circle, log_one_minus, one_minus_exponential
 from tankrig.light.rays import Geometry, light_ray
+from tankrig.scene.phase_functions import PhaseRecord
 
 Array = NDArray[np.float64]
 
@@ -77,9 +78,9 @@ def coordinate(point: int, dimension: int, lattice: Array) -> float:
 
 @part
 def scattered(
-    dx: float, dy: float, dz: float, ex: float, ey: float, ez: float, g: float, u: float, v: float
+    dx: float, dy: float, dz: float, ex: float, ey: float, ez: float, cosine: float, v: float
 ) -> tuple[float, float, float, float, float, float]:
-    """A direction drawn from the phase function about a direction, and the reference it takes along.
+    """A direction at a drawn angle from another one, and the reference it takes along.
 
     The azimuth is counted from a reference that is carried from scattering to scattering. A frame made anew from each
     direction would jump somewhere on the sphere, and the image with it as the medium changes.
@@ -90,20 +91,16 @@ def scattered(
         Direction before, a unit vector.
     ex, ey, ez
         Unit vector across it that the azimuth is counted from.
-    g
-        Asymmetry of the phase function.
-    u, v
-        Coordinates in [0, 1) for the angle and the azimuth.
+    cosine
+        Of the angle.
+    v
+        Coordinate in [0, 1) for the azimuth.
 
     Returns
     -------
     dx, dy, dz, ex, ey, ez
         Direction after, and its reference.
     """
-    root = (1.0 - g * g) / (1.0 + g - 2.0 * g * u)
-    linear = 1.0 - 2.0 * u + 6.0 * g * u * (1.0 - u)
-    cosine = linear if abs(g) < 1e-3 else (1.0 + g * g - root * root) / (2.0 * g)
-    cosine = min(max(cosine, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
     a, b = circle(v)
     ax = a * ex + b * (dy * ez - dz * ey)
@@ -242,7 +239,7 @@ class PathSampling(NamedTuple):
 
     sigma_t: float
     albedo: float
-    g: float
+    phase: PhaseRecord
     guided: bool
     per_turn: float
     """Share of the paths that turn at one given order."""

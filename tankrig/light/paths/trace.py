@@ -8,7 +8,9 @@ Where light is scattered forward, few paths would ever turn towards the camera. 
 mend that, and the balance heuristic weighs the three so that none can make a contribution large:
 
 * a share of the paths turns once, at an order fixed by its lattice point, into a wide lobe about the line of sight;
-* at every scattering a probe for the last flight is drawn from the phase function's own lobe about the line of sight.
+* at every scattering a probe for the last flight is drawn from a lobe about the line of sight.
+
+The lobes are Henyey–Greenstein's with the phase function's mean cosine, whatever the phase function is.
 
 `remaining + turned` below is the density of all ways to draw the path's directions, over that of plain scattering.
 
@@ -51,7 +53,13 @@ from tankrig.light.paths.record import (
     tally_rectangles,
 )
 from tankrig.light.rays import Geometry
-from tankrig.scene.phase import henyey_greenstein
+from tankrig.scene.phase import (
+    drawn_cosine,
+    henyey_greenstein,
+    henyey_greenstein_cosine,
+    phase_density,
+)
+from tankrig.scene.phase_functions import PhaseRecord
 
 Array = NDArray[np.float64]
 
@@ -59,7 +67,7 @@ Array = NDArray[np.float64]
 @kernel
 def trace(
     edges: Array, cells: Array, bins: Bins, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float],
-    sigma_t: float, albedo: float, g: float, beams: Array, lattice: Array, start: int, stop: int,
+    sigma_t: float, albedo: float, phase: PhaseRecord, beams: Array, lattice: Array, start: int, stop: int,
     max_order: int, faintest: float, first_thinning: int,
 ) -> None:  # fmt: skip
     """Follow the paths of lattice points `start` … `stop` − 1 and record their orders ≥ 3.
@@ -79,7 +87,7 @@ def trace(
         and stands for all that begin anywhere on the beams and stay between the walls.
     cell_mm
         Size of the cells along x and y, mm.
-    sigma_t, albedo, g
+    sigma_t, albedo, phase
         The medium.
     beams
         (n, 6): y low, y high, z low, z high on the plane x = 0, irradiance, and the share of the power up to and
@@ -95,7 +103,7 @@ def trace(
     first_thinning
         From this order on, every doubling of the order halves the paths: later orders are smoother.
     """
-    sampling = PathSampling(sigma_t, albedo, g, g > 0.3, (1.0 - UNTURNED) / TURNS)
+    sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / TURNS)
     block, tally = empty_block(), empty_record(BLOCK)
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
@@ -187,13 +195,15 @@ def _probed(
     dx, dy, dz = block.dx[i], block.dy[i], block.dz[i]
     sx, sy, sz = block.sx[i], block.sy[i], block.sz[i]
     rx, ry, rz = across(sx, sz)
-    px, py, pz, _, _, _ = scattered(sx, sy, sz, rx, ry, rz, sampling.g, u[i], v[i])
-    plain = henyey_greenstein(px * dx + py * dy + pz * dz, sampling.g)
+    px, py, pz, _, _, _ = scattered(
+        sx, sy, sz, rx, ry, rz, henyey_greenstein_cosine(u[i], sampling.phase.g), v[i]
+    )  # fmt: skip
+    plain = phase_density(px * dx + py * dy + pz * dz, sampling.phase)
     ahead = px * sx + py * sy + pz * sz
     before = remaining + block.turned[i]
     per_turn = sampling.per_turn if order <= TURNS else 0.0
-    density = before * (henyey_greenstein(ahead, sampling.g) + plain) + per_turn * (
-        _wide_lobe(ahead, sampling.g) - plain
+    density = before * (henyey_greenstein(ahead, sampling.phase.g) + plain) + per_turn * (
+        _wide_lobe(ahead, sampling.phase.g) - plain
     )
     qx, qy, qz, pz, chance = fly(
         _walls(block, i, geometry), geometry.height, geometry.refractive_index, sampling.sigma_t,
@@ -220,7 +230,7 @@ def _probe(
     for i in range(n):
         x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining)
         tally.x[i], tally.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z)
-        phase = henyey_greenstein(dx * sx + dy * sy + dz * sz, sampling.g)
+        phase = phase_density(dx * sx + dy * sy + dz * sz, sampling.phase)
         tally.value[i] = weight * phase * factor * exponential(-sampling.sigma_t * path)
 
 
@@ -229,7 +239,7 @@ def _arrive(tally: TallyRecord, block: Block, n: int, sampling: PathSampling) ->
     """What the ends of paths send to the camera."""
     for i in range(n):
         ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
-        tally.value[i] = block.seen[i] * henyey_greenstein(ahead, sampling.g) * block.reaches[i]
+        tally.value[i] = block.seen[i] * phase_density(ahead, sampling.phase) * block.reaches[i]
 
 
 @kernel
@@ -251,7 +261,7 @@ def _cover(
     for i in range(n):
         x = ends.x[i]
         low, high = max(block.x_low[i], -x), min(block.x_high[i], geometry.length - x)
-        value = ends.weight[i] * henyey_greenstein(ends.dz[i], sampling.g)
+        value = ends.weight[i] * phase_density(ends.dz[i], sampling.phase)
         value = value * exponential(-sampling.sigma_t * (geometry.height - ends.z[i])) if high > low else 0.0
         tally.value[i] = value
         tally.first[i], tally.first_part[i], tally.first_on[i] = column_of(low, x, sampling.sigma_t, value, cell_mm)
@@ -266,7 +276,7 @@ def _cover(
 @kernel
 def scatter(block: Block, u: Array, v: Array, n: int, sampling: PathSampling, order: int, remaining: float) -> None:
     """Draw new directions."""
-    g = sampling.g
+    phase, g = sampling.phase, sampling.phase.g
     per_turn = sampling.per_turn if sampling.guided and order <= TURNS else 0.0
     probed = 1.0 if sampling.guided and order >= 2 else 0.0
     for i in range(n):
@@ -277,9 +287,10 @@ def scatter(block: Block, u: Array, v: Array, n: int, sampling: PathSampling, or
         dx, dy, dz, ex, ey, ez = scattered(
             sx if turns else ox, sy if turns else oy, sz if turns else oz,
             rx if turns else block.ex[i], ry if turns else block.ey[i], rz if turns else block.ez[i],
-            (g**2 if wide else g**4) if turns else g, u[i], (2.0 * v[i] - (0.0 if wide else 1.0)) if turns else v[i],
+            henyey_greenstein_cosine(u[i], g**2 if wide else g**4) if turns else drawn_cosine(u[i], phase),
+            (2.0 * v[i] - (0.0 if wide else 1.0)) if turns else v[i],
         )  # fmt: skip
-        plain = henyey_greenstein(dx * ox + dy * oy + dz * oz, g)
+        plain = phase_density(dx * ox + dy * oy + dz * oz, phase)
         ahead = dx * sx + dy * sy + dz * sz
         before = remaining + block.turned[i]
         after = before + per_turn * (_wide_lobe(ahead, g) / plain - 1.0)

@@ -131,7 +131,8 @@ class PathImages:
         for batch in range(batches):
             trace(
                 edges, cells, self._bins, geometry_of(lit), self.grid.shiftable, self.grid.cell_mm, medium.sigma_t, 1.0,
-                medium.g, table, LARGE.shifted((seed, batch)), 0, LARGE.points, HIGHEST_ORDER, FAINTEST, thinning,
+                medium.phase_function.record, table, LARGE.shifted((seed, batch)), 0, LARGE.points, HIGHEST_ORDER,
+                FAINTEST, thinning,
             )  # fmt: skip
 
     def to_pixels(self, patterns: Array) -> Array:

@@ -1,0 +1,210 @@
+"""Liquids are not Henyey–Greenstein: every family, particles and tables, in all models."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tankrig
+from tankrig.errors import SceneError
+from tankrig.light.lightfield.spectrum import spectrum
+from tankrig.montecarlo import simulate
+from tankrig.montecarlo.draws import phase_table
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tankrig.scene.phase_functions import (
+    FournierForand,
+    HenyeyGreenstein,
+    Mie,
+    Mixture,
+    PhaseFunction,
+    ReynoldsMcCormick,
+    Tabulated,
+    TwoTerm,
+    phase_function,
+)
+
+BEAD = Mie(1.0, 1.5868, 1.3317, 633.0)
+LIGHT = Projector("collimated", (Beam((-42.0, -38.0), (58.0, 62.0)), Beam((-2.0, 2.0), (58.0, 62.0))))
+CAMERA = Camera("orthographic", (20, 30), 8.0)
+
+families = st.one_of(
+    st.builds(HenyeyGreenstein, st.floats(-0.9, 0.97)),
+    st.builds(TwoTerm, st.floats(0.0, 0.97), st.floats(-0.9, 0.0), st.floats(0.0, 1.0)),
+    st.builds(ReynoldsMcCormick, st.floats(0.05, 0.95), st.floats(-0.4, 1.5)),
+    st.builds(FournierForand, st.floats(1.02, 1.3), st.floats(3.1, 4.5)),
+    st.builds(Mie, st.floats(0.05, 3.0), st.floats(1.4, 1.7), st.just(1.33), st.floats(400.0, 700.0)),
+)
+
+
+def scene(medium: Medium) -> Scene:
+    return Scene(Tank(), medium, LIGHT, CAMERA)
+
+
+@settings(max_examples=60, deadline=None)
+@given(families)
+def test_a_phase_function_sends_all_light_somewhere_and_draws_what_it_says(phase: PhaseFunction) -> None:
+    """Otherwise every order of scattering would gain or lose light, and paths would go elsewhere than p says."""
+    moments = phase.moments(3)
+    assert moments[0] == pytest.approx(1.0, abs=1e-9)
+    assert np.all(np.abs(moments) <= 1.0 + 1e-9)
+    assert phase.mean_cosine == pytest.approx(moments[1], abs=1e-9)
+    record = phase.record
+    if hasattr(record, "cosines"):
+        place = np.linspace(0.0, 1.0, 100_001)
+        cosines = np.interp(place, np.linspace(0.0, 1.0, record.cosines.size), record.cosines)
+        assert np.trapezoid(cosines, 1.0 - (1.0 - place) ** 4) == pytest.approx(phase.mean_cosine, abs=2e-4)
+    table = phase_table(phase)
+    if hasattr(table, "below"):
+        assert table.below[-1] == pytest.approx(1.0)
+        mean = float(np.sum(np.diff(table.below) * 0.5 * (table.cosines[1:] + table.cosines[:-1])))
+        assert mean == pytest.approx(phase.mean_cosine, abs=2e-3)
+
+
+def test_families_nest_henyey_greenstein() -> None:
+    cosine = np.linspace(-1.0, 1.0, 101)
+    expected = phase_function(cosine, 0.7)
+    for phase in (TwoTerm(0.7, 0.0, 1.0), ReynoldsMcCormick(0.7, 0.5)):
+        assert phase.at(cosine) == pytest.approx(expected, rel=1e-4)
+    assert Medium(0.0, 0.01, phase=HenyeyGreenstein(0.7)) == Medium(0.0, 0.01, 0.7)
+
+
+def test_mie_is_miepythons_and_small_spheres_are_rayleighs() -> None:
+    import miepython
+
+    cosine = np.linspace(-1.0, 1.0, 181)
+    size = math.pi * BEAD.water_index * BEAD.diameter_um / (BEAD.wavelength_nm / 1000.0)
+    ratio = BEAD.particle_index / BEAD.water_index
+    assert BEAD.at(cosine) == pytest.approx(miepython.i_unpolarized(ratio, size, cosine, norm="one"), rel=1e-3)
+    area = miepython.efficiencies_mx(ratio, size)[1] * math.pi * BEAD.diameter_um**2 / 4.0
+    assert BEAD.cross_section_um2 == pytest.approx(area, rel=1e-9)
+    small = Mie(0.005, 1.58, 1.33, 633.0)
+    assert small.at(cosine) == pytest.approx(3.0 / (16.0 * math.pi) * (1.0 + cosine**2), rel=1e-3)
+
+
+def test_what_mie_says_of_latex_where_the_camera_looks() -> None:
+    """Mie over Henyey–Greenstein at the same mean cosine, at 90°: .86, .45, .40, .64 at 633 nm."""
+    for diameter, expected in ((0.2, 0.86), (0.5, 0.45), (1.0, 0.40), (2.0, 0.64)):
+        bead = Mie(diameter, 1.58242, 1.3317, 633.0)
+        assert float(bead.at(0.0) / phase_function(np.array(0.0), bead.mean_cosine)) == pytest.approx(
+            expected, abs=0.006
+        )
+
+
+@pytest.mark.parametrize("phase", [TwoTerm(0.9, -0.4, 0.9), BEAD, TwoTerm(0.5, -0.5, 0.3)], ids=["two", "bead", "back"])
+def test_the_tank_and_the_monte_carlo_agree_on_any_liquid(phase: PhaseFunction) -> None:
+    """Tables, drawing and quadratures are each side's own."""
+    liquid = scene(Medium(0.0005, 0.02, phase=phase))
+    predicted, tally = tankrig.predict(liquid, "tank", 0.01), simulate(liquid, 400_000)
+    for order in (1, 2, 3):
+        total = predicted.orders[order].sum() / tally.orders[order].sum()
+        assert total == pytest.approx(1.0, abs=0.01), order
+    off = np.linalg.norm(predicted.image - tally.image) / np.linalg.norm(tally.image)
+    assert off < math.hypot(0.01, tally.noise, 0.004)
+    wrong = tankrig.predict(scene(Medium(0.0005, 0.02, phase.mean_cosine)), "tank", 0.05)
+    assert np.linalg.norm(wrong.image - tally.image) / np.linalg.norm(tally.image) > 0.1
+
+
+def test_a_mixture_scatters_as_its_parts_do() -> None:
+    first, second = TwoTerm(0.9, -0.4, 0.9), HenyeyGreenstein(0.1)
+    mixed = Mixture((first, second), (0.25, 0.75))
+    assert mixed.moments(5) == pytest.approx(0.25 * first.moments(5) + 0.75 * second.moments(5), abs=1e-6)
+
+
+@pytest.mark.parametrize("order", [1, 2, 5])
+def test_convolution_turns_light_by_the_phase_function(order: int) -> None:
+    """n scatterings turn by a phase function whose moments are χⁿ, and weigh ϖⁿ⁻¹ σs."""
+    phase = TwoTerm(0.6, -0.3, 0.7)
+    medium = Medium(0.004, 0.016, phase=phase)
+    wave = np.array([1e-9])
+    found, _ = spectrum(medium, (order, order), wave, np.array([0.3]), np.array([0.5]), 40)
+    degrees = np.arange(41)
+    expected = (2.0 * degrees + 1.0) / (4.0 * math.pi) * phase.moments(40) ** order @ legendre_at_right_angle(40)
+    assert found[0, 0] == pytest.approx(medium.albedo ** (order - 1) * medium.sigma_s * expected, rel=2e-3)
+
+
+def legendre_at_right_angle(highest: int) -> np.ndarray:
+    return np.array([np.polynomial.legendre.Legendre.basis(degree)(0.0) for degree in range(highest + 1)])
+
+
+def test_single_knows_the_phase_function() -> None:
+    liquid = scene(Medium(0.001, 0.003, phase=TwoTerm(0.6, -0.3, 0.7)))
+    whole = tankrig.predict(liquid, "tank", 0.01)
+    assert tankrig.predict(liquid, "single").image == pytest.approx(whole.orders[1])
+
+
+TABLE = "\n".join(f"{c:.6f} {1.0 / (4.0 * math.pi) * (1.0 + 0.9 * c):.8f}" for c in np.linspace(-1.0, 1.0, 41))
+
+
+def scene_file(folder: Path, phase: str) -> Path:
+    file = folder / "scene.toml"
+    file.write_text(
+        f'[tank]\nsize_mm = [240.0, 160.0, 120.0]\nsurface = "matched"\n[medium]\nsigma_a = 0.001\nsigma_s = 0.01\n'
+        f'{phase}\n[projector]\nkind = "collimated"\nbeams = [ {{ y_mm = [-2.0, 2.0], z_mm = [58.0, 62.0], '
+        f'irradiance = 1.0 }} ]\n[camera]\nkind = "orthographic"\nshape = [20, 30]\npixel_mm = 8.0\n'
+    )
+    return file
+
+
+def test_a_scene_file_names_a_phase_function(tmp_path: Path) -> None:
+    (tmp_path / "p.txt").write_text("# cosine value\n" + TABLE)
+    table = tankrig.load_scene(scene_file(tmp_path, 'phase = { kind = "table", file = "p.txt" }')).medium
+    assert table.g == pytest.approx(0.3, abs=1e-3)
+    bead = "diameter_um = 1.0, particle_index = 1.5868, water_index = 1.3317, wavelength_nm = 633"
+    assert tankrig.load_scene(scene_file(tmp_path, f'phase = {{ kind = "mie", {bead} }}')).medium.phase == BEAD
+
+
+@pytest.mark.parametrize(
+    ("phase", "said"),
+    [
+        ('phase = { kind = "mei" }', 'medium.phase.kind = "mei" is unknown; did you mean "mie"?'),
+        ('phase = { kind = "two-term", forward = 1.2, backward = 0.0, share = 0.5 }', "forward = 1.2 is outside"),
+        ('phase = { kind = "reynolds-mccormick", g = 0.5 }', 'key "medium.phase.alpha" is missing'),
+        ('phase = { kind = "table", file = "no.txt" }', "no.txt"),
+        ('phase = { kind = "mie", diameter_um = 1.0, particle_index = 1.59, water_index = 1.33 }', "wavelength_nm"),
+        ('g = 0.5\nphase = { kind = "two-term", forward = 0.9, backward = 0.0, share = 0.5 }', "leave one of them out"),
+    ],
+)
+def test_what_is_no_phase_function_is_refused_in_one_sentence(tmp_path: Path, phase: str, said: str) -> None:
+    with pytest.raises(SceneError, match=r"scene\.toml") as refused:
+        tankrig.load_scene(scene_file(tmp_path, phase))
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("-1 0.1\n1 0.1", "integral"),
+        ("-1 -0.1\n0 0.2\n1 0.1", "negative"),
+        ("-1 0.0001\n0.5 0.0001\n0.999 20.0\n1 20", "coarse"),
+        ("0 0.1\n1 0.1", "from −1 to 1"),
+        ("-1 0.1\n-1 0.1\n1 0.1", "rise"),
+        ("-1 one\n1 0.1", "row 1"),
+        ("-1 nan\n1 0.1", "finite"),
+    ],
+)
+def test_a_bad_table_is_refused(tmp_path: Path, rows: str, said: str) -> None:
+    (tmp_path / "p.txt").write_text(rows)
+    with pytest.raises(SceneError) as refused:
+        tankrig.load_scene(scene_file(tmp_path, 'phase = { kind = "table", file = "p.txt" }'))
+    assert said in str(refused.value)
+
+
+def test_a_table_may_be_off_by_rounding_only() -> None:
+    cosines = tuple(np.linspace(-1.0, 1.0, 5).tolist())
+    even = 1.0 / (4.0 * math.pi)
+    assert Tabulated(cosines, (1.01 * even,) * 5).mean_cosine == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(SceneError, match="integral"):
+        Tabulated(cosines, (1.05 * even,) * 5)
+
+
+def test_fits_and_prepared_models_say_that_they_know_henyey_greenstein_only() -> None:
+    """They would return a Henyey–Greenstein liquid, 20 to 200 % off, without a word."""
+    liquid = scene(Medium(0.0005, 0.02, phase=BEAD))
+    image = np.random.default_rng(0).random(CAMERA.shape)
+    for attempt in (lambda: tankrig.estimate(image, liquid), lambda: tankrig.prepare(liquid)):
+        with pytest.raises(SceneError, match=r'medium\.phase of kind "mie" is known to predictions only'):
+            attempt()
