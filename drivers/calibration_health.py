@@ -42,23 +42,23 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
     folder = Path(rig.calibration_folder)
     for unusable in all_in(folder):
         if isinstance(unusable, StoreError):
-            yield failed("calibration file can be used", unusable)
+            yield replace(failed("calibration file can be used", unusable), part="calibration")
     try:
         found = usable(folder, rig.calibration)
     except StoreError as error:
-        yield failed("calibration that the rig file names is there", error)
+        yield replace(failed("calibration that the rig file names is there", error), part="calibration")
         return
     for over in passed_over(folder, rig.calibration):
         what = f"newest calibration of the {over.kind} can be used"
-        yield Check(what, False, f"runs are refused: {over.question}", over.remedy)
+        yield Check(what, False, f"runs are refused: {over.question}", over.remedy, over.kind)
     yield from _of_one_bench(rig, found)
     for kind in KINDS:
         if kind in found:
-            yield _fits(found[kind], devices.get(DEVICES[kind]), found, folder)
+            yield replace(_fits(found[kind], devices.get(DEVICES[kind]), found, folder), part=kind)
         else:
             yield Check(
                 f"{kind} is calibrated", None, "has not been measured; the rig file is believed",
-                f"tankrig calibrate {kind} --rig FILE",
+                f"tankrig calibrate {kind} --rig FILE", kind,
             )  # fmt: skip
     yield from _as_believed(rig, found)
 
@@ -68,7 +68,7 @@ def _of_one_bench(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Ch
     try:
         require_of_bench(rig, found)
     except StoreError as error:
-        yield failed("calibrations are of this rig and belong together", error)
+        yield replace(failed("calibrations are of this rig and belong together", error), part="calibration")
 
 
 def _as_believed(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Check]:
@@ -93,7 +93,7 @@ def _as_believed(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Che
             None if in_use and not passed and kind != "latency" else passed,
             f"{name} = {_shown(measured)} measured, {_shown(value)} in the rig file"
             + ("; what was measured is used" if in_use and kind != "latency" else ""),
-            f"correct {key}",
+            f"correct {key}", "rig file",
         )  # fmt: skip
 
 
@@ -132,14 +132,19 @@ def _fits(one: Calibration, device: Any, found: Mapping[str, Calibration], folde
 def level_check(projector: Projector, camera: Camera, wall: Wall, rule: ExposureRule = _ANY) -> Check:
     """Whether the projector's levels make the light that they are taken to make; three flashes."""
     what = "projector's levels make the light they are taken to make"
+
+    def plain(level: int) -> Pattern:
+        return Pattern(f"level {level}", np.full(projector.shape, level, np.uint8))
+
     try:
         exposure_ms = bright_exposure_ms(projector, camera, rule)
-        plain = (Pattern(f"level {level}", np.full(projector.shape, level, np.uint8)) for level in (0, _LEVEL, 255))
-        dark, half, full = (mean_of(projector, camera, pattern, exposure_ms) for pattern in plain)
+        dark, full = (mean_of(projector, camera, plain(level), exposure_ms) for level in (0, 255))
+        light, seen = full - dark, float((full - dark).max())
+        dim = seen < _DIM * camera.saturation
+        half = dark if dim else mean_of(projector, camera, plain(_LEVEL), exposure_ms)
     except TankrigError as error:
         return replace(failed(what, error), passed=None)  # a dark tank is no fault of the devices
-    light, seen = full - dark, float((full - dark).max())
-    if seen < _DIM * camera.saturation:
+    if dim:
         return Check(
             what, None, "the camera sees too little of its light to tell, as with clear water",
             "put ink into the tank, a sheet of paper where the light falls, or a diffuser before the camera",

@@ -74,30 +74,45 @@ def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
     """
     with ExitStack() as opened:
         devices: dict[str, Any] = {}
-        for kind in ("doser", "projector", "camera"):
-            settings = dict(getattr(rig, kind))
-            driver = settings.pop("driver")
-            device = None
-            try:
-                device = devices[kind] = open_device(driver, settings)
-                opened.callback(device.close)
-                yield Check(f"{kind} opens", True, f"{device.name} ({driver})")
-            except DeviceError as error:
-                yield failed(f"{kind} opens", error)
-            yield from _own_checks(driver, settings, device)
-        if "doser" in devices:
-            yield from _doser(devices["doser"], rig)
-        for kind, shape in (("projector", rig.bench.wall.shape), ("camera", rig.bench.camera.shape)):
-            if kind in devices:
-                yield _shape(kind, devices[kind].shape, shape)
-        if "camera" in devices:
-            yield _camera(devices["camera"])
-        yield from _exposures(rig.exposure_rule, devices)
+        yield from _part("devices", _devices(rig, opened, devices))
+        yield from _part("exposure", _exposures(rig.exposure_rule, devices))
         yield from calibration_checks(rig, devices)
         if with_light and {"projector", "camera"} <= devices.keys():
-            yield _latency(devices["projector"], devices["camera"], rig.latency_ms)
-            yield _seen(devices["projector"], devices["camera"], rig.exposure_rule)
-            yield level_check(devices["projector"], devices["camera"], _believed(rig).wall, rig.exposure_rule)
+            yield from _part("light", _light(rig, devices))
+
+
+def _part(part: str, checks: Iterator[Check]) -> Iterator[Check]:
+    for check in checks:
+        yield replace(check, part=part)
+
+
+def _devices(rig: RigFile, opened: ExitStack, devices: dict[str, Any]) -> Iterator[Check]:
+    """Open them, into `devices`, and ask each by itself."""
+    for kind in ("doser", "projector", "camera"):
+        settings = dict(getattr(rig, kind))
+        driver = settings.pop("driver")
+        device = None
+        try:
+            device = devices[kind] = open_device(driver, settings)
+            opened.callback(device.close)
+            yield Check(f"{kind} opens", True, f"{device.name} ({driver})")
+        except DeviceError as error:
+            yield failed(f"{kind} opens", error)
+        yield from _own_checks(driver, settings, device)
+    if "doser" in devices:
+        yield from _doser(devices["doser"], rig)
+    for kind, shape in (("projector", rig.bench.wall.shape), ("camera", rig.bench.camera.shape)):
+        if kind in devices:
+            yield _shape(kind, devices[kind].shape, shape)
+    if "camera" in devices:
+        yield _camera(devices["camera"])
+
+
+def _light(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Check]:
+    projector, camera = devices["projector"], devices["camera"]
+    yield _latency(projector, camera, rig.latency_ms)
+    yield _seen(projector, camera, rig.exposure_rule)
+    yield level_check(projector, camera, _believed(rig).wall, rig.exposure_rule)
 
 
 def _own_checks(driver: str, settings: Mapping[str, Any], device: Any) -> Iterator[Check]:

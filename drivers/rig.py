@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.registry import open_device
 from tankrig.bench import Bench
@@ -16,11 +16,15 @@ from tankrig.calibration.radiometry import Radiometry
 from tankrig.calibration.tolerances import Tolerances
 from tankrig.checked_toml import checked, read_toml
 from tankrig.devices import Camera, Projector
-from tankrig.dosing import DoseLimits
+from tankrig.dosing import DoseLimits, TankLedger
 from tankrig.errors import DeviceError, SceneError
 from tankrig.run.rig import Rig, RigLock
 from tankrig.scene.description import CLOSED, Medium
 from tankrig.sequence import ExposureRule, Pace
+
+if TYPE_CHECKING:
+    from drivers.simulated.bench_truth import TrueBench
+    from drivers.simulated.settings import SimulatedCameraSettings
 
 
 @dataclass(frozen=True)
@@ -148,13 +152,27 @@ def simulated_rig(folder: Path) -> RigFile:
 
 def true_liquids(description: RigFile) -> tuple[Medium, Medium] | None:
     """Water, per mm, and ink, per mm and ml, in the tank of a simulated camera; of a real one nobody knows them."""
+    settings = _simulated_camera(description)
+    return (settings.truth.water, settings.truth.ink) if settings else None
+
+
+def true_bench(description: RigFile) -> "TrueBench | None":
+    """Lenses, places and level of a simulated bench; of a real one nobody knows them."""
+    settings = _simulated_camera(description)
+    if settings is None or settings.boards is None:
+        return None
+    from drivers.simulated.bench_truth import random_bench
+
+    return random_bench(settings.boards.seed, settings.boards.camera_shape, settings.boards.projector_shape)
+
+
+def _simulated_camera(description: RigFile) -> "SimulatedCameraSettings | None":
     settings = dict(description.camera)
     if settings.pop("driver") != "simulated-camera":
         return None
     from drivers.simulated.settings import SimulatedCameraSettings
 
-    truth = checked(SimulatedCameraSettings, settings, "simulated-camera", DeviceError).truth
-    return truth.water, truth.ink
+    return checked(SimulatedCameraSettings, settings, "simulated-camera", DeviceError)
 
 
 def calibrated_bench(description: RigFile) -> Bench:
@@ -190,6 +208,25 @@ def _measured(description: RigFile, found: Mapping[str, Calibration]) -> Bench:
         return bench
     response = tuple(Radiometry.of(found["radiometry"]).response.curve.tolist())
     return replace(bench, wall=replace(bench.wall, response=response))
+
+
+@contextmanager
+def tank_ledger(description: RigFile) -> Iterator[TankLedger | None]:
+    """The ledger of the rig's tank while it is read; None where nothing was ever dosed into it.
+
+    Raises
+    ------
+    StoreError
+        When it is no ledger, or another program doses into the tank.
+    """
+    if not description.ledger.exists():
+        yield None
+        return
+    ledger = TankLedger(description.ledger)
+    try:
+        yield ledger
+    finally:
+        ledger.close()
 
 
 @contextmanager

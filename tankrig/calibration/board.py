@@ -16,6 +16,12 @@ LEAST_CORNERS = 6
 MOST_SATURATED = 0.02
 LEAST_CONTRAST = 0.08
 MOST_BLUR_PX = 2.5
+LEAST_MARKERS = 4
+"""From which on a picture shows a board."""
+_COMMON = ("DICT_4X4_100", "DICT_5X5_100", "DICT_6X6_100", "DICT_7X7_100", "DICT_APRILTAG_36h11")
+"""Dictionaries that boards are made of, which begin with their first markers."""
+_LEAST_RANGE = 0.01
+"""Between a picture's dark and bright parts, of the camera's range, from which on markers are looked for."""
 _WRONG_LAYOUT = 0.06
 """Of a square: markers that lie farther from where the description has them than this are another board's."""
 
@@ -202,6 +208,38 @@ def find_board(pixels: NDArray[Any], board: Board, saturation: int) -> BoardView
     edges = square_edges_px(pixels, found[_edges(known, board)], 0.5 * (1.0 - board.marker_mm / board.square_mm))
     edge = float(np.median(edges)) if edges.size >= LEAST_CORNERS else float("nan")
     return BoardView(known, found, (rows, columns), *_quality(pixels, found, known, board, saturation), edge)
+
+
+def markers_of_any_board(pixels: NDArray[Any], saturation: int) -> tuple[int, str]:
+    """How many different markers of calibration boards a picture shows, and of which dictionary.
+
+    Parameters
+    ----------
+    pixels
+        (rows, columns), 8 or 16 bits.
+    saturation
+        The camera's highest count.
+
+    Returns
+    -------
+    (int, str)
+        Of the dictionary that most are of; fewer than `LEAST_MARKERS` of them may be chance. 0 where the picture is so
+        dark or even that nothing in it could be told from noise.
+    """
+    import cv2
+
+    dark, bright = np.percentile(pixels[::4, ::4], (1.0, 99.0))
+    if bright - dark < _LEAST_RANGE * saturation:
+        return 0, ""
+    picture = _eight_bits(pixels)
+    how = cv2.aruco.DetectorParameters()
+    how.errorCorrectionRate = 0.0  # bits that are wrong make markers of anything
+    seen = []
+    for name in _COMMON:
+        detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), how)
+        _, ids, _ = detector.detectMarkers(picture)
+        seen.append((0 if ids is None else len(np.unique(ids)), name))
+    return max(seen)
 
 
 def _refined(pixels: NDArray[Any], corners: NDArray[np.float32], ids: NDArray[np.int64], board: Board) -> Points:

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.calibration.board import LEAST_MARKERS, markers_of_any_board
 from tankrig.devices import Camera, CameraSettings, Projector
-from tankrig.errors import DeviceError
+from tankrig.errors import DeviceError, ImageError
 from tankrig.pattern import Pattern
 from tankrig.sequence.exposure import ExposureRule
 
@@ -61,6 +62,8 @@ def witness(projector: Projector, camera: Camera, rule: ExposureRule) -> Testimo
     gray = number ^ (number >> 1)  # neighbours differ in one bit, so that a pixel between two is one or the other
     dark = mean_of(projector, camera, _columns(projector, np.zeros_like(gray)), exposure_ms)
     light = mean_of(projector, camera, _columns(projector, np.ones_like(gray)), exposure_ms) - dark
+    if _brightest(light) < _DIM * camera.saturation:
+        return told_by(light, [], dark - dark, camera.saturation)
     seen = [
         mean_of(projector, camera, _columns(projector, gray >> bit & 1), exposure_ms) - dark for bit in range(_BITS)
     ]
@@ -82,7 +85,7 @@ def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> 
     saturation
         Highest count.
     """
-    brightest = float(np.quantile(light, 0.999))
+    brightest = _brightest(light)
     if brightest < _DIM * saturation:
         return Testimony(
             None,
@@ -113,6 +116,10 @@ def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> 
     return Testimony(True, f"all {BANDS} bands of its picture are seen, one beside the other")
 
 
+def _brightest(light: Image) -> float:
+    return float(np.quantile(light, 0.999))
+
+
 def require_seen(projector: Projector, camera: Camera, rule: ExposureRule) -> None:
     """Raise a DeviceError unless the camera sees that the light follows the patterns."""
     testimony = witness(projector, camera, rule)
@@ -121,6 +128,25 @@ def require_seen(projector: Projector, camera: Camera, rule: ExposureRule) -> No
             f"{camera.name}: asked before the run, it does not see what {projector.name} shows: {testimony.finding}; "
             f"look at both, or leave flash_before_run out of the rig file where the camera cannot tell"
         )
+
+
+def require_no_board(projector: Projector, camera: Camera, rule: ExposureRule) -> None:
+    """Refuse a bench whose camera sees a calibration's board, by a white flash and by no light of the projector's.
+
+    Raises
+    ------
+    ImageError
+        When a board is there, where ink is to be seen.
+    """
+    exposure_ms = bright_exposure_ms(projector, camera, rule, _LONGEST_MS)
+    for level in (255, 0):  # the room's light may show what the projector's does not reach
+        flash = Pattern(f"level {level}", np.full(projector.shape, level, np.uint8))
+        seen, dictionary = markers_of_any_board(mean_of(projector, camera, flash, exposure_ms), camera.saturation)
+        if seen >= LEAST_MARKERS:
+            raise ImageError(
+                f"{camera.name}: sees a calibration's board, {seen} markers of {dictionary}, where ink is to be seen; "
+                f"take the board away"
+            )
 
 
 def bright_exposure_ms(projector: Projector, camera: Camera, rule: ExposureRule, longest_ms: float = 1000.0) -> float:

@@ -9,6 +9,7 @@ from functools import cache
 from tankrig.bench import Bench
 from tankrig.errors import SceneError, SequenceError, StoreError
 from tankrig.live.exposures import PhotographPlan, fits_that_hold
+from tankrig.live.light_seen import require_light_seen
 from tankrig.live.live_fit import LiveFit
 from tankrig.live.results import DoseFit, Fit, fits_in, to_fields
 from tankrig.run.journal_io import read_settings
@@ -28,8 +29,9 @@ def require_fittable(sequence: Sequence, bench: Bench) -> None:
     Raises
     ------
     SequenceError
-        When a pattern cannot be drawn, or what it lights cannot be modelled.
+        When a pattern cannot be drawn, what it lights cannot be modelled, or the camera sees nothing of its light.
     """
+    require_light_seen(sequence, bench)
     for name, pattern in sequence.drawn(bench.wall).items():
         try:
             PhotographPlan.of(bench, sequence, [pattern]).require_left()

@@ -82,6 +82,13 @@ def holds(box: Box, liquid: Medium) -> bool:
     )
 
 
+def is_kept(scene: Scene, box: Box) -> bool:
+    """Whether the cache holds the model of a scene for a box, so that a run need not wait for it."""
+    from tankrig.light.prepared.preparation import place_of
+
+    return place_of(scene, box, _tolerance(scene, box)).model.exists()
+
+
 class _EnoughError(Exception):
     """Raised in the middle of a preparation that is not wanted any more."""
 

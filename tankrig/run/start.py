@@ -14,7 +14,7 @@ import numpy as np
 from tankrig.bench import Bench
 from tankrig.calibration.file import FOLDER, copy_to
 from tankrig.calibration.places import measured_places
-from tankrig.calibration.witness import require_seen
+from tankrig.calibration.witness import require_no_board, require_seen
 from tankrig.checked_toml import checked
 from tankrig.devices import BurstProjector, Delivered
 from tankrig.dosing import DoseDone, GuardedDoser, TankLedger
@@ -55,6 +55,8 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
     ------
     SequenceError
         When the sequence breaks a budget or cannot be shown by the projector.
+    ImageError
+        When a calibration's board is before the camera.
     StoreError
         When the folder cannot be made or the disk is too small.
     UndecidedError
@@ -153,8 +155,11 @@ def _require_bursts(sequence: Sequence, rig: Rig, patterns: Mapping[str, Pattern
 
 
 def _require_seen(rig: Rig) -> None:
+    """What the camera can tell of the light before anything moves."""
     if rig.flash_before_run:
         require_seen(rig.projector, rig.camera, rig.exposure)
+    if rig.bench.light == "calibrated":  # where boards are held before the camera
+        require_no_board(rig.projector, rig.camera, rig.exposure)
 
 
 def _guarded(rig: Rig, run_id: str, undo: ExitStack, run: Run | None = None) -> tuple[GuardedDoser, RunJournal]:

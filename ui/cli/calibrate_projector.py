@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ui.cli.boards import Holder, board_of, board_options, opened
-from ui.cli.calibrating import accept_option, blurred, described, keep, left_out, tell
+from ui.cli.calibrating import (
+    accept_option,
+    blurred,
+    clear_water_option,
+    described,
+    keep,
+    left_out,
+    require_clear_water,
+    tell,
+)
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
@@ -22,10 +31,18 @@ _SECONDS_A_PICTURE, _SECONDS_A_VIEW = 0.12, 20.0
 @board_options
 @click.option("--views", type=click.IntRange(4, 50), default=8, show_default=True, help="Of the board.")
 @click.option("--empty", is_flag=True, help="The tank is empty; default: filled as when the tank was calibrated.")
+@clear_water_option
 @accept_option
 @json_option
 def projector(
-    rig: Path | None, views: int, empty: bool, exposure_ms: float | None, accept: bool, as_json: bool, **board: Any
+    rig: Path | None,
+    views: int,
+    empty: bool,
+    exposure_ms: float | None,
+    clear_water: bool,
+    accept: bool,
+    as_json: bool,
+    **board: Any,
 ) -> int:
     """Find the projector's lens and place by Gray code and phase shift on a board held at a slant in the tank.
 
@@ -48,6 +65,7 @@ def projector(
 
     held = board_of(**board)
     description = described(rig)
+    require_clear_water(description, clear_water or empty)
     force = in_force(Path(description.calibration_folder), description.calibration, ("camera", "tank", "radiometry"))
     known = {kind: require(force, kind) for kind in ("camera", "tank")}
     radiometry = Radiometry.of(force["radiometry"]) if "radiometry" in force else None

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ui.cli.boards import Holder, board_of, board_options, opened
-from ui.cli.calibrating import accept_option, described, keep, left_out, tell
+from ui.cli.calibrating import (
+    accept_option,
+    clear_water_option,
+    described,
+    keep,
+    left_out,
+    require_clear_water,
+    tell,
+)
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
@@ -20,9 +28,18 @@ _MINUTES = 6
 @rig_option
 @board_options
 @click.option("--views", type=click.IntRange(0, 50), default=4, show_default=True, help="Of the board in the water.")
+@clear_water_option
 @accept_option
 @json_option
-def tank(rig: Path | None, views: int, exposure_ms: float | None, accept: bool, as_json: bool, **board: Any) -> int:
+def tank(
+    rig: Path | None,
+    views: int,
+    exposure_ms: float | None,
+    clear_water: bool,
+    accept: bool,
+    as_json: bool,
+    **board: Any,
+) -> int:
     """Find the tank before the camera, and its water's level, with a board on its floor and then in the water.
 
     Wants the camera calibrated. The tank's inside and its water's refractive index are those of the rig file, whose
@@ -38,6 +55,7 @@ def tank(rig: Path | None, views: int, exposure_ms: float | None, accept: bool, 
 
     held = board_of(**board)
     description = described(rig)
+    require_clear_water(description, clear_water)
     known = require(in_force(Path(description.calibration_folder), description.calibration, ("camera",)), "camera")
     click.echo(f"takes about {_MINUTES} minutes on the bench, filling not included", err=True)
     with opened(description, "camera") as (device,):

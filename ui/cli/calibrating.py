@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ui.guide import Feedback, ask, emit, guided, somebody
+from ui.guide import Feedback, ask, confirm, emit, guided, somebody
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -25,6 +25,44 @@ _REQUESTS = {
 accept_option = click.option(
     "--accept", is_flag=True, help="Use the result even if it is doubtful or much worse than the one before."
 )
+
+clear_water_option = click.option(
+    "--clear-water", is_flag=True, help="The water is clear, or there is none, whatever the tank's ledger says."
+)
+
+
+def require_clear_water(description: "RigFile", clear_water: bool) -> None:
+    """Refuse to look at a board through ink.
+
+    Parameters
+    ----------
+    description
+        Of the rig, whose tank's ledger is asked.
+    clear_water
+        A person's word that there is none.
+
+    Raises
+    ------
+    DecisionError
+        When the ledger says that there may be ink in the tank.
+    """
+    from drivers.rig import tank_ledger
+    from tankrig.errors import DecisionError
+
+    with tank_ledger(description) as ledger:
+        if clear_water or ledger is None or (ledger.tank.high_ul <= 0.0 and ledger.open_dose is None):
+            return
+        held = f"{ledger.tank.volume_ul:g} µl of ink" if ledger.open_dose is None else "ink of an interrupted dose"
+    why = (
+        f"{description.ledger}: says that the tank holds {held}, and a board is seen and lit truly through clear water "
+        f"only"
+    )
+    if somebody():
+        confirm(f"{why}. Is the water clear, or the tank empty?")
+        return
+    raise DecisionError(
+        f"{why}; fill the tank with clear water and move that file away, or give --clear-water where there is no ink"
+    )
 
 
 def described(rig: Path | None) -> "RigFile":

@@ -71,7 +71,7 @@ def run(
         require_resumable(path)
     else:
         sequence = load_sequence(sequence_file)
-        plan = _planned(sequence, description, path, fit)
+        plan = planned(sequence, description, path, fit)
         if dry_run:
             _tell_plan(plan, as_json)
             return 0
@@ -92,11 +92,22 @@ def _described(rig: Path | None, run_folder: Path) -> "RigFile":
     return simulated_rig(run_folder.with_name(f"{run_folder.name}.rig"))
 
 
-def _planned(sequence: "Sequence", description: "RigFile", run_folder: Path, fit: bool) -> "DryRun":
-    """The dry run, which checks all that can be checked before a device is touched."""
-    from drivers.rig import calibrated_bench
+def planned(sequence: "Sequence", description: "RigFile", run_folder: Path | None = None, fit: bool = True) -> "DryRun":
+    """The dry run, which checks all that can be checked before a device is touched.
+
+    Parameters
+    ----------
+    sequence
+        To be carried out.
+    description
+        Of the rig.
+    run_folder
+        Where the run is to be made; None: nowhere yet.
+    fit
+        Whether the run is to be fitted.
+    """
+    from drivers.rig import calibrated_bench, tank_ledger
     from tankrig.devices import Delivered
-    from tankrig.dosing import TankLedger
     from tankrig.live.attached import require_fittable
     from tankrig.run.start import require_place
     from tankrig.sequence import dry_run
@@ -104,16 +115,14 @@ def _planned(sequence: "Sequence", description: "RigFile", run_folder: Path, fit
     bench = calibrated_bench(description)
     rows, columns = bench.camera.shape
     frame_bytes = rows * columns * 2
-    require_place(run_folder, sequence.frames * frame_bytes)
+    if run_folder is not None:
+        require_place(run_folder, sequence.frames * frame_bytes)
     if fit:
         require_fittable(sequence, bench)
     else:
         sequence.drawn(bench.wall)
-    tank = Delivered(0.0, 0.0, 0.0)
-    if description.ledger.exists():
-        ledger = TankLedger(description.ledger)
-        tank = ledger.tank
-        ledger.close()
+    with tank_ledger(description) as ledger:
+        tank = Delivered(0.0, 0.0, 0.0) if ledger is None else ledger.tank
     rule = description.exposure_rule
     return dry_run(sequence, description.limits, description.pace, frame_bytes, tank, exposure=rule)
 

@@ -29,6 +29,16 @@ EXACT_COST = 0.7
 """Time that orders 1 and 2 take at one medium, in batches of paths."""
 
 
+def place_of(scene: Scene, box: Box, tolerance: float) -> Place:
+    """Where the cache keeps a model, whether it is there or not."""
+    return Place.of(_regardless(scene), box, float(tolerance))
+
+
+def _regardless(scene: Scene) -> Scene:
+    """Of its medium, and of the file that it was read from."""
+    return replace(scene, medium=Medium(0.0, 0.01, 0.0), source="")
+
+
 def prepared(
     scene: Scene, box: Box, tolerance: float, progress: Progress, threads: int = THREADS
 ) -> tuple[Answer, Path]:
@@ -41,14 +51,14 @@ def prepared(
     CacheError
         When there is no room for it.
     """
-    scene = replace(scene, medium=Medium(0.0, 0.01, 0.0), source="")
+    scene = _regardless(scene)
     rows, columns = scene.camera.shape
     if rows * columns > MOST_PIXELS:
         raise SceneError(
             f"a camera of {rows} × {columns} pixels has more than the {MOST_PIXELS} that can be prepared; "
             "bin them: give camera.bin, the pixels along the side of a bin"
         )
-    place = Place.of(scene, box, float(tolerance))
+    place = place_of(scene, box, tolerance)
     plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance)
     known = place.kept(place.model)
     if known is not None:
