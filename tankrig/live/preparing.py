@@ -14,8 +14,8 @@ from tankrig.scene.description import Medium, Scene
 
 TOLERANCE, SLANTED_TOLERANCE = 0.02, 0.01
 """Asked for; where light and sight run straight, in so small a box the least work gives a tenth of that (decision 63).
-Elsewhere order 2 is coarse from 5 % on, and paths are noisier: .02 gave 1.2 % on a bench, .01 gives .13 % on average and
-.32 % at most in 22 CPU s, .005 gives .09 and .21 % in 38 (rays of a bench, σs .005, three by twelve pixels a bin)."""
+Elsewhere order 2 is coarse from 5 % on, and paths are noisier: .02 gave 1.2 % on a bench; .01 gives .13 % on average,
+.32 % at most, in 22 CPU s, .005 gives .09 and .21 % in 38 (rays of a bench, σs .005, three by twelve pixels a bin)."""
 LOOK, LOOK_TOLERANCE, LOOK_START = Box((5e-4, 0.06), (0.5, 0.9999), (0.0, 0.93)), 0.1, Medium(5e-4, 0.01, 0.6)
 """Media among which a first look finds about where the liquid is, from one pattern; the error that is asked for, and
 where the look begins."""
