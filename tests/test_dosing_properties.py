@@ -430,6 +430,12 @@ class Dosing(RuleBasedStateMachine):
             _, low_ul, high_ul = self.doser.delivered()
             assert low_ul - ROUNDING_UL <= self.counted_ul <= high_ul + ROUNDING_UL
 
+    @invariant()
+    def a_pump_rests_where_nothing_is_undecided(self) -> None:
+        """So that a person may then be asked to move its tube."""
+        if self.guard and not self.guard.undecided:
+            assert not self.bench.moving
+
     def teardown(self) -> None:
         self.abandon()
         self.bench.power_off()
