@@ -6,11 +6,13 @@ import pty
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from drivers.rig import load_rig_file
 from tankrig.calibration.pump import (
     CalibrationError,
     PumpCalibration,
@@ -21,10 +23,12 @@ from tankrig.calibration.pump import (
 )
 from tankrig.dosing import DoseLimits, GuardedDoser, TankLedger
 from tankrig.errors import DeviceError, StoreError
+from ui.cli import calibrate_pump as command
 from ui.cli import main
 
 from .doser_bench import AnyBench, Bench, CavroBench, NewEraBench
 from .test_rig_doser_contract import Nowhere
+from .virtual_time import KilledError, World
 
 NOMINAL = np.repeat([50.0, 250.0, 500.0], 10)
 BASIS = {"doser": "rig-doser TD000001", "basis": {"steps_per_ul": 10.0}, "nominal_increment_ul": 0.1}
@@ -238,6 +242,46 @@ def on_terminal(folder: Path, answers: str, *options: str) -> tuple[str, int]:
         pass
     os.close(master)
     return told.decode(), process.wait(60)
+
+
+@pytest.mark.parametrize("kind", [NewEraBench, CavroBench])
+def test_the_tube_is_asked_for_only_while_the_pump_rests(
+    tmp_path: Path, kind: type[AnyBench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pump whose program was killed in a dose pushes on, and what it pushes counts as in the tank."""
+    from drivers.simulated import __file__ as simulated
+
+    rig = tmp_path / "rig.toml"
+    rig.write_text(Path(simulated).with_name("rig.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    description, world = load_rig_file(rig), World()
+    asked: list[bool] = []
+
+    def no_vessel_yet(_question: str) -> None:
+        asked.append(bench.moving)
+        raise DeviceError("it does not hang there")
+
+    with kind(tmp_path, world=world) as bench:
+        doser = bench.open()
+        ledger = TankLedger(description.ledger)
+        guard = GuardedDoser(doser, description.limits, ledger, Nowhere(), "run")
+        world.after(0.7, bench.clock.kill)
+        with suppress(KilledError):
+            guard.dose_to(900.0)
+        ledger.close()
+        bench.bury(doser)
+        assert bench.moving
+        monkeypatch.setattr("drivers.registry.open_device", lambda _driver, _settings: bench.open())
+        monkeypatch.setattr(command, "confirm", no_vessel_yet)
+        monkeypatch.setattr(command, "somebody", lambda: True)
+        with pytest.raises(DeviceError, match="does not hang"):
+            command.pump.main(["--rig", str(rig), "--volumes", "20"], standalone_mode=False)
+        assert asked == [False]
+        ledger = TankLedger(description.ledger)
+        guard = GuardedDoser(bench.open(), description.limits, ledger, Nowhere(), "run")
+        low_ul, high_ul = guard.delivered()[1:]
+        assert low_ul <= bench.true_ul <= high_ul
+        guard.close()
+        ledger.close()
 
 
 def test_a_pump_is_initialised_only_with_its_tube_in_a_waste_vessel(tmp_path: Path) -> None:

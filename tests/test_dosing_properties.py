@@ -188,18 +188,25 @@ class Dosing(RuleBasedStateMachine):
 
     @rule(part_ul=st.sampled_from([3.3, 20.0]), mended=st.booleans())
     def prime(self, part_ul: float, mended: bool) -> None:
-        """Into a waste vessel, where the tube stays until the pump rests: no ink of the tank's, whatever happens."""
+        """Into a waste vessel, to which the tube goes, and from which it comes back, only while the pump rests.
+
+        So none of it is the tank's, whatever happens; what a dose that broke off still pushes is that dose's.
+        """
         if mended:
             self.put_right()
         if self.guard:
+            self.wait_until_it_rests()
             before_ul, self.held_beside_ul = self.bench.true_ul, self.tank_ul
             with suppress(TankrigError):
                 self.guard.dose_aside(part_ul)
-            while self.bench.moving:
-                self.world.advance(0.1)
+            self.wait_until_it_rests()
             self.held_beside_ul = None
             self.tally["moved beside the tank"] += self.bench.true_ul > before_ul
             self.aside_ul += self.bench.true_ul - before_ul
+
+    def wait_until_it_rests(self) -> None:
+        while self.bench.moving:
+            self.world.advance(0.1)
 
     @rule(faults=FAULTS, part_ul=PARTS, mended=st.booleans())
     def dose_with_faults(self, faults: dict[str, object], part_ul: float, mended: bool) -> None:
@@ -423,6 +430,12 @@ class Dosing(RuleBasedStateMachine):
             _, low_ul, high_ul = self.doser.delivered()
             assert low_ul - ROUNDING_UL <= self.counted_ul <= high_ul + ROUNDING_UL
 
+    @invariant()
+    def a_pump_rests_where_nothing_is_undecided(self) -> None:
+        """So that a person may then be asked to move its tube."""
+        if self.guard and not self.guard.undecided:
+            assert not self.bench.moving
+
     def teardown(self) -> None:
         self.abandon()
         self.bench.power_off()
@@ -495,6 +508,20 @@ def test_ink_is_accounted_for_whatever_happens(machine: type[Dosing]) -> None:
         max_examples=machine.few, stateful_step_count=8, derandomize=True, phases=[Phase.generate], **QUIET
     )
     run_state_machine_as_test(machine, settings=quick)
+
+
+@pytest.mark.parametrize("machine", [NewEraDosing, CavroDosing, XlpDosing])
+def test_what_a_dose_that_broke_off_still_pushes_is_that_doses(machine: type[Dosing]) -> None:
+    """The cable is pulled and priming asked for while the pump runs on: the tube waits until it rests."""
+    case = machine()
+    case.set_up(seed=118)
+    case.dose_and_misfortune(part_ul=39.0, delay_s=0.8, what="unplug")
+    assert case.bench.moving
+    case.prime(part_ul=3.3, mended=False)
+    case.put_right()
+    case.the_truth_is_between_the_bounds()
+    case.no_budget_is_exceeded()
+    case.teardown()
 
 
 @pytest.mark.long

@@ -156,6 +156,9 @@ class GuardedDoser:
     def dose_aside(self, volume_ul: float, why: str = "into a waste vessel") -> float:
         """Deliver `volume_ul` beside the tank, to prime, to rinse or to weigh it; the tank holds what it held.
 
+        Before, a person hangs the tube elsewhere; ask for that only where nothing is `undecided`. Else a dose that
+        broke off may still push, and what it pushes counts as in the tank.
+
         Parameters
         ----------
         volume_ul

@@ -60,7 +60,7 @@ WIZARDS = (
     Wizard("projector", "Projector: its lens and place",
            "camera and tank calibrated; the board at a slant in the tank; about 4 minutes", "--views 8"),
     Wizard("pump", "Pump: doses weighed on a balance",
-           "the tube in a vessel on a balance, and a balance to 0.1 mg; about 20 minutes",
+           "a balance to 0.1 mg and a vessel on it, for the tube when it is asked for; about 20 minutes",
            "--volumes 50,250,500 --repeats 10 --temperature 20"),
 )  # fmt: skip
 _SEEN = (320, 200)
