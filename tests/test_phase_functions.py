@@ -208,3 +208,11 @@ def test_fits_and_prepared_models_say_that_they_know_henyey_greenstein_only() ->
     for attempt in (lambda: tankrig.estimate(image, liquid), lambda: tankrig.prepare(liquid)):
         with pytest.raises(SceneError, match=r'medium\.phase of kind "mie" is known to predictions only'):
             attempt()
+
+
+def test_lines_of_fits_hold_what_earlier_versions_read() -> None:
+    """A key more in a journal's `ink`, and an earlier tankrig could not open the run."""
+    from tankrig.live.results import SeriesFit, to_fields
+
+    fields = to_fields(SeriesFit((0.1, 0.2), Medium(0.001, 0.02, 0.7), Medium(1e-4, 0.0, 0.0)))
+    assert fields["ink"] == {"sigma_a": 0.001, "sigma_s": 0.02, "g": 0.7}

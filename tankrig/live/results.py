@@ -147,14 +147,19 @@ def to_fields(fit: Fit) -> Fields:
         return {**of, "error": fit.error} | ({} if fit.newest is None else {"newest": fit.newest})
     found: Fields = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(fit).items()}
     if isinstance(fit, SeriesFit):
-        found |= {"ink": asdict(fit.ink), "covariance": [list(row) for row in fit.covariance]}
+        found |= {"ink": _coefficients(fit.ink), "covariance": [list(row) for row in fit.covariance]}
         found |= {"water_sigma_a": found.pop("water").sigma_a, "linearity": fit.linearity and asdict(fit.linearity)}
         return {"fit": "series", **found}
-    found |= {**asdict(found.pop("medium")), "single": fit.single and asdict(fit.single)}
+    found |= {**_coefficients(found.pop("medium")), "single": fit.single and asdict(fit.single)}
     unknown = {"model_error": None, "single": None, "structure": None, "newest": None, "passing": False}
     return {"fit": "dose"} | {
         name: value for name, value in found.items() if name not in unknown or value != unknown[name]
     }
+
+
+def _coefficients(medium: Medium) -> Fields:
+    """What earlier versions read of a liquid; fits know no other phase function than Henyey–Greenstein."""
+    return dict(zip(NAMES, medium.coefficients, strict=True))
 
 
 def from_fields(fields: Mapping[str, Any]) -> Fit:

@@ -4,7 +4,7 @@ import json
 import math
 import time
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tankrig.estimation.estimate import Estimate
     from tankrig.estimation.result import Reconstruction
     from tankrig.live.one_picture import Picture
+    from tankrig.scene import Medium
 
 LEVEL = 0.95
 """Of the intervals that are printed."""
@@ -306,10 +307,14 @@ def _tell_left_out(picture: "Picture") -> None:
         click.echo(f"left out {100.0 * float(picture.mask.mean()):.0f} % of the image{edges}")
 
 
+def _coefficients(medium: "Medium") -> dict[str, float]:
+    return {"sigma_a": medium.sigma_a, "sigma_s": medium.sigma_s, "g": medium.g}
+
+
 def _numbers(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Estimate | None") -> dict[str, Any]:
     numbers = {
         "model": fitted.model,
-        "medium": asdict(fitted.medium),
+        "medium": _coefficients(fitted.medium),
         "standard_deviation": {
             name: math.sqrt(fitted.covariance[k, k]) for k, name in enumerate(("sigma_a", "sigma_s", "g"))
         },
@@ -326,7 +331,7 @@ def _numbers(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "E
         "verdict": fitted.verdict,
     }
     if single is not None:
-        numbers["single"] = {"medium": asdict(single.medium), "rmse": single.rmse, "verdict": single.verdict}
+        numbers["single"] = {"medium": _coefficients(single.medium), "rmse": single.rmse, "verdict": single.verdict}
     return numbers
 
 
