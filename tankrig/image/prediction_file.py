@@ -49,9 +49,17 @@ def write_prediction(path: Path, prediction: Prediction, scene: Scene, about: Ma
         **{ARRAY_NAMES[order]: image for order, image in prediction.orders.items()},
         "x_mm": centres[0, :, 0] if plain else centres[..., 0],
         "y_mm": centres[:, 0, 1] if plain else centres[..., 1],
-        "metadata": np.array(json.dumps({"model": prediction.model, **about, "scene": asdict(scene)})),
+        "metadata": np.array(json.dumps({"model": prediction.model, **about, "scene": _described(scene)})),
     }
     if prediction.stderr is not None:
         arrays["stderr"] = prediction.stderr
     with whole_file(path) as unfinished:
         np.savez_compressed(unfinished, allow_pickle=False, **arrays)
+
+
+def _described(scene: Scene) -> dict[str, Any]:
+    """A scene's fields; without a phase function where Henyey–Greenstein needs none, as earlier versions wrote it."""
+    described = asdict(scene)
+    if scene.medium.phase is None:
+        del described["medium"]["phase"]
+    return described

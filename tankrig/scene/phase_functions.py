@@ -297,8 +297,8 @@ class Tabulated(PhaseFunction):
 
     Examples
     --------
-    >>> round(Tabulated((-1.0, 1.0), (0.0, 0.15915)).mean_cosine, 4)
-    0.3333
+    >>> round(Tabulated((-1.0, 1.0), (0.05305, 0.1061)).mean_cosine, 4)
+    0.1111
     """
 
     __pydantic_config__ = CLOSED
