@@ -51,9 +51,7 @@ def phase_table(phase: PhaseFunction) -> AnyTable:
         return Asymmetry(phase.g)
     cosines = np.cos(np.linspace(0.0, math.pi, STEPS + 1))
     values = phase.at(cosines)
-    shares = -2.0 * math.pi * 0.5 * (values[1:] + values[:-1]) * np.diff(cosines)
-    below = np.concatenate([[0.0], np.cumsum(shares)])
-    return PhaseTable(phase.mean_cosine, cosines, values / below[-1], below / below[-1])
+    return PhaseTable(phase.mean_cosine, cosines, values, phase.share_within(cosines))
 
 
 @part

@@ -107,6 +107,24 @@ class PhaseFunction:
         values[0] = _straight_on(self.density, float(values[1]))
         return _normalised(values)
 
+    def share_within(self, cosine: Array) -> Array:
+        """Share of the light that turns by less than θ, for an array of cos θ."""
+        sine = np.sqrt(np.clip(0.5 - 0.5 * cosine, 0.0, 1.0))
+        steps, table = _steps(), self._table
+        slopes = np.diff(table) * (NODES - 1)
+        starts = table[:-1] - slopes * steps[:-1]  # p = start + slope s in each step
+
+        def until(step: NDArray[np.intp], s: Array) -> Array:
+            """∫ 8π p s ds of a step from where it begins to s."""
+            first = steps[step]
+            light = 0.5 * starts[step] * (s**2 - first**2) + slopes[step] * (s**3 - first**3) / 3.0
+            return np.asarray(8.0 * math.pi * light)
+
+        every = np.arange(NODES - 1)
+        before = np.concatenate([[0.0], np.cumsum(until(every, steps[1:]))])
+        at = np.minimum((sine * (NODES - 1)).astype(np.intp), NODES - 2)
+        return np.asarray((before[at] + until(at, sine)) / before[-1])
+
     @cached_property
     def mean_cosine(self) -> float:
         """⟨cos θ⟩, which diffusion and reduced scattering know it by."""
