@@ -9,22 +9,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tankrig
+from drivers.simulated.tank import mixture
 from tankrig.errors import SceneError
 from tankrig.light.lightfield.spectrum import spectrum
 from tankrig.montecarlo import simulate
 from tankrig.montecarlo.draws import phase_table
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tankrig.scene.mie import Mie
 from tankrig.scene.phase_functions import (
     FournierForand,
     HenyeyGreenstein,
-    Mie,
     Mixture,
-    PhaseFunction,
     ReynoldsMcCormick,
     Tabulated,
     TwoTerm,
     phase_function,
 )
+from tankrig.scene.phase_table import PhaseFunction
 
 BEAD = Mie(1.0, 1.5868, 1.3317, 633.0)
 LIGHT = Projector("collimated", (Beam((-42.0, -38.0), (58.0, 62.0)), Beam((-2.0, 2.0), (58.0, 62.0))))
@@ -216,3 +217,12 @@ def test_lines_of_fits_hold_what_earlier_versions_read() -> None:
 
     fields = to_fields(SeriesFit((0.1, 0.2), Medium(0.001, 0.02, 0.7), Medium(1e-4, 0.0, 0.0)))
     assert fields["ink"] == {"sigma_a": 0.001, "sigma_s": 0.02, "g": 0.7}
+
+
+def test_the_simulated_tank_keeps_the_inks_phase_function() -> None:
+    """Beads would be shown as the Henyey–Greenstein liquid of their mean cosine, or as another's stored picture."""
+    water, ink = Medium(1e-4, 1.9e-6, 0.0), Medium(0.0, 0.01, phase=BEAD)
+    filled = mixture(water, ink, 2.0)
+    by_part = (1.9e-6 * HenyeyGreenstein(0.0).moments(3) + 0.02 * BEAD.moments(3)) / (0.02 + 1.9e-6)
+    assert filled.phase_function.moments(3) == pytest.approx(by_part, abs=1e-6)
+    assert str(filled) != str(Medium(filled.sigma_a, filled.sigma_s, filled.g))

@@ -59,7 +59,7 @@ def _beams(bench: TrueBench, pattern: Pattern) -> tuple[Beam, ...]:
 
 @lru_cache(maxsize=2)
 def _lit_wall(bench: TrueBench, cell_mm: float) -> tuple[NDArray[np.float32], NDArray[np.float32], Array]:
-    """Of samples of cells that fill the wall: place in `thrown` that lights each, and how strongly white does.
+    """Place in `thrown` that lights each sample of the cells that fill the wall, and how strongly white does.
 
     Exactly on a grid of nodes, between them by cubic splines (error below 1e-3 pixels).
     """

@@ -117,7 +117,7 @@ def _lines_of_sight(bench: TrueBench) -> tuple[_Sight, _Sight]:
 def _sight(
     bench: TrueBench, lit: Array, points: Array, way: Array, down: Array, through: Array, thrown_back: bool
 ) -> _Sight:
-    """Of points that are lit as if they were at `lit`, and seen along `way` at a distance `down` from the surface."""
+    """The sight of points that are lit as if they were at `lit`, along `way`, `down` mm from the surface."""
     pixels, strength = illumination(bench, lit, np.eye(3)[1:], filled=True)
     _, arriving = projector_pixels(bench, lit, filled=True)
     path = lit[..., 0] / arriving[..., 0]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from drivers.emulation.truth import TrueDelivery, read_truth
 from tankrig.pattern import Pattern
 from tankrig.scene.description import Medium
+from tankrig.scene.phase_functions import Mixture
 
 from .settings import Truth
 
@@ -29,12 +30,12 @@ class Radiance(NamedTuple):
 
 
 def seed_of(seed: int, pattern: Pattern, medium: Medium) -> int:
-    """Of one picture's noise: with one seed for all, a fit of several would take their common noise for the ink."""
+    """Seed of one picture's noise: with one for all, a fit of several would take their common noise for the ink."""
     return int.from_bytes(sha256(f"{seed} {pattern.hash} {medium}".encode()).digest()[:6])
 
 
 def mixture(water: Medium, ink: Medium, volume_ml: float) -> Medium:
-    """What is in the tank: coefficients are linear in the dose, and g is the mean over what scatters.
+    """What is in the tank: coefficients are linear in the dose, and light is turned by what scatters it.
 
     Parameters
     ----------
@@ -52,6 +53,9 @@ def mixture(water: Medium, ink: Medium, volume_ml: float) -> Medium:
     """
     sigma_a = water.sigma_a + volume_ml * ink.sigma_a
     sigma_s = water.sigma_s + volume_ml * ink.sigma_s
+    if sigma_s > 0.0 and (water.phase or ink.phase):
+        shares = water.sigma_s / sigma_s, volume_ml * ink.sigma_s / sigma_s
+        return Medium(sigma_a, sigma_s, phase=Mixture((water.phase_function, ink.phase_function), shares))
     turned = water.sigma_s * water.g + volume_ml * ink.sigma_s * ink.g
     return Medium(sigma_a, sigma_s, turned / sigma_s if sigma_s > 0.0 else 0.0)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel
 from tankrig.light.rays import Geometry, bent_light, light_kept, path_inside, sight_line
 from tankrig.scene.phase import phase_density
-from tankrig.scene.phase_functions import PhaseRecord
+from tankrig.scene.phase_table import PhaseRecord
 
 STRETCH_MM = 20.0
 """Over which a beam's side faces count as planes; they bulge by less than 0.05 mm."""

@@ -34,7 +34,7 @@ from tankrig.light.rays import (
 from tankrig.scene import Scene
 from tankrig.scene.footprint import footprints
 from tankrig.scene.phase import phase_density
-from tankrig.scene.phase_functions import PhaseRecord
+from tankrig.scene.phase_table import PhaseRecord
 from tankrig.threads import THREADS
 
 Rule = tuple[NDArray[np.float64], NDArray[np.float64]]

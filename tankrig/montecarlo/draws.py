@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import part
 from tankrig.scene.phase import henyey_greenstein
-from tankrig.scene.phase_functions import HenyeyGreenstein, PhaseFunction
+from tankrig.scene.phase_functions import HenyeyGreenstein
+from tankrig.scene.phase_table import PhaseFunction
 
 _STRIDE = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)

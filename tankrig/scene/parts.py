@@ -1,7 +1,7 @@
 """What is in the tank, what lights it and what looks at it: frozen, checked, in mm and W."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from tankrig.errors import SceneError
@@ -9,7 +9,8 @@ from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
 from tankrig.geometry.shading import TERMS
 from tankrig.scene.checks import CLOSED, finite, number, numbers, require
-from tankrig.scene.phase_functions import AnyPhase, HenyeyGreenstein, PhaseFunction
+from tankrig.scene.phase_functions import AnyPhase, HenyeyGreenstein
+from tankrig.scene.phase_table import PhaseFunction
 
 Vector = tuple[float, float, float]
 Interval = tuple[float, float]
@@ -107,7 +108,7 @@ class Medium:
     sigma_a: float
     sigma_s: float
     g: float = _LEFT_OUT
-    phase: AnyPhase | None = field(default=None, repr=False)
+    phase: AnyPhase | None = None
 
     def __post_init__(self) -> None:
         for name in ("sigma_a", "sigma_s"):
@@ -130,6 +131,10 @@ class Medium:
         henyey_greenstein = isinstance(phase, HenyeyGreenstein)
         object.__setattr__(self, "g", mean)
         object.__setattr__(self, "phase", None if henyey_greenstein else phase)
+
+    def __repr__(self) -> str:
+        phase = "" if self.phase is None else f", phase={self.phase!r}"
+        return f"Medium(sigma_a={self.sigma_a!r}, sigma_s={self.sigma_s!r}, g={self.g!r}{phase})"
 
     @property
     def coefficients(self) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ compilers from vectorising the loops over paths (measured: 2 ×).
 import math
 
 from tankrig.compiled import kernel, part
-from tankrig.scene.phase_functions import PhaseRecord
+from tankrig.scene.phase_table import PhaseRecord
 
 
 @kernel

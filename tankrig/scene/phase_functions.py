@@ -1,66 +1,23 @@
-"""Phase functions of liquids: families, Mie scattering by particles, tables and mixtures.
-
-Each says its density p(cos θ) in 1/sr, ∫ p dω = 1; `PhaseFunction` works out all else: mean cosine, Legendre moments,
-and the record that kernels read.
-"""
+"""Phase functions that files name by their kind: families, tables, and mixtures of any."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from typing import Annotated, Any, Literal, NamedTuple
+from functools import cached_property
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.scene.checks import CLOSED, number, require
+from tankrig.scene.mie import Mie
+from tankrig.scene.phase_table import PhaseFunction, PhaseRecord, henyey_greenstein_record
 
 Array = NDArray[np.float64]
-
-NODES = 4097
-"""Of a table: a step is 0.03° at the forward peak."""
 
 _UNNORMALISED = 0.02
 """Relative error of a table's own integral that is taken for rounding of its numbers."""
 _RATIO = 50.0
 """Of neighbouring values of a table, from which on what is between them is anybody's guess."""
-
-
-class HenyeyGreensteinRecord(NamedTuple):
-    """Henyey–Greenstein, for kernels: its asymmetry, and `TableRecord.width`."""
-
-    g: float
-    width: float
-
-
-class TableRecord(NamedTuple):
-    """Any other phase function, for kernels.
-
-    Parameters
-    ----------
-    g
-        Mean cosine; also of the Henyey–Greenstein lobes that guide paths, whatever p is.
-    width
-        tan(θ/2) at which p has fallen to a third from where it is largest, about which quadratures are graded.
-    density
-        (n,) p in 1/sr at even steps of sin(θ/2) from 0 to 1.
-    cosines
-        (n,) cos θ of the inverse of the distribution; see `drawn_cosine`.
-    """
-
-    g: float
-    width: float
-    density: Array
-    cosines: Array
-
-
-PhaseRecord = HenyeyGreensteinRecord | TableRecord
-"""Kernels tell them apart by their length."""
-
-
-def henyey_greenstein_record(g: float) -> HenyeyGreensteinRecord:
-    """Henyey–Greenstein with asymmetry g, for kernels."""
-    return HenyeyGreensteinRecord(float(g), 0.5 * (1.0 - abs(g)))
 
 
 def phase_function(cosine: NDArray[np.floating], g: float) -> NDArray[np.floating]:
@@ -88,62 +45,6 @@ def phase_function(cosine: NDArray[np.floating], g: float) -> NDArray[np.floatin
     spread = (1.0 - abs(g)) ** 2 + 2.0 * abs(g) * (1.0 - np.sign(g or 1.0) * cosine)
     value: NDArray[np.floating] = (1.0 - g) * (1.0 + g) / (4.0 * np.pi * spread**1.5)
     return value
-
-
-class PhaseFunction:
-    """What all phase functions have in common; see `density`."""
-
-    def density(self, cosine: Array) -> Array:
-        """p(cos θ) in 1/sr up to a factor, for an array of cosines."""
-        raise NotImplementedError
-
-    def at(self, cosine: Array | float) -> Array:
-        """p(cos θ) in 1/sr, as it is used: normalised, and linear in sin(θ/2) between the nodes of its table."""
-        return np.interp(np.sqrt(np.clip(0.5 - 0.5 * np.asarray(cosine, float), 0.0, 1.0)), _steps(), self._table)
-
-    @cached_property
-    def _table(self) -> Array:
-        values = self.density(1.0 - 2.0 * _steps() ** 2)
-        values[0] = _straight_on(self.density, float(values[1]))
-        return _normalised(values)
-
-    def share_within(self, cosine: Array) -> Array:
-        """Share of the light that turns by less than θ, for an array of cos θ."""
-        sine = np.sqrt(np.clip(0.5 - 0.5 * cosine, 0.0, 1.0))
-        steps, table = _steps(), self._table
-        slopes = np.diff(table) * (NODES - 1)
-        starts = table[:-1] - slopes * steps[:-1]  # p = start + slope s in each step
-
-        def until(step: NDArray[np.intp], s: Array) -> Array:
-            """∫ 8π p s ds of a step from where it begins to s."""
-            first = steps[step]
-            light = 0.5 * starts[step] * (s**2 - first**2) + slopes[step] * (s**3 - first**3) / 3.0
-            return np.asarray(8.0 * math.pi * light)
-
-        every = np.arange(NODES - 1)
-        before = np.concatenate([[0.0], np.cumsum(until(every, steps[1:]))])
-        at = np.minimum((sine * (NODES - 1)).astype(np.intp), NODES - 2)
-        return np.asarray((before[at] + until(at, sine)) / before[-1])
-
-    @cached_property
-    def mean_cosine(self) -> float:
-        """⟨cos θ⟩, which diffusion and reduced scattering know it by."""
-        return float(self.moments(1)[1])
-
-    def moments(self, highest: int) -> Array:
-        """(highest + 1,) Legendre moments ∫ p P_l dω, the factors that scattering multiplies degree l by (Eq. 11)."""
-        nodes, weights = _quadrature()
-        weighted = weights * np.interp(nodes, _steps(), self._table) * 8.0 * math.pi * nodes
-        return np.asarray(np.polynomial.legendre.legvander(1.0 - 2.0 * nodes**2, highest).T @ weighted)
-
-    @cached_property
-    def record(self) -> PhaseRecord:
-        """For kernels."""
-        table = self._table
-        fallen = int(np.argmax(table < table[0] / 2.8))
-        sine = float(_steps()[max(fallen, 1)])
-        width = sine / math.sqrt(1.0 - sine**2) if fallen else 0.5
-        return TableRecord(self.mean_cosine, width, table, _quantiles(table))
 
 
 @dataclass(frozen=True)
@@ -354,59 +255,6 @@ class Tabulated(PhaseFunction):
 
 
 @dataclass(frozen=True)
-class Mie(PhaseFunction):
-    """Spheres in water in unpolarised light, by `miepython`.
-
-    Parameters
-    ----------
-    diameter_um
-        Of the spheres: the mean by number.
-    particle_index, water_index
-        Refractive indices.
-    wavelength_nm
-        Of the light, in vacuum.
-    spread
-        Standard deviation of the diameters over their mean (log-normal); 0: all alike.
-    band_nm
-        Full width at half maximum of the light's band (Gaussian); 0: one wavelength.
-
-    Examples
-    --------
-    >>> round(Mie(1.0, 1.5868, 1.3317, 633.0).mean_cosine, 3)
-    0.918
-    """
-
-    __pydantic_config__ = CLOSED
-    diameter_um: float
-    particle_index: float
-    water_index: float
-    wavelength_nm: float
-    spread: float = 0.0
-    band_nm: float = 0.0
-    kind: Literal["mie"] = field(default="mie", repr=False)
-
-    def __post_init__(self) -> None:
-        names = ("diameter_um", "particle_index", "water_index", "wavelength_nm", "spread", "band_nm")
-        diameter, particle, water, wavelength, spread, band = (number(self, name) for name in names)
-        require(0.001 <= diameter <= 50.0, f"diameter_um = {diameter} is outside 0.001 … 50")
-        require(1.0 <= particle <= 4.0, f"particle_index = {particle} is outside 1 … 4")
-        require(1.0 <= water <= 2.0, f"water_index = {water} is outside 1 … 2")
-        require(particle != water, "particle_index equals water_index: such spheres scatter nothing")
-        require(200.0 <= wavelength <= 2000.0, f"wavelength_nm = {wavelength} is outside 200 … 2000")
-        require(0.0 <= spread <= 0.6, f"spread = {spread} is outside 0 … 0.6; give a share of the diameter")
-        require(0.0 <= band < wavelength, f"band_nm = {band} is negative or as wide as the wavelength")
-
-    def density(self, cosine: Array) -> Array:
-        """See `PhaseFunction.density`."""
-        return np.asarray(np.interp(np.sqrt(0.5 - 0.5 * cosine), _steps(), _spheres(self)[1]))
-
-    @cached_property
-    def cross_section_um2(self) -> float:
-        """Mean scattering cross-section of a sphere, µm²."""
-        return _spheres(self)[0]
-
-
-@dataclass(frozen=True)
 class Mixture(PhaseFunction):
     """Liquids in one tank, each with its own phase function.
 
@@ -420,6 +268,7 @@ class Mixture(PhaseFunction):
 
     parts: tuple[PhaseFunction, ...]
     shares: tuple[float, ...]
+    kind: Literal["mixture"] = field(default="mixture", repr=False)
 
     def density(self, cosine: Array) -> Array:
         """See `PhaseFunction.density`."""
@@ -429,110 +278,12 @@ class Mixture(PhaseFunction):
 class _ByKind:
     """Has a file's `kind` choose; pydantic itself is loaded when a file is read, and not with every scene."""
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+    def __get_pydantic_core_schema__(self, _: Any, handler: Any) -> Any:
         from pydantic import Discriminator
 
-        return handler.generate_schema(Annotated[source, Discriminator("kind")])
+        named = HenyeyGreenstein | TwoTerm | ReynoldsMcCormick | FournierForand | Tabulated | Mie
+        return handler.generate_schema(Annotated[named, Discriminator("kind")])
 
 
-AnyPhase = Annotated[HenyeyGreenstein | TwoTerm | ReynoldsMcCormick | FournierForand | Tabulated | Mie, _ByKind()]
-"""Those that files name by their `kind`."""
-
-
-@lru_cache(maxsize=1)
-def _steps() -> Array:
-    """sin(θ/2) of the nodes."""
-    return np.linspace(0.0, 1.0, NODES)
-
-
-@lru_cache(maxsize=1)
-def _quadrature() -> tuple[Array, Array]:
-    """Three Gauss points in each step of sin(θ/2): exact for what is linear there, times polynomials of degree 4."""
-    points, weights = np.polynomial.legendre.leggauss(3)
-    steps, half = _steps(), 0.5 / (NODES - 1)
-    return (steps[:-1, None] + half * (1.0 + points)).ravel(), np.tile(half * weights, NODES - 1)
-
-
-def _straight_on(density: Callable[[Array], Array], first: float) -> float:
-    """p at θ = 0 with which the table's first step holds the light that p has there, where p may have a pole."""
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    power = 12.0  # s = h x¹²: a pole like s^−1.9 is smooth in x
-    x = 0.5 + 0.5 * nodes
-    share = x**power
-    light = float(0.5 * weights @ (power * x ** (2.0 * power - 1.0) * density(1.0 - 2.0 * (share / (NODES - 1)) ** 2)))
-    return max(6.0 * light - 2.0 * first, 0.0)
-
-
-def _normalised(table: Array) -> Array:
-    """Scaled so that 8π ∫ p s ds = 1, s = sin(θ/2)."""
-    nodes, weights = _quadrature()
-    return np.asarray(table / float(weights @ (8.0 * math.pi * nodes * np.interp(nodes, _steps(), table))))
-
-
-def _quantiles(table: Array) -> Array:
-    """cos θ at even steps of 1 − (1 − u)^(1/4), u the light that turns by less than θ."""
-    steps = _steps()
-    low, high, width = table[:-1], table[1:], steps[1] - steps[0]
-    # ∫ 8π p s ds over a step, p linear in s.
-    mean, slope = 0.5 * (low + high), (high - low) / width
-    middle = 0.5 * (steps[:-1] + steps[1:])
-    masses = 8.0 * math.pi * width * (mean * middle + slope * width**2 / 12.0)
-    turned = np.concatenate([[0.0], np.cumsum(masses)])
-    turned /= turned[-1]
-    wanted = 1.0 - (1.0 - np.linspace(0.0, 1.0, NODES)) ** 4
-    # Within a step the light goes about as s²: interpolating s² keeps the forward peak's shape.
-    rising = np.concatenate([[True], np.diff(turned) > 0.0])
-    return np.asarray(1.0 - 2.0 * np.interp(wanted, turned[rising], steps[rising] ** 2))
-
-
-@lru_cache(maxsize=64)
-def _spheres(mie: Mie) -> tuple[float, Array]:
-    """Mean scattering cross-section in µm², and p at the nodes, by the coefficients of Mie's series."""
-    import miepython
-
-    ratio = mie.particle_index / mie.water_index
-    kinds = [(light * number, diameter, 2e3 * math.pi * mie.water_index / wavelength)
-             for wavelength, light in _band(mie) for diameter, number in _diameters(mie)]  # fmt: skip
-    series = [miepython.coefficients(ratio, 0.5 * diameter * per_um) for _, diameter, per_um in kinds]
-    odd, even = _angular(max(len(a) for a, _ in series))
-    total, density = 0.0, np.zeros(NODES)
-    for (share, _, per_um), (a, b) in zip(kinds, series, strict=True):
-        n = np.arange(1, len(a) + 1)
-        by = (2.0 * n + 1.0) / (n * (n + 1.0))
-        across = (by * a) @ odd[: len(a)] + (by * b) @ even[: len(a)]
-        along = (by * a) @ even[: len(a)] + (by * b) @ odd[: len(a)]
-        density += share / (2.0 * per_um**2) * (np.abs(across) ** 2 + np.abs(along) ** 2)
-        total += share * 2.0 * math.pi / per_um**2 * float((2.0 * n + 1.0) @ (np.abs(a) ** 2 + np.abs(b) ** 2))
-    require(bool(np.isfinite(density).all() and 0.0 < total < math.inf), f"Mie's series fails for {mie}")
-    return total, density / total
-
-
-def _angular(terms: int) -> tuple[Array, Array]:
-    """(terms, NODES) angular functions π_n and τ_n at the nodes (Bohren and Huffman 1983, Eq. 4.47)."""
-    cosine = 1.0 - 2.0 * _steps() ** 2
-    odd, even = np.zeros((terms + 1, NODES)), np.zeros((terms + 1, NODES))
-    odd[1], even[1] = 1.0, cosine
-    for n in range(2, terms + 1):
-        odd[n] = ((2 * n - 1) * cosine * odd[n - 1] - n * odd[n - 2]) / (n - 1)
-        even[n] = n * cosine * odd[n] - (n + 1) * odd[n - 1]
-    return odd[1:], even[1:]
-
-
-def _diameters(mie: Mie) -> list[tuple[float, float]]:
-    """Diameters in µm with shares of the number."""
-    if mie.spread == 0.0:
-        return [(mie.diameter_um, 1.0)]
-    width = math.sqrt(math.log1p(mie.spread**2))
-    count = 9 + 2 * math.ceil(60.0 * width)
-    at = np.linspace(-4.0, 4.0, count)
-    shares = np.exp(-0.5 * at**2)
-    return list(zip(mie.diameter_um * np.exp(width * at - 0.5 * width**2), shares / shares.sum(), strict=True))
-
-
-def _band(mie: Mie) -> list[tuple[float, float]]:
-    """Wavelengths in nm with shares of the light."""
-    if mie.band_nm == 0.0:
-        return [(mie.wavelength_nm, 1.0)]
-    at = np.linspace(-2.5, 2.5, 11)
-    shares = np.exp(-0.5 * at**2)
-    return list(zip(mie.wavelength_nm + mie.band_nm / 2.3548 * at, shares / shares.sum(), strict=True))
+AnyPhase = Annotated[PhaseFunction, _ByKind()]
+"""Any phase function; in files one of those that have a `kind` there."""

@@ -157,7 +157,7 @@ class Board(usb.backend.IBackend):  # type: ignore[misc]
             yield self
 
     def get_parent(self, _dev: object) -> None:
-        """No hub."""
+        """No hub is between computer and board."""
 
     def get_device_descriptor(self, _dev: object) -> SimpleNamespace:
         """As the board has it; strings 1 to 3 are maker, product, serial number."""
@@ -168,7 +168,7 @@ class Board(usb.backend.IBackend):  # type: ignore[misc]
         )  # fmt: skip
 
     def get_configuration_descriptor(self, _dev: object, _config: int) -> SimpleNamespace:
-        """One configuration."""
+        """The only configuration that the board has."""
         return SimpleNamespace(
             bLength=9, bDescriptorType=2, wTotalLength=41, bNumInterfaces=1, bConfigurationValue=1, iConfiguration=0,
             bmAttributes=0xC0, bMaxPower=50, extra_descriptors=[],
@@ -191,7 +191,7 @@ class Board(usb.backend.IBackend):  # type: ignore[misc]
         )  # fmt: skip
 
     def open_device(self, _dev: object) -> "Board":
-        """Open it."""
+        """Open the board, as long as it is plugged in."""
         self._check_plugged()
         return self
 
@@ -244,7 +244,7 @@ class Board(usb.backend.IBackend):  # type: ignore[misc]
     def ctrl_transfer(
         self, _handle: object, _type: int, request: int, value: int, _index: int, data: Any, _timeout: int
     ) -> int:
-        """String descriptors."""
+        """Answer requests for the strings that name maker, product and serial number; refuse all others."""
         texts = {1: "Texas Instruments", 2: "DLPC350", 3: SERIAL}
         if request != 0x06 or value >> 8 != 3:
             raise usb.core.USBError("Pipe error", errno=errno.EPIPE)

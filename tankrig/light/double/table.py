@@ -38,7 +38,7 @@ from tankrig.light.rays import (
 )
 from tankrig.scene import Scene
 from tankrig.scene.phase import phase_density
-from tankrig.scene.phase_functions import PhaseRecord
+from tankrig.scene.phase_table import PhaseRecord
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from tankrig.light.paths.record import column_of, image_of_edges
 from tankrig.light.paths.trace import advance, narrow, scatter
 from tankrig.light.rays import Geometry, geometry_of
 from tankrig.scene import Scene
-from tankrig.scene.phase_functions import PhaseRecord
+from tankrig.scene.phase_table import PhaseRecord
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.light.elementary import circle, log_one_minus, one_minus_exponential
 from tankrig.light.rays import Geometry, light_ray
-from tankrig.scene.phase_functions import PhaseRecord
+from tankrig.scene.phase_table import PhaseRecord
 
 Array = NDArray[np.float64]
 

@@ -59,7 +59,7 @@ from tankrig.scene.phase import (
     henyey_greenstein_cosine,
     phase_density,
 )
-from tankrig.scene.phase_functions import PhaseRecord
+from tankrig.scene.phase_table import PhaseRecord
 
 Array = NDArray[np.float64]
 

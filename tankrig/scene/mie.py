@@ -1,0 +1,120 @@
+"""Mie scattering by spheres in water, by `miepython`'s coefficients."""
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.scene.checks import CLOSED, number, require
+from tankrig.scene.phase_table import NODES, PhaseFunction, sines
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mie(PhaseFunction):
+    """Spheres in water in unpolarised light, by `miepython`.
+
+    Parameters
+    ----------
+    diameter_um
+        Of the spheres: the mean by number.
+    particle_index, water_index
+        Refractive indices.
+    wavelength_nm
+        Of the light, in vacuum.
+    spread
+        Standard deviation of the diameters over their mean (log-normal); 0: all alike.
+    band_nm
+        Full width at half maximum of the light's band (Gaussian); 0: one wavelength.
+
+    Examples
+    --------
+    >>> round(Mie(1.0, 1.5868, 1.3317, 633.0).mean_cosine, 3)
+    0.918
+    """
+
+    __pydantic_config__ = CLOSED
+    diameter_um: float
+    particle_index: float
+    water_index: float
+    wavelength_nm: float
+    spread: float = 0.0
+    band_nm: float = 0.0
+    kind: Literal["mie"] = field(default="mie", repr=False)
+
+    def __post_init__(self) -> None:
+        names = ("diameter_um", "particle_index", "water_index", "wavelength_nm", "spread", "band_nm")
+        diameter, particle, water, wavelength, spread, band = (number(self, name) for name in names)
+        require(0.001 <= diameter <= 50.0, f"diameter_um = {diameter} is outside 0.001 … 50")
+        require(1.0 <= particle <= 4.0, f"particle_index = {particle} is outside 1 … 4")
+        require(1.0 <= water <= 2.0, f"water_index = {water} is outside 1 … 2")
+        require(particle != water, "particle_index equals water_index: such spheres scatter nothing")
+        require(200.0 <= wavelength <= 2000.0, f"wavelength_nm = {wavelength} is outside 200 … 2000")
+        require(0.0 <= spread <= 0.6, f"spread = {spread} is outside 0 … 0.6; give a share of the diameter")
+        require(0.0 <= band < wavelength, f"band_nm = {band} is negative or as wide as the wavelength")
+
+    def density(self, cosine: Array) -> Array:
+        """See `PhaseFunction.density`."""
+        return np.asarray(np.interp(np.sqrt(0.5 - 0.5 * cosine), sines(), _spheres(self)[1]))
+
+    @cached_property
+    def cross_section_um2(self) -> float:
+        """Mean scattering cross-section of a sphere, µm²."""
+        return _spheres(self)[0]
+
+
+@lru_cache(maxsize=64)
+def _spheres(mie: Mie) -> tuple[float, Array]:
+    """Mean scattering cross-section in µm², and p at the nodes, by the coefficients of Mie's series."""
+    import miepython
+
+    ratio = mie.particle_index / mie.water_index
+    kinds = [(light * number, diameter, 2e3 * math.pi * mie.water_index / wavelength)
+             for wavelength, light in _band(mie) for diameter, number in _diameters(mie)]  # fmt: skip
+    series = [miepython.coefficients(ratio, 0.5 * diameter * per_um) for _, diameter, per_um in kinds]
+    odd, even = _angular(max(len(a) for a, _ in series))
+    total, density = 0.0, np.zeros(NODES)
+    for (share, _, per_um), (a, b) in zip(kinds, series, strict=True):
+        n = np.arange(1, len(a) + 1)
+        by = (2.0 * n + 1.0) / (n * (n + 1.0))
+        across = (by * a) @ odd[: len(a)] + (by * b) @ even[: len(a)]
+        along = (by * a) @ even[: len(a)] + (by * b) @ odd[: len(a)]
+        density += share / (2.0 * per_um**2) * (np.abs(across) ** 2 + np.abs(along) ** 2)
+        total += share * 2.0 * math.pi / per_um**2 * float((2.0 * n + 1.0) @ (np.abs(a) ** 2 + np.abs(b) ** 2))
+    require(bool(np.isfinite(density).all() and 0.0 < total < math.inf), f"Mie's series fails for {mie}")
+    return total, density / total
+
+
+def _angular(terms: int) -> tuple[Array, Array]:
+    """(terms, NODES) angular functions π_n and τ_n at the nodes (Bohren and Huffman 1983, Eq. 4.47)."""
+    cosine = 1.0 - 2.0 * sines() ** 2
+    odd, even = np.zeros((terms + 1, NODES)), np.zeros((terms + 1, NODES))
+    odd[1], even[1] = 1.0, cosine
+    for n in range(2, terms + 1):
+        odd[n] = ((2 * n - 1) * cosine * odd[n - 1] - n * odd[n - 2]) / (n - 1)
+        even[n] = n * cosine * odd[n] - (n + 1) * odd[n - 1]
+    return odd[1:], even[1:]
+
+
+def _diameters(mie: Mie) -> list[tuple[float, float]]:
+    """Diameters in µm with shares of the number."""
+    if mie.spread == 0.0:
+        return [(mie.diameter_um, 1.0)]
+    width = math.sqrt(math.log1p(mie.spread**2))
+    count = 9 + 2 * math.ceil(60.0 * width)
+    at = np.linspace(-4.0, 4.0, count)
+    shares = np.exp(-0.5 * at**2)
+    return list(zip(mie.diameter_um * np.exp(width * at - 0.5 * width**2), shares / shares.sum(), strict=True))
+
+
+def _band(mie: Mie) -> list[tuple[float, float]]:
+    """Wavelengths in nm with shares of the light."""
+    if mie.band_nm == 0.0:
+        return [(mie.wavelength_nm, 1.0)]
+    at = np.linspace(-2.5, 2.5, 11)
+    shares = np.exp(-0.5 * at**2)
+    return list(zip(mie.wavelength_nm + mie.band_nm / 2.3548 * at, shares / shares.sum(), strict=True))

@@ -1,0 +1,149 @@
+"""What all phase functions have in common: a table, and what follows from it.
+
+A phase function says its density p(cos θ) in 1/sr, ∫ p dω = 1. Its table, linear between even steps of s = sin(θ/2),
+is dense where p may be steep, and its light between two angles, ∫ 8π p s ds, has a closed form. Mean cosine, Legendre
+moments, drawing and the record that kernels read follow from it.
+"""
+
+import math
+from collections.abc import Callable
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+NODES = 4097
+"""Of a table: a step is 0.03° at the forward peak."""
+
+
+class HenyeyGreensteinRecord(NamedTuple):
+    """Henyey–Greenstein, for kernels: its asymmetry, and `TableRecord.width`."""
+
+    g: float
+    width: float
+
+
+class TableRecord(NamedTuple):
+    """Any other phase function, for kernels.
+
+    Parameters
+    ----------
+    g
+        Mean cosine; also of the Henyey–Greenstein lobes that guide paths, whatever p is.
+    width
+        tan(θ/2) at which p has fallen to a third from where it is largest, about which quadratures are graded.
+    density
+        (n,) p in 1/sr at even steps of sin(θ/2) from 0 to 1.
+    cosines
+        (n,) cos θ of the inverse of the distribution; see `drawn_cosine`.
+    """
+
+    g: float
+    width: float
+    density: Array
+    cosines: Array
+
+
+PhaseRecord = HenyeyGreensteinRecord | TableRecord
+"""Kernels tell them apart by their length."""
+
+
+def henyey_greenstein_record(g: float) -> HenyeyGreensteinRecord:
+    """Henyey–Greenstein with asymmetry g, for kernels."""
+    return HenyeyGreensteinRecord(float(g), 0.5 * (1.0 - abs(g)))
+
+
+class PhaseFunction:
+    """What all phase functions have in common; see `density`."""
+
+    kind: str
+    """What files call it."""
+
+    def density(self, cosine: Array) -> Array:
+        """p(cos θ) in 1/sr up to a factor, at an array of cosines."""
+        raise NotImplementedError
+
+    def at(self, cosine: Array | float) -> Array:
+        """p(cos θ) in 1/sr, as it is used: normalised, and linear in sin(θ/2) between the nodes of its table."""
+        return np.interp(np.sqrt(np.clip(0.5 - 0.5 * np.asarray(cosine, float), 0.0, 1.0)), sines(), self._table)
+
+    @cached_property
+    def _table(self) -> Array:
+        values = self.density(1.0 - 2.0 * sines() ** 2)
+        values[0] = _straight_on(self.density, float(values[1]))
+        return np.asarray(values / _light_to(values)[-1])
+
+    def share_within(self, cosine: Array) -> Array:
+        """Share of the light that turns by less than θ, for an array of cos θ."""
+        sine = np.sqrt(np.clip(0.5 - 0.5 * cosine, 0.0, 1.0))
+        step = np.minimum((sine * (NODES - 1)).astype(np.intp), NODES - 2)
+        return np.asarray(_light_to(self._table)[step] + _light_in_step(self._table, step, sine))
+
+    @cached_property
+    def mean_cosine(self) -> float:
+        """⟨cos θ⟩, which diffusion and reduced scattering know it by."""
+        return float(self.moments(1)[1])
+
+    def moments(self, highest: int) -> Array:
+        """(highest + 1,) Legendre moments ∫ p P_l dω, the factors that scattering multiplies degree l by (Eq. 11)."""
+        nodes, weights = _quadrature()
+        weighted = weights * np.interp(nodes, sines(), self._table) * 8.0 * math.pi * nodes
+        return np.asarray(np.polynomial.legendre.legvander(1.0 - 2.0 * nodes**2, highest).T @ weighted)
+
+    @cached_property
+    def record(self) -> PhaseRecord:
+        """For kernels."""
+        table = self._table
+        fallen = int(np.argmax(table < table[0] / 2.8))
+        sine = float(sines()[max(fallen, 1)])
+        width = sine / math.sqrt(1.0 - sine**2) if fallen else 0.5
+        return TableRecord(self.mean_cosine, width, table, _quantiles(table))
+
+
+@lru_cache(maxsize=1)
+def sines() -> Array:
+    """sin(θ/2) of the nodes."""
+    return np.linspace(0.0, 1.0, NODES)
+
+
+@lru_cache(maxsize=1)
+def _quadrature() -> tuple[Array, Array]:
+    """Three Gauss points in each step of sin(θ/2): exact for what is linear there, times polynomials of degree 4."""
+    points, weights = np.polynomial.legendre.leggauss(3)
+    steps, half = sines(), 0.5 / (NODES - 1)
+    return (steps[:-1, None] + half * (1.0 + points)).ravel(), np.tile(half * weights, NODES - 1)
+
+
+def _straight_on(density: Callable[[Array], Array], first: float) -> float:
+    """p at θ = 0 with which the table's first step holds the light that p has there, where p may have a pole."""
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    power = 12.0  # s = h x¹²: a pole like s^−1.9 is smooth in x
+    x = 0.5 + 0.5 * nodes
+    share = x**power
+    light = float(0.5 * weights @ (power * x ** (2.0 * power - 1.0) * density(1.0 - 2.0 * (share / (NODES - 1)) ** 2)))
+    return max(6.0 * light - 2.0 * first, 0.0)
+
+
+def _light_in_step(table: Array, step: NDArray[np.intp], sine: Array) -> Array:
+    """∫ 8π p s ds from where steps begin to `sine`, p linear in s = sin(θ/2)."""
+    first, slope = sines()[step], (table[step + 1] - table[step]) * (NODES - 1)
+    start = table[step] - slope * first  # p = start + slope s
+    return np.asarray(8.0 * math.pi * (0.5 * start * (sine**2 - first**2) + slope * (sine**3 - first**3) / 3.0))
+
+
+def _light_to(table: Array) -> Array:
+    """(NODES,) light that turns by less than each node's θ: ∫ 8π p s ds."""
+    step = np.arange(NODES - 1)
+    return np.concatenate([[0.0], np.cumsum(_light_in_step(table, step, sines()[1:]))])
+
+
+def _quantiles(table: Array) -> Array:
+    """cos θ at even steps of 1 − (1 − u)^(1/4), u the light that turns by less than θ."""
+    turned = _light_to(table)
+    wanted = turned[-1] * (1.0 - (1.0 - np.linspace(0.0, 1.0, NODES)) ** 4)
+    # Within a step the light goes about as s²: interpolating s² keeps the forward peak's shape.
+    rising = np.concatenate([[True], np.diff(turned) > 0.0])
+    return np.asarray(1.0 - 2.0 * np.interp(wanted, turned[rising], sines()[rising] ** 2))
