@@ -27,7 +27,8 @@ def observations(photographs: Sequence[Photograph]) -> "Figure":
     doses = sorted({one.dose_ml for one in photographs})
     patterns = list(dict.fromkeys(one.pattern for one in photographs))
     camera = photographs[0].scene.camera
-    height = 2.5 * camera.shape[0] / camera.shape[1]
+    rows_mm, columns_mm = np.multiply(camera.shape, camera.sides_mm)  # bins of a calibrated camera are not square
+    height = 2.5 * rows_mm / columns_mm
     figure = Figure(figsize=(5.0 * len(patterns), height * len(doses) + 0.6), layout="constrained")
     grid = figure.subplots(len(doses), 2 * len(patterns), squeeze=False)
     for axes in grid.ravel():
