@@ -42,6 +42,10 @@ class Proof:
         self._look()
         self._covered_since = not self._visible
 
+    def output_is_on(self) -> bool:
+        """Whether the output shows a part of the desktop: not once its cable is pulled or it was switched off."""
+        return any(self._output in crtc.outputs for crtc in self._display.crtcs())
+
     def doubt(self) -> str:
         """Why what was shown may not be what has left the output since; empty where everything could be proved."""
         self._look()

@@ -140,8 +140,12 @@ class Projection(QObject):
             self._window.update()
 
     def _check(self, asked: dict[str, Any]) -> None:
-        if self._window is not None:
-            self._say(number=asked["number"], doubt=self._proof.doubt() if self._proof else self._unproved)
+        if self._window is None:
+            return
+        if self._proof is not None and not self._proof.output_is_on():
+            self._leave("its screen is gone")  # the X server may know before Qt has heard of it
+            return
+        self._say(number=asked["number"], doubt=self._proof.doubt() if self._proof else self._unproved)
 
     def _swapped(self) -> None:
         now_ns = time.monotonic_ns()
