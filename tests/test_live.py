@@ -29,7 +29,7 @@ from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
 from tankrig.live.fits import fit_dose_prepared
 from tankrig.live.live_fit import LiveFit
 from tankrig.live.preparing import LOOK, Preparation, Preparing, box_for
-from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, diluted, to_fields
+from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, diluted, to_fields
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import Sheet
 from tankrig.pattern.wall import Wall
@@ -388,8 +388,11 @@ def test_a_first_look_tells_which_models_the_first_dose_needs(monkeypatch: pytes
     assert fitter.next(exposures, last=False) is None
     assert fitter.waiting
     boxes.ready.add(LOOK)
-    assert fitter.next(exposures, last=False) is None
-    assert fitter.waiting
+    told = fitter.next(exposures, last=False)  # a person sees about what it is while models are prepared
+    assert isinstance(told, DoseFit)
+    assert (told.medium, told.model, told.passing, told.newest) == (looked, FIRST_LOOK, True, -1)
+    assert fitter.next(exposures, last=False) is None  # once
+    assert (fitter.waiting, fitter.unfinished) == (True, False)
     assert boxes.wanted[0] == box_for(looked)
     boxes.ready.add(box_for(looked))
     found = fitter.next(exposures, last=False)

@@ -4,12 +4,13 @@ import math
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
 from tankrig.light.rays import shift_invariant
+from tankrig.live.results import diluted
 from tankrig.scene.description import Medium, Scene
 
 TOLERANCE, SLANTED_TOLERANCE = 0.02, 0.01
@@ -81,6 +82,28 @@ def holds(box: Box, liquid: Medium) -> bool:
         and box.g[0] + distance <= liquid.g <= box.g[1] - distance
         and liquid.albedo > box.albedo[0]
     )
+
+
+def foreseen(
+    scenes: Sequence[Scene], doses_ml: Iterable[float], ink: Medium | None
+) -> list[tuple[Sequence[Scene], Box]]:
+    """Models that can be prepared before there is any ink, the most wanted first: scenes, and the box they share.
+
+    Parameters
+    ----------
+    scenes
+        Of the patterns.
+    doses_ml
+        Ink in the tank at each dose.
+    ink
+        What is expected of it, per mm and ml; None where nothing is: then only a first look can be prepared.
+    """
+    boxes: list[Box] = []
+    for dose_ml in sorted(doses_ml) if ink is not None else ():
+        liquid = None if ink is None or dose_ml <= 0.0 else diluted(ink, 1.0, dose_ml)
+        if liquid is not None and not any(holds(box, liquid) for box in boxes):
+            boxes.append(box_for(liquid))
+    return [*((scenes, box) for box in boxes), (scenes[:1], LOOK)]
 
 
 def is_kept(scene: Scene, box: Box) -> bool:
@@ -207,9 +230,20 @@ class Preparing:
             if self._closing or self._waiting[:1] != [(scene, box)]:
                 raise _EnoughError
 
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # the error is counted in every covariance
-            return prepare(scene, _tolerance(scene, box), progress, box, threads=1)
+        return model_for(scene, box, progress)
+
+
+def model_for(scene: Scene, box: Box, progress: Callable[[float], object] = lambda _: None) -> Prepared:
+    """The model of a scene for a box as a live fit asks for it, from the cache or made now.
+
+    Raises
+    ------
+    TankrigError
+        When it cannot be prepared or kept.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the error is counted in every covariance
+        return prepare(scene, _tolerance(scene, box), progress, box)
 
 
 def _tolerance(scene: Scene, box: Box) -> float:
