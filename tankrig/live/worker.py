@@ -242,7 +242,7 @@ class Fitter:
                 return replace(fit, newest=newest)
             self.waiting = True
             if (look := self._look_to_tell(photographs)) is not None:
-                return about(replace(look, newest=ANOTHER_DOSE))
+                return replace(about(look), newest=ANOTHER_DOSE)
         over = exposures.photographs() if last else [
             one for one in exposures.photographs() if one.dose_ml < exposures.dose_ml
         ]  # fmt: skip
