@@ -224,7 +224,7 @@ class Fitter:
     def next(self, exposures: Exposures, last: bool) -> Fit | None:
         """Fit what is newest and not fitted yet; None when there is nothing to do."""
         self.waiting = False
-        for dose in exposures.doses:
+        for dose in self._in_turn(exposures):
             photographs = exposures.photographs(dose)
             seen = sum(one.frames for one in photographs) + exposures.left_out(dose)
             if not photographs or seen <= self._fitted.get(photographs[0].dose_ml, 0):
@@ -243,6 +243,8 @@ class Fitter:
             self.waiting = True
             if (look := self._look_to_tell(photographs)) is not None:
                 return replace(about(look), newest=ANOTHER_DOSE)
+            if not self._foresees:
+                break
         over = exposures.photographs() if last else [
             one for one in exposures.photographs() if one.dose_ml < exposures.dose_ml
         ]  # fmt: skip
@@ -251,6 +253,17 @@ class Fitter:
             self._in_series = doses
             return self._all(over)
         return None
+
+    @property
+    def _foresees(self) -> bool:
+        """Whether anything tells what ink it is."""
+        return self._latest is not None or (self._plan is not None and self._plan.ink is not None)
+
+    def _in_turn(self, exposures: Exposures) -> list[int]:
+        """Doses, the newest first; where nothing is known of the ink, the thinnest, which a first look tells best."""
+        if self._foresees:
+            return exposures.doses
+        return sorted(exposures.doses, key=exposures.volume_ml)
 
     def _dose(self, photographs: list[Photograph], about: Callable[[DoseFit], DoseFit]) -> DoseFit | FailedFit | None:
         """The fit of a dose, with what is to be said about its frames; None while its models are being prepared."""
@@ -265,7 +278,9 @@ class Fitter:
                 self._keep(quick)
                 self._passing[dose_ml] = quick, photographs
                 return replace(quick, passing=True)
-            fit = about(fit_dose(photographs, self._start(dose_ml), self._progress))
+            look = self._looked.get(dose_ml)
+            start = self._start(dose_ml) or (None if look is None else look.medium)
+            fit = about(fit_dose(photographs, start, self._progress))
         except TankrigError as error:
             return FailedFit(dose_ml, str(error))
         self._keep(fit)
@@ -280,15 +295,15 @@ class Fitter:
         start = self._start(dose_ml)
         if start is not None:
             found = self._fit_within(self._preparing.box(start), photographs, start)
-            if found is not None or self._awaited or dose_ml in self._looked:
+            if found is not None or self._awaited:
                 return found
-        if dose_ml in self._looked:
-            return None
-        look = self._fit_within(LOOK, photographs[:1], LOOK_START)
-        if self._awaited:
-            return None
-        self._looked[dose_ml] = look
-        return None if look is None else self._quick(photographs)
+        if dose_ml not in self._looked:
+            look = self._fit_within(LOOK, photographs[:1], LOOK_START)
+            if self._awaited:
+                return None
+            self._looked[dose_ml] = look
+        seen = self._looked[dose_ml]
+        return None if seen is None else self._fit_within(self._preparing.box(seen.medium), photographs, seen.medium)
 
     def _look_to_tell(self, photographs: list[Photograph]) -> DoseFit | None:
         """What a first look says of a dose whose models are being prepared, once; None where there is none to tell.
@@ -298,17 +313,16 @@ class Fitter:
         dose_ml = photographs[0].dose_ml
         if self._preparing is None or dose_ml in self._told or dose_ml in self._liquid:
             return None
-        if dose_ml not in self._looked:
-            models = self._preparing.models([photographs[0].scene], LOOK)
-            if models is None:
-                return None
-            start = self._start(dose_ml) or LOOK_START
+        models = self._preparing.models([photographs[0].scene], LOOK)
+        if models is None:
+            return None
+        self._told.add(dose_ml)
+        look = self._looked.get(dose_ml)
+        if look is None:
             try:
-                self._looked[dose_ml] = fit_dose_prepared(photographs[:1], models, start)
+                look = fit_dose_prepared(photographs[:1], models, self._start(dose_ml) or LOOK_START)
             except TankrigError:
                 return None
-        self._told.add(dose_ml)
-        look = self._looked[dose_ml]
         return None if look is None else replace(look, model=FIRST_LOOK, passing=True)
 
     def _fit_within(self, box: Box, photographs: list[Photograph], start: Medium) -> DoseFit | None:
@@ -343,11 +357,11 @@ class Fitter:
         self._preparing.want(scenes, self._preparing.box(fit.medium))
 
     def _start(self, dose_ml: float) -> Medium | None:
-        """Where to begin: the dose's own last fit or look, what the series foresees, another dose's liquid, diluted, or
-        the ink expected."""
-        own, look = self._liquid.get(dose_ml), self._looked.get(dose_ml)
-        if own is not None or look is not None:
-            return own or (look and look.medium)
+        """Where to begin: the dose's own last fit, what the series foresees, another dose's liquid, diluted, or the ink
+        expected."""
+        own = self._liquid.get(dose_ml)
+        if own is not None:
+            return own
         if self._series is not None:
             return self._series.at(dose_ml)
         if self._latest is not None:

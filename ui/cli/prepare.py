@@ -56,8 +56,8 @@ def prepare(
     The model is kept in the folder that TANKRIG_CACHE names, else in the user's cache folder. When this is
     interrupted, the next call goes on where it stopped.
 
-    With --rig and --sequence it prepares what a run's live fit can use whatever the ink is, while a person sets up; with
-    `ink` in the sequence, the models of its doses too.
+    With --rig and --sequence it prepares what a run's live fit can use whatever the ink is, while a person sets up;
+    with `ink` in the sequence, the models of its doses too.
     """
     if (scene_file is None) == (sequence_file is None):
         raise click.UsageError("give a scene file, or --sequence with --rig")
@@ -107,8 +107,8 @@ def _for_a_run(sequence_file: Path, rig: Path, as_json: bool) -> None:
     started = time.perf_counter()
     with _progress() as bar:
         task = bar.add_task("preparing", total=float(len(wanted)))
-        for index, (scene, box) in enumerate(wanted):
-            model_for(scene, box, lambda share, done=index: bar.update(task, completed=done + share))
+        for done, (scene, box) in enumerate(wanted):
+            model_for(scene, box, lambda share, done=done: bar.update(task, completed=done + share))  # type: ignore[misc]
     seconds = round(time.perf_counter() - started, 3)
     if as_json:
         click.echo(json.dumps({"models": len(wanted), "kept": kept, "seconds": seconds}))
