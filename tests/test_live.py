@@ -344,8 +344,10 @@ def test_a_dose_waits_for_its_models_then_each_frame_is_fitted_and_the_last_fit_
     fit = fitter.next(exposures, last=True)
     assert isinstance(fit, DoseFit)
     assert (fit.passing, fit.newest, fit.single) == (True, 4, None)
-    whole = fitter.finish()
+    recorded, whole = fitter.finish(), fitter.finish()
+    assert isinstance(recorded, DoseFit)
     assert isinstance(whole, DoseFit)
+    assert (recorded.passing, recorded.newest, recorded.single) == (False, 4, None)  # nobody waits for the rest
     assert (whole.passing, whole.newest, whole.single) == (False, 4, single)
     assert fitter.next(exposures, last=True) is None
 

@@ -200,6 +200,7 @@ class Fitter:
         self._in_series = 0
         self._series: SeriesFit | None = None
         self._passing: dict[float, tuple[DoseFit, list[Photograph]]] = {}
+        self._bare: dict[float, tuple[DoseFit, list[Photograph]]] = {}
         self.waiting = False
         self._awaited = False
         for fit in earlier:
@@ -211,15 +212,22 @@ class Fitter:
 
     @property
     def unfinished(self) -> bool:
-        """Whether a dose's last fit lacks what takes longer: `finish` gives that."""
-        return bool(self._passing)
+        """Whether a dose's last fit has not been recorded, or lacks what takes longer: `finish` gives that."""
+        return bool(self._passing or self._bare)
 
     def finish(self) -> Fit | None:
-        """A passing fit, whole, of the dose that has waited for that the longest."""
-        if not self._passing:
-            return None
-        fit, photographs = self._passing.pop(next(iter(self._passing)))
-        return with_single(fit, photographs)
+        """A fit to be recorded: first each dose's last one as it is, then again with single scattering beside it.
+
+        Single scattering takes seconds on a bench; whoever waits for numbers does without it.
+        """
+        if self._passing:
+            dose_ml = next(iter(self._passing))
+            fit, photographs = self._passing.pop(dose_ml)
+            self._bare[dose_ml] = fit, photographs
+            return replace(fit, passing=False)
+        if self._bare:
+            return with_single(*self._bare.pop(next(iter(self._bare))))
+        return None
 
     def next(self, exposures: Exposures, last: bool) -> Fit | None:
         """Fit what is newest and not fitted yet; None when there is nothing to do."""
@@ -249,7 +257,7 @@ class Fitter:
             one for one in exposures.photographs() if one.dose_ml < exposures.dose_ml
         ]  # fmt: skip
         doses = len({one.dose_ml for one in over})
-        if doses >= 2 and doses > self._in_series and not self.waiting and not self._passing:
+        if doses >= 2 and doses > self._in_series and not self.waiting and not self.unfinished:
             self._in_series = doses
             return self._all(over)
         return None
@@ -269,6 +277,7 @@ class Fitter:
         """The fit of a dose, with what is to be said about its frames; None while its models are being prepared."""
         dose_ml = photographs[0].dose_ml
         self._passing.pop(dose_ml, None)
+        self._bare.pop(dose_ml, None)
         try:
             quick = self._quick(photographs)
             if self._awaited:
