@@ -264,8 +264,9 @@ class Fitter:
 
     @property
     def _foresees(self) -> bool:
-        """Whether anything tells what ink it is."""
-        return self._latest is not None or (self._plan is not None and self._plan.ink is not None)
+        """Whether no first look is needed, as something tells what ink it is."""
+        expected = self._plan is not None and self._plan.ink is not None
+        return self._preparing is None or self._latest is not None or expected
 
     def _in_turn(self, exposures: Exposures) -> list[int]:
         """Doses, the newest first; where nothing is known of the ink, the thinnest, which a first look tells best."""
