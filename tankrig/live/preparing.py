@@ -4,8 +4,9 @@ import math
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import fmean
 
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
@@ -30,6 +31,9 @@ EDGES = (5e-4, 0.5), (-0.9, 0.97)
 """Of σt and g, beyond which no model is prepared."""
 WELL_INSIDE = 1.05, 0.02
 """Factor in σt, and distance in g, from its edges within which a box is taken to hold a liquid foreseen."""
+
+KEPT_S = 1.0
+"""A model that took no longer was kept on disk, and tells nothing of what others take."""
 
 Told = Callable[[str], object]
 
@@ -134,7 +138,7 @@ class Preparing:
         self._told, self._clock = told, clock
         self._closing = False
         self._began_s, self._share = clock(), 0.0
-        self._took_s: dict[bool, float] = {}
+        self._took_s: dict[tuple[Scene, Box], float] = {}
         self._change = threading.Condition()
         self._waiting: list[tuple[Scene, Box]] = []
         self._models: dict[tuple[Scene, Box], Prepared] = {}
@@ -184,13 +188,13 @@ class Preparing:
             took_s = dict(self._took_s)
         if not waiting:
             return Preparation(0, 0.0)
-        first, *others = (box == LOOK for _, box in waiting)
         if share > 0.0:
-            took_s.setdefault(first, spent_s / share)
-        if any(kind not in took_s for kind in (first, *others)):
+            took_s.setdefault(waiting[0], spent_s / share)
+        each_s = [_like(took_s, *one) for one in waiting]
+        known_s = [one for one in each_s if one is not None]
+        if len(known_s) < len(each_s):
             return Preparation(len(waiting), None)
-        seconds_left = took_s[first] * (1.0 - share) + sum(took_s[kind] for kind in others)
-        return Preparation(len(waiting), seconds_left)
+        return Preparation(len(waiting), known_s[0] * (1.0 - share) + sum(known_s[1:]))
 
     def close(self) -> None:
         """End; the computation under way is finished first, which takes a second or so."""
@@ -218,7 +222,9 @@ class Preparing:
             else:
                 with self._change:
                     self._models[wanted] = model
-                    self._took_s[box == LOOK] = self._clock() - self._began_s
+                    took_s = self._clock() - self._began_s
+                    if took_s > KEPT_S:
+                        self._took_s[wanted] = took_s
             with self._change:
                 self._waiting = [one for one in self._waiting if one != wanted]
                 self._share = 0.0
@@ -231,6 +237,18 @@ class Preparing:
                 raise _EnoughError
 
         return model_for(scene, box, progress)
+
+
+def _like(took_s: Mapping[tuple[Scene, Box], float], scene: Scene, box: Box) -> float | None:
+    """What a model took, or the mean of those that are most like it: of its pattern, else of any; looks are no doses'.
+
+    None where there is none.
+    """
+    if (scene, box) in took_s:
+        return took_s[scene, box]
+    alike = {key: seconds for key, seconds in took_s.items() if (key[1] == LOOK) == (box == LOOK)}
+    of_pattern = [seconds for key, seconds in alike.items() if key[0] == scene]
+    return fmean(of_pattern or alike.values()) if alike else None
 
 
 def model_for(scene: Scene, box: Box, progress: Callable[[float], object] = lambda _: None) -> Prepared:
