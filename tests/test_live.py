@@ -20,16 +20,17 @@ from hypothesis import strategies as st
 from tankrig.bench import Bench
 from tankrig.devices import CameraSettings, Delivered, Frame
 from tankrig.errors import ImageError
+from tankrig.estimation import forward
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
 from tankrig.light.tank import tank_image
+from tankrig.live import fits, worker
 from tankrig.live import preparing as preparing_module
-from tankrig.live import worker
 from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
 from tankrig.live.fits import fit_dose_prepared
 from tankrig.live.live_fit import LiveFit
 from tankrig.live.preparing import LOOK, Preparation, Preparing, box_for
-from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, diluted, to_fields
+from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, diluted, to_fields
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import Sheet
 from tankrig.pattern.wall import Wall
@@ -343,8 +344,10 @@ def test_a_dose_waits_for_its_models_then_each_frame_is_fitted_and_the_last_fit_
     fit = fitter.next(exposures, last=True)
     assert isinstance(fit, DoseFit)
     assert (fit.passing, fit.newest, fit.single) == (True, 4, None)
-    whole = fitter.finish()
+    recorded, whole = fitter.finish(), fitter.finish()
+    assert isinstance(recorded, DoseFit)
     assert isinstance(whole, DoseFit)
+    assert (recorded.passing, recorded.newest, recorded.single) == (False, 4, None)  # nobody waits for the rest
     assert (whole.passing, whole.newest, whole.single) == (False, 4, single)
     assert fitter.next(exposures, last=True) is None
 
@@ -388,8 +391,11 @@ def test_a_first_look_tells_which_models_the_first_dose_needs(monkeypatch: pytes
     assert fitter.next(exposures, last=False) is None
     assert fitter.waiting
     boxes.ready.add(LOOK)
-    assert fitter.next(exposures, last=False) is None
-    assert fitter.waiting
+    told = fitter.next(exposures, last=False)  # a person sees about what it is while models are prepared
+    assert isinstance(told, DoseFit)
+    assert (told.medium, told.model, told.passing, told.newest) == (looked, FIRST_LOOK, True, -1)
+    assert fitter.next(exposures, last=False) is None  # once
+    assert (fitter.waiting, fitter.unfinished) == (True, False)
     assert boxes.wanted[0] == box_for(looked)
     boxes.ready.add(box_for(looked))
     found = fitter.next(exposures, last=False)
@@ -397,6 +403,35 @@ def test_a_first_look_tells_which_models_the_first_dose_needs(monkeypatch: pytes
     assert (found.medium, found.passing) == (liquid, True)
     assert asked == [LOOK, box_for(looked)]
     assert set(boxes.wanted[:2]) == {box_for(liquid), box_for(diluted(liquid, 0.1, 0.2))}
+
+
+def test_all_doses_to_come_are_prepared_for_and_the_next_one_first() -> None:
+    """On a bench the last dose's models were begun when its frames were in, and a person waited for minutes."""
+    liquid = Medium(0.0004, 0.008, 0.6)
+    three = replace(plan(), doses_ml=(0.1, 0.25, 1.0))
+    boxes = Boxes()
+    worker.Fitter([DoseFit(0.1, liquid, frames=1)], boxes, three)  # type: ignore[arg-type]
+    assert boxes.wanted == [box_for(diluted(liquid, 0.1, dose_ml)) for dose_ml in three.doses_ml]
+
+
+def test_the_thinnest_dose_is_looked_at_first_where_nothing_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first look is good in thin ink; by one in thick ink a refit prepared models of the wrong media."""
+    looked = Medium(0.0003, 0.009, 0.5)
+    seen: list[float] = []
+
+    def fit(photographs: list[Photograph], _models: list[Box], _start: Medium) -> DoseFit:
+        seen.append(photographs[0].dose_ml)
+        return DoseFit(photographs[0].dose_ml, looked, model="prepared")
+
+    monkeypatch.setattr(worker, "fit_dose_prepared", fit)
+    boxes, exposures = Boxes(), seen_at(100.0)
+    exposures.take(dosed(200.0), None)
+    exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 900, np.uint16))
+    fitter = worker.Fitter((), boxes, plan())  # type: ignore[arg-type]
+    boxes.ready.add(LOOK)
+    fitter.next(exposures, last=True)
+    assert seen == [0.1]
+    assert boxes.wanted[0] == box_for(looked)
 
 
 def test_models_of_the_ink_expected_come_first_and_a_look_corrects_a_wrong_word(
@@ -516,6 +551,24 @@ def test_the_prepared_fit_finds_the_liquid_with_errors_that_hold_and_says_when_i
     elsewhere = tank_image(replace(scene, medium=Medium(0.001, 0.04, 0.55)), seed=7, batches=4)
     image = 5e5 * np.sum(list(elsewhere.orders.values()), axis=0)
     assert fit_dose_prepared([replace(photograph, image=image)], [model], LIQUID) is None
+
+
+def test_a_series_that_steps_beyond_its_models_does_not_follow_light_paths(
+    prepared: tuple[Scene, Prepared], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A step of its search without absorption, which no prepared model holds, took minutes on a bench."""
+    scene, model = prepared
+    followed: list[Medium] = []
+    monkeypatch.setattr(forward, "tank_model", lambda *_: followed.append)
+    answer = fits._nearly_within([model])(scene, 2, 0)
+    clear, dense = Medium(0.0, 0.021, 0.55), Medium(0.001, 0.027, 0.66)
+    for beyond in (clear, dense):
+        assert not model.box.holds(beyond)
+        image = model.predict(model.box.nearest(beyond))
+        assert np.allclose(answer(beyond).image, image)
+    assert followed == []
+    answer(Medium(0.001, 0.2, 0.0))  # far from all that it was prepared for
+    assert len(followed) == 1
 
 
 PARENT = """

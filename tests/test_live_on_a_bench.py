@@ -118,4 +118,6 @@ def picture(plan: PhotographPlan, pattern: Pattern, liquid: Medium) -> np.ndarra
     if not pattern.pixels.any():
         return np.zeros(plan.bench.camera.shape)
     scene = replace(plan.scenes[pattern.hash], medium=liquid)
-    return np.kron(predict(scene, tolerance=0.003).image, np.ones((plan.binning, plan.binning)))
+    even = np.kron(predict(scene, tolerance=0.003).image, np.ones((plan.bins.by, plan.bins.along)))
+    rows, columns = plan.bench.camera.shape
+    return np.pad(even, ((0, rows - even.shape[0]), (0, columns - even.shape[1])), mode="edge")

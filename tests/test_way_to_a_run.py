@@ -20,12 +20,15 @@ from tankrig.devices import Delivered
 from tankrig.dosing import TankLedger
 from tankrig.dosing.records import Joint
 from tankrig.errors import ImageError, SequenceError
+from tankrig.live.exposures import PhotographPlan
 from tankrig.live.light_seen import require_light_seen
+from tankrig.live.preparing import LOOK, is_kept
 from tankrig.pattern.kinds import Dark, GrayCode, Sheet
 from tankrig.pattern.wall import Wall
+from tankrig.run.reading import open_run
 from tankrig.run.start import new_run
 from tankrig.scene import Camera, Tank
-from tankrig.sequence import Capture, ExposureRule, Sequence
+from tankrig.sequence import Capture, ExposureRule, Sequence, load_sequence
 from ui.cli import main
 from ui.cli.way import CALIBRATIONS, next_step, way
 
@@ -217,3 +220,31 @@ def test_the_dry_run_and_the_run_name_the_dark_pattern_and_make_nothing(
         )
         assert said.out == ""
     assert sorted(tmp_path.rglob("*")) == there
+
+
+# -- models before the run ---------------------------------------------------------------------------------------------
+
+
+def test_what_is_prepared_before_a_run_is_what_its_fit_asks_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Models that were made for nothing would cost the person who waits for the first fit twice."""
+    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path / "cache"))
+    rig, sequence = tmp_path / "rig.toml", tmp_path / "sheet.toml"
+    rig.write_text(SIMULATED.read_text(encoding="utf-8"), encoding="utf-8")
+    sequence.write_text(
+        'name = "sheet"\n[patterns.sheet]\nkind = "sheet"\ny_mm = [-60.0, 60.0]\nz_mm = [58.0, 62.0]\n'
+        '[[steps]]\ndo = "dose"\ntotal_ul = 100.0\n[[steps]]\ndo = "capture"\npattern = "sheet"\n'
+    )
+    words = ["prepare", "--sequence", str(sequence), "--rig", str(rig)]
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) | {"seconds": 0} == {"models": 1, "kept": 0, "seconds": 0}
+    devices = open_rig(load_rig_file(rig))
+    runner = new_run(load_sequence(sequence), devices, tmp_path / "run")
+    runner.give_up(KeyboardInterrupt())
+    plan = PhotographPlan.of_run(open_run(tmp_path / "run"))
+    assert [is_kept(scene, LOOK) for scene in plan.scenes.values()] == [True]
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["kept"] == 1
+    assert main(["prepare", "--sequence", str(sequence)]) == 2
+    assert main(["prepare"]) == 2

@@ -311,6 +311,10 @@ class Exposures:
         taken = np.flatnonzero(np.any(self._counts, axis=1)).tolist()
         return [self.dose, *sorted(set(taken) - {self.dose}, reverse=True)]
 
+    def volume_ml(self, dose: int) -> float:
+        """Ink in the tank at a dose."""
+        return float(self._doses[dose, 0])
+
     def left_out(self, dose: int) -> int:
         """Frames of a dose that were left out because the ink had not mixed."""
         return int(self._doses[dose, 2])

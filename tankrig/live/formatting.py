@@ -4,7 +4,7 @@ import math
 
 from tankrig.estimation.verdict import SYMBOLS
 from tankrig.live.preparing import Preparation
-from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit
+from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit
 
 
 def with_error(value: float, sd: float) -> str:
@@ -54,6 +54,8 @@ def doubts(fit: DoseFit | SeriesFit) -> str:
     """
     no = [symbol for name, symbol in SYMBOLS.items() if not fit.identifiable.get(name, True)]
     said = f"; not determined: {', '.join(no)}" if no else ""
+    if isinstance(fit, DoseFit) and fit.model == FIRST_LOOK:
+        said += "; a first look at one pattern, the fit is to come"
     if isinstance(fit, DoseFit) and fit.structure:
         said += f"; {100.0 * fit.structure:.2g} % of the light is not as the model has it, and counted in the errors"
     return said

@@ -4,12 +4,14 @@ import math
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import fmean
 
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
 from tankrig.light.rays import shift_invariant
+from tankrig.live.results import diluted
 from tankrig.scene.description import Medium, Scene
 
 TOLERANCE, SLANTED_TOLERANCE = 0.02, 0.01
@@ -29,6 +31,9 @@ EDGES = (5e-4, 0.5), (-0.9, 0.97)
 """Of σt and g, beyond which no model is prepared."""
 WELL_INSIDE = 1.05, 0.02
 """Factor in σt, and distance in g, from its edges within which a box is taken to hold a liquid foreseen."""
+
+KEPT_S = 1.0
+"""A model that took no longer was kept on disk, and tells nothing of what others take."""
 
 Told = Callable[[str], object]
 
@@ -83,6 +88,28 @@ def holds(box: Box, liquid: Medium) -> bool:
     )
 
 
+def foreseen(
+    scenes: Sequence[Scene], doses_ml: Iterable[float], ink: Medium | None
+) -> list[tuple[Sequence[Scene], Box]]:
+    """Models that can be prepared before there is any ink, the most wanted first: scenes, and the box they share.
+
+    Parameters
+    ----------
+    scenes
+        Of the patterns.
+    doses_ml
+        Ink in the tank at each dose.
+    ink
+        What is expected of it, per mm and ml; None where nothing is: then only a first look can be prepared.
+    """
+    boxes: list[Box] = []
+    for dose_ml in sorted(doses_ml) if ink is not None else ():
+        liquid = None if ink is None or dose_ml <= 0.0 else diluted(ink, 1.0, dose_ml)
+        if liquid is not None and not any(holds(box, liquid) for box in boxes):
+            boxes.append(box_for(liquid))
+    return [*((scenes, box) for box in boxes), (scenes[:1], LOOK)]
+
+
 def is_kept(scene: Scene, box: Box) -> bool:
     """Whether the cache holds the model of a scene for a box, so that a run need not wait for it."""
     from tankrig.light.prepared.preparation import place_of
@@ -111,7 +138,7 @@ class Preparing:
         self._told, self._clock = told, clock
         self._closing = False
         self._began_s, self._share = clock(), 0.0
-        self._took_s: dict[bool, float] = {}
+        self._took_s: dict[tuple[Scene, Box], float] = {}
         self._change = threading.Condition()
         self._waiting: list[tuple[Scene, Box]] = []
         self._models: dict[tuple[Scene, Box], Prepared] = {}
@@ -161,13 +188,13 @@ class Preparing:
             took_s = dict(self._took_s)
         if not waiting:
             return Preparation(0, 0.0)
-        first, *others = (box == LOOK for _, box in waiting)
         if share > 0.0:
-            took_s.setdefault(first, spent_s / share)
-        if any(kind not in took_s for kind in (first, *others)):
+            took_s.setdefault(waiting[0], spent_s / share)
+        each_s = [_like(took_s, *one) for one in waiting]
+        known_s = [one for one in each_s if one is not None]
+        if len(known_s) < len(each_s):
             return Preparation(len(waiting), None)
-        seconds_left = took_s[first] * (1.0 - share) + sum(took_s[kind] for kind in others)
-        return Preparation(len(waiting), seconds_left)
+        return Preparation(len(waiting), known_s[0] * (1.0 - share) + sum(known_s[1:]))
 
     def close(self) -> None:
         """End; the computation under way is finished first, which takes a second or so."""
@@ -195,7 +222,9 @@ class Preparing:
             else:
                 with self._change:
                     self._models[wanted] = model
-                    self._took_s[box == LOOK] = self._clock() - self._began_s
+                    took_s = self._clock() - self._began_s
+                    if took_s > KEPT_S:
+                        self._took_s[wanted] = took_s
             with self._change:
                 self._waiting = [one for one in self._waiting if one != wanted]
                 self._share = 0.0
@@ -207,9 +236,32 @@ class Preparing:
             if self._closing or self._waiting[:1] != [(scene, box)]:
                 raise _EnoughError
 
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # the error is counted in every covariance
-            return prepare(scene, _tolerance(scene, box), progress, box, threads=1)
+        return model_for(scene, box, progress)
+
+
+def _like(took_s: Mapping[tuple[Scene, Box], float], scene: Scene, box: Box) -> float | None:
+    """What a model took, or the mean of those that are most like it: of its pattern, else of any; looks are no doses'.
+
+    None where there is none.
+    """
+    if (scene, box) in took_s:
+        return took_s[scene, box]
+    alike = {key: seconds for key, seconds in took_s.items() if (key[1] == LOOK) == (box == LOOK)}
+    of_pattern = [seconds for key, seconds in alike.items() if key[0] == scene]
+    return fmean(of_pattern or alike.values()) if alike else None
+
+
+def model_for(scene: Scene, box: Box, progress: Callable[[float], object] = lambda _: None) -> Prepared:
+    """The model of a scene for a box as a live fit asks for it, from the cache or made now.
+
+    Raises
+    ------
+    TankrigError
+        When it cannot be prepared or kept.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the error is counted in every covariance
+        return prepare(scene, _tolerance(scene, box), progress, box)
 
 
 def _tolerance(scene: Scene, box: Box) -> float:

@@ -167,8 +167,8 @@ def _as_live(run: Run, exposures: Exposures, doses: list[DoseFit], progress: Tol
         plan = PhotographPlan.of_run(run)
         fitter = Fitter(doses, preparing, plan, told)
         for fit in fit_all_there_is(fitter, lambda: (exposures, True), wait):
-            if not (isinstance(fit, DoseFit) and fit.passing):
-                yield fit
+            if not (isinstance(fit, DoseFit) and (fit.passing or fit.single is None)):
+                yield fit  # nobody waits for what lacks single scattering
             told("fitting")
     finally:
         preparing.close()

@@ -11,6 +11,9 @@ from tankrig.scene import Medium
 
 Fields = dict[str, Any]
 
+FIRST_LOOK = "first look"
+"""The model of nearly all media, of one pattern; its fits are told and not recorded."""
+
 
 @dataclass(frozen=True)
 class SingleScattering:
@@ -39,7 +42,7 @@ class DoseFit:
     patterns
         Names.
     model
-        "tank" or "prepared".
+        "tank" or "prepared"; of passing fits `FIRST_LOOK` too.
     seconds
         That it took.
     model_error

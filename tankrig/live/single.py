@@ -11,9 +11,11 @@ from tankrig.light.single import single_scattering
 from tankrig.live.exposures import Photograph
 from tankrig.scene.description import Medium
 
-REACH = 30.0
+REACH = 10.0
 """σt is looked for from the tank model's by this down to this up."""
-LOOKS = 24
+LOOKS = 9
+FINELY = 0.002
+"""Of log σt, which is found to so much."""
 
 
 def fit_single(photographs: Sequence[Photograph], liquid: Medium) -> tuple[float, float]:
@@ -52,5 +54,5 @@ def fit_single(photographs: Sequence[Photograph], liquid: Medium) -> tuple[float
     looks = np.linspace(at - reach, at + reach, LOOKS)
     near = int(np.argmin([cost(float(one)) for one in looks]))
     bounds = (float(looks[max(near - 1, 0)]), float(looks[min(near + 1, LOOKS - 1)]))
-    best = float(minimize_scalar(cost, bounds=bounds, method="bounded").x)
+    best = float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": FINELY}).x)
     return math.exp(best), float(np.sqrt(np.mean(residual(best) ** 2)))

@@ -19,14 +19,16 @@ from tankrig.errors import TankrigError
 from tankrig.light.prepared.box import Box
 from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
 from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
-from tankrig.live.preparing import LOOK, LOOK_START, Preparation, Preparing
-from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, diluted
+from tankrig.live.preparing import LOOK, LOOK_START, Preparation, Preparing, foreseen
+from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, diluted
 from tankrig.scene.description import Medium
 
 NICENESS = 10
 LOCK_S = 5.0
 QUIET_S = 0.3
 """Without new frames for so long, what takes longer is done too: single scattering for comparison, and the series."""
+ANOTHER_DOSE = -1
+"""Newest frame of a fit that is not of the newest."""
 TOLD_S = 1.0
 """From one word on how far models are to the next."""
 
@@ -192,11 +194,13 @@ class Fitter:
         self._preparing, self._plan, self._progress = preparing, plan, progress
         self._fitted: dict[float, int] = {}
         self._liquid: dict[float, Medium] = {}
-        self._looked: dict[float, Medium | None] = {}
+        self._looked: dict[float, DoseFit | None] = {}
+        self._told: set[float] = set()
         self._latest: tuple[Medium, float] | None = None
         self._in_series = 0
         self._series: SeriesFit | None = None
-        self._passing: tuple[DoseFit, list[Photograph]] | None = None
+        self._passing: dict[float, tuple[DoseFit, list[Photograph]]] = {}
+        self._bare: dict[float, tuple[DoseFit, list[Photograph]]] = {}
         self.waiting = False
         self._awaited = False
         for fit in earlier:
@@ -208,22 +212,27 @@ class Fitter:
 
     @property
     def unfinished(self) -> bool:
-        """Whether the last fit lacks what takes longer: `finish` gives that."""
-        return self._passing is not None
+        """Whether a dose's last fit has not been recorded, or lacks what takes longer: `finish` gives that."""
+        return bool(self._passing or self._bare)
 
     def finish(self) -> Fit | None:
-        """The last passing fit, whole."""
-        if self._passing is None:
-            return None
-        (fit, photographs), self._passing = self._passing, None
-        return with_single(fit, photographs)
+        """A fit to be recorded: first each dose's last one as it is, then again with single scattering beside it.
+
+        Single scattering takes seconds on a bench; whoever waits for numbers does without it.
+        """
+        if self._passing:
+            dose_ml = next(iter(self._passing))
+            fit, photographs = self._passing.pop(dose_ml)
+            self._bare[dose_ml] = fit, photographs
+            return replace(fit, passing=False)
+        if self._bare:
+            return with_single(*self._bare.pop(next(iter(self._bare))))
+        return None
 
     def next(self, exposures: Exposures, last: bool) -> Fit | None:
         """Fit what is newest and not fitted yet; None when there is nothing to do."""
         self.waiting = False
-        if self._passing is not None and self._passing[0].dose_ml != exposures.dose_ml:
-            return self.finish()
-        for dose in exposures.doses:
+        for dose in self._in_turn(exposures):
             photographs = exposures.photographs(dose)
             seen = sum(one.frames for one in photographs) + exposures.left_out(dose)
             if not photographs or seen <= self._fitted.get(photographs[0].dose_ml, 0):
@@ -231,7 +240,7 @@ class Fitter:
             if exposures.settling(dose) and not last:
                 self.waiting = True
                 continue
-            newest = exposures.newest if dose == exposures.dose else -1
+            newest = exposures.newest if dose == exposures.dose else ANOTHER_DOSE
             about: Callable[[DoseFit], DoseFit] = partial(
                 replace, left_out=exposures.left_out(dose), not_seen=exposures.not_seen, newest=newest
             )
@@ -240,19 +249,36 @@ class Fitter:
                 self._fitted[photographs[0].dose_ml] = seen
                 return replace(fit, newest=newest)
             self.waiting = True
+            if (look := self._look_to_tell(photographs)) is not None:
+                return replace(about(look), newest=ANOTHER_DOSE)
+            if not self._foresees:
+                break
         over = exposures.photographs() if last else [
             one for one in exposures.photographs() if one.dose_ml < exposures.dose_ml
         ]  # fmt: skip
         doses = len({one.dose_ml for one in over})
-        if doses >= 2 and doses > self._in_series and not self.waiting and self._passing is None:
+        if doses >= 2 and doses > self._in_series and not self.waiting and not self.unfinished:
             self._in_series = doses
             return self._all(over)
         return None
 
+    @property
+    def _foresees(self) -> bool:
+        """Whether no first look is needed, as something tells what ink it is."""
+        expected = self._plan is not None and self._plan.ink is not None
+        return self._preparing is None or self._latest is not None or expected
+
+    def _in_turn(self, exposures: Exposures) -> list[int]:
+        """Doses, the newest first; where nothing is known of the ink, the thinnest, which a first look tells best."""
+        if self._foresees:
+            return exposures.doses
+        return sorted(exposures.doses, key=exposures.volume_ml)
+
     def _dose(self, photographs: list[Photograph], about: Callable[[DoseFit], DoseFit]) -> DoseFit | FailedFit | None:
         """The fit of a dose, with what is to be said about its frames; None while its models are being prepared."""
         dose_ml = photographs[0].dose_ml
-        self._passing = None
+        self._passing.pop(dose_ml, None)
+        self._bare.pop(dose_ml, None)
         try:
             quick = self._quick(photographs)
             if self._awaited:
@@ -260,9 +286,11 @@ class Fitter:
             if quick is not None:
                 quick = about(quick)
                 self._keep(quick)
-                self._passing = quick, photographs
+                self._passing[dose_ml] = quick, photographs
                 return replace(quick, passing=True)
-            fit = about(fit_dose(photographs, self._start(dose_ml), self._progress))
+            look = self._looked.get(dose_ml)
+            start = self._start(dose_ml) or (None if look is None else look.medium)
+            fit = about(fit_dose(photographs, start, self._progress))
         except TankrigError as error:
             return FailedFit(dose_ml, str(error))
         self._keep(fit)
@@ -277,15 +305,35 @@ class Fitter:
         start = self._start(dose_ml)
         if start is not None:
             found = self._fit_within(self._preparing.box(start), photographs, start)
-            if found is not None or self._awaited or dose_ml in self._looked:
+            if found is not None or self._awaited:
                 return found
-        if dose_ml in self._looked:
+        if dose_ml not in self._looked:
+            look = self._fit_within(LOOK, photographs[:1], LOOK_START)
+            if self._awaited:
+                return None
+            self._looked[dose_ml] = look
+        seen = self._looked[dose_ml]
+        return None if seen is None else self._fit_within(self._preparing.box(seen.medium), photographs, seen.medium)
+
+    def _look_to_tell(self, photographs: list[Photograph]) -> DoseFit | None:
+        """What a first look says of a dose whose models are being prepared, once; None where there is none to tell.
+
+        A person sees about what it is, with the look's own error in the errors; the journal waits for the fit.
+        """
+        dose_ml = photographs[0].dose_ml
+        if self._preparing is None or dose_ml in self._told or dose_ml in self._liquid:
             return None
-        look = self._fit_within(LOOK, photographs[:1], LOOK_START)
-        if self._awaited:
+        models = self._preparing.models([photographs[0].scene], LOOK)
+        if models is None:
             return None
-        self._looked[dose_ml] = None if look is None else look.medium
-        return None if look is None else self._quick(photographs)
+        self._told.add(dose_ml)
+        look = self._looked.get(dose_ml)
+        if look is None:
+            try:
+                look = fit_dose_prepared(photographs[:1], models, self._start(dose_ml) or LOOK_START)
+            except TankrigError:
+                return None
+        return None if look is None else replace(look, model=FIRST_LOOK, passing=True)
 
     def _fit_within(self, box: Box, photographs: list[Photograph], start: Medium) -> DoseFit | None:
         """The fit by models of a box, or None; `_awaited` where they are not ready yet."""
@@ -303,28 +351,25 @@ class Fitter:
         """Have models prepared before there is anything to fit: for the ink expected, and for a first look."""
         if self._preparing is None or self._plan is None:
             return
-        scenes = list(self._plan.scenes.values())
-        doses_ml = sorted({one for one in self._plan.doses_ml if one > 0.0})
-        self._preparing.want(scenes[:1], LOOK)
-        if self._plan.ink is not None:
-            for dose_ml in reversed(doses_ml):  # what is wanted last comes first
-                self._preparing.want(scenes, self._preparing.box(diluted(self._plan.ink, 1.0, dose_ml)))
+        wanted = foreseen(list(self._plan.scenes.values()), self._plan.doses_ml, self._plan.ink)
+        for scenes, box in reversed(wanted):  # what is wanted last comes first
+            self._preparing.want(scenes, box)
 
     def _keep(self, fit: DoseFit) -> None:
-        """Remember what a dose is, and have models prepared for it and for the next one."""
+        """Remember what a dose is, and have models prepared for it and for all that are to follow."""
         self._liquid[fit.dose_ml], self._latest = fit.medium, (fit.medium, fit.dose_ml)
         if self._preparing is None or self._plan is None:
             return
-        scenes = self._plan.scenes.values()
-        following = next((one for one in self._plan.doses_ml if one > 1.001 * fit.dose_ml), None)
-        if following is not None:
-            self._preparing.want(scenes, self._preparing.box(diluted(fit.medium, fit.dose_ml, following)))
+        scenes = list(self._plan.scenes.values())
+        following = sorted({one for one in self._plan.doses_ml if one > 1.001 * fit.dose_ml})
+        for dose_ml in reversed(following):  # what is wanted last comes first
+            self._preparing.want(scenes, self._preparing.box(diluted(fit.medium, fit.dose_ml, dose_ml)))
         self._preparing.want(scenes, self._preparing.box(fit.medium))
 
     def _start(self, dose_ml: float) -> Medium | None:
-        """Where to begin: the dose's own last fit or look, what the series foresees, another dose's liquid, diluted, or
-        the ink expected."""
-        own = self._liquid.get(dose_ml) or self._looked.get(dose_ml)
+        """Where to begin: the dose's own last fit, what the series foresees, another dose's liquid, diluted, or the ink
+        expected."""
+        own = self._liquid.get(dose_ml)
         if own is not None:
             return own
         if self._series is not None:

@@ -43,8 +43,8 @@ def demo(doses: int | None, bench: bool, seed: int | None, by_hand: bool, out: P
     simulated ink is: its coefficients are found from the photographs, and shown beside the truth at the end.
 
     With --bench it walks the whole way on a simulated bench with hidden lenses, glass, water and light: calibrate
-    radiometry, camera, tank, projector and latency, doctor, dry run, run, report. Each command is told before it is
-    carried out; all is kept in one folder, and what was stopped goes on when the same folder is given again.
+    radiometry, camera, tank, projector and latency, doctor, prepare, dry run, run, report. Each command is told before
+    it is carried out; all is kept in one folder, and what was stopped goes on when the same folder is given again.
     """
     if bench:
         return _bench(doses, seed, by_hand, out, as_json)

@@ -97,6 +97,7 @@ def way_of(folder: Path) -> Iterator[list[str]]:
     for kind in CALIBRATIONS:
         yield ["calibrate", kind, "--rig", rig]
     yield ["doctor", rig, "--sequence", sequence]
+    yield ["prepare", "--sequence", sequence, "--rig", rig]
     yield ["run", sequence, "--rig", rig, "--dry-run"]
     yield ["run", sequence, "--rig", rig, "--out", run]
 

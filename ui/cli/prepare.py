@@ -1,21 +1,35 @@
-"""`tankrig prepare`: a model of a scene's geometry and pattern that answers at once, made and kept on disk."""
+"""`tankrig prepare`: models that answer at once, made and kept on disk: of a scene, or for a run that is to come."""
 
 import json
 import time
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from ui.cli.options import json_option
+from ui.cli.options import json_option, rig_option
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 Ends = tuple[float, float]
 RANGE = (float, float)
 
 
 @click.command(epilog="Example: tankrig prepare scene.toml")
-@click.argument("scene_file", metavar="SCENE", type=click.Path(path_type=Path))
+@click.argument("scene_file", metavar="[SCENE]", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--sequence",
+    "sequence_file",
+    metavar="SEQUENCE",
+    type=click.Path(path_type=Path),
+    help="Instead of a scene: prepare what the live fit of this sequence on --rig will ask for.",
+)
+@rig_option
 @click.option(
     "--tolerance",
     type=click.FloatRange(0.0, 1.0, min_open=True),
@@ -27,23 +41,42 @@ RANGE = (float, float)
 @click.option("--albedo", type=RANGE, default=(0.5, 0.9999), show_default=True, help="Albedos to hold.")
 @click.option("--g", type=RANGE, default=(-0.4, 0.95), show_default=True, help="Asymmetries to hold.")
 @json_option
-def prepare(scene_file: Path, tolerance: float, sigma_t: Ends, albedo: Ends, g: Ends, as_json: bool) -> None:
+def prepare(
+    scene_file: Path | None,
+    sequence_file: Path | None,
+    rig: Path | None,
+    tolerance: float,
+    sigma_t: Ends,
+    albedo: Ends,
+    g: Ends,
+    as_json: bool,
+) -> None:
     """Prepare a model of SCENE for every medium: it then predicts images in a millisecond, with derivatives.
 
     The model is kept in the folder that TANKRIG_CACHE names, else in the user's cache folder. When this is
     interrupted, the next call goes on where it stopped.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+    With --rig and --sequence it prepares what a run's live fit can use whatever the ink is, while a person sets up;
+    with `ink` in the sequence, the models of its doses too.
+    """
+    if (scene_file is None) == (sequence_file is None):
+        raise click.UsageError("give a scene file, or --sequence with --rig")
+    if sequence_file is not None:
+        if rig is None:
+            raise click.UsageError("--sequence needs the bench that it is for; give --rig")
+        _for_a_run(sequence_file, rig, as_json)
+    elif scene_file is not None:
+        _of_a_scene(scene_file, tolerance, sigma_t, albedo, g, as_json)
+
+
+def _of_a_scene(scene_file: Path, tolerance: float, sigma_t: Ends, albedo: Ends, g: Ends, as_json: bool) -> None:
     import tankrig
     from tankrig.light.prepared.box import Box
 
     box = Box(sigma_t, albedo, g)
     scene = tankrig.load_scene(scene_file)
     started = time.perf_counter()
-    columns = TextColumn("preparing"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
-    with warnings.catch_warnings(record=True) as said, Progress(*columns, console=Console(stderr=True)) as bar:
+    with warnings.catch_warnings(record=True) as said, _progress() as bar:
         warnings.simplefilter("always", UserWarning)
         task = bar.add_task("preparing", total=1.0)
         live = tankrig.prepare(scene, tolerance, lambda share: bar.update(task, completed=share), box)
@@ -56,3 +89,41 @@ def prepare(scene_file: Path, tolerance: float, sigma_t: Ends, albedo: Ends, g: 
     click.echo(f"kept     {live.path}")
     for one in said:
         click.echo(f"note     {one.message}")
+
+
+def _for_a_run(sequence_file: Path, rig: Path, as_json: bool) -> None:
+    from drivers.rig import calibrated_bench, load_rig_file
+    from tankrig.live.attached import require_fittable
+    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.preparing import foreseen, is_kept, model_for
+    from tankrig.sequence import load_sequence
+
+    sequence, bench = load_sequence(sequence_file), calibrated_bench(load_rig_file(rig))
+    require_fittable(sequence, bench)
+    plan = PhotographPlan.of(bench, sequence, list(sequence.drawn(bench.wall).values()))
+    foreseeable = foreseen(list(plan.scenes.values()), plan.doses_ml, sequence.ink)
+    wanted = [(scene, box) for scenes, box in foreseeable for scene in scenes]
+    kept = sum(is_kept(*one) for one in wanted)
+    started = time.perf_counter()
+    with _progress() as bar:
+        task = bar.add_task("preparing", total=float(len(wanted)))
+        for done, (scene, box) in enumerate(wanted):
+            model_for(scene, box, lambda share, done=done: bar.update(task, completed=done + share))  # type: ignore[misc]
+    seconds = round(time.perf_counter() - started, 3)
+    if as_json:
+        click.echo(json.dumps({"models": len(wanted), "kept": kept, "seconds": seconds}))
+        return
+    what = "the first look" if sequence.ink is None else "the first look and the doses of the ink expected"
+    found = "was there" if kept == len(wanted) else f"is ready after {seconds:.1f} s"
+    rest = "; the run prepares the rest, once a first look has told what ink it is" if sequence.ink is None else ""
+    click.echo(f"{sequence.name}: what can be prepared for {what} {found}{rest}")
+
+
+@contextmanager
+def _progress() -> "Iterator[Progress]":
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = TextColumn("preparing"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        yield bar

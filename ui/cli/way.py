@@ -187,28 +187,25 @@ def _sequence(description: "RigFile", sequence_file: Path | None) -> Iterator[St
         else:
             told = f"{plan.frames} frames, {plan.ink_ul:g} µl of ink, {plan.seconds:.0f} s"
             yield Step(what, True, told, f"{run} --dry-run")
-            yield _models(description, sequence)
+            yield _models(description, sequence, sequence_file)
     yield Step("the run is fitted", None, "it fits itself while it goes on, and ends with a report", run)
 
 
-def _models(description: "RigFile", sequence: "Sequence") -> Step:
+def _models(description: "RigFile", sequence: "Sequence", sequence_file: Path) -> Step:
     """Those that can be foreseen before there is any ink; a run prepares them by itself, and then waits for them."""
     from drivers.rig import calibrated_bench
     from tankrig.live.exposures import PhotographPlan
-    from tankrig.live.preparing import LOOK, box_for, is_kept
-    from tankrig.live.results import diluted
+    from tankrig.live.preparing import foreseen, is_kept
 
     bench = calibrated_bench(description)
     plan = PhotographPlan.of(bench, sequence, list(sequence.drawn(bench.wall).values()))
-    scenes = list(plan.scenes.values())
-    wanted = [(scene, LOOK) for scene in scenes[:1]]
-    if sequence.ink is not None:
-        boxes = [box_for(diluted(sequence.ink, 1.0, dose_ml)) for dose_ml in plan.doses_ml if dose_ml > 0.0]
-        wanted += [(scene, box) for box in boxes for scene in scenes]
+    foreseeable = foreseen(list(plan.scenes.values()), plan.doses_ml, sequence.ink)
+    wanted = [(scene, box) for scenes, box in foreseeable for scene in scenes]
     kept = sum(is_kept(*one) for one in wanted)
     ink = "" if sequence.ink else "; ink = { … } in the sequence says which more will be wanted"
     finding = f"{kept} of {len(wanted)} that can be foreseen are kept; the run prepares the others first{ink}"
-    return Step("models for the live fit are prepared", kept == len(wanted) or None, finding, wanted=False)
+    command = f"tankrig prepare --sequence {quote(str(sequence_file))} {RIG}"
+    return Step("models for the live fit are prepared", kept == len(wanted) or None, finding, command, wanted=False)
 
 
 def _parted(error: TankrigError) -> tuple[str, str]:

@@ -188,6 +188,8 @@ def share_seen(geometry: Geometry, x: float, y: float, apart: float, depth: floa
     """
     vx, vy, vz, _ = sight_line(geometry, x, y)
     _, t_max = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
+    if t_max * vz >= (1.0 - 1e-12) * geometry.height:
+        return 1.0  # down to the floor: nearly all lines
     wide = math.hypot(apart, SPREAD * geometry.height)
     top = math.asinh(-depth / wide)
     seen = math.asinh((max(t_max, 0.0) * vz - depth) / wide) - top
@@ -391,7 +393,9 @@ def fill_table(
     curvature = ((high - low) * max(sigma_t, 4.0 / height)) ** 2 / 24.0
     rays = math.ceil((high - low) * max(sigma_t / 3.0, 2.0 / height))
     count = 1 if curvature < fineness.curvature else fineness.more_rays + rays
-    nodes, weights = np.polynomial.legendre.leggauss(min(count + (3 if between else 0), 40))
+    nodes, weights = np.polynomial.legendre.leggauss(
+        min(count + (_more_between(high - low, height) if between else 0), 40)
+    )
     z0 = 0.5 * (low + high) + 0.5 * (high - low) * nodes
     width = 2.0 * geometry.half_width
     if shift_invariant(scene):
@@ -436,6 +440,14 @@ def fill_table(
             part.result()
     values[:, y0.size - half :] = values[:, :half, ::-1][:, ::-1]  # the other side is the mirror image
     return Table(x, fractions, margin, y0, inner, z0, values, decay, mirrored), 0.5 * (high - low) * weights
+
+
+def _more_between(span: float, height: float) -> int:
+    """Nodes in z₀ beyond those that the whole height needs, so that the polynomial holds for beams within it.
+
+    One does for a twentieth of the water's depth (1e-5 of orders 1 and 2), as for beams of a rolled picture.
+    """
+    return 1 + min(2, int(4.0 * span / height))
 
 
 def _y_nodes(geometry: Geometry, low: float, high: float, z0: float) -> tuple[Array, tuple[float, float]]:

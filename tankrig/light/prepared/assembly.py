@@ -1,15 +1,17 @@
 """From images at chosen media to a model that answers for all between."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.light.double import table_error
 from tankrig.light.prepared.answer import Answer
 from tankrig.light.prepared.plan import PreparationPlan
 from tankrig.light.prepared.polynomials import values
 from tankrig.light.prepared.regression import Fit, Regression
-from tankrig.light.prepared.sampling import PathImages
+from tankrig.light.prepared.sampling import PathImages, order_2_tolerance
 from tankrig.light.prepared.term import Term
 
 Array = NDArray[np.float64]
@@ -48,7 +50,8 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     """The model that fits the images, and its error.
 
     The error of orders ≥ 3 is half the difference of two models, each fitted to every other of the media: neither has
-    seen what the other was made from. That of orders 1 and 2 is found at media beside their grid.
+    seen what the other was made from. That of orders 1 and 2 is found at media beside their grid, and what tables
+    of order 2 err by is added.
     """
     exact = [_exact_term(plan, images.exact[:, order - 1], order) for order in (1, 2)]
     regression = _regression(plan, sampling, images.paths, exact)
@@ -59,7 +62,10 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     patterns = _patterns(plan, exact, rest)
     first, second, whole, one, other = (_projected(term, patterns) for term in (*exact, *rest))
     terms = (first, second, whole)
-    beside = _error_of_exact_orders(plan, images.checks, terms[:2], patterns)
+    beside = math.hypot(
+        _error_of_exact_orders(plan, images.checks, terms[:2], patterns),
+        table_error(order_2_tolerance(sampling.scene, plan.tolerance)),
+    )
     error = _error_of_the_rest(plan, (one, other), terms, beside)
     return Answer(plan.coordinates, terms, patterns.astype(np.float32), shape, error)
 

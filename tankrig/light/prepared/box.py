@@ -62,6 +62,25 @@ class Box:
         ranges = ((medium.sigma_t, self.sigma_t), (medium.albedo, self.albedo), (medium.g, self.g))
         return all(low <= value <= high for value, (low, high) in ranges)
 
+    def nearest(self, medium: Medium) -> Medium:
+        """The medium inside whose coefficients are nearest.
+
+        Examples
+        --------
+        >>> box, clear = Box(), Medium(0.0, 0.01, 0.99)
+        >>> box.holds(clear), box.holds(box.nearest(clear)), round(box.nearest(clear).g, 4)
+        (False, True, 0.95)
+        """
+        if self.holds(medium):
+            return medium
+        ranges = ((medium.sigma_t, self.sigma_t), (medium.albedo, self.albedo), (medium.g, self.g))
+        inside = 1e-9  # of a range, so that rounding leaves none outside
+        sigma_t, albedo, g = (
+            float(np.clip(value, low + inside * (high - low), high - inside * (high - low)))
+            for value, (low, high) in ranges
+        )
+        return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, g)
+
     def require(self, medium: Medium) -> None:
         """Refuse a medium outside.
 

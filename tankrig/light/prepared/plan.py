@@ -26,7 +26,8 @@ FEWEST = 0.5
 """Share of those media that is enough where the tolerance is large."""
 EFFORT = 0.6
 """Lattices of paths per medium, of those by `PreparationPlan.paths`: what the fit omits as noise needs no more."""
-CHECKS = 6
+CHECKS, CHECKS_SHARE = 6, 1 / 3
+"""Media beside the grid at most, and in media of the grid."""
 USUAL_TOLERANCE = 0.01
 SPREAD = (0.7548776662466927, 0.5698402909980532)
 """Steps of the additive sequence that fills a square most evenly (powers of the plastic number's inverse)."""
@@ -118,7 +119,8 @@ class PreparationPlan:
     @cached_property
     def checks(self) -> list[Sample]:
         """Media beside that grid, where its polynomials' error is seen."""
-        even = (np.arange(1, CHECKS + 1)[:, None] * SPREAD) % 1.0
+        count = min(CHECKS, round(CHECKS_SHARE * len(self.exact)))
+        even = (np.arange(1, count + 1)[:, None] * SPREAD) % 1.0
         return [self._sample(index, (u, v)) for index, (u, v) in enumerate((2.0 * even - 1.0).tolist())]
 
     @cached_property
