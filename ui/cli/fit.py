@@ -245,16 +245,16 @@ def _picture(
     from tankrig.live.one_picture import picture_of, radiance_of
     from tankrig.scene.loading import whole_scene
 
-    scene, good = whole_scene(scene_file), None
+    scene, hot, full = whole_scene(scene_file), None, None
     if raw is None:
         image = read_image(image_file, array, scale)
     else:
         settings = CameraSettings(raw.exposure_ms, raw.gain)
         dark = None if raw.dark is None else read_frame(raw.dark)
-        image, good = radiance_of(read_frame(image_file, array), settings, _radiometry(raw.rig), dark)
+        image, hot, full = radiance_of(read_frame(image_file, array), settings, _radiometry(raw.rig), dark)
         image = scale * image
     mask = None if mask_file is None else read_mask(mask_file)
-    return picture_of(image, scene, good, edges, mask)
+    return picture_of(image, scene, hot, full, edges, mask)
 
 
 def _radiometry(rig: Path | None) -> "Radiometry | None":
@@ -292,7 +292,7 @@ def _left_out(picture: "Picture") -> dict[str, Any]:
     bins = picture.bins
     return {
         "bins": None if bins is None else [bins.by, bins.along],
-        "left_out": {"edges": picture.blurred, "all": float(picture.mask.mean())},
+        "left_out": {"edges": picture.blurred, "saturated": picture.saturated, "all": float(picture.mask.mean())},
     }
 
 
@@ -305,6 +305,11 @@ def _tell_left_out(picture: "Picture") -> None:
             f", {100.0 * picture.blurred:.0f} % of the pixels for blur or beside the water" if picture.blurred else ""
         )
         click.echo(f"left out {100.0 * float(picture.mask.mean()):.0f} % of the image{edges}")
+    if picture.saturated > 0.0:
+        click.echo(
+            f"         {100.0 * picture.saturated:.2g} % of the pixels are saturated, and left out with what adjoins "
+            "them; a shorter exposure tells more"
+        )
 
 
 def _coefficients(medium: "Medium") -> dict[str, float]:
