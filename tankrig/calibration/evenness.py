@@ -153,7 +153,7 @@ def _white(
     return pixels[good], (light.ravel() / white / density)[good], np.flatnonzero(good) // _SIDES
 
 
-def _seen_white(seen: Points, left: Points, right: Points, edge_px: float) -> Points:
+def _seen_white(seen: Light, left: Light, right: Light, edge_px: float) -> Points:
     """(n,) share of a white stripe's light in its middle that blur leaves there; `left` and `right` are its edges."""
     from scipy.special import ndtr
 

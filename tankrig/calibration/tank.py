@@ -339,7 +339,8 @@ class _Bundle:
         held_slope = slopes(lambda numbers: self.all_misses(sought, numbers), held.values, _STEPS)
         views = [view for _, view in self._views]
         lying = [place != "water" for place, _ in self._views]  # along the pixels, whose grid pulls corners more
-        kinds = [corner_pairs(views, self._board, which) for which in (lying, np.logical_not(lying)) if any(which)]
+        of_kinds = lying, [not one for one in lying]
+        kinds = [corner_pairs(views, self._board, which) for which in of_kinds if any(which)]
         misses = self.all_misses(sought, held.values)
         noise = noise_covariance(misses, np.hstack([slope, held_slope]), kinds)
         covariance, across = found_covariance(slope, noise, held_slope, held.covariance)

@@ -80,7 +80,7 @@ class Bins:
         """
         if not full.any():
             return np.ones((full.shape[0] // self.by, full.shape[1] // self.along), bool)
-        return self.sums(beside(full)) == 0
+        return np.asarray(self.sums(beside(full)) == 0)
 
     def sums(self, pixels: NDArray[np.generic]) -> Array:
         """(rows, columns) sum over the pixels of each bin."""

@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.calibration.board import LEAST_MARKERS, markers_of_any_board
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.devices import CameraSettings, Pixels
 from tankrig.errors import ImageError
 from tankrig.estimation.observation import MOST_SATURATED, saturated_pixels
 from tankrig.image.bins import HALF, Bins, Seen, beside, bins_for
-from tankrig.scene import Scene
+from tankrig.scene import Camera, Scene
 from tankrig.scene.outline import beside_water, blurred_pixels, edges_of_light, lit_pixels
 
 Array = NDArray[np.float64]
@@ -84,6 +85,24 @@ def radiance_of(
     if dark is not None:
         light = light - radiometry.light(dark, settings)
     return light, radiometry.hot, full | radiometry.saturated(pixels, settings)
+
+
+def require_no_board(pixels: Pixels, camera: Camera) -> None:
+    """Refuse a calibrated camera's frame that shows a calibration's board where ink is to be seen.
+
+    Raises
+    ------
+    ImageError
+        When markers of one are seen.
+    """
+    if camera.kind != "calibrated":
+        return
+    seen, dictionary = markers_of_any_board(pixels, int(pixels.max()))
+    if seen >= LEAST_MARKERS:
+        raise ImageError(
+            f"it shows a calibration's board, {seen} markers of {dictionary}, where ink is to be seen; give a frame "
+            "that was taken without the board"
+        )
 
 
 def picture_of(
