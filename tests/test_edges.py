@@ -14,8 +14,9 @@ import tankrig
 from tankrig.bench import Bench
 from tankrig.devices import CameraSettings
 from tankrig.errors import SceneError
-from tankrig.estimation.misfit import moved_by_faults
+from tankrig.estimation.misfit import moved_by_faults, moved_unseen
 from tankrig.estimation.uncertainty import Response, Sensitivity, SmoothError, Weights
+from tankrig.estimation.verdict import what_is_unseen
 from tankrig.image.bins import FIT_PIXEL_MM, KEPT, Bins, Seen, bins_for
 from tankrig.light.single import single_scattering
 from tankrig.live.exposures import PhotographPlan
@@ -307,6 +308,34 @@ def test_noise_alone_shows_no_fault() -> None:
         exact = [SmoothError(np.zeros((20, 30)), 30.0)]
         found += bool(moved_by_faults(fit, residual, fault[None], [np.ones((20, 30))], exact).any())
     assert found <= 3
+
+
+@given(st.floats(0.002, 3.0), st.integers(0, 99))
+@settings(deadline=None, max_examples=25)
+def test_what_no_residual_shows_moves_the_values_no_farther_than_is_said(size: float, seed: int) -> None:
+    """A halo too faint to be seen moved σs by 20 stated standard deviations, and the verdict said nothing."""
+    fit, fault, noise = linear_fit(np.random.default_rng(seed))
+    exact, ones = [SmoothError(np.zeros((20, 30)), 30.0)], [np.ones((20, 30))]
+    said = moved_unseen(fit, fault[None], size, ones, exact)
+    moved = fit.step(size * fault)
+    if said.any():
+        assert said == pytest.approx(np.abs(moved))
+    else:
+        seen = size * fault + noise
+        residual = seen - fit.step(seen) @ fit.changes
+        sure = moved_by_faults(fit, residual, fault[None], ones, exact).any()
+        left = fault - fit.step(fault) @ fit.changes
+        assert sure or size * np.linalg.norm(left) < 6.0, "what is not said to be unseen is seen, but for chance"
+
+
+def test_a_verdict_names_a_halo_only_where_an_interval_leaves_it_out() -> None:
+    medium, spread = Medium(0.001, 0.02, 0.3), np.diag([1e-4, 2e-4, 0.01]) ** 2
+    known = {"sigma_a": False, "sigma_s": True, "g": True}
+    assert what_is_unseen(medium, np.array([1.0, 3e-4, 0.01]), spread, known) == ""
+    said = what_is_unseen(medium, np.array([1.0, 3.4e-3, 0.05]), spread, known)
+    assert "1 % of the light into a wide halo" in said
+    assert "σs by 17 % and g by 0.05 could be off" in said
+    assert "σa" not in said
 
 
 def test_parts_of_an_image_that_disagree_widen_the_errors() -> None:
