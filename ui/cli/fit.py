@@ -231,6 +231,8 @@ def fit(
     else:
         _tell(fitted, rebuilt, single, seconds)
         _tell_left_out(picture)
+        if measured is not None:
+            click.echo(f"by       {measured.radiometry_file}")
         click.echo(f"written  {stem}.png, .json, .npz")
 
 
