@@ -133,7 +133,7 @@ def load_rig_file(path: str | os.PathLike[str], beside: Path | None = None) -> R
     if description.camera["driver"] == "simulated-camera":
         from drivers.simulated.agreement import require_agreement
 
-        require_agreement(str(file), description.projector, description.camera)
+        require_agreement(str(file), description.projector, description.camera, description.bench)
     return description
 
 

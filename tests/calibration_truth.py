@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from drivers.simulated.bench_optics import vignetting
+from drivers.simulated.bench_optics import FINER, vignetting
 from drivers.simulated.bench_truth import TrueBench, TrueOptics
 from tankrig.calibration.edge_blur import PIXEL_VARIANCE
 from tankrig.calibration.uncertainty import Named
@@ -60,11 +60,14 @@ def true_shading(bench: TrueBench, seen_px: np.ndarray) -> np.ndarray:
 def true_blurs(bench: TrueBench) -> dict[str, float]:
     """Standard deviations, px, of what "camera" and "projector" spread: of the kernels that the twin really applies.
 
-    The twin's projector is interpolated between its pixels, which spreads its edges once more, by a pixel's area.
+    The twin's projector has `FINER` points along a pixel, blurred and then read linearly. Pixels are squares, whose
+    edges the linear reading spreads by the area of a point.
     """
+    point_variance = PIXEL_VARIANCE / FINER**2
+    lens = FINER * np.sqrt(bench.projector.blur_px**2 - point_variance)
     return {
         "camera": float(np.sqrt(_kernel_variance(bench.camera.blur_px))),
-        "projector": float(np.sqrt(_kernel_variance(bench.projector.blur_px) + PIXEL_VARIANCE)),
+        "projector": float(np.sqrt(_kernel_variance(lens) / FINER**2 + point_variance)),
     }
 
 

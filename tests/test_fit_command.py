@@ -121,6 +121,8 @@ GOOD = np.linspace(1.0, 2.0, 600).reshape(20, 30)
         (GOOD, ["--max-order", "0"], "max-order"),
         (GOOD, ["--nuisance", "much"], "NAME=SD"),
         (GOOD, ["--nuisance", "x_mm=1"], "x_mm"),
+        (GOOD, ["--rig", "rig.toml"], "--rig belongs to a raw frame; give its --exposure-ms too"),
+        (GOOD, ["--dark", "dark.png"], "--dark belongs to a raw frame; give its --exposure-ms too"),
     ],
 )
 def test_bad_input_is_one_sentence_exit_2_and_nothing_written(

@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import tankrig
 from drivers.calibration_health import calibration_checks
 from drivers.rig import SIMULATED, calibrated_bench, load_rig_file
 from tankrig.bench import Bench
+from tankrig.calibration.board import Board
 from tankrig.calibration.camera import LENS, CameraFound
 from tankrig.calibration.edge_blur import Blur
 from tankrig.calibration.file import Calibration, in_force, load, save
@@ -27,6 +29,7 @@ from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.loading import whole_scene
 from tankrig.scene.writing import scene_text
 from ui.cli import main
+from ui.cli.fit import _Measured, _Raw
 
 SEQUENCE = """name = "one"
 [patterns.ray]
@@ -290,3 +293,33 @@ def test_the_scene_of_a_run_is_the_one_that_it_was_recorded_with(
     assert told["believed"][0].startswith("where camera, water and projector are is only believed")
     assert main(["scene", "run", "--pattern", "stripes"]) == 2
     assert 'has no pattern "stripes"; it has ray' in capsys.readouterr().err
+
+
+def test_a_fit_tells_a_board_from_ink_and_a_camera_that_has_moved(
+    rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A fit of the wrong picture, or by the wrong place of the camera, ends in numbers that look like any others."""
+    import cv2
+
+    scene = exported(capsys, "--rig", str(rig), "--sequence", "one.toml")["path"]
+    print_out = np.pad(Board().picture(2.0), 60, constant_values=255)
+    frame = np.full(CAMERA, 200, np.uint8)
+    frame[: print_out.shape[0], : print_out.shape[1]] = print_out[: CAMERA[0], : CAMERA[1]]
+    cv2.imwrite("board.png", frame.astype(np.uint16) * 60)
+    words = ["fit", "board.png", "--scene", scene, "--exposure-ms", "10", "--out", "out"]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "board.png: it shows a calibration's board" in said
+    assert main([*words, "--rig", str(rig)]) == 2
+    assert "radiometry is not calibrated" in capsys.readouterr().err
+    assert not Path("out").exists()
+    camera = whole_scene(scene).camera
+    measured = _Measured(rig, cast(Any, None), "radiometry.toml", camera)
+    assert _Raw(10.0, 1.0, None, measured).notes(camera, Path(scene)) == []
+    x, y, z = camera.position_mm or (0.0, 0.0, 0.0)
+    moved = replace(camera, position_mm=(x + 3.0, y, z + 4.0))
+    (note,) = _Raw(10.0, 1.0, None, measured).notes(moved, Path(scene))
+    assert "stands 5 mm from where" in note
+    assert "export the scene anew" in note
+    assert "radiometry is not applied" in _Raw(10.0, 1.0, None, None).notes(camera, Path(scene))[0]

@@ -177,6 +177,7 @@ def test_twice_the_exposure_is_twice_the_light(camera: SimulatedCamera, tmp_path
         ("[camera.truth]\n", '[camera.truth]\nbench = "."\n', "camera.truth.bench|truth.bench"),
         ("[camera.truth]\n", "[camera.truth]\ninlet_mm = [300.0, 0.0]\n", "outside the tank"),
         ("projector_shape = [384, 512]", "projector_shape = [768, 1024]", "the same projector's"),
+        ("camera_shape = [540, 960]", "camera_shape = [270, 480]", "are the same camera's"),
         ("camera_shape = [540, 960]", "camera_shape = [540, 960]\nlevel_mm = 130.0", "above the tank"),
         ('driver = "simulated-camera"\nfolder = "./simulated/bench"', 'driver = "simulated-camera"\nfolder = "./b"',
          "two tanks"),

@@ -3,13 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
+from tankrig.bench import Bench
 from tankrig.checked_toml import checked
 from tankrig.errors import SceneError
 
 from .settings import SimulatedCameraSettings, SimulatedProjectorSettings
 
 
-def require_agreement(file: str, projector: Mapping[str, Any], camera: Mapping[str, Any]) -> None:
+def require_agreement(file: str, projector: Mapping[str, Any], camera: Mapping[str, Any], bench: Bench) -> None:
     """Check a bench on which boards are held; other simulated rigs are checked by their own devices.
 
     Parameters
@@ -18,6 +19,8 @@ def require_agreement(file: str, projector: Mapping[str, Any], camera: Mapping[s
         The rig file, for messages.
     projector, camera
         Its tables, drivers included.
+    bench
+        What it believes.
 
     Raises
     ------
@@ -35,6 +38,14 @@ def require_agreement(file: str, projector: Mapping[str, Any], camera: Mapping[s
             f"{file}: camera.boards.projector_shape = {list(seen.boards.projector_shape)} and projector.shape = "
             f"{list(shown.shape)} are the same projector's; give both alike"
         )
+    believed = {"camera": bench.camera.shape, "wall": bench.wall.shape}
+    hidden = {"camera": seen.boards.camera_shape, "wall": seen.boards.projector_shape}
+    for name, device in (("camera", "camera"), ("wall", "projector")):
+        if believed[name] != hidden[name]:
+            raise SceneError(
+                f"{file}: camera.boards.{device}_shape = {list(hidden[name])} and bench.{name}.shape = "
+                f"{list(believed[name])} are the same {device}'s; give both alike"
+            )
     if shown.folder.absolute() != seen.folder.absolute():
         raise SceneError(
             f"{file}: projector.folder = {shown.folder} and camera.folder = {seen.folder} are two tanks, and the "

@@ -149,7 +149,18 @@ def _white(
         bright = light.ravel() > 0.2 * np.median(light)
         wide = np.linalg.norm(right - left, axis=1) > _LEAST_WIDE_PX
     good = inside & bright & wide & (density > 0.0)
-    return pixels[good], light.ravel()[good] / density[good], np.flatnonzero(good) // _SIDES
+    white = _seen_white(seen, left, right, view.view.edge_px)
+    return pixels[good], (light.ravel() / white / density)[good], np.flatnonzero(good) // _SIDES
+
+
+def _seen_white(seen: Light, left: Light, right: Light, edge_px: float) -> Points:
+    """(n,) share of a white stripe's light in its middle that blur leaves there; `left` and `right` are its edges."""
+    from scipy.special import ndtr
+
+    if not np.isfinite(edge_px):
+        return np.ones(len(seen))
+    apart = (np.linalg.norm(edge - seen, axis=1) / edge_px for edge in (left, right))
+    return np.asarray(1.0 - sum(ndtr(-one) for one in apart))
 
 
 def _white_places(board: Board) -> tuple[Points, Points]:

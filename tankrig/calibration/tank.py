@@ -337,9 +337,12 @@ class _Bundle:
     def known(self, sought: Points, slope: Points, held: Named) -> Named:
         """Camera and level, then what was held, with their covariance."""
         held_slope = slopes(lambda numbers: self.all_misses(sought, numbers), held.values, _STEPS)
-        pairs = corner_pairs([view for _, view in self._views], self._board)
+        views = [view for _, view in self._views]
+        lying = [place != "water" for place, _ in self._views]  # along the pixels, whose grid pulls corners more
+        of_kinds = lying, [not one for one in lying]
+        kinds = [corner_pairs(views, self._board, which) for which in of_kinds if any(which)]
         misses = self.all_misses(sought, held.values)
-        noise = noise_covariance(misses, np.hstack([slope, held_slope]), [pairs])
+        noise = noise_covariance(misses, np.hstack([slope, held_slope]), kinds)
         covariance, across = found_covariance(slope, noise, held_slope, held.covariance)
         return held.after(FOUND, sought[:_OWN], covariance[:_OWN, :_OWN], across[:_OWN])
 

@@ -12,6 +12,8 @@ from tankrig.errors import StoreError
 
 Array = NDArray[np.float64]
 
+USUAL_CORRELATION = 0.1
+"""Standard deviation, from one set of views to the next, of the correlation of neighbours about none."""
 _MOST_CORRELATED = 0.25
 """Of neighbours: more would not be a covariance on a large grid."""
 
@@ -137,15 +139,20 @@ def slopes(function: Callable[[Array], Array], at: Array, steps: Array) -> Array
     return np.stack(columns, axis=1)
 
 
-def corner_pairs(views: Sequence[BoardView], board: Board) -> tuple[Array, Array]:
+def corner_pairs(views: Sequence[BoardView], board: Board, among: Sequence[bool] | None = None) -> tuple[Array, Array]:
     """(2n, 2n) of 0 and 1: coordinates of corners, x and y of each in turn, that are the same, and those of neighbours.
 
     Corners of one view that are neighbours on the board share pixels and what the method of finding them is pulled by.
+    Where `among` is given, pairs of the views that it is true of; the others have zeros.
     """
     sizes = [2 * len(view.ids) for view in views]
     ends = np.cumsum([0, *sizes])
-    same, near = np.eye(ends[-1]), np.zeros((ends[-1],) * 2)
-    for view, start, end in zip(views, ends[:-1], ends[1:], strict=True):
+    same, near = np.zeros((2, ends[-1], ends[-1]))
+    counted = [True] * len(views) if among is None else among
+    for view, counts, start, end in zip(views, counted, ends[:-1], ends[1:], strict=True):
+        if not counts:
+            continue
+        same[start:end, start:end] = np.eye(end - start)
         square = np.rint(view.points_mm(board)[:, :2] / board.square_mm)
         apart = np.abs(square[:, None] - square[None]).sum(axis=-1)
         near[start:end, start:end] = np.kron(apart == 1.0, np.eye(2))
@@ -167,8 +174,10 @@ def noise_covariance(misses: Array, explained: Array, kinds: Sequence[tuple[Arra
     Notes
     -----
     Expectations of rᵀ K r, K being any of the pairs and r the residuals less what the derivatives explain, are linear
-    in the numbers sought (MINQUE, Rao 1971). Corners on a grid of pixels err against each other from neighbour to
-    neighbour; independent ones would make a lens 1.2 times as uncertain as it is.
+    in the numbers sought (MINQUE, Rao 1971). Neighbours are alike or opposed by where they lie among the pixels, so
+    that their correlation differs from one set of views to the next. A few views do not tell it: were they believed,
+    half of all intervals would be too narrow and the others too wide. So it is drawn towards none as far as it is
+    uncertain (2 v² E⁻¹ for independent noise of variance v, E being those expectations), against `USUAL_CORRELATION`.
     """
     basis, sizes, _ = np.linalg.svd(explained / np.linalg.norm(explained, axis=0), full_matrices=False)
     basis = basis[:, sizes > 1e-9 * sizes[0]]
@@ -176,13 +185,15 @@ def noise_covariance(misses: Array, explained: Array, kinds: Sequence[tuple[Arra
     pairs = [one for both in kinds for one in both]
     cut = [one - (one @ basis) @ basis.T for one in pairs]
     expected = np.array([[np.sum(a * b.T) for b in cut] for a in cut])
-    found = np.linalg.lstsq(expected, np.array([left @ one @ left for one in pairs]), rcond=None)[0]
+    inverse = np.linalg.pinv(expected)
+    found = inverse @ np.array([left @ one @ left for one in pairs])
+    chance = 2.0 * np.diag(inverse)[1::2]
     covariance = np.zeros((misses.size, misses.size))
-    for (same, near), variance, across in zip(kinds, found[::2], found[1::2], strict=True):
+    for (same, near), variance, across, chance2 in zip(kinds, found[::2], found[1::2], chance, strict=True):
         if not variance > 0.0:  # too few corners to tell them apart
             variance, across = float(left @ same @ left) / float(np.trace(same)), 0.0
-        limit = _MOST_CORRELATED * variance
-        covariance += variance * same + float(np.clip(across, -limit, limit)) * near
+        correlation = across / variance / (1.0 + chance2 / USUAL_CORRELATION**2)
+        covariance += variance * (same + float(np.clip(correlation, -_MOST_CORRELATED, _MOST_CORRELATED)) * near)
     return covariance
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.forward import Models, error_map, models_of, stated_error
-from tankrig.estimation.misfit import faults_of, moved_by_faults
+from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
 from tankrig.estimation.parameters import MediumBlock, Range, Scaling
@@ -27,7 +27,13 @@ from tankrig.estimation.residual import (
 from tankrig.estimation.result import Estimate as Estimate
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
 from tankrig.estimation.uncertainty import ModelError, SmoothError, identifiable, overconfidence, stretches
-from tankrig.estimation.verdict import what_is_determined, what_is_left, what_is_misaligned, what_was_left_out
+from tankrig.estimation.verdict import (
+    what_is_determined,
+    what_is_left,
+    what_is_misaligned,
+    what_is_unseen,
+    what_was_left_out,
+)
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
 
@@ -252,6 +258,7 @@ def _built(fit: Fit, scene: Scene) -> Estimate:
         what_is_determined(medium, spread, known, edges),
         what_is_left(left.unexplained, stated, noisier, cause, place, aside),
         what_is_misaligned(off),
+        what_is_unseen(medium, moved_by_halos(best, [left]), spread, known),
         what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
     ]
     return Estimate(
@@ -278,6 +285,14 @@ def spread_of(best: Evaluation, left: Sequence[Left], errors: Sequence[ModelErro
     moved = moved_by_faults(sensitivity, residual, faults, noise, [view.error for view in views])
     disagreeing = residual if any(one.beyond > 0.0 for one in left) else None
     return sensitivity.covariance(noise, errors, disagreeing) + moved
+
+
+def moved_by_halos(best: Evaluation, left: Sequence[Left]) -> Array:
+    """(values,) how far a halo of `STRAY` of the light that no residual shows would move each value at most."""
+    views = best.problem.views
+    changes = [view.whitened(halos_of(one.light)) for view, one in zip(views, left, strict=True)]
+    halos = best.project_out(np.hstack(changes))[:, : best.left.size]
+    return moved_unseen(best.sensitivity, halos, STRAY, [one.noise for one in left], [view.error for view in views])
 
 
 def determined(medium: Medium, spread: Array, left: Sequence[Left]) -> dict[str, bool]:

@@ -22,6 +22,8 @@ BLUR = 1.0
 """Width, in pixels, of the blur of edges."""
 SEEN = 3.0
 """Standard deviations of its size from which on a fault is seen."""
+STRAY = 0.01
+"""Share of the light that lenses commonly spread into a halo; nothing on a bench measures it."""
 
 
 def faults_of(image: Image) -> Array:
@@ -36,10 +38,20 @@ def faults_of(image: Image) -> Array:
     rows, columns = image.shape
     y, x = np.linspace(-1.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)
     down, right = np.gradient(image) if min(image.shape) > 1 else (np.zeros_like(image), np.zeros_like(image))
-    widths = [share * max(rows, columns) for share in HALOS] + [BLUR]
-    halos = [gaussian_filter(image, width, mode="constant") - image for width in widths]
+    blurred = gaussian_filter(image, BLUR, mode="constant") - image
     moved = [down, right, 0.5 * rows * y * down + 0.5 * columns * x * right]
-    return np.array([*halos, *moved, image * y, image * x, np.full(image.shape, float(image.mean()))])
+    return np.array(
+        [*halos_of(image), blurred, *moved, image * y, image * x, np.full(image.shape, float(image.mean()))]
+    )
+
+
+def halos_of(image: Image) -> Array:
+    """(`HALOS`, rows, columns) changes of an image by halos of all of its light."""
+    from scipy.ndimage import gaussian_filter
+
+    image = np.asarray(image, float)
+    widths = [share * max(image.shape) for share in HALOS]
+    return np.array([gaussian_filter(image, width, mode="constant") - image for width in widths])
 
 
 def moved_by_faults(
@@ -58,14 +70,41 @@ def moved_by_faults(
     noise, errors
         Of each image, as for `Sensitivity.covariance`: what may pass for a fault by chance.
     """
+    values, sized, chance = _told(sensitivity, faults, noise, errors)
+    sizes = sized @ residual
+    moved = (sizes[:, None] * values)[sizes**2 > SEEN**2 * chance]
+    return np.asarray(moved.T @ moved)
+
+
+def moved_unseen(
+    sensitivity: Sensitivity, faults: Array, size: float, noise: Sequence[Image], errors: Sequence[ModelError]
+) -> Array:
+    """(k,) how far faults of a size would move each value at most that no residual would show.
+
+    Parameters
+    ----------
+    sensitivity, faults, noise, errors
+        As for `moved_by_faults`.
+    size
+        Of each fault, in units of its pattern.
+    """
+    values, _, chance = _told(sensitivity, faults, noise, errors)
+    hidden = size**2 < SEEN**2 * chance
+    return np.asarray(size * np.abs(values[hidden]).max(axis=0, initial=0.0))
+
+
+def _told(
+    sensitivity: Sensitivity, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError]
+) -> tuple[Array, Array, Array]:
+    """Of each fault: (k,) what one unit moves the values by; (n,) what times the residual is its size; the variance
+    that noise and the model's own error give to that."""
     values = np.array([sensitivity.step(fault) for fault in faults])
     left = faults - values @ sensitivity.changes
     sized = left / np.maximum(np.sum(left**2, axis=1, keepdims=True), 1e-300)
-    sizes, chance = sized @ residual, np.zeros(len(faults))
+    chance = np.zeros(len(faults))
     ends = np.cumsum([one.changes.shape[1] for one in sensitivity.responses])[:-1]
     seen = zip(sensitivity.responses, np.split(sized, ends, axis=1), noise, errors, strict=True)
     for one, part, sigma, error in seen:
         of_image = one.whitening.transposed(part)
         chance += np.sum((of_image * sigma[one.used]) ** 2, axis=1) + np.diag(error.between(of_image, one.used))
-    moved = (sizes[:, None] * values)[sizes**2 > SEEN**2 * chance]
-    return np.asarray(moved.T @ moved)
+    return values, sized, chance

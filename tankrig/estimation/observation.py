@@ -145,7 +145,7 @@ def observe(
     _check_values(values, used)
     known = noise is not None
     sigma = _noise(noise, values.shape) if known else np.zeros(values.shape)
-    saturated = _saturated(values, used)
+    saturated = saturated_pixels(values, used)
     _require_some(~saturated & used, used, "saturated", "shorten the exposure")
     ceiling = float(values[saturated].max()) if saturated.any() else np.inf
     used &= ~saturated
@@ -269,8 +269,18 @@ def _check_values(values: NDArray[np.float64], used: NDArray[np.bool_]) -> None:
         raise ImageError(f"the image reaches down to {low:g} below zero; subtract a smaller dark level")
 
 
-def _saturated(values: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels at the highest value, where they are more than chance brings to one value."""
+def saturated_pixels(values: NDArray[np.float64], used: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+    """Pixels at the highest value of those used, where they are more than chance brings to one value.
+
+    Examples
+    --------
+    >>> ramp = np.minimum(np.arange(12.0).reshape(2, 6), 6.0)
+    >>> saturated_pixels(ramp).astype(int).tolist(), bool(saturated_pixels(ramp[:, :5]).any())
+    ([[0, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 1]], False)
+    """
+    used = np.isfinite(values) if used is None else used & np.isfinite(values)
+    if not used.any():
+        return np.zeros(values.shape, bool)
     highest = float(values[used].max())
     top: NDArray[np.bool_] = used & (values >= highest - 1e-6 * abs(highest))  # what rounding does to a plateau
     below = values[used & ~top & (values > BRIGHT * highest)]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.estimate import Free, Left, determined, left_over, rms, spread_of
+from tankrig.estimation.estimate import Free, Left, determined, left_over, moved_by_halos, rms, spread_of
 from tankrig.estimation.forward import ModelOf, Models, in_water, series_models, tank_model
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted
@@ -31,7 +31,7 @@ from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.result import Linearity, LiquidEstimate
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
 from tankrig.estimation.uncertainty import PATTERN, ModelError
-from tankrig.estimation.verdict import series_verdict
+from tankrig.estimation.verdict import series_verdict, what_is_unseen
 from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
@@ -219,7 +219,12 @@ def _built(fit: Fit, blocks: tuple[InkBlock, DosesBlock], shots: Sequence[Shot])
         ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=known, gain=gain,
         offsets=tuple(offsets), doses_ml=doses.moved(best.values["doses"]), images=tuple(one.image for one in left),
         residuals=tuple(one.residual for one in left), rmse=np.array([one.rmse for one in left]), linearity=linearity,
-        verdict=series_verdict(water, spread, known, linearity, shares),
+        verdict=" ".join(
+            filter(None, [
+                series_verdict(water, spread, known, linearity, shares),
+                what_is_unseen(liquid, moved_by_halos(best, left), spread, known),
+            ])
+        ),
     )  # fmt: skip
 
 

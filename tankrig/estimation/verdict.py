@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.misfit import STRAY
 from tankrig.estimation.parameters import NAMES
 from tankrig.estimation.result import Linearity
-from tankrig.estimation.uncertainty import DETERMINED, extinction, reduced_scattering
+from tankrig.estimation.uncertainty import DETERMINED, END, extinction, reduced_scattering
 from tankrig.scene import Medium
 
 SYMBOLS = {"sigma_a": "σa", "sigma_s": "σs", "g": "g"}
@@ -141,6 +142,39 @@ def what_is_misaligned(found: Mapping[str, tuple[float, float]]) -> str:
         f"{name} = {value:+.2g} ± {sd:.1g}" for name, (value, sd) in found.items() if abs(value) > 2.0 * sd
     ]  # fmt: skip
     return f"The set-up is not as described, and was corrected: {', '.join(off)}." if off else ""
+
+
+def what_is_unseen(
+    medium: Medium, moved: NDArray[np.float64], spread: NDArray[np.float64], known: Mapping[str, bool]
+) -> str:
+    """A sentence on what nobody has measured; empty where the intervals hold what it would do.
+
+    Parameters
+    ----------
+    medium
+        That was found.
+    moved
+        (3,) how far a halo of `misfit.STRAY` that no residual shows would move σa, σs and g.
+    spread
+        Their covariance, (3, 3) at least.
+    known
+        By name, whether it is determined.
+    """
+    beyond = [
+        (name, by)
+        for name, by, variance in zip(NAMES, moved, np.diag(spread), strict=False)
+        if known[name] and by > END * math.sqrt(float(variance))
+    ]
+    if not beyond:
+        return ""
+    moves = [
+        f"g by {by:.2g}" if name == "g" else f"{SYMBOLS[name]} by {_percent(by / max(getattr(medium, name), 1e-300))}"
+        for name, by in beyond
+    ]
+    return (
+        f"Not in the intervals, since nothing here measures it: if lens or air spread {_percent(STRAY)} of the light "
+        f"into a wide halo, the residual would not show it, and {_listed(moves)} could be off."
+    )
 
 
 def _at_edges(medium: Medium, edges: Sequence[str]) -> str:

@@ -66,6 +66,22 @@ class Bins:
         """(rows, columns) share of each bin's pixels that count."""
         return self.sums(counts) / self.size
 
+    def clear_of(self, full: Mask) -> Mask:
+        """(rows, columns) bins that neither hold nor adjoin a saturated pixel.
+
+        The mean of a bin's other pixels would be too dark, and beside a full pixel others hold what it spills over.
+
+        Examples
+        --------
+        >>> full = np.zeros((2, 6), bool)
+        >>> full[0, 2] = True
+        >>> Bins(2, 2).clear_of(full).tolist()
+        [[False, False, True]]
+        """
+        if not full.any():
+            return np.ones((full.shape[0] // self.by, full.shape[1] // self.along), bool)
+        return np.asarray(self.sums(beside(full)) == 0)
+
     def sums(self, pixels: NDArray[np.generic]) -> Array:
         """(rows, columns) sum over the pixels of each bin."""
         rows, columns = pixels.shape[0] // self.by, pixels.shape[1] // self.along
@@ -73,6 +89,13 @@ class Bins:
         exact = np.uint32 if whole.dtype.kind in "bu" else np.float64
         lines = whole.reshape(rows, self.by, columns * self.along).sum(axis=1, dtype=exact)  # rows first: 5 × faster
         return np.asarray(lines.reshape(rows, columns, self.along).sum(axis=2))
+
+
+def beside(full: Mask) -> Mask:
+    """(rows, columns) those pixels, and the eight about each."""
+    import cv2
+
+    return np.asarray(cv2.dilate(full.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
 
 
 @dataclass(frozen=True, eq=False)

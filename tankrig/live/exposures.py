@@ -233,24 +233,22 @@ class PhotographPlan:
 
         Returns
         -------
-        (rows, columns) of the bins, and which of them hold no saturated pixel
+        (rows, columns) of the bins, and which of them neither hold nor adjoin a saturated pixel
 
         Raises
         ------
         StoreError
             When the camera was calibrated, but not at this gain.
         """
-        full = self._saturated(pixels, settings)
-        below = self.bins.shares(full) == 0.0 if full.any() else np.ones(self.camera.shape, bool)
+        below = self.bins.clear_of(self._saturated(pixels, settings))
         if self.radiometry is not None:
             return self.bins.means(self.radiometry.light(pixels, settings), self._healthy), below
         per_ms = self.bins.size * settings.exposure_ms * settings.gain
         return self.bins.sums(pixels) / per_ms, below
 
     def _saturated(self, pixels: Pixels, settings: CameraSettings) -> Mask:
-        if self.radiometry is not None:
-            return self.radiometry.saturated(pixels, settings)
-        return np.asarray(pixels >= (np.inf if self.saturation is None else self.saturation))
+        full = np.asarray(pixels >= (np.inf if self.saturation is None else self.saturation))
+        return full if self.radiometry is None else full | self.radiometry.saturated(pixels, settings)
 
 
 class Exposures:

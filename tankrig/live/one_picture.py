@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.calibration.board import LEAST_MARKERS, markers_of_any_board
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.devices import CameraSettings, Pixels
 from tankrig.errors import ImageError
-from tankrig.image.bins import HALF, Bins, Seen, bins_for
-from tankrig.scene import Scene
+from tankrig.estimation.observation import MOST_SATURATED, saturated_pixels
+from tankrig.image.bins import HALF, Bins, Seen, beside, bins_for
+from tankrig.scene import Camera, Scene
 from tankrig.scene.outline import beside_water, blurred_pixels, edges_of_light, lit_pixels
 
 Array = NDArray[np.float64]
@@ -30,6 +32,8 @@ class Picture:
         That the camera's pixels were put together to; None where they were not.
     blurred
         Share of the pixels that blur matters to, or that look beside the water.
+    saturated
+        Share of the pixels that are.
     """
 
     image: Array
@@ -37,11 +41,12 @@ class Picture:
     scene: Scene
     bins: Bins | None
     blurred: float
+    saturated: float = 0.0
 
 
 def radiance_of(
     pixels: Pixels, settings: CameraSettings, radiometry: Radiometry | None, dark: Pixels | None
-) -> tuple[Array, Mask]:
+) -> tuple[Array, Mask, Mask]:
     """A raw frame as counts per ms, proportional to radiance where the camera's radiometry is known.
 
     Parameters
@@ -57,7 +62,8 @@ def radiance_of(
 
     Returns
     -------
-    (rows, columns) of the image, and which of its pixels are good: neither hot nor saturated, as far as is known
+    (rows, columns) of the image, which of its pixels are hot, and which are saturated: beyond what is known to be
+    linear, or on a plateau at the highest count
 
     Raises
     ------
@@ -70,18 +76,42 @@ def radiance_of(
         raise ImageError(
             f"the dark frame has shape {list(dark.shape)} and the frame {list(pixels.shape)}; take it anew"
         )
-    good = np.ones(pixels.shape, bool)
+    full = saturated_pixels(pixels.astype(float))
     if radiometry is None:
         per_ms = settings.exposure_ms * settings.gain
-        return (pixels - (0.0 if dark is None else dark.astype(float))) / per_ms, good
+        light = (pixels - (0.0 if dark is None else dark.astype(float))) / per_ms
+        return light, np.zeros(pixels.shape, bool), full
     light = radiometry.light(pixels, settings)
     if dark is not None:
         light = light - radiometry.light(dark, settings)
-    return light, good & ~radiometry.hot & ~radiometry.saturated(pixels, settings)
+    return light, radiometry.hot, full | radiometry.saturated(pixels, settings)
+
+
+def require_no_board(pixels: Pixels, camera: Camera) -> None:
+    """Refuse a calibrated camera's frame that shows a calibration's board where ink is to be seen.
+
+    Raises
+    ------
+    ImageError
+        When markers of one are seen.
+    """
+    if camera.kind != "calibrated":
+        return
+    seen, dictionary = markers_of_any_board(pixels, int(pixels.max()))
+    if seen >= LEAST_MARKERS:
+        raise ImageError(
+            f"it shows a calibration's board, {seen} markers of {dictionary}, where ink is to be seen; give a frame "
+            "that was taken without the board"
+        )
 
 
 def picture_of(
-    image: Array, scene: Scene, good: Mask | None = None, edges: float | None = None, mask: Mask | None = None
+    image: Array,
+    scene: Scene,
+    hot: Mask | None = None,
+    full: Mask | None = None,
+    edges: float | None = None,
+    mask: Mask | None = None,
 ) -> Picture:
     """An image with its scene, binned where its camera is calibrated or says `bin`, and what is to be left out of it.
 
@@ -91,8 +121,11 @@ def picture_of(
         (rows, columns) as the scene's camera takes it, or in the bins that the camera says.
     scene
         Of the whole camera; see `tankrig.scene.loading.whole_scene`.
-    good
-        Pixels that count; None for all.
+    hot
+        Pixels that do not count in the mean of their bin; None for none.
+    full
+        Saturated pixels, which are left out with the bins that they lie in or adjoin; None for those on a plateau at
+        the image's highest value.
     edges
         mm to either side of the edges of light that are left out, 0 for none; None for what the scene's blur says.
     mask
@@ -101,7 +134,7 @@ def picture_of(
     Raises
     ------
     ImageError
-        When the mask has another shape, or edges leave nothing of the light.
+        When the mask has another shape, edges leave nothing of the light, or half of what they leave is saturated.
     """
     if scene.camera.bin and image.shape == scene.camera.binned(scene.camera.bin).shape:
         scene = replace(scene, camera=scene.camera.binned(scene.camera.bin))
@@ -110,7 +143,10 @@ def picture_of(
             f"the mask has shape {list(mask.shape)} but the image has {list(image.shape)}; give one of its shape"
         )
     left_out = np.zeros(image.shape, bool) if mask is None else mask
-    counts = ~left_out if good is None else good & ~left_out
+    counts = ~left_out if hot is None else ~hot & ~left_out
+    plateau = full is None
+    if full is None:
+        full = saturated_pixels(image, counts)
     if image.shape != scene.camera.shape:  # the fit says what is wrong with it
         return Picture(image, ~counts, scene, None, 0.0)
     if edges is None:
@@ -125,10 +161,17 @@ def picture_of(
             "blur matters to all of the light that is seen: its beams are narrower than it reaches; make them wider, "
             "focus and calibrate anew, or give --edges in mm"
         )
-    share = float(blurred.mean())
+    light = seen.sharp & seen.lit & counts
+    if (full & light).sum() > MOST_SATURATED * light.sum():
+        raise ImageError(
+            f"{100.0 * float(full[light].mean()):.0f} % of the light that could be fitted is saturated, which leaves "
+            "too little; shorten the exposure"
+        )
+    share, saturated = float(blurred.mean()), float(full.mean())
     if scene.camera.kind != "calibrated" and not scene.camera.bin:
-        return Picture(image, blurred | ~counts, scene, None, share)
+        near = beside(full) & ~full if plateau else beside(full)  # the fit finds a plateau, and what is near its height
+        return Picture(image, blurred | ~counts | near, scene, None, share, saturated)
     bins = bins_for(scene.camera, [seen])
-    used = (bins.shares(seen.sharp) == 1.0) & (bins.shares(counts) > HALF)
+    used = (bins.shares(seen.sharp) == 1.0) & (bins.shares(counts) > HALF) & bins.clear_of(full)
     binned = replace(scene, camera=bins.camera(scene.camera))
-    return Picture(bins.means(image, counts), ~used, binned, bins, share)
+    return Picture(bins.means(image, counts), ~used, binned, bins, share, saturated)

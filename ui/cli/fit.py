@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from tankrig.estimation.estimate import Estimate
     from tankrig.estimation.result import Reconstruction
     from tankrig.live.one_picture import Picture
-    from tankrig.scene import Medium
+    from tankrig.scene import Camera, Medium
 
 LEVEL = 0.95
 """Of the intervals that are printed."""
+_SAME_MM, _SAME_RAD = 1e-3, 1e-6
+"""By which a camera may stand and be turned otherwise in two files and be the same: what a person's editing rounds."""
 
 
 class FreeOrNumber(click.ParamType[Any]):
@@ -167,13 +169,18 @@ def fit(
     from tankrig.estimation.result import by_order
     from tankrig.files import require_writable, whole_file
 
-    if exposure_ms is None and dark is not None:
-        raise click.UsageError("--dark belongs to a raw frame; give its --exposure-ms too")
-    raw = _Raw(exposure_ms, gain_setting, dark, rig) if exposure_ms is not None else None
+    for name, given in (("--dark", dark), ("--rig", rig)):
+        if exposure_ms is None and given is not None:
+            raise click.UsageError(f"{name} belongs to a raw frame; give its --exposure-ms too")
+    measured = None if rig is None else _Measured.of(rig)
+    raw = _Raw(exposure_ms, gain_setting, dark, measured) if exposure_ms is not None else None
     try:
         picture = _picture(image_file, scene_file, array, scale, raw, edges, mask)
     except tankrig.ImageError as error:
         raise error if str(image_file) in str(error) else tankrig.ImageError(f"{image_file}: {error}") from error
+    notes = [] if raw is None else raw.notes(picture.scene.camera, scene_file)
+    for note in notes:
+        click.echo(f"note: {note}", err=True)
     require_writable(out)
     if raw is not None and dark is not None and offset == "free":
         offset = 0.0
@@ -212,6 +219,8 @@ def fit(
             **asked,
             **_numbers(fitted, rebuilt, single),
             **_left_out(picture),
+            "radiometry": None if measured is None else measured.radiometry_file,
+            "notes": notes,
             "seconds": round(seconds, 2),
             "picture": f"{stem}.png",
             "arrays": f"{stem}.npz",
@@ -222,17 +231,73 @@ def fit(
     else:
         _tell(fitted, rebuilt, single, seconds)
         _tell_left_out(picture)
+        if measured is not None:
+            click.echo(f"by       {measured.radiometry_file}")
         click.echo(f"written  {stem}.png, .json, .npz")
 
 
 @dataclass(frozen=True)
+class _Measured:
+    """What is in force of a rig that a raw frame was taken with."""
+
+    rig: Path
+    radiometry: "Radiometry"
+    radiometry_file: str
+    camera: "Camera"
+
+    @classmethod
+    def of(cls, rig: Path) -> "_Measured":
+        """Of a rig file."""
+        from drivers.rig import calibrated_bench, load_rig_file
+        from tankrig.calibration.file import in_force
+        from tankrig.calibration.radiometry import Radiometry
+
+        description = load_rig_file(rig)
+        bench = calibrated_bench(description)
+        found = in_force(Path(description.calibration_folder), description.calibration)
+        if "radiometry" not in found:
+            raise StoreError(
+                f"{rig}: the camera's radiometry is not calibrated; run tankrig calibrate radiometry, or leave --rig "
+                "out"
+            )
+        return cls(rig, Radiometry.of(found["radiometry"]), str(found["radiometry"].path), bench.camera)
+
+
+@dataclass(frozen=True)
 class _Raw:
-    """How a raw frame was taken, and where its radiometry is."""
+    """How a raw frame was taken, and what is known of the bench that it was taken on."""
 
     exposure_ms: float
     gain: float
     dark: Path | None
-    rig: Path | None
+    measured: _Measured | None
+
+    @property
+    def radiometry(self) -> "Radiometry | None":
+        """Of its camera, where that is known."""
+        return None if self.measured is None else self.measured.radiometry
+
+    def notes(self, camera: "Camera", scene_file: Path) -> list[str]:
+        """What does not stop a fit and may spoil it, in a sentence each; `camera` is the scene's."""
+        if camera.kind != "calibrated":
+            return []
+        if self.measured is None:
+            return [
+                "the camera's radiometry is not applied, so its fall-off towards the corners passes for the liquid's; "
+                "give --rig"
+            ]
+        there = self.measured.camera
+        if there.kind != "calibrated" or there.position_mm is None or camera.position_mm is None:
+            return []
+        apart = math.dist(there.position_mm, camera.position_mm)
+        turned = max(abs(a - b) for a, b in zip(there.rotation or (), camera.rotation or (), strict=True))
+        if apart <= _SAME_MM and turned <= _SAME_RAD:
+            return []
+        return [
+            f"the camera of {scene_file} stands {apart:.2g} mm from where {self.measured.rig} has it and is turned by "
+            f"{1e3 * turned:.2g} mrad; unless the frame is older than the calibrations in force, export the scene "
+            "anew (tankrig scene)"
+        ]
 
 
 def _picture(
@@ -242,37 +307,21 @@ def _picture(
     """The image as it is fitted."""
     from tankrig.devices import CameraSettings
     from tankrig.image.reading import read_frame, read_image, read_mask
-    from tankrig.live.one_picture import picture_of, radiance_of
+    from tankrig.live.one_picture import picture_of, radiance_of, require_no_board
     from tankrig.scene.loading import whole_scene
 
-    scene, good = whole_scene(scene_file), None
+    scene, hot, full = whole_scene(scene_file), None, None
     if raw is None:
         image = read_image(image_file, array, scale)
     else:
         settings = CameraSettings(raw.exposure_ms, raw.gain)
         dark = None if raw.dark is None else read_frame(raw.dark)
-        image, good = radiance_of(read_frame(image_file, array), settings, _radiometry(raw.rig), dark)
+        frame = read_frame(image_file, array)
+        require_no_board(frame, scene.camera)
+        image, hot, full = radiance_of(frame, settings, raw.radiometry, dark)
         image = scale * image
     mask = None if mask_file is None else read_mask(mask_file)
-    return picture_of(image, scene, good, edges, mask)
-
-
-def _radiometry(rig: Path | None) -> "Radiometry | None":
-    """That is in force on a bench."""
-    from drivers.rig import load_rig_file, require_of_bench
-    from tankrig.calibration.file import in_force
-    from tankrig.calibration.radiometry import Radiometry
-
-    if rig is None:
-        return None
-    description = load_rig_file(rig)
-    found = in_force(Path(description.calibration_folder), description.calibration)
-    require_of_bench(description, found)
-    if "radiometry" not in found:
-        raise StoreError(
-            f"{rig}: the camera's radiometry is not calibrated; run tankrig calibrate radiometry, or leave --rig out"
-        )
-    return Radiometry.of(found["radiometry"])
+    return picture_of(image, scene, hot, full, edges, mask)
 
 
 @contextmanager
@@ -292,7 +341,7 @@ def _left_out(picture: "Picture") -> dict[str, Any]:
     bins = picture.bins
     return {
         "bins": None if bins is None else [bins.by, bins.along],
-        "left_out": {"edges": picture.blurred, "all": float(picture.mask.mean())},
+        "left_out": {"edges": picture.blurred, "saturated": picture.saturated, "all": float(picture.mask.mean())},
     }
 
 
@@ -305,6 +354,11 @@ def _tell_left_out(picture: "Picture") -> None:
             f", {100.0 * picture.blurred:.0f} % of the pixels for blur or beside the water" if picture.blurred else ""
         )
         click.echo(f"left out {100.0 * float(picture.mask.mean()):.0f} % of the image{edges}")
+    if picture.saturated > 0.0:
+        click.echo(
+            f"         {100.0 * picture.saturated:.2g} % of the pixels are saturated, and left out with what adjoins "
+            "them; a shorter exposure tells more"
+        )
 
 
 def _coefficients(medium: "Medium") -> dict[str, float]:
