@@ -279,7 +279,7 @@ def saturated_pixels(values: NDArray[np.float64], used: NDArray[np.bool_] | None
     ([[0, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 1]], False)
     """
     used = np.isfinite(values) if used is None else used & np.isfinite(values)
-    if not used.any():
+    if not used.any() or values[used].max() == values[used].min():  # dark all over, or cut off: no picture at all
         return np.zeros(values.shape, bool)
     highest = float(values[used].max())
     top: NDArray[np.bool_] = used & (values >= highest - 1e-6 * abs(highest))  # what rounding does to a plateau
