@@ -52,11 +52,11 @@ def mitsuba_image(scene: Scene, samples: int, seed: int = 0) -> Array:
     except ImportError as error:
         raise SceneError("Mitsuba 3 is not installed; pip install tankrig[mitsuba]") from error
     mitsuba.set_variant("llvm_ad_rgb" if "DRJIT_LIBLLVM_PATH" in os.environ else "scalar_rgb")
-    image = mitsuba.render(mitsuba.load_dict(_described(mitsuba, scene, samples)), seed=seed)
+    image = mitsuba.render(mitsuba.load_dict(described(mitsuba, scene, samples)), seed=seed)
     return np.asarray(image, np.float64)[::-1, :, 0]  # its first row is the top one
 
 
-def _described(mitsuba: Any, scene: Scene, samples: int) -> dict[str, Any]:
+def described(mitsuba: Any, scene: Scene, samples: int) -> dict[str, Any]:
     return {
         "type": "scene",
         "integrator": {"type": "volpath", "max_depth": -1},

@@ -79,7 +79,7 @@ def _table(part: Any, left_out: Sequence[str] = (), always: Sequence[str] = ()) 
     for field in fields(part):
         value = getattr(part, field.name)
         usual = field.default if field.default is not MISSING else None
-        if field.name in always or not (field.name in left_out or value is None or value == usual):
+        if field.name in (*always, "kind") or not (field.name in left_out or value is None or value == usual):
             found[field.name] = _plain(value)
     return found
 
