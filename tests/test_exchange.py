@@ -107,7 +107,12 @@ def test_a_scenes_liquid_comes_out_as_it_went_in(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("{", "is not JSON"), ('{"medium": 3}', "holds no fitted medium"), ('{"medium": {"sigma_a": 1}}', "missing"), ("[]", "no fitted")],
+    [
+        ("{", "is not JSON"),
+        ('{"medium": 3}', "holds no fitted medium"),
+        ('{"medium": {"sigma_a": 1}}', "missing"),
+        ("[]", "no fitted"),
+    ],
 )
 def test_what_is_no_fit_is_refused_in_one_sentence(
     tmp_path: Path, text: str, said: str, capsys: pytest.CaptureFixture[str]

@@ -58,10 +58,10 @@ def to_pbrt(liquid: Liquid, unit_mm: float = 1.0) -> str:
     if not isinstance(medium.phase_function, HenyeyGreenstein):
         theirs = HenyeyGreenstein(medium.g)
         ratios = [float(theirs.at(cosine) / medium.phase_function.at(cosine)) for cosine in (0.5, 0.0, -0.5, -1.0)]
-        said = ", ".join(
-            f"{ratio:.3g} at {angle}" for ratio, angle in zip(ratios, (60, 90, 120, 180), strict=True)
+        said = ", ".join(f"{ratio:.3g} at {angle}" for ratio, angle in zip(ratios, (60, 90, 120, 180), strict=True))
+        comments.append(
+            "lost: pbrt knows Henyey-Greenstein only, and g is kept; its p over the liquid's own, by degrees:"
         )
-        comments.append("lost: pbrt knows Henyey-Greenstein only, and g is kept; its p over the liquid's own, by degrees:")
         comments.append(f"  {said}")
     head = "\n".join(f"# {line}" for line in comments)
     scaled = (f"[300 {value * unit_mm!r} 900 {value * unit_mm!r}]" for value in (medium.sigma_a, medium.sigma_s))

@@ -58,6 +58,11 @@ class Curve:
         else:
             require(len(self.coefficients) > 0 and self.range_nm is not None, "coefficients or range_nm is missing")
 
+    def covers(self, wavelength_nm: float) -> bool:
+        """Whether the source says something of a wavelength."""
+        assert self.range_nm is not None
+        return self.range_nm[0] <= wavelength_nm <= self.range_nm[1]
+
     def at(self, wavelength_nm: float) -> float:
         """The value at a wavelength.
 
@@ -66,9 +71,8 @@ class Curve:
         SceneError
             When that is outside the range of the source.
         """
-        assert self.range_nm is not None
-        low, high = self.range_nm
-        if not low <= wavelength_nm <= high:
+        if not self.covers(wavelength_nm):
+            low, high = self.range_nm or (0.0, 0.0)
             raise SceneError(f"{wavelength_nm:g} nm is outside {low:g} … {high:g} nm, where {self._author} holds")
         if self.law == "rows":
             return float(np.interp(wavelength_nm, self.wavelengths_nm, self.values))

@@ -58,7 +58,9 @@ class DosePlan:
     def volume_share(self) -> float | None:
         """Of the tank that is particles at the last dose; None where that is not known."""
         beads = self.optics.material.beads
-        return None if beads is None else beads.volume_share() * self.totals_ul[-1] / 1000.0 / self.dilution / self.tank_ml
+        return (
+            None if beads is None else beads.volume_share() * self.totals_ul[-1] / 1000.0 / self.dilution / self.tank_ml
+        )
 
 
 def tank_volume_ml(tank: Tank) -> float:

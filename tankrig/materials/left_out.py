@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.scene.mie import Mie
+from tankrig.scene.phase_functions import Mixture
+from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
 
@@ -43,6 +45,18 @@ class LeftOut:
     def first_order(self, degree: float = 1.0) -> float:
         """Largest relative change of order 1 with light of a degree of polarisation 0 … 1, across or along."""
         return degree * max(abs(one) for one in self.polarisation)
+
+
+def polarised(phase: PhaseFunction) -> float | None:
+    """Largest |P(θ)| over the angles that the camera sees; None where the particles are not known to be spheres."""
+    cosine = np.cos(np.radians(np.linspace(*SEEN_DEG, 41)))
+    if isinstance(phase, Mie):
+        return float(np.abs(phase.polarisation(cosine)).max())
+    if isinstance(phase, Mixture) and all(isinstance(one, Mie) for one in phase.parts):
+        parts = [(share * one.at(cosine), one) for share, one in zip(phase.shares, phase.parts, strict=True)]
+        across = sum(light * one.polarisation(cosine) for light, one in parts if isinstance(one, Mie))
+        return float(np.abs(across / sum(light for light, _ in parts)).max())
+    return None
 
 
 def left_out(mie: Mie, band_nm: float = 20.0) -> LeftOut:

@@ -61,21 +61,16 @@ class Beads:
         )
         require(0.0 < self.solids <= 0.2, f"solids = {self.solids:g} g/ml is outside 0 … 0.2; 1 % solids are 0.01")
 
-    def mie(self, wavelength_nm: float) -> Mie:
-        """Of one bead."""
-        return Mie(
-            self.diameter_um,
-            self.index.at(wavelength_nm),
-            self.water_index.at(wavelength_nm),
-            wavelength_nm,
-            spread=self.spread,
-        )
+    def mie(self, wavelength_nm: float, band_nm: float = 0.0) -> Mie:
+        """Of the beads; with a band, at the indices of its middle."""
+        particle, water = self.index.at(wavelength_nm), self.water_index.at(wavelength_nm)
+        return Mie(self.diameter_um, particle, water, wavelength_nm, self.spread, band_nm)
 
     def volume_share(self) -> float:
         """Of the suspension that is polymer."""
         return self.solids / self.density
 
-    def liquid(self, wavelength_nm: float, index_off: float = 0.0) -> Medium:
+    def liquid(self, wavelength_nm: float, index_off: float = 0.0, band_nm: float = 0.0) -> Medium:
         """The suspension, undiluted: σs = share · ⟨cross-section⟩ / ⟨volume⟩ (independent scattering).
 
         Parameters
@@ -84,22 +79,30 @@ class Beads:
             In vacuum.
         index_off
             By which the particles' index is higher than believed.
+        band_nm
+            Width of the light's band.
         """
-        mie = self.mie(wavelength_nm)
+        mie = self.mie(wavelength_nm, band_nm)
         mie = replace(mie, particle_index=mie.particle_index + index_off)
         volume_um3 = math.pi / 6.0 * self.diameter_um**3 * (1.0 + self.spread**2) ** 3  # ⟨d³⟩ of a log-normal
         per_mm = 1e3 * self.volume_share() * mie.cross_section_um2 / volume_um3
         return Medium(0.0, per_mm, phase=mie)
 
-    def varied(self, wavelength_nm: float) -> dict[str, Medium]:
-        """The suspension with one thing after the other one standard deviation higher, by what that is."""
-        moved = {
-            "diameter": replace(self, diameter_um=self.diameter_um * (1.0 + self.diameter_relative_sd)),
-            "solids": replace(self, solids=self.solids * (1.0 + self.solids_relative_sd)),
-            "density": replace(self, density=self.density * (1.0 + self.density_relative_sd)),
+    def varied(self, wavelength_nm: float, band_nm: float = 0.0) -> dict[str, tuple[Medium, ...]]:
+        """The suspension with one thing after the other a standard deviation higher and lower, by what that is."""
+
+        def liquid(**changed: float) -> Medium:
+            return replace(self, **changed).liquid(wavelength_nm, band_nm=band_nm)
+
+        either = (1.0, -1.0)
+        return {
+            "refractive index": tuple(self.liquid(wavelength_nm, sign * self.index_sd, band_nm) for sign in either),
+            "diameter": tuple(
+                liquid(diameter_um=self.diameter_um * (1.0 + sign * self.diameter_relative_sd)) for sign in either
+            ),
+            "solids": (liquid(solids=self.solids * (1.0 + self.solids_relative_sd)),),
+            "density": (liquid(density=self.density * (1.0 + self.density_relative_sd)),),
         }
-        found = {name: one.liquid(wavelength_nm) for name, one in moved.items()}
-        return {"refractive index": self.liquid(wavelength_nm, self.index_sd), **found}
 
 
 _WATER, _OIL, _DISPERSION = 1.311, 1.451, (1.154e4, -1.132e9)

@@ -56,7 +56,9 @@ stock_option = click.option(
 )
 
 
-def optics_of(name: str, wavelength_nm: float | None, label: tuple[tuple[str, Any], ...] = ()) -> "Optics":
+def optics_of(
+    name: str, wavelength_nm: float | None, label: tuple[tuple[str, Any], ...] = (), band_nm: float = 0.0
+) -> "Optics":
     """A material of the library as a command line asks for it."""
     from tankrig.materials.library import material
     from tankrig.materials.optics import optics
@@ -64,10 +66,12 @@ def optics_of(name: str, wavelength_nm: float | None, label: tuple[tuple[str, An
     found = material(name).labelled(dict(label))
     if wavelength_nm is None:
         raise SceneError(f"{found.name}: its optics depend on the wavelength; give --wavelength in nm, such as 633")
-    return optics(found, wavelength_nm)
+    return optics(found, wavelength_nm, band_nm)
 
 
-@click.group(invoke_without_command=True, epilog="Example: tankrig materials plan intralipid-20 --wavelength 633 --sigma-s 0.02")
+@click.group(
+    invoke_without_command=True, epilog="Example: tankrig materials plan intralipid-20 --wavelength 633 --sigma-s 0.02"
+)
 @json_option
 @click.pass_context
 def materials(ctx: click.Context, as_json: bool) -> None:
@@ -109,10 +113,12 @@ def _span(range_nm: tuple[float, float] | None) -> str:
 @click.option("--band-nm", type=click.FloatRange(min=0.0, min_open=True), default=20.0, show_default=True,
               help="Full width of the projector's colour, for what a band would change.")  # fmt: skip
 @json_option
-def show(name: str, wavelength_nm: float | None, label: tuple[tuple[str, Any], ...], band_nm: float, as_json: bool) -> None:
+def show(
+    name: str, wavelength_nm: float | None, label: tuple[tuple[str, Any], ...], band_nm: float, as_json: bool
+) -> None:
     """Tell what is published of NAME at a wavelength: coefficients, mean cosine, p(90°), uncertainties, sources."""
-    from tankrig.materials.library import material
     from tankrig.materials.left_out import left_out
+    from tankrig.materials.library import material
 
     found = material(name)
     if wavelength_nm is None and not as_json:
@@ -151,11 +157,22 @@ def show(name: str, wavelength_nm: float | None, label: tuple[tuple[str, Any], .
 
 
 def _tell_numbers(numbers: "dict[str, Uncertain]") -> None:
-    words = {"sigma_s": ("σs", "/mm"), "g": ("g", ""), "reduced": ("σs(1−g)", "/mm"), "sideways": ("σs·p(90°)", "/mm/sr")}
+    words = {
+        "sigma_s": ("σs", "/mm"),
+        "g": ("g", ""),
+        "reduced": ("σs(1−g)", "/mm"),
+        "sideways": ("σs·p(90°)", "/mm/sr"),
+    }
     for key, one in numbers.items():
         name, unit = words[key]
-        parts = ", ".join(f"{cause} {100.0 * abs(change / one.value):.1f} %" for cause, change in one.parts.items() if change)
-        click.echo(f"{name:<11} {one.value:.4g} ± {one.sd:.2g}{unit}   ({parts})" if parts else f"{name:<11} {one.value:.4g}{unit}")
+        parts = ", ".join(
+            f"{cause} {100.0 * abs(change / one.value):.1f} %" for cause, change in one.parts.items() if change
+        )
+        click.echo(
+            f"{name:<11} {one.value:.4g} ± {one.sd:.2g}{unit}   ({parts})"
+            if parts
+            else f"{name:<11} {one.value:.4g}{unit}"
+        )
 
 
 def _tell_sources(found: "Material") -> None:
@@ -179,7 +196,9 @@ def _tell_incomplete(found: "Material", wavelength_nm: float, as_json: bool) -> 
 @materials.command(epilog="Example: tankrig materials plan intralipid-20 --wavelength 633 --sigma-s 0.02")
 @click.argument("name")
 @wavelength_option
-@click.option("--sigma-s", type=float, required=True, metavar="PER_MM", help="That the tank is to have at the last dose.")
+@click.option(
+    "--sigma-s", type=float, required=True, metavar="PER_MM", help="That the tank is to have at the last dose."
+)
 @label_option
 @rig_option
 @click.option("--tank-ml", type=click.FloatRange(min=0.0, min_open=True), help="Water in the tank; default: the rig's.")
@@ -216,7 +235,9 @@ def plan(
     if found.dilution > 1:
         click.echo(f"dilute       1 part of it with {found.dilution - 1} parts of water, well mixed, and dose that")
     parts = ", ".join(f"{cause} {100.0 * abs(change / reached.value):.1f} %" for cause, change in reached.parts.items())
-    click.echo(f"dose         {found.totals_ul[-1]:g} µl in all, for σs {reached.value:.4g} ± {reached.sd:.2g}/mm ({parts})")
+    click.echo(
+        f"dose         {found.totals_ul[-1]:g} µl in all, for σs {reached.value:.4g} ± {reached.sd:.2g}/mm ({parts})"
+    )
     click.echo(f"steps        total_ul = [{', '.join(f'{one:g}' for one in found.totals_ul)}]")
     click.echo("             0 is the tank before any dose: photograph it too, for water and dust scatter")
     click.echo(f"to expect    σs {found.per_ml.value:.4g}/mm per ml, g {medium.g:.3f}, p(90°) "
