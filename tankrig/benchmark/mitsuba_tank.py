@@ -57,6 +57,7 @@ def mitsuba_image(scene: Scene, samples: int, seed: int = 0) -> Array:
 
 
 def described(mitsuba: Any, scene: Scene, samples: int) -> dict[str, Any]:
+    """The scene as a dictionary of Mitsuba's, its liquid named "water"."""
     return {
         "type": "scene",
         "integrator": {"type": "volpath", "max_depth": -1},

@@ -109,14 +109,15 @@ def planned(
     stock = optics.sigma_s.value
     if sigma_s > 0.01 * stock:
         raise SceneError(
-            f"{sigma_s:g}/mm is more than a hundredth of the undiluted {optics.material.title}, {stock:.3g}/mm; ask for less"
+            f"{sigma_s:g}/mm is more than a hundredth of what {optics.material.title} has undiluted, {stock:.3g}/mm; "
+            "ask for less"
         )
     undiluted_ul = 1000.0 * sigma_s * tank_ml / stock
     most_ul = min(limits.run_ul, limits.tank_ul) if limits else math.inf
     if undiluted_ul > most_ul:
         raise SceneError(
-            f"{sigma_s:g}/mm takes {undiluted_ul:.0f} µl of {optics.material.title} and the rig allows {most_ul:g}; ask "
-            f"for {sigma_s * most_ul / undiluted_ul:.2g}/mm, or a stronger liquid"
+            f"{sigma_s:g}/mm takes {undiluted_ul:.0f} µl of {optics.material.title} and the rig allows {most_ul:g}; "
+            f"ask for {sigma_s * most_ul / undiluted_ul:.2g}/mm, or a stronger liquid"
         )
     for dilution in DILUTIONS:
         total_ul = undiluted_ul * dilution
@@ -134,9 +135,9 @@ def planned(
 def _totals(total_ul: float, limits: DoseLimits | None, least_ul: float = 0.0) -> tuple[float, ...]:
     """0, then doublings up to the total, none below `least_ul` and no dose above the limit."""
     wanted = [total_ul / 2**halving for halving in range(HALVINGS, -1, -1) if total_ul / 2**halving >= least_ul]
-    most_ul = limits.dose_ul if limits else math.inf
+    most_ul = limits.dose_ul - 0.1 if limits else math.inf  # what rounding may add to a dose
     totals = [0.0]
     for target in wanted:
         begin, steps = totals[-1], math.ceil((target - totals[-1]) / most_ul - 1e-9) or 1
         totals += [begin + (target - begin) * (step + 1) / steps for step in range(steps)]
-    return tuple(round(one, 1) for one in totals)
+    return tuple(math.floor(10.0 * one + 1e-6) / 10.0 for one in totals)

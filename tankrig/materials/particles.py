@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import miepython
 import numpy as np
@@ -91,17 +92,16 @@ class Beads:
     def varied(self, wavelength_nm: float, band_nm: float = 0.0) -> dict[str, tuple[Medium, ...]]:
         """The suspension with one thing after the other a standard deviation higher and lower, by what that is."""
 
-        def liquid(**changed: float) -> Medium:
+        def liquid(name: str, share: float) -> Medium:
+            changed: dict[str, Any] = {name: getattr(self, name) * (1.0 + share)}
             return replace(self, **changed).liquid(wavelength_nm, band_nm=band_nm)
 
         either = (1.0, -1.0)
         return {
             "refractive index": tuple(self.liquid(wavelength_nm, sign * self.index_sd, band_nm) for sign in either),
-            "diameter": tuple(
-                liquid(diameter_um=self.diameter_um * (1.0 + sign * self.diameter_relative_sd)) for sign in either
-            ),
-            "solids": (liquid(solids=self.solids * (1.0 + self.solids_relative_sd)),),
-            "density": (liquid(density=self.density * (1.0 + self.density_relative_sd)),),
+            "diameter": tuple(liquid("diameter_um", sign * self.diameter_relative_sd) for sign in either),
+            "solids": (liquid("solids", self.solids_relative_sd),),
+            "density": (liquid("density", self.density_relative_sd),),
         }
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,8 +102,8 @@ class Validation:
     def verdict(self) -> str:
         """In one sentence or more."""
         sigma_s = self.rows[0]
-        differs = 100.0 * (sigma_s.found / sigma_s.known.value - 1.0)
-        both = f"σs per ml is {differs:+.1f} % off the reference, ± {100.0 * sigma_s.sd / sigma_s.known.value:.1f} % for both together"
+        off, sd = (100.0 * one / sigma_s.known.value for one in (sigma_s.found - sigma_s.known.value, sigma_s.sd))
+        both = f"σs per ml is {off:+.1f} % off the reference, ± {sd:.1f} % for both together"
         return f"Passed: {both}." if self.passed else f"Not passed: {both}. {' '.join(self.doubts)}"
 
 
@@ -165,8 +165,8 @@ def _doubts(found: Validation) -> tuple[str, ...]:
         doubts.append("Whether σs grows in proportion to the dose was not tested; that takes three doses.")
     elif not linearity.holds:
         doubts.append(
-            f"σs does not grow in proportion to the dose: {100.0 * linearity.bend:+.1f} ± {100.0 * linearity.sd:.1f} % at "
-            "the highest, where particles so far apart scatter independently."
+            f"σs does not grow in proportion to the dose: {100.0 * linearity.bend:+.1f} ± "
+            f"{100.0 * linearity.sd:.1f} % at the highest, where particles so far apart scatter independently."
         )
     return tuple(doubts)
 
@@ -187,10 +187,8 @@ def _sd_of(number: Callable[[Medium], float], ink: Medium, covariance: Array) ->
         if name == "g" and ink.phase is not None:
             continue
         near = -1.0 if name == "g" and ink.g + steps[k] >= 1.0 else 1.0
-        moved = [getattr(ink, one) + (near * steps[k] if one == name else 0.0) for one in ("sigma_a", "sigma_s")]
-        g = ink.g + (near * steps[k] if name == "g" else 0.0)
-        there = Medium(*moved, g) if ink.phase is None else Medium(*moved, phase=ink.phase)
-        slopes[k] = (number(there) - value) / (near * steps[k])
+        moved = {name: getattr(ink, name) + near * steps[k]}
+        slopes[k] = (number(replace(ink, **moved)) - value) / (near * steps[k])
     return math.sqrt(max(float(slopes @ covariance @ slopes), 0.0))
 
 
@@ -203,7 +201,7 @@ def _reduced(optics: Optics) -> Uncertain:
 
 
 def _polarised(optics: Optics, degree: float | None) -> float:
-    """Relative standard deviation that the light's polarisation adds: anything up to its largest effect is as likely."""
+    """Relative standard deviation that the light's polarisation adds, all up to its largest effect being as likely."""
     most = polarised(optics.medium.phase_function)
     return (1.0 if most is None else most) * (1.0 if degree is None else degree) / math.sqrt(3.0)
 

@@ -123,21 +123,18 @@ def _linearity(found: Validation) -> str:
         return "Not tested: that takes three doses."
     said = "holds" if bend.holds else "does not hold"
     return (
-        f"In so thin a suspension particles scatter independently, so σs must grow in proportion to the dose: that {said} "
-        f"({100.0 * bend.bend:+.1f} ± {100.0 * bend.sd:.1f} % at the highest dose)."
+        "In so thin a suspension particles scatter independently, so σs must grow in proportion to the dose: that "
+        f"{said} ({100.0 * bend.bend:+.1f} ± {100.0 * bend.sd:.1f} % at the highest dose)."
     )
 
 
 def _phase_words(found: Validation) -> str:
-    reference = (
-        "Mie's of the reference" if found.optics.material.beads or found.optics.shape_sd else "that of the reference"
+    said = "The reference's, with its uncertainty, beside the fit's."
+    if found.series.ink.phase is not None:
+        return said
+    return (
+        f"{said} The fit knows Henyey–Greenstein only, which no such liquid is: its σs and g explain most of the light."
     )
-    if found.series.ink.phase is None:
-        return (
-            f"{reference}, with its uncertainty, beside the fit's. The fit knows Henyey–Greenstein only, of which no such "
-            "liquid is an example: its σs and g are those that explain most of the light with it."
-        )
-    return f"{reference}, with its uncertainty, beside the fit's."
 
 
 def _left_out(found: Validation) -> list[str]:
@@ -149,16 +146,16 @@ def _left_out(found: Validation) -> list[str]:
     if beads is not None:
         bounds = left_out(beads.mie(found.optics.wavelength_nm))
         lines += [
-            f"Polarised light changes order 1 by up to ± {100.0 * bounds.first_order():.0f} %, in proportion to its degree; "
-            "what was said of that is in the uncertainty of the reference.",
+            f"Polarised light changes order 1 by up to ± {100.0 * bounds.first_order():.0f} %, in proportion to its "
+            "degree; what was said of that is in the uncertainty of the reference.",
             f"Light is computed as scalar: order 2 is off by {100.0 * bounds.second_order:+.1f} % for these beads.",
-            f"A band of {bounds.band_nm:g} nm changes σs·p by up to {100.0 * bounds.band:.1f} % where the camera looks.",
+            f"A band of {bounds.band_nm:g} nm changes σs·p by up to {100.0 * bounds.band:.1f} % where the camera "
+            "looks.",
         ]
     structure = max((one.structure or 0.0 for one in found.doses), default=0.0)
     if structure:
-        lines.append(
-            f"Up to {100.0 * structure:.2g} % of a dose's light is not as the fit's model has it, and counted in its errors."
-        )
+        share = f"{100.0 * structure:.2g} %"
+        lines.append(f"Up to {share} of a dose's light is not as the fit's model has it, and counted in its errors.")
     return lines
 
 

@@ -38,8 +38,7 @@ BENCH_DOSES = 3
 @click.option("--bench", is_flag=True, help="On a bench that has to be calibrated first, from lens cap to report.")
 @click.option("--seed", type=click.IntRange(0), help="That the bench is drawn from; default: 0.")
 @click.option("--by-hand", is_flag=True, help="Only make the bench's folder, and say what to type.")
-@click.option("--material", metavar="NAME",
-              help="With a reference liquid in the simulated pump, validated at the end; tankrig materials lists them.")  # fmt: skip
+@click.option("--material", metavar="NAME", help="Pump a reference liquid (tankrig materials), and validate the run.")
 @click.option("--wavelength", "wavelength_nm", type=float, default=633.0, show_default=True, metavar="NM",
               help="Of the light, for the reference liquid.")  # fmt: skip
 @out_option(None, "Folder of the run, or of the bench; default: runs/ and the time.")
@@ -100,7 +99,9 @@ def _planned(name: str, wavelength_nm: float) -> "DosePlan":
 
     description, optics = load_rig_file(SIMULATED), optics_of(name, wavelength_nm)
     tank_ml = tank_volume_ml(description.bench.tank)
-    reachable = 0.99 * optics.sigma_s.value * min(description.limits.run_ul, description.limits.tank_ul) / 1000.0 / tank_ml
+    reachable = (
+        0.99 * optics.sigma_s.value * min(description.limits.run_ul, description.limits.tank_ul) / 1000.0 / tank_ml
+    )
     return planned(optics, min(DENSEST, reachable), tank_ml, limits=description.limits)
 
 

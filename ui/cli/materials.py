@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,8 @@ from tankrig.errors import SceneError
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
+    from tankrig.materials.dosing import DosePlan
+    from tankrig.materials.left_out import LeftOut
     from tankrig.materials.library import Material
     from tankrig.materials.optics import Optics, Uncertain
 
@@ -34,6 +37,8 @@ class LabelLine(click.ParamType[Any]):
             self.fail(f"{value!r} is not KEY=VALUE or KEY=VALUE±SD, such as diameter_um=0.994±0.010", param, ctx)
         return key, (found[0], found[1] if len(found) == 2 else None)
 
+
+WITHOUT_WAVELENGTH = "{name}: its optics depend on the wavelength; give --wavelength in nm, such as 633"
 
 wavelength_option = click.option(
     "--wavelength",
@@ -65,7 +70,7 @@ def optics_of(
 
     found = material(name).labelled(dict(label))
     if wavelength_nm is None:
-        raise SceneError(f"{found.name}: its optics depend on the wavelength; give --wavelength in nm, such as 633")
+        raise SceneError(WITHOUT_WAVELENGTH.format(name=found.name))
     return optics(found, wavelength_nm, band_nm)
 
 
@@ -91,8 +96,7 @@ def _list(as_json: bool) -> None:
 
     rows = all_materials()
     if as_json:
-        listed = [{"name": one.name, "title": one.title, "range_nm": one.range_nm, "note": one.note, "sources": one.sources}
-                  for one in rows]  # fmt: skip
+        listed = [{key: getattr(one, key) for key in ("name", "title", "range_nm", "note", "sources")} for one in rows]
         click.echo(json.dumps(listed, ensure_ascii=False))
         return
     table = Table("name", "nm", "what to know", box=None, pad_edge=False, header_style="bold")
@@ -121,58 +125,68 @@ def show(
     from tankrig.materials.library import material
 
     found = material(name)
-    if wavelength_nm is None and not as_json:
-        _tell_sources(found)
-        click.echo("\nits numbers: give --wavelength in nm, such as 633")
-        return
-    if found.sigma_s is None and found.beads is None and wavelength_nm is not None:
+    if found.sigma_s is None and found.beads is None:
         _tell_incomplete(found, wavelength_nm, as_json)
         return
     optics = optics_of(name, wavelength_nm, label)
-    numbers = {"sigma_s": optics.sigma_s, "g": optics.g, "reduced": optics.reduced, "sideways": optics.sideways}
     beads = optics.material.beads
     out = None if beads is None else left_out(beads.mie(optics.wavelength_nm), band_nm)
     if as_json:
-        fields = {key: {"value": one.value, "sd": one.sd, "parts": dict(one.parts)} for key, one in numbers.items()}
-        said: dict[str, Any] = {"name": optics.material.name, "wavelength_nm": wavelength_nm, **fields}
-        said |= {"sigma_a": optics.medium.sigma_a, "sources": optics.material.sources}
-        if out is not None:
-            said["left_out"] = {"polarisation": out.polarisation, "second_order": out.second_order,
-                                "band": out.band, "band_nm": out.band_nm}  # fmt: skip
-        click.echo(json.dumps(said, ensure_ascii=False))
+        left = {} if out is None else {"left_out": asdict(out)}
+        click.echo(json.dumps(_fields(optics) | left, ensure_ascii=False))
         return
     click.echo(f"{optics.material.title} at {optics.wavelength_nm:g} nm, undiluted\n")
-    _tell_numbers(numbers)
-    if optics.medium.sigma_a:
-        click.echo(f"σa          {optics.medium.sigma_a:.3g}/mm")
+    _tell_numbers(optics)
     if out is not None:
-        least, most = out.polarisation
-        click.echo(
-            f"\npolarised light changes order 1 by up to ± {100.0 * out.first_order():.0f} % "
-            f"(P(80 … 100°) is {least:.2f} … {most:.2f});\nunpolarised light, taken as scalar: order 2 is off by "
-            f"{100.0 * out.second_order:+.1f} %; a band of {out.band_nm:g} nm changes σs·p by up to {100.0 * out.band:.1f} %"
-        )
+        _tell_left_out(out)
     click.echo("")
     _tell_sources(optics.material)
 
 
-def _tell_numbers(numbers: "dict[str, Uncertain]") -> None:
-    words = {
-        "sigma_s": ("σs", "/mm"),
-        "g": ("g", ""),
-        "reduced": ("σs(1−g)", "/mm"),
-        "sideways": ("σs·p(90°)", "/mm/sr"),
+NUMBERS = {
+    "sigma_s": ("σs", "/mm"),
+    "g": ("g", ""),
+    "reduced": ("σs(1−g)", "/mm"),
+    "sideways": ("σs·p(90°)", "/mm/sr"),
+}
+"""Of a material: their symbols and units."""
+
+
+def _fields(optics: "Optics") -> dict[str, Any]:
+    """For `--json`."""
+    numbers = {key: getattr(optics, key) for key in NUMBERS}
+    return {
+        "name": optics.material.name,
+        "wavelength_nm": optics.wavelength_nm,
+        "sigma_a": optics.medium.sigma_a,
+        **{key: {"value": one.value, "sd": one.sd, "parts": dict(one.parts)} for key, one in numbers.items()},
+        "sources": optics.material.sources,
     }
-    for key, one in numbers.items():
-        name, unit = words[key]
-        parts = ", ".join(
-            f"{cause} {100.0 * abs(change / one.value):.1f} %" for cause, change in one.parts.items() if change
-        )
-        click.echo(
-            f"{name:<11} {one.value:.4g} ± {one.sd:.2g}{unit}   ({parts})"
-            if parts
-            else f"{name:<11} {one.value:.4g}{unit}"
-        )
+
+
+def _tell_numbers(optics: "Optics") -> None:
+    for key, (symbol, unit) in NUMBERS.items():
+        one = getattr(optics, key)
+        parts = _parts(one)
+        click.echo(f"{symbol:<11} {one.value:.4g}" + (f" ± {one.sd:.2g}{unit}   ({parts})" if parts else unit))
+    if optics.medium.sigma_a:
+        click.echo(f"σa          {optics.medium.sigma_a:.3g}/mm")
+
+
+def _parts(number: "Uncertain") -> str:
+    """What an uncertainty is made of, as shares of the number."""
+    shares = {cause: 100.0 * abs(change / number.value) for cause, change in number.parts.items()}
+    return ", ".join(f"{cause} {share:.1f} %" for cause, share in shares.items() if share > 0.05)
+
+
+def _tell_left_out(out: "LeftOut") -> None:
+    least, most = out.polarisation
+    click.echo(
+        f"\npolarised light changes order 1 by up to ± {100.0 * out.first_order():.0f} % "
+        f"(P(80 … 100°) is {least:.2f} … {most:.2f});\n"
+        f"unpolarised light, taken as scalar: order 2 is off by {100.0 * out.second_order:+.1f} %;\n"
+        f"a band of {out.band_nm:g} nm changes σs·p by up to {100.0 * out.band:.1f} %"
+    )
 
 
 def _tell_sources(found: "Material") -> None:
@@ -181,14 +195,16 @@ def _tell_sources(found: "Material") -> None:
         click.echo(f"  {what}: {source}")
 
 
-def _tell_incomplete(found: "Material", wavelength_nm: float, as_json: bool) -> None:
+def _tell_incomplete(found: "Material", wavelength_nm: float | None, as_json: bool) -> None:
     """Of a liquid of which only σs(1−g) is published, or nothing."""
-    reduced = None if found.reduced is None else found.reduced.at(wavelength_nm)
+    if found.reduced is not None and wavelength_nm is None:
+        raise SceneError(WITHOUT_WAVELENGTH.format(name=found.name))
+    reduced = None if found.reduced is None or wavelength_nm is None else found.reduced.at(wavelength_nm)
     if as_json:
         click.echo(json.dumps({"name": found.name, "wavelength_nm": wavelength_nm, "reduced": reduced,
                                "note": found.note, "sources": found.sources}, ensure_ascii=False))  # fmt: skip
         return
-    if found.reduced is not None:
+    if found.reduced is not None and wavelength_nm is not None:
         click.echo(f"σs(1−g)     {reduced:.4g} ± {found.reduced.uncertainty(wavelength_nm):.2g}/mm")
     _tell_sources(found)
 
@@ -196,9 +212,7 @@ def _tell_incomplete(found: "Material", wavelength_nm: float, as_json: bool) -> 
 @materials.command(epilog="Example: tankrig materials plan intralipid-20 --wavelength 633 --sigma-s 0.02")
 @click.argument("name")
 @wavelength_option
-@click.option(
-    "--sigma-s", type=float, required=True, metavar="PER_MM", help="That the tank is to have at the last dose."
-)
+@click.option("--sigma-s", type=float, required=True, metavar="PER_MM", help="Of the tank at the last dose.")
 @label_option
 @rig_option
 @click.option("--tank-ml", type=click.FloatRange(min=0.0, min_open=True), help="Water in the tank; default: the rig's.")
@@ -220,28 +234,45 @@ def plan(
     description = load_rig_file(rig or SIMULATED)
     tank = calibrated_bench(description).tank if rig else description.bench.tank
     found = planned(optics, sigma_s, tank_ml or tank_volume_ml(tank), limits=description.limits, least_ul=least_ul)
-    medium, reached = optics.medium, found.sigma_s
-    across = reached.value * tank.size_mm[0]
     if as_json:
-        click.echo(json.dumps({
-            "name": optics.material.name, "wavelength_nm": optics.wavelength_nm, "tank_ml": found.tank_ml,
-            "dilution": found.dilution, "totals_ul": list(found.totals_ul), "sigma_s": reached.value,
-            "sigma_s_sd": reached.sd, "sigma_s_parts": dict(reached.parts), "sigma_s_per_ml": found.per_ml.value,
-            "g": medium.g, "p90": float(medium.phase_function.at(0.0)), "across_mean_free_paths": across,
-        }))  # fmt: skip
+        click.echo(json.dumps(_planned_fields(found)))
         return
-    click.echo(f"{optics.material.title} at {optics.wavelength_nm:g} nm into {found.tank_ml:.0f} ml"
-               + ("" if rig else " (the simulated rig)"))  # fmt: skip
+    where = "" if rig else " (the simulated rig)"
+    click.echo(f"{optics.material.title} at {optics.wavelength_nm:g} nm into {found.tank_ml:.0f} ml{where}")
+    _tell_plan(found, tank.size_mm[0])
+
+
+def _planned_fields(found: "DosePlan") -> dict[str, Any]:
+    """For `--json`."""
+    optics, reached = found.optics, found.sigma_s
+    return {
+        "name": optics.material.name,
+        "wavelength_nm": optics.wavelength_nm,
+        "tank_ml": found.tank_ml,
+        "dilution": found.dilution,
+        "totals_ul": list(found.totals_ul),
+        "sigma_s": reached.value,
+        "sigma_s_sd": reached.sd,
+        "sigma_s_parts": dict(reached.parts),
+        "sigma_s_per_ml": found.per_ml.value,
+        "g": optics.medium.g,
+        "p90": float(optics.medium.phase_function.at(0.0)),
+    }
+
+
+def _tell_plan(found: "DosePlan", length_mm: float) -> None:
+    medium, reached = found.optics.medium, found.sigma_s
     if found.dilution > 1:
         click.echo(f"dilute       1 part of it with {found.dilution - 1} parts of water, well mixed, and dose that")
-    parts = ", ".join(f"{cause} {100.0 * abs(change / reached.value):.1f} %" for cause, change in reached.parts.items())
+    total_ul, steps = found.totals_ul[-1], ", ".join(f"{one:g}" for one in found.totals_ul)
+    p90 = float(medium.phase_function.at(0.0))
     click.echo(
-        f"dose         {found.totals_ul[-1]:g} µl in all, for σs {reached.value:.4g} ± {reached.sd:.2g}/mm ({parts})"
+        f"dose         {total_ul:g} µl in all, for σs {reached.value:.4g} ± {reached.sd:.2g}/mm ({_parts(reached)})\n"
+        f"steps        total_ul = [{steps}]\n"
+        "             0 is the tank before any dose: photograph it too, for water and dust scatter\n"
+        f"to expect    σs {found.per_ml.value:.4g}/mm per ml, g {medium.g:.3f}, p(90°) {p90:.4f}/sr; along the tank "
+        f"{reached.value * length_mm:.2g} scatterings at the last dose"
     )
-    click.echo(f"steps        total_ul = [{', '.join(f'{one:g}' for one in found.totals_ul)}]")
-    click.echo("             0 is the tank before any dose: photograph it too, for water and dust scatter")
-    click.echo(f"to expect    σs {found.per_ml.value:.4g}/mm per ml, g {medium.g:.3f}, p(90°) "
-               f"{float(medium.phase_function.at(0.0)):.4f}/sr, {across:.2g} scatterings across the tank at the last dose")  # fmt: skip
     share = found.volume_share
     if share is not None and share > 0.01:
         click.echo("             particles are more than 1 % of the volume and no longer scatter independently")

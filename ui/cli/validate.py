@@ -25,8 +25,11 @@ if TYPE_CHECKING:
               help="Standard deviation of that volume, as a share of it.")  # fmt: skip
 @click.option("--band-nm", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
               help="Full width at half maximum of the light's band.")  # fmt: skip
-@click.option("--polarisation", type=click.FloatRange(0.0, 1.0),
-              help="Largest degree of the light's linear polarisation, 0 for none; default: unknown, so all is possible.")  # fmt: skip
+@click.option(
+    "--polarisation",
+    type=click.FloatRange(0.0, 1.0),
+    help="Largest degree of the light's linear polarisation, 0 for none; default: unknown, so all is possible.",
+)
 @click.option("--quick", is_flag=True, help="Leave out what RUN has not fitted instead of fitting it.")
 @out_option(None, "The .html file, or a folder for it; default: validation.html in RUN.")
 @json_option
