@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from functools import cache
 
 import miepython
 import numpy as np
@@ -29,6 +30,7 @@ LIMITS = DoseLimits(1000.0, 4000.0, 4000.0)
 BEADS, LIPID = "polystyrene-1.0", "intralipid-20"
 
 
+@cache
 def at(name: str, wavelength_nm: float = 633.0) -> Optics:
     return optics(material(name), wavelength_nm)
 
