@@ -77,12 +77,16 @@ def left_out(mie: Mie, band_nm: float = 20.0) -> LeftOut:
     """
     cosine = np.cos(np.radians(np.linspace(*SEEN_DEG, 41)))
     polarisation = mie.polarisation(cosine)
-    whole = replace(mie, band_nm=0.0)
-    banded = replace(mie, band_nm=band_nm)
-    light = whole.cross_section_um2 * whole.at(cosine)
-    changed = banded.cross_section_um2 * banded.at(cosine) / light - 1.0
     ends = float(polarisation.min()), float(polarisation.max())
-    return LeftOut(ends, second_order(whole), float(np.abs(changed).max()), band_nm)
+    return LeftOut(ends, second_order(mie), band_change(mie, band_nm), band_nm)
+
+
+def band_change(mie: Mie, band_nm: float) -> float:
+    """Largest relative change of σs p(θ), over the angles that the camera sees, when light has a band of that width."""
+    cosine = np.cos(np.radians(np.linspace(*SEEN_DEG, 41)))
+    one, banded = replace(mie, band_nm=0.0), replace(mie, band_nm=band_nm)
+    changed = banded.cross_section_um2 * banded.at(cosine) / (one.cross_section_um2 * one.at(cosine)) - 1.0
+    return float(np.abs(changed).max())
 
 
 def second_order(mie: Mie) -> float:
@@ -91,8 +95,8 @@ def second_order(mie: Mie) -> float:
     Light enters along x and leaves along z, as in the tank; φ is the angle between the two planes of scattering, and
     all directions in between count alike, as they do over a whole image of a thin tank.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(400)
-    azimuth = (np.arange(720) + 0.5) * math.pi / 360.0
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    azimuth = (np.arange(360) + 0.5) * math.pi / 180.0
     first = nodes[:, None]  # cosine between x and the direction in between
     across = np.sqrt(1.0 - first**2)
     second = across * np.cos(azimuth)  # and between it and z
