@@ -72,7 +72,7 @@ def left_out(mie: Mie, band_nm: float = 20.0) -> LeftOut:
     Examples
     --------
     >>> small = left_out(Mie(0.05, 1.59, 1.33, 633.0))
-    >>> small.polarisation[1] > 0.99, small.second_order > 0.05
+    >>> small.polarisation[1] > 0.99, small.second_order < -0.05
     (True, True)
     """
     cosine = np.cos(np.radians(np.linspace(*SEEN_DEG, 41)))

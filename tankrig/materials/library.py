@@ -146,7 +146,7 @@ def material(name: str) -> Material:
     ('Intralipid 20 %', 'polystyrene beads, 0.75 µm')
     >>> material("intralipid20")
     Traceback (most recent call last):
-    tankrig.errors.SceneError: material "intralipid20" is unknown; did you mean "intralipid-20" ...?
+    tankrig.errors.SceneError: material "intralipid20" is unknown; did you mean "intralipid-20", ...?
     """
     library = _read()
     wanted = name.strip().lower()

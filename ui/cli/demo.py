@@ -127,10 +127,14 @@ def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bo
 
 def _validate(path: Path, liquid: "DosePlan", as_json: bool) -> None:
     """As `tankrig validate` does; the simulated light is unpolarised."""
+    from tankrig.live.refit import refit
     from tankrig.report import validation_of, write_validation
     from tankrig.run.reading import open_run
+    from ui.cli.refit import progress_shown
     from ui.cli.validate import fields_of, tell
 
+    with progress_shown() as told:
+        refit(path, progress=told)  # what a slow machine had no time for while the run went on
     found = validation_of(open_run(path), liquid.optics, stock=liquid.dilution, polarisation=0.0)
     file = write_validation(path, found)
     if as_json:
