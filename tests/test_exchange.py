@@ -105,9 +105,26 @@ def test_a_scenes_liquid_comes_out_as_it_went_in(tmp_path: Path) -> None:
     assert "+- 0.0001" in exported(fitted, "csv")
 
 
+def test_a_fitted_curve_is_exported_as_that_liquid(tmp_path: Path) -> None:
+    """Of a fit that weighed families only the curve at some angles is kept; by g alone it would be another liquid."""
+    angle = np.array([0.0, 2.0, 5.0, *np.arange(10.0, 181.0, 5.0)])
+    value = BEAD.at(np.cos(np.radians(angle)))
+    curve = {"families": {"mie": 0.7, "free": 0.3}, "angle_deg": angle.tolist(), "value": value.tolist()}
+    fit = {"medium": {"sigma_a": 0.001, "sigma_s": 0.02, "g": BEAD.mean_cosine}, "phase": curve}
+    (tmp_path / "fit.json").write_text(json.dumps(fit))
+    found = liquid_of(tmp_path / "fit.json").medium
+    assert found.g == pytest.approx(BEAD.mean_cosine, abs=0.005)
+    seen = np.cos(np.radians(np.linspace(60.0, 120.0, 25)))
+    assert found.phase_function.at(seen) == pytest.approx(BEAD.at(seen), rel=0.05)
+    fit["phase"] = {**curve, "families": {"hg": 1.0}}
+    (tmp_path / "fit.json").write_text(json.dumps(fit))
+    assert liquid_of(tmp_path / "fit.json").medium.phase is None
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        ('{"medium": {"sigma_a": 1, "sigma_s": 1, "g": 0}, "phase": {"angle_deg": [0, 1]}}', "is no curve"),
         ("{", "is not JSON"),
         ('{"medium": 3}', "holds no fitted medium"),
         ('{"medium": {"sigma_a": 1}}', "missing"),

