@@ -225,7 +225,8 @@ def plan(
 ) -> None:  # fmt: skip
     """Say how much of NAME the rig's tank needs, in which doses, how sure that is, and what to expect.
 
-    The doses keep to the rig's limits; without a rig file they are for the simulated rig.
+    The doses keep to the rig's limits. Without a rig file they are for the simulated rig; with --tank-ml and no rig
+    file, for a tank of that volume and a pump without limits.
     """
     from drivers.rig import SIMULATED, calibrated_bench, load_rig_file
     from tankrig.materials.dosing import planned, tank_volume_ml
@@ -233,13 +234,15 @@ def plan(
     optics = optics_of(name, wavelength_nm, label)
     description = load_rig_file(rig or SIMULATED)
     tank = calibrated_bench(description).tank if rig else description.bench.tank
-    found = planned(optics, sigma_s, tank_ml or tank_volume_ml(tank), limits=description.limits, least_ul=least_ul)
+    bare = rig is None and tank_ml is not None
+    limits = None if bare else description.limits
+    found = planned(optics, sigma_s, tank_ml or tank_volume_ml(tank), limits=limits, least_ul=least_ul)
     if as_json:
         click.echo(json.dumps(_planned_fields(found)))
         return
-    where = "" if rig else " (the simulated rig)"
+    where = "" if rig or bare else " (the simulated rig)"
     click.echo(f"{optics.material.title} at {optics.wavelength_nm:g} nm into {found.tank_ml:.0f} ml{where}")
-    _tell_plan(found, tank.size_mm[0])
+    _tell_plan(found, None if bare else tank.size_mm[0])
 
 
 def _planned_fields(found: "DosePlan") -> dict[str, Any]:
@@ -260,7 +263,7 @@ def _planned_fields(found: "DosePlan") -> dict[str, Any]:
     }
 
 
-def _tell_plan(found: "DosePlan", length_mm: float) -> None:
+def _tell_plan(found: "DosePlan", length_mm: float | None) -> None:
     medium, reached = found.optics.medium, found.sigma_s
     if found.dilution > 1:
         click.echo(f"dilute       1 part of it with {found.dilution - 1} parts of water, well mixed, and dose that")
@@ -270,8 +273,12 @@ def _tell_plan(found: "DosePlan", length_mm: float) -> None:
         f"dose         {total_ul:g} µl in all, for σs {reached.value:.4g} ± {reached.sd:.2g}/mm ({_parts(reached)})\n"
         f"steps        total_ul = [{steps}]\n"
         "             0 is the tank before any dose: photograph it too, for water and dust scatter\n"
-        f"to expect    σs {found.per_ml.value:.4g}/mm per ml, g {medium.g:.3f}, p(90°) {p90:.4f}/sr; along the tank "
-        f"{reached.value * length_mm:.2g} scatterings at the last dose"
+        f"to expect    σs {found.per_ml.value:.4g}/mm per ml, g {medium.g:.3f}, p(90°) {p90:.4f}/sr"
+        + (
+            ""
+            if length_mm is None
+            else f"; {reached.value * length_mm:.2g} scatterings along the tank at the last dose"
+        )
     )
     share = found.volume_share
     if share is not None and share > 0.01:
