@@ -111,7 +111,7 @@ def _curve(curve: Mapping[str, Any], name: str) -> Tabulated:
         angle = np.array(curve["angle_deg"], float)
         log = np.log(np.array(curve["value"], float))
         fine = np.linspace(180.0, 0.0, 1441)
-        p = np.exp(CubicSpline(angle, log, bc_type=((1, 0.0), (1, 0.0)))(fine))
+        p = np.exp(CubicSpline(angle, log, bc_type="clamped")(fine))
     except (KeyError, TypeError, ValueError) as error:
         raise SceneError(f'{name}: its "phase" is no curve of angle_deg and value; fit again') from error
     cosine = np.cos(np.radians(fine))
