@@ -48,7 +48,7 @@ def figure() -> Figure:
         middle.semilogx(sizes, off, color=colour, linewidth=1.2, label=f"{wavelength_nm:g} nm")
     left.axvspan(*SEEN_DEG, color="#e69f00", alpha=0.12, linewidth=0.0)
     left.set(title="P(θ) of beads at 532 nm", xlabel="θ (°)", xlim=(0.0, 180.0), ylim=(-1.0, 1.0))
-    middle.set(title="order 2, scalar light's error (%)", xlabel="diameter (µm)")
+    middle.set(title="order 2, changed by its own polarisation (%)", xlabel="diameter (µm)")
     middle.set_xticks((0.05, 0.1, 0.2, 0.5, 1.0, 2.0), ("0.05", "0.1", "0.2", "0.5", "1", "2"))
     right.set(title="σs p(80 … 100°), changed by a band (%)", xlabel="full width of the band (nm)", xlim=(0.0, 60.0))
     for axes in (left, middle, right):

@@ -184,7 +184,7 @@ def _tell_left_out(out: "LeftOut") -> None:
     click.echo(
         f"\npolarised light changes order 1 by up to ± {100.0 * out.first_order():.0f} % "
         f"(P(80 … 100°) is {least:.2f} … {most:.2f});\n"
-        f"unpolarised light, taken as scalar: order 2 is off by {100.0 * out.second_order:+.1f} %;\n"
+        f"order 2 differs from that of scalar light by {100.0 * out.second_order:+.1f} %, polarised by order 1;\n"
         f"a band of {out.band_nm:g} nm changes σs·p by up to {100.0 * out.band:.1f} %"
     )
 
