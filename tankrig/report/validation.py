@@ -148,7 +148,8 @@ def _left_out(found: Validation) -> list[str]:
         lines += [
             f"Polarised light changes order 1 by up to ± {100.0 * bounds.first_order():.0f} %, in proportion to its "
             "degree; what was said of that is in the uncertainty of the reference.",
-            f"Light is computed as scalar: of these beads order 2 differs from that by {100.0 * bounds.second_order:+.1f} %.",
+            "Light is computed as scalar: that of order 2, polarised by order 1, differs from it by "
+            f"{100.0 * bounds.second_order:+.1f} %.",
             f"A band of {bounds.band_nm:g} nm changes σs·p by up to {100.0 * bounds.band:.1f} % where the camera "
             "looks.",
         ]
