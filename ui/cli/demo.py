@@ -99,15 +99,15 @@ def _planned(name: str, wavelength_nm: float) -> "DosePlan":
 
     description, optics = load_rig_file(SIMULATED), optics_of(name, wavelength_nm)
     tank_ml = tank_volume_ml(description.bench.tank)
-    reachable = (
-        0.99 * optics.sigma_s.value * min(description.limits.run_ul, description.limits.tank_ul) / 1000.0 / tank_ml
-    )
+    most_ml = 0.99e-3 * min(description.limits.run_ul, description.limits.tank_ul)
+    reachable = optics.sigma_s.value * most_ml / tank_ml
     return planned(optics, min(DENSEST, reachable), tank_ml, limits=description.limits)
 
 
 def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bool) -> int:
     """On the ideal rig."""
     from tankrig.run.start import require_place
+    from tankrig.run.state import FinishReason
     from ui.cli.run import carry_out, open_runner, tell
 
     began = time.perf_counter()
@@ -118,18 +118,25 @@ def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bo
     description = _rig(path, TRUTH if liquid is None else _truth(liquid))
     runner = open_runner(sequence, path, description)
     click.echo("a dilution series on the simulated rig; nothing real moves", err=True)
-    status = tell(carry_out(runner, fit=True), description, fit=True, as_json=as_json and liquid is None)
-    if liquid is not None and status == 0:
-        _validate(path, liquid, as_json)
+    outcome = carry_out(runner, fit=True)
+    if liquid is None:
+        status = tell(outcome, description, fit=True, as_json=as_json)
+    elif outcome.error is not None:
+        raise outcome.error
+    else:
+        status = 0 if outcome.reason is FinishReason.COMPLETED else 1
+        if status == 0:
+            _validate(path, description, liquid, as_json)
     click.echo(f"took {time.perf_counter() - began:.0f} s", err=True)
     return status
 
 
-def _validate(path: Path, liquid: "DosePlan", as_json: bool) -> None:
+def _validate(path: Path, description: "RigFile", liquid: "DosePlan", as_json: bool) -> None:
     """As `tankrig validate` does; the simulated light is unpolarised."""
     from tankrig.live.refit import refit
     from tankrig.report import validation_of, write_validation
     from tankrig.run.reading import open_run
+    from ui.cli.fits import fits_of, tell_fits
     from ui.cli.refit import progress_shown
     from ui.cli.validate import fields_of, tell
 
@@ -140,8 +147,9 @@ def _validate(path: Path, liquid: "DosePlan", as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(fields_of(found) | {"run": str(path), "report": str(file)}, ensure_ascii=False))
     else:
+        tell_fits(fits_of(path, description))
         tell(found)
-        click.echo(f"validation: {file}")
+        click.echo(f"completed: {path}, compared with {liquid.optics.material.title} in {file}")
 
 
 def _truth(liquid: "DosePlan") -> str:
