@@ -50,3 +50,42 @@ def test_a_run_that_is_there_already_is_not_written_into(tmp_path: Path, capsys:
     assert main(["demo", "--out", str(tmp_path / "demo")]) == 2
     assert str(tmp_path / "demo") in capsys.readouterr().err
     assert [file.name for file in (tmp_path / "demo").iterdir()] == ["keep"]
+
+
+@pytest.mark.long
+def test_a_demo_of_beads_says_passed_only_where_it_found_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The tank scatters as Mie says; what a fit makes of that must not be called the reference unless it is."""
+    path = tmp_path / "beads"
+    assert main(["demo", "--material", "polystyrene-1.0", "--doses", "3", "--out", str(path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    row = found["rows"]["σs per ml"]
+    assert row["reference"] * 4608.0 == pytest.approx(35.2, rel=0.01)
+    apart = abs(row["found"] - row["reference"]) / row["reference"]
+    assert not found["passed"] or apart < 0.1
+    assert row["says"] != "agrees" or apart < 0.2
+    assert Path(found["report"]).name == "validation.html"
+
+
+def test_a_reference_liquid_in_the_demos_tank_is_the_librarys(tmp_path: Path) -> None:
+    """A twin with Henyey–Greenstein of the same g would show what no bead does."""
+    from drivers.rig import true_liquids
+    from ui.cli.demo import _planned, _rig, _truth
+
+    for name in ("polystyrene-1.0", "intralipid-20", "milk-regular"):
+        plan = _planned(name, 540.0)
+        liquids = true_liquids(_rig(tmp_path / name, _truth(plan)))
+        assert liquids is not None
+        ink, reference = liquids[1], plan.optics.medium
+        assert ink.sigma_s * plan.tank_ml * plan.dilution == pytest.approx(reference.sigma_s)
+        assert ink.phase_function.moments(3) == pytest.approx(reference.phase_function.moments(3), abs=1e-4)
+        assert ink.phase_function.at(0.0) == pytest.approx(reference.phase_function.at(0.0), rel=2e-3)
+
+
+def test_an_unknown_liquid_for_the_demo_is_refused_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["demo", "--material", "polystirene-1.0", "--out", str(tmp_path / "demo")]) == 2
+    assert "polystyrene-1.0" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

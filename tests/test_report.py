@@ -129,3 +129,42 @@ def test_the_command_says_where_the_report_is(
     assert main(["report", str(run), "--json", "--out", str(run / "r.html")]) == 0
     assert json.loads(capsys.readouterr().out)["report"] == str(run / "r.html")
     assert (run / "r.html").read_text(encoding="utf-8") == "<p>drawn elsewhere</p>"
+
+
+def test_a_run_is_compared_with_a_reference_liquid(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its own σs per ml, 0.08/mm, is five times that of Intralipid in 4.6 l: nobody must read that it passed."""
+    command = ["validate", str(run), "--material", "intralipid-20", "--wavelength", "633", "--quick", "--json"]
+    assert main([*command, "--polarisation", "0", "--out", str(tmp_path)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    row = found["rows"]["σs per ml"]
+    assert (row["found"], row["found_sd"]) == pytest.approx((0.08, 1e-4))
+    assert row["reference"] == pytest.approx(74.66 / 4608.0, rel=1e-3)
+    assert row["says"] == "disagrees"
+    assert found["passed"] is False
+    page = (tmp_path / "validation.html").read_text(encoding="utf-8")
+    assert "<h2>Not passed</h2>" in page
+    assert re.search(r"0\.0800+ ± 0\.0001", page)
+    assert "Michels, Foschum and Kienle 2008" in page
+    assert page.count("data:image") == 2
+    assert not re.search(r'(src|href)="http', page)
+    # With the stock diluted as much as that, the same run agrees; but two doses test no proportion.
+    other = [*command, "--tank-ml", str(74.66 / 0.08), "--polarisation", "0", "--out", str(tmp_path)]
+    assert main(other) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["rows"]["σs per ml"]["says"] == "agrees"
+    assert found["passed"] is False
+    assert "three doses" in found["verdict"]
+
+
+def test_a_runs_liquid_is_exported_by_dose(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The wrong dose's coefficients would be twice or half as large."""
+    file = tmp_path / "liquid.json"
+    assert main(["export-medium", str(run), "--to", "mcx", "--dose-ml", "0.1", "--out", str(file)]) == 0
+    assert json.loads(file.read_text())["Domain"]["Media"][1]["mus"] == pytest.approx(0.008)
+    assert main(["export-medium", str(run), "--to", "mcx", "--out", str(file)]) == 0
+    assert json.loads(file.read_text())["Domain"]["Media"][1]["mus"] == pytest.approx(0.016)
+    capsys.readouterr()
+    assert main(["export-medium", str(run), "--to", "mcx", "--dose-ml", "3", "--out", str(file)]) == 2
+    assert "there is 0.1, 0.2" in capsys.readouterr().err

@@ -13,7 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
+from tankrig.exchange.even_cosines import even_cosines
 from tankrig.scene import Scene
+from tankrig.scene.phase_functions import HenyeyGreenstein
+from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
 
@@ -49,11 +52,12 @@ def mitsuba_image(scene: Scene, samples: int, seed: int = 0) -> Array:
     except ImportError as error:
         raise SceneError("Mitsuba 3 is not installed; pip install tankrig[mitsuba]") from error
     mitsuba.set_variant("llvm_ad_rgb" if "DRJIT_LIBLLVM_PATH" in os.environ else "scalar_rgb")
-    image = mitsuba.render(mitsuba.load_dict(_described(mitsuba, scene, samples)), seed=seed)
+    image = mitsuba.render(mitsuba.load_dict(described(mitsuba, scene, samples)), seed=seed)
     return np.asarray(image, np.float64)[::-1, :, 0]  # its first row is the top one
 
 
-def _described(mitsuba: Any, scene: Scene, samples: int) -> dict[str, Any]:
+def described(mitsuba: Any, scene: Scene, samples: int) -> dict[str, Any]:
+    """The scene as a dictionary of Mitsuba's, its liquid named "water"."""
     return {
         "type": "scene",
         "integrator": {"type": "volpath", "max_depth": -1},
@@ -63,6 +67,12 @@ def _described(mitsuba: Any, scene: Scene, samples: int) -> dict[str, Any]:
     }
 
 
+def _phase(phase: PhaseFunction) -> dict[str, Any]:
+    if isinstance(phase, HenyeyGreenstein):
+        return {"type": "hg", "g": phase.g}
+    return {"type": "tabphase", "values": ", ".join(f"{value:.6g}" for value in even_cosines(phase)[1])}
+
+
 def _faces(mitsuba: Any, scene: Scene) -> dict[str, Any]:
     """Six rectangles that look outwards, of nothing but the water's surface where that is Fresnel's."""
     length, width, height = scene.tank.size_mm
@@ -70,7 +80,7 @@ def _faces(mitsuba: Any, scene: Scene) -> dict[str, Any]:
         "type": "homogeneous",
         "sigma_t": scene.medium.sigma_t,
         "albedo": scene.medium.albedo,
-        "phase": {"type": "hg", "g": scene.medium.g},
+        "phase": _phase(scene.medium.phase_function),
     }
     middle = np.array([0.5 * length, 0.0, 0.5 * height])
     half = np.array([0.5 * length, 0.5 * width, 0.5 * height])

@@ -1,7 +1,5 @@
 """`write_report`: a run as one page that needs nothing but itself."""
 
-import base64
-import io
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -16,13 +14,14 @@ from tankrig.live.exposures import Photograph, PhotographPlan
 from tankrig.live.formatting import with_error
 from tankrig.live.results import DoseFit
 from tankrig.report import curves, pictures
+from tankrig.report.inlined import inlined, rendered
 from tankrig.report.results import Results, results_of
 from tankrig.report.settings import settings_of, skipped_of
 from tankrig.report.timing import spans_of, totals
 from tankrig.run.reading import Run, open_run
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 WORDS = {"1": "order 1", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders"}
 
@@ -64,7 +63,6 @@ def write_report(path: Path, out: Path | None = None, progress: Callable[[str], 
 
 def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> str:
     """The report as HTML."""
-    import jinja2
     import matplotlib as mpl
 
     results = results_of(run)
@@ -74,16 +72,15 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
     progress("drawing")
     with mpl.rc_context(STYLE):
         shown = {
-            "observations": _inline(pictures.observations(results.photographs)),
-            "coefficients": _inline(curves.coefficients(results.doses, results.series), "svg"),
-            "timeline": _inline(curves.timeline(spans), "svg"),
+            "observations": inlined(pictures.observations(results.photographs)),
+            "coefficients": inlined(curves.coefficients(results.doses, results.series), "svg"),
+            "timeline": inlined(curves.timeline(spans), "svg"),
         }
         rebuilt, faintest = _reconstructions(results, progress)
-    loader = jinja2.PackageLoader("tankrig.report", "")
-    template = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("page.html")
     began = run.journal[0].moment.utc[:19].replace("T", " ") if run.journal else "?"
     ending = run.end["reason"] if run.end else "not finished"
-    return template.render(
+    return rendered(
+        "page.html",
         title=str(run.settings.get("name", run.path.name)),
         subtitle=f"{run.path.name} · {run.settings.get('rig', '')} · {began} UTC · {ending}",
         headline=_headline(results),
@@ -100,14 +97,6 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
         settings=settings_of(run),
         footer=f"made by tankrig {version('tankrig')}",
     )
-
-
-def _inline(figure: "Figure", kind: str = "png") -> str:
-    """A figure as a data address."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, dpi=110)
-    text = base64.b64encode(buffer.getvalue()).decode()
-    return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{text}"
 
 
 def _headline(results: Results) -> list[dict[str, str]]:
@@ -172,7 +161,7 @@ def _reconstructions(results: Results, progress: Callable[[str], None]) -> tuple
         rebuilt.append({
             "dose": f"{one.dose_ml:.4g}",
             "rmse": ", ".join(rmses),
-            "picture": _inline(pictures.reconstructions(one, steps)),
+            "picture": inlined(pictures.reconstructions(one, steps)),
             "open": one in (shown[0], shown[-1]),
         })  # fmt: skip
     return rebuilt, bound

@@ -61,6 +61,15 @@ class Mie(PhaseFunction):
         """See `PhaseFunction.density`."""
         return np.asarray(np.interp(np.sqrt(0.5 - 0.5 * cosine), sines(), _spheres(self)[1]))
 
+    def polarisation(self, cosine: Array) -> Array:
+        """P(cos θ) = (|S₁|² − |S₂|²) / (|S₁|² + |S₂|²): how far unpolarised light is polarised by one scattering.
+
+        1: all across the plane of scattering; −1: all in it (Bohren and Huffman 1983, Eq. 4.78).
+        """
+        _, density, across = _spheres(self)
+        sine = np.sqrt(np.clip(0.5 - 0.5 * np.asarray(cosine, float), 0.0, 1.0))
+        return np.asarray(2.0 * np.interp(sine, sines(), across) / np.interp(sine, sines(), density) - 1.0)
+
     @cached_property
     def cross_section_um2(self) -> float:
         """Mean scattering cross-section of a sphere, µm²."""
@@ -68,8 +77,11 @@ class Mie(PhaseFunction):
 
 
 @lru_cache(maxsize=64)
-def _spheres(mie: Mie) -> tuple[float, Array]:
-    """Mean scattering cross-section in µm², and p at the nodes, by the coefficients of Mie's series."""
+def _spheres(mie: Mie) -> tuple[float, Array, Array]:
+    """Mean scattering cross-section in µm², p at the nodes, and the part of it that is across the plane of scattering.
+
+    By the coefficients of Mie's series.
+    """
     import miepython
 
     ratio = mie.particle_index / mie.water_index
@@ -77,16 +89,17 @@ def _spheres(mie: Mie) -> tuple[float, Array]:
              for wavelength, light in _band(mie) for diameter, number in _diameters(mie)]  # fmt: skip
     series = [miepython.coefficients(ratio, 0.5 * diameter * per_um) for _, diameter, per_um in kinds]
     odd, even = _angular(max(len(a) for a, _ in series))
-    total, density = 0.0, np.zeros(NODES)
+    total, density, polarised = 0.0, np.zeros(NODES), np.zeros(NODES)
     for (share, _, per_um), (a, b) in zip(kinds, series, strict=True):
         n = np.arange(1, len(a) + 1)
         by = (2.0 * n + 1.0) / (n * (n + 1.0))
         across = (by * a) @ odd[: len(a)] + (by * b) @ even[: len(a)]
         along = (by * a) @ even[: len(a)] + (by * b) @ odd[: len(a)]
+        polarised += share / (2.0 * per_um**2) * np.abs(across) ** 2
         density += share / (2.0 * per_um**2) * (np.abs(across) ** 2 + np.abs(along) ** 2)
         total += share * 2.0 * math.pi / per_um**2 * float((2.0 * n + 1.0) @ (np.abs(a) ** 2 + np.abs(b) ** 2))
     require(bool(np.isfinite(density).all() and 0.0 < total < math.inf), f"Mie's series fails for {mie}")
-    return total, density / total
+    return total, density / total, polarised / total
 
 
 def _angular(terms: int) -> tuple[Array, Array]:

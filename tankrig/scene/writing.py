@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any
 
-from tankrig.scene.description import Camera, Projector, Scene
+from tankrig.scene.description import Camera, Medium, Projector, Scene
+from tankrig.scene.phase_functions import Mixture, Tabulated
+from tankrig.scene.phase_table import sines
 
 _PLAIN_CAMERA = ("matrix", "distortion", "rotation")
 _PLAIN_PROJECTOR = (*_PLAIN_CAMERA, "shape", "pixel_power", "gamma", "shading")
@@ -46,7 +48,7 @@ def scene_text(scene: Scene, comments: Sequence[str] = (), image: str | None = N
         document.add(tomlkit.nl())
     tables = {
         "tank": _table(scene.tank, always=("size_mm", "surface")),
-        "medium": _table(scene.medium),
+        "medium": medium_table(scene.medium),
         "projector": _projector(scene.projector, image),
         "camera": _camera(scene.camera),
     }
@@ -56,6 +58,21 @@ def scene_text(scene: Scene, comments: Sequence[str] = (), image: str | None = N
             table.add(key, value)
         document.add(name, table)
     return tomlkit.dumps(document)
+
+
+def medium_table(medium: Medium) -> dict[str, Any]:
+    """A liquid as files of scenes and rigs have it; a mixture becomes a table of its phase function.
+
+    Examples
+    --------
+    >>> medium_table(Medium(0.0, 0.01, 0.5))
+    {'sigma_a': 0.0, 'sigma_s': 0.01, 'g': 0.5}
+    """
+    if isinstance(medium.phase, Mixture):
+        cosine = 1.0 - 2.0 * sines()[::-8] ** 2  # from −1 to 1: steps are even in sin(θ/2), dense straight on
+        table = Tabulated(tuple(cosine.tolist()), tuple(medium.phase.at(cosine).tolist()))
+        medium = Medium(medium.sigma_a, medium.sigma_s, phase=table)
+    return _table(medium, left_out=("g",) if medium.phase else ())
 
 
 def _projector(projector: Projector, image: str | None) -> dict[str, Any]:
@@ -79,7 +96,7 @@ def _table(part: Any, left_out: Sequence[str] = (), always: Sequence[str] = ()) 
     for field in fields(part):
         value = getattr(part, field.name)
         usual = field.default if field.default is not MISSING else None
-        if field.name in always or not (field.name in left_out or value is None or value == usual):
+        if field.name in (*always, "kind") or not (field.name in left_out or value is None or value == usual):
             found[field.name] = _plain(value)
     return found
 

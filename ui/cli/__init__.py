@@ -33,6 +33,9 @@ COMMANDS = (
     "recover",
     "refit",
     "report",
+    "materials",
+    "validate",
+    "export-medium",
 )
 """In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -."""
 

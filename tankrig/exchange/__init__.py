@@ -1,0 +1,1 @@
+"""A liquid that was measured, in the files of other programs."""

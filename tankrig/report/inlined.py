@@ -1,0 +1,24 @@
+"""Pages that need nothing but themselves: templates beside this file, with figures in them."""
+
+import base64
+import io
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def inlined(figure: "Figure", kind: str = "png") -> str:
+    """A figure as a data address."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, dpi=110)
+    text = base64.b64encode(buffer.getvalue()).decode()
+    return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{text}"
+
+
+def rendered(template: str, **values: Any) -> str:
+    """A page of a template beside this file."""
+    import jinja2
+
+    loader = jinja2.PackageLoader("tankrig.report", "")
+    return jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(template).render(values)
