@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import Models, image_of, models_of
+from tankrig.estimation.forward import COARSE, Models, image_of, models_of
 from tankrig.estimation.optimiser import COARSE_ENOUGH, Fit, Shot, Told, fitted, guessed, solve
 from tankrig.estimation.parameters import MediumBlock, Scaling
 from tankrig.estimation.phase_average import averaged
@@ -133,7 +133,10 @@ def phase_instead(best: Evaluation, scene: Scene, models: Models, asked: Asked) 
     )
     problem = Problem((own,), blocks, best.problem.scaling, quick=False)
     begin = problem.at(np.concatenate([one.start(medium) for one in blocks]))
-    end = solve(problem, begin.coordinates, COARSE_ENOUGH, SEARCH_STEPS)
+    # Where pixels count by the cheap model's error the valley is wide; where they count by noise steps only end.
+    rough = replace(own, error=replace(own.error, sd=COARSE * np.abs(best.scale[0] * best.images[0])))
+    near = solve(replace(problem, views=(rough,)), begin.coordinates, COARSE_ENOUGH, SEARCH_STEPS)
+    end = solve(problem, near.coordinates, COARSE_ENOUGH, SEARCH_STEPS)
     excess, left = (2.0 * one.cost - problem.pixels for one in (begin, end))
     if excess <= 0.0:
         return None

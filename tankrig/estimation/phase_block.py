@@ -3,6 +3,7 @@
 With Henyey–Greenstein `MediumBlock` holds all three, and none of these is used.
 """
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -18,6 +19,9 @@ Image = NDArray[np.floating]
 
 LOOSE = 5.0
 """See `PhaseBlock.looseness`."""
+CLEAREST = math.log(200.0)
+"""σs over σa at most where a search begins: a liquid that another phase function left without absorption may have some,
+and where there is none no step along its logarithm does anything."""
 UNTURNED = 0.0
 """Asymmetry of a liquid until a phase block has said what it is."""
 
@@ -40,9 +44,9 @@ class CoefficientsBlock(MediumBlock):
         return self.range.high[:2]
 
     def start(self, densest: Medium) -> Array:
-        """The liquid itself, in the range."""
-        plain = Medium(densest.sigma_a, densest.sigma_s, UNTURNED)
-        return np.clip(to_coordinates(plain)[:2], self.low, self.high)
+        """The liquid itself, in the range, and not where absorption is too little for its logarithm to matter."""
+        scattering, logit, _ = to_coordinates(Medium(densest.sigma_a, densest.sigma_s, UNTURNED))
+        return np.clip([scattering, min(logit, CLEAREST)], self.low, self.high)
 
     def values(self, coordinates: Array) -> Array:
         """σa and σs."""
