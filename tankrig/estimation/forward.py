@@ -29,8 +29,8 @@ Image = NDArray[np.floating]
 Forward = Callable[[Medium], Image]
 """Image of a medium; everything else about the scene is fixed."""
 Slopes = Callable[[Medium], Image]
-"""Derivatives of the image by σa, σs and g, shape (3, rows, columns); with a family of phase functions by σa, σs and its
-coordinates."""
+"""Derivatives of the image by σa, σs and g, shape (3, rows, columns); with a family of phase functions by σa, σs and
+its coordinates."""
 Model = Callable[[Medium], Prediction]
 """What the camera would see with a medium in the tank."""
 Exact = Callable[[Medium, int], Prediction]
@@ -108,9 +108,7 @@ class Models:
         return self.refine(medium) if self.refine is not None else (self.coarse, self.coarse)
 
 
-def models_of(
-    scene: Scene, model: "str | Prepared", max_order: int | None, family: Family | None = None
-) -> Models:
+def models_of(scene: Scene, model: "str | Prepared", max_order: int | None, family: Family | None = None) -> Models:
     """Versions of a model of a scene, for media of a family of phase functions; None: Henyey–Greenstein.
 
     Raises
@@ -122,7 +120,8 @@ def models_of(
     if family is not None:
         if model == "prepared" or not isinstance(model, str):
             raise SceneError(
-                f'phase = "{family.name}" needs model = "tank": prepared models know Henyey–Greenstein only, phase = "hg"'
+                f'phase = "{family.name}" needs model = "tank": prepared models know Henyey–Greenstein '
+                'only (phase = "hg")'
             )
         return replace(models_of(scene, model, max_order), family=family)
     if model == "prepared":

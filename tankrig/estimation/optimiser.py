@@ -46,8 +46,8 @@ COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
 """Where the searches stop, see `solve`: the cheap model's optimum is only a start for the accurate one's, and errors
 of the model, which the weights count pixel by pixel, move the optimum by more than the weights say."""
 NEAR_ENOUGH, BENT_ENOUGH, MANY_ENOUGH = 0.005, 0.05, 0.3
-"""The same about exact images: to first order, where steps cost nothing, and as the models bend; with a phase function's
-many coordinates, of which each may be off by less than where there are three."""
+"""The same about exact images: to first order, where steps cost nothing, and as the models bend; with a phase
+function's many coordinates, of which each may be off by less than where there are three."""
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
 """Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
 by less than EQUAL, are left for the accurate model to tell apart."""

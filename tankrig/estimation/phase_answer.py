@@ -14,6 +14,7 @@ from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
 from tankrig.estimation.phase_families import FAMILIES, Family, family_of, fixed, free, henyey_greenstein
 from tankrig.estimation.phase_result import Scattering, scattering_of
 from tankrig.estimation.problem import Evaluation, Problem
+from tankrig.estimation.uncertainty import SmoothError
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -59,14 +60,16 @@ def asked_for(phase: str | PhaseFunction | None, scene: Scene) -> Asked:
         return Asked(free(), averaged=True)
     family = family_of(phase, described)
     begin = phase if isinstance(phase, PhaseFunction) else described
-    return Asked(family, begin=begin if begin is not None and family is not None and begin.kind == family.name else None)
+    return Asked(
+        family, begin=begin if begin is not None and family is not None and begin.kind == family.name else None
+    )
 
 
 def fit_phase(shot: Shot, asked: Asked, block: MediumBlock, scaling: Scaling, progress: Told) -> Fit:
     """Fit coefficients and a family's phase function to an image.
 
-    Coefficients are looked for with Henyey–Greenstein first, whose three numbers are found from anywhere; with the phase
-    function to begin from where there is one.
+    Coefficients are looked for with Henyey–Greenstein first, whose three numbers are found from anywhere, or with the
+    phase function to begin from where there is one.
     """
     family = asked.family or henyey_greenstein()
     blocks = (CoefficientsBlock(block.range), PhaseBlock(family))
@@ -134,7 +137,7 @@ def phase_instead(best: Evaluation, scene: Scene, models: Models, asked: Asked) 
     problem = Problem((own,), blocks, best.problem.scaling, quick=False)
     begin = problem.at(np.concatenate([one.start(medium) for one in blocks]))
     # Where pixels count by the cheap model's error the valley is wide; where they count by noise steps only end.
-    rough = replace(own, error=replace(own.error, sd=COARSE * np.abs(best.scale[0] * best.images[0])))
+    rough = replace(own, error=SmoothError.of(scene, COARSE * np.abs(best.scale[0] * best.images[0])))
     near = solve(replace(problem, views=(rough,)), begin.coordinates, COARSE_ENOUGH, SEARCH_STEPS)
     end = solve(problem, near.coordinates, COARSE_ENOUGH, SEARCH_STEPS)
     excess, left = (2.0 * one.cost - problem.pixels for one in (begin, end))

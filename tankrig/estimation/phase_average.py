@@ -102,7 +102,9 @@ def averaged(best: Evaluation, spread: Array, free: Family) -> Scattering:
     spread = spread[:count, :count]
     score = Score.of(best, spread)
     found = [_free(score, spread, free)]
-    found += [_family(score, one, found[0].answer.liquid) for one in (henyey_greenstein(), reynolds_mccormick(), two_term())]
+    found += [
+        _family(score, one, found[0].answer.liquid) for one in (henyey_greenstein(), reynolds_mccormick(), two_term())
+    ]
     evidence = np.array([one.evidence for one in found])
     shares = np.exp(evidence - evidence.max())
     shares /= shares.sum()

@@ -10,7 +10,17 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.parameters import LONGEST_STEP, NAMES, Block, MediumBlock, Values, to_coordinates
+from tankrig.estimation.parameters import (
+    LONGEST_STEP,
+    NAMES,
+    WIDEST,
+    Block,
+    Range,
+    Values,
+    slopes,
+    to_coordinates,
+    to_medium,
+)
 from tankrig.estimation.phase_families import Family
 from tankrig.scene import Medium
 
@@ -27,9 +37,17 @@ UNTURNED = 0.0
 
 
 @dataclass(frozen=True)
-class CoefficientsBlock(MediumBlock):
-    """σa and σs of one liquid in all views."""
+class CoefficientsBlock(Block):
+    """σa and σs of one liquid in all views.
 
+    Parameters
+    ----------
+    range
+        Where to search.
+    """
+
+    range: Range
+    name: ClassVar[str] = "medium"
     names = NAMES[:2]
     longest_step = LONGEST_STEP[:2]
 
@@ -46,31 +64,36 @@ class CoefficientsBlock(MediumBlock):
     def start(self, densest: Medium) -> Array:
         """The liquid itself, in the range, and not where absorption is too little for its logarithm to matter."""
         scattering, logit, _ = to_coordinates(Medium(densest.sigma_a, densest.sigma_s, UNTURNED))
-        return np.clip([scattering, min(logit, CLEAREST)], self.low, self.high)
+        return np.asarray(np.clip([scattering, min(logit, CLEAREST)], self.low, self.high))
 
     def values(self, coordinates: Array) -> Array:
         """σa and σs."""
-        return super().values(np.append(coordinates, UNTURNED))[:2]
+        medium = to_medium(np.append(coordinates, UNTURNED))
+        return np.array([medium.sigma_a, medium.sigma_s])
 
     def slopes(self, coordinates: Array) -> Array:
         """(2, 2)."""
-        return super().slopes(np.append(coordinates, UNTURNED))[:2, :2]
+        return slopes(to_medium(np.append(coordinates, UNTURNED)))[:2, :2]
 
     def widest(self, values: Values) -> Array:
         """In units of σt."""
-        return super().widest(values)[:2]
+        return np.full(2, WIDEST * float(values[self.name].sum()))
 
     def at_edge(self, values: Values) -> tuple[str, ...]:
         """See `Range.at_edge`."""
-        return self.range.at_edge(Medium(*values[self.name], UNTURNED))
+        return self.range.at_edge(self._liquid(values))
 
     def liquid(self, values: Values, dose: int, before: Medium) -> Medium:
         """The same everywhere."""
-        return Medium(*values[self.name], UNTURNED)
+        return self._liquid(values)
 
     def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
         """The liquid's own."""
         return by_liquid[:2]
+
+    def _liquid(self, values: Values) -> Medium:
+        sigma_a, sigma_s = values[self.name].tolist()
+        return Medium(sigma_a, sigma_s, UNTURNED)
 
 
 @dataclass(frozen=True)

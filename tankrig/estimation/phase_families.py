@@ -103,7 +103,8 @@ def two_term() -> Family:
     """A forward and a backward lobe: atanh of both asymmetries, and logit of the forward one's share."""
     return Family(
         "two-term", ("atanh forward", "atanh backward", "logit share"),
-        np.array([0.01, -2.0, 0.0]), np.array([3.0, -0.01, 7.0]), np.array([0.4, 0.4, 1.0]), np.array([0.02, 0.03, 0.05]),
+        np.array([0.01, -2.0, 0.0]), np.array([3.0, -0.01, 7.0]),
+        np.array([0.4, 0.4, 1.0]), np.array([0.02, 0.03, 0.05]),
         np.array([1.0, 0.4, 2.0]),
         lambda at: TwoTerm(math.tanh(at[0]), math.tanh(at[1]), _share(at[2])),
         lambda one: np.array([math.atanh(one.forward), math.atanh(one.backward), _logit(min(one.share, 0.9999))]),
@@ -165,7 +166,8 @@ def labelled(label: Mie) -> Family:
     def member(at: Array) -> Mie:
         return replace(
             label, diameter_um=label.diameter_um * math.exp(DIAMETER * float(at[0])),
-            particle_index=label.particle_index + INDEX * float(at[1]), spread=spread * math.exp(SPREAD_BY * float(at[2])),
+            particle_index=label.particle_index + INDEX * float(at[1]),
+            spread=spread * math.exp(SPREAD_BY * float(at[2])),
         )  # fmt: skip
 
     def coordinates(one: Mie) -> Array:

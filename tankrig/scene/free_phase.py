@@ -79,7 +79,8 @@ def _place(cosine: Array) -> Array:
 @lru_cache(maxsize=1)
 def _shapes() -> tuple[Array, Array]:
     """(places,) u, and (shapes, places) √λ ψ, each with a sign that makes it positive straight on."""
-    places = np.linspace(*_place(np.array([1.0, -1.0])), _PLACES)
+    low, high = _place(np.array([1.0, -1.0])).tolist()
+    places = np.linspace(low, high, _PLACES)
     alike = SPREAD**2 * np.exp(-0.5 * ((places[:, None] - places) / ALIKE) ** 2)
     alike -= alike.mean(axis=0)
     alike -= alike.mean(axis=1, keepdims=True)
