@@ -261,7 +261,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
     # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
     error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
     spread = spread_of(best, [left], [SmoothError.of(scene, error)])
-    off, answer = _misalignments(best, spread), answer_of(best, spread, asked)
+    off, answer = _misalignments(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
     medium, spread = answer.liquid, answer.covariance
     whitened = np.where(used, left.residual, 0.0) / left.noise
     place = standing_out(whitened, used, error / left.noise)

@@ -19,6 +19,7 @@ from tankrig.errors import SceneError
 from tankrig.estimation.parameters import NAMES, Range
 from tankrig.estimation.phase_families import Family
 from tankrig.image.predict import predict
+from tankrig.image.prepare import require_henyey_greenstein
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 
@@ -218,6 +219,7 @@ def series_models(scene: Scene, model_of: ModelOf) -> Models:
 
     What few lattices say about their noise in each pixel is noise itself: it counts in proportion to the image.
     """
+    require_henyey_greenstein(scene)
 
     def even(model: Model) -> Model:
         def image(medium: Medium) -> Prediction:

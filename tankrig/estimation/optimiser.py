@@ -45,7 +45,7 @@ FIRST_STEPS, LAST_STEPS = 5, 40
 COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
 """Where the searches stop, see `solve`: the cheap model's optimum is only a start for the accurate one's, and errors
 of the model, which the weights count pixel by pixel, move the optimum by more than the weights say."""
-NEAR_ENOUGH, BENT_ENOUGH, MANY_ENOUGH = 0.005, 0.05, 0.3
+NEAR_ENOUGH, BENT_ENOUGH, MANY_ENOUGH = 0.005, 0.05, 0.1
 """The same about exact images: to first order, where steps cost nothing, and as the models bend; with a phase
 function's many coordinates, of which each may be off by less than where there are three."""
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
@@ -58,7 +58,7 @@ SEVERAL_ENOUGH = 20.0
 CORRECTIONS, SETTLED = 4, 0.1
 """Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
 which that is over, see `Block.looseness`."""
-FEW_STEPS = 8
+FEW_STEPS = 12
 """Steps with the accurate model, and as the models bend, at most, where a phase function's coordinates are fitted."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""

@@ -84,8 +84,21 @@ def fit_phase(shot: Shot, asked: Asked, block: MediumBlock, scaling: Scaling, pr
     return fitted([shot], blocks, scaling, progress, sharper=True, starts=starts)
 
 
-def answer_of(best: Evaluation, spread: Array, asked: Asked) -> Scattering:
-    """The liquid at an optimum, with the covariance of all its values."""
+def answer_of(best: Evaluation, spread: Array, asked: Asked, explained: bool = True) -> Scattering:
+    """The liquid at an optimum.
+
+    Parameters
+    ----------
+    best
+        The optimum.
+    spread
+        Covariance of all its values.
+    asked
+        Which phase functions were.
+    explained
+        Whether noise and the model's own error explain what is left. Where they do not, the free phase function does
+        not hold either, and what is left is no measure of how much worse a stiffer one is.
+    """
     if asked.family is None:
         (medium, *_), covariance = best.media, spread[:3, :3]
         scale = np.diag([1.0, 1.0, 1.0 / ((1.0 - medium.g) * (1.0 + medium.g))])
@@ -94,7 +107,7 @@ def answer_of(best: Evaluation, spread: Array, asked: Asked) -> Scattering:
             np.array(medium.coefficients[:2]), coordinates, scale @ covariance @ scale, henyey_greenstein()
         )
         return replace(found, liquid=medium, covariance=covariance)
-    if asked.averaged:
+    if asked.averaged and explained:
         return averaged(best, spread, asked.family)
     count = 2 + len(asked.family.names)
     return scattering_of(best.values["medium"], best.values["phase"], spread[:count, :count], asked.family)

@@ -21,6 +21,8 @@ DIAMETER, INDEX, SPREAD_BY = 0.1, 0.003, 1.0
 of the spread of the diameters."""
 NARROWEST, WIDEST_SPREAD = 0.005, 0.5
 """Spread of diameters: that of the best beads, and the largest that is searched."""
+USUAL_G = (0.5, 0.8, 0.93)
+"""Asymmetries that searches begin from besides Henyey–Greenstein's, which other phase functions lead astray."""
 DIAMETER_STEP, FURTHEST = 0.02, 2.5
 """Of the diameters that a search begins from, as a share, and standard deviations of the label's that it goes to: Mie's
 p at a right angle goes up and down within some per cent of the diameter (beads of .5 to 2 µm)."""
@@ -109,6 +111,7 @@ def two_term() -> Family:
         lambda at: TwoTerm(math.tanh(at[0]), math.tanh(at[1]), _share(at[2])),
         lambda one: np.array([math.atanh(one.forward), math.atanh(one.backward), _logit(min(one.share, 0.9999))]),
         lambda g: np.array([math.atanh(min(max(g, 0.02), 0.98)), -0.4, 4.0]),
+        others=lambda _: [np.array([math.atanh(g), -0.3, 2.5]) for g in USUAL_G],
     )  # fmt: skip
 
 
@@ -124,6 +127,7 @@ def reynolds_mccormick() -> Family:
         np.array([1.0, 0.7]),
         lambda at: ReynoldsMcCormick(math.tanh(at[0]), math.exp(at[1]) - 0.5),
         lambda one: np.array([math.atanh(one.g), math.log(one.alpha + 0.5)]), like,
+        others=lambda _: [np.array([math.atanh(g), 0.0]) for g in USUAL_G],
     )  # fmt: skip
 
 
@@ -136,6 +140,7 @@ def fournier_forand() -> Family:
         lambda at: FournierForand(1.0 + math.exp(at[0]), 3.0 + 2.0 * _share(at[1])),
         lambda one: np.array([math.log(one.index - 1.0), _logit(0.5 * (one.slope - 3.0))]),
         lambda g: np.array([math.log(min(max(0.35 * (1.0 - g), 0.02), 0.3)), _logit(0.3)]),
+        others=lambda at: [at + np.array([0.0, 1.0]), at + np.array([0.5, -1.0])],
     )  # fmt: skip
 
 
