@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from tankrig.estimation.phase_answer import Asked, asked_for
 from tankrig.estimation.phase_families import FAMILIES, Family, family_of, fixed, free, henyey_greenstein, labelled
 from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
 from tankrig.prediction import Prediction
-from tankrig.scene import Medium
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.free_phase import SHAPES, FreePhase
 from tankrig.scene.mie import Mie
 from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture, ReynoldsMcCormick, Tabulated, TwoTerm
@@ -28,7 +29,7 @@ from tests.test_estimation import SCENE
 
 Array = NDArray[np.float64]
 
-LABEL = Mie(0.5, 1.58242, 1.3317, 633.0, spread=0.03)
+LABEL = Mie(0.5, 1.58242, 1.3317, 633.0, spread=0.02)
 EVERY = [henyey_greenstein(), *(one() for one in FAMILIES.values()), labelled(LABEL)]
 Y, X = 4.0 * np.mgrid[-19.5:20.5, 0.5:60.5]
 TURNS_DEG = np.arange(5.0, 176.0, 10.0)
@@ -44,6 +45,19 @@ def many_turns(liquid: Medium) -> Prediction:
     halo = np.exp(-np.hypot(X, Y) * (0.01 + liquid.sigma_s * (1.0 - liquid.g)))
     sigma_s = liquid.sigma_s
     return Prediction(sigma_s * beam + 3.0 * sigma_s**2 * places * far + 300.0 * sigma_s**3 * halo * far, "tank-like")
+
+
+LIQUIDS = Path(__file__).parent / "data" / "liquids"
+THREE_BEAMS = tuple(Beam((low, low + 4.0), (58.0, 62.0)) for low in (-42.0, -2.0, 38.0))
+TANK = Scene(Tank(), Medium(0.0, 0.0, 0.0), Projector("collimated", THREE_BEAMS), Camera("orthographic", (40, 60), 4.0))
+
+
+def photographed(name: str) -> tuple[Array, Array]:
+    """An independent Monte Carlo's image with .3 % of noise, and the noise of both; σs is .010, see its README."""
+    with np.load(LIQUIDS / f"{name}.npz") as file:
+        total, stderr = file["total"].astype(float), file["stderr"].astype(float)
+    noise = 0.003 * float(total.max())
+    return total + np.random.default_rng(1).normal(0.0, noise, total.shape), np.hypot(noise, stderr)
 
 
 def fit(phase: PhaseFunction, asked: str | PhaseFunction, seed: int = 0, share: float = 0.003) -> Estimate:
@@ -104,10 +118,9 @@ def test_free_shapes_hold_an_emulsions_phase_function() -> None:
     [
         ("two-term", TwoTerm(0.85, -0.3, 0.93)),
         ("reynolds-mccormick", ReynoldsMcCormick(0.6, 1.2)),
-        (Mie(0.5, 1.58242, 1.3317, 633.0, spread=0.02), Mie(0.52, 1.5834, 1.3317, 633.0, spread=0.02)),
-        (LABEL, LABEL),
+        (LABEL, Mie(0.52, 1.5834, 1.3317, 633.0, spread=0.02)),
     ],
-    ids=["two-term", "reynolds-mccormick", "bead that its label is 4 % off of", "bead"],
+    ids=["two-term", "reynolds-mccormick", "bead that its label is 4 % off"],
 )
 def test_the_truths_family_finds_the_truth(asked: str | PhaseFunction, truth: PhaseFunction) -> None:
     """Coefficients, mean cosine and curve, each within its errors: a wrong derivative or chain would show in one."""
@@ -116,7 +129,7 @@ def test_the_truths_family_finds_the_truth(asked: str | PhaseFunction, truth: Ph
     assert found.medium.sigma_s == pytest.approx(0.02, rel=0.03)
     curve = found.scattering.curve
     seen = (ANGLES_DEG > 20.0) & (ANGLES_DEG < 160.0)
-    off = np.log(curve.value / truth.at(np.cos(np.radians(ANGLES_DEG)))) / np.maximum(curve.sd, 1e-3)
+    off = np.log(curve.value / truth.at(np.cos(np.radians(ANGLES_DEG)))) / np.maximum(curve.sd, 0.01)
     assert np.abs(off[seen]).max() < 4.5
     assert "noise, as expected" in found.verdict
 
@@ -156,7 +169,7 @@ def test_intervals_of_the_average_cover() -> None:
     """Over liquids drawn from what is expected; a narrow average would leave them out again and again."""
     rng = np.random.default_rng(3)
     off = []
-    for seed in range(8):
+    for seed in range(5):
         truth = FreePhase(float(rng.uniform(0.5, 0.9)), tuple(0.7 * rng.normal(size=SHAPES)))
         off.append(off_in_sd(fit(truth, "any", seed), truth))
     assert np.sqrt(np.mean(np.square(off))) < 1.8
@@ -208,3 +221,38 @@ def test_a_scene_says_what_a_fit_begins_from() -> None:
     table = Tabulated((-1.0, 1.0), (0.05305, 0.1061))
     assert of(table).family.phase(np.zeros(0)) == table
     assert fixed(table).names == ()
+
+
+@pytest.mark.timeout(900)
+def test_henyey_greenstein_determines_nothing_of_an_emulsion() -> None:
+    """σs came out 23 % too strong, "determined" to 6 %, and most like uneven ink."""
+    image, noise = photographed("emulsion")
+    found = tankrig.estimate(image, TANK, noise=noise, phase="hg")
+    assert "It looks most like another phase function" in found.verdict
+    assert not found.identifiable["sigma_s"]
+    assert not found.identifiable["g"]
+    off = np.array([found.medium.sigma_s - 0.010, found.medium.g - 0.76328])
+    assert (np.abs(off) < 2.5 * np.sqrt(np.diag(found.covariance))[1:]).all()
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_an_emulsions_phase_function_is_a_result() -> None:
+    image, noise = photographed("emulsion")
+    found = tankrig.estimate(image, TANK, noise=noise, phase="any")
+    assert found.medium.sigma_s == pytest.approx(0.010, rel=0.03)
+    assert found.medium.g == pytest.approx(0.76328, abs=0.015)
+    assert found.scattering.at_right_angle[0] == pytest.approx(1.1642e-4, rel=0.06)
+    assert found.identifiable["sigma_s"]
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_beads_are_what_their_label_says_but_for_its_errors() -> None:
+    """The label is 5 % off in the diameter, of which p(90°) goes up and down by a factor."""
+    image, noise = photographed("bead-0.5um")
+    found = tankrig.estimate(image, TANK, noise=noise, phase=Mie(0.525, 1.5804, 1.3317, 633.0))
+    diameter, sd = found.scattering.parameters["diameter_um"]
+    assert abs(diameter - 0.5) < max(0.003 * 0.5, 2.5 * sd)
+    off = abs(found.medium.sigma_s - 0.010)
+    assert off < max(0.015 * 0.010, 2.5 * math.sqrt(found.covariance[1, 1]))

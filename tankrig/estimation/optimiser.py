@@ -6,6 +6,7 @@ the Jacobian along for nothing, and it is computed anew only when a step fails. 
 every accepted step, about three times the evaluations here.
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -372,6 +373,17 @@ def guessed(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, 
     progress("looking at a few media")
     first, _ = first_guess(problem, shots[0].length_mm)
     return problem.at(search(problem, [look.coordinates for look in first], progress)[0]).media[0]
+
+
+def promising(
+    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, ladder: Sequence[Vector]
+) -> list[Vector]:
+    """Places on a ladder that explain the first image better than their neighbours on it, best first."""
+    problem = _rough(shots, blocks, scaling).of((0,))
+    costs = [problem.at(np.clip(one, *problem.box)).cost for one in ladder]
+    around = [math.inf, *costs, math.inf]
+    found = [k for k, cost in enumerate(costs) if cost <= min(around[k], around[k + 2])]
+    return [ladder[k] for k in sorted(found, key=lambda k: costs[k])]
 
 
 def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model], progress: Told, sharper: bool) -> Fit:

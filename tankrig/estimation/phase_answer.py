@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.forward import COARSE, Models, image_of, models_of
-from tankrig.estimation.optimiser import COARSE_ENOUGH, Fit, Shot, Told, fitted, guessed, solve
+from tankrig.estimation.optimiser import COARSE_ENOUGH, Fit, Shot, Told, fitted, guessed, promising, solve
 from tankrig.estimation.parameters import MediumBlock, Scaling
 from tankrig.estimation.phase_average import averaged
 from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
@@ -20,6 +20,8 @@ from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
 
+MOST_RUNGS = 6
+"""Places on a family's ladder that a search begins from, at most."""
 SEARCH_STEPS = 30
 """Of the cheap fit of another phase function, at most."""
 
@@ -81,6 +83,9 @@ def fit_phase(shot: Shot, asked: Asked, block: MediumBlock, scaling: Scaling, pr
         medium = guessed([replace(shot, models=replace(shot.models, family=only))], known, scaling, progress)
     start = np.concatenate([one.start(medium) for one in blocks])
     starts = [start, *(np.concatenate([start[:2], other]) for other in family.others(start[2:]))]
+    if family.ladder.size:
+        rungs = [np.concatenate([start[:2], [rung], start[3:]]) for rung in family.ladder]
+        starts += promising([shot], blocks, scaling, rungs)[:MOST_RUNGS]
     return fitted([shot], blocks, scaling, progress, sharper=True, starts=starts)
 
 

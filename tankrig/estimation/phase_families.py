@@ -56,6 +56,8 @@ class Family:
         (k,) True for coordinates that are expected to be 0 ± 1.
     others
         Coordinates of other places where a search begins, given those of its first.
+    ladder
+        Values of the first coordinate between which images go up and down: a search looks at all of them.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Family:
     like: Callable[[float], Array]
     expected: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     others: Callable[[Array], Sequence[Array]] = lambda _: ()
+    ladder: Array = field(default_factory=lambda: np.zeros(0))
 
     def phase(self, coordinates: Array) -> PhaseFunction:
         """The member at coordinates, which are moved into what is searched."""
@@ -182,20 +185,17 @@ def labelled(label: Mie) -> Family:
             math.log(max(one.spread, NARROWEST) / spread) / SPREAD_BY,
         ])  # fmt: skip
 
-    def others(at: Array) -> Sequence[Array]:
-        return [np.array([one, *at[1:]]) for one in _rungs() if one != 0.0]
-
     return Family(
         "mie", ("diameter off", "index off", "log spread off"),
         np.array([-FURTHEST, -4.0, room[0] / SPREAD_BY]), np.array([FURTHEST, 4.0, room[1] / SPREAD_BY]),
         np.array([0.2, 1.0, 1.0]), np.array([0.02, 0.1, 0.1]), np.ones(3), member, coordinates, lambda _: np.zeros(3),
-        np.ones(3, bool), others,
+        np.ones(3, bool), ladder=_rungs(),
     )  # fmt: skip
 
 
-def _rungs() -> Sequence[float]:
+def _rungs() -> Array:
     count = round(FURTHEST * DIAMETER / DIAMETER_STEP)
-    return [k * DIAMETER_STEP / DIAMETER for k in range(-count, count + 1)]
+    return DIAMETER_STEP / DIAMETER * np.arange(-count, count + 1)
 
 
 def fixed(phase: PhaseFunction) -> Family:
