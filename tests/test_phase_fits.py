@@ -138,14 +138,15 @@ def test_a_given_phase_function_stays_what_it_is() -> None:
     truth = TwoTerm(0.85, -0.3, 0.93)
     found = fit(truth, truth)
     assert found.phase == truth
-    assert np.abs(off_in_sd(found, truth)[:2]).max() < 4.0
+    off = np.array([found.medium.sigma_a - 0.001, found.medium.sigma_s - 0.02])
+    assert (np.abs(off) < 4.0 * np.sqrt(np.diag(found.covariance)[:2])).all()
     assert found.covariance[2, 2] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_henyey_greenstein_on_another_liquid_is_far_off_and_a_free_one_is_not() -> None:
     truth = ReynoldsMcCormick(0.6, 1.2)
     plain, freed = fit(truth, "hg"), fit(truth, "free")
-    assert abs(plain.medium.sigma_s / 0.02 - 1.0) > 0.1
+    assert np.abs(np.array(plain.medium.coefficients) / [0.001, 0.02, truth.mean_cosine] - 1.0).max() > 0.1
     assert np.abs(off_in_sd(freed, truth)).max() < 4.0
     low, high = freed.scattering.curve.band(0.95)
     value = truth.at(np.cos(np.radians(ANGLES_DEG)))
@@ -158,7 +159,9 @@ def test_families_are_weighed_by_what_they_explain() -> None:
     assert simple.scattering.families["hg"] > 0.5
     assert sum(simple.scattering.families.values()) == pytest.approx(1.0)
     assert np.abs(off_in_sd(simple, HenyeyGreenstein(0.8))).max() < 4.0
-    assert simple.covariance[1, 1] < 0.5 * fit(HenyeyGreenstein(0.8), "free").covariance[1, 1]
+    freed = fit(HenyeyGreenstein(0.8), "free")
+    assert simple.covariance[1, 1] < freed.covariance[1, 1]
+    assert simple.covariance[2, 2] < 0.5 * freed.covariance[2, 2]
     lumpy = FreePhase(0.8, (1.0, -1.5, 1.0, -1.0, 1.0, -1.0))
     strange = fit(lumpy, "any")
     assert strange.scattering.families["free"] > 0.99
@@ -205,7 +208,7 @@ def test_what_no_fit_knows_is_refused_in_one_sentence(phase: str, said: str) -> 
 
 def test_prepared_models_refuse_other_phase_functions() -> None:
     with pytest.raises(SceneError, match="prepared models know Henyey–Greenstein only"):
-        tankrig.estimate(np.ones(SCENE.camera.shape), SCENE, model="prepared", phase="free")
+        tankrig.estimate(np.random.default_rng(0).random(SCENE.camera.shape), SCENE, model="prepared", phase="free")
 
 
 def test_a_scene_says_what_a_fit_begins_from() -> None:

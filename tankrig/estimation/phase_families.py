@@ -195,7 +195,7 @@ def labelled(label: Mie) -> Family:
 
 def _rungs() -> Array:
     count = round(FURTHEST * DIAMETER / DIAMETER_STEP)
-    return DIAMETER_STEP / DIAMETER * np.arange(-count, count + 1)
+    return np.asarray(DIAMETER_STEP / DIAMETER * np.arange(-count, count + 1), float)
 
 
 def fixed(phase: PhaseFunction) -> Family:
