@@ -101,17 +101,18 @@ def solve(
     ...         self.residual, self.jacobian = np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10], [-1, 0]])
     ...         self.cost = 0.5 * self.residual @ self.residual
     >>> wide = np.full(2, 5.0)
-    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), longest_step=np.inf, quick=False)
+    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), longest_step=np.inf, quick=False, least_damping=0.0)
     >>> solve(problem, np.array([-1.2, 1.0]), 1e-9, 200).coordinates.round(3).tolist()
     [1.0, 1.0]
     """
-    box, longest_step = problem.box, problem.longest_step
+    box, longest_step, least = problem.box, problem.longest_step, problem.least_damping
+    damping = max(damping, least)
     here = problem.at(np.clip(start, *box))
     jacobian = here.jacobian
     fresh, refused = True, 0
     for _ in range(most_steps):
         at, value = here.coordinates, here.residual
-        if _promise(value, jacobian, _step(value, jacobian, 0.0, at, box, longest_step)) < enough:
+        if _promise(value, jacobian, _step(value, jacobian, least, at, box, longest_step)) < enough:
             if fresh:
                 break
             jacobian, fresh = here.jacobian, True
@@ -124,7 +125,7 @@ def solve(
             else:
                 jacobian = jacobian + np.outer(ahead.residual - value - jacobian @ step, step) / float(step @ step)
             here, fresh, refused = ahead, problem.quick, 0
-            damping = max(damping / 5.0, 1e-6)
+            damping = max(damping / 5.0, 1e-6, least)
         elif not fresh:
             jacobian, fresh = here.jacobian, True
         elif refused == MOST_REFUSED:

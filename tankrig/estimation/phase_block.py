@@ -27,6 +27,8 @@ from tankrig.scene import Medium
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 
+DAMPED = 1e-4
+"""Least damping of a phase function's coordinates."""
 LOOSE = 5.0
 """See `PhaseBlock.looseness`."""
 CLEAREST = math.log(200.0)
@@ -133,6 +135,11 @@ class PhaseBlock(Block):
     def looseness(self) -> Array:
         """What is expected to be 0 ± 1 changes an image little in a tenth of that."""
         return np.where(self.prior_weight > 0.0, LOOSE, 1.0)
+
+    @property
+    def least_damping(self) -> float:
+        """An image may hold next to nothing about a combination of coordinates, along which no step should go far."""
+        return DAMPED
 
     def start(self, densest: Medium) -> Array:
         """As much like the liquid's as the family can be."""

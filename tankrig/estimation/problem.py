@@ -110,6 +110,11 @@ class Problem:
         return np.concatenate([one.looseness for one in self.blocks])
 
     @property
+    def least_damping(self) -> float:
+        """Of steps, see `Block.least_damping`."""
+        return max(one.least_damping for one in self.blocks)
+
+    @property
     def pixels(self) -> int:
         """Used, in all images."""
         return sum(int(view.observation.used.sum()) for view in self.views)
