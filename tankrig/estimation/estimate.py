@@ -283,11 +283,12 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
     }
     aside = whole and misalignment_left_out(observation, left.image, gain, misaligned)
     noisier = left.noisier if observation.noise_known else 1.0
+    own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
     sentences = [
         what_is_determined(medium, spread, known, edges),
         what_is_left(left.unexplained, stated, noisier, cause, place, aside),
         what_is_misaligned(off),
-        what_is_unseen(medium, moved_by_halos(best, [left]), spread, known),
+        what_is_unseen(medium, moved_by_halos(best, [left])[:own], spread, known),
         what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
     ]
     return Estimate(

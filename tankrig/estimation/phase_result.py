@@ -93,11 +93,8 @@ def scattering_of(coefficients: Array, coordinates: Array, spread: Array, family
     sigma_a, sigma_s = (float(one) for one in coefficients)
     liquid = Medium(sigma_a, sigma_s, phase=family.phase(coordinates))
     log, by_coordinates = ln_curve(family, coordinates)
-    cosine, by_cosine = _mean_cosine(family, coordinates)
     of_curve = np.hstack([np.zeros((log.size, 2)), by_coordinates])
-    of_coefficients = np.zeros((3, spread.shape[0]))
-    of_coefficients[0, 0] = of_coefficients[1, 1] = 1.0
-    of_coefficients[2, 2:] = by_cosine
+    of_coefficients = coefficients_by(family, coordinates)
     covariance = of_coefficients @ spread @ of_coefficients.T
     seen = sigma_s * math.exp(log[RIGHT_ANGLE])
     of_seen = seen * of_curve[RIGHT_ANGLE]
@@ -105,8 +102,19 @@ def scattering_of(coefficients: Array, coordinates: Array, spread: Array, family
     sds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", of_curve, spread, of_curve), 0.0))
     return Scattering(
         liquid, covariance, PhaseCurve(ANGLES_DEG, np.exp(log), sds), (seen, _sd(of_seen, spread)),
-        reduced_of(sigma_s, cosine, covariance), _parameters(family, coordinates, spread[2:, 2:]), {family.name: 1.0},
+        reduced_of(sigma_s, liquid.g, covariance), _parameters(family, coordinates, spread[2:, 2:]), {family.name: 1.0},
     )  # fmt: skip
+
+
+def coefficients_by(family: Family, coordinates: Array) -> Array:
+    """(3, 2 + k) derivatives of σa, σs and the mean cosine by σa, σs and the coordinates."""
+
+    def mean_cosine(at: Array) -> Array:
+        return np.array([family.phase(at).mean_cosine])
+
+    found = np.eye(3, 2 + coordinates.size)
+    found[2, 2:] = _by_coordinates(mean_cosine, family, coordinates)[0]
+    return found
 
 
 def reduced_of(sigma_s: float, cosine: float, covariance: Array) -> tuple[float, float]:
@@ -122,13 +130,6 @@ def ln_curve(family: Family, coordinates: Array) -> tuple[Array, Array]:
         return np.log(np.maximum(family.phase(at).at(cosines), 1e-300))
 
     return log(coordinates), _by_coordinates(log, family, coordinates)
-
-
-def _mean_cosine(family: Family, coordinates: Array) -> tuple[float, Array]:
-    def mean(at: Array) -> Array:
-        return np.array([family.phase(at).mean_cosine])
-
-    return float(mean(coordinates)[0]), _by_coordinates(mean, family, coordinates)[0]
 
 
 def _parameters(family: Family, coordinates: Array, spread: Array) -> dict[str, tuple[float, float]]:
