@@ -1,5 +1,6 @@
 """Fits of liquids that are not Henyey–Greenstein: families, a free phase function, and what they say together."""
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from tankrig.scene.mie import Mie
 from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture, ReynoldsMcCormick, Tabulated, TwoTerm
 from tankrig.scene.phase_table import PhaseFunction
 from tests.test_estimation import SCENE
+from ui.cli import main
 
 Array = NDArray[np.float64]
 
@@ -259,3 +261,25 @@ def test_beads_are_what_their_label_says_but_for_its_errors() -> None:
     assert abs(diameter - 0.5) < max(0.003 * 0.5, 2.5 * sd)
     off = abs(found.medium.sigma_s - 0.010)
     assert off < max(0.015 * 0.010, 2.5 * math.sqrt(found.covariance[1, 1]))
+
+
+def test_the_command_tells_the_phase_function(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Keys are added for it; a name that means nothing is refused before anything is computed."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        '[tank]\nsize_mm = [80.0, 60.0, 40.0]\nsurface = "matched"\n[medium]\nsigma_a = 0.001\nsigma_s = 0.02\n'
+        'phase = { kind = "reynolds-mccormick", g = 0.6, alpha = 1.0 }\n[projector]\nkind = "collimated"\n'
+        "beams = [ { y_mm = [-4.0, 4.0], z_mm = [18.0, 22.0], irradiance = 1.0 } ]\n"
+        '[camera]\nkind = "pinhole"\nposition_mm = [40.0, 0.0, 200.0]\nshape = [15, 20]\npixel_mm = 4.0\n'
+    )
+    image = tankrig.predict(tankrig.load_scene(scene), "single").image
+    np.save(tmp_path / "tank.npy", image + np.random.default_rng(0).normal(0.0, 0.002 * image.max(), image.shape))
+    common = ["fit", str(tmp_path / "tank.npy"), "--scene", str(scene), "--model", "single", "--out", str(tmp_path)]
+    assert main([*common, "--gain", "1", "--offset", "0", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["phase"]["families"] == {"reynolds-mccormick": 1.0}
+    assert len(told["phase"]["angle_deg"]) == len(told["phase"]["value"]) == len(told["phase"]["high"])
+    assert told["sigma_s_p90"]["value"] > 0.0 < told["reduced_scattering"]["value"]
+    assert set(told["phase"]["parameters"]) == {"g", "alpha"}
+    assert main([*common, "--phase", "henyey"]) == 2
+    assert "is unknown; use one of hg" in capsys.readouterr().err
