@@ -32,11 +32,12 @@ pixel_mm = 4.0
 QUICK = (Contender("single scattering", "single"), Contender("diffuse limit", "diffuse"), Contender("none", "none"))
 
 
-def estimate(*given, model: str, max_order: int | None):
+def estimate(*given, phase: str | None):
     """The real one for single scattering; a diffuse limit that leaves a smooth pattern over, without its minutes."""
+    *seen, model, max_order = given
     if model != "diffuse":
-        return tankrig.estimate(*given, model=model, max_order=max_order)
-    found = tankrig.estimate(*given, model="single")
+        return tankrig.estimate(*seen, model=model, max_order=max_order, phase=phase)
+    found = tankrig.estimate(*seen, model="single")
     residual = found.residual + 3.0 * found.rmse * np.sin(np.arange(20) / 4.0)
     return replace(found, residual=residual, rmse=float(np.sqrt(np.mean(residual**2))), model="diffuse")
 
@@ -84,6 +85,18 @@ def test_one_command_tells_it_as_a_table_and_as_numbers(
     text = capsys.readouterr().out
     assert "ΔBIC" in text
     assert "diffuse limit" in text
+
+
+def test_more_coordinates_cost_what_they_could_explain_by_chance(picture: tuple[Path, Path]) -> None:
+    """Else the family with the most parameters would always be ranked first."""
+    image, scene = np.load(picture[0]), load_scene(picture[1])
+    plain = Contender("hg", "single", phase="hg")
+    more = Contender("two-term", "single", phase="two-term")
+    found = compare_models(image, scene, 1.0, 0.0, contenders=(plain, more))
+    assert (plain.more, more.more) == (0, 2)
+    assert found.rows[0].bic == 0.0
+    assert found.rows[1].bic == pytest.approx(2.0 * np.log(found.effective), abs=1.5)
+    assert found.rows[1].aic == pytest.approx(4.0, abs=1.5)
 
 
 @pytest.mark.parametrize(("change", "message"), [("no scene", "needs --scene"), ("dark", "all dark")])

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import TankrigError
 from tankrig.estimation.estimate import Estimate, estimate
+from tankrig.estimation.phase_families import FAMILIES
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -33,11 +34,17 @@ FARTHEST = 16
 
 @dataclass(frozen=True)
 class Contender:
-    """A model that is compared: what it is called, and `estimate`'s model and highest order."""
+    """A model that is compared: what it is called, and `estimate`'s model, highest order and phase function."""
 
     name: str
     model: str
     max_order: int | None = None
+    phase: str | None = None
+
+    @property
+    def more(self) -> int:
+        """Coordinates that it is fitted with, beyond the three of Henyey–Greenstein's."""
+        return 0 if self.phase in (None, "hg") else len(FAMILIES[self.phase]().names) - 1
 
 
 CONTENDERS = (
@@ -49,6 +56,8 @@ CONTENDERS = (
     Contender("diffuse limit", "diffuse"),
 )
 """Single scattering is orders 1 … 1."""
+PHASES = tuple(Contender(f"tank, {phase} p(θ)", "tank", phase=phase) for phase in ("hg", *FAMILIES))
+"""Families of phase functions, all orders."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +140,7 @@ def compare_models(
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # what a model leaves out is in its verdict
-                found = estimate(image, scene, gain, offset, noise, mask, model=one.model, max_order=one.max_order)
+                found = estimate(image, scene, gain, offset, noise, mask, one.model, one.max_order, phase=one.phase)
         except TankrigError as error:
             errors.append(error)
             refusal = str(error)
@@ -142,12 +151,18 @@ def compare_models(
     best = min(fitted, key=lambda fit: fit.rmse)
     pixels = int(np.isfinite(best.residual).sum())
     effective = effective_pixels(np.asarray(best.residual, float))
-    rows = []
-    for fit in fits:
-        # The penalties 2 k and k ln n_eff are the same for all, as each model is fitted with the same coefficients.
-        worse = math.inf if fit.estimate is None else 2.0 * effective * math.log(fit.estimate.rmse / best.rmse)
-        rows.append(replace(fit, aic=worse, bic=worse))
+    rows = [_criteria(fit, best.rmse, effective) for fit in fits]
+    aic, bic = min(row.aic for row in rows), min(row.bic for row in rows)
+    rows = [replace(row, aic=row.aic - aic, bic=row.bic - bic) if row.estimate else row for row in rows]
     return Comparison(tuple(rows), pixels, effective)
+
+
+def _criteria(fit: Compared, least: float, effective: float) -> Compared:
+    """AIC and BIC less what three coefficients cost in each model."""
+    if fit.estimate is None:
+        return fit
+    worse, more = 2.0 * effective * math.log(fit.estimate.rmse / least), fit.contender.more
+    return replace(fit, aic=worse + 2.0 * more, bic=worse + more * math.log(effective))
 
 
 def effective_pixels(residual: Array) -> float:

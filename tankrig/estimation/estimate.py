@@ -15,8 +15,11 @@ from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_fault
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
 from tankrig.estimation.parameters import MediumBlock, Range, Scaling
+from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, phase_instead
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import (
+    PHASE,
+    TELLING,
     WHOLE,
     cause_of,
     misalignment_left_out,
@@ -36,6 +39,7 @@ from tankrig.estimation.verdict import (
 )
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
+from tankrig.scene.phase_table import PhaseFunction
 
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
@@ -46,6 +50,8 @@ Free = Literal["free"]
 
 ALIGNINGS, ALIGNED = 5, 2.0
 """Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
+LIKE_TANK = ("tank", "prepared")
+"""Models of the whole tank that the cheap one can stand in for."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 
@@ -60,6 +66,7 @@ def estimate(
     model: "str | Prepared" = "tank",
     max_order: int | None = None,
     *,
+    phase: "str | PhaseFunction | None" = None,
     nuisance: Mapping[str, float] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Estimate:
@@ -74,7 +81,7 @@ def estimate(
     image
         (rows, columns) as the scene's camera delivers it, in any unit linear in radiance.
     scene
-        Tank, projector and camera; its medium does not matter.
+        Tank, projector and camera; of its medium no more than the phase function matters, see `phase`.
     gain, offset
         "free", or numbers: image units per W/mm²/sr, and image units; or (number, standard deviation).
     noise
@@ -88,6 +95,11 @@ def estimate(
         structure whose cause is looked for.
     max_order
         Fit orders of scattering 1 … max_order only; None for all.
+    phase
+        How one scattering turns light: "hg" (Henyey–Greenstein), "two-term", "reynolds-mccormick", "fournier-forand",
+        "free" (any smooth one), or "any": all but Fournier and Forand's, weighed by their evidence. A `Mie` is what a
+        label says, fitted within its accuracy; any other phase function is taken as it is. "mie" and "table" mean the
+        scene's. None: the scene's, to begin from; "hg" where it has none.
     nuisance
         What may be off in the set-up, each with its standard deviation, and is fitted along: "z_mm", "y_mm" (light
         moved up, and along y), "tilt_mrad" (light turned about the vertical, towards +y), "scale" (share by which a
@@ -108,11 +120,11 @@ def estimate(
     """
     if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):
         raise SceneError(f"{scene.source or 'the scene'}: no beam has any irradiance; give the light that was on")
-    scaling = Scaling.given(gain, offset)
+    scaling, asked = Scaling.given(gain, offset), asked_for(phase, scene)
     misalignment = Misalignment(scene, nuisance, 1 if model == "single" else max_order) if nuisance else None
     observation = observe(image, scene.camera.shape, noise, mask)
-    models = models_of(scene, model, max_order)
-    return fit_models(observation, scene, scaling, models, progress or _silently, misalignment)
+    models = models_of(scene, model, max_order, asked.family)
+    return fit_models(observation, scene, scaling, models, progress or _silently, misalignment, asked)
 
 
 def fit_models(
@@ -122,6 +134,7 @@ def fit_models(
     models: Models,
     progress: Told,
     misalignment: Misalignment | None = None,
+    asked: Asked = Asked(),  # noqa: B008
 ) -> Estimate:
     """Fit one image by any forward model: a series of one.
 
@@ -137,27 +150,33 @@ def fit_models(
         Told in words what is being done.
     misalignment
         What may be off in the set-up; None where nothing is. It is fitted with the accurate model only.
+    asked
+        Which phase functions are.
     """
     block = MediumBlock(models.range or Range.of_tank(max(scene.tank.size_mm)))
-    fit = fitted([Shot(observation, scene, models)], (block,), scaling, progress, sharper=True)
+    shot = Shot(observation, scene, models)
+    if asked.family is None:
+        fit = fitted([shot], (block,), scaling, progress, sharper=True)
+    else:
+        fit = fit_phase(shot, asked, block, scaling, progress)
     if misalignment is not None:
         progress("aligning")
         fit = _aligned(fit, misalignment)
     fit = without_outliers(fit)
     progress("finding the errors")
-    return _built(fit, scene)
+    return _built(fit, scene, models, asked)
 
 
 def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
     """The fit with what may be off in the set-up; edges that come off pixels' edges bend the way, so it is repeated."""
     best, none = fit.optimum, np.zeros(len(misalignment.names))
-    at, (view,), (medium,) = np.concatenate([best.coordinates, none]), best.problem.views, best.problem.blocks
+    at, (view,), liquid = np.concatenate([best.coordinates, none]), best.problem.views, best.problem.blocks
     for _ in range(ALIGNINGS):
         before, block = best.cost, SetUpBlock(misalignment.at(best.media[0]), np.ones(none.size))
-        problem = replace(best.problem, blocks=(medium, block))
+        problem = replace(best.problem, blocks=(*liquid, block))
         sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
         weight = overconfidence(sensitivity, believed, [view.observation.noise], [view.error])
-        best = polish(replace(problem, blocks=(medium, replace(block, weight=weight))), at)
+        best = polish(replace(problem, blocks=(*liquid, replace(block, weight=weight))), at)
         at = best.coordinates
         if before - best.cost < ALIGNED:
             break
@@ -233,18 +252,17 @@ def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
     return gain, offsets, found
 
 
-def _built(fit: Fit, scene: Scene) -> Estimate:
+def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
     """The estimate at an optimum: its errors, what the residual says, and the verdict."""
     best = fit.optimum
     gain, (offset,), (left,) = left_over(fit)
-    medium, observation, prediction = best.media[0], best.problem.views[0].observation, left.prediction
+    observation, prediction = best.problem.views[0].observation, left.prediction
     used, stated = observation.used, left.stated
     # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
     error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
     spread = spread_of(best, [left], [SmoothError.of(scene, error)])
-    off, spread = _misalignments(best, spread), spread[:3, :3]
-    edges = best.at_edge
-    known = {name: yes and name not in edges for name, yes in determined(medium, spread, [left]).items()}
+    off, answer = _misalignments(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
+    medium, spread = answer.liquid, answer.covariance
     whitened = np.where(used, left.residual, 0.0) / left.noise
     place = standing_out(whitened, used, error / left.noise)
     whole = prediction.model in WHOLE
@@ -252,20 +270,32 @@ def _built(fit: Fit, scene: Scene) -> Estimate:
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
     misaligned = cache(partial(misalignments, scene, medium))  # eight images, and two may ask
     cause = cause_of(best, scene, misaligned) if not held and whole else None
+    instead = phase_instead(best, scene, models, asked) if not held and prediction.model in LIKE_TANK else None
+    misled = instead is not None and instead.share > max(TELLING, cause[1] if cause else 0.0)
+    if instead is not None:
+        spread = spread + instead.share * np.outer(instead.moved, instead.moved)
+    if instead is not None and misled:
+        cause = PHASE, instead.share
+    edges = best.at_edge
+    known = {
+        name: yes and name not in edges and not (misled and name != "sigma_a")
+        for name, yes in determined(medium, spread, [left]).items()
+    }
     aside = whole and misalignment_left_out(observation, left.image, gain, misaligned)
     noisier = left.noisier if observation.noise_known else 1.0
+    own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
     sentences = [
         what_is_determined(medium, spread, known, edges),
         what_is_left(left.unexplained, stated, noisier, cause, place, aside),
         what_is_misaligned(off),
-        what_is_unseen(medium, moved_by_halos(best, [left]), spread, known),
+        what_is_unseen(medium, moved_by_halos(best, [left])[:own], spread, known),
         what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
     ]
     return Estimate(
         medium=medium, covariance=spread, identifiable=known, gain=gain, offset=offset, image=left.image,
         residual=left.residual, rmse=left.rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model,
         noise=rms(left.noise[used]), model_error=left.counted, nuisance=off, structure=structure_map(whitened, used),
-        stretch=_stretch(best, spread),
+        stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
 
 

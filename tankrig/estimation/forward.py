@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
 from tankrig.estimation.parameters import NAMES, Range
+from tankrig.estimation.phase_families import Family
 from tankrig.image.predict import predict
 from tankrig.image.prepare import require_henyey_greenstein
 from tankrig.prediction import Prediction, Skipped
@@ -29,7 +30,8 @@ Image = NDArray[np.floating]
 Forward = Callable[[Medium], Image]
 """Image of a medium; everything else about the scene is fixed."""
 Slopes = Callable[[Medium], Image]
-"""Derivatives of the image by σa, σs and g, shape (3, rows, columns)."""
+"""Derivatives of the image by σa, σs and g, shape (3, rows, columns); with a family of phase functions by σa, σs and
+its coordinates."""
 Model = Callable[[Medium], Prediction]
 """What the camera would see with a medium in the tank."""
 Exact = Callable[[Medium, int], Prediction]
@@ -84,6 +86,8 @@ class Models:
         accurate one is that.
     central
         Whether differences look at both sides.
+    family
+        Of the phase functions of its media; None: Henyey–Greenstein.
     """
 
     coarse: Model
@@ -92,9 +96,12 @@ class Models:
     range: Range | None = None
     exact: Exact | None = None
     central: bool = True
+    family: Family | None = None
 
     def slopes_of(self, model: Model, length_mm: float) -> Slopes:
         """Derivatives: the model's own, or by differences of one of its versions."""
+        if self.family is not None:
+            return liquid_slopes_of(image_of(model), length_mm, self.family, self.central)
         return self.slopes or slopes_of(image_of(model), length_mm, self.central)
 
     def refined(self, medium: Medium) -> tuple[Model, Model]:
@@ -102,20 +109,26 @@ class Models:
         return self.refine(medium) if self.refine is not None else (self.coarse, self.coarse)
 
 
-def models_of(scene: Scene, model: "str | Prepared", max_order: int | None) -> Models:
-    """Versions of a model of a scene.
+def models_of(scene: Scene, model: "str | Prepared", max_order: int | None, family: Family | None = None) -> Models:
+    """Versions of a model of a scene, for media of a family of phase functions; None: Henyey–Greenstein.
 
     Raises
     ------
     SceneError
-        When a prepared model is of another scene; on the first image, when the model is unknown or cannot treat the
-        scene.
+        When a prepared model is of another scene, or asked for another phase function than Henyey–Greenstein's; on the
+        first image, when the model is unknown or cannot treat the scene.
     """
-    require_henyey_greenstein(scene)
+    if family is not None:
+        if model == "prepared" or not isinstance(model, str):
+            raise SceneError(
+                f'phase = "{family.name}" needs model = "tank": prepared models know Henyey–Greenstein '
+                'only (phase = "hg")'
+            )
+        return replace(models_of(scene, model, max_order), family=family)
     if model == "prepared":
         from tankrig.image.prepare import prepare
 
-        model = prepare(scene)
+        model = prepare(replace(scene, medium=Medium(*scene.medium.coefficients)))
     if not isinstance(model, str):
         return _prepared_models(scene, model, max_order)
     if model == "tank":
@@ -389,7 +402,69 @@ def _slope(forward: Forward, medium: Medium, name: str, size: float, central: bo
     return slope
 
 
+def values_of(medium: Medium, family: Family | None) -> NDArray[np.float64]:
+    """What a liquid's image is differentiated by: σa, σs and g, or σa, σs and the coordinates of a family's member."""
+    if family is None:
+        return np.array(medium.coefficients)
+    return np.array([medium.sigma_a, medium.sigma_s, *family.coordinates(medium.phase_function)])
+
+
+def liquid_slopes_of(
+    forward: Forward, length_mm: float, family: Family, central: bool = True, step: float = 0.03
+) -> Slopes:
+    """The same as `slopes_of` by σa, σs and the coordinates of a family of phase functions.
+
+    Parameters
+    ----------
+    forward, length_mm, central, step
+        As for `slopes_of`.
+    family
+        Of the media's phase functions. Its coordinates are stepped to one side, along which images bend little, and
+        derivatives are used again within `NEAR` of those steps.
+
+    Examples
+    --------
+    >>> from tankrig.estimation.phase_families import reynolds_mccormick
+    >>> from tankrig.scene.phase_functions import ReynoldsMcCormick
+    >>> at_right_angle = lambda medium: np.full((1, 1), float(medium.phase_function.at(0.0)))
+    >>> slopes = liquid_slopes_of(at_right_angle, 240.0, reynolds_mccormick())
+    >>> slopes(Medium(0.0, 3.0, phase=ReynoldsMcCormick(0.7, 0.5))).round(3).ravel().tolist()
+    [0.0, 0.0, -0.041, -0.013]
+    """
+    last: list[tuple[NDArray[np.float64], Image]] = []
+
+    def at(values: NDArray[np.float64]) -> Image:
+        return forward(Medium(float(values[0]), float(values[1]), phase=family.phase(values[2:])))
+
+    def slopes(medium: Medium) -> Image:
+        values = values_of(medium, family)
+        absorption, scattering = _coefficient_steps(medium, step, length_mm)
+        sizes = np.array([absorption, scattering, *family.difference])
+        near = np.array([absorption, scattering, *(NEAR * family.difference)])
+        if last and (np.abs(last[0][0] - values) <= near).all():
+            return last[0][1]
+        room = family.high - values[2:]
+        sizes[2:] = np.where(room < sizes[2:], -sizes[2:], sizes[2:])
+        here, found = forward(medium), []
+        for k, size in enumerate(sizes):
+            ahead, behind = (values + by * np.eye(values.size)[k] for by in (size, -size))
+            two_sided = central and k < 2 and behind[k] >= 0.0
+            found.append((at(ahead) - at(behind)) / (2.0 * size) if two_sided else (at(ahead) - here) / size)
+        last[:] = [(values, np.stack(found))]
+        return last[0][1]
+
+    return slopes
+
+
+NEAR = 5.0
+"""Steps within which derivatives by a phase function's coordinates are used again: it bends little."""
+
+
+def _coefficient_steps(medium: Medium, step: float, length_mm: float) -> tuple[float, float]:
+    """Step of σa and of σs."""
+    return max(step * medium.sigma_a, 0.5 * step / length_mm), step * medium.sigma_s
+
+
 def _steps(medium: Medium, step: float, length_mm: float) -> tuple[float, float, float]:
     """Step of each coefficient, in the order of `NAMES`."""
-    absorption = max(step * medium.sigma_a, 0.5 * step / length_mm)
-    return absorption, step * medium.sigma_s, step * (1.0 - medium.g) * (1.0 + medium.g)
+    return *_coefficient_steps(medium, step, length_mm), step * (1.0 - medium.g) * (1.0 + medium.g)

@@ -6,6 +6,7 @@ the Jacobian along for nothing, and it is computed anew only when a step fails. 
 every accepted step, about three times the evaluations here.
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -22,9 +23,11 @@ from tankrig.estimation.forward import (
     counted_error,
     image_of,
     stated_error,
+    values_of,
 )
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import Block, Scaling
+from tankrig.estimation.phase_families import Family
 from tankrig.estimation.problem import Evaluation, Problem, View
 from tankrig.estimation.uncertainty import PATTERN, SmoothError, identifiable
 from tankrig.prediction import Prediction
@@ -43,8 +46,9 @@ FIRST_STEPS, LAST_STEPS = 5, 40
 COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
 """Where the searches stop, see `solve`: the cheap model's optimum is only a start for the accurate one's, and errors
 of the model, which the weights count pixel by pixel, move the optimum by more than the weights say."""
-NEAR_ENOUGH, BENT_ENOUGH = 0.005, 0.05
-"""The same about exact images: to first order, where steps cost nothing, and as the models bend."""
+NEAR_ENOUGH, BENT_ENOUGH, MANY_ENOUGH = 0.005, 0.05, 0.1
+"""The same about exact images: to first order, where steps cost nothing, and as the models bend; with a phase
+function's many coordinates, of which each may be off by less than where there are three."""
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
 """Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
 by less than EQUAL, are left for the accurate model to tell apart."""
@@ -54,7 +58,9 @@ SEVERAL_ENOUGH = 20.0
 """The same for the cheap models' fit of several images."""
 CORRECTIONS, SETTLED = 4, 0.1
 """Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
-which that is over."""
+which that is over, see `Block.looseness`."""
+FEW_STEPS = 12
+"""Steps with the accurate model, and as the models bend, at most, where a phase function's coordinates are fitted."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 CLEANINGS = 3
@@ -95,17 +101,18 @@ def solve(
     ...         self.residual, self.jacobian = np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10], [-1, 0]])
     ...         self.cost = 0.5 * self.residual @ self.residual
     >>> wide = np.full(2, 5.0)
-    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), longest_step=np.inf, quick=False)
+    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), longest_step=np.inf, quick=False, least_damping=0.0)
     >>> solve(problem, np.array([-1.2, 1.0]), 1e-9, 200).coordinates.round(3).tolist()
     [1.0, 1.0]
     """
-    box, longest_step = problem.box, problem.longest_step
+    box, longest_step, least = problem.box, problem.longest_step, problem.least_damping
+    damping = max(damping, least)
     here = problem.at(np.clip(start, *box))
     jacobian = here.jacobian
     fresh, refused = True, 0
     for _ in range(most_steps):
         at, value = here.coordinates, here.residual
-        if _promise(value, jacobian, _step(value, jacobian, 0.0, at, box, longest_step)) < enough:
+        if _promise(value, jacobian, _step(value, jacobian, least, at, box, longest_step)) < enough:
             if fresh:
                 break
             jacobian, fresh = here.jacobian, True
@@ -118,7 +125,7 @@ def solve(
             else:
                 jacobian = jacobian + np.outer(ahead.residual - value - jacobian @ step, step) / float(step @ step)
             here, fresh, refused = ahead, problem.quick, 0
-            damping = max(damping / 5.0, 1e-6)
+            damping = max(damping / 5.0, 1e-6, least)
         elif not fresh:
             jacobian, fresh = here.jacobian, True
         elif refused == MOST_REFUSED:
@@ -283,6 +290,7 @@ def fitted(
     start: Vector | None = None,
     few: Sequence[int] = (0,),
     sharper: bool = False,
+    starts: Sequence[Vector] | None = None,
 ) -> Fit:
     """From images to the optimum: search with the cheap models, go on with accurate ones, correct by exact images.
 
@@ -302,8 +310,13 @@ def fitted(
         Numbers of the images that the search looks at.
     sharper
         Whether exact images follow more paths where the model's error hides what the images show.
+    starts
+        Coordinates that the cheap models' search begins from, in place of a look around.
     """
-    if start is None:
+    if starts is not None:
+        problem = _rough(shots, blocks, scaling)
+        found = search(problem.of(few), starts, progress)
+    elif start is None:
         problem, found = _searched(shots, blocks, scaling, progress, few)
     else:
         problem, found = _rough(shots, blocks, scaling), [start]
@@ -315,7 +328,10 @@ def fitted(
         forwards = [image_of(fine) for fine, _ in versions]
         slopes = [shot.slopes_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
         problem = _weighed(problem, shots, forwards, slopes, seen)
-        best = _by_cost(polish(problem, one) for one in found)[0]
+        many = any(shot.models.family for shot in shots)
+        best = _by_cost(
+            solve(problem, one, MANY_ENOUGH, FEW_STEPS, damping=0.0) if many else polish(problem, one) for one in found
+        )[0]
     else:
         progress("fitting all images")
         versions = [(shot.models.coarse, shot.models.coarse) for shot in shots]
@@ -352,6 +368,25 @@ def _searched(
     return problem, search(problem.of(few), starts, progress, [look.coordinates for look in rest])
 
 
+def guessed(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told) -> Medium:
+    """About what the first image's liquid is, by the cheap models alone."""
+    problem = _rough(shots, blocks, scaling).of((0,))
+    progress("looking at a few media")
+    first, _ = first_guess(problem, shots[0].length_mm)
+    return problem.at(search(problem, [look.coordinates for look in first], progress)[0]).media[0]
+
+
+def promising(
+    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, ladder: Sequence[Vector]
+) -> list[Vector]:
+    """Places on a ladder that explain the first image better than their neighbours on it, best first."""
+    problem = _rough(shots, blocks, scaling).of((0,))
+    costs = [problem.at(np.clip(one, *problem.box)).cost for one in ladder]
+    around = [math.inf, *costs, math.inf]
+    found = [k for k, cost in enumerate(costs) if cost <= min(around[k], around[k + 2])]
+    return [ladder[k] for k in sorted(found, key=lambda k: costs[k])]
+
+
 def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model], progress: Told, sharper: bool) -> Fit:
     """The optimum by exact images, and by how other models change about them.
 
@@ -372,23 +407,29 @@ def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model],
         Whether images follow more paths where the model's error hides what the images show.
     """
     problem = best.problem
+    many = any(shot.models.family for shot in shots)
+    bent_enough, steps = (MANY_ENOUGH, FEW_STEPS) if many else (BENT_ENOUGH, LAST_STEPS)
 
     def about(centre: Evaluation, start: Evaluation, times: int) -> Fit:
         media, slopes = centre.media, problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))
         seen = [shot.models.exact(one, times) for shot, one in zip(shots, media, strict=True) if shot.models.exact]
-        straight = [_linear(one.image, medium, slope) for one, medium, slope in zip(seen, media, slopes, strict=True)]
+        families = [shot.models.family for shot in shots]
+        straight = [
+            _linear(one.image, medium, slope, family)
+            for one, medium, slope, family in zip(seen, media, slopes, families, strict=True)
+        ]
         near = _weighed(problem, shots, straight, [_always(slope) for slope in slopes], seen)
         end = solve(replace(near, quick=True), start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
         last = tuple(corrected(*one) for one in zip(models, media, seen, strict=True))
         bent = near.by([image_of(model) for model in last])
-        return Fit(solve(bent, end.coordinates, BENT_ENOUGH, LAST_STEPS, damping=0.0), last)
+        return Fit(solve(bent, end.coordinates, bent_enough, steps, damping=0.0), last)
 
     for _ in range(CORRECTIONS):
         progress("correcting by accurate images")
         centre = best
         fit = about(centre, centre, 1)
         best = fit.optimum
-        if np.abs(best.coordinates - centre.coordinates).max() < SETTLED:
+        if (np.abs(best.coordinates - centre.coordinates) < SETTLED * problem.looseness).all():
             break
     if sharper and _held_back(best):
         progress("correcting by images as accurate as the photographs")
@@ -415,10 +456,10 @@ def _weighed(
     return replace(problem, views=tuple(views))
 
 
-def _linear(image: Image, centre: Medium, slopes: Image) -> Forward:
+def _linear(image: Image, centre: Medium, slopes: Image, family: Family | None) -> Forward:
     """An image, and changes of it to first order."""
-    at = np.array(centre.coefficients)
-    return lambda medium: np.asarray(image + np.tensordot(np.array(medium.coefficients) - at, slopes, 1))
+    at = values_of(centre, family)
+    return lambda medium: np.asarray(image + np.tensordot(values_of(medium, family) - at, slopes, 1))
 
 
 def _always(slopes: Image) -> Slopes:

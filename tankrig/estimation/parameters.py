@@ -154,6 +154,16 @@ class Block(Protocol):
         """(k,) how far coordinates may go in one step."""
         return np.ones(len(self.names))
 
+    @property
+    def looseness(self) -> Array:
+        """(k,) times that a coordinate may have moved further than others where a fit has settled."""
+        return np.ones(len(self.names))
+
+    @property
+    def least_damping(self) -> float:
+        """Share of the curvature that steps are damped by at least: more than 0 where coordinates may be alike."""
+        return 0.0
+
     def start(self, densest: Medium) -> Array:
         """(k,) coordinates to begin from when the densest liquid is about this; in the middle."""
         return np.zeros(len(self.names))

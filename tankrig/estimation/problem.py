@@ -105,6 +105,16 @@ class Problem:
         return np.concatenate([one.longest_step for one in self.blocks])
 
     @property
+    def looseness(self) -> Array:
+        """Of each coordinate."""
+        return np.concatenate([one.looseness for one in self.blocks])
+
+    @property
+    def least_damping(self) -> float:
+        """Of steps, see `Block.least_damping`."""
+        return max(one.least_damping for one in self.blocks)
+
+    @property
     def pixels(self) -> int:
         """Used, in all images."""
         return sum(int(view.observation.used.sum()) for view in self.views)

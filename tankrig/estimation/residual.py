@@ -22,6 +22,8 @@ LOCAL = 6.0
 """Standard deviations of the averaged residual, model's error counted, that are no chance at any place of an image."""
 MOST_BEAMS = 16
 """That are looked at one by one."""
+PHASE = "another phase function"
+"""A cause, as the verdict names it."""
 WHOLE = ("tank", "prepared", "montecarlo")
 """Models that describe all light, so that what they leave has another cause."""
 FEWEST = 5
@@ -154,7 +156,7 @@ def cause_of(best: Evaluation, scene: Scene, misaligned: Callable[[], Array]) ->
     causes: dict[str, Callable[[], list[Array]]] = {
         "uneven ink": uneven,
         "a misaligned beam or camera": lambda: list(misaligned()),
-        "another phase function": lambda: [single_scattering(scene), double_scattering(scene, 0.01)],
+        PHASE: lambda: [single_scattering(scene), double_scattering(scene, 0.01)],
         "beams of another brightness than described, or missing": beams,
     }
     return likely_cause(best.left, project_out, causes)

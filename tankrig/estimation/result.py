@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.parameters import in_tank
+from tankrig.estimation.phase_result import Scattering
 from tankrig.prediction import ORDER_CLASSES, Prediction
 from tankrig.scene import Medium
+from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -23,7 +25,8 @@ class Estimate:
     medium
         Fitted σa, σs, g.
     covariance
-        (3, 3), of (σa, σs, g): camera noise and the model's own error, gain and offset as free as they were.
+        (3, 3), of (σa, σs, g), g the mean cosine: camera noise and the model's own error, gain and offset as free as
+        they were.
     identifiable
         Which of "sigma_a", "sigma_s", "g" the image determines.
     gain, offset
@@ -51,6 +54,9 @@ class Estimate:
     stretch
         Factors by which a coefficient's interval reaches further below and above than a normal one, where its profile
         likelihood was computed; missing where the image responds in proportion.
+    scattering
+        How the liquid scatters: curve of the phase function with its band, what follows from it, and the families that
+        it was found with.
     """
 
     medium: Medium
@@ -68,6 +74,12 @@ class Estimate:
     nuisance: dict[str, tuple[float, float]] = field(default_factory=dict)
     structure: Image | None = None
     stretch: dict[str, tuple[float, float]] = field(default_factory=dict)
+    scattering: Scattering | None = None
+
+    @property
+    def phase(self) -> PhaseFunction:
+        """The fitted phase function."""
+        return self.medium.phase_function
 
     def interval(self, level: float = 0.95, profile: bool = True) -> dict[str, tuple[float, float]]:
         """Where each coefficient lies with probability `level`, cut at the range allowed.

@@ -91,7 +91,7 @@ class Prepared:
 
 
 def require_henyey_greenstein(scene: Scene) -> None:
-    """Refuse a scene whose liquid has another phase function, which fits and prepared models do not know yet.
+    """Refuse a scene whose liquid has another phase function, which prepared models and series do not know yet.
 
     Raises
     ------
@@ -100,8 +100,9 @@ def require_henyey_greenstein(scene: Scene) -> None:
     """
     if scene.medium.phase is not None:
         raise SceneError(
-            f'medium.phase of kind "{scene.medium.phase.kind}" is known to predictions only; fits and prepared models '
-            f"know Henyey–Greenstein: leave it out, and take their σs and g for those of a Henyey–Greenstein liquid"
+            f'medium.phase of kind "{scene.medium.phase.kind}" is known to predictions and to fits of one image only; '
+            "prepared models and series know Henyey–Greenstein: leave it out, and take their σs and g for those of a "
+            "Henyey–Greenstein liquid"
         )
 
 

@@ -29,20 +29,24 @@ SHOWN = {"sigma_s": "σs, 1/m", "g": "g", "sigma_a": "σa, 1/m"}
 @click.option("--noise", type=float, help="Standard deviation of a pixel; default: as seen.")
 @click.option("--dose-ml", type=float, help="Which dose of a run; default: the last.")
 @click.option("--pattern", metavar="NAME", help="Which pattern of a run; default: its first.")
+@click.option(
+    "--phases", is_flag=True, help="Compare families of phase functions, all orders each, in place of models."
+)
 @json_option
 def compare(
     given: Path, scene_file: Path | None, array: str | None, scale: float, gain: Any, offset: Any,
-    noise: float | None, dose_ml: float | None, pattern: str | None, as_json: bool,
+    noise: float | None, dose_ml: float | None, pattern: str | None, phases: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Fit RUN or IMAGE by several models and compare them in one table.
 
     Single scattering, orders 1 … 3 and 1 … 20, all orders in the tank, the paper's infinite medium, and the diffuse
     limit: what each leaves over, the coefficients it finds, and how far above the best its information criterion is.
+    With --phases the same for families of phase functions, of which a free one counts each of its shapes.
     """
     from rich.console import Console
 
     import tankrig
-    from tankrig.estimation.comparison import compare_models
+    from tankrig.estimation.comparison import PHASES, compare_models
     from tankrig.image.reading import read_image
     from tankrig.scene.outline import blurred_pixels
 
@@ -58,7 +62,8 @@ def compare(
         mask = blurred_pixels(scene)
     with Console(stderr=True).status("reading") as status:
         try:
-            found = compare_models(image, scene, gain, offset, sigma, progress=status.update, mask=mask)
+            families = {"contenders": PHASES} if phases else {}
+            found = compare_models(image, scene, gain, offset, sigma, progress=status.update, mask=mask, **families)
         except tankrig.ImageError as error:
             raise tankrig.ImageError(f"{given}: {error}") from error
     if as_json:
@@ -100,6 +105,7 @@ def _row(row: "Compared") -> dict[str, Any]:
         "gain": fit.gain,
         "offset": fit.offset,
         "rmse": fit.rmse,
+        "phase": contender.phase,
         "aic": row.aic,
         "bic": row.bic,
         "seconds": round(row.seconds, 3),

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from tankrig.calibration.radiometry import Radiometry
     from tankrig.estimation.estimate import Estimate
+    from tankrig.estimation.phase_result import Scattering
     from tankrig.estimation.result import Reconstruction
     from tankrig.live.one_picture import Picture
     from tankrig.scene import Camera, Medium
@@ -102,6 +103,12 @@ class Nuisance(click.ParamType[Any]):
     help="tank, prepared, single, convolution, diffuse, montecarlo.",
 )
 @click.option(
+    "--phase",
+    metavar="NAME",
+    help="How one scattering turns light: hg, two-term, reynolds-mccormick, fournier-forand, free, mie or table (the "
+    "scene's), any (weighed by evidence); default: the scene's, or hg.",
+)
+@click.option(
     "--nuisance",
     type=Nuisance(),
     multiple=True,
@@ -144,6 +151,7 @@ def fit(
     offset: Any,
     noise: float | None,
     model: str,
+    phase: str | None,
     nuisance: tuple[tuple[str, float], ...],
     rig: Path | None,
     exposure_ms: float | None,
@@ -191,14 +199,16 @@ def fit(
     with _told() as tell:
         started = time.perf_counter()
         try:
-            fitted = tankrig.estimate(image, scene, **seen, model=model, max_order=max_order, progress=tell)
+            fitted = tankrig.estimate(
+                image, scene, **seen, model=model, max_order=max_order, phase=phase, progress=tell
+            )
             seconds = time.perf_counter() - started
             tell("rebuilding by order")
             whole = "tank" if model == "prepared" else model  # a prepared model doesn't tell orders apart
             prediction = tankrig.predict(replace(scene, medium=fitted.medium), whole, FINE, max_order)
             rebuilt = by_order(fitted, prediction)
             tell("comparing with single scattering")
-            single = tankrig.estimate(image, scene, **seen, model="single") if model != "single" else None
+            single = tankrig.estimate(image, scene, **seen, model="single", phase="hg") if model != "single" else None
         except tankrig.ImageError as error:
             raise tankrig.ImageError(f"{image_file}: {error}") from error
         except KeyboardInterrupt:
@@ -384,9 +394,30 @@ def _numbers(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "E
         "nuisance_found": {name: {"value": value, "sd": sd} for name, (value, sd) in fitted.nuisance.items()},
         "verdict": fitted.verdict,
     }
+    if fitted.scattering is not None:
+        numbers |= _scattering_numbers(fitted.scattering)
     if single is not None:
         numbers["single"] = {"medium": _coefficients(single.medium), "rmse": single.rmse, "verdict": single.verdict}
     return numbers
+
+
+def _scattering_numbers(scattering: "Scattering") -> dict[str, Any]:
+    """Of the phase function: what it is described by, its curve with a band, and what follows from it."""
+    curve = scattering.curve
+    low, high = curve.band(LEVEL)
+    pairs = {"sigma_s_p90": scattering.at_right_angle, "reduced_scattering": scattering.reduced}
+    return {
+        "phase": {
+            "families": dict(scattering.families),
+            "parameters": {name: {"value": value, "sd": sd} for name, (value, sd) in scattering.parameters.items()},
+            "angle_deg": curve.angle_deg.tolist(),
+            "value": curve.value.tolist(),
+            "low": low.tolist(),
+            "high": high.tolist(),
+            "level": LEVEL,
+        },
+        **{name: {"value": value, "sd": sd} for name, (value, sd) in pairs.items()},
+    }
 
 
 def _write(
@@ -430,8 +461,19 @@ def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Esti
         table.add_row(name, shown[0], shown[1], f"{shown[2]} … {shown[3]}", unit, known)
     for name, (value, sd) in fitted.nuisance.items():
         table.add_row(name, _rounded(value, sd), _rounded(sd, sd), "", "", "")
+    scattering = fitted.scattering
+    if scattering is not None and fitted.medium.phase is not None:
+        for name, (value, sd) in (
+            ("σs(1−g)", scattering.reduced),
+            ("σs p(90°)", scattering.at_right_angle),
+            *scattering.parameters.items(),
+        ):
+            table.add_row(name, _rounded(value, sd), _rounded(sd, sd), "", "", "")
     console = Console()
     console.print(table)
+    if scattering is not None and fitted.medium.phase is not None:
+        shares = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in scattering.families.items())
+        console.print(f"\nphase function  {shares}", highlight=False)
     console.print(f"\n{fitted.verdict}\n", highlight=False, markup=False)
     by_order = ",  ".join(f"{one.orders}: {one.rmse:.3g}" for one in rebuilt)
     console.print(

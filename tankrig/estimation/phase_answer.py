@@ -1,0 +1,165 @@
+"""How a fit of one image goes about phase functions: which are asked for, how they are fitted, and what comes of it."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.forward import COARSE, Models, image_of, models_of
+from tankrig.estimation.optimiser import COARSE_ENOUGH, Fit, Shot, Told, fitted, guessed, promising, solve
+from tankrig.estimation.parameters import MediumBlock, Scaling
+from tankrig.estimation.phase_average import averaged
+from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
+from tankrig.estimation.phase_families import FAMILIES, Family, family_of, fixed, free, henyey_greenstein
+from tankrig.estimation.phase_result import Scattering, scattering_of
+from tankrig.estimation.problem import Evaluation, Problem
+from tankrig.estimation.uncertainty import SmoothError
+from tankrig.scene import Medium, Scene
+from tankrig.scene.phase_table import PhaseFunction
+
+Array = NDArray[np.float64]
+
+MOST_RUNGS = 6
+"""Places on a family's ladder that a search begins from, at most."""
+SEARCH_STEPS = 30
+"""Of the cheap fit of another phase function, at most."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Which phase functions a fit searches.
+
+    Parameters
+    ----------
+    family
+        None: Henyey–Greenstein.
+    averaged
+        Whether families are weighed by evidence; `family` is the free one then.
+    begin
+        Phase function to begin from; None: the one that is most like Henyey–Greenstein.
+    """
+
+    family: Family | None = None
+    averaged: bool = False
+    begin: PhaseFunction | None = None
+
+
+def asked_for(phase: str | PhaseFunction | None, scene: Scene) -> Asked:
+    """What `estimate`'s `phase` means for a scene.
+
+    Raises
+    ------
+    SceneError
+        When it is unknown.
+    """
+    described = scene.medium.phase
+    if phase is None:
+        if described is None:
+            return Asked()
+        phase = described.kind if described.kind in FAMILIES else described
+    if phase == "any":
+        return Asked(free(), averaged=True)
+    family = family_of(phase, described)
+    begin = phase if isinstance(phase, PhaseFunction) else described
+    return Asked(
+        family, begin=begin if begin is not None and family is not None and begin.kind == family.name else None
+    )
+
+
+def fit_phase(shot: Shot, asked: Asked, block: MediumBlock, scaling: Scaling, progress: Told) -> Fit:
+    """Fit coefficients and a family's phase function to an image.
+
+    Coefficients are looked for with Henyey–Greenstein first, whose three numbers are found from anywhere, or with the
+    phase function to begin from where there is one.
+    """
+    family = asked.family or henyey_greenstein()
+    blocks = (CoefficientsBlock(block.range), PhaseBlock(family))
+    if asked.begin is None:
+        medium = guessed([replace(shot, models=replace(shot.models, family=None))], (block,), scaling, progress)
+    else:
+        only = fixed(asked.begin)
+        known = (blocks[0], PhaseBlock(only))
+        medium = guessed([replace(shot, models=replace(shot.models, family=only))], known, scaling, progress)
+    start = np.concatenate([one.start(medium) for one in blocks])
+    starts = [start, *(np.concatenate([start[:2], other]) for other in family.others(start[2:]))]
+    if family.ladder.size:
+        rungs = [np.concatenate([start[:2], [rung], start[3:]]) for rung in family.ladder]
+        starts += promising([shot], blocks, scaling, rungs)[:MOST_RUNGS]
+    return fitted([shot], blocks, scaling, progress, sharper=True, starts=starts)
+
+
+def answer_of(best: Evaluation, spread: Array, asked: Asked, explained: bool = True) -> Scattering:
+    """The liquid at an optimum.
+
+    Parameters
+    ----------
+    best
+        The optimum.
+    spread
+        Covariance of all its values.
+    asked
+        Which phase functions were.
+    explained
+        Whether noise and the model's own error explain what is left. Where they do not, the free phase function does
+        not hold either, and what is left is no measure of how much worse a stiffer one is.
+    """
+    if asked.family is None:
+        (medium, *_), covariance = best.media, spread[:3, :3]
+        scale = np.diag([1.0, 1.0, 1.0 / ((1.0 - medium.g) * (1.0 + medium.g))])
+        coordinates = np.array([math.atanh(medium.g)])
+        found = scattering_of(
+            np.array(medium.coefficients[:2]), coordinates, scale @ covariance @ scale, henyey_greenstein()
+        )
+        return replace(found, liquid=medium, covariance=covariance)
+    if asked.averaged and explained:
+        return averaged(best, spread, asked.family)
+    count = 2 + len(asked.family.names)
+    return scattering_of(best.values["medium"], best.values["phase"], spread[:count, :count], asked.family)
+
+
+@dataclass(frozen=True)
+class Instead:
+    """What another phase function than the one fitted would say.
+
+    Parameters
+    ----------
+    share
+        Of the structure of the residual that it explains.
+    moved
+        (3,) σa, σs and mean cosine with it, less those that were fitted.
+    """
+
+    share: float
+    moved: Array
+
+
+def phase_instead(best: Evaluation, scene: Scene, models: Models, asked: Asked) -> Instead | None:
+    """A Henyey–Greenstein fit against one of a free phase function, by the cheap models; None where it is none.
+
+    What differs between the two is not small in real liquids (σs by a third and more), so that derivatives at the
+    optimum would not tell.
+    """
+    if asked.family is not None:
+        return None
+    (view,), (medium,) = best.problem.views, best.media
+    family = free()
+    cheap = replace(models if models.slopes is None else models_of(scene, "tank", None), family=family)
+    seen_besides = best.images[0] - view.forward(medium)  # what may be misaligned
+    image = image_of(cheap.coarse)
+    length_mm = max(scene.tank.size_mm)
+    blocks = (CoefficientsBlock(best.problem.blocks[0].range), PhaseBlock(family))  # type: ignore[attr-defined]
+    own = replace(
+        view, forward=lambda liquid: image(liquid) + seen_besides, slopes=cheap.slopes_of(cheap.coarse, length_mm)
+    )
+    problem = Problem((own,), blocks, best.problem.scaling, quick=False)
+    begin = problem.at(np.concatenate([one.start(medium) for one in blocks]))
+    # Where pixels count by the cheap model's error the valley is wide; where they count by noise steps only end.
+    rough = replace(own, error=SmoothError.of(scene, COARSE * np.abs(best.scale[0] * best.images[0])))
+    near = solve(replace(problem, views=(rough,)), begin.coordinates, COARSE_ENOUGH, SEARCH_STEPS)
+    end = solve(problem, near.coordinates, COARSE_ENOUGH, SEARCH_STEPS)
+    excess, left = (2.0 * one.cost - problem.pixels for one in (begin, end))
+    if excess <= 0.0:
+        return None
+    found: Medium = end.media[0]
+    return Instead(min(1.0 - left / excess, 1.0), np.array(found.coefficients) - np.array(medium.coefficients))

@@ -1,0 +1,198 @@
+"""Families of phase functions weighed by how well they explain what a fit of a free phase function found.
+
+About the optimum θ̂ of a free fit the images respond as I(θ) ≈ I(θ̂) + Jᵀ(θ − θ̂), and what data say of θ is in the
+score J W r, of covariance Σ (camera noise, the model's own smooth error, what structure adds). A member of a family is
+a free phase function too, nearly: its ln p is projected on the free one's shapes. So a family is fitted to the score,
+by least squares in a dozen numbers instead of thousands of pixels, and its evidence is Laplace's,
+
+    ln Z = −½ (s − F δ)ᵀ Σ⁻¹ (s − F δ) − ½ |ψ|² − ½ ln det(1 + Gᵀ F Σ⁻¹ F G),
+
+with δ = θ(ψ) − θ̂, G = ∂θ/∂ψ and parameters ψ in standard deviations of what is expected: every parameter costs what it
+could have explained and did not (MacKay 1992).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.parameters import WIDEST
+from tankrig.estimation.phase_families import Family, henyey_greenstein, reynolds_mccormick, two_term
+from tankrig.estimation.phase_result import PhaseCurve, Scattering, scattering_of
+from tankrig.estimation.problem import Evaluation
+from tankrig.scene import Medium
+from tankrig.scene.free_phase import FORWARD_DEG, shapes_at
+from tankrig.scene.phase_functions import Mixture, phase_function
+
+Array = NDArray[np.float64]
+
+NEGLIGIBLE = 1e-3
+"""Share of the answer below which a family is left out of it."""
+RIDGE = 1e-3
+"""Keeps shapes finite that a curve says nothing about."""
+PLACES_DEG = np.exp(np.linspace(math.log(FORWARD_DEG), math.log(180.0 + FORWARD_DEG), 100)) - FORWARD_DEG
+"""Angles at which curves are compared, as dense as the shapes want them."""
+STEPS = 40
+LEAST = 1e-3
+"""Of the coefficients that the free fit found, below which no family's are sought."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a fit of a free phase function knows.
+
+    Parameters
+    ----------
+    at
+        (k,) σa, σs, atanh of the base's asymmetry, and amplitudes.
+    whitened
+        (k,) Σ^−½ s.
+    response
+        (k, k) Σ^−½ F.
+    """
+
+    at: Array
+    whitened: Array
+    response: Array
+
+    @classmethod
+    def of(cls, best: Evaluation, spread: Array) -> "Score":
+        """Of an optimum and the covariance (k, k) of its values, whatever that counts."""
+        sensitivity = best.sensitivity
+        size, weight = sensitivity.widest, sensitivity.weight
+        changes, priors = sensitivity.changes * size[:, None], sensitivity.priors * size[:, None]
+        fisher = changes @ changes.T + priors @ priors.T
+        # Of the values in units of `widest`, of which covariance is F⁻¹ (Σ + prior) F⁻¹.
+        whole = fisher + np.diag(weight)
+        scatter = whole @ (spread / np.outer(size, size)) @ whole - np.diag(weight**2)
+        values, vectors = np.linalg.eigh(0.5 * (scatter + scatter.T))
+        root = vectors / np.sqrt(np.maximum(values, 1e-9 * values[-1]))
+        score = changes @ best.left
+        at = np.concatenate([best.values["medium"], best.values["phase"]])
+        return cls(at, root.T @ score, root.T @ fisher / size)
+
+    def misfit(self, at: Array) -> Array:
+        """(k,) s − F (θ − θ̂), whitened."""
+        return self.whitened - self.response @ (at - self.at)
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A family's answer, and the logarithm of its evidence."""
+
+    answer: Scattering
+    evidence: float
+
+
+def averaged(best: Evaluation, spread: Array, free: Family) -> Scattering:
+    """What families say together, each with its share of the evidence.
+
+    Parameters
+    ----------
+    best
+        Optimum of a fit of a free phase function.
+    spread
+        Covariance of its values.
+    free
+        Its family.
+    """
+    count = 2 + len(free.names)
+    spread = spread[:count, :count]
+    score = Score.of(best, spread)
+    found = [_free(score, spread, free)]
+    found += [
+        _family(score, one, found[0].answer.liquid) for one in (henyey_greenstein(), reynolds_mccormick(), two_term())
+    ]
+    evidence = np.array([one.evidence for one in found])
+    shares = np.exp(evidence - evidence.max())
+    shares /= shares.sum()
+    kept = [(one.answer, float(share)) for one, share in zip(found, shares, strict=True) if share > NEGLIGIBLE]
+    return mixed([one for one, _ in kept], [share for _, share in kept])
+
+
+def _free(score: Score, spread: Array, free: Family) -> Weighed:
+    answer = scattering_of(score.at[:2], score.at[2:], spread, free)
+    prior = np.where(free.expected, 1.0, 0.0)
+    pulls = float(np.sum(score.at[2:][free.expected] ** 2))
+    scale = np.concatenate([_widths(score), np.where(prior > 0.0, 1.0, free.usual)])
+    return Weighed(answer, _evidence(score.misfit(score.at), pulls, score.response * scale))
+
+
+def _family(score: Score, family: Family, near: Medium) -> Weighed:
+    """A family fitted to the score."""
+    from scipy.optimize import least_squares
+
+    widths, like = _widths(score), family.like(near.g)
+    scale = np.concatenate([widths, family.usual])
+    middle = np.concatenate([score.at[:2], like])
+
+    def place(off: Array) -> Array:
+        values = middle + scale * off
+        return np.concatenate([values[:2], _as_free(score, family, np.clip(values[2:], family.low, family.high))])
+
+    def residual(off: Array) -> Array:
+        return np.concatenate([score.misfit(place(off)), off[2:]])
+
+    lowest = np.concatenate([-(1.0 - LEAST) * middle[:2] / widths - 1e-12, np.full(like.size, -np.inf)])
+    end = least_squares(residual, np.zeros(middle.size), max_nfev=STEPS, x_scale="jac", bounds=(lowest, np.inf))
+    values = middle + scale * end.x
+    values[2:] = np.clip(values[2:], family.low, family.high)
+    response = -np.asarray(end.jac)[: score.at.size]
+    known = np.diag(np.concatenate([[0.0, 0.0], np.ones(like.size)]))
+    covariance = np.linalg.inv(response.T @ response + known) * np.outer(scale, scale)
+    answer = scattering_of(values[:2], values[2:], covariance, family)
+    pulls = float(np.sum(end.x[2:] ** 2))
+    return Weighed(answer, _evidence(score.misfit(place(end.x)), pulls, response))
+
+
+def _widths(score: Score) -> Array:
+    """(2,) standard deviations of σa and σs before anything was seen."""
+    return np.full(2, WIDEST * float(score.at[:2].sum()))
+
+
+def _evidence(misfit: Array, pulls: float, response: Array) -> float:
+    """Laplace's, of parameters in standard deviations of what is expected."""
+    curvature = np.eye(response.shape[1]) + response.T @ response
+    return -0.5 * float(misfit @ misfit) - 0.5 * pulls - 0.5 * float(np.linalg.slogdet(curvature)[1])
+
+
+def _as_free(score: Score, family: Family, coordinates: Array) -> Array:
+    """(k − 2,) coordinates of the free phase function that is most like a family's member, its base as it was found."""
+    cosines = np.cos(np.radians(PLACES_DEG))
+    base = math.tanh(float(score.at[2]))
+    log = np.log(np.maximum(family.phase(coordinates).at(cosines) / phase_function(cosines, base), 1e-300))
+    columns = np.vstack([shapes_at(cosines), np.ones(log.size)]).T
+    ridge = RIDGE * np.eye(columns.shape[1])
+    amplitudes = np.linalg.solve(columns.T @ columns + ridge, columns.T @ log)[:-1]
+    return np.concatenate([score.at[2:3], amplitudes])
+
+
+def mixed(answers: Sequence[Scattering], shares: Sequence[float]) -> Scattering:
+    """Answers as one, with what they differ by in its errors."""
+    if len(answers) == 1:
+        return answers[0]
+    weight = np.array(shares) / sum(shares)
+    media = np.array([one.liquid.coefficients for one in answers])
+    mean = weight @ media
+    covariance = np.einsum("i,ijk->jk", weight, np.array([one.covariance for one in answers]))
+    covariance = covariance + np.einsum("i,ij,ik->jk", weight, media - mean, media - mean)
+    logs = np.array([np.log(one.curve.value) for one in answers])
+    value = weight @ np.exp(logs)
+    spread = weight @ (np.array([one.curve.sd for one in answers]) ** 2 + (logs - np.log(value)) ** 2)
+    first = answers[int(np.argmax(weight))]
+    phase = Mixture(tuple(one.liquid.phase_function for one in answers), tuple(weight.tolist()))
+    return replace(
+        first, liquid=Medium(float(mean[0]), float(mean[1]), phase=phase), covariance=covariance,
+        curve=PhaseCurve(first.curve.angle_deg, value, np.sqrt(spread)),
+        at_right_angle=_mixed(weight, [one.at_right_angle for one in answers]),
+        reduced=_mixed(weight, [one.reduced for one in answers]),
+        families={next(iter(one.families)): float(share) for one, share in zip(answers, weight, strict=True)},
+    )  # fmt: skip
+
+
+def _mixed(weight: Array, numbers: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    values, sds = np.array(numbers).T
+    mean = float(weight @ values)
+    return mean, math.sqrt(float(weight @ (sds**2 + (values - mean) ** 2)))

@@ -1,0 +1,162 @@
+"""The blocks of a liquid whose phase function is fitted: coefficients, and coordinates of a family of phase functions.
+
+With Henyey–Greenstein `MediumBlock` holds all three, and none of these is used.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.parameters import (
+    LONGEST_STEP,
+    NAMES,
+    WIDEST,
+    Block,
+    Range,
+    Values,
+    slopes,
+    to_coordinates,
+    to_medium,
+)
+from tankrig.estimation.phase_families import Family
+from tankrig.scene import Medium
+
+Array = NDArray[np.float64]
+Image = NDArray[np.floating]
+
+DAMPED = 1e-4
+"""Least damping of a phase function's coordinates."""
+LOOSE = 5.0
+"""See `PhaseBlock.looseness`."""
+CLEAREST = math.log(200.0)
+"""σs over σa at most where a search begins: a liquid that another phase function left without absorption may have some,
+and where there is none no step along its logarithm does anything."""
+UNTURNED = 0.0
+"""Asymmetry of a liquid until a phase block has said what it is."""
+
+
+@dataclass(frozen=True)
+class CoefficientsBlock(Block):
+    """σa and σs of one liquid in all views.
+
+    Parameters
+    ----------
+    range
+        Where to search.
+    """
+
+    range: Range
+    name: ClassVar[str] = "medium"
+    names = NAMES[:2]
+    longest_step = LONGEST_STEP[:2]
+
+    @property
+    def low(self) -> Array:
+        """Of the range."""
+        return self.range.low[:2]
+
+    @property
+    def high(self) -> Array:
+        """Of the range."""
+        return self.range.high[:2]
+
+    def start(self, densest: Medium) -> Array:
+        """The liquid itself, in the range, and not where absorption is too little for its logarithm to matter."""
+        scattering, logit, _ = to_coordinates(Medium(densest.sigma_a, densest.sigma_s, UNTURNED))
+        return np.asarray(np.clip([scattering, min(logit, CLEAREST)], self.low, self.high))
+
+    def values(self, coordinates: Array) -> Array:
+        """σa and σs."""
+        medium = to_medium(np.append(coordinates, UNTURNED))
+        return np.array([medium.sigma_a, medium.sigma_s])
+
+    def slopes(self, coordinates: Array) -> Array:
+        """(2, 2)."""
+        return slopes(to_medium(np.append(coordinates, UNTURNED)))[:2, :2]
+
+    def widest(self, values: Values) -> Array:
+        """In units of σt."""
+        return np.full(2, WIDEST * float(values[self.name].sum()))
+
+    def at_edge(self, values: Values) -> tuple[str, ...]:
+        """See `Range.at_edge`."""
+        return self.range.at_edge(self._liquid(values))
+
+    def liquid(self, values: Values, dose: int, before: Medium) -> Medium:
+        """The same everywhere."""
+        return self._liquid(values)
+
+    def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+        """The liquid's own."""
+        return by_liquid[:2]
+
+    def _liquid(self, values: Values) -> Medium:
+        sigma_a, sigma_s = values[self.name].tolist()
+        return Medium(sigma_a, sigma_s, UNTURNED)
+
+
+@dataclass(frozen=True)
+class PhaseBlock(Block):
+    """How one scattering turns light, in all views alike.
+
+    Parameters
+    ----------
+    family
+        That is searched.
+    """
+
+    family: Family
+    name: ClassVar[str] = "phase"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its coordinates."""
+        return self.family.names
+
+    @property
+    def low(self) -> Array:
+        """Of the family."""
+        return self.family.low
+
+    @property
+    def high(self) -> Array:
+        """Of the family."""
+        return self.family.high
+
+    @property
+    def longest_step(self) -> Array:
+        """Of the family."""
+        return self.family.longest_step
+
+    @property
+    def looseness(self) -> Array:
+        """What is expected to be 0 ± 1 changes an image little in a tenth of that."""
+        return np.where(self.prior_weight > 0.0, LOOSE, 1.0)
+
+    @property
+    def least_damping(self) -> float:
+        """An image may hold next to nothing about a combination of coordinates, along which no step should go far."""
+        return DAMPED
+
+    def start(self, densest: Medium) -> Array:
+        """As much like the liquid's as the family can be."""
+        phase = densest.phase
+        if phase is not None and phase.kind == self.family.name:
+            return np.clip(self.family.coordinates(phase), self.low, self.high)
+        return np.clip(self.family.like(densest.g), self.low, self.high)
+
+    @property
+    def prior_weight(self) -> Array:
+        """Of what is expected to be 0 ± 1."""
+        return np.where(self.family.expected, 1.0, 0.0) if self.family.expected.size else np.zeros(len(self.names))
+
+    def liquid(self, values: Values, dose: int, before: Medium) -> Medium:
+        """The same with this phase function."""
+        return Medium(before.sigma_a, before.sigma_s, phase=self.family.phase(values[self.name]))
+
+    def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+        """The liquid's own, which follow those by σa and σs."""
+        return by_liquid[2:]
