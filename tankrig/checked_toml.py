@@ -3,6 +3,7 @@
 import difflib
 import json
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -71,15 +72,23 @@ def checked(kind: type[T], table: dict[str, Any], name: str, error: type[Tankrig
     Traceback (most recent call last):
     tankrig.errors.SceneError: medium.toml: key "sigma" is unknown; did you mean "sigma_s"?
     """
-    from pydantic import TypeAdapter, ValidationError
+    from pydantic import ValidationError
 
-    adapter = TypeAdapter(kind)
+    adapter = _adapter(kind)
     try:
         # As JSON, where strict validation still lets arrays become tuples and tables become dataclasses.
         return adapter.validate_json(json.dumps(table, default=str))
     except ValidationError as cause:
         problems = sorted(cause.errors(), key=lambda problem: problem["type"] not in _UNKNOWN)
         raise error(f"{name}: {_sentence(problems[0], adapter.json_schema())}") from cause
+
+
+@cache
+def _adapter(kind: Any) -> Any:
+    """What checks a kind; making it takes longer than using it."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind)
 
 
 def _sentence(problem: Any, schema: dict[str, Any]) -> str:
