@@ -33,9 +33,7 @@ from tankrig.sequence.loading import sequence_from_table, sequence_table
 from .sensor import counts
 from .settings import Sensor
 
-BENCH = Bench(
-    Tank(), Wall((60, 80), (-80.0, 80.0), (0.0, 120.0)), "collimated", Camera("orthographic", (40, 60), 4.0)
-)
+BENCH = Bench(Tank(), Wall((60, 80), (-80.0, 80.0), (0.0, 120.0)), "collimated", Camera("orthographic", (40, 60), 4.0))
 INK = Medium(2e-4, 0.0098, 0.7)
 """What the sequence says to expect of 1 ml in the tank; all media are near it."""
 NEAR = {"sigma_t": (0.9, 1.1), "albedo": (0.955, 0.995), "g": (0.66, 0.74)}
@@ -188,9 +186,7 @@ def _events(twin: Twin, frames: list[Pixels]) -> Iterator[Event]:
         seq += 1
         return Event(seq - 1, kind, Moment(utc, 10**9 * seq, "twin"), fields)
 
-    empty, full = (
-        {f"delivered{bound}_ul": held_ul for bound in ("", "_low", "_high")} for held_ul in (0.0, DOSE_UL)
-    )
+    empty, full = ({f"delivered{bound}_ul": held_ul for bound in ("", "_low", "_high")} for held_ul in (0.0, DOSE_UL))
     devices = {"projector": "twin", "camera": "twin", "doser": "twin"}
     yield event("session", program="tankrig twin", devices=devices, **empty)
     yield event("dose_intent", step=0, total_ul=DOSE_UL)

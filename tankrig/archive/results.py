@@ -2,7 +2,8 @@
 
 In `runs/NAME/` of a folder of results there is one `KEY.json` for each key (`tankrig.archive.key.refit_key`) that the
 run was fitted under, there whole or not at all and never written over; `failed.json` where the last try failed; and
-`lock`, which whoever fits the run holds.
+`lock`, which whoever fits the run holds. `fitted.jsonl` beside them tells of each fit that came to its end: which run,
+under which key, when and by whom.
 """
 
 import fcntl
@@ -21,7 +22,7 @@ from tankrig.run import disk
 
 FORMAT = 1
 """Version of a result's keys; new ones may be added, and none changes its meaning."""
-FAILED, LOCK, RUNS = "failed.json", "lock", "runs"
+FAILED, FITTED, LOCK, RUNS = "failed.json", "fitted.jsonl", "lock", "runs"
 
 Row = dict[str, Any]
 
@@ -105,6 +106,9 @@ class Results:
             When it cannot be written.
         """
         file = self._file(name, key)
+        who = json.dumps({"run": name, "key": key, "utc": row["made"]["utc"], "pid": os.getpid()}) + "\n"
+        with _storing(file), (self.folder / FITTED).open("a", encoding="utf-8") as log:
+            log.write(who)
         if file.exists():
             return False
         with _storing(file):

@@ -47,8 +47,8 @@ def script_text(command: Sequence[str], jobs: int, options: Sequence[str], log: 
         *(f"#SBATCH {option}" for option in head),
         "export TANKRIG_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1",
         "# The time is nearly up: end, losing one run at most, and wait in the queue again.",
-        "again() { kill -TERM \"$refit\"; wait \"$refit\"; "
-        "scontrol requeue \"${SLURM_ARRAY_JOB_ID}_${SLURM_ARRAY_TASK_ID}\"; exit 0; }",
+        'again() { kill -TERM "$refit"; wait "$refit"; '
+        'scontrol requeue "${SLURM_ARRAY_JOB_ID}_${SLURM_ARRAY_TASK_ID}"; exit 0; }',
         "trap again USR1",
         f'{shlex.join(command)} --share "$SLURM_ARRAY_TASK_ID/{jobs}" &',
         "refit=$!",
@@ -93,7 +93,9 @@ def submit(archive: Path, results: Path, model: str, jobs: int, options: str) ->
         unfinished.write_text(script_text(command, jobs, shlex.split(options), log), encoding="utf-8")
     if shutil.which("sbatch") is None:
         raise SlurmError(f"there is no sbatch here; on a machine that has SLURM: sbatch {script}")
-    asked = subprocess.run(["sbatch", "--parsable", str(script)], capture_output=True, text=True, timeout=60, check=False)
+    asked = subprocess.run(
+        ["sbatch", "--parsable", str(script)], capture_output=True, text=True, timeout=60, check=False
+    )
     if asked.returncode != 0:
         raise SlurmError(f"sbatch refuses: {asked.stderr.strip() or asked.stdout.strip()}; the script is {script}")
     return asked.stdout.strip().split(";")[0]

@@ -105,9 +105,7 @@ def refit_run(path: Path, name: str, results: Results, refitting: Refitting, wai
         return Done(name, MADE, cpu_s=took["cpu_s"])
 
 
-def fits_of_archived(
-    run: Run, refitting: Refitting, progress: Callable[[str], None] = lambda _: None
-) -> list[Fit]:
+def fits_of_archived(run: Run, refitting: Refitting, progress: Callable[[str], None] = lambda _: None) -> list[Fit]:
     """All fits of a run, by the live fit's own decisions, made anew.
 
     Raises
@@ -119,7 +117,9 @@ def fits_of_archived(
     """
     exposures = exposures_of(run)
     if not exposures.photographs():
-        raise StoreError(f"{run.path}: has no photograph of a lit pattern with ink in the tank, so there is no fit of it")
+        raise StoreError(
+            f"{run.path}: has no photograph of a lit pattern with ink in the tank, so there is no fit of it"
+        )
     if refitting.model == "tank":
         fits = list(fits_made(run, everything=True, model="tank"))
     else:

@@ -32,6 +32,7 @@ COMMANDS = (
     "calibrate",
     "recover",
     "refit",
+    "archive",
     "report",
 )
 """In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -."""

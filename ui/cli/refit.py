@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     help="As the live fit does, or by following light paths at every step, which takes longer.",
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path), metavar="RESULTS",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="RESULTS",
     help="RUN is an archive: fit all runs in it anew, into this folder, and write nothing into them.",
 )
 @click.option("--workers", type=click.IntRange(1, 512), metavar="N", help="Of an archive: processes on this machine.")

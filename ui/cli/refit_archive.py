@@ -107,7 +107,9 @@ def refit_archive(archive: Path, out: Path, model: str, work: Work, as_json: boo
         for one in progress.failed[:SHOWN_FAILURES]:
             click.echo(f"{one.name}: {one.sentence}")
         if len(failed) > SHOWN_FAILURES:
-            click.echo(f"… and {len(failed) - SHOWN_FAILURES} more; tankrig archive {archive} --results {out} lists them")
+            click.echo(
+                f"… and {len(failed) - SHOWN_FAILURES} more; tankrig archive {archive} --results {out} lists them"
+            )
         more = f", {len(failed)} failed" if failed else ""
         click.echo(f"{progress.made} runs fitted, {progress.there} were there{more}: {out}")
     return 1 if failed else 0
