@@ -2,6 +2,7 @@
 
 import errno
 import importlib
+import keyword
 import os
 import sys
 import tempfile
@@ -33,9 +34,11 @@ COMMANDS = (
     "recover",
     "refit",
     "archive",
+    "import",
     "report",
 )
-"""In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -."""
+"""In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -, and one behind a word
+of Python's own."""
 
 DISK_FAILED = {errno.ENOSPC, errno.EDQUOT, errno.EIO}
 
@@ -51,7 +54,7 @@ class Commands(click.Group):
         """Load the command, or None when there is none of this name."""
         if cmd_name not in COMMANDS:
             return super().get_command(ctx, cmd_name)
-        name = cmd_name.replace("-", "_")
+        name = cmd_name.replace("-", "_") + "_" * keyword.iskeyword(cmd_name)
         command: click.Command = getattr(importlib.import_module(f"ui.cli.{name}"), name)
         return command
 
