@@ -35,6 +35,7 @@ COMMANDS = (
     "refit",
     "archive",
     "import",
+    "export",
     "report",
 )
 """In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -, and one behind a word
