@@ -3,6 +3,7 @@
 import difflib
 import json
 import tomllib
+from collections.abc import Hashable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -72,9 +73,9 @@ def checked(kind: type[T], table: dict[str, Any], name: str, error: type[Tankrig
     Traceback (most recent call last):
     tankrig.errors.SceneError: medium.toml: key "sigma" is unknown; did you mean "sigma_s"?
     """
-    from pydantic import ValidationError
+    from pydantic import TypeAdapter, ValidationError
 
-    adapter = _adapter(kind)
+    adapter: TypeAdapter[T] = _adapter(kind)
     try:
         # As JSON, where strict validation still lets arrays become tuples and tables become dataclasses.
         return adapter.validate_json(json.dumps(table, default=str))
@@ -84,7 +85,7 @@ def checked(kind: type[T], table: dict[str, Any], name: str, error: type[Tankrig
 
 
 @cache
-def _adapter(kind: Any) -> Any:
+def _adapter(kind: Hashable) -> Any:
     """What checks a kind; making it takes longer than using it."""
     from pydantic import TypeAdapter
 

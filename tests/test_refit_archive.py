@@ -214,7 +214,7 @@ def test_bad_input_is_told_in_a_sentence(
 
 
 def test_a_scheduler_that_does_not_answer_or_goes_away_is_told_in_a_sentence(
-    archive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    archive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["refit", str(archive), "--out", str(tmp_path / "results"), "--scheduler"]
     assert main([*command, "tcp://127.0.0.1:9"]) == 2
@@ -244,7 +244,7 @@ def test_a_scheduler_that_does_not_answer_or_goes_away_is_told_in_a_sentence(
     assert "Traceback" not in told
 
 
-def test_nobody_else_gets_in(archive: Path, tmp_path: Path) -> None:
+def test_nobody_else_gets_in() -> None:
     """What a local cluster listens on is this machine's own address, and speaks to nobody without its certificates."""
     from distributed import Client
 
@@ -264,7 +264,7 @@ def test_nobody_else_gets_in(archive: Path, tmp_path: Path) -> None:
         assert address.startswith("tls://")
         with pytest.raises((OSError, TypeError, RuntimeError)):
             Client(address, timeout=2.0, set_as_default=False)
-        with pytest.raises(OSError, match="."):
+        with pytest.raises(OSError, match=r"."):
             Client(address.replace("tls", "tcp"), timeout=2.0, set_as_default=False)
 
 
@@ -355,9 +355,8 @@ def test_under_random_kills_each_run_is_fitted_exactly_once(tmp_path: Path, monk
     print(f"killed: {kills}, {lost_s:.0f} s; peak memory of a worker {peak / 2**20:.0f} MiB")
     for who, times in (("worker", of_worker), ("driver", of_driver)):
         if times:
-            print(
-                f"next result after a {who}'s death: median {sorted(times)[len(times) // 2]:.1f}, worst {max(times):.1f} s"
-            )
+            median_s = sorted(times)[len(times) // 2]
+            print(f"next result after a {who}'s death: median {median_s:.1f}, worst {max(times):.1f} s")
 
 
 def _driver(archive: Path, out: Path) -> "subprocess.Popen[bytes]":

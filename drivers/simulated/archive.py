@@ -7,7 +7,7 @@ Days and rigs are made up, so that there is something to list and to draw: runs 
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from tankrig.bench import Bench
 from tankrig.devices import CameraSettings, Pixels
 from tankrig.errors import StoreError
+from tankrig.image.predict import predict
 from tankrig.pattern import Pattern
 from tankrig.pattern.wall import Wall
-from tankrig.image.predict import predict
 from tankrig.run.folder import create_run, require_new, write_frame
 from tankrig.run.journal import Event, Moment
 from tankrig.run.journal_io import JOURNAL, MARK
@@ -175,7 +175,7 @@ def _lay_out(fresh: Path, empty: Path, twin: Twin, count: int) -> None:
     (fresh / "zarr.json").write_text(json.dumps(group), encoding="utf-8")
 
 
-def _events(twin: Twin, frames: list[Pixels]) -> Iterator[Event]:
+def _events(twin: Twin, frames: Sequence[Pixels]) -> Iterator[Event]:
     began = FIRST_DAY + timedelta(days=DAYS * (twin.seed + 0.5 * (twin.medium % 2)) / 250.0, minutes=20 * twin.medium)
     hashes = {name: pattern.hash for name, pattern in _patterns().items()}
     seq = 0

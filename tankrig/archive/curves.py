@@ -52,7 +52,7 @@ def side_by_side(records: Sequence[Record]) -> "Figure":
 
 
 def drift(records: Sequence[Record], changes: Sequence[tuple[str, str, str]]) -> "Figure":
-    """The fitted gain of each rig over time: what light, lens and camera make of one radiance, and when it was calibrated.
+    """The fitted gain of each rig over time: what light and lenses make of one radiance; and calibrations.
 
     Parameters
     ----------
@@ -74,8 +74,8 @@ def drift(records: Sequence[Record], changes: Sequence[tuple[str, str, str]]) ->
         )
         for day, rig, kind in changes:
             if rig == label:
-                axes.axvline(datetime.fromisoformat(day), color=colour, linewidth=0.8, linestyle=":")
-                axes.annotate(kind, (datetime.fromisoformat(day), 1.0), xycoords=("data", "axes fraction"), fontsize=7)
+                axes.axvline(_at(day), color=colour, linewidth=0.8, linestyle=":")
+                axes.annotate(kind, (_at(day), 1.0), xycoords=("data", "axes fraction"), fontsize=7)
     axes.set_title("fitted gain beside the rig's median (%); dotted: a calibration came into force")
     _dates(axes)
     _legend(axes, len(groups))
@@ -136,16 +136,23 @@ def _unit(records: Sequence[Record], name: str) -> str:
     return "1/mm per ml" if all(one["fit"] == "series" for one in records) else "1/mm"
 
 
-def _day(record: Record) -> datetime:
-    return datetime.fromisoformat(record["utc"])
+def _day(record: Record) -> float:
+    return _at(record["utc"])
+
+
+def _at(utc: str) -> float:
+    """A moment as matplotlib counts days."""
+    from matplotlib.dates import date2num
+
+    return float(date2num(datetime.fromisoformat(utc)))
 
 
 def _dates(axes: "Axes") -> None:
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
-    locator = AutoDateLocator()
+    locator: Any = AutoDateLocator()  # type: ignore[no-untyped-call]
     axes.xaxis.set_major_locator(locator)
-    axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
 
 
 def _colours(count: int) -> list[str]:

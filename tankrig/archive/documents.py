@@ -81,14 +81,17 @@ def documents_of(run: Run) -> Iterator[Document]:
             counts[stream] = counts.get(stream, 0) + (kind == "event")
             yield kind, document
     if run.end is not None:
-        yield "stop", {
-            "uid": name("stop"),
-            "run_start": start["uid"],
-            "time": _seconds(run.end),
-            "exit_status": _ENDINGS.get(str(run.end["reason"]), "fail"),
-            "reason": str(run.end.get("message", "")),
-            "num_events": counts,
-        }
+        yield (
+            "stop",
+            {
+                "uid": name("stop"),
+                "run_start": start["uid"],
+                "time": _seconds(run.end),
+                "exit_status": _ENDINGS.get(str(run.end["reason"]), "fail"),
+                "reason": str(run.end.get("message", "")),
+                "num_events": counts,
+            },
+        )
 
 
 def write_documents(run: Run, target: Path) -> None:
@@ -148,15 +151,22 @@ def _frames(run: Run, name: _Names) -> Iterator[Document]:
     told = ((event, _said(run, event, then, patterns)) for event, then in taken)
     yield from _events(told, descriptor, name)
     numbers = [event["index"] for event, _ in taken]
-    begins = [0, *(at + 1 for at, (one, following) in enumerate(pairwise(numbers)) if following != one + 1), len(numbers)]
+    begins = [
+        0,
+        *(at + 1 for at, (one, following) in enumerate(pairwise(numbers)) if following != one + 1),
+        len(numbers),
+    ]
     for block, (begin, end) in enumerate(pairwise(begins)):
-        yield "stream_datum", {
-            "uid": f"{resource['uid']}/{block}",
-            "stream_resource": resource["uid"],
-            "descriptor": descriptor["uid"],
-            "indices": {"start": numbers[begin], "stop": numbers[end - 1] + 1},
-            "seq_nums": {"start": begin + 1, "stop": end + 1},
-        }
+        yield (
+            "stream_datum",
+            {
+                "uid": f"{resource['uid']}/{block}",
+                "stream_resource": resource["uid"],
+                "descriptor": descriptor["uid"],
+                "indices": {"start": numbers[begin], "stop": numbers[end - 1] + 1},
+                "seq_nums": {"start": begin + 1, "stop": end + 1},
+            },
+        )
 
 
 def _said(run: Run, event: Event, then: Conditions, patterns: Mapping[str, str]) -> dict[str, Any]:

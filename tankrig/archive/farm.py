@@ -1,4 +1,4 @@
-"""Workers of Dask that refit an archive: a cluster on this machine that nobody else can reach, or a scheduler elsewhere.
+"""Workers of Dask that refit an archive: a cluster on this machine that nobody else reaches, or a scheduler elsewhere.
 
 Dask's scheduler runs what it is told by whoever reaches it. The cluster made here listens on 127.0.0.1 only, has no
 dashboard, and asks for certificates that are made for it and die with it; a scheduler elsewhere must ask for such too.
@@ -106,12 +106,12 @@ def workers_here(
     with _settings(), _environment(threads):
         _fork_ready_ones()
         with (
-            LocalCluster(  # type: ignore[no-untyped-call]
+            LocalCluster(
                 n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1", protocol="tls://",
                 security=Security.temporary(), dashboard_address=None, worker_dashboard_address="127.0.0.1:0",
                 memory_limit=memory or "auto", silence_logs=logging.CRITICAL, **life,
             ) as cluster,
-            Client(cluster) as client,  # type: ignore[no-untyped-call]
+            Client(cluster) as client,
         ):  # fmt: skip
             cluster.scheduler.http_server.stop()
             yield client
@@ -140,11 +140,11 @@ def workers_elsewhere(address: str, certificates: Certificates | None) -> "Itera
         try:
             client = Client(
                 address, security=certificates.security() if certificates else None, timeout=10.0, set_as_default=False
-            )  # type: ignore[no-untyped-call]
+            )
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
             raise SchedulerError(
-                f"{address}: the scheduler does not answer ({_first_line(error)}); see that it runs, that its address is "
-                "right, and that its certificates are those given"
+                f"{address}: the scheduler does not answer ({_first_line(error)}); see that it runs, that its address "
+                "is right, and that its certificates are those given"
             ) from error
         with client:
             yield client
@@ -192,12 +192,12 @@ def by_workers(client: "Client", wanted: Sequence[Errand]) -> Iterator[Done]:
     by_key: dict[str, Errand] = {}
 
     def sent(one: Errand) -> Any:
-        future = client.submit(_run, one, pure=False, key=f"refit-{one.name}-{len(by_key)}-{os.getpid()}")  # type: ignore[no-untyped-call]
+        future = client.submit(_run, one, pure=False, key=f"refit-{one.name}-{len(by_key)}-{os.getpid()}")
         by_key[future.key] = one
         return future
 
     try:
-        under_way = as_completed([sent(one) for one in islice(waiting, _room(client))])  # type: ignore[no-untyped-call]
+        under_way = as_completed([sent(one) for one in islice(waiting, _room(client))])
         for future in under_way:
             yield _outcome(client, future, by_key.pop(future.key))
             future.release()
@@ -208,8 +208,8 @@ def by_workers(client: "Client", wanted: Sequence[Errand]) -> Iterator[Done]:
                 under_way.add(sent(following))
     except (OSError, TimeoutError, asyncio.CancelledError, RuntimeError) as error:
         raise SchedulerError(
-            f"the scheduler has gone away ({_first_line(error)}); what was fitted is kept: start it again, and give the "
-            "same command"
+            f"the scheduler has gone away ({_first_line(error)}); what was fitted is kept: start it again, and give "
+            "the same command"
         ) from error
 
 
@@ -218,7 +218,7 @@ def _run(one: Errand) -> Done:
 
 
 def _room(client: "Client") -> int:
-    threads = sum(client.nthreads().values())  # type: ignore[no-untyped-call]
+    threads = int(sum(client.nthreads().values()))
     return AHEAD * max(threads, 2)
 
 
@@ -285,7 +285,7 @@ def _fork_ready_ones() -> None:
 
     from distributed.utils import get_mp_context
 
-    get_mp_context()  # type: ignore[no-untyped-call]  # once, it names all that it would import, more than is needed
+    get_mp_context()  # once, it names all that it would import, more than is needed
     multiprocessing.set_forkserver_preload(["distributed", "tankrig.archive.ready"])
 
 

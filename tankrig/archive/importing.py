@@ -106,7 +106,7 @@ def _rows(table: Path) -> list[tuple[str, Mapping[str, str]]]:
     try:
         with table.open(newline="", encoding="utf-8-sig") as text:
             reader = csv.DictReader(text)
-            rows = [(f"{table}, line {reader.line_num}", row) for row in reader]
+            rows: list[tuple[str, Mapping[str, str]]] = [(f"{table}, line {reader.line_num}", row) for row in reader]
             heads = reader.fieldnames or []
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ImageError(f"{table}: cannot be read as a table ({error}); give a CSV file") from error
@@ -132,7 +132,7 @@ def _picture(
             value = np.nan
         if value is None:
             raise ImageError(
-                f"{where}: nothing says {key} of {name or 'a picture'}; give --{key.replace('_', '-')} or a column {key}"
+                f"{where}: nothing says {key} of {name or 'a picture'}; give --{key.replace('_', '-')} or such a column"
             )
         least = 0.0 if key.startswith("dose") else np.nextafter(0.0, 1.0)
         if not (np.isfinite(value) and value >= least):
@@ -156,8 +156,8 @@ def import_run(
 ) -> Path:
     """Make a run of pictures; it appears whole, or not at all.
 
-    It has no sequence and no pixels of patterns, but the scene of each pattern, and is fitted, reported and archived like
-    any other.
+    It has no sequence and no pixels of patterns, but the scene of each pattern, and is fitted, reported and archived
+    like any other.
 
     Parameters
     ----------
@@ -247,8 +247,8 @@ def _frames(pictures: Sequence[Picture], shape: tuple[int, int]) -> list[NDArray
             raise ImageError(f"{picture.file}: has pixels that are no number; leave the picture out or mend it")
         if frames and values.dtype != frames[0].dtype:
             raise ImageError(
-                f"{picture.file}: is {values.dtype} and {pictures[0].file.name} is {frames[0].dtype}; a run has one kind "
-                "of pixel, so save all alike"
+                f"{picture.file}: is {values.dtype} and {pictures[0].file.name} is {frames[0].dtype}; a run has one "
+                "kind of pixel, so save all alike"
             )
         frames.append(values)
     return frames

@@ -1,8 +1,8 @@
 """A run as a NeXus file: NXoptical_spectroscopy as far as that fits light scattered in a tank.
 
-What the definition asks for and a run knows stands where it belongs; dose, pattern and exposure of each frame stand
-beside the frames in NXdata, and what was fitted in an NXprocess. `experiment_type` is "light scattering": the definition
-names three others and asks for another term where none of them fits.
+What the definition asks for and a run knows stands where it belongs; dose and exposure of each frame stand beside the
+frames in NXdata, and what was fitted in an NXprocess. `experiment_type` is "light scattering": the definition names
+three others and asks for another term where none of them fits.
 """
 
 import json
@@ -22,7 +22,13 @@ from tankrig.run.reading import Run
 DEFINITION = "NXoptical_spectroscopy"
 DEFINITION_VERSION = "v2026.01"
 URL = "https://manual.nexusformat.org/classes/applications/NXoptical_spectroscopy.html"
-_PER_FRAME = {"delivered_ul": "µl", "delivered_low_ul": "µl", "delivered_high_ul": "µl", "exposure_ms": "ms", "gain": ""}
+_PER_FRAME = {
+    "delivered_ul": "µl",
+    "delivered_low_ul": "µl",
+    "delivered_high_ul": "µl",
+    "exposure_ms": "ms",
+    "gain": "",
+}
 
 
 def export_nexus(run: Run, target: Path) -> None:

@@ -15,6 +15,8 @@ from pathlib import Path
 from tankrig.errors import StoreError, TankrigError
 from tankrig.files import whole_file
 
+RUN = "import sys; from ui.cli import main; sys.exit(main())"
+"""Of Python: the command line, by the same interpreter on every node."""
 SCRIPT = "refit.sbatch"
 WARNED_S = 60
 """A job is told so long before its time is up, and then asks to be queued again."""
@@ -85,7 +87,7 @@ def submit(archive: Path, results: Path, model: str, jobs: int, options: str) ->
     except OSError as error:
         raise StoreError(f"{log}: cannot be made ({error.strerror}); give another folder with --out") from error
     command = [
-        sys.executable, "-c", "import sys; from ui.cli import main; sys.exit(main())", "refit", str(archive.resolve()), "--out", str(results.resolve()),
+        sys.executable, "-c", RUN, "refit", str(archive.resolve()), "--out", str(results.resolve()),
         "--model", model,
     ]  # fmt: skip
     script = results.resolve() / SCRIPT

@@ -25,7 +25,7 @@ COLUMNS = (
     "gain", "rmse", "model", "verdict", "made", "disagreement", *(f"old_{name}" for name in NAMES), "failed",
 )  # fmt: skip
 """`fit` is "dose" (the liquid in the tank, per mm), "series" (the ink, per mm and ml) or empty; `made` "live", as the
-run's journal has it, or "refit"; `disagreement` how far a refit is from what the journal has, in standard deviations."""
+run's journal has it, or "refit"; `disagreement` how far a refit is from what the journal has, in sd."""
 DISAGREES = 3.0
 """Standard deviations from which on a refit disagrees with what was found before."""
 
@@ -82,7 +82,7 @@ def _records(path: Path, name: str, refit: Record | None) -> Iterator[Record]:
     old: list[Fit] = [*doses, *([series] if series else [])]
     head = {**said, "run": name, "made": "live" if old else ""}
     if refit is None:
-        yield from (_record(head, fit) for fit in old or [None])
+        yield from (_record(head, fit) for fit in old) if old else [_record(head, None)]
         return
     if "fits" not in refit:
         yield _record({**head, "made": "refit", "failed": refit.get("failed", "")}, None)

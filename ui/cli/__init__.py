@@ -38,8 +38,8 @@ COMMANDS = (
     "export",
     "report",
 )
-"""In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -, and one behind a word
-of Python's own."""
+"""In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -, and one
+behind a word of Python's own."""
 
 DISK_FAILED = {errno.ENOSPC, errno.EDQUOT, errno.EIO}
 

@@ -11,7 +11,10 @@ from ui.cli.options import json_option
 @click.command(epilog="Example: tankrig export runs/2026-11-20T10-00-00 --out run.nxs")
 @click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
 @click.option(
-    "--out", type=click.Path(path_type=Path), metavar="PATH", required=True,
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="PATH",
+    required=True,
     help="run.nxs: NeXus; run.nc: NetCDF; run.jsonl: Bluesky documents, one on each line; a folder: TIFF files.",
 )
 @json_option

@@ -144,7 +144,11 @@ class Nuisance(click.ParamType[Any]):
 @out_option("out", "Folder for the picture (.png), the numbers (.json) and the images (.npz).")
 @json_option
 @click.option(
-    "--schema", is_flag=True, is_eager=True, expose_value=False, callback=_print_schema,
+    "--schema",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_schema,
     help="Print the JSON schema of what --json prints, and end.",
 )
 def fit(
@@ -216,7 +220,13 @@ def fit(
         except KeyboardInterrupt:
             if fitted is None:
                 raise
-            found = {"format": FORMAT, "image": str(image_file), "scene": str(scene_file), **asked, **_numbers(fitted, (), None)}
+            found = {
+                "format": FORMAT,
+                "image": str(image_file),
+                "scene": str(scene_file),
+                **asked,
+                **_numbers(fitted, (), None),
+            }
             with whole_file(stem.with_name(f"{stem.name}.json")) as file:
                 text = json.dumps({**found, "unfinished": True}, ensure_ascii=False, indent=1)
                 file.write_text(text + "\n", encoding="utf-8")

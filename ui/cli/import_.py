@@ -25,16 +25,24 @@ class NamedScene(click.ParamType[Any]):
 @click.command("import", epilog="Example: tankrig import photographs --scene sheet.toml --dose-ml 0.4 --exposure-ms 20")
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
 @click.option(
-    "--scene", "scenes", type=NamedScene(), multiple=True, required=True,
+    "--scene",
+    "scenes",
+    type=NamedScene(),
+    multiple=True,
+    required=True,
     help="Scene file of what the pictures show; one for each pattern of the table, where there are several.",
 )
-@click.option("--table", type=click.Path(path_type=Path), metavar="FILE", help="Default: table.csv in FOLDER, if there.")
+@click.option(
+    "--table", type=click.Path(path_type=Path), metavar="FILE", help="Default: table.csv in FOLDER, if there."
+)
 @click.option("--dose-ml", type=click.FloatRange(min=0.0), help="Ink in the tank, where the table does not say.")
 @click.option("--exposure-ms", type=click.FloatRange(min=0.0, min_open=True), help="Where the table does not say.")
 @click.option("--name", help="Of the experiment, for people.")
 @click.option("--rig", default="", help="Where it was taken, for people.")
 @click.option("--material", default="", help="What the ink is, for people.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="PATH", help="The run; default: runs/ and FOLDER's name.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="PATH", help="The run; default: runs/ and FOLDER's name."
+)
 @json_option
 def import_(
     folder: Path,
