@@ -233,7 +233,10 @@ def test_a_scheduler_that_does_not_answer_or_goes_away_is_told_in_a_sentence(
         refit = subprocess.Popen(
             [*PROGRAM, *command, json.loads(address.read_text())["address"]], stderr=subprocess.PIPE
         )
-        time.sleep(8.0)  # it waits for workers, of which there are none
+        while not _is_connected(refit):
+            assert refit.poll() is None
+            time.sleep(0.1)
+        time.sleep(3.0)  # it waits for workers, of which there are none
         assert refit.poll() is None
     finally:
         scheduler.kill()
@@ -242,6 +245,10 @@ def test_a_scheduler_that_does_not_answer_or_goes_away_is_told_in_a_sentence(
     assert refit.returncode == 2
     assert "the scheduler has gone away" in told
     assert "Traceback" not in told
+
+
+def _is_connected(program: "subprocess.Popen[bytes]") -> bool:
+    return any(line.status == psutil.CONN_ESTABLISHED for line in psutil.Process(program.pid).net_connections("tcp"))
 
 
 def test_nobody_else_gets_in() -> None:
