@@ -3,7 +3,6 @@
 import difflib
 import json
 import tomllib
-from collections.abc import Hashable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -75,7 +74,8 @@ def checked(kind: type[T], table: dict[str, Any], name: str, error: type[Tankrig
     """
     from pydantic import TypeAdapter, ValidationError
 
-    adapter: TypeAdapter[T] = _adapter(kind)
+    asked: Any = kind
+    adapter: TypeAdapter[T] = _adapter(asked)
     try:
         # As JSON, where strict validation still lets arrays become tuples and tables become dataclasses.
         return adapter.validate_json(json.dumps(table, default=str))
@@ -85,7 +85,7 @@ def checked(kind: type[T], table: dict[str, Any], name: str, error: type[Tankrig
 
 
 @cache
-def _adapter(kind: Hashable) -> Any:
+def _adapter(kind: Any) -> Any:
     """What checks a kind; making it takes longer than using it."""
     from pydantic import TypeAdapter
 

@@ -22,6 +22,7 @@ from tankrig.archive import refit as refitting
 from tankrig.archive.key import Refitting, refit_key
 from tankrig.archive.mark import meaning, refit_mark
 from tankrig.archive.refit import Errand, beside_others, errands, from_share, in_this_process
+from tankrig.archive.results import FAILED as FAILED_FILE
 from tankrig.archive.results import FITTED, LOCK, Results
 from tankrig.archive.runs import runs_in
 from tankrig.archive.slurm import script_text
@@ -294,6 +295,7 @@ def test_the_array_job_runs_to_its_end_and_asks_to_be_queued_again(archive: Path
     job.send_signal(signal.SIGUSR1)
     assert job.wait(timeout=60) == 0
     assert log.read_text() == "requeue 77_1\n"
+    assert not list(out.rglob(FAILED_FILE)), "a run that was interrupted has not failed"
     subprocess.run(["bash", str(script)], env=environment, check=True, timeout=250)
     assert len(found(out)) == 6
     assert log.read_text() == "requeue 77_1\n"

@@ -144,7 +144,7 @@ def _at(utc: str) -> float:
     """A moment as matplotlib counts days."""
     from matplotlib.dates import date2num
 
-    return float(date2num(datetime.fromisoformat(utc)))
+    return float(date2num(datetime.fromisoformat(utc)))  # type: ignore[no-untyped-call]
 
 
 def _dates(axes: "Axes") -> None:

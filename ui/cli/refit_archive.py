@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tankrig.errors import TankrigError
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -144,11 +142,14 @@ def _asked_to_end() -> Iterator[None]:
     """A request to end (SIGTERM) ends as Ctrl-C does, workers included."""
 
     def end(*_: object) -> None:
-        raise TankrigError("stopped on request; what was fitted is kept, and the same command goes on")
+        raise KeyboardInterrupt  # which no run's failure is mistaken for
 
     before = {one: signal.signal(one, end) for one in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield
+    except KeyboardInterrupt:
+        click.echo("what was fitted is kept, and the same command goes on", err=True)
+        raise
     finally:
         for one, handler in before.items():
             signal.signal(one, handler)
