@@ -3,12 +3,14 @@
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -218,7 +220,7 @@ def test_a_scheduler_that_does_not_answer_or_goes_away_is_told_in_a_sentence(
     archive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["refit", str(archive), "--out", str(tmp_path / "results"), "--scheduler"]
-    assert main([*command, "tcp://127.0.0.1:9"]) == 2
+    assert main([*command, "tcp://127.0.0.1:9"]) == 1
     assert "does not answer" in capsys.readouterr().err
     address = tmp_path / "address.json"
     dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
@@ -243,9 +245,52 @@ def test_a_scheduler_that_does_not_answer_or_goes_away_is_told_in_a_sentence(
         scheduler.kill()
         scheduler.wait()
     told = refit.communicate(timeout=90)[1].decode()
-    assert refit.returncode == 2
+    assert refit.returncode == 1, told
     assert "the scheduler has gone away" in told
     assert "Traceback" not in told
+
+
+def test_workers_elsewhere_with_certificates_made_as_the_page_says(
+    archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "archive.md").read_text(encoding="utf-8")
+    (maker,) = [code for code in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "Security.temporary" in code]
+    monkeypatch.chdir(tmp_path)
+    exec(maker, {})
+    certificates = ["ca.pem", "cert.pem", "key.pem"]
+    assert {oct(Path(name).stat().st_mode & 0o777) for name in certificates} == {"0o600"}
+    tls = [
+        word
+        for kind, name in zip(("ca-file", "cert", "key"), certificates, strict=True)
+        for word in (f"--tls-{kind}", name)
+    ]
+    scheduler = [
+        "--protocol",
+        "tls",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+        "--scheduler-file",
+        "s.json",
+    ]
+    dask, quiet = [sys.executable, "-m"], {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with ExitStack() as undo:
+        for words in (
+            ["distributed.cli.dask_scheduler", *scheduler, *tls],
+            ["distributed.cli.dask_worker", "--scheduler-file", "s.json", "--nthreads", "1", "--no-dashboard", *tls],
+        ):
+            program = undo.enter_context(subprocess.Popen([*dask, *words], **quiet))
+            undo.callback(program.terminate)
+        while not Path("s.json").exists():
+            time.sleep(0.1)
+        address = json.loads(Path("s.json").read_text())["address"]
+        words = ["refit", str(archive), "--out", "results", "--json", "--scheduler", address]
+        assert main([*words, "--tls", *certificates]) == 0
+        assert json.loads(capsys.readouterr().out)["made"] == 6
+        assert main(words) == 2
+        assert "needs certificates" in capsys.readouterr().err
 
 
 def _is_connected(program: "subprocess.Popen[bytes]") -> bool:

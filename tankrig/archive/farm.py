@@ -8,6 +8,7 @@ import asyncio
 import logging
 import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
@@ -31,8 +32,12 @@ AT_HOME = ("127.0.0.1", "localhost", "::1")
 NEEDED = 'pip install "tankrig[cluster]"'
 
 
-class SchedulerError(TankrigError):
+class SchedulerError(TankrigError, RuntimeError):
     """A scheduler that cannot be reached, or has gone away."""
+
+
+class UnprotectedError(TankrigError, ValueError):
+    """A scheduler elsewhere that asks nobody who they are."""
 
 
 @dataclass(frozen=True)
@@ -131,16 +136,17 @@ def workers_elsewhere(address: str, certificates: Certificates | None) -> "Itera
     Raises
     ------
     SchedulerError
-        When it cannot be reached, or is elsewhere and asks for no certificates.
+        When it cannot be reached.
+    UnprotectedError
+        When it is elsewhere and asks for no certificates.
     """
     from distributed import Client
 
     require_private(address, certificates)
+    security = certificates.security() if certificates else None
     with _settings():
         try:
-            client = Client(
-                address, security=certificates.security() if certificates else None, timeout=10.0, set_as_default=False
-            )
+            client = Client(address, security=security, timeout=10.0, set_as_default=False)
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
             raise SchedulerError(
                 f"{address}: the scheduler does not answer ({_first_line(error)}); see that it runs, that its address "
@@ -155,7 +161,7 @@ def require_private(address: str, certificates: Certificates | None) -> None:
 
     Raises
     ------
-    SchedulerError
+    UnprotectedError
         When a scheduler elsewhere is to be spoken to without certificates.
 
     Examples
@@ -164,13 +170,15 @@ def require_private(address: str, certificates: Certificates | None) -> None:
     >>> require_private("tcp://node7:8786", None)
     Traceback (most recent call last):
     ...
-    tankrig.archive.farm.SchedulerError: tcp://node7:8786: whoever reaches a scheduler runs code on its workers, so \
+    tankrig.archive.farm.UnprotectedError: tcp://node7:8786: whoever reaches a scheduler runs code on its workers, so \
 one on another machine has to ask for certificates; start it with them, and give tls://… and --tls
     """
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
-    if parts.hostname in AT_HOME or (parts.scheme == "tls" and certificates is not None):
+    if parts.scheme == "tls" and certificates is None:
+        raise UnprotectedError(f"{address}: a tls:// address needs certificates; give --tls CA CERT KEY")
+    if parts.hostname in AT_HOME or parts.scheme == "tls":
         return
-    raise SchedulerError(
+    raise UnprotectedError(
         f"{address}: whoever reaches a scheduler runs code on its workers, so one on another machine has to ask for "
         "certificates; start it with them, and give tls://… and --tls"
     )
@@ -197,7 +205,7 @@ def by_workers(client: "Client", wanted: Sequence[Errand]) -> Iterator[Done]:
         return future
 
     try:
-        under_way = as_completed([sent(one) for one in islice(waiting, _room(client))])
+        under_way = as_completed([sent(one) for one in islice(waiting, _room(client))], loop=client.loop)
         for future in under_way:
             yield _outcome(client, future, by_key.pop(future.key))
             future.release()
@@ -206,7 +214,9 @@ def by_workers(client: "Client", wanted: Sequence[Errand]) -> Iterator[Done]:
                 if following is None:
                     break
                 under_way.add(sent(following))
-    except (OSError, TimeoutError, asyncio.CancelledError, RuntimeError) as error:
+    except SchedulerError:
+        raise
+    except (OSError, TimeoutError, CancelledError, asyncio.CancelledError, RuntimeError) as error:
         raise SchedulerError(
             f"the scheduler has gone away ({_first_line(error)}); what was fitted is kept: start it again, and give "
             "the same command"

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from tankrig.errors import DecisionError, DeviceError, StoreError, TankrigError, UndecidedError
+from tankrig.errors import DecisionError, StoreError, TankrigError, UndecidedError
 
 DONE, FAILURE, BAD_INPUT, DECISION = 0, 1, 2, 3
 
@@ -113,7 +113,8 @@ def _status(error: TankrigError) -> int:
         return DECISION
     cause = error.__cause__
     disk_failed = isinstance(error, StoreError) and isinstance(cause, OSError) and cause.errno in DISK_FAILED
-    return FAILURE if isinstance(error, DeviceError) or disk_failed else BAD_INPUT
+    # A device or a scheduler that did not do what it was asked is a failure, whatever was typed.
+    return FAILURE if isinstance(error, RuntimeError) or disk_failed else BAD_INPUT
 
 
 def _say(sentence: str, status: int) -> int:
