@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 MATTERS = (
+    "archive/models.py",
     "bench.py", "calibration", "estimation", "geometry", "image", "light", "live", "pattern", "run/conditions.py",
     "run/reading.py", "scene", "sequence",
 )  # fmt: skip

@@ -2,17 +2,16 @@
 
 import fcntl
 import os
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
 from tankrig.errors import TankrigError
-from tankrig.image.prepare import Prepared, prepare
+from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.preparation import place_of
-from tankrig.live.preparing import LOOK, Preparation, Preparing, box_for, holds, tolerance_for
+from tankrig.live.preparing import LOOK, Preparation, Preparing, box_for, holds, model_for, tolerance_for
 from tankrig.scene.description import Medium, Scene
 
 KEPT = 24
@@ -96,15 +95,12 @@ class _Telling:
 
 @lru_cache(maxsize=KEPT)
 def _in_memory(scene: Scene, box: Box, telling: _Telling) -> Prepared:
-    tolerance = tolerance_for(scene, box)
-    file = place_of(scene, box, tolerance).model
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # the model's error is counted in every covariance
-        if file.exists():
-            return prepare(scene, tolerance, None, box, threads=1)
-        telling.tell("preparing a model")
-        with alone(file.with_suffix(".lock")):
-            return prepare(scene, tolerance, lambda _: telling.tell("preparing a model"), box, threads=1)
+    file = place_of(scene, box, tolerance_for(scene, box)).model
+    if file.exists():
+        return model_for(scene, box)
+    telling.tell("preparing a model")
+    with alone(file.with_suffix(".lock")):
+        return model_for(scene, box, lambda _: telling.tell("preparing a model"))
 
 
 @contextmanager
