@@ -106,16 +106,15 @@ class Results:
             When it cannot be written.
         """
         file = self._file(name, key)
-        who = json.dumps({"run": name, "key": key, "utc": row["made"]["utc"], "pid": os.getpid()}) + "\n"
-        with _storing(file), (self.folder / FITTED).open("a", encoding="utf-8") as log:
-            log.write(who)
-        if file.exists():
-            return False
+        new = not file.exists()
         with _storing(file):
-            disk.create(file, _text(row))
-            disk.sync_folder(file.parent)
-            (file.parent / FAILED).unlink(missing_ok=True)
-        return True
+            if new:
+                disk.create(file, _text(row))
+                disk.sync_folder(file.parent)
+                (file.parent / FAILED).unlink(missing_ok=True)
+            with (self.folder / FITTED).open("a", encoding="utf-8") as log:
+                log.write(json.dumps({"run": name, "key": key, "utc": row["made"]["utc"], "pid": os.getpid()}) + "\n")
+        return new
 
     def put_failed(self, name: str, row: Row) -> None:
         """Keep why a run could not be fitted, in place of an earlier reason.
