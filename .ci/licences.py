@@ -16,7 +16,9 @@ from packaging.utils import canonicalize_name
 STARTED_WITH = ("dev",)
 """Extras that ./start installs."""
 
-KNOWN: dict[str, str] = {}
+KNOWN: dict[str, str] = {
+    "hdf5plugin": "MIT",  # its README; the filters within are BSD, MIT, Apache and zlib: silx.org/doc/hdf5plugin
+}
 """Licences that a package's metadata does not say, looked up by hand: name → licence, with the source in a comment."""
 
 _GPL = re.compile(r"(?<![A-Za-z])(?:A?GPL|(?:GNU )?(?:Affero )?General Public Licen[cs]e)", re.IGNORECASE)

@@ -1,5 +1,6 @@
 """A bench: what stays the same from pattern to pattern and from dose to dose, and the scenes it makes."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -79,3 +80,55 @@ class Bench:
         if not beams:
             raise SceneError(f'pattern "{pattern.name}" lights nothing in the tank, so there is nothing to predict')
         return Scene(self.tank, medium, Projector(self.light, beams, self.light_position_mm), self.camera)
+
+
+@dataclass(frozen=True)
+class KnownScenes:
+    """A bench of which only the scenes are known that were photographed on it: that of somebody else's frames.
+
+    Parameters
+    ----------
+    scenes
+        By the name of their pattern; all of one tank and one camera.
+
+    Raises
+    ------
+    SceneError
+        When there is none, or tanks or cameras differ.
+    """
+
+    scenes: Mapping[str, Scene]
+
+    def __post_init__(self) -> None:
+        seen = list(self.scenes.items())
+        if not seen:
+            raise SceneError("there is no scene; give that of a frame with light")
+        (first, known), *others = seen
+        for name, scene in others:
+            if (scene.tank, scene.camera) != (known.tank, known.camera):
+                raise SceneError(
+                    f'the scenes "{first}" and "{name}" are of different tanks or cameras; a run has one of each, so '
+                    "make a run of each"
+                )
+
+    @property
+    def tank(self) -> Tank:
+        """The water."""
+        return next(iter(self.scenes.values())).tank
+
+    @property
+    def camera(self) -> Camera:
+        """Its frames have the camera's shape."""
+        return next(iter(self.scenes.values())).camera
+
+    def scene(self, pattern: Pattern, medium: Medium) -> Scene:
+        """What the camera looked at when `pattern` was shown.
+
+        Raises
+        ------
+        SceneError
+            When nobody has said.
+        """
+        if pattern.name not in self.scenes:
+            raise SceneError(f'nobody has said what the pattern "{pattern.name}" lights; give its scene')
+        return replace(self.scenes[pattern.name], medium=medium)

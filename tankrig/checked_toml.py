@@ -3,6 +3,7 @@
 import difflib
 import json
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -73,13 +74,22 @@ def checked(kind: type[T], table: dict[str, Any], name: str, error: type[Tankrig
     """
     from pydantic import TypeAdapter, ValidationError
 
-    adapter = TypeAdapter(kind)
+    asked: Any = kind
+    adapter: TypeAdapter[T] = _adapter(asked)
     try:
         # As JSON, where strict validation still lets arrays become tuples and tables become dataclasses.
         return adapter.validate_json(json.dumps(table, default=str))
     except ValidationError as cause:
         problems = sorted(cause.errors(), key=lambda problem: problem["type"] not in _UNKNOWN)
         raise error(f"{name}: {_sentence(problems[0], adapter.json_schema())}") from cause
+
+
+@cache
+def _adapter(kind: Any) -> Any:
+    """What checks a kind; making it takes longer than using it."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind)
 
 
 def _sentence(problem: Any, schema: dict[str, Any]) -> str:

@@ -36,6 +36,22 @@ def read_frame(path: str | os.PathLike[str], array: str | None = None) -> NDArra
     raise ImageError(f"{path}: holds no counts from 0 to {MOST_COUNTS}; give a frame as the camera delivered it")
 
 
+def read_any(path: str | os.PathLike[str], array: str | None = None) -> NDArray[np.generic]:
+    """Read a grey image as it is, of whatever type its pixels are.
+
+    Parameters
+    ----------
+    path, array
+        As for `read_image`.
+
+    Raises
+    ------
+    ImageError
+        In one sentence: the file, what is wrong with it, and what to do.
+    """
+    return _shaped(Path(path), _values(path, array))
+
+
 def read_mask(path: str | os.PathLike[str]) -> NDArray[np.bool_]:
     """Read a mask: an image of any type, True where it is not 0.
 

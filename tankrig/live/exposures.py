@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.bench import Bench
+from tankrig.bench import Bench, KnownScenes
 from tankrig.calibration.file import FOLDER, usable
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked
@@ -88,7 +88,7 @@ class PhotographPlan:
     Parameters
     ----------
     bench
-        Of the rig.
+        Of the rig; of a run that was imported, the scenes that came with it.
     patterns
         By hash, in the order of the sums.
     doses_ml
@@ -105,7 +105,7 @@ class PhotographPlan:
         What is expected of it, per mm and ml; None where nothing is. Only which models are prepared rests on it.
     """
 
-    bench: Bench
+    bench: Bench | KnownScenes
     patterns: dict[str, Pattern]
     doses_ml: tuple[float, ...]
     settings: tuple[CameraSettings, ...]
@@ -139,15 +139,18 @@ class PhotographPlan:
     @classmethod
     def of_run(cls, run: Run) -> "PhotographPlan":
         """For a run that was recorded."""
+        conditions = run.conditions.values()
+        more_doses, saturation = len({one.tank.volume_ul for one in conditions}), run.settings.get("saturation")
+        if "scenes" in run.settings:
+            known = KnownScenes(run.scenes)
+            return cls(known, run.patterns, (), (), more_doses=more_doses, saturation=saturation)
         bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
         sequence = sequence_from_table(dict(run.settings["sequence"]), str(run.path))
-        conditions = run.conditions.values()
         radiometry = radiometry_of_run(run)
         if radiometry is not None and not all(radiometry.knows(one.camera.gain) for one in conditions if one.camera):
             radiometry = None
         plan = cls.of(bench, sequence, list(run.patterns.values()), radiometry)
-        more_doses = len({one.tank.volume_ul for one in conditions})
-        return replace(plan, more_doses=more_doses, saturation=run.settings.get("saturation"))
+        return replace(plan, more_doses=more_doses, saturation=saturation)
 
     @property
     def doses(self) -> int:

@@ -114,7 +114,7 @@ def is_kept(scene: Scene, box: Box) -> bool:
     """Whether the cache holds the model of a scene for a box, so that a run need not wait for it."""
     from tankrig.light.prepared.preparation import place_of
 
-    return place_of(scene, box, _tolerance(scene, box)).model.exists()
+    return place_of(scene, box, tolerance_for(scene, box)).model.exists()
 
 
 class _EnoughError(Exception):
@@ -261,10 +261,11 @@ def model_for(scene: Scene, box: Box, progress: Callable[[float], object] = lamb
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the error is counted in every covariance
-        return prepare(scene, _tolerance(scene, box), progress, box)
+        return prepare(scene, tolerance_for(scene, box), progress, box)
 
 
-def _tolerance(scene: Scene, box: Box) -> float:
+def tolerance_for(scene: Scene, box: Box) -> float:
+    """What is asked of a model of a scene for a box."""
     if box == LOOK:
         return LOOK_TOLERANCE
     return TOLERANCE if shift_invariant(scene) else SLANTED_TOLERANCE

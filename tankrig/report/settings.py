@@ -18,13 +18,13 @@ Pairs = list[tuple[str, str]]
 
 def settings_of(run: Run) -> list[Pairs]:
     """Tables: the experiment, the bench, and where it was calibrated what was measured of it."""
-    sequence: dict[str, Any] = dict(run.settings["sequence"])
-    bench: dict[str, Any] = dict(run.settings["bench"])
+    sequence: dict[str, Any] = dict(run.settings.get("sequence", {}))
+    bench: dict[str, Any] = dict(run.settings.get("bench", {}))
     doses = run.events("dose_done")
     sessions = run.events("session")
     experiment: Pairs = [
         ("run", run.path.name),
-        ("sequence", str(sequence.get("name", ""))),
+        ("sequence", str(sequence.get("name", "none: imported"))),
         ("frames", f"{len(run.events('frame'))} of {run.frames.shape[1:][1]} × {run.frames.shape[1:][0]} pixels"),
         ("exposure", _exposures(run, sequence)),
         ("ink at the beginning", f"{sessions[0].get('delivered_ul', 0.0):g} µl" if sessions else "?"),
@@ -34,6 +34,8 @@ def settings_of(run: Run) -> list[Pairs]:
         ("program", str(sessions[0]["program"]) if sessions else "?"),
         ("sessions", str(len(sessions))),
     ]
+    if not bench:
+        return [experiment, _of_scenes(run), *_measured(run)]
     tank, camera = bench["tank"], bench["camera"]
     lengths = " × ".join(f"{side:.5g}" for side in tank["size_mm"])
     geometry: Pairs = [
@@ -43,6 +45,19 @@ def settings_of(run: Run) -> list[Pairs]:
         ("camera", f"{camera['kind']}{_at(camera.get('position_mm'))}, pixels of {camera['pixel_mm']:.4g} mm"),
     ]  # fmt: skip
     return [experiment, geometry, *_measured(run)]
+
+
+def _of_scenes(run: Run) -> Pairs:
+    """The geometry of somebody else's frames, as their scenes say."""
+    scenes = run.scenes
+    one = next(iter(scenes.values()))
+    lengths = " × ".join(f"{side:.5g}" for side in one.tank.size_mm)
+    return [
+        ("rig", str(run.settings.get("rig", ""))),
+        ("tank", f"{lengths} mm, {one.tank.surface} surface"),
+        ("light", ", ".join(f"{name}: {scene.projector.kind}" for name, scene in scenes.items())),
+        ("camera", f"{one.camera.kind}{_at(one.camera.position_mm)}, pixels of {one.camera.pixel_mm:.4g} mm"),
+    ]
 
 
 def _light(bench: dict[str, Any]) -> Pairs:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tankrig.checked_toml import checked
 from tankrig.devices import Delivered, Pixels
 from tankrig.errors import StoreError
 from tankrig.pattern import Pattern
@@ -17,9 +18,13 @@ from tankrig.run.conditions import Conditions, with_conditions
 from tankrig.run.damage import Lost
 from tankrig.run.journal import Event
 from tankrig.run.journal_io import read_journal, read_settings
+from tankrig.scene.description import Scene
 
 if TYPE_CHECKING:
     import xarray
+
+_LIT, _DARK = np.full((1, 1), 255, np.uint8), np.zeros((1, 1), np.uint8)
+"""Patterns of which nobody knows the pixels."""
 
 LEFT_OUT = "left out"
 """Text of the note that names, as `frames`, those that a person has left out because they are damaged."""
@@ -80,14 +85,45 @@ class Run:
 
     @cached_property
     def patterns(self) -> dict[str, Pattern]:
-        """The pictures that were to be projected, by hash."""
+        """The pictures that were to be projected, by hash; of an imported run one pixel each, lit or dark."""
         import zarr
 
+        if "scenes" in self.settings:
+            return {key: Pattern(one["name"], _LIT if one["scene"] else _DARK) for key, one in self._told_scenes}
         if not (self.path / "patterns").is_dir():
             return {}
         array = zarr.open_array(self.path / "patterns", mode="r")
         names, hashes = array.attrs["names"], array.attrs["hashes"]
         return {key: Pattern(name, array[i]) for i, (name, key) in enumerate(zip(names, hashes, strict=True))}
+
+    @cached_property
+    def scenes(self) -> dict[str, Scene]:
+        """What was lit in an imported run, by the names of the patterns; of other runs nothing, for they have a bench.
+
+        Raises
+        ------
+        StoreError
+            When they are not what they should be.
+        """
+        lit = [one for _, one in self._told_scenes if one["scene"]]
+        return {one["name"]: checked(Scene, one["scene"], f"{self.path}: its scene", StoreError) for one in lit}
+
+    @property
+    def _told_scenes(self) -> list[tuple[str, Mapping[str, Any]]]:
+        return list(dict(self.settings.get("scenes", {})).items())
+
+    def require_sequence(self) -> Mapping[str, Any]:
+        """The sequence that the run followed.
+
+        Raises
+        ------
+        StoreError
+            When it followed none: it was imported.
+        """
+        if "sequence" not in self.settings:
+            raise StoreError(f"{self.path}: was imported and has no sequence; this needs a run of a rig")
+        found: Mapping[str, Any] = self.settings["sequence"]
+        return found
 
     @cached_property
     def frames(self) -> "xarray.DataArray":

@@ -118,7 +118,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
     with ExitStack() as undo:
         undo.callback(rig.close)
         run = require_resumable(path)
-        sequence = sequence_from_table(run.settings["sequence"], str(path))
+        sequence = sequence_from_table(dict(run.require_sequence()), str(path))
         patterns = sequence.drawn(rig.bench.wall)
         _require_same(run, rig, patterns)
         first_step, frames_taken = _where(run)

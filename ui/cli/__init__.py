@@ -2,6 +2,7 @@
 
 import errno
 import importlib
+import keyword
 import os
 import sys
 import tempfile
@@ -11,7 +12,7 @@ from typing import Any
 
 import click
 
-from tankrig.errors import DecisionError, DeviceError, StoreError, TankrigError, UndecidedError
+from tankrig.errors import DecisionError, StoreError, TankrigError, UndecidedError
 
 DONE, FAILURE, BAD_INPUT, DECISION = 0, 1, 2, 3
 
@@ -32,12 +33,16 @@ COMMANDS = (
     "calibrate",
     "recover",
     "refit",
+    "archive",
+    "import",
+    "export",
     "report",
     "materials",
     "validate",
     "export-medium",
 )
-"""In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -."""
+"""In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -, and one
+behind a word of Python's own."""
 
 DISK_FAILED = {errno.ENOSPC, errno.EDQUOT, errno.EIO}
 
@@ -53,7 +58,7 @@ class Commands(click.Group):
         """Load the command, or None when there is none of this name."""
         if cmd_name not in COMMANDS:
             return super().get_command(ctx, cmd_name)
-        name = cmd_name.replace("-", "_")
+        name = cmd_name.replace("-", "_") + "_" * keyword.iskeyword(cmd_name)
         command: click.Command = getattr(importlib.import_module(f"ui.cli.{name}"), name)
         return command
 
@@ -111,7 +116,8 @@ def _status(error: TankrigError) -> int:
         return DECISION
     cause = error.__cause__
     disk_failed = isinstance(error, StoreError) and isinstance(cause, OSError) and cause.errno in DISK_FAILED
-    return FAILURE if isinstance(error, DeviceError) or disk_failed else BAD_INPUT
+    # A device or a scheduler that did not do what it was asked is a failure, whatever was typed.
+    return FAILURE if isinstance(error, RuntimeError) or disk_failed else BAD_INPUT
 
 
 def _say(sentence: str, status: int) -> int:

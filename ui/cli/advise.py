@@ -98,7 +98,7 @@ def _of_run(folder: Path) -> "tuple[Known, list[Shot], PhotographPlan, float]":
 
     run = open_run(folder)
     known, taken, _ = from_run(run)
-    return known, taken, PhotographPlan.of_run(run), float(run.settings["sequence"]["exposure_ms"])
+    return known, taken, PhotographPlan.of_run(run), float(run.require_sequence()["exposure_ms"])
 
 
 def _of_guess(

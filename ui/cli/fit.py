@@ -27,6 +27,14 @@ LEVEL = 0.95
 """Of the intervals that are printed."""
 _SAME_MM, _SAME_RAD = 1e-3, 1e-6
 """By which a camera may stand and be turned otherwise in two files and be the same: what a person's editing rounds."""
+FORMAT = "tankrig fit 1"
+"""Of the JSON, whose schema is fit-1.schema.json beside this file: keys may be added, and none changes its meaning."""
+
+
+def _print_schema(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked and not ctx.resilient_parsing:
+        click.echo(Path(__file__).with_name("fit-1.schema.json").read_text(encoding="utf-8").rstrip())
+        ctx.exit()
 
 
 class FreeOrNumber(click.ParamType[Any]):
@@ -142,6 +150,14 @@ class Nuisance(click.ParamType[Any]):
 @click.option("--max-order", type=click.IntRange(min=1), help="Fit orders of scattering 1 … N only.")
 @out_option("out", "Folder for the picture (.png), the numbers (.json) and the images (.npz).")
 @json_option
+@click.option(
+    "--schema",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_schema,
+    help="Print the JSON schema of what --json prints, and end.",
+)
 def fit(
     image_file: Path,
     scene_file: Path,
@@ -214,7 +230,13 @@ def fit(
         except KeyboardInterrupt:
             if fitted is None:
                 raise
-            found = {"image": str(image_file), "scene": str(scene_file), **asked, **_numbers(fitted, (), None)}
+            found = {
+                "format": FORMAT,
+                "image": str(image_file),
+                "scene": str(scene_file),
+                **asked,
+                **_numbers(fitted, (), None),
+            }
             with whole_file(stem.with_name(f"{stem.name}.json")) as file:
                 text = json.dumps({**found, "unfinished": True}, ensure_ascii=False, indent=1)
                 file.write_text(text + "\n", encoding="utf-8")
@@ -224,6 +246,7 @@ def fit(
             ) from None
         tell("drawing")
         numbers = {
+            "format": FORMAT,
             "image": str(image_file),
             "scene": str(scene_file),
             **asked,

@@ -1,4 +1,4 @@
-"""`tankrig refit`: the fits that a run lacks, or all of them anew, into its journal."""
+"""`tankrig refit`: the fits that a run lacks, or all of them anew, into its journal; or those of a whole archive."""
 
 import json
 from collections.abc import Iterator
@@ -10,12 +10,13 @@ import click
 
 from ui.cli.fits import fits_of, tell_fits
 from ui.cli.options import json_option, rig_option
+from ui.cli.refit_archive import Share, Work, refit_archive
 
 if TYPE_CHECKING:
     from tankrig.live.refit import Told
 
 
-@click.command(epilog="Example: tankrig refit runs/2026-11-20T10-00-00")
+@click.command(epilog="Example: tankrig refit runs --out refitted --workers 4")
 @click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
 @click.option("--all", "everything", is_flag=True, help="Fit every dose and the series anew, fitted or not.")
 @click.option(
@@ -25,14 +26,54 @@ if TYPE_CHECKING:
     show_default=True,
     help="As the live fit does, or by following light paths at every step, which takes longer.",
 )
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="RESULTS",
+    help="RUN is an archive: fit all runs in it anew, into this folder, and write nothing into them.",
+)
+@click.option("--workers", type=click.IntRange(1, 512), metavar="N", help="Of an archive: processes on this machine.")
+@click.option("--scheduler", metavar="ADDRESS", help="Of an archive: Dask's scheduler, such as tls://node7:8786.")
+@click.option(
+    "--tls", nargs=3, type=click.Path(path_type=Path), metavar="CA CERT KEY", help="Certificates for --scheduler, PEM."
+)
+@click.option("--slurm", metavar="OPTIONS", help='Of an archive: hand it to SLURM, such as "--time=2:00:00".')
+@click.option("--jobs", type=click.IntRange(1, 1000), default=4, show_default=True, help="Of SLURM, at a time.")
+@click.option("--share", type=Share(), help="Be the I-th, from 0, of N programs that share an archive and a RESULTS.")
+@click.option("--worker-minutes", type=click.FloatRange(0.5), help="After which a worker is replaced by a new one.")
+@click.option("--worker-memory", metavar="SIZE", help='Beyond which a worker is replaced, such as "2GiB".')
 @rig_option
 @json_option
-def refit(run: Path, everything: bool, model: str, rig: Path | None, as_json: bool) -> int:
+def refit(
+    run: Path,
+    everything: bool,
+    model: str,
+    out: Path | None,
+    workers: int | None,
+    scheduler: str | None,
+    tls: tuple[Path, Path, Path] | None,
+    slurm: str | None,
+    jobs: int,
+    share: tuple[int, int] | None,
+    worker_minutes: float | None,
+    worker_memory: str | None,
+    rig: Path | None,
+    as_json: bool,
+) -> int:
     """Fit what RUN lacks, and record it in RUN: doses whose frames were not all fitted, and the series.
 
     Each fit is recorded as soon as it is made. Ctrl-C ends it, and the next call goes on: models that were prepared, or
     begun, are kept on disk. --rig names the simulated rig of the run, whose truth is then told beside the fits.
+
+    With --out all runs below the folder RUN are fitted anew, each once for its frames, its calibrations, the model and
+    the code, and what they find goes into RESULTS; the same command goes on where it was stopped. tankrig archive shows
+    what was found.
     """
+    work = Work(workers, scheduler, tls, slurm, jobs, share, worker_minutes, worker_memory)
+    if out is not None:
+        return refit_archive(run, out, model, work, as_json)
+    if any(one is not None for one in (workers, scheduler, tls, slurm, share, worker_minutes, worker_memory)):
+        raise click.UsageError("workers, schedulers and shares are for an archive, which needs --out RESULTS")
     from drivers.rig import load_rig_file
     from tankrig.live.refit import refit as fit_again
     from tankrig.live.results import FailedFit

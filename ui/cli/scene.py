@@ -148,6 +148,7 @@ def _of_rig(rig: Path | None, pattern_name: str, sequence_file: Path | None) -> 
 
 
 def _of_run(folder: Path, pattern_name: str) -> _Source:
+    from tankrig.bench import Bench
     from tankrig.errors import SequenceError
     from tankrig.live.exposures import PhotographPlan
     from tankrig.run.calibrations import calibrations_of
@@ -158,6 +159,8 @@ def _of_run(folder: Path, pattern_name: str) -> _Source:
     if pattern_name not in by_name:
         raise SequenceError(f'{folder}: has no pattern "{pattern_name}"; it has {", ".join(by_name)}')
     bench = PhotographPlan.of_run(run).bench
+    if not isinstance(bench, Bench):
+        raise SequenceError(f"{folder}: was imported, with a scene for each pattern: it is in the run's settings")
     return bench, by_name[pattern_name], calibrations_of(run), f"run {run.path.name}"
 
 

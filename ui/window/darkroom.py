@@ -17,7 +17,7 @@ from ui.window.tone import Tone, automatic, how_often
 from ui.window.watched import Newest, SeenFrame
 
 if TYPE_CHECKING:
-    from tankrig.bench import Bench
+    from tankrig.bench import Bench, KnownScenes
     from tankrig.pattern import Pattern
 
 SLOW_S = 0.2
@@ -51,7 +51,7 @@ class Wishes:
     automatic: bool = True
     saturation: bool = True
     region: tuple[slice, slice] | None = None
-    bench: "Bench | None" = None
+    bench: "Bench | KnownScenes | None" = None
     every: int = 1
 
 
@@ -197,7 +197,7 @@ def _developed(tone: Tone) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 
 
 @lru_cache(8)
-def _outlines(bench: "Bench | None", pattern: "Pattern | None") -> NDArray[np.float64]:
+def _outlines(bench: "Bench | KnownScenes | None", pattern: "Pattern | None") -> NDArray[np.float64]:
     """Where the beams of the pattern that is shown should be."""
     from tankrig.scene.description import Medium
     from tankrig.scene.outline import beam_outlines

@@ -21,7 +21,7 @@ from ui.window.tone import COLOURS, Tone
 from ui.window.watched import Newest, SeenFrame
 
 if TYPE_CHECKING:
-    from tankrig.bench import Bench
+    from tankrig.bench import Bench, KnownScenes
 
 
 class LiveView(QWidget):
@@ -41,7 +41,7 @@ class LiveView(QWidget):
         super().__init__()
         self._darkroom = Darkroom(source)
         self._darkroom.pictures.arrived.connect(self._show)
-        self._bench: Bench | None = None
+        self._bench: Bench | KnownScenes | None = None
         self._picture: Picture | None = None
         self._levels = (0.0, 65535.0)
         self._rate_at = 0.0
@@ -65,7 +65,7 @@ class LiveView(QWidget):
 
     # -- what is shown -------------------------------------------------------------------------------------------------
 
-    def set_bench(self, bench: "Bench") -> None:
+    def set_bench(self, bench: "Bench | KnownScenes") -> None:
         """Say where pixels lie, and where beams should be."""
         self._bench = bench
         self._wish()
