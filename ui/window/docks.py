@@ -44,12 +44,12 @@ class Docks:
         """The dock of a page."""
         return self._by_page[page]
 
-    def put(self, title: str, page: QWidget) -> None:
-        """Fill a dock with its page."""
+    def put(self, title: str, page: QWidget, frame: QWidget) -> None:
+        """Fill a dock with its page, in the frame that says whose it is."""
         dock = self._by_title[title]
         area = dock.widget()
         assert isinstance(area, QScrollArea)
-        area.setWidget(page)
+        area.setWidget(frame)
         self._by_page[page] = dock
         dock.visibilityChanged.connect(partial(_appear, page.findChildren(pg.PlotWidget), Turns(page)))
 

@@ -14,7 +14,8 @@ from tankrig.devices import CameraSettings
 from ui.window.darkroom import Darkroom, Judgement, Picture, Wishes
 from ui.window.fields import NumberField
 from ui.window.histogram import Histogram
-from ui.window.radiometry import Radiometry
+from ui.window.radiometry import radiance_in_words
+from ui.window.source import LIVE
 from ui.window.tank_plot import TankPlot, pen
 from ui.window.theme import set_role
 from ui.window.tone import COLOURS, Tone
@@ -22,6 +23,11 @@ from ui.window.watched import Newest, SeenFrame
 
 if TYPE_CHECKING:
     from tankrig.bench import Bench
+    from ui.window.shown import Shown
+
+
+POINT = "point at the picture to read counts and radiance"
+NO_PICTURE = "the camera's picture will stand here"
 
 
 class LiveView(QWidget):
@@ -44,12 +50,16 @@ class LiveView(QWidget):
         self._bench: Bench | None = None
         self._picture: Picture | None = None
         self._levels = (0.0, 65535.0)
+        self._asked = CameraSettings(20.0)
         self._rate_at = 0.0
         self._outlined: NDArray[np.float64] | None = None
         self._cursor: QPointF | None = None
         self.displayed = 0
         self._displayed_before = 0
-        self.radiometry = Radiometry()
+        self._source = LIVE
+        self._shown: Shown | None = None
+        self._trouble = ""
+        self._free = False
         self._plot = TankPlot()
         self._histogram = Histogram()
         self._histogram.levels_moved.connect(self._set_levels)
@@ -70,11 +80,32 @@ class LiveView(QWidget):
         self._bench = bench
         self._wish()
 
+    def show_source(self, shown: "Shown") -> None:
+        """Show frames of this source from now on; a picture that is of another one goes at once."""
+        self._shown, self._source = shown, shown.source
+        if self._picture is not None and self._picture.frame.run != self._source.recorded:
+            self._picture = None
+            self._plot.clear()
+            self._histogram.clear()
+            self._beams.setData([], [])
+            self._outlined = None
+            for label in (self._saturated, self._focus, self._roi_text):
+                label.clear()
+        self._say()
+        self._show_settings()
+
     def set_camera(self, settings: CameraSettings, free: bool) -> None:
-        """What the camera is set to, and whether a person may change it."""
+        """What the camera is asked to be set to, and whether a person may change it."""
+        self._asked, self._free = settings, free
+        self._show_settings()
+
+    def _show_settings(self) -> None:
+        """Exposure and gain of the picture; between runs, what a person has asked for."""
+        live = self._source.recorded is None
+        settings = self._asked if (live and self._free) or self.frame is None else self.frame.settings
         for field, value in ((self._exposure, settings.exposure_ms), (self._gain, settings.gain)):
-            field.setEnabled(free)
-            if not field.hasFocus():
+            field.setEnabled(live and self._free)
+            if not field.hasFocus() or not field.isEnabled():
                 field.set_value(value)
 
     @property
@@ -82,10 +113,19 @@ class LiveView(QWidget):
         """The one that is shown."""
         return self._picture.frame if self._picture else None
 
-    def say_empty(self, words: str) -> None:
-        """What to say where there is no picture."""
-        if self._picture is None:
-            self._read_out.setText(words)
+    def say_trouble(self, words: str) -> None:
+        """Why no picture comes from the camera; empty where nothing is wrong."""
+        self._trouble = words
+        self._say()
+
+    def _say(self) -> None:
+        """What stands below the picture, or in its place."""
+        if self._picture is not None and self._cursor is not None:
+            self._read(self._cursor)
+        elif self._picture is not None:
+            self._read_out.setText(POINT)
+        else:
+            self._read_out.setText(self._trouble if self._source.recorded is None and self._trouble else NO_PICTURE)
 
     def close_view(self) -> None:
         """Look at no more frames."""
@@ -93,13 +133,17 @@ class LiveView(QWidget):
 
     def _show(self) -> None:
         picture = self._darkroom.pictures.take()
-        if picture is None or self._bench is None:
+        if picture is None or self._bench is None or picture.frame.run != self._source.recorded:
             return
-        self._picture, camera = picture, self._bench.camera
+        before, self._picture, camera = self._picture, picture, self._bench.camera
         if picture.frame.pixels.shape != camera.shape:
             camera = replace(camera, shape=picture.frame.pixels.shape)
         self._plot.show_indices(picture.indices, picture.palette)
         self._plot.place(self._bench.tank, camera)
+        if before is None:
+            self._say()
+        if before is None or before.frame.settings != picture.frame.settings:
+            self._show_settings()
         self.displayed += 1
         if self.displayed == 1:
             self.first_shown.emit()
@@ -119,8 +163,8 @@ class LiveView(QWidget):
         self._focus.setText(f"focus {judged.focus:.3f}")
         if self._roi.isVisible():
             self._roi_text.setText(f"region {judged.mean:.1f} ± {judged.sd:.1f} counts")
-        if judged.dark is not None:
-            self.radiometry.dark = judged.dark
+        if judged.dark is not None and self._shown is not None:
+            self._shown.dark = judged.dark
         if judged.outlines is not self._outlined:
             self._outlined = judged.outlines
             self._beams.setData(judged.outlines[:, 0], judged.outlines[:, 1])
@@ -183,10 +227,11 @@ class LiveView(QWidget):
         rows, columns = self.frame.pixels.shape
         row, column = (int(one // 1) for one in self._plot.pixel_at(at.x(), at.y()))
         if not (0 <= row < rows and 0 <= column < columns):
-            self._read_out.setText("point at the picture to read counts and radiance")
+            self._read_out.setText(POINT)
             return
         counts = int(self.frame.pixels[row, column])
-        radiance = self.radiometry.words(counts, self.frame)
+        newest, dark = (self._shown.newest, self._shown.dark) if self._shown is not None else (None, None)
+        radiance = radiance_in_words(counts, self.frame.settings, newest.gain if newest is not None else None, dark)
         self._read_out.setText(f"x {at.x():.1f} mm, y {at.y():.1f} mm: {counts} counts, {radiance}")
 
     def _ask_camera(self) -> None:
@@ -237,7 +282,7 @@ class LiveView(QWidget):
         for box in (self._automatic, self._saturation, self._overlay, region):
             second.addWidget(box)
         second.addStretch(1)
-        self._read_out = QLabel("point at the picture to read counts and radiance")
+        self._read_out = QLabel(NO_PICTURE)
         self._saturated, self._focus, self._rate, self._roi_text = QLabel(), QLabel(), QLabel(), QLabel()
         self._focus.setToolTip("fine structure over brightness; turn the lens until it is largest")
         third = QHBoxLayout()

@@ -24,6 +24,7 @@ from ui.window.keys import BY_NAME, KeyCard
 from ui.window.live_view import LiveView
 from ui.window.rig_host import RigHost
 from ui.window.rig_parts import RunOrder, import_ahead
+from ui.window.source_frame import SourceFrame
 from ui.window.status import RigState, RigStatus
 from ui.window.threads import OwnedThread
 from ui.window.top_bar import TopBar
@@ -31,20 +32,25 @@ from ui.window.words import volume
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
-    from tankrig.run.reading import Run
+    from tankrig.run.journal import Event
     from tankrig.run.runner import Outcome
+    from tankrig.sequence.sequence import Sequence
     from ui.window.calibration_page import CalibrationPage
     from ui.window.doser_page import DoserPage
     from ui.window.fit_page import FitPage
     from ui.window.log_panel import LogPanel
+    from ui.window.on_screen import OnScreen
     from ui.window.projector_page import ProjectorPage
+    from ui.window.reader import Reader
     from ui.window.replay import Replay
     from ui.window.runs_page import RunsPage
     from ui.window.sequence_page import SequencePage
+    from ui.window.shown import Shown
+    from ui.window.source import Source
 
 _log = logging.getLogger(__name__)
 
-LAYOUT = 1
+LAYOUT = 2
 """Raised when docks are added, so that an old layout is not restored."""
 PICTURE_MS = 3000
 """The pages are made once the first picture is on screen, or after this."""
@@ -75,6 +81,7 @@ class MainWindow(QMainWindow):
     runs: "RunsPage"
     calibration: "CalibrationPage"
     log: "LogPanel"
+    on_screen: "OnScreen"
 
     def __init__(self, host: RigHost, runs: Path, settings: QSettings, sequence: Path | None = None) -> None:
         super().__init__()
@@ -84,11 +91,14 @@ class MainWindow(QMainWindow):
         self.status = RigStatus()
         self.gaps, self.background, self.host = GapMonitor(), Background(), host
         self._replay: Replay | None = None
+        self._reader: Reader | None = None
+        self._frames: list[SourceFrame] = []
         self._rig: RigFile | None = None
         self._ending: OwnedThread | None = None
         self._offered = self.furnished = False
         self._asked: str | None = None
         self.top, self.banner, self.live = TopBar("rig", host.source.simulated), Banner(), LiveView(host.frames)
+        self.live_frame = SourceFrame(self.live)
         self.docks = Docks(self)
         self._lay_out()
         self._connect()
@@ -123,10 +133,16 @@ class MainWindow(QMainWindow):
         QTimer.singleShot(BREATH_MS, self._go_on_furnishing)
 
     def _furnished_in_turn(self) -> Iterator[bool]:
-        for made in pages(self.folder, self.background, self.host.source):
-            for name, title, page in made:
+        from ui.window.on_screen import OnScreen
+        from ui.window.reader import Reader
+
+        self._reader = Reader()
+        self.on_screen = OnScreen(self._reader, self.background)
+        for made in pages(self.folder, self.on_screen, self.background, self.host.source):
+            for name, title, page, frame in made:
                 setattr(self, name, page)
-                self.docks.put(title, page)
+                self._frames.append(frame)
+                self.docks.put(title, page, frame)
             yield True
         self._connect_pages()
         self._begin_with_pages()
@@ -134,10 +150,12 @@ class MainWindow(QMainWindow):
     def _connect_pages(self) -> None:
         host, queued = self.host, Qt.ConnectionType.QueuedConnection
         for signal, slot in (
-            (host.run_began, self.began), (host.run_ended, self.ended), (host.event_recorded, self.sequence.see),
-            (host.fitted, self.fit.add), (host.pattern_shown, self.projector.shown),
+            (host.run_began, self.began), (host.run_ended, self.ended), (host.recorded, self.on_screen.take),
+            (host.pattern_shown, self.projector.shown),
         ):  # fmt: skip
             signal.connect(slot, queued)
+        self.on_screen.changed.connect(self._show_source)
+        self.on_screen.refitted.connect(self._offer_refit)
         self.projector.show_asked.connect(host.show)
         self.projector.screen_asked.connect(self.use_screen)
         self.doser.dose_asked.connect(host.dose_to)
@@ -147,14 +165,12 @@ class MainWindow(QMainWindow):
         self.doser.give_up_asked.connect(host.reopen)
         self.calibration.reopen_asked.connect(host.reopen)
         self.calibration.wizard.lend_asked.connect(host.lend)
-        self.fit.gain_found.connect(self.take_gain)
         self.sequence.run_asked.connect(self.run)
         self.sequence.dropped.connect(self.offer_text)
         self.runs.resume_asked.connect(self.resume)
-        self.runs.opened.connect(self.show_run)
-        self.runs.refitted.connect(self.fit.show_fits)
-        self.runs.bar.left.connect(self.leave_replay)
-        for teller in (self.sequence.told, self.runs.told, self.calibration.told):
+        self.runs.open_asked.connect(self.show_run)
+        self.runs.bar.left.connect(self.on_screen.leave)
+        for teller in (self.sequence.told, self.runs.told, self.calibration.told, self.on_screen.told):
             teller.connect(self.tell)
         undo, pages = self.sequence.document.undo, (
             self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log
@@ -168,6 +184,7 @@ class MainWindow(QMainWindow):
     def _begin_with_pages(self) -> None:
         """All pages are there: tell them what is known."""
         self.furnished = True
+        self._show_source(self.on_screen.shown)
         self._opened(self._rig, afresh=True)
         self._follow(self.status)
         theme.paint_plots(self)
@@ -178,7 +195,8 @@ class MainWindow(QMainWindow):
         if draft and not self._first_sequence:  # what was typed and not saved when the window was closed
             self.sequence.document.edit_text(str(draft))
         self._garbage = GarbageTimer(lambda: not self.status.running)
-        OwnedThread("import-ahead", lambda _: import_ahead(), END_S)
+        assert self._reader is not None
+        self._reader.run(import_ahead, then=lambda _: None)
 
     # -- the rig -------------------------------------------------------------------------------------------------------
 
@@ -186,9 +204,12 @@ class MainWindow(QMainWindow):
         if rig is None:
             return
         new, self._rig = afresh or rig != self._rig, rig
-        self.live.set_bench(rig.bench)
+        if self._replay is None:
+            self.live.set_bench(rig.bench)
         if not self.host.source.simulated:
             self.top.name_rig(rig.name)
+        for frame in self._frames:
+            frame.name_rig(rig.name)
         if not self.furnished:
             return
         self.calibration.set_rig(rig)
@@ -206,18 +227,14 @@ class MainWindow(QMainWindow):
         if run is not None:
             why = f" ({run.message})" if run.message else ""
             words = f"The last run, {run.path.name}, was {run.ending}{why}. What it recorded is safe; it can go on."
-            self.banner.say(words, action="Resume it", do=lambda: self.resume(run.path))
+            self.banner.say(words, action="Resume it", do=lambda: self.resume(run.path), key="interrupted")
 
     def _follow(self, status: RigStatus) -> None:
         before, self.status = self.status, status
         self._words.setText(status.words)
         self._held.setText("" if status.tank is None else f"{volume(status.tank.volume_ul)} of ink in the tank")
         self.live.set_camera(self.host.camera_settings, status.state is RigState.IDLE)
-        if status.trouble and status.trouble != before.trouble:
-            again = status.state is RigState.FAILED
-            self.banner.say(status.trouble, "bad", "Open the rig again" if again else "", self.host.reopen)
-        if status.state is RigState.FAILED:
-            self.live.say_empty("no picture: the rig cannot be used; the line above says why")
+        self._tell_trouble(before, status)
         if not self.furnished:
             if status.state in (RigState.FAILED, RigState.ASKING):  # no picture will come
                 self.furnish()
@@ -230,6 +247,19 @@ class MainWindow(QMainWindow):
             self.show_page(self.doser)
         self._asked = status.undecided
 
+    def _tell_trouble(self, before: RigStatus, status: RigStatus) -> None:
+        """What is wrong, for as long as it is."""
+        failed = status.state is RigState.FAILED
+        if status.troubles != before.troubles and status.trouble:
+            self.banner.say(
+                status.trouble, "bad", "Open the rig again" if failed else "", self.host.reopen, key="trouble"
+            )
+        elif not status.trouble:
+            self.banner.withdraw("trouble")
+        if before.stopped and not status.stopped:
+            self.banner.withdraw("stop")
+        self.live.say_trouble("no picture: the rig cannot be used; the line above says why" if failed else "")
+
     # -- runs ----------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
@@ -241,7 +271,6 @@ class MainWindow(QMainWindow):
         elif self.status.busy:
             self.tell("a run or a dose goes on; wait for its end or stop it, then run")
         else:
-            self.leave_replay()
             path = self.folder / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
             self.host.start_run(RunOrder(path, sequence))
 
@@ -250,7 +279,6 @@ class MainWindow(QMainWindow):
         if self.status.busy:
             self.tell("a run or a dose goes on; wait for its end or stop it, then resume")
         else:
-            self.leave_replay()
             self.host.start_run(RunOrder(path))
 
     def pause(self) -> None:
@@ -265,61 +293,78 @@ class MainWindow(QMainWindow):
     def stop(self) -> None:
         """Stop the doser at once."""
         self.host.stop()
-        self.banner.say("STOP: the doser is stopped; a run that went on is being aborted and can be resumed.", "bad")
+        words = "STOP: the doser is stopped; a run that went on is being aborted and can be resumed."
+        self.banner.say(words, "bad", key="stop")
 
-    def began(self, path: Path, sequence: object) -> None:
-        """A run has begun."""
-        self.banner.hide()
-        self.sequence.begin(sequence)  # type: ignore[arg-type]
-        self.fit.begin(f"No fit yet of {path.name}. Fits come by themselves from the first dose of ink.")
+    def began(self, path: Path, sequence: "Sequence", before: "tuple[Event, ...]") -> None:
+        """A run has begun, or goes on with what its journal holds already."""
+        self.banner.withdraw("stop", "trouble", "interrupted", "ended", "resume")
+        self.on_screen.begin(path, [task.label for task in sequence.tasks], before)
+        self.sequence.show_run()
         self.show_page(self.sequence)
         _log.info("the run is recorded in %s", path)
 
     def ended(self, outcome: "Outcome") -> None:
         """A run is over."""
-        name = outcome.path.name
-        if outcome.error is not None:
-            words, level = f"The run {name} {outcome.reason.value}: {outcome.error}", "bad"
-        else:
-            words, level = (
-                f"The run {name} was {outcome.reason.value}.",
-                "good" if outcome.reason is FinishReason.COMPLETED else "",
-            )
+        path = outcome.path
+        completed = outcome.reason is FinishReason.COMPLETED
+        why = f": {outcome.error}" if outcome.error is not None else "."
+        words = f"The run {path.name} was {outcome.reason.value}{why}"
+        level = "bad" if outcome.error is not None else "good" if completed else ""
         _log.info("%s", words)
-        self.sequence.run_list.end(words)
         self.runs.refresh()
-        done = outcome.reason is FinishReason.COMPLETED
-        if done:
-            self.banner.say(words, level, "Write its report", self.runs.report)
+        if completed:
+            self.banner.say(words, level, "Write its report", lambda: self.runs.report(path), key="ended")
         else:
-            words += " What it recorded is safe."
-            self.banner.say(words, level, "Resume it", lambda: self.resume(outcome.path))
+            self.banner.say(words, level, "Resume it", lambda: self.resume(path), key="ended")
 
-    # -- replay --------------------------------------------------------------------------------------------------------
-
-    def show_run(self, run: "Run") -> None:
+    def show_run(self, path: Path) -> None:
         """Show a recorded run in the same views."""
-        from tankrig.live.exposures import PhotographPlan
-        from ui.window.replay import Replay
-
         if self.status.busy:
             self.tell("a run goes on in the live view; open another when it has ended")
-            return
-        self.leave_replay()
-        self.live.set_bench(PhotographPlan.of_run(run).bench)
-        self._replay = Replay(run, self.host.frames.put)
-        self.host.look_away(True)
-        self.runs.bar.set_replay(self._replay)
-        self.fit.show_run(run.path)
+        else:
+            self.on_screen.open(path)
 
-    def leave_replay(self) -> None:
-        """Back to the camera."""
+    def _show_source(self, shown: "Shown") -> None:
+        """Have every page draw this source, or nothing, before anything else happens."""
         replay, self._replay = self._replay, None
         if replay is not None:
             replay.close()
-            self.runs.bar.set_replay(None)
-            self.host.look_away(False)
-            self.host.tell_rig()
+        self.runs.bar.set_replay(None)
+        self.host.look_away(shown.source.recorded is not None)
+        for page in (self.live, self.fit, self.sequence):
+            page.show_source(shown)
+        for frame in (self.live_frame, *self._frames):
+            frame.show_source(shown.source)
+        if shown.source.recorded is None:
+            if self._rig is not None:
+                self.live.set_bench(self._rig.bench)
+        elif shown.reading is not None:
+            self._play(shown)
+        else:
+            shown.read.connect(lambda: self._play(shown))
+
+    def _play(self, shown: "Shown") -> None:
+        """The frames of a run that has been read."""
+        from ui.window.replay import Replay
+
+        if shown is not self.on_screen.shown or shown.reading is None or self._replay is not None:
+            return
+        self.live.set_bench(shown.reading.bench)
+        self._replay = Replay(shown.reading.run, self.host.frames.put)
+        self.runs.bar.set_replay(self._replay)
+
+    def _offer_refit(self, source: "Source") -> None:
+        """A refit has come while something else was on screen."""
+        words = f"Finished: {source.title}."
+        self.banner.say(words, "good", "Show it", lambda: self._show_refit(source), key=source.title)
+
+    def _show_refit(self, source: "Source") -> None:
+        if self.status.busy:
+            self.tell("a run goes on in the live view; look at a refit when it has ended")
+        else:
+            self.on_screen.show_refit(source)
+            self.show_page(self.fit)
 
     # -- the window ----------------------------------------------------------------------------------------------------
 
@@ -331,7 +376,7 @@ class MainWindow(QMainWindow):
     def offer_text(self, text: str) -> None:
         """A sequence was opened over edits that no file has: offer them back."""
         words = "The sequence that was being edited had not been saved."
-        self.banner.say(words, action="Edit it again", do=lambda: self.sequence.edit_unsaved(text))
+        self.banner.say(words, action="Edit it again", do=lambda: self.sequence.edit_unsaved(text), key="dropped")
 
     def show_page(self, page: QWidget) -> None:
         """Bring a page to the front."""
@@ -361,6 +406,8 @@ class MainWindow(QMainWindow):
         self._pulse.stop()
         self.live.close_view()
         self.background.close()
+        if self._reader is not None:
+            self._reader.close()
         if self.furnished:
             document = self.sequence.document
             self._settings.setValue("sequence", str(document.path or ""))
@@ -374,12 +421,17 @@ class MainWindow(QMainWindow):
         bar.setObjectName("top")
         bar.setMovable(False)
         bar.addWidget(self.top)
-        bar.toggleViewAction().setEnabled(False)
-        self.addToolBar(bar)
+        strip = QToolBar("what is told")
+        strip.setObjectName("told")
+        strip.setMovable(False)
+        strip.addWidget(self.banner)
+        for one in (bar, strip):
+            one.toggleViewAction().setEnabled(False)
+            self.addToolBar(one)
+            self.addToolBarBreak()
         centre, column = QWidget(), QVBoxLayout()
         column.setContentsMargins(6, 6, 6, 0)
-        column.addWidget(self.banner)
-        column.addWidget(self.live, 1)
+        column.addWidget(self.live_frame, 1)
         centre.setLayout(column)
         self.setCentralWidget(centre)
         self._words, self._held = QLabel("opening the rig"), QLabel()
@@ -406,10 +458,6 @@ class MainWindow(QMainWindow):
             self.tell(str(error))
         else:
             self.host.reopen()
-
-    def take_gain(self, gain: float) -> None:
-        """What a fit has found counts to be."""
-        self.live.radiometry.gain = gain
 
     def _other_theme(self) -> None:
         self.set_theme("light" if theme.current().name == "dark" else "dark")

@@ -48,8 +48,9 @@ class ReplayBar(QWidget):
         if replay is not None:
             self._slider.setRange(0, max(0, len(replay.frames) - 1))
             self._slider.setValue(0)
-            replay.moved.connect(self._moved, Qt.ConnectionType.QueuedConnection)
-            replay.ended.connect(self._words.setText, Qt.ConnectionType.QueuedConnection)
+            queued = Qt.ConnectionType.QueuedConnection
+            replay.moved.connect(self._moved, queued)
+            replay.ended.connect(self._ended, queued)
             self._set_speed(self._speed.currentText())
             replay.jump(0)
 
@@ -66,9 +67,16 @@ class ReplayBar(QWidget):
         if self._replay is not None:
             self._replay.jump(frame)
 
-    def _moved(self, frame: int, words: str) -> None:
+    def _ended(self, replay: Replay, words: str) -> None:
+        if replay is self._replay:
+            self._words.setText(words)
+            self._play.setChecked(False)
+
+    def _moved(self, replay: Replay, frame: int, words: str) -> None:
+        if replay is not self._replay:
+            return  # what an earlier one had still to say
         if not self._slider.isSliderDown():
             self._slider.setValue(frame)
         self._words.setText(words)
-        if self._replay is not None and frame + 1 >= len(self._replay.frames) and self._play.isChecked():
+        if frame + 1 >= len(replay.frames) and self._play.isChecked():
             self._play.setChecked(False)

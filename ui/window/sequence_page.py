@@ -13,14 +13,15 @@ from PySide6.QtWidgets import (
 )
 
 from tankrig.errors import TankrigError
-from tankrig.run.journal import Event
-from tankrig.sequence.sequence import Sequence
 from ui.window.fields import NumberField
 from ui.window.files import ask_for_file, ask_where_to_save
 from ui.window.marked_text import MarkedText
 from ui.window.patterns_editor import PatternsEditor
+from ui.window.plan_list import PlanList
 from ui.window.run_list import RunList
 from ui.window.sequence_document import SequenceDocument
+from ui.window.shown import Shown
+from ui.window.source_frame import SourceFrame
 from ui.window.status import RigStatus
 from ui.window.steps_editor import StepsEditor
 from ui.window.theme import set_role
@@ -44,14 +45,16 @@ class SequencePage(QWidget):
         self.steps = StepsEditor(self.document)
         self.patterns = PatternsEditor(self.document)
         self.text = MarkedText()
-        self.run_list = RunList()
+        self.plan_list, self.run_list = PlanList(), RunList()
+        self.run_frame = SourceFrame(self.run_list)
         self.steps.refused.connect(self.told)
         self.patterns.refused.connect(self.told)
         self.text.textChanged.connect(lambda: self.document.edit_text(self.text.toPlainText()))
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         for title, widget in (
-            ("Steps", self.steps), ("Patterns", self.patterns), ("Text", self.text), ("Run", self.run_list)
+            ("Steps", self.steps), ("Patterns", self.patterns), ("Text", self.text), ("Dry run", self.plan_list),
+            ("Run", self.run_frame),
         ):  # fmt: skip
             self.tabs.addTab(widget, title)
         self._title, self._says = QLabel(), QLabel()
@@ -122,25 +125,19 @@ class SequencePage(QWidget):
         if plan is None:
             self.told.emit(problem.sentence if problem else "the rig is not known yet, so there is nothing to check by")
             return
-        lines = [
-            f"{step.label}: {duration(step.seconds)}"
-            + (f", {volume(step.ink_ul)} of ink" if step.ink_ul else "")
-            + (f", {step.frames} frames" if step.frames else "")
-            for step in plan.steps
-        ]
-        self.run_list.list_plan(lines, f"Dry run: {self._totals()}; nothing has moved")
-        self.tabs.setCurrentWidget(self.run_list)
+        self.plan_list.show_plan(plan, f"Dry run: {self._totals()}; nothing has moved")
+        self.tabs.setCurrentWidget(self.plan_list)
 
     # -- what goes on --------------------------------------------------------------------------------------------------
 
-    def begin(self, sequence: Sequence) -> None:
-        """A run has begun."""
-        self.run_list.begin(sequence)
-        self.tabs.setCurrentWidget(self.run_list)
+    def show_source(self, shown: Shown) -> None:
+        """The steps of this source stand on the tab "Run"."""
+        self.run_frame.show_source(shown.source)
+        self.run_list.show_source(shown)
 
-    def see(self, event: Event) -> None:
-        """The run has recorded something."""
-        self.run_list.see(event)
+    def show_run(self) -> None:
+        """Bring the steps of the run to the front."""
+        self.tabs.setCurrentWidget(self.run_frame)
 
     def follow(self, status: RigStatus) -> None:
         """Where the rig stands."""
@@ -151,6 +148,7 @@ class SequencePage(QWidget):
         self._run.setEnabled(self.document.plan is not None and not self._busy)
 
     def _refresh(self) -> None:
+        self.plan_list.clear()
         problem = self.document.problem
         self._title.setText(self.document.title)
         self.text.replace_text(self.document.text)

@@ -31,6 +31,8 @@ class RigStatus:
         What the rig is doing.
     trouble
         One sentence, where something is wrong.
+    troubles
+        How many there have been: the same sentence may be told again.
     tank
         Ink in the tank, µl.
     remaining
@@ -49,6 +51,7 @@ class RigStatus:
 
     state: RigState = RigState.OPENING
     trouble: str = ""
+    troubles: int = 0
     tank: Delivered | None = None
     remaining: Remaining | None = None
     target_ul: float | None = None

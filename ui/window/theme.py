@@ -24,15 +24,23 @@ class Theme:
     warning: str
     bar: str
     bad: str
+    live: str
+    replay: str
+    refit: str
+    """Frames of what belongs to a source."""
+    on_source: str
 
 
 DARK = Theme(
     "dark", window="#1d2126", base="#15181c", raised="#2b3138", text="#e8eaed", faint="#a4adb8", line="#434b55",
     accent="#4c9fe8", on_accent="#081320", good="#58c08a", warning="#eab44a", bar="#2f6ea8", bad="#ff7b6e",
+    live="#3f9e6e", replay="#c9822b", refit="#a77be0",
+    on_source="#081320",
 )  # fmt: skip
 LIGHT = Theme(
     "light", window="#f1f3f5", base="#ffffff", raised="#e2e6ea", text="#1a1d21", faint="#566170", line="#b9c1ca",
     accent="#0b62b4", on_accent="#ffffff", good="#16703f", warning="#8f5a00", bar="#a9cdf0", bad="#b3261e",
+    live="#16703f", replay="#9a5200", refit="#6a3fb0", on_source="#ffffff",
 )  # fmt: skip
 THEMES = {theme.name: theme for theme in (DARK, LIGHT)}
 CURVES = ("#4c9fe8", "#e8833a", "#58c08a", "#c77dd6")
@@ -156,8 +164,22 @@ def _sheet(theme: Theme) -> str:
     QFrame#banner {{ background: {theme.raised}; border: 2px solid {theme.warning}; border-radius: 6px; }}
     QFrame#banner[level="bad"] {{ border-color: {theme.bad}; }}
     QFrame#banner[level="good"] {{ border-color: {theme.good}; }}
+    QFrame#banner[level="none"] {{ border-color: transparent; background: transparent; }}
+    QFrame#source {{ border: 2px solid {theme.line}; border-radius: 4px; }}
+    QLabel#sourceTitle {{ padding: 1px 8px; font-weight: 600; background: {theme.raised}; color: {theme.text}; }}
+    {_sources(theme)}
     QFrame#card {{ background: {theme.base}; border: 1px solid {theme.line}; border-radius: 8px; }}
     """
+
+
+def _sources(theme: Theme) -> str:
+    """Frame and title of each kind of source."""
+    return "".join(
+        f"""
+    QFrame#source[source="{kind}"] {{ border-color: {colour}; }}
+    QLabel#sourceTitle[source="{kind}"] {{ background: {colour}; color: {theme.on_source}; }}"""
+        for kind, colour in (("live", theme.live), ("replay", theme.replay), ("refit", theme.refit))
+    )
 
 
 def paint_plots(widget: QWidget) -> None:

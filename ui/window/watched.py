@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Generic, TypeVar
 
 from PySide6.QtCore import QObject, Signal
@@ -27,12 +28,15 @@ class SeenFrame:
         Of the camera, as read back.
     pattern
         What the projector showed, if that is known.
+    run
+        Folder of the run that it was recorded in; None for what the camera sees now.
     """
 
     pixels: Pixels
     saturation: int
     settings: CameraSettings
     pattern: Pattern | None
+    run: Path | None = None
 
 
 class Newest(QObject, Generic[T]):
