@@ -16,7 +16,8 @@ PATTERN = "rays"
 
 def begin_run(path: Path, rig: str = "test rig") -> Path:
     """A run's folder without a line in its journal."""
-    shutil.copytree(TEMPLATE, path, ignore=shutil.ignore_patterns("c.*", JOURNAL))
+    shutil.copytree(TEMPLATE, path, ignore=shutil.ignore_patterns("c.[0-9].0.0", JOURNAL))
+    shutil.copytree(TEMPLATE / "patterns", path / "patterns", dirs_exist_ok=True)
     group = json.loads((path / "zarr.json").read_text())
     group["attributes"]["tankrig"]["settings"]["rig"] = rig
     (path / "zarr.json").write_text(json.dumps(group))
@@ -66,8 +67,10 @@ def add_dose(path: Path, number: int, pattern_hash: str, series: bool = True) ->
     lines = [
         add(path, "step", second, step=number, state="begun", label="x"),
         add(path, "dose_done", second, step=number, **tank),
-        add(path, "frame", second, index=number, step=number, pattern_hash=pattern_hash, exposure_start_ns=int(1e9 * second),
-            sha256="0", exposure_ms=8.0, gain=1.0, **tank),
+        add(
+            path, "frame", second, index=number, step=number, pattern_hash=pattern_hash,
+            exposure_start_ns=int(1e9 * second), sha256="0", exposure_ms=8.0, gain=1.0, **tank,
+        ),
         add(path, "step", second, step=number, state="done"),
         add_fit(path, dose_fit(path, number), second + 5.0),
     ]  # fmt: skip

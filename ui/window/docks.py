@@ -3,7 +3,7 @@
 from functools import partial
 
 import pyqtgraph as pg
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QEvent, QObject, Qt, QTimer
 from PySide6.QtWidgets import QDockWidget, QFrame, QMainWindow, QScrollArea, QTabWidget, QWidget
 
 from ui.window.turns import Turns
@@ -13,7 +13,7 @@ PART = 0.54
 """Of the window's width, at first."""
 
 
-class Docks:
+class Docks(QObject):
     """One dock for each title, in tabs on the right until a person moves them.
 
     Parameters
@@ -23,9 +23,14 @@ class Docks:
     """
 
     def __init__(self, window: QMainWindow) -> None:
+        super().__init__(window)
         self._window = window
         self._by_title: dict[str, QDockWidget] = {}
         self._by_page: dict[QWidget, QDockWidget] = {}
+        self._share, self._width = PART, 0
+        self._soon = QTimer(self)
+        self._soon.setSingleShot(True)
+        self._soon.timeout.connect(self._keep_share)
         window.setDockOptions(
             QMainWindow.DockOption.AllowTabbedDocks
             | QMainWindow.DockOption.AnimatedDocks
@@ -38,6 +43,7 @@ class Docks:
             area.setFrameShape(QFrame.Shape.NoFrame)
             dock.setObjectName(title)
             dock.setWidget(area)
+            dock.installEventFilter(self)
             self._by_title[title] = dock
 
     def __getitem__(self, page: QWidget) -> QDockWidget:
@@ -58,6 +64,30 @@ class Docks:
         self._by_page[page].show()
         self._by_page[page].raise_()
 
+    def window_resized(self) -> None:
+        """The window has another width: the pages keep their share of it, however small it was meanwhile."""
+        self._soon.start(0)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 - Qt's name
+        """A person has moved the edge of the pages: that is their share from now on."""
+        settled = not self._soon.isActive() and self._window.width() == self._width
+        moved = event.type() == QEvent.Type.Resize and settled and isinstance(watched, QDockWidget)
+        if moved and self._on_the_right(watched):  # type: ignore[arg-type]
+            self._share = watched.width() / max(1, self._width)  # type: ignore[attr-defined]
+        return super().eventFilter(watched, event)
+
+    def _keep_share(self) -> None:
+        right = next((dock for dock in self._by_title.values() if self._on_the_right(dock)), None)
+        if right is not None:
+            wide = round(self._share * self._window.width())
+            self._window.resizeDocks([right], [wide], Qt.Orientation.Horizontal)
+        self._width = self._window.width()
+
+    def _on_the_right(self, dock: QDockWidget) -> bool:
+        area = self._window.dockWidgetArea(dock)
+        in_front = not dock.visibleRegion().isEmpty()
+        return in_front and not dock.isFloating() and area is Qt.DockWidgetArea.RightDockWidgetArea
+
     def reset(self) -> None:
         """All docks where they were at first."""
         window, docks = self._window, list(self._by_title.values())
@@ -71,6 +101,7 @@ class Docks:
         window.resize(size)
         window.resizeDocks([first], [int(window.width() * PART)], Qt.Orientation.Horizontal)
         first.raise_()
+        self._share, self._width = PART, 0
 
 
 def _appear(plots: list[pg.PlotWidget], turns: Turns, visible: bool) -> None:

@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
+from ui.window.fields import with_name
 from ui.window.fit_cards import OrderBars, ResultCard
 from ui.window.fit_curves import FitCurves
+from ui.window.flow import Flow
 from ui.window.result import result_of, table
 from ui.window.shown import Shown
 from ui.window.tank_plot import TankPlot
@@ -193,11 +195,9 @@ class FitPage(QWidget):
         self._against.addItems(list(AGAINST))
         self._against.currentTextChanged.connect(lambda _: self._draw_curves())
         self._same.toggled.connect(lambda _: self._draw_comparison())
-        choices = QHBoxLayout()
-        for widget in (QLabel("picture of"), self._pattern, QLabel("at"), self._dose, self._same):
-            choices.addWidget(widget)
-        choices.addStretch(1)
-        choices.addWidget(self._against)
+        choices = Flow(
+            with_name("picture of", self._pattern), with_name("at", self._dose), self._same, self._against
+        )  # fmt: skip
         middle = QGridLayout()
         middle.addWidget(self._bars, 0, 0)
         column = QVBoxLayout(self)

@@ -16,7 +16,7 @@ class Key:
 
 
 KEYS = (
-    Key("stop", ("F12", "Esc"), "STOP: the doser stops at once, the run is aborted (Esc not in dialogs)"),
+    Key("stop", ("F12", "Esc"), "STOP: doser and run stop at once (Esc only while one of them goes on)"),
     Key("run", ("F5",), "run the sequence"),
     Key("pause", ("F6",), "pause at the end of the step, or go on"),
     Key("dry-run", ("F7",), "dry run: time, ink and disk; nothing moves"),
@@ -35,7 +35,7 @@ KEYS = (
     Key("theme", ("Ctrl+T",), "dark or light"),
     Key("full-screen", ("F11",), "full screen"),
     Key("help", ("F1",), "these keys"),
-    Key("quit", ("Ctrl+Q",), "close the window; a run is aborted first and can be resumed"),
+    Key("quit", ("Ctrl+Q",), "close the window; in a run it is asked whether to end that first"),
 )
 BY_NAME = {key.name: key for key in KEYS}
 

@@ -12,7 +12,8 @@ from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QPushBu
 
 from tankrig.devices import CameraSettings
 from ui.window.darkroom import Darkroom, Judgement, Picture, Wishes
-from ui.window.fields import NumberField
+from ui.window.fields import NumberField, with_name
+from ui.window.flow import Flow
 from ui.window.histogram import Histogram
 from ui.window.radiometry import radiance_in_words
 from ui.window.source import LIVE
@@ -117,6 +118,14 @@ class LiveView(QWidget):
         """Why no picture comes from the camera; empty where nothing is wrong."""
         self._trouble = words
         self._say()
+
+    def say_over(self, words: str) -> None:
+        """Say something over the camera's picture; nothing over a recorded one."""
+        live = self._source.recorded is None
+        self._over.setText(words if live else "")
+        self._over.setVisible(bool(words) and live)
+        if self._over.isVisible():
+            self._over.adjustSize()
 
     def _say(self) -> None:
         """What stands below the picture, or in its place."""
@@ -266,22 +275,10 @@ class LiveView(QWidget):
         self._gain = NumberField("×", 0.01, 1000.0, what="gain of the camera, outside of runs")
         self._exposure.committed.connect(self._ask_camera)
         self._gain.committed.connect(self._ask_camera)
-        first = QHBoxLayout()
-        for widget in (
-            self._colours,
-            self._scale,
-            whole,
-            QLabel("exposure"),
-            self._exposure,
-            QLabel("gain"),
-            self._gain,
-        ):
-            first.addWidget(widget)
-        first.addStretch(1)
-        second = QHBoxLayout()
-        for box in (self._automatic, self._saturation, self._overlay, region):
-            second.addWidget(box)
-        second.addStretch(1)
+        rows = Flow(
+            self._colours, self._scale, whole, with_name("exposure", self._exposure), with_name("gain", self._gain),
+            self._automatic, self._saturation, self._overlay, region,
+        )  # fmt: skip
         self._read_out = QLabel(NO_PICTURE)
         self._saturated, self._focus, self._rate, self._roi_text = QLabel(), QLabel(), QLabel(), QLabel()
         self._focus.setToolTip("fine structure over brightness; turn the lens until it is largest")
@@ -290,10 +287,13 @@ class LiveView(QWidget):
             third.addWidget(label)
         third.addStretch(1)
         third.addWidget(self._rate)
+        self._over = QLabel(self._plot.widget)
+        self._over.setObjectName("over")
+        self._over.move(60, 12)
+        self._over.hide()
         column = QVBoxLayout(self)
         column.setContentsMargins(8, 6, 8, 4)
-        column.addLayout(first)
-        column.addLayout(second)
+        column.addLayout(rows)
         column.addWidget(self._plot.widget, 1)
         column.addWidget(self._histogram.widget)
         column.addWidget(self._read_out)

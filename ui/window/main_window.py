@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, QTimer
-from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
-from PySide6.QtWidgets import QLabel, QMainWindow, QToolBar, QVBoxLayout, QWidget
+from PySide6.QtGui import QCloseEvent, QGuiApplication, QKeySequence, QResizeEvent, QShortcut
+from PySide6.QtWidgets import QLabel, QMainWindow, QMessageBox, QToolBar, QVBoxLayout, QWidget
 
 from tankrig.errors import TankrigError
 from tankrig.run.state import FinishReason
@@ -17,6 +17,7 @@ from ui.window import theme
 from ui.window.background import Background
 from ui.window.banner import Banner
 from ui.window.docks import Docks
+from ui.window.focus_ring import FocusRing
 from ui.window.furnishing import pages
 from ui.window.gap import GapMonitor
 from ui.window.garbage import GarbageTimer
@@ -26,6 +27,7 @@ from ui.window.rig_host import RigHost
 from ui.window.rig_parts import RunOrder, import_ahead
 from ui.window.source_frame import SourceFrame
 from ui.window.status import RigState, RigStatus
+from ui.window.stop_keys import StopKeys
 from ui.window.threads import OwnedThread
 from ui.window.top_bar import TopBar
 from ui.window.words import volume
@@ -56,6 +58,8 @@ PICTURE_MS = 3000
 """The pages are made once the first picture is on screen, or after this."""
 BREATH_MS = 15
 """Between two pages that are made: what was shown is painted, and keys are heard."""
+DRAFT_MS = 700
+"""From the last letter typed to the draft on disk."""
 END_S = 60.0
 
 
@@ -103,9 +107,10 @@ class MainWindow(QMainWindow):
         self._lay_out()
         self._connect()
         self.make_keys(
-            {"stop": self.stop, "help": self.show_keys, "quit": self.close, "theme": self._other_theme,
+            {"help": self.show_keys, "quit": self.ask_to_close, "theme": self._other_theme,
              "full-screen": self._full_screen, "layout": self.docks.reset}
         )  # fmt: skip
+        self.stop_keys, self.ring = StopKeys(self, self.stop, lambda: host.in_motion), FocusRing(self)
         self._restore()
         host.tell_rig()  # it may have been opened meanwhile
         self.live.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -158,7 +163,8 @@ class MainWindow(QMainWindow):
         self.on_screen.refitted.connect(self._offer_refit)
         self.projector.show_asked.connect(host.show)
         self.projector.screen_asked.connect(self.use_screen)
-        self.doser.dose_asked.connect(host.dose_to)
+        self.doser.dose_asked.connect(self.dose_to)
+        self.doser.aside_asked.connect(self.dose_aside)
         self.doser.resolve_asked.connect(host.resolve)
         self.doser.clear_asked.connect(host.clear_stop)
         self.doser.refill_asked.connect(host.refill)
@@ -185,20 +191,31 @@ class MainWindow(QMainWindow):
         """All pages are there: tell them what is known."""
         self.furnished = True
         self._show_source(self.on_screen.shown)
-        self._opened(self._rig, afresh=True)
-        self._follow(self.status)
-        theme.paint_plots(self)
         last = self._first_sequence or self._settings.value("sequence")
         if last and (self._first_sequence or Path(str(last)).is_file()):
             self.sequence.load(Path(str(last)))
         draft = self._settings.value("draft")
         if draft and not self._first_sequence:  # what was typed and not saved when the window was closed
             self.sequence.document.edit_text(str(draft))
+        self._opened(self._rig, afresh=True)  # last, so that an offer to go on with a run stands before other notices
+        self._follow(self.status)
+        theme.paint_plots(self)
+        self._draft_timer = QTimer(self)
+        self._draft_timer.setSingleShot(True)
+        self._draft_timer.timeout.connect(self._keep_draft)
+        self.sequence.document.changed.connect(lambda: self._draft_timer.start(DRAFT_MS))
         self._garbage = GarbageTimer(lambda: not self.status.running)
         assert self._reader is not None
         self._reader.run(import_ahead, then=lambda _: None)
 
     # -- the rig -------------------------------------------------------------------------------------------------------
+
+    def _keep_draft(self) -> None:
+        """What is typed survives whatever happens to the window."""
+        document = self.sequence.document
+        self._settings.setValue("sequence", str(document.path or ""))
+        self._settings.setValue("draft", document.text if document.unsaved else "")
+        self._settings.sync()
 
     def _opened(self, rig: "RigFile | None", afresh: bool = False) -> None:
         if rig is None:
@@ -231,6 +248,7 @@ class MainWindow(QMainWindow):
 
     def _follow(self, status: RigStatus) -> None:
         before, self.status = self.status, status
+        self.stop_keys.follow()
         self._words.setText(status.words)
         self._held.setText("" if status.tank is None else f"{volume(status.tank.volume_ul)} of ink in the tank")
         self.live.set_camera(self.host.camera_settings, status.state is RigState.IDLE)
@@ -258,6 +276,7 @@ class MainWindow(QMainWindow):
             self.banner.withdraw("trouble")
         if before.stopped and not status.stopped:
             self.banner.withdraw("stop")
+        self.live.say_over(status.over_the_picture)
         self.live.say_trouble("no picture: the rig cannot be used; the line above says why" if failed else "")
 
     # -- runs ----------------------------------------------------------------------------------------------------------
@@ -273,6 +292,7 @@ class MainWindow(QMainWindow):
         else:
             path = self.folder / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
             self.host.start_run(RunOrder(path, sequence))
+            self.stop_keys.follow()
 
     def resume(self, path: Path) -> None:
         """Go on with an interrupted run."""
@@ -280,6 +300,17 @@ class MainWindow(QMainWindow):
             self.tell("a run or a dose goes on; wait for its end or stop it, then resume")
         else:
             self.host.start_run(RunOrder(path))
+            self.stop_keys.follow()
+
+    def dose_to(self, total_ul: float) -> None:
+        """Dose by hand, until the tank holds so much."""
+        self.host.dose_to(total_ul)
+        self.stop_keys.follow()
+
+    def dose_aside(self, volume_ul: float) -> None:
+        """Fill the tube: deliver so much into a waste vessel."""
+        self.host.dose_aside(volume_ul)
+        self.stop_keys.follow()
 
     def pause(self) -> None:
         """Pause at the end of the step, or go on."""
@@ -388,8 +419,36 @@ class MainWindow(QMainWindow):
         theme.paint_plots(self)
         self._settings.setValue("theme", name)
 
+    def ask_to_close(self) -> None:
+        """Close the window; while something moves, a person is asked first, and what goes on goes on meanwhile."""
+        if not self.host.in_motion:
+            self.close()
+            return
+        question = QMessageBox(self)
+        question.setIcon(QMessageBox.Icon.Question)
+        question.setWindowTitle("Close the window?")
+        question.setText("A run, a dose or a calibration goes on. Closing the window stops it; a run can be resumed.")
+        end = question.addButton("Stop it and close", QMessageBox.ButtonRole.DestructiveRole)
+        stay = question.addButton("Stay", QMessageBox.ButtonRole.RejectRole)
+        question.setDefaultButton(stay)
+        question.setEscapeButton(stay)
+        question.setModal(False)
+        question.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        end.clicked.connect(self.close)
+        self.question = question
+        question.show()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802 - Qt's name
+        """Pages keep their share of the width."""
+        super().resizeEvent(event)
+        self.docks.window_resized()
+
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802 - Qt's name
         """Stop, end the run, let go of everything; the window stays, and answers, until that is done."""
+        if self._ending is None and event.spontaneous() and self.host.in_motion and not _session_ends():
+            event.ignore()  # the window's own cross: a person's slip must not end a run
+            self.ask_to_close()
+            return
         if self._ending is None:
             if self.status.running:
                 self.host.stop()
@@ -404,14 +463,14 @@ class MainWindow(QMainWindow):
         self._settings.setValue("layout", self.saveState(LAYOUT))
         self._settings.setValue("geometry", self.saveGeometry())
         self._pulse.stop()
+        self.stop_keys.end()
+        self.ring.end()
         self.live.close_view()
         self.background.close()
         if self._reader is not None:
             self._reader.close()
         if self.furnished:
-            document = self.sequence.document
-            self._settings.setValue("sequence", str(document.path or ""))
-            self._settings.setValue("draft", document.text if document.unsaved else "")
+            self._keep_draft()
             self.log.close_log()
             self._garbage.close()
         event.accept()
@@ -472,9 +531,7 @@ class MainWindow(QMainWindow):
         for name, do in actions.items():
             for keys in BY_NAME[name].keys:
                 shortcut = QShortcut(QKeySequence(keys), self)
-                everywhere = Qt.ShortcutContext.ApplicationShortcut
-                shortcut.setContext(Qt.ShortcutContext.WindowShortcut if keys == "Esc" else everywhere)
-                shortcut.setAutoRepeat(name != "stop")
+                shortcut.setContext(Qt.ShortcutContext.ApplicationShortcut)
                 shortcut.activated.connect(do)
 
     def _full_screen(self) -> None:
@@ -488,3 +545,9 @@ class MainWindow(QMainWindow):
             self.restoreGeometry(geometry)
         if layout is not None:
             self.restoreState(layout, LAYOUT)
+
+
+def _session_ends() -> bool:
+    """Whether the desktop is being left, which asks nobody."""
+    app = QGuiApplication.instance()
+    return isinstance(app, QGuiApplication) and app.isSavingSession()

@@ -1,8 +1,9 @@
 """Fitting the run on screen anew: with which patterns, with what background; and the refits that there are of it."""
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QCheckBox, QComboBox, QPushButton, QVBoxLayout, QWidget
 
+from ui.window.flow import Flow
 from ui.window.shown import Shown
 from ui.window.source import RefitSettings, Source
 
@@ -21,7 +22,7 @@ class RefitRow(QWidget):
         super().__init__()
         self._shown: Shown | None = None
         self.boxes: list[QCheckBox] = []
-        self._ticks = QHBoxLayout()
+        self._ticks = Flow()
         self._free, self.button, self.list = QCheckBox("fit the background"), QPushButton("Fit anew"), QComboBox()
         self._free.setToolTip("fit a constant background too, rather than trust that the dark frames took it out")
         self.button.setToolTip("fit the run on screen to the patterns that are ticked; the run keeps its own fits")
@@ -29,16 +30,10 @@ class RefitRow(QWidget):
         self.list.setToolTip("which fit of this run is on screen")
         self.list.activated.connect(lambda row: self.chosen.emit(self.list.itemData(row)))
         self._free.toggled.connect(lambda _: self._able())
-        first, second = QHBoxLayout(), QHBoxLayout()
-        first.addLayout(self._ticks)
-        first.addStretch(1)
-        second.addWidget(self._free)
-        second.addWidget(self.button)
-        second.addWidget(self.list, 1)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
-        column.addLayout(first)
-        column.addLayout(second)
+        column.addLayout(self._ticks)
+        column.addLayout(Flow(self._free, self.button, self.list))
 
     @property
     def settings(self) -> RefitSettings:

@@ -1,8 +1,9 @@
 """Play, halt, speed and place of a replay."""
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QPushButton, QSlider, QWidget
+from PySide6.QtWidgets import QComboBox, QLabel, QPushButton, QSlider, QVBoxLayout, QWidget
 
+from ui.window.flow import Flow
 from ui.window.replay import SPEEDS, Replay
 
 
@@ -30,12 +31,12 @@ class ReplayBar(QWidget):
         self._live.clicked.connect(self.left)
         self._words = QLabel("Open a run to replay it.")
         self._words.setProperty("role", "faint")
-        grid = QGridLayout(self)
-        grid.setContentsMargins(0, 0, 0, 0)
-        for column, widget in enumerate((self._play, self._speed, self._slider, self._live)):
-            grid.addWidget(widget, 0, column)
-        grid.addWidget(self._words, 1, 0, 1, 4)
-        grid.setColumnStretch(2, 1)
+        self._slider.setMinimumWidth(120)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addLayout(Flow(self._play, self._speed, self._live))
+        column.addWidget(self._slider)
+        column.addWidget(self._words)
         self.set_replay(None)
 
     def set_replay(self, replay: Replay | None) -> None:

@@ -118,7 +118,7 @@ def of_dose(shown: "Shown", fit: DoseFit) -> Result:
 def _of_series(shown: "Shown", fit: SeriesFit) -> Result:
     doses = ", ".join(f"{dose:.4g}" for dose in fit.doses_ml)
     known = {name: fit.identifiable.get(name, True) for name in _PLACES}
-    patterns = fit.patterns or (shown.newest.patterns if shown.newest is not None else ())
+    patterns = tuple(dict.fromkeys(fit.patterns or (shown.newest.patterns if shown.newest is not None else ())))
     model = _MODELS.get(shown.newest.model, shown.newest.model) if shown.newest is not None else _MODELS["tank"]
     return Result(
         shown.source.title, f"ink, from {doses} ml", fit.doses_ml, patterns, model, phase_in_words(fit.ink),

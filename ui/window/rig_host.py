@@ -82,6 +82,8 @@ class RigHost(QObject):
         self._runner: Runner | None = None
         self._fit: LiveFit | None = None
         self._target_ul: float | None = None
+        self._aside_ul: float | None = None
+        self._camera: WatchedCamera | None = None
         self._dose_thread: OwnedThread | None = None
         self.camera_settings = CameraSettings(20.0)
         self._pattern: Pattern | None = None
@@ -140,11 +142,27 @@ class RigHost(QObject):
 
     def dose_to(self, total_ul: float) -> None:
         """Dose, outside of a run, until the tank holds `total_ul`."""
-        if self._guard is None or self._target_ul is not None or self._state is not RigState.IDLE:
-            self._tell("the rig is not ready to dose; wait until it is")
+        if not self._may_dose():
             return
         self._target_ul, self._trouble = total_ul, ""
         self._dose_thread = OwnedThread("dose", lambda _: self._dose(total_ul), END_S)
+
+    def dose_aside(self, volume_ul: float) -> None:
+        """Deliver so much into a waste vessel, outside of a run: the tank holds what it held."""
+        if not self._may_dose():
+            return
+        self._aside_ul, self._trouble = volume_ul, ""
+        self._dose_thread = OwnedThread("dose", lambda _: self._prime(volume_ul), END_S)
+
+    def _may_dose(self) -> bool:
+        ready = self._guard is not None and not self._by_hand and self._state is RigState.IDLE
+        if not ready:
+            self._tell("the rig is not ready to dose; wait until it is")
+        return ready
+
+    @property
+    def _by_hand(self) -> bool:
+        return self._target_ul is not None or self._aside_ul is not None
 
     def reopen(self) -> None:
         """Open the rig again after it failed, or give up what it waits for."""
@@ -251,7 +269,7 @@ class RigHost(QObject):
     def _leave(self) -> None:
         """End a dose that runs, and let go of the doser."""
         if self._guard is not None:
-            if self._target_ul is not None:
+            if self._by_hand:
                 self._guard.stop()
             if self._dose_thread is not None:
                 self._dose_thread.close()
@@ -265,7 +283,7 @@ class RigHost(QObject):
         rig = open_rig(description, looking)
         opened.callback(rig.close)
         projector = WatchedProjector(rig.projector, self._shown)
-        camera = WatchedCamera(rig.camera, projector, self._see)
+        self._camera = camera = WatchedCamera(rig.camera, projector, self._see)
         return description, replace(rig, projector=projector, camera=camera)
 
     def _try_run(self, order: RunOrder) -> None:
@@ -354,8 +372,19 @@ class RigHost(QObject):
         finally:
             self._target_ul = None
 
+    def _prime(self, volume_ul: float) -> None:
+        guard = self._guard
+        try:
+            if guard is not None:
+                pushed_ul = guard.dose_aside(volume_ul)
+                _log.info("%g µl went into the waste vessel; the tank holds what it held", pushed_ul)
+        except TankrigError as error:
+            self._tell(str(error))
+        finally:
+            self._aside_ul = None
+
     def _dosing(self) -> bool:
-        return self._target_ul is not None or self._runner is not None or self._lent is not None
+        return self._by_hand or self._runner is not None or self._lent is not None
 
     def _stop(self) -> None:
         runner, guard = self._runner, self._guard
@@ -373,7 +402,13 @@ class RigHost(QObject):
 
         guard, runner = self._guard, self._runner
         status = RigStatus(
-            self._state, self._trouble, self._troubles, target_ul=self._target_ul, undecided=self._question
+            self._state,
+            self._trouble,
+            self._troubles,
+            target_ul=self._target_ul,
+            undecided=self._question,
+            aside_ul=self._aside_ul,
+            exposing_left_s=self._camera.exposing_left_s if self._camera is not None else None,
         )
         if guard is not None:
             with suppress(DeviceError, AttributeError):  # a device that is gone is told of by whoever works with it

@@ -7,7 +7,6 @@ from PySide6.QtCore import QFile, Qt, QUrl, Signal
 from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import (
     QAbstractItemView,
-    QGridLayout,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -21,6 +20,7 @@ from PySide6.QtWidgets import (
 
 from ui.window import jobs
 from ui.window.files import ask_where_to_save
+from ui.window.flow import Flow
 from ui.window.on_screen import OnScreen, Worker
 from ui.window.refit_row import RefitRow
 from ui.window.replay_bar import ReplayBar
@@ -60,6 +60,9 @@ class RunsPage(QWidget):
     def refresh(self) -> None:
         """Look at the folder again."""
         self.catalogue.refresh()
+        run = self.on_screen.source.recorded
+        if run is not None and not run.exists():
+            self.told.emit(f"the folder of {run.name} is gone; what was read of it stays on screen until you leave it")
 
     def latest_interrupted(self, rig: str) -> RunSummary | None:
         """The newest run, if it was recorded with this rig and did not come to its end."""
@@ -266,8 +269,8 @@ class RunsPage(QWidget):
         column.addWidget(self._says)
         column.addWidget(self.frame)
 
-    def _actions(self) -> QGridLayout:
-        grid = QGridLayout()
+    def _actions(self) -> Flow:
+        row = Flow()
         actions = (
             ("Open", self.open_selected, "show it in the live view and on all pages"),
             ("Report", self.report_selected, "write the run as one HTML page and open it"),
@@ -277,14 +280,14 @@ class RunsPage(QWidget):
             (DELETE, self.delete_selected, "move the run's folder to the trash"),
         )
         self._buttons = []
-        for column, (name, do, tip) in enumerate(actions):
+        for name, do, tip in actions:
             button = QPushButton(name)
             button.setToolTip(tip)
             button.clicked.connect(do)
-            grid.addWidget(button, 0, column)
+            row.addWidget(button)
             self._buttons.append(button)
         self._resume_button, self._delete = self._buttons[-2], self._buttons[-1]
-        return grid
+        return row
 
 
 def _to_trash(run: Path) -> bool:

@@ -4,7 +4,6 @@ from pathlib import Path
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
-    QHBoxLayout,
     QLabel,
     QPushButton,
     QTabWidget,
@@ -13,8 +12,9 @@ from PySide6.QtWidgets import (
 )
 
 from tankrig.errors import TankrigError
-from ui.window.fields import NumberField
+from ui.window.fields import NumberField, with_name
 from ui.window.files import ask_for_file, ask_where_to_save
+from ui.window.flow import Flow
 from ui.window.marked_text import MarkedText
 from ui.window.patterns_editor import PatternsEditor
 from ui.window.plan_list import PlanList
@@ -98,8 +98,7 @@ class SequencePage(QWidget):
 
     def edit_unsaved(self, text: str) -> None:
         """Edit a text that no file has."""
-        self.document.path = None
-        self.document.edit_text(text)
+        self.document.edit_unsaved(text)
 
     def save(self) -> None:
         """Save to the file that was opened, or to one that is asked for."""
@@ -180,12 +179,12 @@ class SequencePage(QWidget):
 
     def _set_exposure(self) -> None:
         value = self._exposure.value
+        self.document.doubt("exposure", self._exposure.wrong)
         if value is not None:
             self.document.edit("exposure", lambda document: document.__setitem__("exposure_ms", value), typing=True)
 
-    def _head(self) -> QHBoxLayout:
-        row = QHBoxLayout()
-        row.addWidget(self._title, 1)
+    def _head(self) -> Flow:
+        row = Flow(self._title)
         for name, do, tip in (
             ("Open", self.open_file, "open a sequence file (Ctrl+O)"), ("Save", self.save, "save it (Ctrl+S)"),
             ("Save as", self.save_as, "save it to another file"),
@@ -207,11 +206,8 @@ class SequencePage(QWidget):
             row.addWidget(button)
         return row
 
-    def _foot(self) -> QHBoxLayout:
-        row = QHBoxLayout()
-        row.addWidget(QLabel("exposure"))
-        row.addWidget(self._exposure)
-        row.addStretch(1)
+    def _foot(self) -> Flow:
+        row = Flow(with_name("exposure", self._exposure))
         dry, self._run = QPushButton("Dry run  F7"), QPushButton("Run  F5")
         dry.setToolTip("what each step takes; nothing moves")
         dry.clicked.connect(self.dry_run)

@@ -188,8 +188,8 @@ class Shown(QObject):
 
     @property
     def newest(self) -> DoseFit | None:
-        """The fit that came last."""
-        return self.fits[-1].fit if self.fits else None
+        """The fit of the newest frames; of several such, the one that came last."""
+        return max(reversed(self.fits), key=lambda one: one.time_s).fit if self.fits else None
 
     def fit_of(self, key: PhotographKey) -> DoseFit | None:
         """The last fit of the dose that a photograph was taken at."""
