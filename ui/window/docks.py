@@ -4,6 +4,7 @@ from functools import partial
 
 import pyqtgraph as pg
 from PySide6.QtCore import QEvent, QObject, Qt, QTimer
+from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import QDockWidget, QFrame, QMainWindow, QScrollArea, QTabWidget, QWidget
 
 from ui.window.turns import Turns
@@ -32,9 +33,7 @@ class Docks(QObject):
         self._soon.setSingleShot(True)
         self._soon.timeout.connect(self._keep_share)
         window.setDockOptions(
-            QMainWindow.DockOption.AllowTabbedDocks
-            | QMainWindow.DockOption.AnimatedDocks
-            | QMainWindow.DockOption.AllowNestedDocks
+            QMainWindow.DockOption.AllowTabbedDocks | QMainWindow.DockOption.AllowNestedDocks
         )
         window.setTabPosition(Qt.DockWidgetArea.RightDockWidgetArea, QTabWidget.TabPosition.North)
         for title in TITLES:
@@ -43,6 +42,7 @@ class Docks(QObject):
             area.setFrameShape(QFrame.Shape.NoFrame)
             dock.setObjectName(title)
             dock.setWidget(area)
+            area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             dock.installEventFilter(self)
             self._by_title[title] = dock
 
@@ -56,6 +56,8 @@ class Docks(QObject):
         area = dock.widget()
         assert isinstance(area, QScrollArea)
         area.setWidget(frame)
+        frame.setVisible(not dock.visibleRegion().isEmpty())
+        dock.visibilityChanged.connect(frame.setVisible)  # else the keyboard gets to pages behind the one in front
         self._by_page[page] = dock
         dock.visibilityChanged.connect(partial(_appear, page.findChildren(pg.PlotWidget), Turns(page)))
 
@@ -70,11 +72,18 @@ class Docks(QObject):
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 - Qt's name
         """A person has moved the edge of the pages: that is their share from now on."""
-        settled = not self._soon.isActive() and self._window.width() == self._width
+        held = bool(QGuiApplication.mouseButtons() & Qt.MouseButton.LeftButton)
+        settled = held and not self._soon.isActive() and self._window.width() == self._width
         moved = event.type() == QEvent.Type.Resize and settled and isinstance(watched, QDockWidget)
         if moved and self._on_the_right(watched):  # type: ignore[arg-type]
             self._share = watched.width() / max(1, self._width)  # type: ignore[attr-defined]
         return super().eventFilter(watched, event)
+
+    def end(self) -> None:
+        """Watch no more."""
+        self._soon.stop()
+        for dock in self._by_title.values():
+            dock.removeEventFilter(self)
 
     def _keep_share(self) -> None:
         right = next((dock for dock in self._by_title.values() if self._on_the_right(dock)), None)

@@ -80,8 +80,7 @@ class DoserPage(QWidget):
         self._stopped.setVisible(status.stopped and idle and status.undecided is None)
         free = idle and not status.stopped and status.undecided is None
         self._free = free
-        self._dose.setEnabled(free and not self._target.wrong)
-        self._able_to_prime()
+        self._able()
         self._refill.setEnabled(status.state in (RigState.IDLE, RigState.FAILED) and not status.dosing)
         if self._rig is None or status.tank is None or status.remaining is None:
             return
@@ -122,9 +121,10 @@ class DoserPage(QWidget):
             self._hangs.setChecked(False)  # asked for anew before each time
             self.aside_asked.emit(float(value))
 
-    def _able_to_prime(self) -> None:
-        able = self._free and self._hangs.isChecked() and self._volume.value is not None
-        self._prime.setEnabled(able)
+    def _able(self) -> None:
+        """What is free to be asked for, with what stands in the fields."""
+        self._dose.setEnabled(self._free and (not self._target.edit.text() or not self._target.wrong))
+        self._prime.setEnabled(self._free and self._hangs.isChecked() and self._volume.value is not None)
 
     def _ask_resolve(self) -> None:
         value = self._truth.value
@@ -186,8 +186,9 @@ class DoserPage(QWidget):
         self._hangs, self._prime = QCheckBox("the tube hangs in a waste vessel"), QPushButton("Prime")
         self._hangs.setToolTip("what is delivered then is not counted as in the tank")
         self._prime.setToolTip("fill the tube; the tank holds what it held, and the ledger says so")
-        self._volume.changed.connect(self._able_to_prime)
-        self._hangs.toggled.connect(lambda _: self._able_to_prime())
+        self._volume.changed.connect(self._able)
+        self._target.changed.connect(self._able)
+        self._hangs.toggled.connect(lambda _: self._able())
         self._prime.clicked.connect(self._ask_prime)
         for widget in (with_name("Prime the tube with", self._volume), self._hangs, self._prime):
             row.addWidget(widget)

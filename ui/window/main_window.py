@@ -465,6 +465,7 @@ class MainWindow(QMainWindow):
         self._pulse.stop()
         self.stop_keys.end()
         self.ring.end()
+        self.docks.end()
         self.live.close_view()
         self.background.close()
         if self._reader is not None:

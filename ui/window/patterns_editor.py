@@ -69,6 +69,7 @@ class PatternsEditor(QWidget):
         head = Flow(self._kind, self._name, add, remove)
         self._form_area = QScrollArea()
         self._form_area.setWidgetResizable(True)
+        self._form_area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._form_area.setFrameShape(QScrollArea.Shape.NoFrame)
         self._preview = PatternPreview()
         self._wrong = QLabel()

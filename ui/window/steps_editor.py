@@ -93,6 +93,7 @@ class StepsEditor(QWidget):
         self.tree.currentItemChanged.connect(lambda *_: self._show_form())
         self._form_area = QScrollArea()
         self._form_area.setWidgetResizable(True)
+        self._form_area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._form_area.setFrameShape(QScrollArea.Shape.NoFrame)
         self._kind = QComboBox()
         self._kind.addItems(list(STEPS))

@@ -127,6 +127,7 @@ def _sheet(theme: Theme) -> str:
     QLineEdit, QComboBox, QSpinBox, QDoubleSpinBox, QPlainTextEdit, QTreeView, QTableView, QListView {{
         background: {theme.base}; border: 1px solid {theme.outline}; border-radius: 4px; }}
     QLineEdit, QComboBox, QSpinBox, QDoubleSpinBox {{ min-height: 28px; padding: 0 6px; }}
+    QComboBox {{ combobox-popup: 0; }}
     QLineEdit:focus, QComboBox:focus, QPlainTextEdit:focus, QTreeView:focus, QTableView:focus {{
         border: 1px solid {theme.accent}; }}
     QLineEdit[wrong="true"], QPlainTextEdit[wrong="true"] {{ border: 2px solid {theme.bad}; }}
