@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from tankrig.advice.expected import Expected, Known, Shot
     from tankrig.advice.ranking import Advice, Candidate
     from tankrig.live.exposures import PhotographPlan
+    from tankrig.sequence import Pace
 
 GROWTH = (1.0, 1.5, 2.0, 4.0)
 """Doses that are compared where none are named, as multiples of what the tank holds."""
@@ -69,12 +70,13 @@ def advise(
         raise click.UsageError("--sequence needs --ink: a guess of the ink's σa, σs per mm and ml, and g")
     description = load_rig_file(rig) if rig else simulated_rig(Path("rig"))
     if run_folder is not None:
-        known, taken, plan, exposure_ms = _of_run(run_folder)
+        known, taken, plan, exposure_ms = of_run(run_folder)
     else:
         assert sequence_file is not None
         assert ink is not None
         known, taken, plan, exposure_ms = _of_guess(sequence_file, ink, noise, description)
-    candidates = _candidates(taken, plan, doses_ul, frames, exposure_ms, description)
+    most_ul = description.limits.tank_ul
+    candidates = candidates_of(taken, plan, exposure_ms, description.pace, most_ul, doses_ul, frames)
     shots = [*taken, *(one.shot for one in candidates)]
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("preparing models", total=1.0)
@@ -91,7 +93,8 @@ def advise(
         _tell(before, found[:limit])
 
 
-def _of_run(folder: Path) -> "tuple[Known, list[Shot], PhotographPlan, float]":
+def of_run(folder: Path) -> "tuple[Known, list[Shot], PhotographPlan, float]":
+    """What a run has found and photographed, what it was planned to photograph, and its exposure in ms."""
     from tankrig.advice.starting import from_run
     from tankrig.live.exposures import PhotographPlan
     from tankrig.run.reading import open_run
@@ -115,9 +118,9 @@ def _of_guess(
     return from_guess(Medium(*ink), 1.0, noise), [], plan, sequence.exposure_ms
 
 
-def _candidates(
-    taken: "list[Shot]", plan: "PhotographPlan", doses_ul: tuple[float, ...], frames: int, exposure_ms: float,
-    description: "RigFile",
+def candidates_of(
+    taken: "list[Shot]", plan: "PhotographPlan", exposure_ms: float, pace: "Pace", most_ul: float,
+    doses_ul: tuple[float, ...] = (), frames: int = 4,
 ) -> "list[Candidate]":  # fmt: skip
     """Every lit pattern at every dose that the budgets allow."""
     from tankrig.advice.expected import Shot
@@ -126,7 +129,6 @@ def _candidates(
 
     held_ul = 1000.0 * max((shot.dose_ml for shot in taken), default=0.0)
     totals = doses_ul or (tuple(held_ul * by for by in GROWTH) if held_ul else FIRST_DOSES_UL)
-    most_ul = description.limits.tank_ul
     allowed = sorted({total for total in totals if held_ul <= total <= most_ul})
     if not allowed:
         raise ImageError(
@@ -135,7 +137,7 @@ def _candidates(
         )
     shares = [shot.dose_sd_ml / shot.dose_ml for shot in taken]
     sd = max(shares, default=0.0)
-    steps, pace = Sequence("next", (Mix(), Capture("full", frames)), exposure_ms=exposure_ms), description.pace
+    steps = Sequence("next", (Mix(), Capture("full", frames)), exposure_ms=exposure_ms)
     found = []
     for total in allowed:
         dosed = total > held_ul

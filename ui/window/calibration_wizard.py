@@ -104,6 +104,10 @@ class CalibrationWizard(QWidget):
         """Whether a calibration goes on."""
         return self._words is not None or self._process is not None
 
+    def use_rig(self, source: RigSource) -> None:
+        """Measure another rig."""
+        self._source = source
+
     def follow(self, status: RigStatus) -> None:
         """Begin once the rig has been let go of; nothing can begin while it is in use."""
         if self._words is not None and status.state is RigState.LENT:

@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QDockWidget, QFrame, QMainWindow, QScrollArea, QTa
 
 from ui.window.turns import Turns
 
-TITLES = ("Sequence", "Fit", "Doser", "Projector", "Runs", "Calibration", "Log")
+TITLES = ("Sequence", "Fit", "Doser", "Projector", "Runs", "Compare", "Calibration", "Log")
 PART = 0.54
 """Of the window's width, at first."""
 
@@ -32,9 +32,7 @@ class Docks(QObject):
         self._soon = QTimer(self)
         self._soon.setSingleShot(True)
         self._soon.timeout.connect(self._keep_share)
-        window.setDockOptions(
-            QMainWindow.DockOption.AllowTabbedDocks | QMainWindow.DockOption.AllowNestedDocks
-        )
+        window.setDockOptions(QMainWindow.DockOption.AllowTabbedDocks | QMainWindow.DockOption.AllowNestedDocks)
         window.setTabPosition(Qt.DockWidgetArea.RightDockWidgetArea, QTabWidget.TabPosition.North)
         for title in TITLES:
             dock, area = QDockWidget(title), QScrollArea()  # small screens scroll

@@ -14,9 +14,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from ui.window.result import CONFIDENCE, Result
+from ui.window.result import CONFIDENCE, NAMES, Result
 
-NAMES = {"sigma_s": "σs", "sigma_a": "σa", "g": "g"}
 ORDERS = {
     "1": "order 1 only", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders",
     "single": "single scattering's best",

@@ -3,6 +3,7 @@
 from PySide6.QtCore import QEvent, QObject, QPoint, QRect, Qt, QTimer
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QRegion
 from PySide6.QtWidgets import QAbstractScrollArea, QApplication, QWidget
+from shiboken6 import isValid
 
 from ui.window import theme
 
@@ -37,8 +38,8 @@ class FocusRing(QWidget):
 
     @property
     def around(self) -> QWidget | None:
-        """What it is drawn around; None where nothing has the keyboard."""
-        return self._around
+        """What it is drawn around; None where nothing has the keyboard, or what had it is gone."""
+        return self._around if self._around is not None and isValid(self._around) else None
 
     def end(self) -> None:
         """Follow no more."""
@@ -79,14 +80,14 @@ class FocusRing(QWidget):
 
     def _watched(self) -> list[QWidget]:
         """What has the keyboard and all that it lies in."""
-        found, widget = [], self._around
+        found, widget = [], self.around
         while widget is not None and not widget.isWindow():
             found.append(widget)
             widget = widget.parentWidget()
         return found
 
     def _place(self) -> None:
-        around = self._around
+        around = self.around
         window = around.window() if around is not None else None
         if around is None or window is not self._home or not around.isVisible():
             self.hide()

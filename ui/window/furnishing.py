@@ -29,7 +29,7 @@ def pages(folder: Path, on_screen: OnScreen, background: Worker, source: RigSour
     """
     from ui.window.sequence_page import SequencePage
 
-    yield (_of_rig("sequence", "Sequence", SequencePage(), "SEQUENCE for"),)
+    yield (_of_rig("sequence", "Sequence", SequencePage(source.simulated), "SEQUENCE for"),)
     from ui.window.doser_page import DoserPage
     from ui.window.projector_page import ProjectorPage
 
@@ -39,11 +39,14 @@ def pages(folder: Path, on_screen: OnScreen, background: Worker, source: RigSour
     fit = FitPage()
     yield (("fit", "Fit", fit, SourceFrame(fit)),)
     from ui.window.calibration_page import CalibrationPage
+    from ui.window.compare_page import ComparePage
     from ui.window.log_panel import LogPanel
     from ui.window.runs_page import RunsPage
 
+    runs = RunsPage(folder, on_screen, background)
     yield (
-        _of_rig("runs", "Runs", RunsPage(folder, on_screen, background), "RUNS recorded with"),
+        _of_rig("runs", "Runs", runs, "RUNS recorded with"),
+        _of_rig("compare", "Compare", ComparePage(runs.catalogue, on_screen), "COMPARISON of runs, beside"),
         _of_rig("calibration", "Calibration", CalibrationPage(source)),
         _of_rig("log", "Log", LogPanel(folder), "LOG of this window, with"),
     )

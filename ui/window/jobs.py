@@ -1,8 +1,9 @@
 """What the window has done in its background process: each a plain function of things that can be sent there."""
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,13 @@ from ui.window import progress
 from ui.window.source import RefitSettings
 
 if TYPE_CHECKING:
+    from tankrig.advice.expected import Expected
+    from tankrig.advice.ranking import Advice
     from tankrig.bench import Bench
     from tankrig.live.exposures import Photograph
     from tankrig.live.results import DoseFit, SeriesFit
     from tankrig.run.reading import Run
+    from tankrig.sequence import Pace
 
 Image = NDArray[np.floating]
 
@@ -188,6 +192,112 @@ def refit(path: Path, settings: RefitSettings) -> Found:
         here = [one for one in photographs if one.dose_ml == dose_ml]
         fits.append(fit_dose(here, diluted(fits[-1].medium, fits[-1].dose_ml, dose_ml) if fits else None))
     return Found(tuple(fits), fit_all(photographs) if len(fits) > 1 else None, tuple(photographs))
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """Something to photograph next.
+
+    Parameters
+    ----------
+    words
+        What, and what it is expected to tell.
+    total_ul
+        Ink that the tank has to hold for it; None where it holds that already.
+    pattern, table
+        Name of the pattern, and its table in a sequence file; None where every sequence has it.
+    frames
+        How many.
+    """
+
+    words: str
+    total_ul: float | None
+    pattern: str
+    table: dict[str, Any] | None
+    frames: int
+
+
+BEST = 5
+"""Suggestions that are shown."""
+
+
+def advise(path: Path, pace: "Pace", most_ul: float) -> tuple[Suggestion, ...]:
+    """What would tell most next, by what a run has photographed and fitted so far; the best first.
+
+    Parameters
+    ----------
+    path
+        Of the run.
+    pace, most_ul
+        Of the rig: how long steps take, and what the tank may hold in all, µl.
+
+    Raises
+    ------
+    ImageError
+        When the run has no photograph of ink, or no fit of one.
+    """
+    from tankrig.advice.ranking import prepared_answer, ranked
+    from tankrig.run.reading import open_run
+    from ui.cli.advise import candidates_of, of_run
+
+    known, taken, plan, exposure_ms = of_run(path)
+    run = open_run(path)
+    candidates = candidates_of(taken, plan, exposure_ms, pace, most_ul)
+    shots = [*taken, *(one.shot for one in candidates)]
+    answer = prepared_answer(known, [one.scene for one in shots], [one.dose_ml for one in shots], progress.done)
+    before, found = ranked(known, taken, candidates, answer)
+    patterns = dict(run.settings["sequence"].get("patterns", {}))
+    held_ul = 1000.0 * max(shot.dose_ml for shot in taken)
+    return tuple(
+        Suggestion(
+            _words(one, before, held_ul),
+            1000.0 * one.candidate.shot.dose_ml if one.candidate.volume_ul > 0.0 else None,
+            one.candidate.shot.pattern,
+            patterns.get(one.candidate.shot.pattern),
+            one.candidate.shot.frames,
+        )
+        for one in found[:BEST]
+    )
+
+
+def _words(one: "Advice", before: "Expected | None", held_ul: float) -> str:
+    """A suggestion, and by how much it is expected to narrow what is known."""
+    shot = one.candidate.shot
+    dose = f"dose to {1000.0 * shot.dose_ml:g} µl, then " if one.candidate.volume_ul > 0.0 else f"at {held_ul:g} µl: "
+    names = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
+    told = []
+    for name, symbol in names.items():
+        after, now = one.after.relative_sd[name], before.relative_sd[name] if before is not None else math.inf
+        told.append(f"{symbol} {after / now:.0%}" if math.isfinite(now) and now > 0.0 else symbol)
+    minutes = one.candidate.minutes
+    return (
+        f"{dose}{shot.pattern} × {shot.frames}, about {minutes:.1f} min; errors then, of what they are now: "
+        f"{', '.join(told)}"
+    )
+
+
+def compare_models(photograph: "Photograph") -> tuple[tuple[str, ...], ...]:
+    """A photograph fitted by several models: a row of words for each, see `tankrig.estimation.comparison`."""
+    from tankrig.estimation.comparison import compare_models as compared
+    from tankrig.live.formatting import with_error
+
+    found = compared(
+        photograph.image, photograph.scene, offset=photograph.offset, noise=photograph.noise, mask=photograph.mask
+    )
+    peak = float(photograph.image.max())
+    rows: list[tuple[str, ...]] = []
+    for one in found.rows:
+        if one.estimate is None:
+            rows.append((one.contender.name, "–", "", "", "", one.refusal))
+            continue
+        interval = one.estimate.interval(0.95)
+        cells = []
+        for name in ("sigma_s", "g", "sigma_a"):
+            low, high = interval[name]
+            text = with_error(getattr(one.estimate.medium, name), 0.5 * (high - low)) if high - low < 1e9 else "–"
+            cells.append(text if one.estimate.identifiable[name] else f"({text})")
+        rows.append((one.contender.name, f"{100.0 * one.estimate.rmse / peak:.2g}", *cells, f"{one.bic:.0f}"))
+    return tuple(rows)
 
 
 def report(path: Path) -> Path:

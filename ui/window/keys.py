@@ -31,6 +31,7 @@ KEYS = (
     Key("page-5", ("Ctrl+5",), "Runs page"),
     Key("page-6", ("Ctrl+6",), "Calibration page"),
     Key("page-7", ("Ctrl+7",), "log"),
+    Key("page-8", ("Ctrl+8",), "Compare page"),
     Key("layout", ("Ctrl+0",), "all pages where they were at first"),
     Key("theme", ("Ctrl+T",), "dark or light"),
     Key("full-screen", ("F11",), "full screen"),

@@ -17,12 +17,14 @@ from ui.window import theme
 from ui.window.background import Background
 from ui.window.banner import Banner
 from ui.window.docks import Docks
+from ui.window.files import ask_for_file
 from ui.window.focus_ring import FocusRing
 from ui.window.furnishing import pages
 from ui.window.gap import GapMonitor
 from ui.window.garbage import GarbageTimer
 from ui.window.keys import BY_NAME, KeyCard
 from ui.window.live_view import LiveView
+from ui.window.rig_file import RigSource
 from ui.window.rig_host import RigHost
 from ui.window.rig_parts import RunOrder, import_ahead
 from ui.window.source_frame import SourceFrame
@@ -31,6 +33,7 @@ from ui.window.stop_keys import StopKeys
 from ui.window.threads import OwnedThread
 from ui.window.top_bar import TopBar
 from ui.window.words import volume
+from ui.window.work_strip import WorkStrip
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -38,6 +41,7 @@ if TYPE_CHECKING:
     from tankrig.run.runner import Outcome
     from tankrig.sequence.sequence import Sequence
     from ui.window.calibration_page import CalibrationPage
+    from ui.window.compare_page import ComparePage
     from ui.window.doser_page import DoserPage
     from ui.window.fit_page import FitPage
     from ui.window.log_panel import LogPanel
@@ -52,7 +56,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-LAYOUT = 2
+LAYOUT = 3
 """Raised when docks are added, so that an old layout is not restored."""
 PICTURE_MS = 3000
 """The pages are made once the first picture is on screen, or after this."""
@@ -80,6 +84,7 @@ class MainWindow(QMainWindow):
 
     sequence: "SequencePage"
     fit: "FitPage"
+    compare: "ComparePage"
     doser: "DoserPage"
     projector: "ProjectorPage"
     runs: "RunsPage"
@@ -113,8 +118,8 @@ class MainWindow(QMainWindow):
         self.stop_keys, self.ring = StopKeys(self, self.stop, lambda: host.in_motion), FocusRing(self)
         self._restore()
         host.tell_rig()  # it may have been opened meanwhile
-        self.live.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.live.setFocus()
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setFocus()  # what is typed goes nowhere before a person chooses a field
         self._pulse = QTimer(self)
         self._pulse.timeout.connect(host.window_alive)
         self._pulse.start(1000)
@@ -172,14 +177,24 @@ class MainWindow(QMainWindow):
         self.calibration.reopen_asked.connect(host.reopen)
         self.calibration.wizard.lend_asked.connect(host.lend)
         self.sequence.run_asked.connect(self.run)
+        self.compare.next.step_asked.connect(self.sequence.append)
+        self.sequence.rig_asked.connect(self.ask_for_rig)
+        self.sequence.runs_asked.connect(lambda: self.show_page(self.runs))
         self.sequence.dropped.connect(self.offer_text)
         self.runs.resume_asked.connect(self.resume)
         self.runs.open_asked.connect(self.show_run)
         self.runs.bar.left.connect(self.on_screen.leave)
-        for teller in (self.sequence.told, self.runs.told, self.calibration.told, self.on_screen.told):
+        for teller in (
+            self.sequence.told,
+            self.runs.told,
+            self.calibration.told,
+            self.on_screen.told,
+            self.compare.told,
+        ):
             teller.connect(self.tell)
         undo, pages = self.sequence.document.undo, (
-            self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log
+            self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log,
+            self.compare,
         )  # fmt: skip
         self.make_keys(
             {"run": self.run, "pause": self.pause, "dry-run": self.sequence.dry_run,
@@ -230,6 +245,7 @@ class MainWindow(QMainWindow):
         if not self.furnished:
             return
         self.calibration.set_rig(rig)
+        self.on_screen.set_rig(rig.pace, rig.limits.tank_ul)
         if new:
             for page in (self.sequence.document, self.doser, self.projector):
                 page.set_rig(rig)
@@ -363,7 +379,7 @@ class MainWindow(QMainWindow):
             replay.close()
         self.runs.bar.set_replay(None)
         self.host.look_away(shown.source.recorded is not None)
-        for page in (self.live, self.fit, self.sequence):
+        for page in (self.live, self.fit, self.sequence, self.compare):
             page.show_source(shown)
         for frame in (self.live_frame, *self._frames):
             frame.show_source(shown.source)
@@ -496,6 +512,7 @@ class MainWindow(QMainWindow):
         self.setCentralWidget(centre)
         self._words, self._held = QLabel("opening the rig"), QLabel()
         self.statusBar().addWidget(self._words, 1)
+        self.statusBar().addPermanentWidget(WorkStrip(self.background))
         self.statusBar().addPermanentWidget(self._held)
         self.resize(1280, 800)
 
@@ -509,6 +526,22 @@ class MainWindow(QMainWindow):
         self.top.pause_asked.connect(self.pause)
         self.top.theme_asked.connect(self._other_theme)
         self.top.help_asked.connect(self.show_keys)
+
+    def ask_for_rig(self) -> None:
+        """Ask for a rig file, and work with that rig from then on."""
+        ask_for_file(self, "Open a rig file", Path.cwd(), "Rig files (*.toml)", self.use_rig)
+
+    def use_rig(self, file: Path) -> None:
+        """Work with another rig."""
+        if self.host.in_motion:
+            self.tell("a run or a dose goes on; wait for its end or stop it, then open another rig")
+            return
+        source = RigSource(file, self.folder / "simulated.rig")
+        self.host.use(source)
+        self.top.use_rig(file.stem, simulated=False)
+        self.calibration.use_rig(source)
+        self._offered, self._rig = False, None
+        self.show_page(self.calibration)
 
     def use_screen(self, identity: dict[str, str]) -> None:
         """Have this screen for the projector."""

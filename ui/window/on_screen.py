@@ -4,7 +4,7 @@ import logging
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from PySide6.QtCore import QObject, Signal
 
@@ -13,6 +13,9 @@ from ui.window import jobs
 from ui.window.jobs import Found, Reading
 from ui.window.shown import Shown
 from ui.window.source import LIVE, Kind, RefitSettings, Source
+
+if TYPE_CHECKING:
+    from tankrig.sequence import Pace
 
 _log = logging.getLogger(__name__)
 
@@ -71,6 +74,7 @@ class OnScreen(QObject):
         self._shown = self._live
         self._refits: dict[Source, Shown] = {}
         self._awaited: set[Shown] = set()
+        self._pace: tuple[Pace, float] | None = None
         self._comparing: Shown | None = None
         self._listen(self._live)
 
@@ -83,6 +87,10 @@ class OnScreen(QObject):
     def source(self) -> Source:
         """Whose it is."""
         return self._shown.source
+
+    def set_rig(self, pace: "Pace", most_ul: float) -> None:
+        """How long steps take on the rig, and what its tank may hold, µl: advice rests on both."""
+        self._pace = pace, most_ul
 
     def refits_of(self, run: Path) -> list[Source]:
         """Refits of a run that are known, in the order in which they were asked for."""
@@ -167,6 +175,46 @@ class OnScreen(QObject):
             jobs.compare, photograph, fit, then=then, failed=failed,
             name=f"the model's picture of {key.pattern} at {key.dose_ml:.4g} ml",
         )  # fmt: skip
+
+    def look_up(self, source: Source, failed: Callable[[str], object]) -> Shown:
+        """What is known of a source that need not be on screen; read from disk where nothing is."""
+        if source in self._refits:
+            return self._refits[source]
+        shown = Shown(source)
+        self._reader.run(jobs.read, source.run, then=shown.take_reading, failed=failed)
+        return shown
+
+    def advise(self) -> None:
+        """Ask what to photograph next in the run that is on screen."""
+        shown = self._shown
+        run = shown.source.run
+        if run is None or self._pace is None:
+            return
+        shown.take_advice((), "Models are being prepared and compared; this may take a minute…")
+
+        def failed(sentence: str) -> None:
+            shown.take_advice((), sentence)
+
+        self._background.run(
+            jobs.advise, run, *self._pace, then=shown.take_advice, failed=failed, name=f"advice for {run.name}"
+        )
+
+    def compare_models(self) -> None:
+        """Fit the photograph that is chosen by several models."""
+        shown, key = self._shown, self._shown.chosen
+        photograph = shown.photographs.get(key) if key is not None else None
+        if key is None or photograph is None:
+            return
+        of = f"{key.pattern} at {key.dose_ml:.4g} ml"
+        shown.take_models(None, f"{of} is being fitted by several models…")
+
+        def then(rows: tuple[tuple[str, ...], ...]) -> None:
+            shown.take_models(rows, f"{of}; a coefficient in brackets is not determined")
+
+        def failed(sentence: str) -> None:
+            shown.take_models(None, sentence)
+
+        self._background.run(jobs.compare_models, photograph, then=then, failed=failed, name=f"models of {of}")
 
     def _show(self, shown: Shown) -> None:
         if shown is self._shown:

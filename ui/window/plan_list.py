@@ -14,6 +14,8 @@ class PlanList(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._what, self._steps = QLabel(EMPTY), QListWidget()
+        self.waiting = False
+        """Whether a dry run was asked for that could not be made yet."""
         self._what.setProperty("role", "heading")
         self._what.setWordWrap(True)
         self._steps.setAccessibleName("steps of the dry run")
@@ -24,12 +26,19 @@ class PlanList(QWidget):
 
     def show_plan(self, plan: DryRun, words: str) -> None:
         """List what a run would do."""
+        self.waiting = False
         self._what.setText(words)
         self._steps.clear()
         for step in plan.steps:
             ink = f", {volume(step.ink_ul)} of ink" if step.ink_ul else ""
             frames = f", {step.frames} frames" if step.frames else ""
             self._steps.addItem(f"{step.label}: {duration(step.seconds)}{ink}{frames}")
+
+    def wait(self, why: str) -> None:
+        """Say why nothing can be listed yet; it is listed as soon as it can."""
+        self.waiting = True
+        self._what.setText(why[:1].upper() + why[1:])
+        self._steps.clear()
 
     def clear(self) -> None:
         """The sequence has changed: the list is no longer true of it."""

@@ -1,6 +1,7 @@
 """What a source has found, as people read it: one number style, one confidence, and whose result it is."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from tankrig.scene import Medium
 if TYPE_CHECKING:
     from ui.window.shown import Shown
 
+NAMES = {"sigma_s": "σs", "sigma_a": "σa", "g": "g"}
 CONFIDENCE = "95 %"
 Z = 1.96
 """Standard deviations on either side that hold 95 %."""
@@ -154,15 +156,17 @@ def in_words(fit: DoseFit) -> str:
 
 
 def table(shown: "Shown") -> str:
-    """All fits of a source as lines with tabs, the first of which names the columns and their units.
-
-    One line for each dose, and one for the ink where there is a fit of the series.
-    """
+    """All fits of a source, see `table_of`: each dose's, and that of the ink where there is one."""
     results = [of_dose(shown, fit) for fit in shown.by_dose]
     if shown.series is not None:
         results.append(_of_series(shown, shown.series))
+    return table_of(results)
+
+
+def table_of(results: Sequence[Result]) -> str:
+    """Results as lines with tabs between, for a spreadsheet; the first line names the columns and their units."""
     head = ["source", "of", "dose (ml)", "patterns", "model", "phase function", "settings"]
-    for name, symbol in (("sigma_s", "σs"), ("sigma_a", "σa"), ("g", "g")):
+    for name, symbol in NAMES.items():
         unit = "" if name == "g" else " (1/mm, of ink 1/mm/ml)"
         head += [f"{symbol}{unit}", f"{symbol} ± {CONFIDENCE}", f"{symbol} determined"]
     lines = [head]

@@ -169,6 +169,12 @@ class RigHost(QObject):
         self._run_order, self._question, self._trouble = None, None, ""
         self._wake.set()
 
+    def use(self, source: RigSource) -> None:
+        """Let go of the rig and open another one."""
+        self.source = source
+        self._pattern = None
+        self.reopen()
+
     def refill(self) -> None:
         """The tank has been filled anew."""
         self._refill, self._trouble = True, ""

@@ -53,6 +53,11 @@ class RunList(QWidget):
         self._status = status
         self._say()
 
+    @property
+    def empty(self) -> bool:
+        """Whether there is no run to show."""
+        return self._shown is None or self._shown.source.run is None
+
     def lines(self) -> list[str]:
         """The steps as they are listed, each with its sign."""
         return [self._steps.item(row).text() for row in range(self._steps.count())]

@@ -89,7 +89,7 @@ class SequenceDocument(QObject):
     @property
     def empty(self) -> bool:
         """Whether nobody has begun to write a sequence."""
-        return self.path is None and self.text == EMPTY
+        return self.path is None and self.text == EMPTY and not self.undo.canUndo()
 
     @property
     def unsaved(self) -> bool:
@@ -161,6 +161,11 @@ class SequenceDocument(QObject):
         text = sequence_text.edited(self.text, change)
         if text != self.text:
             self.undo.push(_Edit(self, text, what, typing))
+
+    def detach(self) -> None:
+        """The text is nobody's file any more: saving asks where to."""
+        self.path = None
+        self.changed.emit()
 
     def edit_unsaved(self, text: str) -> None:
         """Edit a text that no file has."""

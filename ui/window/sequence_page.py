@@ -1,6 +1,7 @@
 """The sequence: build it, check it, run it."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
@@ -14,12 +15,15 @@ from PySide6.QtWidgets import (
 from tankrig.errors import TankrigError
 from ui.window.fields import NumberField, with_name
 from ui.window.files import ask_for_file, ask_where_to_save
+from ui.window.first_start import EXAMPLE, FirstStart
 from ui.window.flow import Flow
 from ui.window.marked_text import MarkedText
 from ui.window.patterns_editor import PatternsEditor
 from ui.window.plan_list import PlanList
 from ui.window.run_list import RunList
 from ui.window.sequence_document import SequenceDocument
+from ui.window.sequence_tables import pattern_table, patterns_in, step_table, steps_in
+from ui.window.sequence_text import patterns_of
 from ui.window.shown import Shown
 from ui.window.source_frame import SourceFrame
 from ui.window.status import RigStatus
@@ -27,6 +31,10 @@ from ui.window.steps_editor import StepsEditor
 from ui.window.theme import set_role
 from ui.window.words import duration, size, volume
 
+if TYPE_CHECKING:
+    from ui.window.jobs import Suggestion
+
+WAITING = "The rig is being opened; what each step takes will be listed here then."
 KINDS = "Sequences (*.toml)"
 
 
@@ -36,11 +44,19 @@ class SequencePage(QWidget):
     told = Signal(str)
     """What a person has to know."""
     run_asked = Signal()
+    rig_asked = Signal()
+    runs_asked = Signal()
+    """Before there is a sequence: a rig file, or the runs that there are."""
     dropped = Signal(str)
     """A text that was edited and not saved before another was opened."""
 
-    def __init__(self) -> None:
+    def __init__(self, simulated: bool) -> None:
         super().__init__()
+        self.first, self._building = FirstStart(simulated), False
+        self.first.try_asked.connect(self.try_example)
+        self.first.build_asked.connect(self._build)
+        self.first.rig_asked.connect(self.rig_asked)
+        self.first.run_asked.connect(self.runs_asked)
         self.document = SequenceDocument()
         self.steps = StepsEditor(self.document)
         self.patterns = PatternsEditor(self.document)
@@ -65,11 +81,13 @@ class SequencePage(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(10, 8, 10, 8)
         column.addLayout(self._head())
+        column.addWidget(self.first, 1)
         column.addWidget(self.tabs, 1)
         column.addWidget(self._says)
         column.addLayout(self._foot())
         self.document.changed.connect(self._refresh)
         self.document.checked.connect(self._tell)
+        self.document.changed.connect(self._list_plan_that_waits)
         self._busy = False
         self._refresh()
 
@@ -95,6 +113,41 @@ class SequencePage(QWidget):
             self.told.emit(f"{path.name}: {problem.sentence}")
         if unsaved:
             self.dropped.emit(unsaved)  # last, for it can be put right now only
+
+    def try_example(self) -> None:
+        """Open the example and show what it would take; the next press of Run carries it out."""
+        self.load(EXAMPLE)
+        self.document.detach()
+        self.dry_run()
+
+    def append(self, suggestion: "Suggestion") -> None:
+        """Append what is to be photographed next: the dose and its mixing where ink is needed, and the capture."""
+
+        def change(document: Any) -> None:
+            if suggestion.table is not None and suggestion.pattern not in patterns_of(document):
+                patterns_in(document)[suggestion.pattern] = pattern_table(suggestion.table)
+            steps = steps_in(document, nested=False)
+            if suggestion.total_ul is not None:
+                steps.append(step_table({"do": "dose", "total_ul": suggestion.total_ul}, nested=False))
+                steps.append(step_table({"do": "mix", "pattern": suggestion.pattern}, nested=False))
+            capture = {"do": "capture", "pattern": suggestion.pattern, "frames": suggestion.frames}
+            steps.append(step_table(capture, nested=False))
+
+        try:
+            self.document.edit("append what was advised", change)
+        except TankrigError as error:
+            self.told.emit(str(error))
+        else:
+            self.tabs.setCurrentWidget(self.steps)
+
+    def _build(self) -> None:
+        self._building = True
+        self._refresh()
+
+    @property
+    def beginning(self) -> bool:
+        """Whether there is no sequence yet, and nobody has begun to build one."""
+        return self.document.empty and not self._building
 
     def edit_unsaved(self, text: str) -> None:
         """Edit a text that no file has."""
@@ -122,10 +175,16 @@ class SequencePage(QWidget):
         """List what each step takes."""
         plan, problem = self.document.plan, self.document.problem
         if plan is None:
-            self.told.emit(problem.sentence if problem else "the rig is not known yet, so there is nothing to check by")
+            self.plan_list.wait(problem.sentence if problem else WAITING)
+            self.tabs.setCurrentWidget(self.plan_list)
             return
         self.plan_list.show_plan(plan, f"Dry run: {self._totals()}; nothing has moved")
         self.tabs.setCurrentWidget(self.plan_list)
+
+    def _list_plan_that_waits(self) -> None:
+        """A dry run that was asked for before the rig was known."""
+        if self.plan_list.waiting and self.document.plan is not None:
+            self.dry_run()
 
     # -- what goes on --------------------------------------------------------------------------------------------------
 
@@ -133,6 +192,7 @@ class SequencePage(QWidget):
         """The steps of this source stand on the tab "Run"."""
         self.run_frame.show_source(shown.source)
         self.run_list.show_source(shown)
+        self._refresh()
 
     def show_run(self) -> None:
         """Bring the steps of the run to the front."""
@@ -147,7 +207,11 @@ class SequencePage(QWidget):
         self._run.setEnabled(self.document.plan is not None and not self._busy)
 
     def _refresh(self) -> None:
-        self.plan_list.clear()
+        if not self.plan_list.waiting:
+            self.plan_list.clear()
+        beginning = self.beginning and self.run_list.empty
+        self.first.setVisible(beginning)
+        self.tabs.setVisible(not beginning)
         problem = self.document.problem
         self._title.setText(self.document.title)
         self.text.replace_text(self.document.text)
@@ -161,8 +225,10 @@ class SequencePage(QWidget):
     def _tell(self) -> None:
         """What the sequence takes, or what is wrong with it."""
         problem, plan = self.document.problem, self.document.plan
-        set_role(self._says, "wrong" if problem else "good")
-        if problem is not None:
+        set_role(self._says, "wrong" if problem and not self.beginning else "good")
+        if self.beginning:
+            self._says.clear()
+        elif problem is not None:
             self._says.setText((f"Line {problem.line}: " if problem.line else "") + problem.sentence)
         else:
             self._says.setText(

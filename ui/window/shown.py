@@ -20,7 +20,7 @@ from ui.window.source import Kind, Source
 
 if TYPE_CHECKING:
     from tankrig.live.exposures import Photograph
-    from ui.window.jobs import Comparison, Found, Reading
+    from ui.window.jobs import Comparison, Found, Reading, Suggestion
 
 NO_FIT = "No fit yet. Fits come by themselves while a run goes on, from the first dose of ink."
 
@@ -91,6 +91,8 @@ class Shown(QObject):
     step_changed = Signal(int)
     compared = Signal()
     """The model's picture of the photograph that is chosen has come, or another one was chosen."""
+    advised = Signal()
+    """Advice, or a comparison of models, has come."""
     read = Signal()
     """A recorded run has been read from disk, and can be played."""
 
@@ -109,6 +111,12 @@ class Shown(QObject):
         self.chosen: PhotographKey | None = None
         """Of the photographs, the one that a person looks at; it follows the newest dose until somebody chooses."""
         self.follows_newest = True
+        self.advice: tuple[Suggestion, ...] = ()
+        """What to photograph next, the best first."""
+        self.advice_says = ""
+        self.models: tuple[tuple[str, ...], ...] | None = None
+        """A row for each model of the light."""
+        self.models_of = ""
         self.dark: float | None = None
         """Median count of its last dark frame."""
         self._compared: dict[PhotographKey, tuple[DoseFit, Comparison | None]] = {}
@@ -172,6 +180,16 @@ class Shown(QObject):
         self._compared[key] = fit, comparison
         if key == self.chosen:
             self.compared.emit()
+
+    def take_advice(self, advice: "tuple[Suggestion, ...]", says: str = "") -> None:
+        """What to photograph next; or, where there is no advice, why."""
+        self.advice, self.advice_says = advice, says
+        self.advised.emit()
+
+    def take_models(self, rows: "tuple[tuple[str, ...], ...] | None", of: str) -> None:
+        """One of its photographs fitted by several models; `of` says which, or why there is nothing."""
+        self.models, self.models_of = rows, of
+        self.advised.emit()
 
     def fail_comparison(self, key: PhotographKey, fit: DoseFit, sentence: str) -> None:
         """The model's picture could not be made; it is not asked for again until there is another fit."""
