@@ -143,7 +143,7 @@ def test_advice_is_appended_as_steps(window, monkeypatch):
     click(window.compare.next.ask)
     (answer,) = [answer for words, answer in asked if words[0] is jobs.advise]
     table = {"kind": "rays", "y_mm": [-40.0, 0.0, 40.0], "z_mm": [54.0, 66.0], "width_mm": 8.0}
-    answer["then"]((jobs.Suggestion("dose to 600 µl, then rays × 4", 600.0, "beams", table, 4),))
+    answer["then"]((jobs.Suggestion("dose to 1700 µl, then rays × 4", 1700.0, "beams", table, 4),))
     assert shown.advice
     (button,) = window.compare.next.buttons
     window.sequence.load(EXAMPLE)
@@ -151,7 +151,7 @@ def test_advice_is_appended_as_steps(window, monkeypatch):
     click(button)
     after = window.sequence.document.reading.sequence or window.sequence.document._text_sequence
     assert len(after.tasks) == len(before.tasks) + 3
-    assert [task.label for task in after.tasks[-3:]] == ["dose to 600 µl", "wait until mixed", "capture beams × 4"]
+    assert [task.label for task in after.tasks[-3:]] == ["dose to 1700 µl", "wait until mixed", "capture beams × 4"]
     opened(window, "b")
     assert window.compare.next.buttons == [], "advice for another run"
 

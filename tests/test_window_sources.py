@@ -8,19 +8,24 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from PySide6.QtWidgets import QFileDialog
 
+from tankrig.live.formatting import with_error
 from tankrig.live.results import fits_in
 from tankrig.run.reading import open_run
 from tests import recorded_runs as runs
+from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window import jobs
 from ui.window.on_screen import OnScreen
 from ui.window.result import result_of
 from ui.window.run_catalogue import RunCatalogue
+from ui.window.runs_page import PATH
 from ui.window.shown import Shown, StepState
 from ui.window.source import Kind, RefitSettings
 
-ACTIONS = 10_000
+ACTIONS, WINDOW_ACTIONS = 10_000, 500
 FEW = 600
 
 
@@ -306,3 +311,233 @@ def test_no_order_of_actions_shows_what_belongs_to_something_else(tmp_path, seed
 @pytest.mark.parametrize("seed", range(4))
 def test_none_does_in_ten_thousand(tmp_path, seed):
     drive(tmp_path, seed, ACTIONS // 4)
+
+
+SHORT = 'name = "short"\nexposure_ms = 5\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n'
+WAITS = SHORT + '[[steps]]\ndo = "wait"\nseconds = 60\n'
+
+
+class Soon(Elsewhere):
+    """Answers a little later, from the event loop, in any order."""
+
+    def __init__(self, at_random: random.Random) -> None:
+        super().__init__()
+        self._random = at_random
+        self.tasks: tuple[Any, ...] = ()
+
+    def run(self, *asked: Any, **answer: Any) -> None:
+        from PySide6.QtCore import QTimer
+
+        super().run(*asked, **answer)
+        QTimer.singleShot(self._random.randrange(120), self._one)
+
+    def _one(self) -> None:
+        if self.pending:
+            self.come(self._random.randrange(len(self.pending)))
+
+    def answer(self, work: Any, *arguments: Any) -> Any:
+        if work is not jobs.compare:
+            return arguments[0] if work in (jobs.export, jobs.report) else super().answer(work, *arguments)
+        photograph, fit = arguments
+        image, bench = np.ones((20, 30)), jobs.read(photograph.run).bench
+        rmse = {"1": 0.4, "1–3": 0.3, "1–20": 0.2, "all": fit.gain / 1e4}
+        one = (photograph.pattern, photograph.dose_ml, image, image, image, rmse, bench.tank, bench.camera)
+        return jobs.Comparison(*one)
+
+
+class WindowTrial:
+    """The real window on a small rig, driven at random, and what its pages say beside what the store holds."""
+
+    def __init__(self, window: Any, home: Path, seed: int) -> None:
+        self.window, self.home, self.random = window, home, random.Random(seed)
+        self.background = Soon(self.random)
+        window.on_screen._background = self.background
+        window.runs._background = self.background
+        self.made, self.log = 0, []
+        (home / "short.toml").write_text(SHORT)
+        (home / "waits.toml").write_text(WAITS)
+
+    def act(self) -> None:
+        names = {
+            "open": 6, "refit": 4, "show_refit": 3, "resume": 1, "filter": 4, "delete": 2, "export": 3, "run": 1,
+            "leave": 3, "select": 6, "choose": 3, "against": 2, "look": 3, "make": 3,
+        }  # fmt: skip
+        name = self.random.choices(list(names), list(names.values()))[0]
+        self.log.append(name)
+        getattr(self, name)()
+
+    def press(self, words: str) -> None:
+        (button,) = [one for one in self.window.runs._buttons if one.text() == words]
+        button.click()
+
+    def open(self) -> None:
+        self.press("Open")
+
+    def refit(self) -> None:
+        self.window.runs.refits._free.setChecked(self.random.random() < 0.5)
+        self.window.runs.refits.button.click()
+
+    def show_refit(self) -> None:
+        known = self.window.runs.refits.list
+        row = self.random.randrange(known.count())
+        known.setCurrentIndex(row)
+        known.activated.emit(row)
+
+    def filter(self) -> None:
+        words = ["", "completed", "aborted", "run-", "20", "nothing at all"]
+        self.window.runs._filter.setText(self.random.choice(words))
+
+    def select(self) -> None:
+        table = self.window.runs._table
+        if table.rowCount():
+            table.selectRow(self.random.randrange(table.rowCount()))
+
+    def delete(self) -> None:
+        if len(self.window.runs.catalogue.runs) > 4:
+            (button,) = [one for one in self.window.runs._buttons if one is self.window.runs._delete]
+            button.click()
+            button.click()
+
+    def export(self) -> None:
+        """Ask, look at something else, answer."""
+        selected = self.window.runs.catalogue.selected
+        self.window.runs.export_selected("NetCDF")
+        questions = self.window.runs.findChildren(QFileDialog)
+        if not questions:
+            assert selected is None
+            return
+        self.select()
+        self.made += 1
+        questions[0].selectFile(str(self.home / f"out-{self.made}.nc"))
+        before = len(self.background.pending)
+        questions[0].accept()
+        asked = [one for one in self.background.pending[before:] if one.work is jobs.export]
+        assert asked[0].arguments[0] == selected.path, "another run was exported than was asked about"
+        questions[0].deleteLater()
+
+    def leave(self) -> None:
+        self.window.runs.bar.left.emit()
+
+    def choose(self) -> None:
+        self.window.fit._dose.setCurrentIndex(self.random.randrange(max(1, self.window.fit._dose.count())))
+        self.window.fit._choose()
+
+    def against(self) -> None:
+        self.window.fit._against.setCurrentIndex(self.random.randrange(2))
+
+    def look(self) -> None:
+        pages = (self.window.fit, self.window.runs, self.window.sequence, self.window.doser, self.window.compare)
+        self.window.show_page(self.random.choice(pages))
+
+    def make(self) -> None:
+        """A run appears in the folder, as if another program had recorded it."""
+        if len(self.window.runs.catalogue.runs) < 9:
+            self.made += 1
+            path = self.window.folder / f"run-{self.made:04d}"
+            runs.recorded(path, self.random.randrange(4), self.random.choice(["completed", "aborted"]))
+            self.window.runs.refresh()
+
+    def run(self) -> None:
+        """A real run, to its end or stopped in the middle."""
+        whole = self.random.random() < 0.5
+        self.window.sequence.load(self.home / ("short.toml" if whole else "waits.toml"))
+        until(
+            lambda: self.window.status.state.value == "ready" and self.window.sequence.document.plan is not None, 60.0
+        )
+        self.window.run()
+        self.go_through(whole)
+
+    def resume(self) -> None:
+        """Go on with a run that was stopped in the middle; those that were made by hand are of another bench."""
+        real = [one for one in self.window.runs.catalogue.runs if one.resumable and one.name == "short"]
+        if real:
+            self.window.resume(self.random.choice(real).path)
+            self.go_through(whole=False)
+
+    def go_through(self, whole: bool) -> None:
+        ended: list[Any] = []
+        self.window.host.run_ended.connect(ended.append)
+        try:
+            until(lambda: self.window.status.running or ended or self.window.status.trouble, 60.0)
+            while not ended:
+                assert not (wrong := self.disagreements()), wrong
+                if not whole and self.window.sequence.run_list.lines()[:1] and (
+                    self.window.sequence.run_list.lines()[0].startswith("✓")
+                ):  # fmt: skip
+                    self.window.stop()
+                wait_ms(30)
+            until(lambda: self.window.status.state.value == "ready", 60.0)
+        finally:
+            self.window.host.run_ended.disconnect(ended.append)
+
+    def disagreements(self) -> list[str]:
+        """Every page beside the store, in the turn after what was done."""
+        window, found = self.window, []
+        source, shown = window.on_screen.source, window.on_screen.shown
+        titles = {one.title.text() for one in (window.live_frame, window.sequence.run_frame, window.runs.frame,
+                                               window.compare.frame)}  # fmt: skip
+        if titles != {source.title}:
+            found.append(f"titles {titles} over {source.title}")
+        if window.live.frame is not None and window.live.frame.run != source.recorded:
+            found.append(f"a picture of {window.live.frame.run} under {source.title}")
+        selected, table = window.runs.catalogue.selected, window.runs._table
+        marked = {item.data(PATH) for item in table.selectedItems()}
+        if marked != ({str(selected.path)} if selected is not None else set()):
+            found.append(f"{marked} is marked and {selected} selected")
+        card = window.fit.card
+        fits, series, done = self.expected(shown)
+        if fits is None:
+            return found
+        best = series.ink if series is not None else (shown.newest.medium if shown.newest is not None else None)
+        sd = series.sd if series is not None else (shown.newest.sd if shown.newest is not None else ())
+        text = card.values["sigma_s"][1].text()
+        if (text == "–") != (not fits):
+            found.append(f"{source.title}: the card says {text} of {len(fits)} fits")
+        if best is not None and text != with_error(best.sigma_s, 1.96 * sd[1]).split(" ± ")[0]:
+            found.append(f"{source.title}: the card says {text}")
+        if shown.newest is not None and shown.newest not in fits:
+            found.append(f"{source.title}: a fit that the store does not have")
+        points = sorted(y for _, y in window.fit._curves.points("sigma_s"))
+        if points and not set(points) <= {fit.medium.sigma_s for fit in fits}:
+            found.append(f"{source.title}: the curve shows {points}")
+        ticked = {row for row, line in enumerate(window.sequence.run_list.lines()) if line.startswith("✓")}
+        if ticked != done:
+            found.append(f"{source.title}: steps {ticked} are ticked and {done} done")
+        left = window.fit._bars._bars["all"].format()
+        allowed = {f"{100.0 * fit.gain / 1e4:.2g} % left" for fit in fits} | {"–"}
+        if left not in allowed:
+            found.append(f"{source.title}: the bars say {left}")
+        return found
+
+    def expected(self, shown: Shown) -> Any:
+        source = shown.source
+        if source.run is None:
+            return [], None, set()
+        if source.kind is not Kind.LIVE and shown.reading is None:
+            return [], None, set()
+        if not source.run.exists() or (source.kind is Kind.LIVE and self.window.status.busy):
+            return None, None, None  # lines are still on their way to the window
+        fits, series = stored(source.run)
+        if source.kind is Kind.REFIT:
+            anew = refitted(source.run, source.settings)
+            fits, series = list(anew.doses), anew.series
+        return fits, series, steps_done(source.run)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1500)
+def test_five_hundred_actions_through_the_real_window(tmp_path, monkeypatch):
+    """What pages draw is what the store holds, whatever is pressed in whatever order."""
+    monkeypatch.setattr("PySide6.QtGui.QDesktopServices.openUrl", lambda _: True)
+    monkeypatch.setattr("ui.window.runs_page._to_trash", lambda run: shutil.rmtree(run) is None)
+    for number in range(4):
+        runs.recorded(tmp_path / "runs" / f"run-first-{number}", number)
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        until(lambda: window.status.state.value == "ready", 60.0)
+        trial = WindowTrial(window, tmp_path, seed=21)
+        for number in range(WINDOW_ACTIONS):
+            trial.act()
+            assert not (wrong := trial.disagreements()), (number, trial.log[-6:], wrong)
+            wait_ms(trial.random.choice([0, 1, 20, 60]))
+            assert not (wrong := trial.disagreements()), (number, trial.log[-6:], wrong)
+        print({name: trial.log.count(name) for name in sorted(set(trial.log))})

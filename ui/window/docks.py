@@ -64,6 +64,13 @@ class Docks(QObject):
         self._by_page[page].show()
         self._by_page[page].raise_()
 
+    def arrange(self, page: QWidget, share: float) -> None:
+        """All docks where they were at first, this page in front, with so much of the window's width."""
+        self.reset()
+        self.show(page)
+        self._share = share
+        self._keep_share()
+
     def window_resized(self) -> None:
         """The window has another width: the pages keep their share of it, however small it was meanwhile."""
         self._soon.start(0)

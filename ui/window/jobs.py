@@ -268,7 +268,7 @@ def _words(one: "Advice", before: "Expected | None", held_ul: float) -> str:
     told = []
     for name, symbol in names.items():
         after, now = one.after.relative_sd[name], before.relative_sd[name] if before is not None else math.inf
-        told.append(f"{symbol} {after / now:.0%}" if math.isfinite(now) and now > 0.0 else symbol)
+        told.append(f"{symbol} {100.0 * after / now:.0f} %" if math.isfinite(now) and now > 0.0 else symbol)
     minutes = one.candidate.minutes
     return (
         f"{dose}{shot.pattern} × {shot.frames}, about {minutes:.1f} min; errors then, of what they are now: "

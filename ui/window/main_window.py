@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, QTimer
-from PySide6.QtGui import QCloseEvent, QGuiApplication, QKeySequence, QResizeEvent, QShortcut
+from PySide6.QtGui import (
+    QCloseEvent,
+    QDragEnterEvent,
+    QDropEvent,
+    QGuiApplication,
+    QKeySequence,
+    QResizeEvent,
+    QShortcut,
+)
 from PySide6.QtWidgets import QLabel, QMainWindow, QMessageBox, QToolBar, QVBoxLayout, QWidget
 
 from tankrig.errors import TankrigError
@@ -17,13 +25,15 @@ from ui.window import theme
 from ui.window.background import Background
 from ui.window.banner import Banner
 from ui.window.docks import Docks
-from ui.window.files import ask_for_file
+from ui.window.dropped import Dropped, kind_of
+from ui.window.files import ask_for_file, ask_where_to_save
 from ui.window.focus_ring import FocusRing
 from ui.window.furnishing import pages
 from ui.window.gap import GapMonitor
 from ui.window.garbage import GarbageTimer
-from ui.window.keys import BY_NAME, KeyCard
+from ui.window.keys import BY_NAME, KEYS, KeyCard
 from ui.window.live_view import LiveView
+from ui.window.palette import Action, Palette
 from ui.window.rig_file import RigSource
 from ui.window.rig_host import RigHost
 from ui.window.rig_parts import RunOrder, import_ahead
@@ -62,6 +72,7 @@ PICTURE_MS = 3000
 """The pages are made once the first picture is on screen, or after this."""
 BREATH_MS = 15
 """Between two pages that are made: what was shown is painted, and keys are heard."""
+MOST_RECENT = 8
 DRAFT_MS = 700
 """From the last letter typed to the draft on disk."""
 END_S = 60.0
@@ -96,6 +107,7 @@ class MainWindow(QMainWindow):
         super().__init__()
         self.setObjectName("tankrig")
         self.setWindowTitle("tankrig")
+        self.setAcceptDrops(True)
         self._settings, self.folder, self._first_sequence = settings, runs, sequence
         self.status = RigStatus()
         self.gaps, self.background, self.host = GapMonitor(), Background(), host
@@ -106,6 +118,7 @@ class MainWindow(QMainWindow):
         self._ending: OwnedThread | None = None
         self._offered = self.furnished = False
         self._asked: str | None = None
+        self._actions: dict[str, Callable[[], object]] = {}
         self.top, self.banner, self.live = TopBar("rig", host.source.simulated), Banner(), LiveView(host.frames)
         self.live_frame = SourceFrame(self.live)
         self.docks = Docks(self)
@@ -196,6 +209,13 @@ class MainWindow(QMainWindow):
             self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log,
             self.compare,
         )  # fmt: skip
+        self.make_keys({
+            "palette": self.show_palette, "screenshot": self.save_screenshot,
+            "layout-align": partial(self.docks.arrange, self.projector, 0.36),
+            "layout-calibrate": partial(self.docks.arrange, self.calibration, 0.6),
+            "layout-run": partial(self.docks.arrange, self.sequence, 0.5),
+            "layout-look": partial(self.docks.arrange, self.fit, 0.64),
+        })  # fmt: skip
         self.make_keys(
             {"run": self.run, "pause": self.pause, "dry-run": self.sequence.dry_run,
              "open": self.sequence.open_file, "save": self.sequence.save, "undo": undo.undo, "redo": undo.redo}
@@ -543,6 +563,59 @@ class MainWindow(QMainWindow):
         self._offered, self._rig = False, None
         self.show_page(self.calibration)
 
+    def show_palette(self) -> None:
+        """Every action by its name, and the files that were open lately."""
+        actions = [Action(key.what, " or ".join(key.keys), self._actions[key.name]) for key in KEYS
+                   if key.name in self._actions]  # fmt: skip
+        actions.append(Action(BY_NAME["stop"].what, "F12", self.stop))
+        actions.append(Action("open a rig file", "", self.ask_for_rig))
+        actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self._recent()]
+        self._palette = Palette(self, actions)
+        self._palette.show()
+        self._palette.field.setFocus()
+
+    def save_screenshot(self) -> None:
+        """Ask where to, and save what the window shows now."""
+        picture = self.grab()
+        name = f"tankrig-{datetime.now():%Y-%m-%dT%H-%M-%S}.png"
+
+        def save(path: Path) -> None:
+            if not picture.save(str(path)):
+                self.tell(f"{path}: cannot be written; choose another place")
+
+        ask_where_to_save(self, "Save a picture of the window", Path.cwd() / name, "Pictures (*.png)", save)
+
+    def open_path(self, path: Path) -> None:
+        """Open a run, a sequence or a rig file."""
+        kind = kind_of(path)
+        if kind is Dropped.RUN:
+            self.show_run(path)
+        elif kind is Dropped.SEQUENCE:
+            self.sequence.load(path)
+            self.show_page(self.sequence)
+        elif kind is Dropped.RIG:
+            self.use_rig(path)
+        else:
+            self.tell(f"{path}: is no run, no sequence and no rig file, so that there is nothing to open")
+            return
+        recent = [str(path), *(one for one in map(str, self._recent()) if one != str(path))]
+        self._settings.setValue("recent", recent[:MOST_RECENT])
+
+    def _recent(self) -> list[Path]:
+        kept = self._settings.value("recent") or []
+        return [Path(str(one)) for one in ([kept] if isinstance(kept, str) else kept)]
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:  # noqa: N802 - Qt's name
+        """A file or folder may be dropped."""
+        if self.furnished and event.mimeData().hasUrls():
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:  # noqa: N802 - Qt's name
+        """Open what was dropped."""
+        for url in event.mimeData().urls()[:1]:
+            self.open_path(Path(url.toLocalFile()))
+        event.acceptProposedAction()
+
     def use_screen(self, identity: dict[str, str]) -> None:
         """Have this screen for the projector."""
         try:
@@ -562,6 +635,7 @@ class MainWindow(QMainWindow):
 
     def make_keys(self, actions: Mapping[str, Callable[[], object]]) -> None:
         """Have keys, by their names in `keys`, do something."""
+        self._actions |= actions
         for name, do in actions.items():
             for keys in BY_NAME[name].keys:
                 shortcut = QShortcut(QKeySequence(keys), self)

@@ -21,7 +21,7 @@ def in_words(task: Task) -> str:
     """
     if task.began_s is None:
         return f"{task.name}: waits"
-    share = "" if task.share is None else f" {task.share:.0%}"
+    share = "" if task.share is None else f" {100.0 * task.share:.0f} %"
     left = "" if task.left_s is None else f", about {duration(task.left_s)} left"
     return f"{task.name}: in work{share}{left}"
 
