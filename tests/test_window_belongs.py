@@ -196,7 +196,9 @@ def test_after_resuming_earlier_doses_and_done_steps_are_there(window):
 def test_the_exposure_shown_is_the_pictures_own(window, monkeypatch):
     """It showed 99 ms while a run took 20."""
     window.live.set_camera(CameraSettings(99.0), free=False)
-    monkeypatch.setattr(window.live, "set_camera", lambda *_, **__: None)  # as the rig's status would, once it is at rest
+    monkeypatch.setattr(
+        window.live, "set_camera", lambda *_, **__: None
+    )  # as at rest
     frame = SeenFrame(np.full((20, 30), 100, np.uint16), 4095, CameraSettings(20.0, 2.0), None)
     window.host.look_away(True)
     until(lambda: window.live.frame is not None)

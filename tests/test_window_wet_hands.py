@@ -1,10 +1,19 @@
 """The window for a person with wet hands: keys that stop, fields that say what is wrong, and what the pump does."""
 
 import pytest
-from PySide6.QtCore import QEvent, Qt
+from PySide6.QtCore import QEvent, QPoint, QRect, QSize, Qt
 from PySide6.QtGui import QCloseEvent
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QCheckBox, QComboBox, QFileDialog, QWidget
+from PySide6.QtWidgets import (
+    QApplication,
+    QCheckBox,
+    QComboBox,
+    QFileDialog,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QWidget,
+)
 
 from drivers.emulation.truth import read_truth
 from tests.window_rig import LONG_DOSE, until, wait_ms, window_on, write_rig
@@ -271,3 +280,45 @@ def test_an_errors_colour_follows_the_theme(window):
         wait_ms(10)
         (marked,) = [item for item in window.sequence.steps._items() if "⚠" in item.text(0)]
         assert marked.foreground(0).color().name() == theme.bad
+
+
+def edge_contrast(widget, inside: QPoint) -> float:
+    """Of a widget's outline, at the middle of its left side, against what lies beside it."""
+    window = widget.window()
+    picture = window.grab(QRect(widget.mapTo(window, QPoint(-3, widget.height() // 2 + inside.y())), QSize(12, 1)))
+    row = [picture.toImage().pixel(x, 0) for x in range(picture.width())]
+    return max(contrast(row[0], one) for one in row[1 : 6 + inside.x()])
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_text_and_outlines_stand_out(window, theme):
+    """WCAG 2.2: text 4.5 to 1, outlines of what can be pressed or filled in 3 to 1; measured in the pixels drawn."""
+    window.set_theme(theme)
+    window.resize(1280, 800)
+    (window.home / "seen.toml").write_text('name = "x"\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n')
+    window.sequence.load(window.home / "seen.toml")
+    faint, thin, looked = [], [], 0
+    for page in (window.sequence, window.fit, window.doser, window.projector, window.runs, window.compare,
+                 window.calibration, window.log):  # fmt: skip
+        window.show_page(page)
+        wait_ms(60)
+        for widget in window.findChildren(QWidget):
+            if not widget.isVisible() or not widget.isEnabled() or widget.visibleRegion().isEmpty():
+                continue
+            if isinstance(widget, QLabel) and widget.text() and widget.width() > 8:
+                looked += 1
+                if (found := best_contrast(widget.grab().toImage())) < 4.5:
+                    faint.append((page.__class__.__name__, widget.text()[:40], round(found, 2)))
+            elif isinstance(widget, QPushButton) and widget.text():
+                looked += 1
+                if (found := best_contrast(widget.grab().toImage().copy(8, 4, widget.width() - 16, 30))) < 4.5:
+                    faint.append((page.__class__.__name__, widget.text(), round(found, 2)))
+            if isinstance(widget, QPushButton | QLineEdit | QComboBox | QCheckBox) and not widget.hasFocus():
+                looked += 1
+                if (found := edge_contrast(widget, QPoint(0, 0))) < 3.0:
+                    who = type(widget).__name__, widget.accessibleName() or widget.toolTip()
+                    thin.append((page.__class__.__name__, *who, round(found, 2)))
+    window.set_theme("dark")
+    assert looked > 150
+    assert not faint
+    assert not thin

@@ -54,6 +54,7 @@ class CalibrationPage(QWidget):
         self.tabs.addTab(area, "What is known")
         self.wizard = CalibrationWizard(source)
         self.wizard.told.connect(self.told)
+        self.wizard.used.connect(self.reopen_asked)
         self.tabs.addTab(self.wizard, "Measure")
         self.tabs.addTab(self._file_tab(), "Rig file")
         column = QVBoxLayout(self)

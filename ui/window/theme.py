@@ -31,6 +31,7 @@ class Theme:
     """Frames of what belongs to a source."""
     on_source: str
     focus: str
+    stop_edge: str
     outline: str
     """Of what can be pressed or filled in."""
 
@@ -39,12 +40,12 @@ DARK = Theme(
     "dark", window="#1d2126", base="#15181c", raised="#2b3138", text="#e8eaed", faint="#a4adb8", line="#434b55",
     accent="#4c9fe8", on_accent="#081320", good="#58c08a", warning="#eab44a", bar="#2f6ea8", bad="#ff7b6e",
     live="#3f9e6e", replay="#c9822b", refit="#a77be0",
-    on_source="#081320", focus="#ffd166", outline="#75808c",
+    on_source="#081320", focus="#ffd166", stop_edge="#ff8a80", outline="#75808c",
 )  # fmt: skip
 LIGHT = Theme(
     "light", window="#f1f3f5", base="#ffffff", raised="#e2e6ea", text="#1a1d21", faint="#566170", line="#b9c1ca",
     accent="#0b62b4", on_accent="#ffffff", good="#16703f", warning="#8f5a00", bar="#a9cdf0", bad="#b3261e",
-    live="#16703f", replay="#9a5200", refit="#6a3fb0", on_source="#ffffff", focus="#8a3ffc", outline="#7c8792",
+    live="#16703f", replay="#9a5200", refit="#6a3fb0", on_source="#ffffff", focus="#8a3ffc", stop_edge="#7d0f0c", outline="#7c8792",
 )  # fmt: skip
 THEMES = {theme.name: theme for theme in (DARK, LIGHT)}
 CURVES = ("#4c9fe8", "#e8833a", "#58c08a", "#c77dd6")
@@ -120,7 +121,7 @@ def _sheet(theme: Theme) -> str:
     QPushButton#primary {{ background: {theme.accent}; color: {theme.on_accent}; font-weight: 600; }}
     QPushButton#primary:disabled {{ background: {theme.raised}; color: {theme.faint}; }}
     QPushButton#stop {{
-        background: #c8201c; color: white; font-size: 15pt; font-weight: 800; border: 2px solid #7d0f0c;
+        background: #c8201c; color: white; font-size: 15pt; font-weight: 800; border: 2px solid {theme.stop_edge};
         border-radius: 8px; min-height: 42px; min-width: 150px; }}
     QPushButton#stop:hover {{ background: #e02a25; }}
     QPushButton#stop:pressed {{ background: #8f1411; }}
