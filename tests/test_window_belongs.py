@@ -196,9 +196,7 @@ def test_after_resuming_earlier_doses_and_done_steps_are_there(window):
 def test_the_exposure_shown_is_the_pictures_own(window, monkeypatch):
     """It showed 99 ms while a run took 20."""
     window.live.set_camera(CameraSettings(99.0), free=False)
-    monkeypatch.setattr(
-        window.live, "set_camera", lambda *_, **__: None
-    )  # as at rest
+    monkeypatch.setattr(window.live, "set_camera", lambda *_, **__: None)  # as at rest
     frame = SeenFrame(np.full((20, 30), 100, np.uint16), 4095, CameraSettings(20.0, 2.0), None)
     window.host.look_away(True)
     until(lambda: window.live.frame is not None)
@@ -332,3 +330,44 @@ def test_a_run_whose_folder_vanishes_is_told_and_what_was_read_stays(window, tmp
     window.show_run(path)
     until(lambda: "does not exist" in window.banner.text)
     assert window.on_screen.source.run != path
+
+
+def test_frames_are_found_by_pattern_and_dose(window):
+    """A slider through hundreds of frames finds no repeat of one picture."""
+    show(window, "a")
+    until(lambda: window.runs.bar._replay is not None)
+    bar = window.runs.bar
+    assert bar._replay.places(None, 0.3) == [2]
+    assert bar._replay.places("no such pattern", None) == []
+    doses = [bar._dose.itemText(row) for row in range(bar._dose.count())]
+    assert doses == ["all doses", "0.1 ml", "0.2 ml", "0.3 ml", "0.4 ml", "0.5 ml"]
+    bar._dose.setCurrentIndex(3)
+    bar._dose.activated.emit(3)
+    assert bar._chosen == [2]
+
+
+def test_counts_along_a_line_are_those_of_its_pixels(window):
+    """A profile that is off by a pixel, or upside down, is worse than none."""
+    from ui.window.live_curves import along
+
+    until(lambda: window.live.frame is not None)
+    pixels = np.arange(600, dtype=np.uint16).reshape(20, 30)
+    # rows: y from −80 to 80 mm, columns: x from 0 to 240 mm, pixels of 8 mm
+    at, counts = along(pixels, window.live._plot, np.array([4.0, -76.0]), np.array([236.0, -76.0]))
+    assert counts.tolist() == list(range(30))
+    assert at[-1] == pytest.approx(232.0)
+    _, counts = along(pixels, window.live._plot, np.array([4.0, -76.0]), np.array([4.0, 200.0]))
+    assert counts.tolist()[0] == 0
+    assert counts.max() == 570, "what lies beside the picture is left out"
+
+
+@pytest.mark.usefixtures("window")
+def test_focus_holds_its_peak():
+    from ui.window.live_curves import FocusCurve
+
+    curve = FocusCurve()
+    for value in (0.1, 0.4, 0.2):
+        curve.add(value)
+    assert curve.best == 0.4
+    curve.begin()
+    assert curve.best == 0.0

@@ -33,6 +33,8 @@ class CalibrationPage(QWidget):
     """Lists the rig's calibration, and shows its file with the line marked that is wrong."""
 
     reopen_asked = Signal()
+    wrong_line = Signal()
+    """The rig file cannot be opened, and the line that is to blame is marked."""
     told = Signal(str)
 
     def __init__(self, source: RigSource) -> None:
@@ -98,6 +100,7 @@ class CalibrationPage(QWidget):
             if line:
                 self._text.go_to(line)
                 self.tabs.setCurrentIndex(2)
+                self.wrong_line.emit()
         if not failed:
             self._text.mark(0)
 
@@ -133,6 +136,8 @@ class CalibrationPage(QWidget):
         column, row = QVBoxLayout(tab), QHBoxLayout()
         self._name = name = QLabel(str(self._source.file or OWN_FILE))
         name.setProperty("role", "faint")
+        name.setMinimumWidth(60)  # a long path is cut, and the page not widened
+        name.setToolTip(name.text())
         self._text.setReadOnly(self._source.file is None)
         self._again, self._keep = QPushButton("Open the rig again"), QPushButton("Save and open again")
         save = self._keep

@@ -290,6 +290,8 @@ class CalibrationWizard(QWidget):
             self._ask(f"Wants {wizard.wants}.", False, answered=False)
 
     def _lay_out(self) -> None:
+        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.choice.setMinimumContentsLength(24)
         for wizard in WIZARDS:
             self.choice.addItem(wizard.title, wizard.kind)
         self._choices = QFormLayout()

@@ -10,6 +10,7 @@ from PySide6.QtGui import QColor, QGuiApplication
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QHBoxLayout,
+    QHeaderView,
     QLabel,
     QListWidget,
     QListWidgetItem,
@@ -111,6 +112,7 @@ class ComparePage(QWidget):
         self._says.setText("" if len(found) > 1 else EMPTY)
 
     def _draw_curves(self, all_shown: Sequence[Shown]) -> None:
+        self._curves.setVisible(bool(all_shown))  # axes of nothing would measure nothing
         for name, plot in self._plots.items():
             plot.clear()
             for number, shown in enumerate(all_shown):
@@ -161,7 +163,9 @@ class ComparePage(QWidget):
         self._sources.setAccessibleName("runs to compare")
         self._sources.itemChanged.connect(lambda _: self._fetch())
         self._plots: dict[str, Any] = {}
-        plots = QHBoxLayout()
+        self._curves = QWidget()
+        plots = QHBoxLayout(self._curves)
+        plots.setContentsMargins(0, 0, 0, 0)
         for name, (symbol, _, unit) in COEFFICIENTS.items():
             widget = pg.PlotWidget()
             widget.setMinimumHeight(110)
@@ -183,7 +187,9 @@ class ComparePage(QWidget):
         self._table.setTabKeyNavigation(False)
         self._table.verticalHeader().hide()
         self._table.setMinimumHeight(90)
-        self._table.horizontalHeader().setStretchLastSection(True)
+        header = self._table.horizontalHeader()
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         self._copy = QPushButton("Copy table")
         self._copy.clicked.connect(self._copy_table)
         self._says = QLabel(EMPTY)
@@ -192,7 +198,7 @@ class ComparePage(QWidget):
         right, whole = QWidget(), QVBoxLayout()
         whole.setContentsMargins(0, 0, 0, 0)
         whole.addWidget(self._says)
-        whole.addLayout(plots, 2)
+        whole.addWidget(self._curves, 2)
         whole.addWidget(self._table, 1)
         whole.addWidget(self._copy, 0, Qt.AlignmentFlag.AlignLeft)
         right.setLayout(whole)

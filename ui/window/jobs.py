@@ -147,6 +147,7 @@ def read(path: Path) -> Reading:
     sequence = sequence_from_table(dict(run.settings["sequence"]), str(path))
     lit = tuple(pattern.name for pattern in run.patterns.values() if pattern.pixels.any())
     bench = PhotographPlan.of_run(run).bench
+    _ = run.conditions  # found here and not where it would keep the window waiting
     wrong = bool(run.fits) and not fits_that_hold(run)
     return Reading(run, tuple(task.label for task in sequence.tasks), lit, bench, wrong)
 

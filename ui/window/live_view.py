@@ -15,6 +15,7 @@ from ui.window.darkroom import Darkroom, Judgement, Picture, Wishes
 from ui.window.fields import NumberField, with_name
 from ui.window.flow import Flow
 from ui.window.histogram import Histogram
+from ui.window.live_curves import FocusCurve, LineProfile
 from ui.window.radiometry import radiance_in_words
 from ui.window.source import LIVE
 from ui.window.tank_plot import TankPlot, pen
@@ -62,7 +63,8 @@ class LiveView(QWidget):
         self._trouble = ""
         self._free = False
         self._plot = TankPlot()
-        self._histogram = Histogram()
+        self._histogram, self._focus_curve, self._profile = Histogram(), FocusCurve(), LineProfile(self._plot)
+        self._profile.moved.connect(self._draw_profile)
         self._histogram.levels_moved.connect(self._set_levels)
         self._beams = pg.PlotDataItem(pen=pen("#39d0ff", 1.2, dashed=True), connect="finite")
         self._plot.plot.addItem(self._beams)
@@ -90,6 +92,8 @@ class LiveView(QWidget):
             self._histogram.clear()
             self._beams.setData([], [])
             self._outlined = None
+            self._focus_curve.begin()
+            self._draw_profile()
             for label in (self._saturated, self._focus, self._roi_text):
                 label.clear()
         self._say()
@@ -169,7 +173,9 @@ class LiveView(QWidget):
             self._rate.setText(f"{rate:.0f} pictures/s")
         self._saturated.setText(f"saturated {judged.saturated:.2%}" if judged.saturated else "nothing saturated")
         set_role(self._saturated, "wrong" if judged.saturated > 0.001 else "faint")
-        self._focus.setText(f"focus {judged.focus:.3f}")
+        self._focus_curve.add(judged.focus)
+        self._focus.setText(f"focus {judged.focus:.3f}, best {self._focus_curve.best:.3f}")
+        self._draw_profile()
         if self._roi.isVisible():
             self._roi_text.setText(f"region {judged.mean:.1f} ± {judged.sd:.1f} counts")
         if judged.dark is not None and self._shown is not None:
@@ -213,6 +219,17 @@ class LiveView(QWidget):
         self._roi.setVisible(shown)
         self._roi_text.clear()
         self._wish()
+
+    def _show_focus(self, shown: bool) -> None:
+        self._focus_curve.begin()
+        self._focus_curve.widget.setVisible(shown)
+
+    def _show_profile(self, shown: bool) -> None:
+        self._profile.show(shown)
+        self._draw_profile()
+
+    def _draw_profile(self) -> None:
+        self._profile.draw(self.frame.pixels if self.frame is not None else None)
 
     def _region(self) -> tuple[slice, slice] | None:
         """Rows and columns of the region of interest."""
@@ -264,6 +281,11 @@ class LiveView(QWidget):
             box.setChecked(True)
         for combo in (self._colours, self._scale):
             combo.currentTextChanged.connect(self._wish)
+        focus, profile = QCheckBox("focus"), QCheckBox("line")
+        focus.setToolTip("sharpness over the last minute, with its best held; tick anew to begin anew")
+        profile.setToolTip("counts along a line: drag its ends on the picture")
+        focus.toggled.connect(self._show_focus)
+        profile.toggled.connect(self._show_profile)
         region.toggled.connect(self._show_region)
         self._overlay.toggled.connect(self._wish)
         self._saturation.toggled.connect(self._wish)
@@ -277,7 +299,7 @@ class LiveView(QWidget):
         self._gain.committed.connect(self._ask_camera)
         rows = Flow(
             self._colours, self._scale, whole, with_name("exposure", self._exposure), with_name("gain", self._gain),
-            self._automatic, self._saturation, self._overlay, region,
+            self._automatic, self._saturation, self._overlay, region, focus, profile,
         )  # fmt: skip
         self._read_out = QLabel(NO_PICTURE)
         self._saturated, self._focus, self._rate, self._roi_text = QLabel(), QLabel(), QLabel(), QLabel()
@@ -295,6 +317,8 @@ class LiveView(QWidget):
         column.setContentsMargins(8, 6, 8, 4)
         column.addLayout(rows)
         column.addWidget(self._plot.widget, 1)
+        column.addWidget(self._focus_curve.widget)
+        column.addWidget(self._profile.widget)
         column.addWidget(self._histogram.widget)
         column.addWidget(self._read_out)
         column.addLayout(third)

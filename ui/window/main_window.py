@@ -188,6 +188,7 @@ class MainWindow(QMainWindow):
         self.doser.refill_asked.connect(host.refill)
         self.doser.give_up_asked.connect(host.reopen)
         self.calibration.reopen_asked.connect(host.reopen)
+        self.calibration.wrong_line.connect(partial(self.show_page, self.calibration))
         self.calibration.wizard.lend_asked.connect(host.lend)
         self.sequence.run_asked.connect(self.run)
         self.compare.next.step_asked.connect(self.sequence.append)

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 SPEEDS = {"¼ ×": 0.25, "1 ×": 1.0, "4 ×": 4.0, "16 ×": 16.0, "as fast as it goes": float("inf")}
 LONGEST_WAIT_S = 2.0
+UNKNOWN = "unknown pattern"
+SAME_ML = 1e-6
 
 
 class Replay(QObject):
@@ -42,10 +44,25 @@ class Replay(QObject):
         self._run, self._show = run, show
         self.frames = run.events("frame")
         self._places = {event["index"]: place for place, event in enumerate(self.frames)}
+        patterns, conditions = run.patterns, run.conditions
+        self.axes = [
+            (patterns[key].name if (key := event["pattern_hash"]) in patterns else UNKNOWN,
+             conditions[event["index"]].tank.volume_ul / 1000.0)
+            for event in self.frames
+        ]  # fmt: skip
+        """Of each frame: its pattern, and the ink in the tank in ml."""
         self._at, self._jumped = 0, False
         self.speed = 1.0
         self._playing, self._change = False, threading.Condition()
         self._thread = OwnedThread("replay", self._work, 5.0)
+
+    def places(self, pattern: str | None, dose_ml: float | None) -> list[int]:
+        """Frames of one pattern at one dose, in their order; None: of all."""
+        return [
+            place
+            for place, (name, dose) in enumerate(self.axes)
+            if pattern in (None, name) and (dose_ml is None or abs(dose - dose_ml) < SAME_ML)
+        ]
 
     @property
     def path(self) -> Path:
@@ -111,8 +128,8 @@ class Replay(QObject):
         saturation = 255 if pixels.dtype.itemsize == 1 else int(self._run.settings.get("saturation", 65535))
         settings = self._run.conditions[event["index"]].camera or CameraSettings(20.0)
         self._show(SeenFrame(pixels, saturation, settings, pattern, self._run.path))
-        name, place = pattern.name if pattern else "unknown pattern", self._places[event["index"]]
-        tank = self._run.conditions[event["index"]].tank
+        place = self._places[event["index"]]
+        name, dose_ml = self.axes[place]
         at = datetime.fromisoformat(event.moment.utc).astimezone()
-        words = f"frame {place + 1} of {len(self.frames)}: {name} at {tank.volume_ul / 1000.0:.4g} ml, {at:%H:%M:%S}"
+        words = f"frame {place + 1} of {len(self.frames)}: {name} at {dose_ml:.4g} ml, {at:%H:%M:%S}"
         self.moved.emit(self, place, words)

@@ -40,12 +40,14 @@ DARK = Theme(
     "dark", window="#1d2126", base="#15181c", raised="#2b3138", text="#e8eaed", faint="#a4adb8", line="#434b55",
     accent="#4c9fe8", on_accent="#081320", good="#58c08a", warning="#eab44a", bar="#2f6ea8", bad="#ff7b6e",
     live="#3f9e6e", replay="#c9822b", refit="#a77be0",
-    on_source="#081320", focus="#ffd166", stop_edge="#ff8a80", outline="#75808c",
+    on_source="#081320", focus="#ffd166", stop_edge="#ff8a80",
+    outline="#75808c",
 )  # fmt: skip
 LIGHT = Theme(
     "light", window="#f1f3f5", base="#ffffff", raised="#e2e6ea", text="#1a1d21", faint="#566170", line="#b9c1ca",
     accent="#0b62b4", on_accent="#ffffff", good="#16703f", warning="#8f5a00", bar="#a9cdf0", bad="#b3261e",
-    live="#16703f", replay="#9a5200", refit="#6a3fb0", on_source="#ffffff", focus="#8a3ffc", stop_edge="#7d0f0c", outline="#7c8792",
+    live="#16703f", replay="#9a5200", refit="#6a3fb0", on_source="#ffffff", focus="#8a3ffc", stop_edge="#7d0f0c",
+    outline="#7c8792",
 )  # fmt: skip
 THEMES = {theme.name: theme for theme in (DARK, LIGHT)}
 CURVES = ("#4c9fe8", "#e8833a", "#58c08a", "#c77dd6")
