@@ -231,3 +231,47 @@ def test_the_resume_offer_stands_above_the_error_of_the_remembered_sequence(tmp_
         assert made.banner.action == "Resume it"
         assert "run-cut" in made.banner.text
         assert any("dance" in one.sentence for one in made.banner.history)
+
+
+def test_any_action_is_found_by_its_name(window):
+    """Keys that nobody remembers are no keys."""
+    QTest.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+    until(lambda: hasattr(window, "_palette") and window._palette.isVisible())
+    QTest.keyClicks(window._palette.field, "calibration page")
+    assert window._palette.list.count() == 1
+    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
+    until(lambda: not window.docks[window.calibration].visibleRegion().isEmpty())
+
+
+def test_what_is_dropped_is_opened_for_what_it_is(window):
+    """A run's folder, a sequence and a rig file; the rest is told."""
+    from PySide6.QtCore import QMimeData, QPoint, QUrl
+    from PySide6.QtGui import QDropEvent
+
+    def drop(path) -> None:
+        data = QMimeData()
+        data.setUrls([QUrl.fromLocalFile(str(path))])
+        action, button = Qt.DropAction.CopyAction, Qt.MouseButton.LeftButton
+        window.dropEvent(QDropEvent(QPoint(5, 5), action, data, button, Qt.KeyboardModifier.NoModifier))
+
+    drop(window.folder / "run-b")
+    until(lambda: window.on_screen.source.run == window.folder / "run-b")
+    drop(EXAMPLE)
+    assert window.sequence.document.path == EXAMPLE
+    drop(window.home / "nothing.xyz")
+    assert "nothing to open" in window.banner.text
+    assert [path.name for path in window._recent()] == ["dilution.toml", "run-b"]
+
+
+def test_what_is_on_screen_is_copied_as_python_that_works(window):
+    """A figure that nobody can make again is an anecdote."""
+    shown = opened(window, "a")
+    window.copy_as_python()
+    names: dict = {}
+    exec(QGuiApplication.clipboard().text(), names)
+    assert [fit["dose_ml"] for fit in names["fits"] if fit["fit"] == "dose"] == [fit.dose_ml for fit in shown.by_dose]
+    from ui.window.as_python import as_python
+
+    refit = as_python(Source(Kind.REFIT, window.folder / "run-a", RefitSettings(("rays",), free_background=True)))
+    compile(refit, "copied", "exec")
+    assert 'offset="free"' in refit

@@ -170,7 +170,7 @@ class ComparePage(QWidget):
             widget = pg.PlotWidget()
             widget.setMinimumHeight(110)
             plot = widget.getPlotItem()
-            plot.setTitle(f"{symbol} {unit}".strip() + f", ± {CONFIDENCE}")
+            plot.setTitle(f"{symbol} {unit}".strip() + f", ± {CONFIDENCE}", size="9pt")
             plot.setLabel("bottom", "ink (ml)")
             plot.hideButtons()
             plot.setMenuEnabled(False)

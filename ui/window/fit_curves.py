@@ -32,7 +32,7 @@ class FitCurves(QWidget):
         for (name, (symbol, _, unit)), colour in zip(COEFFICIENTS.items(), CURVES, strict=False):
             widget = pg.PlotWidget()
             plot = widget.getPlotItem()
-            plot.setTitle(f"{symbol} {unit}".strip() + f", ± {CONFIDENCE}")
+            plot.setTitle(f"{symbol} {unit}".strip() + f", ± {CONFIDENCE}", size="9pt")
             plot.hideButtons()
             plot.setMenuEnabled(False)
             for side in ("left", "bottom"):

@@ -22,6 +22,7 @@ from PySide6.QtWidgets import QLabel, QMainWindow, QMessageBox, QToolBar, QVBoxL
 from tankrig.errors import TankrigError
 from tankrig.run.state import FinishReason
 from ui.window import theme
+from ui.window.as_python import as_python
 from ui.window.background import Background
 from ui.window.banner import Banner
 from ui.window.docks import Docks
@@ -570,6 +571,7 @@ class MainWindow(QMainWindow):
                    if key.name in self._actions]  # fmt: skip
         actions.append(Action(BY_NAME["stop"].what, "F12", self.stop))
         actions.append(Action("open a rig file", "", self.ask_for_rig))
+        actions.append(Action("copy what is on screen as Python", "", self.copy_as_python))
         actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self._recent()]
         self._palette = Palette(self, actions)
         self._palette.show()
@@ -585,6 +587,14 @@ class MainWindow(QMainWindow):
                 self.tell(f"{path}: cannot be written; choose another place")
 
         ask_where_to_save(self, "Save a picture of the window", Path.cwd() / name, "Pictures (*.png)", save)
+
+    def copy_as_python(self) -> None:
+        """Lines that get the numbers on screen go to the clipboard."""
+        text = as_python(self.on_screen.source)
+        if text:
+            QGuiApplication.clipboard().setText(text)
+        else:
+            self.tell("there is no run on screen; open one, then copy it as Python")
 
     def open_path(self, path: Path) -> None:
         """Open a run, a sequence or a rig file."""

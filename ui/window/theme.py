@@ -162,9 +162,11 @@ def _sheet(theme: Theme) -> str:
     QSplitter::handle {{ background: {theme.line}; }}
     QCheckBox, QRadioButton {{ min-height: 28px; spacing: 8px; }}
     QTreeView::item, QListView::item {{ min-height: 26px; }}
-    QCheckBox::indicator {{ width: 16px; height: 16px; border: 2px solid {theme.faint}; border-radius: 4px;
+    QCheckBox::indicator, QListView::indicator {{
+        width: 16px; height: 16px; border: 2px solid {theme.faint}; border-radius: 4px;
         background: {theme.base}; }}
-    QCheckBox::indicator:checked {{ background: {theme.accent}; border-color: {theme.accent};
+    QCheckBox::indicator:checked, QListView::indicator:checked {{
+        background: {theme.accent}; border-color: {theme.accent};
         image: url("{_icon("tick-" + theme.name)}"); }}
     QCheckBox::indicator:disabled {{ border-color: {theme.line}; }}
     QLabel[role="faint"] {{ color: {theme.faint}; }}
