@@ -237,11 +237,11 @@ def advise(path: Path, pace: "Pace", most_ul: float) -> tuple[Suggestion, ...]:
     ImageError
         When the run has no photograph of ink, or no fit of one.
     """
+    from tankrig.advice.candidates import beginning_of, candidates_of
     from tankrig.advice.ranking import prepared_answer, ranked
     from tankrig.run.reading import open_run
-    from ui.cli.advise import candidates_of, of_run
 
-    known, taken, plan, exposure_ms = of_run(path)
+    known, taken, plan, exposure_ms = beginning_of(path)
     run = open_run(path)
     candidates = candidates_of(taken, plan, exposure_ms, pace, most_ul)
     shots = [*taken, *(one.shot for one in candidates)]
