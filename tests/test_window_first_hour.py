@@ -235,6 +235,8 @@ def test_the_resume_offer_stands_above_the_error_of_the_remembered_sequence(tmp_
 
 def test_any_action_is_found_by_its_name(window):
     """Keys that nobody remembers are no keys."""
+    window.activateWindow()  # another window may have been opened and closed by a test before
+    assert QTest.qWaitForWindowActive(window, 10_000)
     QTest.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
     until(lambda: hasattr(window, "_palette") and window._palette.isVisible())
     QTest.keyClicks(window._palette.field, "calibration page")

@@ -132,7 +132,6 @@ class MainWindow(QMainWindow):
         self.stop_keys, self.ring = StopKeys(self, self.stop, lambda: host.in_motion), FocusRing(self)
         self._restore()
         host.tell_rig()  # it may have been opened meanwhile
-        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setFocus()  # what is typed goes nowhere before a person chooses a field
         self._pulse = QTimer(self)
         self._pulse.timeout.connect(host.window_alive)
