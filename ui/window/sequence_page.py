@@ -50,7 +50,7 @@ class SequencePage(QWidget):
     dropped = Signal(str)
     """A text that was edited and not saved before another was opened."""
 
-    def __init__(self, simulated: bool) -> None:
+    def __init__(self, simulated: bool = False) -> None:
         super().__init__()
         self.first, self._building = FirstStart(simulated), False
         self.first.try_asked.connect(self.try_example)
