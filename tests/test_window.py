@@ -105,7 +105,7 @@ def test_an_empty_list_of_runs_says_so(window):
     """An empty page that says nothing looks broken."""
     assert (
         window.runs._empty.text()
-        == f"No runs in {window.runs.folder} yet. Run a sequence, and when it has ended it will be here."
+        == f"No runs in {window.runs.catalogue.folder} yet. Run a sequence, and when it has ended it will be here."
     )
 
 

@@ -44,7 +44,7 @@ def test_a_whole_experiment_by_mouse_and_keyboard(tmp_path, monkeypatch):
         window.sequence.load(tmp_path / "two.toml")
         until(lambda: window.top.run.isEnabled())
         QTest.keyClick(window, Qt.Key.Key_F7)
-        assert "700 µl of ink, 8 frames" in window.sequence.run_list._what.text()
+        assert "700 µl of ink, 8 frames" in window.sequence.plan_list.says
         QTest.keyClick(window, Qt.Key.Key_F5)
         until(lambda: window.status.running)
         QTest.keyClick(window, Qt.Key.Key_F6)
@@ -55,24 +55,26 @@ def test_a_whole_experiment_by_mouse_and_keyboard(tmp_path, monkeypatch):
         assert ended[0].reason.value == "completed", ended[0].error
         until(lambda: window.status.state.value == "ready")
         assert window.status.tank.volume_ul == 700.0
-        assert window.sequence.run_list._steps.item(0).text().startswith("✓")
+        assert window.sequence.run_list.lines()[0].startswith("✓")
         run = tankrig.open_run(ended[0].path)
         assert run.frames.sizes["frame"] == 8
         assert {event.get("fit") for event in run.fits} >= {"dose"}
-        until(lambda: window.fit._fits, what="no fit came to the Fit page")
-        assert window.live.radiometry.gain is not None
-        until(lambda: window.fit._compared is not None, 60.0, "the model's picture did not come")
-        assert window.fit._compared.rmse["all"] < window.fit._compared.rmse["1"]
+        shown = window.on_screen.shown
+        until(lambda: window.fit._curves.points("g"), what="no fit came to the Fit page")
+        assert shown.newest.gain > 0.0
+        until(lambda: shown.comparison is not None, 60.0, "the model's picture did not come")
+        assert shown.comparison.rmse["all"] < shown.comparison.rmse["1"]
         window.show_page(window.runs)
-        until(lambda: window.runs.chosen is not None)
+        until(lambda: window.runs.catalogue.selected is not None)
         press(window.runs, "Open")
+        assert window.on_screen.source.title == f"REPLAY of {ended[0].path.name}"
         until(lambda: window.runs.bar._words.text().startswith("frame 1 of 8: dark"))
         window.runs.bar._speed.setCurrentText("as fast as it goes")
         press(window.runs, "Play")
         until(lambda: window.runs.bar._words.text().startswith("frame 8 of 8: sheet"))
         press(window.runs, "Back to the camera")
-        window.runs.export_to(tmp_path / "run.nc")
-        window.runs.export_to(tmp_path / "run-tiff")
+        window.runs.export(ended[0].path, tmp_path / "run.nc")
+        window.runs.export(ended[0].path, tmp_path / "run-tiff")
         until(lambda: (tmp_path / "run-tiff" / "000007-sheet.tiff").exists(), 60.0)
         import xarray
 

@@ -57,10 +57,10 @@ def test_closing_in_a_dose_stops_it_and_the_run_is_offered_again(tmp_path):
     assert tankrig.open_run(only_run(tmp_path)).end["reason"] == "aborted"
     with window_on(tmp_path, rig) as window:
         until(lambda: "was aborted" in window.banner.text)
-        assert not window.banner._action.isHidden()
+        assert window.banner.action
         ended = []
         window.host.run_ended.connect(ended.append)
-        window.banner._action.click()
+        window.banner.press()
         until(lambda: ended, 60.0)
         assert ended[0].reason.value == "completed", ended[0].error
         assert steps_of(tmp_path) == 9000
@@ -97,7 +97,7 @@ def test_an_unplugged_camera_ends_the_run_and_is_named(tmp_path):
         until(lambda: window.live.displayed)
         began(window, tmp_path, FRAMES)
         until(lambda: "camera" in window.banner.text and "is gone" in window.banner.text, 40.0)
-        assert "Resume it" in window.banner._action.text()
+        assert "Resume it" in window.banner.action
     found = recover(only_run(tmp_path))
     assert found.frames > 0
     assert not found.damaged
@@ -254,7 +254,7 @@ def test_a_killed_program_stops_the_pump_and_loses_nothing(tmp_path):
     assert not recover(only_run(tmp_path)).damaged
     with window_on(tmp_path, rig) as window:
         until(lambda: "was interrupted" in window.banner.text)
-        window.banner._action.click()
+        window.banner.press()
         until(lambda: window.status.undecided is not None, 30.0)
         window.doser._truth.edit.setText(f"{held / 10.0:.1f}")
         ended = []

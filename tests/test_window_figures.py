@@ -177,7 +177,7 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
         quiet = 100.0 * len(own) / len(ticks._ms)
         rate, taken = (window.live.displayed - displayed) / seconds, (cameras[-1].taken - taken) / seconds
         grown = (memory.memory_info().rss - held) / 1e6
-        fits = len(window.fit._fits)
+        fits = len(window.on_screen.shown.fits)
         window.stop()
         until(lambda: ended, 60.0)
     print(

@@ -52,7 +52,7 @@ def test_edits_that_were_not_saved_are_kept(tmp_path):
         question.selectFile(str(tmp_path / "other.toml"))
         question.accept()
         until(lambda: document.path == tmp_path / "other.toml")
-        first.banner._action.click()
+        first.banner.press()
         assert document.text == LONG_DOSE.replace("900", "800")
     with window_on(tmp_path, rig) as second:
         assert second.sequence.document.text == LONG_DOSE.replace("900", "800")

@@ -37,9 +37,9 @@ def test_a_damaged_newest_calibration_is_told_and_no_run_begins(tmp_path):
     with window_on(tmp_path, rig) as window:
         until(lambda: window.status.state.value == "ready", 40.0)
         until(lambda: newer.path.name in window.banner.text and older.path.name in window.banner.text)
-        window.banner.hide()
+        window.banner.put_away()
         run(window, tmp_path)
-        until(lambda: not window.banner.isHidden() and "a person has to decide" in window.banner.text, 40.0)
+        until(lambda: "a person has to decide" in window.banner.text, 40.0)
         until(lambda: window.status.state.value == "ready", 40.0)
     assert not list((tmp_path / "runs").glob("*/zarr.json"))
 

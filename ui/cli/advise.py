@@ -6,18 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tankrig.errors import ImageError
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.advice.expected import Expected, Known, Shot
-    from tankrig.advice.ranking import Advice, Candidate
+    from tankrig.advice.ranking import Advice
     from tankrig.live.exposures import PhotographPlan
 
-GROWTH = (1.0, 1.5, 2.0, 4.0)
-"""Doses that are compared where none are named, as multiples of what the tank holds."""
-FIRST_DOSES_UL = (50.0, 100.0, 200.0, 400.0, 800.0)
 SHOWN = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
 
 
@@ -61,6 +57,7 @@ def advise(
     from rich.progress import Progress
 
     from drivers.rig import load_rig_file, simulated_rig
+    from tankrig.advice.candidates import beginning_of, candidates_of
     from tankrig.advice.ranking import prepared_answer, ranked
 
     if (run_folder is None) == (sequence_file is None):
@@ -69,12 +66,13 @@ def advise(
         raise click.UsageError("--sequence needs --ink: a guess of the ink's σa, σs per mm and ml, and g")
     description = load_rig_file(rig) if rig else simulated_rig(Path("rig"))
     if run_folder is not None:
-        known, taken, plan, exposure_ms = _of_run(run_folder)
+        known, taken, plan, exposure_ms = beginning_of(run_folder)
     else:
         assert sequence_file is not None
         assert ink is not None
         known, taken, plan, exposure_ms = _of_guess(sequence_file, ink, noise, description)
-    candidates = _candidates(taken, plan, doses_ul, frames, exposure_ms, description)
+    most_ul = description.limits.tank_ul
+    candidates = candidates_of(taken, plan, exposure_ms, description.pace, most_ul, doses_ul, frames)
     shots = [*taken, *(one.shot for one in candidates)]
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("preparing models", total=1.0)
@@ -91,16 +89,6 @@ def advise(
         _tell(before, found[:limit])
 
 
-def _of_run(folder: Path) -> "tuple[Known, list[Shot], PhotographPlan, float]":
-    from tankrig.advice.starting import from_run
-    from tankrig.live.exposures import PhotographPlan
-    from tankrig.run.reading import open_run
-
-    run = open_run(folder)
-    known, taken, _ = from_run(run)
-    return known, taken, PhotographPlan.of_run(run), float(run.require_sequence()["exposure_ms"])
-
-
 def _of_guess(
     file: Path, ink: tuple[float, float, float], noise: float, description: "RigFile"
 ) -> "tuple[Known, list[Shot], PhotographPlan, float]":
@@ -113,38 +101,6 @@ def _of_guess(
     patterns = list(sequence.drawn(description.bench.wall).values())
     plan = PhotographPlan.of(description.bench, sequence, patterns)
     return from_guess(Medium(*ink), 1.0, noise), [], plan, sequence.exposure_ms
-
-
-def _candidates(
-    taken: "list[Shot]", plan: "PhotographPlan", doses_ul: tuple[float, ...], frames: int, exposure_ms: float,
-    description: "RigFile",
-) -> "list[Candidate]":  # fmt: skip
-    """Every lit pattern at every dose that the budgets allow."""
-    from tankrig.advice.expected import Shot
-    from tankrig.advice.ranking import Candidate
-    from tankrig.sequence import Capture, Dose, Mix, Sequence
-
-    held_ul = 1000.0 * max((shot.dose_ml for shot in taken), default=0.0)
-    totals = doses_ul or (tuple(held_ul * by for by in GROWTH) if held_ul else FIRST_DOSES_UL)
-    most_ul = description.limits.tank_ul
-    allowed = sorted({total for total in totals if held_ul <= total <= most_ul})
-    if not allowed:
-        raise ImageError(
-            f"the tank holds {held_ul:g} µl and may hold {most_ul:g} µl, so that none of the doses compared is "
-            "possible; give others with --dose-ul"
-        )
-    shares = [shot.dose_sd_ml / shot.dose_ml for shot in taken]
-    sd = max(shares, default=0.0)
-    steps, pace = Sequence("next", (Mix(), Capture("full", frames)), exposure_ms=exposure_ms), description.pace
-    found = []
-    for total in allowed:
-        dosed = total > held_ul
-        seconds = sum(pace.seconds(one, steps, held_ul) for one in (Dose(total), Mix())) if dosed else 0.0
-        seconds += pace.seconds(Capture("full", frames), steps, total)
-        for key, scene in plan.scenes.items():
-            shot = Shot(plan.patterns[key].name, scene, total / 1000.0, sd * total / 1000.0, frames, plan.counts[key])
-            found.append(Candidate(shot, seconds / 60.0, total - held_ul))
-    return found
 
 
 def _row(advice: "Advice") -> dict[str, Any]:

@@ -81,7 +81,7 @@ def _measured(rig: "RigFile") -> Iterator[Known]:
         found = {}
     for kind in KINDS:
         if kind not in found:
-            yield Known(f"{kind}, measured", "not yet", f"see Measure, or run: tankrig calibrate {kind} --rig FILE")
+            yield Known(f"{kind}, measured", "not yet", "the tab Measure leads through it")
             continue
         one = found[kind]
         when = f"{one.date[:16].replace('T', ' ')} UTC ({_age(one.age_days)}), {one.path and one.path.name}"
@@ -130,7 +130,7 @@ def _weighed(rig: "RigFile", folder: Path) -> Iterator[Known]:
             + ("in use" if used else f'not in use: put calibration = "./{file.name}" into [doser]'),
         )
     if not files:
-        yield Known("pump, weighed", "not yet", "see Measure, or run: tankrig calibrate pump --rig FILE")
+        yield Known("pump, weighed", "not yet", "the tab Measure leads through it")
 
 
 def _believed(rig: "RigFile") -> Iterator[tuple[str, str]]:

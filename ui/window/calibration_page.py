@@ -26,10 +26,15 @@ if TYPE_CHECKING:
     from drivers.rig import RigFile
 
 
+OWN_FILE = "the simulated rig's own file"
+
+
 class CalibrationPage(QWidget):
     """Lists the rig's calibration, and shows its file with the line marked that is wrong."""
 
     reopen_asked = Signal()
+    wrong_line = Signal()
+    """The rig file cannot be opened, and the line that is to blame is marked."""
     told = Signal(str)
 
     def __init__(self, source: RigSource) -> None:
@@ -51,12 +56,22 @@ class CalibrationPage(QWidget):
         self.tabs.addTab(area, "What is known")
         self.wizard = CalibrationWizard(source)
         self.wizard.told.connect(self.told)
+        self.wizard.used.connect(self.reopen_asked)
         self.tabs.addTab(self.wizard, "Measure")
         self.tabs.addTab(self._file_tab(), "Rig file")
         column = QVBoxLayout(self)
         column.setContentsMargins(14, 10, 14, 10)
         column.addWidget(self.tabs)
         self._say_empty()
+
+    def use_rig(self, source: RigSource) -> None:
+        """Another rig, whose file stands on its tab."""
+        self._source = source
+        self.wizard.use_rig(source)
+        self._name.setText(str(source.file or OWN_FILE))
+        self._text.setReadOnly(source.file is None)
+        self._keep.setEnabled(source.file is not None)
+        self._read_file()
 
     def set_rig(self, rig: "RigFile") -> None:
         """Show this rig's calibration."""
@@ -85,6 +100,7 @@ class CalibrationPage(QWidget):
             if line:
                 self._text.go_to(line)
                 self.tabs.setCurrentIndex(2)
+                self.wrong_line.emit()
         if not failed:
             self._text.mark(0)
 
@@ -118,10 +134,13 @@ class CalibrationPage(QWidget):
     def _file_tab(self) -> QWidget:
         tab = QWidget()
         column, row = QVBoxLayout(tab), QHBoxLayout()
-        name = QLabel("the simulated rig's own file" if self._source.file is None else str(self._source.file))
+        self._name = name = QLabel(str(self._source.file or OWN_FILE))
         name.setProperty("role", "faint")
+        name.setMinimumWidth(60)  # a long path is cut, and the page not widened
+        name.setToolTip(name.text())
         self._text.setReadOnly(self._source.file is None)
-        self._again, save = QPushButton("Open the rig again"), QPushButton("Save and open again")
+        self._again, self._keep = QPushButton("Open the rig again"), QPushButton("Save and open again")
+        save = self._keep
         save.setEnabled(self._source.file is not None)
         self._again.clicked.connect(self.reopen_asked)
         save.clicked.connect(self._save)

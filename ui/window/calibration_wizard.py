@@ -9,8 +9,8 @@ from typing import Any
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QImage, QPixmap
 from PySide6.QtWidgets import (
-    QCheckBox,
     QComboBox,
+    QFormLayout,
     QHBoxLayout,
     QLabel,
     QLineEdit,
@@ -30,6 +30,26 @@ from ui.window.theme import set_role
 
 
 @dataclass(frozen=True)
+class Choice:
+    """Something that can be chosen before a calibration.
+
+    Parameters
+    ----------
+    name, flag
+        For people, and as the command has it.
+    default
+        As text.
+    hint
+        What it means.
+    """
+
+    name: str
+    flag: str
+    default: str
+    hint: str
+
+
+@dataclass(frozen=True)
 class Wizard:
     """A calibration that a person can be led through.
 
@@ -39,29 +59,36 @@ class Wizard:
         Of `tankrig calibrate`.
     title, wants
         What it finds, and what has to be at hand.
-    options
-        That may be given, as on the command line.
+    choices
+        That a person has.
     """
 
     kind: str
     title: str
     wants: str
-    options: str
+    choices: tuple[Choice, ...]
 
 
 WIZARDS = (
     Wizard("radiometry", "Radiometry: camera and projector in numbers of light",
-           "a lens cap, and a diffuser that the projector lights; about 6 minutes", "--gains 1"),
+           "a lens cap, and a diffuser that the projector lights; about 6 minutes",
+           (Choice("camera gains", "--gains", "1", "those that runs will use, with commas between them"),)),
     Wizard("latency", "Latency of the projector's light",
-           "the projector's light before the camera; about 10 seconds", "--flips 100"),
-    Wizard("camera", "Camera: its lens", "a ChArUco board, held in air; about 3 minutes", "--views 15"),
+           "the projector's light before the camera; about 10 seconds",
+           (Choice("changes of light", "--flips", "100", "how often it goes from dark to bright; 20 or more"),)),
+    Wizard("camera", "Camera: its lens", "a ChArUco board, held in air; about 3 minutes",
+           (Choice("views of the board", "--views", "15", "at different slants and places"),)),
     Wizard("tank", "Tank and water before the camera",
-           "the camera calibrated; the board on the floor, then in the water; about 6 minutes", "--views 4"),
+           "the camera calibrated; the board on the floor, then in the water; about 6 minutes",
+           (Choice("views of the board", "--views", "4", "in each position"),)),
     Wizard("projector", "Projector: its lens and place",
-           "camera and tank calibrated; the board at a slant in the tank; about 4 minutes", "--views 8"),
+           "camera and tank calibrated; the board at a slant in the tank; about 4 minutes",
+           (Choice("views of the board", "--views", "8", "at different slants"),)),
     Wizard("pump", "Pump: doses weighed on a balance",
            "a balance to 0.1 mg and a vessel on it, for the tube when it is asked for; about 20 minutes",
-           "--volumes 50,250,500 --repeats 10 --temperature 20"),
+           (Choice("volumes (µl)", "--volumes", "50,250,500", "with commas between them"),
+            Choice("doses of each", "--repeats", "10", "how often each volume is weighed"),
+            Choice("water's temperature (°C)", "--temperature", "20", "its density follows from it"))),
 )  # fmt: skip
 _SEEN = (320, 200)
 
@@ -78,6 +105,8 @@ class CalibrationWizard(QWidget):
     lend_asked = Signal(object)
     """What stops the calibration, to lend the rig to it; None: it has ended."""
     told = Signal(str)
+    used = Signal()
+    """A result that had been set aside is in force now."""
 
     def __init__(self, source: RigSource) -> None:
         super().__init__()
@@ -85,8 +114,10 @@ class CalibrationWizard(QWidget):
         self._process: CalibrationProcess | None = None
         self._words: list[str] | None = None
         self._picture: Path | None = None
+        self._aside: Path | None = None
         self._wants_number = False
-        self.choice, self.options, self.accept = QComboBox(), QLineEdit(), QCheckBox("use it even if it is doubtful")
+        self.choice, self.options = QComboBox(), dict[str, QLineEdit]()
+        self.use = QPushButton("Use it all the same")
         self.begin, self.cancel, self.done = QPushButton("Begin"), QPushButton("Cancel"), QPushButton("Done")
         self.request, self.answer, self.bar = QLabel(), QLineEdit(), QProgressBar()
         self.light, self.seen, self.result = QLabel(), QLabel(), QLabel()
@@ -104,6 +135,10 @@ class CalibrationWizard(QWidget):
         """Whether a calibration goes on."""
         return self._words is not None or self._process is not None
 
+    def use_rig(self, source: RigSource) -> None:
+        """Measure another rig."""
+        self._source = source
+
     def follow(self, status: RigStatus) -> None:
         """Begin once the rig has been let go of; nothing can begin while it is in use."""
         if self._words is not None and status.state is RigState.LENT:
@@ -113,9 +148,11 @@ class CalibrationWizard(QWidget):
     def _begin(self) -> None:
         wizard = WIZARDS[self.choice.currentIndex()]
         rig = ["--rig", str(self._source.file)] if self._source.file is not None else []
-        accept = ["--accept"] if self.accept.isChecked() and wizard.kind != "pump" else []
-        self._words = ["calibrate", wizard.kind, *rig, *self.options.text().split(), *accept]
-        self._picture = None
+        chosen = [word for flag, field in self.options.items() if field.text().strip()
+                  for word in (flag, "".join(field.text().split()))]  # fmt: skip
+        self._words = ["calibrate", wizard.kind, *rig, *chosen]
+        self._picture = self._aside = None
+        self.use.hide()
         self.said.clear()
         self.result.clear()
         self._ask("The rig is being let go of.", False, answered=False)
@@ -196,6 +233,7 @@ class CalibrationWizard(QWidget):
         lines.append(f"Kept in {kept['path']}" + ("." if kept["in_use"] else "; not used yet."))
         self.result.setText("\n".join(lines))
         set_role(self.result, "wrong" if kept["doubts"] else "")
+        self._aside = Path(kept["path"]) if kept["doubts"] and not kept["in_use"] else None
         picture = Path(kept["path"]).with_suffix(".png")
         self._picture = picture if picture.exists() else None
 
@@ -209,10 +247,26 @@ class CalibrationWizard(QWidget):
             self.told.emit(sentence)
         if self._picture is not None:
             self._show(QPixmap(str(self._picture)))
+        self.use.setVisible(self._aside is not None)
         self.bar.setValue(1000 if status == 0 else 0)
         self.light.clear()
         self.cancel.setEnabled(False)
         self.lend_asked.emit(None)
+
+    def _use(self) -> None:
+        """Have a doubtful result in force: out of the folder in which it was set aside."""
+        aside, self._aside = self._aside, None
+        self.use.hide()
+        if aside is None:
+            return
+        try:
+            for file in aside.parent.glob(f"{aside.stem}.*"):
+                file.rename(aside.parent.parent / file.name)
+        except OSError as error:
+            self.told.emit(f"{aside}: cannot be moved to where it is used ({error.strerror}); move it by hand")
+            return
+        self.result.setText(self.result.text().replace("; not used yet.", "; used from now on, doubts and all."))
+        self.used.emit()
 
     def _show(self, picture: QPixmap) -> None:
         """As large as there is room, not blown up."""
@@ -222,16 +276,28 @@ class CalibrationWizard(QWidget):
 
     def _chosen(self) -> None:
         wizard = WIZARDS[self.choice.currentIndex()]
-        self.options.setText(wizard.options)
-        self.options.setToolTip(f"as on the command line: tankrig calibrate {wizard.kind} --help lists them")
+        while self._choices.rowCount():
+            self._choices.removeRow(0)
+        self.options = {}
+        for one in wizard.choices:
+            field = QLineEdit(one.default)
+            field.setToolTip(one.hint)
+            field.setAccessibleName(f"{one.name}: {one.hint}")
+            field.setMaximumWidth(180)
+            self._choices.addRow(one.name, field)
+            self.options[one.flag] = field
         if not self.at_work:
             self._ask(f"Wants {wizard.wants}.", False, answered=False)
 
     def _lay_out(self) -> None:
+        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.choice.setMinimumContentsLength(24)
         for wizard in WIZARDS:
             self.choice.addItem(wizard.title, wizard.kind)
-        self.options.setAccessibleName("options of the calibration")
-        self.accept.setToolTip("else a doubtful result, or one much worse than the last, is kept but not used")
+        self._choices = QFormLayout()
+        self.use.setToolTip("a doubtful result, or one much worse than the last, is kept aside until somebody says so")
+        self.use.clicked.connect(self._use)
+        self.use.hide()
         self.begin.setObjectName("primary")
         self.done.setObjectName("primary")
         self.begin.setEnabled(False)
@@ -251,18 +317,20 @@ class CalibrationWizard(QWidget):
         column.setContentsMargins(0, 8, 0, 0)
         column.setSpacing(8)
         column.addWidget(self.choice)
-        column.addLayout(_row(self.options, self.accept))
+        column.addLayout(self._choices)
         column.addLayout(_row(self.begin, self.cancel, None))
         column.addWidget(self.request)
         column.addLayout(_row(self.answer, self.done, None))
         column.addWidget(self.bar)
         column.addWidget(self.light)
         column.addWidget(self.result)
+        column.addLayout(_row(self.use, None))
         column.addWidget(self.seen)
         column.addWidget(self.said)
         column.addStretch(1)
         area = QScrollArea()
         area.setWidgetResizable(True)
+        area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         area.setFrameShape(QScrollArea.Shape.NoFrame)
         area.setWidget(inside)
         outside = QVBoxLayout(self)

@@ -3,9 +3,20 @@
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
 
-from ui.window.fields import NumberField
+from ui.window.fields import NumberField, with_name
+from ui.window.flow import Flow
 from ui.window.status import RigState, RigStatus
 from ui.window.words import volume
 
@@ -29,6 +40,8 @@ class DoserPage(QWidget):
 
     dose_asked = Signal(float)
     """Total that the tank is to hold, µl."""
+    aside_asked = Signal(float)
+    """Volume to be delivered into a waste vessel, µl."""
     resolve_asked = Signal(float)
     clear_asked = Signal()
     refill_asked = Signal()
@@ -37,7 +50,7 @@ class DoserPage(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._rig: RigFile | None = None
-        self._sure = False
+        self._sure = self._free = False
         self._held, self._concentration = QLabel("–"), QLabel()
         self._held.setProperty("role", "big")
         self._concentration.setProperty("role", "faint")
@@ -48,6 +61,7 @@ class DoserPage(QWidget):
         column.addWidget(self._concentration)
         column.addLayout(self._budgets())
         column.addWidget(self._dose_card())
+        column.addWidget(self._prime_card())
         column.addWidget(self._stopped_card())
         column.addWidget(self._unknown_card())
         column.addStretch(1)
@@ -62,11 +76,12 @@ class DoserPage(QWidget):
         self._unknown.setVisible(status.undecided is not None)
         self._question.setText(status.undecided or "")
         self._give_up.setVisible(status.state is RigState.ASKING)
-        idle = status.state is RigState.IDLE and status.target_ul is None
+        idle = status.state is RigState.IDLE and not status.dosing
         self._stopped.setVisible(status.stopped and idle and status.undecided is None)
         free = idle and not status.stopped and status.undecided is None
-        self._dose.setEnabled(free)
-        self._refill.setEnabled(status.state in (RigState.IDLE, RigState.FAILED) and status.target_ul is None)
+        self._free = free
+        self._able()
+        self._refill.setEnabled(status.state in (RigState.IDLE, RigState.FAILED) and not status.dosing)
         if self._rig is None or status.tank is None or status.remaining is None:
             return
         tank, limits = status.tank, self._rig.limits
@@ -99,6 +114,17 @@ class DoserPage(QWidget):
             self._target.setFocus()
             return
         self.dose_asked.emit(float(value))
+
+    def _ask_prime(self) -> None:
+        value = self._volume.value
+        if value is not None and self._hangs.isChecked():
+            self._hangs.setChecked(False)  # asked for anew before each time
+            self.aside_asked.emit(float(value))
+
+    def _able(self) -> None:
+        """What is free to be asked for, with what stands in the fields."""
+        self._dose.setEnabled(self._free and (not self._target.edit.text() or not self._target.wrong))
+        self._prime.setEnabled(self._free and self._hangs.isChecked() and self._volume.value is not None)
 
     def _ask_resolve(self) -> None:
         value = self._truth.value
@@ -149,6 +175,25 @@ class DoserPage(QWidget):
         row.addWidget(self._target, 1)
         row.addWidget(self._dose)
         card.setLayout(row)
+        return card
+
+    def _prime_card(self) -> QFrame:
+        card, row = QFrame(), Flow()
+        card.setObjectName("card")
+        self._volume = NumberField("µl", 0.1, 1e6, "ink for the waste vessel, no more than one dose may have")
+        self._volume.edit.setObjectName("prime-volume")
+        self._volume.set_value(50.0)
+        self._hangs, self._prime = QCheckBox("the tube hangs in a waste vessel"), QPushButton("Prime")
+        self._hangs.setToolTip("what is delivered then is not counted as in the tank")
+        self._prime.setToolTip("fill the tube; the tank holds what it held, and the ledger says so")
+        self._volume.changed.connect(self._able)
+        self._target.changed.connect(self._able)
+        self._hangs.toggled.connect(lambda _: self._able())
+        self._prime.clicked.connect(self._ask_prime)
+        for widget in (with_name("Prime the tube with", self._volume), self._hangs, self._prime):
+            row.addWidget(widget)
+        column = QVBoxLayout(card)
+        column.addLayout(row)
         return card
 
     def _stopped_card(self) -> QFrame:

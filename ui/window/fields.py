@@ -5,7 +5,9 @@ from collections.abc import Callable
 from typing import Any
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QLineEdit, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QLineEdit, QVBoxLayout, QWidget
+
+from ui.window.theme import set_role
 
 
 def number(text: str) -> float | None:
@@ -45,7 +47,15 @@ class CheckedField(QWidget):
         self.edit.setToolTip(hint)
         self.edit.setAccessibleName(hint)
         self.setFocusProxy(self.edit)
-        row = QHBoxLayout(self)
+        self.says = QLabel()
+        self.says.setProperty("role", "wrong")
+        self.says.setWordWrap(True)
+        self.says.hide()
+        column, row = QVBoxLayout(self), QHBoxLayout()
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(2)
+        column.addLayout(row)
+        column.addWidget(self.says)
         row.setContentsMargins(0, 0, 0, 0)
         row.setSpacing(4)
         row.addWidget(self.edit, 100)
@@ -95,10 +105,10 @@ class CheckedField(QWidget):
 
     def _mark(self) -> None:
         wrong = self.wrong
-        self.edit.setProperty("wrong", bool(wrong))
         self.edit.setToolTip(wrong or self._hint)
-        self.edit.style().unpolish(self.edit)
-        self.edit.style().polish(self.edit)
+        self.says.setText(wrong)
+        self.says.setVisible(bool(wrong))
+        set_role(self.edit, "true" if wrong else "", "wrong")
 
 
 class NumberField(CheckedField):
@@ -120,8 +130,21 @@ class NumberField(CheckedField):
         span = f"{low:g} to {high:g} {unit}".strip()
         super().__init__(read, unit, f"{what}: {span}" if what else span)
         self.edit.setMinimumWidth(64)
-        self.edit.setMaximumWidth(140)
+        self.edit.setMaximumWidth(110)
 
     def set_value(self, value: float | None) -> None:
         """Fill it without telling anybody."""
         self.set_text("" if value is None else f"{value:.10g}")
+
+
+def with_name(name: str, field: QWidget) -> QWidget:
+    """A field behind its name, as one widget that no line break parts."""
+    whole = QWidget()
+    row = QHBoxLayout(whole)
+    row.setContentsMargins(0, 0, 0, 0)
+    row.setSpacing(6)
+    label = QLabel(name)
+    label.setBuddy(field)
+    row.addWidget(label)
+    row.addWidget(field)
+    return whole

@@ -1,33 +1,59 @@
-"""The fitted coefficients in large figures, and which orders of scattering they need."""
+"""The result in large figures, and which orders of scattering it needs."""
 
 from collections.abc import Mapping
 
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import (
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
 
-from tankrig.live.formatting import with_error
-from tankrig.live.results import DoseFit
+from ui.window.result import CONFIDENCE, NAMES, Result
 
-COEFFICIENTS = {"sigma_s": ("σs", 1, "per mm"), "sigma_a": ("σa", 0, "per mm"), "g": ("g", 2, "")}
-"""Symbol, place in the covariance, unit."""
 ORDERS = {
     "1": "order 1 only", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders",
     "single": "single scattering's best",
 }  # fmt: skip
+NOTHING = "not fitted yet"
 
 
-class Coefficients(QWidget):
-    """Three cards: σs, σa, g with their standard deviations."""
+class ResultCard(QWidget):
+    """One result: σs, σa, g with their 95 % intervals, whose they are, and what the verdict says."""
+
+    copy_asked = Signal(str)
+    """"text" or "table"."""
 
     def __init__(self) -> None:
         super().__init__()
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        self._values: dict[str, tuple[QLabel, QLabel]] = {}
-        for name, (symbol, _, unit) in COEFFICIENTS.items():
+        self.belongs, self.verdict = QLabel(), QLabel()
+        self.belongs.setProperty("role", "faint")
+        for label in (self.belongs, self.verdict):
+            label.setWordWrap(True)
+            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.verdict.setMinimumHeight(36)
+        head, row = QHBoxLayout(), QHBoxLayout()
+        head.addWidget(self.belongs, 1)
+        self._copies = []
+        for words, what, tip in (
+            ("Copy", "text", "copy this result as text"),
+            ("Copy table", "table", "copy the fits of all doses as a table, for a spreadsheet"),
+        ):
+            button = QPushButton(words)
+            button.setToolTip(tip)
+            button.clicked.connect(lambda _=False, what=what: self.copy_asked.emit(what))
+            head.addWidget(button)
+            self._copies.append(button)
+        self.values: dict[str, tuple[QLabel, QLabel, QLabel]] = {}
+        for name in NAMES:
             card = QFrame()
             card.setObjectName("card")
-            value, note, title = QLabel("–"), QLabel("not fitted yet"), QLabel(f"{symbol} {unit}".strip())
+            title, value, note = QLabel(), QLabel(), QLabel()
             value.setProperty("role", "big")
             value.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
             for label in (note, title):
@@ -38,17 +64,34 @@ class Coefficients(QWidget):
             for label in (title, value, note):
                 column.addWidget(label)
             row.addWidget(card, 1)
-            self._values[name] = value, note
+            self.values[name] = title, value, note
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(4)
+        column.addLayout(head)
+        column.addLayout(row)
+        column.addWidget(self.verdict)
+        self.show_result(None, "")
 
-    def show_fit(self, fit: DoseFit) -> None:
-        """Show a dose's fit."""
-        for name, (_, place, _) in COEFFICIENTS.items():
-            best, sd, known = getattr(fit.medium, name), fit.sd[place], fit.identifiable[name]
-            value, note = self._values[name]
-            number, _, error = with_error(best, sd).partition(" ± ")
+    def show_result(self, result: Result | None, says: str) -> None:
+        """Show a result, or that there is none; `says` is what goes on besides."""
+        found = {one.name: one for one in result.coefficients} if result is not None else {}
+        for name, (title, value, note) in self.values.items():
+            one = found.get(name)
+            if one is None:
+                title.setText(NAMES[name])
+                value.setText("–")
+                note.setText(NOTHING)
+                continue
+            number, _, half = one.text.partition(" ± ")
+            title.setText(f"{one.symbol} {one.unit}".strip())
             value.setText(number)
-            note.setText(f"± {error}{'' if known else ', not determined'}")
-            value.setToolTip(f"95 %: {best - 1.96 * sd:.4g} to {best + 1.96 * sd:.4g}")
+            note.setText(f"± {half} ({CONFIDENCE})" + ("" if one.determined else ", not determined"))
+        self.belongs.setText(result.belongs if result is not None else "")
+        verdict = result.verdict if result is not None else ""
+        self.verdict.setText(f"{says} {verdict}".strip())
+        for button in self._copies:
+            button.setEnabled(result is not None)
 
 
 class OrderBars(QWidget):

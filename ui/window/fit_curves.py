@@ -9,11 +9,12 @@ import pyqtgraph as pg
 from PySide6.QtWidgets import QGraphicsItem, QHBoxLayout, QSizePolicy, QWidget
 
 from tankrig.live.results import DoseFit, SeriesFit
-from ui.window.fit_cards import COEFFICIENTS
+from ui.window.result import CONFIDENCE, Z
 from ui.window.theme import CURVES
 from ui.window.turns import Turns
 
-Z95 = 1.96
+COEFFICIENTS = {"sigma_s": ("σs", 1, "per mm"), "sigma_a": ("σa", 0, "per mm"), "g": ("g", 2, "")}
+"""Symbol, place in the standard deviations, unit."""
 ROOM = 1.5
 """Times what is shown: an axis that is at most so long stays as it is."""
 AXIS_PX = 50
@@ -31,7 +32,7 @@ class FitCurves(QWidget):
         for (name, (symbol, _, unit)), colour in zip(COEFFICIENTS.items(), CURVES, strict=False):
             widget = pg.PlotWidget()
             plot = widget.getPlotItem()
-            plot.setTitle(f"{symbol} {unit}".strip())
+            plot.setTitle(f"{symbol} {unit}".strip() + f", ± {CONFIDENCE}", size="9pt")
             plot.hideButtons()
             plot.setMenuEnabled(False)
             for side in ("left", "bottom"):
@@ -54,6 +55,20 @@ class FitCurves(QWidget):
         self._series: SeriesFit | None = None
         self._against, self._turns = "", Turns(self)
 
+    def clear(self) -> None:
+        """Show nothing, at once."""
+        self._fits, self._series = [], None
+        self._turns.take([])
+        for _, line, bars, points in self._plots.values():
+            line.setData([], [])
+            points.setData([], [])
+            bars.setData(x=np.empty(0), y=np.empty(0), height=np.empty(0))
+
+    def points(self, name: str) -> list[tuple[float, float]]:
+        """What a plot shows: place and value of each point."""
+        at, values = self._plots[name][3].getData()
+        return list(zip(np.asarray(at).tolist(), np.asarray(values).tolist(), strict=True))
+
     def show_fits(self, fits: Sequence[tuple[float, DoseFit]], against: str, series: SeriesFit | None) -> None:
         """Show fits of doses, each with its ml or seconds; `against` is "dose_ml" or "time_s"."""
         self._fits, self._series = fits, series
@@ -67,7 +82,7 @@ class FitCurves(QWidget):
         plot, line, bars, points = self._plots[name]
         at = np.array([place for place, _ in self._fits])
         values = np.array([getattr(fit.medium, name) for _, fit in self._fits])
-        errors = Z95 * np.array([fit.sd[COEFFICIENTS[name][1]] for _, fit in self._fits])
+        errors = Z * np.array([fit.sd[COEFFICIENTS[name][1]] for _, fit in self._fits])
         points.setData(at, values)
         bars.setData(x=at, y=values, height=2.0 * errors)
         if len(at):

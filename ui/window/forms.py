@@ -66,6 +66,8 @@ class Form(QWidget):
 
     edited = Signal(str, object)
     """Name of a field, and its new value; None: as by default."""
+    doubted = Signal(str, str)
+    """Name of a field in which something was typed, and what is wrong with that; empty where nothing is."""
 
     def __init__(
         self,
@@ -100,6 +102,7 @@ class Form(QWidget):
             return self._choice(name, words, value if value is not None else default)
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
             parts = PartsField(hint, value if isinstance(value, dict) else {}, HINTS.get(name, ""))
+            parts.typed.connect(lambda: self.doubted.emit(name, parts.wrong))
             parts.changed.connect(lambda found: self.edited.emit(name, found))
             return parts
         if hint is bool:
@@ -117,8 +120,13 @@ class Form(QWidget):
             field = CheckedField(lambda text: (text or None, ""), "", label_of(name))
         field.set_text(_shown(value))
         field.edit.setPlaceholderText(_shown(default) or (self._unset if optional else ""))
-        field.changed.connect(lambda: None if field.wrong else self.edited.emit(name, field.value))
+        field.changed.connect(lambda: self._take(name, field))
         return field
+
+    def _take(self, name: str, field: CheckedField) -> None:
+        self.doubted.emit(name, field.wrong)
+        if not field.wrong:
+            self.edited.emit(name, field.value)
 
     def _choice(self, name: str, words: list[str], value: Any) -> QWidget:
         combo = QComboBox()

@@ -5,20 +5,23 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QWidget
 
-from ui.window.background import Background
+from ui.window.on_screen import OnScreen, Worker
 from ui.window.rig_file import RigSource
+from ui.window.source_frame import SourceFrame
 
-Page = tuple[str, str, QWidget]
-"""Name of the window's attribute, title of the dock, and the page."""
+Page = tuple[str, str, QWidget, SourceFrame]
+"""Name of the window's attribute, title of the dock, the page, and the frame around it."""
 
 
-def pages(folder: Path, background: Background, source: RigSource) -> Iterator[tuple[Page, ...]]:
+def pages(folder: Path, on_screen: OnScreen, background: Worker, source: RigSource) -> Iterator[tuple[Page, ...]]:
     """Make a window's pages; between what this yields it may do something else.
 
     Parameters
     ----------
     folder
         Of the runs.
+    on_screen
+        What the window looks at.
     background
         Where the pages have work done.
     source
@@ -26,20 +29,28 @@ def pages(folder: Path, background: Background, source: RigSource) -> Iterator[t
     """
     from ui.window.sequence_page import SequencePage
 
-    yield (("sequence", "Sequence", SequencePage()),)
+    yield (_of_rig("sequence", "Sequence", SequencePage(source.simulated), "SEQUENCE for"),)
     from ui.window.doser_page import DoserPage
     from ui.window.projector_page import ProjectorPage
 
-    yield ("doser", "Doser", DoserPage()), ("projector", "Projector", ProjectorPage())
+    yield _of_rig("doser", "Doser", DoserPage()), _of_rig("projector", "Projector", ProjectorPage())
     from ui.window.fit_page import FitPage
 
-    yield (("fit", "Fit", FitPage(background)),)
+    fit = FitPage()
+    yield (("fit", "Fit", fit, SourceFrame(fit)),)
     from ui.window.calibration_page import CalibrationPage
+    from ui.window.compare_page import ComparePage
     from ui.window.log_panel import LogPanel
     from ui.window.runs_page import RunsPage
 
+    runs = RunsPage(folder, on_screen, background)
     yield (
-        ("runs", "Runs", RunsPage(folder, background)),
-        ("calibration", "Calibration", CalibrationPage(source)),
-        ("log", "Log", LogPanel()),
+        _of_rig("runs", "Runs", runs, "RUNS recorded with"),
+        _of_rig("compare", "Compare", ComparePage(runs.catalogue, on_screen), "COMPARISON of runs, beside"),
+        _of_rig("calibration", "Calibration", CalibrationPage(source)),
+        _of_rig("log", "Log", LogPanel(folder), "LOG of this window, with"),
     )
+
+
+def _of_rig(name: str, title: str, page: QWidget, about: str = "LIVE:") -> Page:
+    return name, title, page, SourceFrame(page, about)

@@ -45,6 +45,10 @@ class Histogram(QObject):
         self._silent = False
         self._range = (0.0, 0)
 
+    def clear(self) -> None:
+        """Show no counts."""
+        self._curve.setData([0.0, 1.0], [0.0])
+
     def show_counts(self, often: NDArray[np.intp], saturation: int, tone: Tone) -> None:
         """Show how often each count occurs, where the camera saturates, and the ends that are in use."""
         most = min(_rounded_up(max(1.05 * len(often), 1.05 * tone.high, 50.0)), 1.02 * saturation)

@@ -1,18 +1,25 @@
 """What the window has done in its background process: each a plain function of things that can be sent there."""
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.scene.description import Camera, Medium, Tank
+from ui.window import progress
+from ui.window.source import RefitSettings
 
 if TYPE_CHECKING:
+    from tankrig.advice.expected import Expected
+    from tankrig.advice.ranking import Advice
+    from tankrig.bench import Bench
     from tankrig.live.exposures import Photograph
     from tankrig.live.results import DoseFit, SeriesFit
+    from tankrig.run.reading import Run
+    from tankrig.sequence import Pace
 
 Image = NDArray[np.floating]
 
@@ -44,6 +51,51 @@ class Comparison:
     camera: Camera
 
 
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A run as it was read from disk.
+
+    Parameters
+    ----------
+    run
+        The run.
+    labels
+        Of its steps, all of them.
+    patterns
+        Names of those that light anything.
+    bench
+        Where it was recorded.
+    without_fits
+        Whether its recorded fits do not hold, see `tankrig.live.exposures.fits_that_hold`.
+    """
+
+    run: "Run"
+    labels: tuple[str, ...]
+    patterns: tuple[str, ...]
+    bench: "Bench"
+    without_fits: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What the background has found of a run: fits, and the photographs that they are of.
+
+    Parameters
+    ----------
+    doses, series
+        Fits; the series where there are two doses or more.
+    photographs
+        What was fitted, as it was fitted.
+    left_out
+        What is not fitted, in sentences.
+    """
+
+    doses: "tuple[DoseFit, ...]"
+    series: "SeriesFit | None"
+    photographs: "tuple[Photograph, ...]"
+    left_out: tuple[str, ...] = ()
+
+
 def compare(photograph: "Photograph", fit: "DoseFit") -> Comparison:
     """The model's image of a photograph at a fit's coefficients, by orders of scattering."""
     from tankrig.report.pictures import by_order, predicted
@@ -64,45 +116,189 @@ def compare(photograph: "Photograph", fit: "DoseFit") -> Comparison:
 
 
 def _single(photograph: "Photograph", medium: Medium, sigma_t: float) -> float:
-    """RMSE of this photograph by single scattering at the σt that is best for all of the dose's, at its own gain."""
+    """RMSE of this photograph by single scattering at the σt that is best for all of the dose's.
+
+    At its own gain and, where that is free, its own background.
+    """
     from tankrig.light.single import single_scattering
 
     by = sigma_t / medium.sigma_t
-    thinned = replace(photograph.scene, medium=Medium(by * medium.sigma_a, by * medium.sigma_s, medium.g))
+    thin = replace(medium, sigma_a=by * medium.sigma_a, sigma_s=by * medium.sigma_s)
+    thinned = replace(photograph.scene, medium=thin)
     image, observed = single_scattering(thinned)[photograph.used], photograph.image[photograph.used]
-    gain = float(np.vdot(image, observed) / np.vdot(image, image))
-    return float(np.sqrt(np.mean((observed - gain * image) ** 2)))
+    design = np.stack([image] if photograph.offset == 0.0 else [image, np.ones_like(image)], axis=1)
+    best = np.linalg.lstsq(design, observed, rcond=None)[0]
+    return float(np.sqrt(np.mean((observed - design @ best) ** 2)))
 
 
-def fits_of(path: Path) -> "tuple[list[DoseFit], SeriesFit | None, list[Photograph]]":
-    """The last fits of a run: one for each dose, of the series, and what they are of."""
+def read(path: Path) -> Reading:
+    """Read a run from disk: its journal, its steps, and where it was recorded.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be read.
+    """
+    from tankrig.live.exposures import PhotographPlan, fits_that_hold
+    from tankrig.run.reading import open_run
+    from tankrig.sequence.loading import sequence_from_table
+
+    run = open_run(path)
+    sequence = sequence_from_table(dict(run.require_sequence()), str(path))
+    lit = tuple(pattern.name for pattern in run.patterns.values() if pattern.pixels.any())
+    bench = PhotographPlan.of_run(run).bench
+    _ = run.conditions  # found here and not where it would keep the window waiting
+    wrong = bool(run.fits) and not fits_that_hold(run)
+    return Reading(run, tuple(task.label for task in sequence.tasks), lit, bench, wrong)
+
+
+def found_in(path: Path) -> Found:
+    """The last fits that a run has recorded, and the photographs that they are of."""
     from tankrig.report.results import results_of
     from tankrig.run.reading import open_run
 
     results = results_of(open_run(path))
-    return results.doses, results.series, results.photographs
+    return Found(tuple(results.doses), results.series, tuple(results.photographs), results.left_out)
 
 
-def refit(path: Path, patterns: Sequence[str], free_offset: bool) -> "tuple[list[DoseFit], SeriesFit | None]":
+def refit(path: Path, settings: RefitSettings) -> Found:
     """Fit a run anew, with some of its patterns only, or with a background that is fitted rather than subtracted.
 
     Returns
     -------
-    The fit of each dose, and that of the series where there are two doses or more.
+    The fit of each dose, that of the series where there are two doses or more, and the photographs as they were fitted.
+
+    Raises
+    ------
+    ImageError
+        When the run has no photograph of these patterns with ink in the tank.
     """
+    from tankrig.errors import ImageError
     from tankrig.live.exposures import exposures_of
     from tankrig.live.fits import fit_all, fit_dose
     from tankrig.live.results import diluted
     from tankrig.run.reading import open_run
 
-    photographs = [one for one in exposures_of(open_run(path)).photographs() if one.pattern in patterns]
-    if free_offset:
+    photographs = [one for one in exposures_of(open_run(path)).photographs() if one.pattern in settings.patterns]
+    if not photographs:
+        raise ImageError(
+            f"{path}: has no photograph of {', '.join(settings.patterns)} with ink in the tank; choose other patterns"
+        )
+    if settings.free_background:
         photographs = [replace(one, offset="free") for one in photographs]
     fits: list[DoseFit] = []
-    for dose_ml in sorted({one.dose_ml for one in photographs}):
+    doses_ml = sorted({one.dose_ml for one in photographs})
+    for number, dose_ml in enumerate(doses_ml):
+        progress.done(number / (len(doses_ml) + 1))
         here = [one for one in photographs if one.dose_ml == dose_ml]
         fits.append(fit_dose(here, diluted(fits[-1].medium, fits[-1].dose_ml, dose_ml) if fits else None))
-    return fits, fit_all(photographs) if len(fits) > 1 else None
+    return Found(tuple(fits), fit_all(photographs) if len(fits) > 1 else None, tuple(photographs))
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """Something to photograph next.
+
+    Parameters
+    ----------
+    words
+        What, and what it is expected to tell.
+    total_ul
+        Ink that the tank has to hold for it; None where it holds that already.
+    pattern, table
+        Name of the pattern, and its table in a sequence file; None where every sequence has it.
+    frames
+        How many.
+    """
+
+    words: str
+    total_ul: float | None
+    pattern: str
+    table: dict[str, Any] | None
+    frames: int
+
+
+BEST = 5
+"""Suggestions that are shown."""
+
+
+def advise(path: Path, pace: "Pace", most_ul: float) -> tuple[Suggestion, ...]:
+    """What would tell most next, by what a run has photographed and fitted so far; the best first.
+
+    Parameters
+    ----------
+    path
+        Of the run.
+    pace, most_ul
+        Of the rig: how long steps take, and what the tank may hold in all, µl.
+
+    Raises
+    ------
+    ImageError
+        When the run has no photograph of ink, or no fit of one.
+    """
+    from tankrig.advice.candidates import beginning_of, candidates_of
+    from tankrig.advice.ranking import prepared_answer, ranked
+    from tankrig.run.reading import open_run
+
+    known, taken, plan, exposure_ms = beginning_of(path)
+    run = open_run(path)
+    candidates = candidates_of(taken, plan, exposure_ms, pace, most_ul)
+    shots = [*taken, *(one.shot for one in candidates)]
+    answer = prepared_answer(known, [one.scene for one in shots], [one.dose_ml for one in shots], progress.done)
+    before, found = ranked(known, taken, candidates, answer)
+    patterns = dict(run.settings["sequence"].get("patterns", {}))
+    held_ul = 1000.0 * max(shot.dose_ml for shot in taken)
+    return tuple(
+        Suggestion(
+            _words(one, before, held_ul),
+            1000.0 * one.candidate.shot.dose_ml if one.candidate.volume_ul > 0.0 else None,
+            one.candidate.shot.pattern,
+            patterns.get(one.candidate.shot.pattern),
+            one.candidate.shot.frames,
+        )
+        for one in found[:BEST]
+    )
+
+
+def _words(one: "Advice", before: "Expected | None", held_ul: float) -> str:
+    """A suggestion, and by how much it is expected to narrow what is known."""
+    shot = one.candidate.shot
+    dose = f"dose to {1000.0 * shot.dose_ml:g} µl, then " if one.candidate.volume_ul > 0.0 else f"at {held_ul:g} µl: "
+    names = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
+    told = []
+    for name, symbol in names.items():
+        after, now = one.after.relative_sd[name], before.relative_sd[name] if before is not None else math.inf
+        told.append(f"{symbol} {100.0 * after / now:.0f} %" if math.isfinite(now) and now > 0.0 else symbol)
+    minutes = one.candidate.minutes
+    return (
+        f"{dose}{shot.pattern} × {shot.frames}, about {minutes:.1f} min; errors then, of what they are now: "
+        f"{', '.join(told)}"
+    )
+
+
+def compare_models(photograph: "Photograph") -> tuple[tuple[str, ...], ...]:
+    """A photograph fitted by several models: a row of words for each, see `tankrig.estimation.comparison`."""
+    from tankrig.estimation.comparison import compare_models as compared
+    from tankrig.live.formatting import with_error
+
+    found = compared(
+        photograph.image, photograph.scene, offset=photograph.offset, noise=photograph.noise, mask=photograph.mask
+    )
+    peak = float(photograph.image.max())
+    rows: list[tuple[str, ...]] = []
+    for one in found.rows:
+        if one.estimate is None:
+            rows.append((one.contender.name, "–", "", "", "", one.refusal))
+            continue
+        interval = one.estimate.interval(0.95)
+        cells = []
+        for name in ("sigma_s", "g", "sigma_a"):
+            low, high = interval[name]
+            text = with_error(getattr(one.estimate.medium, name), 0.5 * (high - low)) if high - low < 1e9 else "–"
+            cells.append(text if one.estimate.identifiable[name] else f"({text})")
+        rows.append((one.contender.name, f"{100.0 * one.estimate.rmse / peak:.2g}", *cells, f"{one.bic:.0f}"))
+    return tuple(rows)
 
 
 def report(path: Path) -> Path:

@@ -16,7 +16,7 @@ class Key:
 
 
 KEYS = (
-    Key("stop", ("F12", "Esc"), "STOP: the doser stops at once, the run is aborted (Esc not in dialogs)"),
+    Key("stop", ("F12", "Esc"), "STOP: doser and run stop at once (Esc only while one of them goes on)"),
     Key("run", ("F5",), "run the sequence"),
     Key("pause", ("F6",), "pause at the end of the step, or go on"),
     Key("dry-run", ("F7",), "dry run: time, ink and disk; nothing moves"),
@@ -31,11 +31,18 @@ KEYS = (
     Key("page-5", ("Ctrl+5",), "Runs page"),
     Key("page-6", ("Ctrl+6",), "Calibration page"),
     Key("page-7", ("Ctrl+7",), "log"),
+    Key("page-8", ("Ctrl+8",), "Compare page"),
+    Key("palette", ("Ctrl+Shift+P",), "all actions by their names"),
+    Key("screenshot", ("Ctrl+Shift+S",), "save a picture of the window"),
+    Key("layout-align", ("Ctrl+F1",), "pages for aligning: a large picture, and the projector"),
+    Key("layout-calibrate", ("Ctrl+F2",), "pages for calibrating"),
+    Key("layout-run", ("Ctrl+F3",), "pages for a run"),
+    Key("layout-look", ("Ctrl+F4",), "pages for looking at results"),
     Key("layout", ("Ctrl+0",), "all pages where they were at first"),
     Key("theme", ("Ctrl+T",), "dark or light"),
     Key("full-screen", ("F11",), "full screen"),
     Key("help", ("F1",), "these keys"),
-    Key("quit", ("Ctrl+Q",), "close the window; a run is aborted first and can be resumed"),
+    Key("quit", ("Ctrl+Q",), "close the window; in a run it is asked whether to end that first"),
 )
 BY_NAME = {key.name: key for key in KEYS}
 

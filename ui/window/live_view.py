@@ -12,9 +12,12 @@ from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QPushBu
 
 from tankrig.devices import CameraSettings
 from ui.window.darkroom import Darkroom, Judgement, Picture, Wishes
-from ui.window.fields import NumberField
+from ui.window.fields import NumberField, with_name
+from ui.window.flow import Flow
 from ui.window.histogram import Histogram
-from ui.window.radiometry import Radiometry
+from ui.window.live_curves import FocusCurve, LineProfile
+from ui.window.radiometry import radiance_in_words
+from ui.window.source import LIVE
 from ui.window.tank_plot import TankPlot, pen
 from ui.window.theme import set_role
 from ui.window.tone import COLOURS, Tone
@@ -22,6 +25,11 @@ from ui.window.watched import Newest, SeenFrame
 
 if TYPE_CHECKING:
     from tankrig.bench import Bench, KnownScenes
+    from ui.window.shown import Shown
+
+
+POINT = "point at the picture to read counts and radiance"
+NO_PICTURE = "the camera's picture will stand here"
 
 
 class LiveView(QWidget):
@@ -44,14 +52,19 @@ class LiveView(QWidget):
         self._bench: Bench | KnownScenes | None = None
         self._picture: Picture | None = None
         self._levels = (0.0, 65535.0)
+        self._asked = CameraSettings(20.0)
         self._rate_at = 0.0
         self._outlined: NDArray[np.float64] | None = None
         self._cursor: QPointF | None = None
         self.displayed = 0
         self._displayed_before = 0
-        self.radiometry = Radiometry()
+        self._source = LIVE
+        self._shown: Shown | None = None
+        self._trouble = ""
+        self._free = False
         self._plot = TankPlot()
-        self._histogram = Histogram()
+        self._histogram, self._focus_curve, self._profile = Histogram(), FocusCurve(), LineProfile(self._plot)
+        self._profile.moved.connect(self._draw_profile)
         self._histogram.levels_moved.connect(self._set_levels)
         self._beams = pg.PlotDataItem(pen=pen("#39d0ff", 1.2, dashed=True), connect="finite")
         self._plot.plot.addItem(self._beams)
@@ -70,11 +83,34 @@ class LiveView(QWidget):
         self._bench = bench
         self._wish()
 
+    def show_source(self, shown: "Shown") -> None:
+        """Show frames of this source from now on; a picture that is of another one goes at once."""
+        self._shown, self._source = shown, shown.source
+        if self._picture is not None and self._picture.frame.run != self._source.recorded:
+            self._picture = None
+            self._plot.clear()
+            self._histogram.clear()
+            self._beams.setData([], [])
+            self._outlined = None
+            self._focus_curve.begin()
+            self._draw_profile()
+            for label in (self._saturated, self._focus, self._roi_text):
+                label.clear()
+        self._say()
+        self._show_settings()
+
     def set_camera(self, settings: CameraSettings, free: bool) -> None:
-        """What the camera is set to, and whether a person may change it."""
+        """What the camera is asked to be set to, and whether a person may change it."""
+        self._asked, self._free = settings, free
+        self._show_settings()
+
+    def _show_settings(self) -> None:
+        """Exposure and gain of the picture; between runs, what a person has asked for."""
+        live = self._source.recorded is None
+        settings = self._asked if (live and self._free) or self.frame is None else self.frame.settings
         for field, value in ((self._exposure, settings.exposure_ms), (self._gain, settings.gain)):
-            field.setEnabled(free)
-            if not field.hasFocus():
+            field.setEnabled(live and self._free)
+            if not field.hasFocus() or not field.isEnabled():
                 field.set_value(value)
 
     @property
@@ -82,10 +118,27 @@ class LiveView(QWidget):
         """The one that is shown."""
         return self._picture.frame if self._picture else None
 
-    def say_empty(self, words: str) -> None:
-        """What to say where there is no picture."""
-        if self._picture is None:
-            self._read_out.setText(words)
+    def say_trouble(self, words: str) -> None:
+        """Why no picture comes from the camera; empty where nothing is wrong."""
+        self._trouble = words
+        self._say()
+
+    def say_over(self, words: str) -> None:
+        """Say something over the camera's picture; nothing over a recorded one."""
+        live = self._source.recorded is None
+        self._over.setText(words if live else "")
+        self._over.setVisible(bool(words) and live)
+        if self._over.isVisible():
+            self._over.adjustSize()
+
+    def _say(self) -> None:
+        """What stands below the picture, or in its place."""
+        if self._picture is not None and self._cursor is not None:
+            self._read(self._cursor)
+        elif self._picture is not None:
+            self._read_out.setText(POINT)
+        else:
+            self._read_out.setText(self._trouble if self._source.recorded is None and self._trouble else NO_PICTURE)
 
     def close_view(self) -> None:
         """Look at no more frames."""
@@ -93,13 +146,17 @@ class LiveView(QWidget):
 
     def _show(self) -> None:
         picture = self._darkroom.pictures.take()
-        if picture is None or self._bench is None:
+        if picture is None or self._bench is None or picture.frame.run != self._source.recorded:
             return
-        self._picture, camera = picture, self._bench.camera
+        before, self._picture, camera = self._picture, picture, self._bench.camera
         if picture.frame.pixels.shape != camera.shape:
             camera = replace(camera, shape=picture.frame.pixels.shape)
         self._plot.show_indices(picture.indices, picture.palette)
         self._plot.place(self._bench.tank, camera)
+        if before is None:
+            self._say()
+        if before is None or before.frame.settings != picture.frame.settings:
+            self._show_settings()
         self.displayed += 1
         if self.displayed == 1:
             self.first_shown.emit()
@@ -116,11 +173,13 @@ class LiveView(QWidget):
             self._rate.setText(f"{rate:.0f} pictures/s")
         self._saturated.setText(f"saturated {judged.saturated:.2%}" if judged.saturated else "nothing saturated")
         set_role(self._saturated, "wrong" if judged.saturated > 0.001 else "faint")
-        self._focus.setText(f"focus {judged.focus:.3f}")
+        self._focus_curve.add(judged.focus)
+        self._focus.setText(f"focus {judged.focus:.3f}, best {self._focus_curve.best:.3f}")
+        self._draw_profile()
         if self._roi.isVisible():
             self._roi_text.setText(f"region {judged.mean:.1f} ± {judged.sd:.1f} counts")
-        if judged.dark is not None:
-            self.radiometry.dark = judged.dark
+        if judged.dark is not None and self._shown is not None:
+            self._shown.dark = judged.dark
         if judged.outlines is not self._outlined:
             self._outlined = judged.outlines
             self._beams.setData(judged.outlines[:, 0], judged.outlines[:, 1])
@@ -161,6 +220,17 @@ class LiveView(QWidget):
         self._roi_text.clear()
         self._wish()
 
+    def _show_focus(self, shown: bool) -> None:
+        self._focus_curve.begin()
+        self._focus_curve.widget.setVisible(shown)
+
+    def _show_profile(self, shown: bool) -> None:
+        self._profile.show(shown)
+        self._draw_profile()
+
+    def _draw_profile(self) -> None:
+        self._profile.draw(self.frame.pixels if self.frame is not None else None)
+
     def _region(self) -> tuple[slice, slice] | None:
         """Rows and columns of the region of interest."""
         if self._bench is None or not self._roi.isVisible():
@@ -183,10 +253,11 @@ class LiveView(QWidget):
         rows, columns = self.frame.pixels.shape
         row, column = (int(one // 1) for one in self._plot.pixel_at(at.x(), at.y()))
         if not (0 <= row < rows and 0 <= column < columns):
-            self._read_out.setText("point at the picture to read counts and radiance")
+            self._read_out.setText(POINT)
             return
         counts = int(self.frame.pixels[row, column])
-        radiance = self.radiometry.words(counts, self.frame)
+        newest, dark = (self._shown.newest, self._shown.dark) if self._shown is not None else (None, None)
+        radiance = radiance_in_words(counts, self.frame.settings, newest.gain if newest is not None else None, dark)
         self._read_out.setText(f"x {at.x():.1f} mm, y {at.y():.1f} mm: {counts} counts, {radiance}")
 
     def _ask_camera(self) -> None:
@@ -210,6 +281,11 @@ class LiveView(QWidget):
             box.setChecked(True)
         for combo in (self._colours, self._scale):
             combo.currentTextChanged.connect(self._wish)
+        focus, profile = QCheckBox("focus"), QCheckBox("line")
+        focus.setToolTip("sharpness over the last minute, with its best held; tick anew to begin anew")
+        profile.setToolTip("counts along a line: drag its ends on the picture")
+        focus.toggled.connect(self._show_focus)
+        profile.toggled.connect(self._show_profile)
         region.toggled.connect(self._show_region)
         self._overlay.toggled.connect(self._wish)
         self._saturation.toggled.connect(self._wish)
@@ -221,23 +297,11 @@ class LiveView(QWidget):
         self._gain = NumberField("×", 0.01, 1000.0, what="gain of the camera, outside of runs")
         self._exposure.committed.connect(self._ask_camera)
         self._gain.committed.connect(self._ask_camera)
-        first = QHBoxLayout()
-        for widget in (
-            self._colours,
-            self._scale,
-            whole,
-            QLabel("exposure"),
-            self._exposure,
-            QLabel("gain"),
-            self._gain,
-        ):
-            first.addWidget(widget)
-        first.addStretch(1)
-        second = QHBoxLayout()
-        for box in (self._automatic, self._saturation, self._overlay, region):
-            second.addWidget(box)
-        second.addStretch(1)
-        self._read_out = QLabel("point at the picture to read counts and radiance")
+        rows = Flow(
+            self._colours, self._scale, whole, with_name("exposure", self._exposure), with_name("gain", self._gain),
+            self._automatic, self._saturation, self._overlay, region, focus, profile,
+        )  # fmt: skip
+        self._read_out = QLabel(NO_PICTURE)
         self._saturated, self._focus, self._rate, self._roi_text = QLabel(), QLabel(), QLabel(), QLabel()
         self._focus.setToolTip("fine structure over brightness; turn the lens until it is largest")
         third = QHBoxLayout()
@@ -245,11 +309,16 @@ class LiveView(QWidget):
             third.addWidget(label)
         third.addStretch(1)
         third.addWidget(self._rate)
+        self._over = QLabel(self._plot.widget)
+        self._over.setObjectName("over")
+        self._over.move(60, 12)
+        self._over.hide()
         column = QVBoxLayout(self)
         column.setContentsMargins(8, 6, 8, 4)
-        column.addLayout(first)
-        column.addLayout(second)
+        column.addLayout(rows)
         column.addWidget(self._plot.widget, 1)
+        column.addWidget(self._focus_curve.widget)
+        column.addWidget(self._profile.widget)
         column.addWidget(self._histogram.widget)
         column.addWidget(self._read_out)
         column.addLayout(third)

@@ -2,14 +2,18 @@
 
 import logging
 from datetime import datetime
+from logging.handlers import RotatingFileHandler
+from pathlib import Path
 
-from PySide6.QtCore import QObject, Qt, Signal
+from PySide6.QtCore import QEvent, QObject, Qt, Signal
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
 from ui.window import theme
 
 MOST_LINES = 5000
+PARTS = ("tankrig", "drivers", "ui")
+KEPT, KEPT_BYTES = "window.log", 700_000
 LEVELS = {"everything": logging.INFO, "warnings and errors": logging.WARNING, "errors": logging.ERROR}
 
 
@@ -31,10 +35,29 @@ class _Handler(QObject, logging.Handler):
         self.logged.emit(record.levelno, f"{at}  {text}")
 
 
-class LogPanel(QWidget):
-    """Lists what tankrig's parts log, newest last."""
+def _kept_in(file: Path) -> list[logging.Handler]:
+    """What keeps the log on disk; nothing where the disk cannot be written, for the window works without."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handler = RotatingFileHandler(file, maxBytes=KEPT_BYTES, backupCount=2, encoding="utf-8")
+    except OSError as error:
+        logging.getLogger(__name__).warning("%s: the log cannot be kept there (%s)", file, error.strerror)
+        return []
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler.setLevel(logging.INFO)
+    return [handler]
 
-    def __init__(self) -> None:
+
+class LogPanel(QWidget):
+    """Lists what tankrig's parts log, newest last, and keeps it on disk.
+
+    Parameters
+    ----------
+    folder
+        Where it is kept, as `window.log`; the last two megabytes of it.
+    """
+
+    def __init__(self, folder: Path) -> None:
         super().__init__()
         self._lines = QListWidget()
         self._lines.setWordWrap(True)
@@ -57,8 +80,10 @@ class LogPanel(QWidget):
         column.addWidget(self._lines, 1)
         self._handler = _Handler()
         self._handler.logged.connect(self._add, Qt.ConnectionType.QueuedConnection)
-        for name in ("tankrig", "drivers", "ui"):
-            logging.getLogger(name).addHandler(self._handler)
+        self._handlers: list[logging.Handler] = [self._handler, *_kept_in(folder / KEPT)]
+        for name in PARTS:
+            for handler in self._handlers:
+                logging.getLogger(name).addHandler(handler)
             logging.getLogger(name).setLevel(logging.INFO)
 
     def lines(self) -> list[str]:
@@ -68,20 +93,27 @@ class LogPanel(QWidget):
 
     def close_log(self) -> None:
         """Listen no more."""
-        for name in ("tankrig", "drivers", "ui"):
-            logging.getLogger(name).removeHandler(self._handler)
+        for handler in self._handlers:
+            for name in PARTS:
+                logging.getLogger(name).removeHandler(handler)
+            handler.close()
 
     def _add(self, level: int, text: str) -> None:
         item = QListWidgetItem(text)
         item.setData(Qt.ItemDataRole.UserRole, level)
-        if level >= logging.WARNING:
-            now = theme.current()
-            item.setForeground(QColor(now.bad if level >= logging.ERROR else now.warning))
+        _colour(item)
         self._lines.addItem(item)
         item.setHidden(not self._passes(item))
         if self._lines.count() > MOST_LINES:
             self._lines.takeItem(0)
         self._lines.scrollToBottom()
+
+    def changeEvent(self, event: QEvent) -> None:  # noqa: N802 - Qt's name
+        """Another theme has other colours."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange:
+            for row in range(self._lines.count()):
+                _colour(self._lines.item(row))
 
     def _sift(self) -> None:
         for row in range(self._lines.count()):
@@ -92,3 +124,10 @@ class LogPanel(QWidget):
         grave = int(item.data(Qt.ItemDataRole.UserRole)) >= LEVELS[self._level.currentText()]
         words = self._filter.text().lower().split()
         return grave and all(word in item.text().lower() for word in words)
+
+
+def _colour(item: QListWidgetItem) -> None:
+    """By how grave it is."""
+    level, now = int(item.data(Qt.ItemDataRole.UserRole)), theme.current()
+    if level >= logging.WARNING:
+        item.setForeground(QColor(now.bad if level >= logging.ERROR else now.warning))

@@ -8,48 +8,74 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, QTimer
-from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
-from PySide6.QtWidgets import QLabel, QMainWindow, QToolBar, QVBoxLayout, QWidget
+from PySide6.QtGui import (
+    QCloseEvent,
+    QDragEnterEvent,
+    QDropEvent,
+    QGuiApplication,
+    QKeySequence,
+    QResizeEvent,
+    QShortcut,
+)
+from PySide6.QtWidgets import QLabel, QMainWindow, QMessageBox, QToolBar, QVBoxLayout, QWidget
 
 from tankrig.errors import TankrigError
 from tankrig.run.state import FinishReason
 from ui.window import theme
+from ui.window.as_python import as_python
 from ui.window.background import Background
 from ui.window.banner import Banner
 from ui.window.docks import Docks
+from ui.window.dropped import Dropped, kind_of
+from ui.window.files import ask_for_file, ask_where_to_save
+from ui.window.focus_ring import FocusRing
 from ui.window.furnishing import pages
 from ui.window.gap import GapMonitor
 from ui.window.garbage import GarbageTimer
-from ui.window.keys import BY_NAME, KeyCard
+from ui.window.keys import BY_NAME, KEYS, KeyCard
 from ui.window.live_view import LiveView
+from ui.window.palette import Action, Palette
+from ui.window.rig_file import RigSource
 from ui.window.rig_host import RigHost
 from ui.window.rig_parts import RunOrder, import_ahead
+from ui.window.source_frame import SourceFrame
 from ui.window.status import RigState, RigStatus
+from ui.window.stop_keys import StopKeys
 from ui.window.threads import OwnedThread
 from ui.window.top_bar import TopBar
 from ui.window.words import volume
+from ui.window.work_strip import WorkStrip
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
-    from tankrig.run.reading import Run
+    from tankrig.run.journal import Event
     from tankrig.run.runner import Outcome
+    from tankrig.sequence.sequence import Sequence
     from ui.window.calibration_page import CalibrationPage
+    from ui.window.compare_page import ComparePage
     from ui.window.doser_page import DoserPage
     from ui.window.fit_page import FitPage
     from ui.window.log_panel import LogPanel
+    from ui.window.on_screen import OnScreen
     from ui.window.projector_page import ProjectorPage
+    from ui.window.reader import Reader
     from ui.window.replay import Replay
     from ui.window.runs_page import RunsPage
     from ui.window.sequence_page import SequencePage
+    from ui.window.shown import Shown
+    from ui.window.source import Source
 
 _log = logging.getLogger(__name__)
 
-LAYOUT = 1
+LAYOUT = 3
 """Raised when docks are added, so that an old layout is not restored."""
 PICTURE_MS = 3000
 """The pages are made once the first picture is on screen, or after this."""
 BREATH_MS = 15
 """Between two pages that are made: what was shown is painted, and keys are heard."""
+MOST_RECENT = 8
+DRAFT_MS = 700
+"""From the last letter typed to the draft on disk."""
 END_S = 60.0
 
 
@@ -70,36 +96,43 @@ class MainWindow(QMainWindow):
 
     sequence: "SequencePage"
     fit: "FitPage"
+    compare: "ComparePage"
     doser: "DoserPage"
     projector: "ProjectorPage"
     runs: "RunsPage"
     calibration: "CalibrationPage"
     log: "LogPanel"
+    on_screen: "OnScreen"
 
     def __init__(self, host: RigHost, runs: Path, settings: QSettings, sequence: Path | None = None) -> None:
         super().__init__()
         self.setObjectName("tankrig")
         self.setWindowTitle("tankrig")
+        self.setAcceptDrops(True)
         self._settings, self.folder, self._first_sequence = settings, runs, sequence
         self.status = RigStatus()
         self.gaps, self.background, self.host = GapMonitor(), Background(), host
         self._replay: Replay | None = None
+        self._reader: Reader | None = None
+        self._frames: list[SourceFrame] = []
         self._rig: RigFile | None = None
         self._ending: OwnedThread | None = None
         self._offered = self.furnished = False
         self._asked: str | None = None
+        self._actions: dict[str, Callable[[], object]] = {}
         self.top, self.banner, self.live = TopBar("rig", host.source.simulated), Banner(), LiveView(host.frames)
+        self.live_frame = SourceFrame(self.live)
         self.docks = Docks(self)
         self._lay_out()
         self._connect()
         self.make_keys(
-            {"stop": self.stop, "help": self.show_keys, "quit": self.close, "theme": self._other_theme,
+            {"help": self.show_keys, "quit": self.ask_to_close, "theme": self._other_theme,
              "full-screen": self._full_screen, "layout": self.docks.reset}
         )  # fmt: skip
+        self.stop_keys, self.ring = StopKeys(self, self.stop, lambda: host.in_motion), FocusRing(self)
         self._restore()
         host.tell_rig()  # it may have been opened meanwhile
-        self.live.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.live.setFocus()
+        self.setFocus()  # what is typed goes nowhere before a person chooses a field
         self._pulse = QTimer(self)
         self._pulse.timeout.connect(host.window_alive)
         self._pulse.start(1000)
@@ -123,10 +156,16 @@ class MainWindow(QMainWindow):
         QTimer.singleShot(BREATH_MS, self._go_on_furnishing)
 
     def _furnished_in_turn(self) -> Iterator[bool]:
-        for made in pages(self.folder, self.background, self.host.source):
-            for name, title, page in made:
+        from ui.window.on_screen import OnScreen
+        from ui.window.reader import Reader
+
+        self._reader = Reader()
+        self.on_screen = OnScreen(self._reader, self.background)
+        for made in pages(self.folder, self.on_screen, self.background, self.host.source):
+            for name, title, page, frame in made:
                 setattr(self, name, page)
-                self.docks.put(title, page)
+                self._frames.append(frame)
+                self.docks.put(title, page, frame)
             yield True
         self._connect_pages()
         self._begin_with_pages()
@@ -134,31 +173,50 @@ class MainWindow(QMainWindow):
     def _connect_pages(self) -> None:
         host, queued = self.host, Qt.ConnectionType.QueuedConnection
         for signal, slot in (
-            (host.run_began, self.began), (host.run_ended, self.ended), (host.event_recorded, self.sequence.see),
-            (host.fitted, self.fit.add), (host.pattern_shown, self.projector.shown),
+            (host.run_began, self.began), (host.run_ended, self.ended), (host.recorded, self.on_screen.take),
+            (host.pattern_shown, self.projector.shown),
         ):  # fmt: skip
             signal.connect(slot, queued)
+        self.on_screen.changed.connect(self._show_source)
+        self.on_screen.refitted.connect(self._offer_refit)
         self.projector.show_asked.connect(host.show)
         self.projector.screen_asked.connect(self.use_screen)
-        self.doser.dose_asked.connect(host.dose_to)
+        self.doser.dose_asked.connect(self.dose_to)
+        self.doser.aside_asked.connect(self.dose_aside)
         self.doser.resolve_asked.connect(host.resolve)
         self.doser.clear_asked.connect(host.clear_stop)
         self.doser.refill_asked.connect(host.refill)
         self.doser.give_up_asked.connect(host.reopen)
         self.calibration.reopen_asked.connect(host.reopen)
+        self.calibration.wrong_line.connect(partial(self.show_page, self.calibration))
         self.calibration.wizard.lend_asked.connect(host.lend)
-        self.fit.gain_found.connect(self.take_gain)
         self.sequence.run_asked.connect(self.run)
+        self.compare.next.step_asked.connect(self.sequence.append)
+        self.sequence.rig_asked.connect(self.ask_for_rig)
+        self.sequence.runs_asked.connect(lambda: self.show_page(self.runs))
         self.sequence.dropped.connect(self.offer_text)
         self.runs.resume_asked.connect(self.resume)
-        self.runs.opened.connect(self.show_run)
-        self.runs.refitted.connect(self.fit.show_fits)
-        self.runs.bar.left.connect(self.leave_replay)
-        for teller in (self.sequence.told, self.runs.told, self.calibration.told):
+        self.runs.open_asked.connect(self.show_run)
+        self.runs.bar.left.connect(self.on_screen.leave)
+        for teller in (
+            self.sequence.told,
+            self.runs.told,
+            self.calibration.told,
+            self.on_screen.told,
+            self.compare.told,
+        ):
             teller.connect(self.tell)
         undo, pages = self.sequence.document.undo, (
-            self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log
+            self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log,
+            self.compare,
         )  # fmt: skip
+        self.make_keys({
+            "palette": self.show_palette, "screenshot": self.save_screenshot,
+            "layout-align": partial(self.docks.arrange, self.projector, 0.36),
+            "layout-calibrate": partial(self.docks.arrange, self.calibration, 0.6),
+            "layout-run": partial(self.docks.arrange, self.sequence, 0.5),
+            "layout-look": partial(self.docks.arrange, self.fit, 0.64),
+        })  # fmt: skip
         self.make_keys(
             {"run": self.run, "pause": self.pause, "dry-run": self.sequence.dry_run,
              "open": self.sequence.open_file, "save": self.sequence.save, "undo": undo.undo, "redo": undo.redo}
@@ -168,30 +226,47 @@ class MainWindow(QMainWindow):
     def _begin_with_pages(self) -> None:
         """All pages are there: tell them what is known."""
         self.furnished = True
-        self._opened(self._rig, afresh=True)
-        self._follow(self.status)
-        theme.paint_plots(self)
+        self._show_source(self.on_screen.shown)
         last = self._first_sequence or self._settings.value("sequence")
         if last and (self._first_sequence or Path(str(last)).is_file()):
             self.sequence.load(Path(str(last)))
         draft = self._settings.value("draft")
         if draft and not self._first_sequence:  # what was typed and not saved when the window was closed
             self.sequence.document.edit_text(str(draft))
+        self._opened(self._rig, afresh=True)  # last, so that an offer to go on with a run stands before other notices
+        self._follow(self.status)
+        theme.paint_plots(self)
+        self._draft_timer = QTimer(self)
+        self._draft_timer.setSingleShot(True)
+        self._draft_timer.timeout.connect(self._keep_draft)
+        self.sequence.document.changed.connect(lambda: self._draft_timer.start(DRAFT_MS))
         self._garbage = GarbageTimer(lambda: not self.status.running)
-        OwnedThread("import-ahead", lambda _: import_ahead(), END_S)
+        assert self._reader is not None
+        self._reader.run(import_ahead, then=lambda _: None)
 
     # -- the rig -------------------------------------------------------------------------------------------------------
+
+    def _keep_draft(self) -> None:
+        """What is typed survives whatever happens to the window."""
+        document = self.sequence.document
+        self._settings.setValue("sequence", str(document.path or ""))
+        self._settings.setValue("draft", document.text if document.unsaved else "")
+        self._settings.sync()
 
     def _opened(self, rig: "RigFile | None", afresh: bool = False) -> None:
         if rig is None:
             return
         new, self._rig = afresh or rig != self._rig, rig
-        self.live.set_bench(rig.bench)
+        if self._replay is None:
+            self.live.set_bench(rig.bench)
         if not self.host.source.simulated:
             self.top.name_rig(rig.name)
+        for frame in self._frames:
+            frame.name_rig(rig.name)
         if not self.furnished:
             return
         self.calibration.set_rig(rig)
+        self.on_screen.set_rig(rig.pace, rig.limits.tank_ul)
         if new:
             for page in (self.sequence.document, self.doser, self.projector):
                 page.set_rig(rig)
@@ -206,18 +281,15 @@ class MainWindow(QMainWindow):
         if run is not None:
             why = f" ({run.message})" if run.message else ""
             words = f"The last run, {run.path.name}, was {run.ending}{why}. What it recorded is safe; it can go on."
-            self.banner.say(words, action="Resume it", do=lambda: self.resume(run.path))
+            self.banner.say(words, action="Resume it", do=lambda: self.resume(run.path), key="interrupted")
 
     def _follow(self, status: RigStatus) -> None:
         before, self.status = self.status, status
+        self.stop_keys.follow()
         self._words.setText(status.words)
         self._held.setText("" if status.tank is None else f"{volume(status.tank.volume_ul)} of ink in the tank")
         self.live.set_camera(self.host.camera_settings, status.state is RigState.IDLE)
-        if status.trouble and status.trouble != before.trouble:
-            again = status.state is RigState.FAILED
-            self.banner.say(status.trouble, "bad", "Open the rig again" if again else "", self.host.reopen)
-        if status.state is RigState.FAILED:
-            self.live.say_empty("no picture: the rig cannot be used; the line above says why")
+        self._tell_trouble(before, status)
         if not self.furnished:
             if status.state in (RigState.FAILED, RigState.ASKING):  # no picture will come
                 self.furnish()
@@ -230,6 +302,20 @@ class MainWindow(QMainWindow):
             self.show_page(self.doser)
         self._asked = status.undecided
 
+    def _tell_trouble(self, before: RigStatus, status: RigStatus) -> None:
+        """What is wrong, for as long as it is."""
+        failed = status.state is RigState.FAILED
+        if status.troubles != before.troubles and status.trouble:
+            self.banner.say(
+                status.trouble, "bad", "Open the rig again" if failed else "", self.host.reopen, key="trouble"
+            )
+        elif not status.trouble:
+            self.banner.withdraw("trouble")
+        if before.stopped and not status.stopped:
+            self.banner.withdraw("stop")
+        self.live.say_over(status.over_the_picture)
+        self.live.say_trouble("no picture: the rig cannot be used; the line above says why" if failed else "")
+
     # -- runs ----------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
@@ -241,17 +327,27 @@ class MainWindow(QMainWindow):
         elif self.status.busy:
             self.tell("a run or a dose goes on; wait for its end or stop it, then run")
         else:
-            self.leave_replay()
             path = self.folder / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
             self.host.start_run(RunOrder(path, sequence))
+            self.stop_keys.follow()
 
     def resume(self, path: Path) -> None:
         """Go on with an interrupted run."""
         if self.status.busy:
             self.tell("a run or a dose goes on; wait for its end or stop it, then resume")
         else:
-            self.leave_replay()
             self.host.start_run(RunOrder(path))
+            self.stop_keys.follow()
+
+    def dose_to(self, total_ul: float) -> None:
+        """Dose by hand, until the tank holds so much."""
+        self.host.dose_to(total_ul)
+        self.stop_keys.follow()
+
+    def dose_aside(self, volume_ul: float) -> None:
+        """Fill the tube: deliver so much into a waste vessel."""
+        self.host.dose_aside(volume_ul)
+        self.stop_keys.follow()
 
     def pause(self) -> None:
         """Pause at the end of the step, or go on."""
@@ -265,61 +361,78 @@ class MainWindow(QMainWindow):
     def stop(self) -> None:
         """Stop the doser at once."""
         self.host.stop()
-        self.banner.say("STOP: the doser is stopped; a run that went on is being aborted and can be resumed.", "bad")
+        words = "STOP: the doser is stopped; a run that went on is being aborted and can be resumed."
+        self.banner.say(words, "bad", key="stop")
 
-    def began(self, path: Path, sequence: object) -> None:
-        """A run has begun."""
-        self.banner.hide()
-        self.sequence.begin(sequence)  # type: ignore[arg-type]
-        self.fit.begin(f"No fit yet of {path.name}. Fits come by themselves from the first dose of ink.")
+    def began(self, path: Path, sequence: "Sequence", before: "tuple[Event, ...]") -> None:
+        """A run has begun, or goes on with what its journal holds already."""
+        self.banner.withdraw("stop", "trouble", "interrupted", "ended", "resume")
+        self.on_screen.begin(path, [task.label for task in sequence.tasks], before)
+        self.sequence.show_run()
         self.show_page(self.sequence)
         _log.info("the run is recorded in %s", path)
 
     def ended(self, outcome: "Outcome") -> None:
         """A run is over."""
-        name = outcome.path.name
-        if outcome.error is not None:
-            words, level = f"The run {name} {outcome.reason.value}: {outcome.error}", "bad"
-        else:
-            words, level = (
-                f"The run {name} was {outcome.reason.value}.",
-                "good" if outcome.reason is FinishReason.COMPLETED else "",
-            )
+        path = outcome.path
+        completed = outcome.reason is FinishReason.COMPLETED
+        why = f": {outcome.error}" if outcome.error is not None else "."
+        words = f"The run {path.name} was {outcome.reason.value}{why}"
+        level = "bad" if outcome.error is not None else "good" if completed else ""
         _log.info("%s", words)
-        self.sequence.run_list.end(words)
         self.runs.refresh()
-        done = outcome.reason is FinishReason.COMPLETED
-        if done:
-            self.banner.say(words, level, "Write its report", self.runs.report)
+        if completed:
+            self.banner.say(words, level, "Write its report", lambda: self.runs.report(path), key="ended")
         else:
-            words += " What it recorded is safe."
-            self.banner.say(words, level, "Resume it", lambda: self.resume(outcome.path))
+            self.banner.say(words, level, "Resume it", lambda: self.resume(path), key="ended")
 
-    # -- replay --------------------------------------------------------------------------------------------------------
-
-    def show_run(self, run: "Run") -> None:
+    def show_run(self, path: Path) -> None:
         """Show a recorded run in the same views."""
-        from tankrig.live.exposures import PhotographPlan
-        from ui.window.replay import Replay
-
         if self.status.busy:
             self.tell("a run goes on in the live view; open another when it has ended")
-            return
-        self.leave_replay()
-        self.live.set_bench(PhotographPlan.of_run(run).bench)
-        self._replay = Replay(run, self.host.frames.put)
-        self.host.look_away(True)
-        self.runs.bar.set_replay(self._replay)
-        self.fit.show_run(run.path)
+        else:
+            self.on_screen.open(path)
 
-    def leave_replay(self) -> None:
-        """Back to the camera."""
+    def _show_source(self, shown: "Shown") -> None:
+        """Have every page draw this source, or nothing, before anything else happens."""
         replay, self._replay = self._replay, None
         if replay is not None:
             replay.close()
-            self.runs.bar.set_replay(None)
-            self.host.look_away(False)
-            self.host.tell_rig()
+        self.runs.bar.set_replay(None)
+        self.host.look_away(shown.source.recorded is not None)
+        for page in (self.live, self.fit, self.sequence, self.compare):
+            page.show_source(shown)
+        for frame in (self.live_frame, *self._frames):
+            frame.show_source(shown.source)
+        if shown.source.recorded is None:
+            if self._rig is not None:
+                self.live.set_bench(self._rig.bench)
+        elif shown.reading is not None:
+            self._play(shown)
+        else:
+            shown.read.connect(lambda: self._play(shown))
+
+    def _play(self, shown: "Shown") -> None:
+        """The frames of a run that has been read."""
+        from ui.window.replay import Replay
+
+        if shown is not self.on_screen.shown or shown.reading is None or self._replay is not None:
+            return
+        self.live.set_bench(shown.reading.bench)
+        self._replay = Replay(shown.reading.run, self.host.frames.put)
+        self.runs.bar.set_replay(self._replay)
+
+    def _offer_refit(self, source: "Source") -> None:
+        """A refit has come while something else was on screen."""
+        words = f"Finished: {source.title}."
+        self.banner.say(words, "good", "Show it", lambda: self._show_refit(source), key=source.title)
+
+    def _show_refit(self, source: "Source") -> None:
+        if self.status.busy:
+            self.tell("a run goes on in the live view; look at a refit when it has ended")
+        else:
+            self.on_screen.show_refit(source)
+            self.show_page(self.fit)
 
     # -- the window ----------------------------------------------------------------------------------------------------
 
@@ -331,7 +444,7 @@ class MainWindow(QMainWindow):
     def offer_text(self, text: str) -> None:
         """A sequence was opened over edits that no file has: offer them back."""
         words = "The sequence that was being edited had not been saved."
-        self.banner.say(words, action="Edit it again", do=lambda: self.sequence.edit_unsaved(text))
+        self.banner.say(words, action="Edit it again", do=lambda: self.sequence.edit_unsaved(text), key="dropped")
 
     def show_page(self, page: QWidget) -> None:
         """Bring a page to the front."""
@@ -343,8 +456,36 @@ class MainWindow(QMainWindow):
         theme.paint_plots(self)
         self._settings.setValue("theme", name)
 
+    def ask_to_close(self) -> None:
+        """Close the window; while something moves, a person is asked first, and what goes on goes on meanwhile."""
+        if not self.host.in_motion:
+            self.close()
+            return
+        question = QMessageBox(self)
+        question.setIcon(QMessageBox.Icon.Question)
+        question.setWindowTitle("Close the window?")
+        question.setText("A run, a dose or a calibration goes on. Closing the window stops it; a run can be resumed.")
+        end = question.addButton("Stop it and close", QMessageBox.ButtonRole.DestructiveRole)
+        stay = question.addButton("Stay", QMessageBox.ButtonRole.RejectRole)
+        question.setDefaultButton(stay)
+        question.setEscapeButton(stay)
+        question.setModal(False)
+        question.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        end.clicked.connect(self.close)
+        self.question = question
+        question.show()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802 - Qt's name
+        """Pages keep their share of the width."""
+        super().resizeEvent(event)
+        self.docks.window_resized()
+
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802 - Qt's name
         """Stop, end the run, let go of everything; the window stays, and answers, until that is done."""
+        if self._ending is None and event.spontaneous() and self.host.in_motion and not _session_ends():
+            event.ignore()  # the window's own cross: a person's slip must not end a run
+            self.ask_to_close()
+            return
         if self._ending is None:
             if self.status.running:
                 self.host.stop()
@@ -359,12 +500,15 @@ class MainWindow(QMainWindow):
         self._settings.setValue("layout", self.saveState(LAYOUT))
         self._settings.setValue("geometry", self.saveGeometry())
         self._pulse.stop()
+        self.stop_keys.end()
+        self.ring.end()
+        self.docks.end()
         self.live.close_view()
         self.background.close()
+        if self._reader is not None:
+            self._reader.close()
         if self.furnished:
-            document = self.sequence.document
-            self._settings.setValue("sequence", str(document.path or ""))
-            self._settings.setValue("draft", document.text if document.unsaved else "")
+            self._keep_draft()
             self.log.close_log()
             self._garbage.close()
         event.accept()
@@ -374,16 +518,22 @@ class MainWindow(QMainWindow):
         bar.setObjectName("top")
         bar.setMovable(False)
         bar.addWidget(self.top)
-        bar.toggleViewAction().setEnabled(False)
-        self.addToolBar(bar)
+        strip = QToolBar("what is told")
+        strip.setObjectName("told")
+        strip.setMovable(False)
+        strip.addWidget(self.banner)
+        for one in (bar, strip):
+            one.toggleViewAction().setEnabled(False)
+            self.addToolBar(one)
+            self.addToolBarBreak()
         centre, column = QWidget(), QVBoxLayout()
         column.setContentsMargins(6, 6, 6, 0)
-        column.addWidget(self.banner)
-        column.addWidget(self.live, 1)
+        column.addWidget(self.live_frame, 1)
         centre.setLayout(column)
         self.setCentralWidget(centre)
         self._words, self._held = QLabel("opening the rig"), QLabel()
         self.statusBar().addWidget(self._words, 1)
+        self.statusBar().addPermanentWidget(WorkStrip(self.background))
         self.statusBar().addPermanentWidget(self._held)
         self.resize(1280, 800)
 
@@ -398,6 +548,84 @@ class MainWindow(QMainWindow):
         self.top.theme_asked.connect(self._other_theme)
         self.top.help_asked.connect(self.show_keys)
 
+    def ask_for_rig(self) -> None:
+        """Ask for a rig file, and work with that rig from then on."""
+        ask_for_file(self, "Open a rig file", Path.cwd(), "Rig files (*.toml)", self.use_rig)
+
+    def use_rig(self, file: Path) -> None:
+        """Work with another rig."""
+        if self.host.in_motion:
+            self.tell("a run or a dose goes on; wait for its end or stop it, then open another rig")
+            return
+        source = RigSource(file, self.folder / "simulated.rig")
+        self.host.use(source)
+        self.top.use_rig(file.stem, simulated=False)
+        self.calibration.use_rig(source)
+        self._offered, self._rig = False, None
+        self.show_page(self.calibration)
+
+    def show_palette(self) -> None:
+        """Every action by its name, and the files that were open lately."""
+        actions = [Action(key.what, " or ".join(key.keys), self._actions[key.name]) for key in KEYS
+                   if key.name in self._actions]  # fmt: skip
+        actions.append(Action(BY_NAME["stop"].what, "F12", self.stop))
+        actions.append(Action("open a rig file", "", self.ask_for_rig))
+        actions.append(Action("copy what is on screen as Python", "", self.copy_as_python))
+        actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self._recent()]
+        self._palette = Palette(self, actions)
+        self._palette.show()
+        self._palette.field.setFocus()
+
+    def save_screenshot(self) -> None:
+        """Ask where to, and save what the window shows now."""
+        picture = self.grab()
+        name = f"tankrig-{datetime.now():%Y-%m-%dT%H-%M-%S}.png"
+
+        def save(path: Path) -> None:
+            if not picture.save(str(path)):
+                self.tell(f"{path}: cannot be written; choose another place")
+
+        ask_where_to_save(self, "Save a picture of the window", Path.cwd() / name, "Pictures (*.png)", save)
+
+    def copy_as_python(self) -> None:
+        """Lines that get the numbers on screen go to the clipboard."""
+        text = as_python(self.on_screen.source)
+        if text:
+            QGuiApplication.clipboard().setText(text)
+        else:
+            self.tell("there is no run on screen; open one, then copy it as Python")
+
+    def open_path(self, path: Path) -> None:
+        """Open a run, a sequence or a rig file."""
+        kind = kind_of(path)
+        if kind is Dropped.RUN:
+            self.show_run(path)
+        elif kind is Dropped.SEQUENCE:
+            self.sequence.load(path)
+            self.show_page(self.sequence)
+        elif kind is Dropped.RIG:
+            self.use_rig(path)
+        else:
+            self.tell(f"{path}: is no run, no sequence and no rig file, so that there is nothing to open")
+            return
+        recent = [str(path), *(one for one in map(str, self._recent()) if one != str(path))]
+        self._settings.setValue("recent", recent[:MOST_RECENT])
+
+    def _recent(self) -> list[Path]:
+        kept = self._settings.value("recent") or []
+        return [Path(str(one)) for one in ([kept] if isinstance(kept, str) else kept)]
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:  # noqa: N802 - Qt's name
+        """A file or folder may be dropped."""
+        if self.furnished and event.mimeData().hasUrls():
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:  # noqa: N802 - Qt's name
+        """Open what was dropped."""
+        for url in event.mimeData().urls()[:1]:
+            self.open_path(Path(url.toLocalFile()))
+        event.acceptProposedAction()
+
     def use_screen(self, identity: dict[str, str]) -> None:
         """Have this screen for the projector."""
         try:
@@ -406,10 +634,6 @@ class MainWindow(QMainWindow):
             self.tell(str(error))
         else:
             self.host.reopen()
-
-    def take_gain(self, gain: float) -> None:
-        """What a fit has found counts to be."""
-        self.live.radiometry.gain = gain
 
     def _other_theme(self) -> None:
         self.set_theme("light" if theme.current().name == "dark" else "dark")
@@ -421,12 +645,11 @@ class MainWindow(QMainWindow):
 
     def make_keys(self, actions: Mapping[str, Callable[[], object]]) -> None:
         """Have keys, by their names in `keys`, do something."""
+        self._actions |= actions
         for name, do in actions.items():
             for keys in BY_NAME[name].keys:
                 shortcut = QShortcut(QKeySequence(keys), self)
-                everywhere = Qt.ShortcutContext.ApplicationShortcut
-                shortcut.setContext(Qt.ShortcutContext.WindowShortcut if keys == "Esc" else everywhere)
-                shortcut.setAutoRepeat(name != "stop")
+                shortcut.setContext(Qt.ShortcutContext.ApplicationShortcut)
                 shortcut.activated.connect(do)
 
     def _full_screen(self) -> None:
@@ -440,3 +663,9 @@ class MainWindow(QMainWindow):
             self.restoreGeometry(geometry)
         if layout is not None:
             self.restoreState(layout, LAYOUT)
+
+
+def _session_ends() -> bool:
+    """Whether the desktop is being left, which asks nobody."""
+    app = QGuiApplication.instance()
+    return isinstance(app, QGuiApplication) and app.isSavingSession()

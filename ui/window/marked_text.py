@@ -1,6 +1,6 @@
 """A text editor that marks the line that is wrong."""
 
-from PySide6.QtCore import QRect, QSize, Qt
+from PySide6.QtCore import QEvent, QRect, QSize, Qt
 from PySide6.QtGui import QColor, QFontDatabase, QPainter, QPaintEvent, QResizeEvent, QTextCursor, QTextFormat
 from PySide6.QtWidgets import QPlainTextEdit, QTextEdit, QWidget
 
@@ -92,6 +92,12 @@ class MarkedText(QPlainTextEdit):
             painter.drawText(0, int(top), onto.width() - 6, int(height), Qt.AlignmentFlag.AlignRight, text)
             block, top = block.next(), top + height
         painter.end()
+
+    def changeEvent(self, event: QEvent) -> None:  # noqa: N802 - Qt's name
+        """Another theme has other colours."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange and hasattr(self, "_numbers"):
+            self.mark(self.marked)
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802 - Qt's name
         """Keep the numbers beside the text."""

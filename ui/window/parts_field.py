@@ -29,6 +29,8 @@ class PartsField(QWidget):
 
     changed = Signal(object)
     """A dictionary of the parts that are set, or None where none is; only while all make sense."""
+    typed = Signal()
+    """Whatever was typed, right or wrong."""
 
     def __init__(self, kind: type[Any], values: Mapping[str, Any], hint: str) -> None:
         super().__init__()
@@ -57,7 +59,13 @@ class PartsField(QWidget):
             return None, str(error)
         return part, ""
 
+    @property
+    def wrong(self) -> str:
+        """What is wrong with one of its parts, or nothing."""
+        return next((field.wrong for field in self.fields.values() if field.wrong), "")
+
     def _tell(self) -> None:
+        self.typed.emit()
         if not any(field.wrong for field in self.fields.values()):
             parts = {name: field.value for name, field in self.fields.items() if field.value is not None}
             self.changed.emit(parts or None)

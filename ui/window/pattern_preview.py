@@ -27,7 +27,8 @@ class PatternPreview:
         self._plot.setLabel("left", "z (mm)")
         for name in ("bottom", "left"):
             self._plot.getAxis(name).enableAutoSIPrefix(False)
-        self._image = pg.ImageItem()
+            self._plot.showAxis(name, False)  # before there is a wall there is nothing to measure
+        self._image = pg.ImageItem(axisOrder="row-major")
         self._plot.addItem(self._image)
         self._empty = pg.TextItem("", anchor=(0.5, 0.5))
         self._plot.addItem(self._empty)
@@ -35,7 +36,9 @@ class PatternPreview:
     def show(self, pattern: Pattern | None, wall: Wall) -> None:
         """Show a pattern, or that there is none."""
         pixels = np.zeros((2, 2), np.uint8) if pattern is None else pattern.pixels
-        self._image.setImage(pixels[::-1], autoLevels=False, levels=None, lut=GREYS)
+        self._image.setImage(np.ascontiguousarray(pixels[::-1]), autoLevels=False, levels=None, lut=GREYS)
+        for name in ("bottom", "left"):
+            self._plot.showAxis(name)
         low, high = sorted(wall.y_mm)
         rect = QRectF(low, wall.z_mm[0], high - low, wall.z_mm[1] - wall.z_mm[0])
         self._image.setRect(rect)

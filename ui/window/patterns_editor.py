@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QComboBox,
-    QHBoxLayout,
     QLabel,
     QLineEdit,
     QListWidget,
@@ -18,7 +17,8 @@ from PySide6.QtWidgets import (
 
 from tankrig.errors import SequenceError
 from tankrig.pattern.kinds import KINDS, draw
-from ui.window.forms import Form
+from ui.window.flow import Flow
+from ui.window.forms import Form, label_of
 from ui.window.pattern_preview import PatternPreview
 from ui.window.sequence_document import SequenceDocument
 from ui.window.sequence_tables import pattern_table, patterns_in
@@ -41,6 +41,7 @@ NEW: dict[str, dict[str, Any]] = {
     "dark": {},
 }
 """A beginning for each kind."""
+DOUBTED = "pattern, "
 
 
 class PatternsEditor(QWidget):
@@ -65,11 +66,10 @@ class PatternsEditor(QWidget):
         add, remove = QPushButton("Add"), QPushButton("Remove")
         add.clicked.connect(self.add)
         remove.clicked.connect(self.remove)
-        head = QHBoxLayout()
-        for widget in (self._kind, self._name, add, remove):
-            head.addWidget(widget)
+        head = Flow(self._kind, self._name, add, remove)
         self._form_area = QScrollArea()
         self._form_area.setWidgetResizable(True)
+        self._form_area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._form_area.setFrameShape(QScrollArea.Shape.NoFrame)
         self._preview = PatternPreview()
         self._wrong = QLabel()
@@ -119,6 +119,7 @@ class PatternsEditor(QWidget):
         return (item.text(), table) if item and isinstance(table, dict) else None
 
     def _show_form(self) -> None:
+        self._document.forget_doubts(DOUBTED)
         chosen = self._chosen()
         kind = BY_KIND.get(str(chosen[1].get("kind"))) if chosen else None
         if chosen is None or kind is None:
@@ -129,6 +130,7 @@ class PatternsEditor(QWidget):
             return
         form = Form(kind, chosen[1], {}, skip=("kind",), unset="the whole wall")
         form.edited.connect(self._edit)
+        form.doubted.connect(lambda name, why: self._document.doubt(f"{DOUBTED}{label_of(name)}", why))
         self._form_area.setWidget(form)
         self._draw()
 

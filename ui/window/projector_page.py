@@ -65,6 +65,7 @@ class ProjectorPage(QWidget):
         self._dark.clicked.connect(self._ask_dark)
         self._form_area = QScrollArea()
         self._form_area.setWidgetResizable(True)
+        self._form_area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._form_area.setFrameShape(QScrollArea.Shape.NoFrame)
         self._lay_out()
         self._show_form()

@@ -1,20 +1,30 @@
-"""From counts to radiance, as far as the last fit allows."""
+"""From counts to radiance, as far as the last fit and the last dark frame of a source allow."""
 
-from ui.window.watched import SeenFrame
+from tankrig.devices import CameraSettings
 
 
-class Radiometry:
-    """Counts of no light, from the last dark frame, and counts per ms and W/mm²/sr, from the last fit's gain."""
+def radiance_in_words(counts: int, settings: CameraSettings, gain: float | None, dark: float | None) -> str:
+    """The radiance of a pixel in words.
 
-    def __init__(self) -> None:
-        self.gain: float | None = None
-        self.dark: float | None = None
+    Parameters
+    ----------
+    counts
+        Of the pixel.
+    settings
+        Of the camera.
+    gain
+        Counts per ms and W/mm²/sr, by the last fit; None before there is one.
+    dark
+        Counts without light, by the last dark frame; None before there is one.
 
-    def words(self, counts: int, frame: SeenFrame) -> str:
-        """The radiance of a pixel in words."""
-        if self.gain is None:
-            return "radiance after the first fit"
-        if self.dark is None:
-            return "radiance after the first dark frame"
-        per_ms = (counts - self.dark) / (frame.settings.exposure_ms * frame.settings.gain or 1.0)
-        return f"{per_ms / self.gain:.3g} W/mm²/sr"
+    Examples
+    --------
+    >>> radiance_in_words(1100, CameraSettings(10.0), 2000.0, 100.0)
+    '0.05 W/mm²/sr'
+    """
+    if gain is None:
+        return "radiance after the first fit"
+    if dark is None:
+        return "radiance after the first dark frame"
+    per_ms = (counts - dark) / (settings.exposure_ms * settings.gain or 1.0)
+    return f"{per_ms / gain:.3g} W/mm²/sr"

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,6 @@ from PySide6.QtCore import QObject, Signal
 
 from tankrig.devices import CameraSettings
 from tankrig.errors import StoreError
-from tankrig.live.results import from_fields
 from ui.window.threads import OwnedThread
 from ui.window.watched import SeenFrame
 
@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 
 SPEEDS = {"¼ ×": 0.25, "1 ×": 1.0, "4 ×": 4.0, "16 ×": 16.0, "as fast as it goes": float("inf")}
 LONGEST_WAIT_S = 2.0
+UNKNOWN = "unknown pattern"
+SAME_ML = 1e-6
 
 
 class Replay(QObject):
-    """Plays a run's frames and fits in a thread of its own.
+    """Plays a run's frames in a thread of its own.
 
     Parameters
     ----------
@@ -32,21 +34,35 @@ class Replay(QObject):
         Called, in that thread, with each frame.
     """
 
-    moved = Signal(int, str)
-    """Number of the frame that is shown, and what it is in words."""
-    fitted = Signal(object)
-    """A `fit` table whose time has come."""
-    ended = Signal(str)
+    moved = Signal(object, int, str)
+    """Itself, the number of the frame that is shown, and what it is in words."""
+    ended = Signal(object, str)
+    """Itself, and why it cannot go on."""
 
     def __init__(self, run: "Run", show: Callable[[SeenFrame], object]) -> None:
         super().__init__()
         self._run, self._show = run, show
-        self._events = run.events("frame", "fit")
-        self.frames = [n for n, event in enumerate(self._events) if event.kind == "frame"]
+        self.frames = run.events("frame")
+        self._places = {event["index"]: place for place, event in enumerate(self.frames)}
+        patterns, conditions = run.patterns, run.conditions
+        self.axes = [
+            (patterns[key].name if (key := event["pattern_hash"]) in patterns else UNKNOWN,
+             conditions[event["index"]].tank.volume_ul / 1000.0)
+            for event in self.frames
+        ]  # fmt: skip
+        """Of each frame: its pattern, and the ink in the tank in ml."""
         self._at, self._jumped = 0, False
         self.speed = 1.0
         self._playing, self._change = False, threading.Condition()
         self._thread = OwnedThread("replay", self._work, 5.0)
+
+    def places(self, pattern: str | None, dose_ml: float | None) -> list[int]:
+        """Frames of one pattern at one dose, in their order; None: of all."""
+        return [
+            place
+            for place, (name, dose) in enumerate(self.axes)
+            if pattern in (None, name) and (dose_ml is None or abs(dose - dose_ml) < SAME_ML)
+        ]
 
     @property
     def path(self) -> Path:
@@ -56,7 +72,7 @@ class Replay(QObject):
     def play(self, on: bool) -> None:
         """Go on, or halt; from the beginning when it had come to the end."""
         with self._change:
-            if on and self._at >= len(self._events):
+            if on and self._at >= len(self.frames):
                 self._at = 0
             self._playing = on
             self._change.notify_all()
@@ -64,8 +80,7 @@ class Replay(QObject):
     def jump(self, frame: int) -> None:
         """Show this frame next."""
         with self._change:
-            self._at = self.frames[min(max(frame, 0), len(self.frames) - 1)] if self.frames else 0
-            self._jumped = True
+            self._at, self._jumped = min(max(frame, 0), max(0, len(self.frames) - 1)), True
             self._change.notify_all()
 
     def close(self) -> None:
@@ -82,14 +97,11 @@ class Replay(QObject):
                 self._change.wait_for(lambda: self._playing or self._jumped or ending.is_set())
                 if ending.is_set():
                     return
-                if self._at >= len(self._events):
+                if self._at >= len(self.frames):
                     self._playing = self._jumped = False
                     continue
-                event, jumped = self._events[self._at], self._jumped
+                event, jumped = self.frames[self._at], self._jumped
                 self._at, self._jumped = self._at + 1, False
-            if event.kind == "fit":
-                self.fitted.emit(from_fields(event.fields))
-                continue
             if before_ns is not None and not jumped:
                 self._pause(event["exposure_start_ns"] - before_ns)
             before_ns = event["exposure_start_ns"]
@@ -108,14 +120,16 @@ class Replay(QObject):
         try:
             pixels = self._run.pixels(event)
         except StoreError as error:
-            self.ended.emit(str(error))
+            self.ended.emit(self, str(error))
             with self._change:
                 self._playing = False
             return
         pattern = self._run.patterns.get(event["pattern_hash"])
         saturation = 255 if pixels.dtype.itemsize == 1 else int(self._run.settings.get("saturation", 65535))
         settings = self._run.conditions[event["index"]].camera or CameraSettings(20.0)
-        self._show(SeenFrame(pixels, saturation, settings, pattern))
-        name = pattern.name if pattern else "unknown pattern"
-        words = f"frame {event['index'] + 1} of {len(self.frames)}: {name}, {event.moment.utc[11:19]} UTC"
-        self.moved.emit(event["index"], words)
+        self._show(SeenFrame(pixels, saturation, settings, pattern, self._run.path))
+        place = self._places[event["index"]]
+        name, dose_ml = self.axes[place]
+        at = datetime.fromisoformat(event.moment.utc).astimezone()
+        words = f"frame {place + 1} of {len(self.frames)}: {name} at {dose_ml:.4g} ml, {at:%H:%M:%S}"
+        self.moved.emit(self, place, words)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from tankrig.pattern import Pattern
 from tankrig.run.rig import Rig
 from tankrig.run.state import RunState
 from ui.window.rig_file import RigSource
-from ui.window.rig_parts import LedgerOnly, RunOrder
+from ui.window.rig_parts import LedgerOnly, RunOrder, import_ahead
 from ui.window.status import RigState, RigStatus
 from ui.window.threads import OwnedThread, StopThread
 from ui.window.watched import Newest, SeenFrame, WatchedCamera, WatchedProjector
@@ -28,6 +29,7 @@ from ui.window.watched import Newest, SeenFrame, WatchedCamera, WatchedProjector
 if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.devices import Pixels
+    from tankrig.live.exposures import Photograph
     from tankrig.live.live_fit import LiveFit
     from tankrig.run.journal import Event
     from tankrig.run.runner import Runner
@@ -56,12 +58,10 @@ class RigHost(QObject):
     """RigStatus."""
     rig_opened = Signal(object)
     """RigFile, each time the rig has been opened."""
-    event_recorded = Signal(object)
-    """Event of a run's journal."""
-    fitted = Signal(object, object)
-    """A fit (see `tankrig.live.results`) and the list of Photographs that it fitted, which may be empty."""
-    run_began = Signal(object, object)
-    """Path and Sequence."""
+    recorded = Signal(object, object, object)
+    """Path of a run, an Event of its journal, and with a fit the list of Photographs that it fitted."""
+    run_began = Signal(object, object, object)
+    """Path, Sequence, and the Events that its journal holds already."""
     run_ended = Signal(object)
     """Outcome."""
     pattern_shown = Signal(object)
@@ -76,12 +76,14 @@ class RigHost(QObject):
         self._refill = False
         self._lent: Callable[[], object] | None = None
         self._wake = threading.Event()
-        self._state, self._trouble = RigState.OPENING, ""
+        self._state, self._trouble, self._troubles = RigState.OPENING, "", 0
         self._question: str | None = None
         self._guard: GuardedDoser | None = None
         self._runner: Runner | None = None
         self._fit: LiveFit | None = None
         self._target_ul: float | None = None
+        self._aside_ul: float | None = None
+        self._camera: WatchedCamera | None = None
         self._dose_thread: OwnedThread | None = None
         self.camera_settings = CameraSettings(20.0)
         self._pattern: Pattern | None = None
@@ -114,7 +116,7 @@ class RigHost(QObject):
 
     def start_run(self, order: RunOrder) -> None:
         """Carry out a run as soon as the rig has been handed over."""
-        self._run_order, self._question = order, None
+        self._run_order, self._question, self._trouble = order, None, ""
         self._wake.set()
 
     def show(self, pattern: Pattern) -> None:
@@ -140,26 +142,53 @@ class RigHost(QObject):
 
     def dose_to(self, total_ul: float) -> None:
         """Dose, outside of a run, until the tank holds `total_ul`."""
-        if self._guard is None or self._target_ul is not None or self._state is not RigState.IDLE:
-            self._tell("the rig is not ready to dose; wait until it is")
+        if not self._may_dose():
             return
-        self._target_ul = total_ul
+        self._target_ul, self._trouble = total_ul, ""
         self._dose_thread = OwnedThread("dose", lambda _: self._dose(total_ul), END_S)
+
+    def dose_aside(self, volume_ul: float) -> None:
+        """Deliver so much into a waste vessel, outside of a run: the tank holds what it held."""
+        if not self._may_dose():
+            return
+        self._aside_ul, self._trouble = volume_ul, ""
+        self._dose_thread = OwnedThread("dose", lambda _: self._prime(volume_ul), END_S)
+
+    def _may_dose(self) -> bool:
+        ready = self._guard is not None and not self._by_hand and self._state is RigState.IDLE
+        if not ready:
+            self._tell("the rig is not ready to dose; wait until it is")
+        return ready
+
+    @property
+    def _by_hand(self) -> bool:
+        return self._target_ul is not None or self._aside_ul is not None
 
     def reopen(self) -> None:
         """Open the rig again after it failed, or give up what it waits for."""
         self._run_order, self._question, self._trouble = None, None, ""
         self._wake.set()
 
+    def use(self, source: RigSource) -> None:
+        """Let go of the rig and open another one."""
+        self.source = source
+        self._pattern = None
+        self.reopen()
+
     def refill(self) -> None:
         """The tank has been filled anew."""
-        self._refill = True
+        self._refill, self._trouble = True, ""
         self._wake.set()
 
     def lend(self, stop: Callable[[], object] | None) -> None:
         """Let go of the rig for somebody who opens it and can be told to `stop`; None: take it back."""
         self._lent = stop
         self._wake.set()
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether a run, a dose or a calibration goes on, so that there is something to stop."""
+        return self._dosing() or self._run_order is not None
 
     def look_away(self, away: bool) -> None:
         """Whether the window looks at something else than the camera's preview."""
@@ -246,7 +275,7 @@ class RigHost(QObject):
     def _leave(self) -> None:
         """End a dose that runs, and let go of the doser."""
         if self._guard is not None:
-            if self._target_ul is not None:
+            if self._by_hand:
                 self._guard.stop()
             if self._dose_thread is not None:
                 self._dose_thread.close()
@@ -260,7 +289,7 @@ class RigHost(QObject):
         rig = open_rig(description, looking)
         opened.callback(rig.close)
         projector = WatchedProjector(rig.projector, self._shown)
-        camera = WatchedCamera(rig.camera, projector, self._see)
+        self._camera = camera = WatchedCamera(rig.camera, projector, self._see)
         return description, replace(rig, projector=projector, camera=camera)
 
     def _try_run(self, order: RunOrder) -> None:
@@ -274,6 +303,7 @@ class RigHost(QObject):
         self._run_order = None
 
     def _carry_out(self, order: RunOrder) -> None:
+        import_ahead()
         from tankrig.live.attached import fitted_live, require_fittable
         from tankrig.live.refit import unfitted
         from tankrig.run.reading import open_run
@@ -293,8 +323,8 @@ class RigHost(QObject):
                 runner.abort()
             try:
                 with fitted_live(runner, FIT_PATIENCE_S) as self._fit:
-                    runner.listen(self._heard)
-                    self.run_began.emit(order.path, runner.plan.sequence)
+                    runner.listen(partial(self._heard, order.path))
+                    self.run_began.emit(order.path, runner.plan.sequence, open_run(order.path).journal)
                     outcome = runner.run()
             except BaseException as error:
                 runner.give_up(error)  # where it could not begin: it is ended, so that it can be resumed
@@ -307,16 +337,17 @@ class RigHost(QObject):
             _log.warning("%s", missing.sentence(outcome.path))
         self.run_ended.emit(outcome)
 
-    def _heard(self, event: "Event", _: "Pixels | None") -> None:
+    def _heard(self, path: Path, event: "Event", _: "Pixels | None") -> None:
         from tankrig.live.results import DoseFit, from_fields
 
         fit = self._fit
         if event.kind == "note" and event.get("warning"):
             _log.warning("%s", event["text"])
+        photographs: list[Photograph] = []
         if event.kind == "fit" and fit is not None:
             found = from_fields(event.fields)
-            self.fitted.emit(found, fit.photographs(found.dose_ml) if isinstance(found, DoseFit) else [])
-        self.event_recorded.emit(event)
+            photographs = fit.photographs(found.dose_ml) if isinstance(found, DoseFit) else []
+        self.recorded.emit(path, event, photographs)
 
     def _ask(self, question: str, ending: threading.Event) -> None:
         """Wait for a person's word on the ink, or for the run to be given up."""
@@ -347,8 +378,19 @@ class RigHost(QObject):
         finally:
             self._target_ul = None
 
+    def _prime(self, volume_ul: float) -> None:
+        guard = self._guard
+        try:
+            if guard is not None:
+                pushed_ul = guard.dose_aside(volume_ul)
+                _log.info("%g µl went into the waste vessel; the tank holds what it held", pushed_ul)
+        except TankrigError as error:
+            self._tell(str(error))
+        finally:
+            self._aside_ul = None
+
     def _dosing(self) -> bool:
-        return self._target_ul is not None or self._runner is not None or self._lent is not None
+        return self._by_hand or self._runner is not None or self._lent is not None
 
     def _stop(self) -> None:
         runner, guard = self._runner, self._guard
@@ -365,7 +407,15 @@ class RigHost(QObject):
         from tankrig.live.formatting import preparation_in_words
 
         guard, runner = self._guard, self._runner
-        status = RigStatus(self._state, self._trouble, target_ul=self._target_ul, undecided=self._question)
+        status = RigStatus(
+            self._state,
+            self._trouble,
+            self._troubles,
+            target_ul=self._target_ul,
+            undecided=self._question,
+            aside_ul=self._aside_ul,
+            exposing_left_s=self._camera.exposing_left_s if self._camera is not None else None,
+        )
         if guard is not None:
             with suppress(DeviceError, AttributeError):  # a device that is gone is told of by whoever works with it
                 status = replace(
@@ -392,5 +442,5 @@ class RigHost(QObject):
         self._publish()
 
     def _tell(self, sentence: str) -> None:
-        self._trouble = sentence
+        self._trouble, self._troubles = sentence, self._troubles + 1
         _log.error("%s", sentence)

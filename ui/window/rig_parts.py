@@ -1,6 +1,7 @@
 """Small parts of the rig's owner: a run that is ordered, the journal of doses by hand, and imports made ahead."""
 
 import logging
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,8 +45,15 @@ class LedgerOnly:
         _log.info("the tank holds %g µl", done.delivered_ul)
 
 
+_importing = threading.Lock()
+
+
 def import_ahead() -> None:
-    """Import what a run needs while nothing goes on yet, so that its start is quick."""
-    import tankrig.live.attached
-    import tankrig.report.pictures
-    import tankrig.run.start  # noqa: F401
+    """Import what a run needs, in one thread at a time: zarr cannot be imported by two at once.
+
+    Called while nothing goes on yet, so that a run's start is quick.
+    """
+    with _importing:
+        import tankrig.live.attached
+        import tankrig.report.pictures
+        import tankrig.run.start  # noqa: F401

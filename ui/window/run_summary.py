@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from tankrig.errors import StoreError
@@ -37,12 +38,26 @@ class RunSummary:
     message: str
 
     @property
+    def began_local(self) -> str:
+        """When it began, by the clock on the wall."""
+        try:
+            began = datetime.fromisoformat(self.began).replace(tzinfo=UTC)
+        except ValueError:
+            return self.began
+        return f"{began.astimezone():%Y-%m-%d %H:%M}"
+
+    @property
+    def searched(self) -> str:
+        """What a filter looks in."""
+        return f"{self.path.name} {self.name} {self.began_local} {self.ending}".lower()
+
+    @property
     def resumable(self) -> bool:
         """Whether it can go on."""
         return self.ending != "completed"
 
 
-def summaries(folder: Path) -> list[RunSummary]:
+def summaries(folder: Path) -> tuple[RunSummary, ...]:
     """The runs in a folder, newest first."""
     found = []
     for mark in folder.glob("*/zarr.json") if folder.is_dir() else ():
@@ -50,7 +65,7 @@ def summaries(folder: Path) -> list[RunSummary]:
             found.append(_summary(mark.parent))
         except (StoreError, OSError, ValueError):
             continue  # some other Zarr group
-    return sorted(found, key=lambda one: one.began, reverse=True)
+    return tuple(sorted(found, key=lambda one: (one.began, one.path.name), reverse=True))
 
 
 def _summary(path: Path) -> RunSummary:

@@ -1,14 +1,12 @@
-"""Runs that were recorded: browse, resume, replay, refit, report, export."""
+"""Runs that were recorded: browse, open, resume, report, export, delete; and replay and fit anew the one on screen."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from PySide6.QtCore import Qt, QUrl, Signal
+from PySide6.QtCore import QFile, Qt, QUrl, Signal
 from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import (
     QAbstractItemView,
-    QCheckBox,
-    QGridLayout,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -20,174 +18,206 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tankrig.errors import TankrigError
 from ui.window import jobs
-from ui.window.background import Background
 from ui.window.files import ask_where_to_save
+from ui.window.flow import Flow
+from ui.window.on_screen import OnScreen, Worker
+from ui.window.refit_row import RefitRow
 from ui.window.replay_bar import ReplayBar
-from ui.window.run_summary import RunSummary, summaries
+from ui.window.run_catalogue import RunCatalogue
+from ui.window.run_summary import RunSummary
+from ui.window.shown import Shown
+from ui.window.source_frame import SourceFrame
 
-if TYPE_CHECKING:
-    from tankrig.run.reading import Run
-
-COLUMNS = ("run", "sequence", "began (UTC)", "ending")
+COLUMNS = ("run", "sequence", "began (local time)", "ending")
+PATH = Qt.ItemDataRole.UserRole
+DELETE = "Delete"
 
 
 class RunsPage(QWidget):
-    """Lists the runs of a folder and acts on the one that is chosen."""
+    """Lists the runs of a folder and acts on the one that is selected; what is asked for keeps that run's name."""
 
     resume_asked = Signal(object)
     """Path of a run."""
-    opened = Signal(object)
-    """Run that is to be shown."""
-    refitted = Signal(object, object)
-    """Tables of the doses, and of the series or None."""
+    open_asked = Signal(object)
     told = Signal(str)
 
-    def __init__(self, folder: Path, background: Background) -> None:
+    def __init__(self, folder: Path, on_screen: OnScreen, background: Worker) -> None:
         super().__init__()
-        self.folder, self._background = folder, background
-        self._rows: list[RunSummary] = []
-        self._run: Run | None = None
+        self.catalogue, self.on_screen, self._background = RunCatalogue(folder), on_screen, background
         self._busy = False
-        self.bar = ReplayBar()
-        self._boxes: list[QCheckBox] = []
-        self._ticks = QHBoxLayout()
+        self._sure: Path | None = None
+        self.bar, self.refits = ReplayBar(), RefitRow()
         self._lay_out()
+        self.catalogue.changed.connect(self._list)
+        self.refits.asked.connect(self._refit)
+        self.refits.chosen.connect(self._show_refit)
+        on_screen.changed.connect(self.show_source)
+        on_screen.refitted.connect(lambda _: self._list_refits())
+        self.show_source(on_screen.shown)
         self.refresh()
 
     def refresh(self) -> None:
         """Look at the folder again."""
-        self._rows = summaries(self.folder)
-        chosen = self.chosen
-        self._table.setRowCount(len(self._rows))
-        for row, one in enumerate(self._rows):
-            for column, text in enumerate((one.path.name, one.name, one.began, one.ending)):
-                item = QTableWidgetItem(text)
-                item.setToolTip(one.message or str(one.path))
-                self._table.setItem(row, column, item)
-        self._sift(self._filter.text())
-        self._empty.setVisible(not self._rows)
-        if chosen is None and self._rows:
-            self._table.selectRow(0)
-        self._choose()
-
-    @property
-    def chosen(self) -> RunSummary | None:
-        """The run that is chosen in the list."""
-        row = self._table.currentRow()
-        return self._rows[row] if 0 <= row < len(self._rows) else None
+        self.catalogue.refresh()
+        run = self.on_screen.source.recorded
+        if run is not None and not run.exists():
+            self.told.emit(f"the folder of {run.name} is gone; what was read of it stays on screen until you leave it")
 
     def latest_interrupted(self, rig: str) -> RunSummary | None:
         """The newest run, if it was recorded with this rig and did not come to its end."""
-        newest = self._rows[0] if self._rows else None
+        newest = self.catalogue.runs[0] if self.catalogue.runs else None
         return newest if newest is not None and newest.resumable and newest.rig == rig else None
 
     def set_busy(self, busy: bool) -> None:
         """While the rig is in use nothing can be resumed."""
         if busy != self._busy:
             self._busy = busy
-            self._choose()
+            self._able()
 
-    # -- what a person does --------------------------------------------------------------------------------------------
+    def show_source(self, shown: Shown) -> None:
+        """What is on screen now."""
+        self.frame.show_source(shown.source)
+        self.refits.show_source(shown)
+        self._list_refits()
 
-    def open_chosen(self) -> None:
-        """Show the chosen run in the live view and on the Fit page."""
-        from tankrig.run.reading import open_run
+    # -- what a person does: each with the run that is selected when it is asked for -----------------------------------
 
-        chosen = self.chosen
-        if chosen is None:
+    def open_selected(self) -> None:
+        """Show the selected run in all views."""
+        if self.catalogue.selected is not None:
+            self.open_asked.emit(self.catalogue.selected.path)
+
+    def resume_selected(self) -> None:
+        """Go on with the selected run."""
+        if self.catalogue.selected is not None:
+            self.resume_asked.emit(self.catalogue.selected.path)
+
+    def report_selected(self) -> None:
+        """Write the selected run's report."""
+        if self.catalogue.selected is not None:
+            self.report(self.catalogue.selected.path)
+
+    def report(self, run: Path) -> None:
+        """Write a run's report and show it in the browser."""
+        self._work(f"the report of {run.name}", jobs.report, run, then=self._show_report)
+
+    def export_selected(self, kind: str) -> None:
+        """Ask where to, and export the selected run's frames: "NetCDF" or "TIFF"."""
+        selected = self.catalogue.selected
+        if selected is None:
             return
-        try:
-            self._run = open_run(chosen.path)
-        except TankrigError as error:
-            self.told.emit(str(error))
-            return
-        self._patterns(self._run)
-        self.opened.emit(self._run)
-
-    def refit(self) -> None:
-        """Fit the chosen run anew with what is ticked."""
-        chosen = self.chosen
-        if chosen is None:
-            return
-        patterns = [box.text() for box in self._boxes if box.isChecked()]
-        if not patterns:
-            self.told.emit("tick at least one pattern to fit to")
-            return
-        self._work("fitting anew…", jobs.refit, chosen.path, patterns, self._free.isChecked(), then=self._take_fits)
-
-    def report(self) -> None:
-        """Write the chosen run's report and show it in the browser."""
-        chosen = self.chosen
-        if chosen is not None:
-            self._work("writing the report…", jobs.report, chosen.path, then=self._show_report)
-
-    def export(self, kind: str) -> None:
-        """Ask where to, and export the chosen run's frames: "NetCDF" or "TIFF"."""
-        chosen = self.chosen
-        if chosen is None:
-            return
-        name = f"{chosen.path.name}.nc" if kind == "NetCDF" else f"{chosen.path.name}-tiff"
+        run = selected.path
+        name = f"{run.name}.nc" if kind == "NetCDF" else f"{run.name}-tiff"
         kinds = "NetCDF (*.nc)" if kind == "NetCDF" else "folder of TIFFs (*)"
-        ask_where_to_save(self, f"Export as {kind}", chosen.path.parent.absolute() / name, kinds, self.export_to)
+        proposal = run.parent.absolute() / name
+        ask_where_to_save(
+            self, f"Export {run.name} as {kind}", proposal, kinds, lambda target: self.export(run, target)
+        )  # fmt: skip
 
-    def export_to(self, target: Path) -> None:
-        """Export the chosen run's frames to a file or folder."""
-        chosen = self.chosen
-        if chosen is not None:
-            self._work(f"exporting to {target.name}…", jobs.export, chosen.path, target, then=self._exported)
+    def export(self, run: Path, target: Path) -> None:
+        """Export a run's frames to a file or folder."""
 
-    def _work(self, words: str, work: Any, *arguments: Any, then: Any) -> None:
-        self._says.setText(words)
-        self._background.run(work, *arguments, then=then, failed=self._failed)
+        def exported(_: Path) -> None:
+            self._says.setText(f"{run.name} is exported to {target}.")
+
+        self._work(f"the export of {run.name}", jobs.export, run, target, then=exported)
+
+    def delete_selected(self) -> None:
+        """Move the selected run to the trash; asked twice."""
+        selected = self.catalogue.selected
+        if selected is None:
+            return
+        if self._sure != selected.path:
+            self._sure = selected.path
+            self._delete.setText("Press again")
+            self._says.setText(f"{selected.path.name} will be moved to the trash, where it can be found again.")
+            return
+        self._sure = None
+        self.delete(selected.path)
+
+    def delete(self, run: Path) -> None:
+        """Move a run to the trash, and take everything of it off the screen."""
+        if self._busy and self.on_screen.source.run == run:
+            self.told.emit(f"{run.name} is being recorded; stop it first, then delete it")
+        elif not _to_trash(run):
+            self.told.emit(f"{run}: cannot be moved to the trash; move its folder by hand")
+        else:
+            self._says.setText(f"{run.name} is in the trash.")
+            self.on_screen.forget(run)
+        self.refresh()
+
+    def _refit(self, settings: Any) -> None:
+        run = self.on_screen.source.recorded
+        if run is not None:
+            source = self.on_screen.refit(run, settings)
+            self._says.setText(f"In work: {source.title}")
+
+    def _show_refit(self, source: Any) -> None:
+        if source is None:
+            run = self.on_screen.source.recorded
+            if run is not None:
+                self.open_asked.emit(run)
+        else:
+            self.on_screen.show_refit(source)
+
+    def _list_refits(self) -> None:
+        run = self.on_screen.source.recorded
+        self.refits.list_refits(self.on_screen.refits_of(run) if run is not None else [], self.on_screen.source)
+
+    def _work(self, name: str, work: Any, *arguments: Any, then: Any) -> None:
+        self._says.setText(f"In work: {name}")
+        self._background.run(work, *arguments, then=then, failed=self._failed, name=name)
 
     def _failed(self, sentence: str) -> None:
         self._says.clear()
         self.told.emit(sentence)
 
-    def _take_fits(self, found: Any) -> None:
-        self._says.setText("fitted anew; the Fit page shows it. The run itself keeps its own fits.")
-        self.refitted.emit(*found)
-
     def _show_report(self, path: Path) -> None:
         self._says.setText(f"report: {path}")
         QDesktopServices.openUrl(QUrl.fromLocalFile(str(path.absolute())))
 
-    def _exported(self, target: Path) -> None:
-        self._says.setText(f"exported to {target}")
+    # -- what is shown -------------------------------------------------------------------------------------------------
 
-    def _resume(self) -> None:
-        if self.chosen is not None:
-            self.resume_asked.emit(self.chosen.path)
+    def _list(self) -> None:
+        """The runs that are visible, with the selected one marked."""
+        runs, table = self.catalogue.visible, self._table
+        table.blockSignals(True)
+        table.setRowCount(len(runs))
+        for row, one in enumerate(runs):
+            for column, text in enumerate((one.path.name, one.name, one.began_local, one.ending)):
+                item = QTableWidgetItem(text)
+                item.setToolTip(one.message or str(one.path))
+                item.setData(PATH, str(one.path))
+                table.setItem(row, column, item)
+        table.clearSelection()
+        table.setCurrentCell(-1, -1)
+        selected = self.catalogue.selected
+        if selected is not None:
+            table.selectRow([one.path for one in runs].index(selected.path))
+        table.blockSignals(False)
+        self._empty.setVisible(not self.catalogue.runs)
+        self._able()
 
-    def _choose(self) -> None:
-        chosen = self.chosen
+    def _select(self) -> None:
+        row = self._table.currentRow()
+        marked = self._table.item(row, 0) if self._table.selectedItems() else None
+        self.catalogue.select(Path(marked.data(PATH)) if marked is not None else None)
+
+    def _able(self) -> None:
+        """What can be done with the selected run, and which it is."""
+        selected = self.catalogue.selected
         for button in self._buttons:
-            button.setEnabled(chosen is not None)
-        self._resume_button.setEnabled(chosen is not None and chosen.resumable and not self._busy)
-        same = chosen is not None and self._run is not None and self._run.path == chosen.path
-        self._refit_button.setEnabled(same)
-        if chosen is not None and chosen.message:
-            self._says.setText(f"{chosen.ending}: {chosen.message}")
+            button.setEnabled(selected is not None)
+        self._resume_button.setEnabled(selected is not None and selected.resumable and not self._busy)
+        if selected is None or self._sure != selected.path:
+            self._sure = None
+            self._delete.setText(DELETE)
+        if selected is None:
+            self._selected.setText("No run is selected." if self.catalogue.runs else "")
         else:
-            self._says.clear()
-
-    def _patterns(self, run: "Run") -> None:
-        for box in self._boxes:
-            self._ticks.removeWidget(box)
-            box.deleteLater()
-        lit = [pattern.name for pattern in run.patterns.values() if pattern.pixels.any()]
-        self._boxes = [QCheckBox(name) for name in lit]
-        for box in self._boxes:
-            box.setChecked(True)
-            self._ticks.addWidget(box)
-        self._choose()
-
-    def _sift(self, words: str) -> None:
-        for row, one in enumerate(self._rows):
-            text = f"{one.path.name} {one.name} {one.began} {one.ending}".lower()
-            self._table.setRowHidden(row, not all(word in text for word in words.lower().split()))
+            why = f" ({selected.message})" if selected.message else ""
+            self._selected.setText(f"Selected: {selected.path.name}, {selected.ending}{why}")
 
     def _lay_out(self) -> None:
         self._table = QTableWidget(0, len(COLUMNS))
@@ -205,66 +235,61 @@ class RunsPage(QWidget):
         for narrow in (1, 2, 3):
             header.setSectionResizeMode(narrow, QHeaderView.ResizeMode.ResizeToContents)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        self._table.itemSelectionChanged.connect(self._choose)
-        self._table.itemDoubleClicked.connect(lambda _: self.open_chosen())
+        self._table.itemSelectionChanged.connect(self._select)
+        self._table.itemDoubleClicked.connect(lambda _: self.open_selected())
         self._filter = QLineEdit()
         self._filter.setPlaceholderText("only runs with these words")
         self._filter.setClearButtonEnabled(True)
-        self._filter.textChanged.connect(self._sift)
+        self._filter.textChanged.connect(self.catalogue.sift)
         again = QPushButton("Refresh")
         again.clicked.connect(self.refresh)
         head = QHBoxLayout()
         head.addWidget(self._filter, 1)
         head.addWidget(again)
-        self._empty = QLabel(f"No runs in {self.folder} yet. Run a sequence, and when it has ended it will be here.")
+        self._empty = QLabel(
+            f"No runs in {self.catalogue.folder} yet. Run a sequence, and when it has ended it will be here."
+        )
         self._empty.setProperty("role", "faint")
-        self._empty.setWordWrap(True)
-        self._says = QLabel()
-        self._says.setWordWrap(True)
+        self._selected, self._says = QLabel(), QLabel()
+        for label in (self._empty, self._selected, self._says):
+            label.setWordWrap(True)
+        inside, on_screen = QWidget(), QVBoxLayout()
+        on_screen.setContentsMargins(8, 4, 8, 4)
+        on_screen.addWidget(self.bar)
+        on_screen.addWidget(self.refits)
+        inside.setLayout(on_screen)
+        self.frame = SourceFrame(inside)
         column = QVBoxLayout(self)
         column.setContentsMargins(14, 10, 14, 10)
         column.addLayout(head)
         column.addWidget(self._empty)
         column.addWidget(self._table, 1)
+        column.addWidget(self._selected)
         column.addLayout(self._actions())
-        column.addWidget(self.bar)
-        column.addLayout(self._refit_row())
         column.addWidget(self._says)
+        column.addWidget(self.frame)
 
-    def _actions(self) -> QGridLayout:
-        grid = QGridLayout()
+    def _actions(self) -> Flow:
+        row = Flow()
         actions = (
-            ("Open", self.open_chosen, "show it in the live view and on the Fit page"),
-            ("Report", self.report, "write the run as one HTML page and open it"),
-            (
-                "NetCDF",
-                lambda: self.export("NetCDF"),
-                "export all frames with their coordinates, for xarray and others",
-            ),
-            ("TIFF", lambda: self.export("TIFF"), "export a folder of 16-bit pictures"),
+            ("Open", self.open_selected, "show it in the live view and on all pages"),
+            ("Report", self.report_selected, "write the run as one HTML page and open it"),
+            ("NetCDF", lambda: self.export_selected("NetCDF"), "export all frames with their coordinates"),
+            ("TIFF", lambda: self.export_selected("TIFF"), "export a folder of 16-bit pictures"),
+            ("Resume", self.resume_selected, "go on with a run that was interrupted"),
+            (DELETE, self.delete_selected, "move the run's folder to the trash"),
         )
         self._buttons = []
-        for column, (name, do, tip) in enumerate(actions):
+        for name, do, tip in actions:
             button = QPushButton(name)
             button.setToolTip(tip)
             button.clicked.connect(do)
-            grid.addWidget(button, 0, column)
+            row.addWidget(button)
             self._buttons.append(button)
-        self._resume_button = QPushButton("Resume")
-        self._resume_button.setToolTip("go on with a run that was interrupted")
-        self._resume_button.clicked.connect(self._resume)
-        grid.addWidget(self._resume_button, 0, len(actions))
-        return grid
-
-    def _refit_row(self) -> QHBoxLayout:
-        row = QHBoxLayout()
-        self._free = QCheckBox("fit the background")
-        self._free.setToolTip("fit a constant background too, rather than trust that the dark frames took it out")
-        self._refit_button = QPushButton("Fit anew")
-        self._refit_button.setToolTip("fit the opened run to the patterns that are ticked")
-        self._refit_button.clicked.connect(self.refit)
-        row.addLayout(self._ticks)
-        row.addWidget(self._free)
-        row.addStretch(1)
-        row.addWidget(self._refit_button)
+        self._resume_button, self._delete = self._buttons[-2], self._buttons[-1]
         return row
+
+
+def _to_trash(run: Path) -> bool:
+    moved = QFile.moveToTrash(str(run.absolute()))
+    return bool(moved[0] if isinstance(moved, tuple) else moved)

@@ -55,8 +55,6 @@ class SequenceDocument(QObject):
     ----------
     reading
         What the text says.
-    plan
-        The dry run, when the sequence can be run on this rig.
     """
 
     changed = Signal()
@@ -72,18 +70,31 @@ class SequenceDocument(QObject):
         self._tank = Delivered(0.0, 0.0, 0.0)
         self._text_sequence: Sequence | None = None
         self.reading = Reading({})
-        self.plan: DryRun | None = None
+        self._plan: DryRun | None = None
+        self._saved = EMPTY
+        self._doubts: dict[str, str] = {}
         self.take(EMPTY)
 
     @property
     def problem(self) -> Problem | None:
-        """The first thing that is wrong."""
-        return self.reading.problem
+        """The first thing that is wrong: in a field that is being typed in, or in the text."""
+        doubt = next(iter(self._doubts.items()), None)
+        return self.reading.problem if doubt is None else Problem(f"{doubt[0]}: {doubt[1]}", 0)
+
+    @property
+    def plan(self) -> DryRun | None:
+        """The dry run, when the sequence can be run on this rig and no field holds what makes no sense."""
+        return None if self._doubts else self._plan
+
+    @property
+    def empty(self) -> bool:
+        """Whether nobody has begun to write a sequence."""
+        return self.path is None and self.text == EMPTY and not self.undo.canUndo()
 
     @property
     def unsaved(self) -> bool:
-        """Whether there are edits that no file has."""
-        return not self.undo.isClean()
+        """Whether the text is another one than its file has."""
+        return self.text != self._saved
 
     @property
     def folder(self) -> Path:
@@ -111,7 +122,7 @@ class SequenceDocument(QObject):
             raise SequenceError(f"{path}: cannot be read ({error.strerror}); choose another file") from error
         except UnicodeDecodeError as error:
             raise SequenceError(f"{path}: is not text, so no sequence; choose a TOML file") from error
-        self.path = path
+        self.path, self._saved = path, text
         self.undo.clear()
         self.take(text)
 
@@ -130,7 +141,7 @@ class SequenceDocument(QObject):
                 unfinished.write_text(self.text, encoding="utf-8")
         except OSError as error:
             raise StoreError(f"{path}: cannot be written ({error.strerror or error}); save elsewhere") from error
-        self.path = path
+        self.path, self._saved = path, self.text
         self.undo.setClean()
         self.changed.emit()
 
@@ -150,6 +161,30 @@ class SequenceDocument(QObject):
         text = sequence_text.edited(self.text, change)
         if text != self.text:
             self.undo.push(_Edit(self, text, what, typing))
+
+    def detach(self) -> None:
+        """The text is nobody's file any more: saving asks where to."""
+        self.path = None
+        self.changed.emit()
+
+    def edit_unsaved(self, text: str) -> None:
+        """Edit a text that no file has."""
+        self.path, self._saved = None, EMPTY
+        self.edit_text(text)
+
+    def doubt(self, field: str, sentence: str) -> None:
+        """A field holds what makes no sense, so that it is not in the text: nothing is run before it is mended."""
+        before = dict(self._doubts)
+        self._doubts.pop(field, None)
+        if sentence:
+            self._doubts[field] = sentence
+        if self._doubts != before:
+            self.checked.emit()
+
+    def forget_doubts(self, about: str) -> None:
+        """Fields whose names begin so are gone, with what was typed in them."""
+        for field in [field for field in self._doubts if field.startswith(about)]:
+            self.doubt(field, "")
 
     def take(self, text: str) -> None:
         """Have this text from now on; for the undo stack."""
@@ -174,7 +209,7 @@ class SequenceDocument(QObject):
         (self.checked if self.problem == before else self.changed).emit()
 
     def _read(self) -> None:
-        self.reading, self.plan = sequence_text.read(self.text, self.folder), None
+        self.reading, self._plan = sequence_text.read(self.text, self.folder), None
         self._text_sequence = self.reading.sequence
         if self.reading.sequence is None or self._rig is None:
             return
@@ -194,11 +229,11 @@ class SequenceDocument(QObject):
         rig, frame_bytes = self._rig, rows * columns * FRAME_BYTES
         try:
             rule = rig.exposure_rule
-            self.plan = dry_run(sequence, rig.limits, rig.pace, frame_bytes, self._tank, exposure=rule)
+            self._plan = dry_run(sequence, rig.limits, rig.pace, frame_bytes, self._tank, exposure=rule)
             self.reading = replace(self.reading, sequence=sequence, problem=None)
         except SequenceError as error:
             self._refuse(str(error).removeprefix(f"{sequence.name}: "))
 
     def _refuse(self, sentence: str) -> None:
         problem = Problem(sentence, sequence_text.line_of(self.text, sentence))
-        self.plan, self.reading = None, replace(self.reading, sequence=None, problem=problem)
+        self._plan, self.reading = None, replace(self.reading, sequence=None, problem=problem)

@@ -1,10 +1,10 @@
 """The sequence: build it, check it, run it."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
-    QHBoxLayout,
     QLabel,
     QPushButton,
     QTabWidget,
@@ -13,19 +13,28 @@ from PySide6.QtWidgets import (
 )
 
 from tankrig.errors import TankrigError
-from tankrig.run.journal import Event
-from tankrig.sequence.sequence import Sequence
-from ui.window.fields import NumberField
+from ui.window.fields import NumberField, with_name
 from ui.window.files import ask_for_file, ask_where_to_save
+from ui.window.first_start import EXAMPLE, FirstStart
+from ui.window.flow import Flow
 from ui.window.marked_text import MarkedText
 from ui.window.patterns_editor import PatternsEditor
+from ui.window.plan_list import PlanList
 from ui.window.run_list import RunList
 from ui.window.sequence_document import SequenceDocument
+from ui.window.sequence_tables import pattern_table, patterns_in, step_table, steps_in
+from ui.window.sequence_text import patterns_of
+from ui.window.shown import Shown
+from ui.window.source_frame import SourceFrame
 from ui.window.status import RigStatus
 from ui.window.steps_editor import StepsEditor
 from ui.window.theme import set_role
 from ui.window.words import duration, size, volume
 
+if TYPE_CHECKING:
+    from ui.window.jobs import Suggestion
+
+WAITING = "The rig is being opened; what each step takes will be listed here then."
 KINDS = "Sequences (*.toml)"
 
 
@@ -35,23 +44,33 @@ class SequencePage(QWidget):
     told = Signal(str)
     """What a person has to know."""
     run_asked = Signal()
+    rig_asked = Signal()
+    runs_asked = Signal()
+    """Before there is a sequence: a rig file, or the runs that there are."""
     dropped = Signal(str)
     """A text that was edited and not saved before another was opened."""
 
-    def __init__(self) -> None:
+    def __init__(self, simulated: bool = False) -> None:
         super().__init__()
+        self.first, self._building = FirstStart(simulated), False
+        self.first.try_asked.connect(self.try_example)
+        self.first.build_asked.connect(self._build)
+        self.first.rig_asked.connect(self.rig_asked)
+        self.first.run_asked.connect(self.runs_asked)
         self.document = SequenceDocument()
         self.steps = StepsEditor(self.document)
         self.patterns = PatternsEditor(self.document)
         self.text = MarkedText()
-        self.run_list = RunList()
+        self.plan_list, self.run_list = PlanList(), RunList()
+        self.run_frame = SourceFrame(self.run_list)
         self.steps.refused.connect(self.told)
         self.patterns.refused.connect(self.told)
         self.text.textChanged.connect(lambda: self.document.edit_text(self.text.toPlainText()))
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         for title, widget in (
-            ("Steps", self.steps), ("Patterns", self.patterns), ("Text", self.text), ("Run", self.run_list)
+            ("Steps", self.steps), ("Patterns", self.patterns), ("Text", self.text), ("Dry run", self.plan_list),
+            ("Run", self.run_frame),
         ):  # fmt: skip
             self.tabs.addTab(widget, title)
         self._title, self._says = QLabel(), QLabel()
@@ -62,11 +81,13 @@ class SequencePage(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(10, 8, 10, 8)
         column.addLayout(self._head())
+        column.addWidget(self.first, 1)
         column.addWidget(self.tabs, 1)
         column.addWidget(self._says)
         column.addLayout(self._foot())
         self.document.changed.connect(self._refresh)
         self.document.checked.connect(self._tell)
+        self.document.changed.connect(self._list_plan_that_waits)
         self._busy = False
         self._refresh()
 
@@ -93,10 +114,44 @@ class SequencePage(QWidget):
         if unsaved:
             self.dropped.emit(unsaved)  # last, for it can be put right now only
 
+    def try_example(self) -> None:
+        """Open the example and show what it would take; the next press of Run carries it out."""
+        self.load(EXAMPLE)
+        self.document.detach()
+        self.dry_run()
+
+    def append(self, suggestion: "Suggestion") -> None:
+        """Append what is to be photographed next: the dose and its mixing where ink is needed, and the capture."""
+
+        def change(document: Any) -> None:
+            if suggestion.table is not None and suggestion.pattern not in patterns_of(document):
+                patterns_in(document)[suggestion.pattern] = pattern_table(suggestion.table)
+            steps = steps_in(document, nested=False)
+            if suggestion.total_ul is not None:
+                steps.append(step_table({"do": "dose", "total_ul": suggestion.total_ul}, nested=False))
+                steps.append(step_table({"do": "mix", "pattern": suggestion.pattern}, nested=False))
+            capture = {"do": "capture", "pattern": suggestion.pattern, "frames": suggestion.frames}
+            steps.append(step_table(capture, nested=False))
+
+        try:
+            self.document.edit("append what was advised", change)
+        except TankrigError as error:
+            self.told.emit(str(error))
+        else:
+            self.tabs.setCurrentWidget(self.steps)
+
+    def _build(self) -> None:
+        self._building = True
+        self._refresh()
+
+    @property
+    def beginning(self) -> bool:
+        """Whether there is no sequence yet, and nobody has begun to build one."""
+        return self.document.empty and not self._building
+
     def edit_unsaved(self, text: str) -> None:
         """Edit a text that no file has."""
-        self.document.path = None
-        self.document.edit_text(text)
+        self.document.edit_unsaved(text)
 
     def save(self) -> None:
         """Save to the file that was opened, or to one that is asked for."""
@@ -120,27 +175,28 @@ class SequencePage(QWidget):
         """List what each step takes."""
         plan, problem = self.document.plan, self.document.problem
         if plan is None:
-            self.told.emit(problem.sentence if problem else "the rig is not known yet, so there is nothing to check by")
+            self.plan_list.wait(problem.sentence if problem else WAITING)
+            self.tabs.setCurrentWidget(self.plan_list)
             return
-        lines = [
-            f"{step.label}: {duration(step.seconds)}"
-            + (f", {volume(step.ink_ul)} of ink" if step.ink_ul else "")
-            + (f", {step.frames} frames" if step.frames else "")
-            for step in plan.steps
-        ]
-        self.run_list.list_plan(lines, f"Dry run: {self._totals()}; nothing has moved")
-        self.tabs.setCurrentWidget(self.run_list)
+        self.plan_list.show_plan(plan, f"Dry run: {self._totals()}; nothing has moved")
+        self.tabs.setCurrentWidget(self.plan_list)
+
+    def _list_plan_that_waits(self) -> None:
+        """A dry run that was asked for before the rig was known."""
+        if self.plan_list.waiting and self.document.plan is not None:
+            self.dry_run()
 
     # -- what goes on --------------------------------------------------------------------------------------------------
 
-    def begin(self, sequence: Sequence) -> None:
-        """A run has begun."""
-        self.run_list.begin(sequence)
-        self.tabs.setCurrentWidget(self.run_list)
+    def show_source(self, shown: Shown) -> None:
+        """The steps of this source stand on the tab "Run"."""
+        self.run_frame.show_source(shown.source)
+        self.run_list.show_source(shown)
+        self._refresh()
 
-    def see(self, event: Event) -> None:
-        """The run has recorded something."""
-        self.run_list.see(event)
+    def show_run(self) -> None:
+        """Bring the steps of the run to the front."""
+        self.tabs.setCurrentWidget(self.run_frame)
 
     def follow(self, status: RigStatus) -> None:
         """Where the rig stands."""
@@ -151,6 +207,11 @@ class SequencePage(QWidget):
         self._run.setEnabled(self.document.plan is not None and not self._busy)
 
     def _refresh(self) -> None:
+        if not self.plan_list.waiting:
+            self.plan_list.clear()
+        beginning = self.beginning and self.run_list.empty
+        self.first.setVisible(beginning)
+        self.tabs.setVisible(not beginning)
         problem = self.document.problem
         self._title.setText(self.document.title)
         self.text.replace_text(self.document.text)
@@ -164,8 +225,10 @@ class SequencePage(QWidget):
     def _tell(self) -> None:
         """What the sequence takes, or what is wrong with it."""
         problem, plan = self.document.problem, self.document.plan
-        set_role(self._says, "wrong" if problem else "good")
-        if problem is not None:
+        set_role(self._says, "wrong" if problem and not self.beginning else "good")
+        if self.beginning:
+            self._says.clear()
+        elif problem is not None:
             self._says.setText((f"Line {problem.line}: " if problem.line else "") + problem.sentence)
         else:
             self._says.setText(
@@ -182,12 +245,12 @@ class SequencePage(QWidget):
 
     def _set_exposure(self) -> None:
         value = self._exposure.value
+        self.document.doubt("exposure", self._exposure.wrong)
         if value is not None:
             self.document.edit("exposure", lambda document: document.__setitem__("exposure_ms", value), typing=True)
 
-    def _head(self) -> QHBoxLayout:
-        row = QHBoxLayout()
-        row.addWidget(self._title, 1)
+    def _head(self) -> Flow:
+        row = Flow(self._title)
         for name, do, tip in (
             ("Open", self.open_file, "open a sequence file (Ctrl+O)"), ("Save", self.save, "save it (Ctrl+S)"),
             ("Save as", self.save_as, "save it to another file"),
@@ -209,11 +272,8 @@ class SequencePage(QWidget):
             row.addWidget(button)
         return row
 
-    def _foot(self) -> QHBoxLayout:
-        row = QHBoxLayout()
-        row.addWidget(QLabel("exposure"))
-        row.addWidget(self._exposure)
-        row.addStretch(1)
+    def _foot(self) -> Flow:
+        row = Flow(with_name("exposure", self._exposure))
         dry, self._run = QPushButton("Dry run  F7"), QPushButton("Run  F5")
         dry.setToolTip("what each step takes; nothing moves")
         dry.clicked.connect(self.dry_run)

@@ -1,5 +1,6 @@
 """What the window knows of the rig at a moment."""
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -31,6 +32,8 @@ class RigStatus:
         What the rig is doing.
     trouble
         One sentence, where something is wrong.
+    troubles
+        How many there have been: the same sentence may be told again.
     tank
         Ink in the tank, µl.
     remaining
@@ -45,10 +48,15 @@ class RigStatus:
         Of the run.
     preparation
         What its fits wait for, in words; empty where they wait for nothing.
+    aside_ul
+        Of what is being delivered beside the tank.
+    exposing_left_s
+        Of a long exposure under way.
     """
 
     state: RigState = RigState.OPENING
     trouble: str = ""
+    troubles: int = 0
     tank: Delivered | None = None
     remaining: Remaining | None = None
     target_ul: float | None = None
@@ -57,6 +65,8 @@ class RigStatus:
     progress: Progress | None = None
     run_state: RunState | None = None
     preparation: str = ""
+    aside_ul: float | None = None
+    exposing_left_s: float | None = None
 
     @property
     def running(self) -> bool:
@@ -66,7 +76,21 @@ class RigStatus:
     @property
     def busy(self) -> bool:
         """Whether the rig is in use for something that must not be disturbed."""
-        return self.state in (RigState.RUNNING, RigState.ASKING, RigState.LENT) or self.target_ul is not None
+        return self.state in (RigState.RUNNING, RigState.ASKING, RigState.LENT) or self.dosing
+
+    @property
+    def dosing(self) -> bool:
+        """Whether the pump moves because a person has asked for it by hand."""
+        return self.target_ul is not None or self.aside_ul is not None
+
+    @property
+    def over_the_picture(self) -> str:
+        """What has to be known of a picture that does not move; empty where it does."""
+        if self.state is RigState.LENT:
+            return "a calibration goes on and has the camera; the Calibration page shows what it sees"
+        if self.exposing_left_s is not None:
+            return f"exposing, {math.ceil(self.exposing_left_s)} s left"
+        return ""
 
     @property
     def words(self) -> str:
@@ -79,6 +103,8 @@ class RigStatus:
             return self._run_words(self.progress)
         if self.target_ul is not None:
             return f"dosing until the tank holds {self.target_ul:g} µl"
+        if self.aside_ul is not None:
+            return f"delivering {self.aside_ul:g} µl into the waste vessel; the tank holds what it held"
         if self.stopped:
             return "the doser is stopped; clear the stop on the Doser page, or start a run, to go on"
         return str(self.state.value)

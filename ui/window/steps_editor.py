@@ -2,12 +2,11 @@
 
 from typing import Any
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import QEvent, Qt, Signal
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QComboBox,
-    QGridLayout,
     QLabel,
     QPushButton,
     QScrollArea,
@@ -21,7 +20,8 @@ from PySide6.QtWidgets import (
 from tankrig.errors import SequenceError
 from tankrig.sequence.steps import Burst, Capture, Dose, Mix, Note, Repeat, Series, Wait
 from ui.window import theme
-from ui.window.forms import Form
+from ui.window.flow import Flow
+from ui.window.forms import Form, label_of
 from ui.window.sequence_document import SequenceDocument
 from ui.window.sequence_tables import inline, step_table, steps_in
 from ui.window.sequence_text import Path_, at, line_of, patterns_of
@@ -41,6 +41,7 @@ NEW: dict[str, dict[str, Any]] = {
     "burst": {"do": "burst", "patterns": ["full"]},
 }
 ALWAYS = ("dark", "full")
+DOUBTED = "step, "
 PLACE = Qt.ItemDataRole.UserRole
 
 
@@ -92,6 +93,7 @@ class StepsEditor(QWidget):
         self.tree.currentItemChanged.connect(lambda *_: self._show_form())
         self._form_area = QScrollArea()
         self._form_area.setWidgetResizable(True)
+        self._form_area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._form_area.setFrameShape(QScrollArea.Shape.NoFrame)
         self._kind = QComboBox()
         self._kind.addItems(list(STEPS))
@@ -99,22 +101,20 @@ class StepsEditor(QWidget):
         buttons = {
             "Add": self.add, "Remove": self.remove, "Up": lambda: self.move_step(-1), "Down": lambda: self.move_step(1)
         }  # fmt: skip
-        grid = QGridLayout()
-        grid.addWidget(self._kind, 0, 0)
-        for column, (name, do) in enumerate(buttons.items(), 1):
+        head = Flow(self._kind)
+        for name, do in buttons.items():
             button = QPushButton(name)
             button.setToolTip(f"{name.lower()} a step" if name == "Add" else f"{name.lower()}: the chosen step")
             button.clicked.connect(do)
-            grid.addWidget(button, 0, column)
-        grid.setColumnStretch(5, 1)
+            head.addWidget(button)
         split = QSplitter(Qt.Orientation.Horizontal)
         split.addWidget(self.tree)
         split.addWidget(self._form_area)
-        split.setSizes([330, 260])
+        split.setSizes([280, 300])
         split.setChildrenCollapsible(False)
         column_layout = QVBoxLayout(self)
         column_layout.setContentsMargins(0, 6, 0, 0)
-        column_layout.addLayout(grid)
+        column_layout.addLayout(head)
         column_layout.addWidget(split, 1)
         document.changed.connect(self._refresh)
         self._refresh()
@@ -164,7 +164,7 @@ class StepsEditor(QWidget):
         if before and not self._in_patterns(problem.line):
             _, item = before[-1]
             item.setForeground(0, QColor(theme.current().bad))
-            item.setText(0, f"⚠ {item.text(0)}")
+            item.setText(0, f"⚠ {item.text(0).removeprefix('⚠ ')}")
             item.setToolTip(0, problem.sentence)
 
     def _in_patterns(self, line: int) -> bool:
@@ -176,6 +176,7 @@ class StepsEditor(QWidget):
         return list(found)
 
     def _show_form(self) -> None:
+        self._document.forget_doubts(DOUBTED)
         place = self.place()
         table = None
         if place is not None:
@@ -195,8 +196,15 @@ class StepsEditor(QWidget):
         choices = {"pattern": patterns} if kind in (Capture, Mix) else {}
         form = Form(kind, table, choices, skip=("do", "steps"))
         form.edited.connect(self._edit)
+        form.doubted.connect(lambda name, why: self._document.doubt(f"{DOUBTED}{label_of(name)}", why))
         form.setContentsMargins(10, 4, 10, 4)
         self._form_area.setWidget(form)
+
+    def changeEvent(self, event: QEvent) -> None:  # noqa: N802 - Qt's name
+        """Another theme has other colours."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange:
+            self._mark()
 
     # -- edits ---------------------------------------------------------------------------------------------------------
 

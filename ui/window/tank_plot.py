@@ -17,7 +17,7 @@ class IndexedImage(pg.ImageItem):  # type: ignore[misc]
     """An image item of indices into a palette: what pyqtgraph looks into anew for every picture is known here."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(axisOrder="row-major")
         self._palette: NDArray[np.uint8] | None = None
         self._colours: list[int] = []
 
@@ -55,7 +55,7 @@ class TankPlot:
         self.plot.setAspectLocked(True)
         self.plot.hideButtons()
         self.plot.setMenuEnabled(False)
-        self._title = ""
+        self._title, self._axes = "", axes
         self.name(title)
         if axes:
             self.plot.setLabel("bottom", "x from the lit wall (mm)")
@@ -69,12 +69,31 @@ class TankPlot:
             axis.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
         self.image = IndexedImage()
         self.plot.addItem(self.image)
+        self._show_axes(False)
         self._place: tuple[Any, ...] = (None, None)
         self._to_pixels = QTransform()
 
     def show_indices(self, indices: NDArray[np.uint8], palette: NDArray[np.uint8]) -> None:
         """Show (rows, columns) indices into a (256, 3) palette."""
         self.image.show_indices(indices, palette)
+        if not self.image.isVisible():
+            self._show_axes(True)
+
+    def clear(self) -> None:
+        """Show nothing: no picture, and no axes, which would measure nothing."""
+        self._show_axes(False)
+        self.name("")
+
+    @property
+    def empty(self) -> bool:
+        """Whether no picture is shown."""
+        return not self.image.isVisible()
+
+    def _show_axes(self, shown: bool) -> None:
+        self.image.setVisible(shown)
+        if self._axes:
+            self.plot.showAxis("bottom", shown)
+            self.plot.showAxis("left", shown)
 
     def place(self, tank: Tank, camera: Camera) -> None:
         """Say where the picture lies, whole or thinned; the view is moved only when that has changed."""

@@ -7,7 +7,10 @@ import pyqtgraph as pg
 from numpy.typing import NDArray
 
 COUNTS = 2**16
-COLOURS = {"false colour": "inferno", "grey": "CET-L1"}
+COLOURS = {
+    "false colour": "inferno", "grey": "CET-L1", "viridis": "viridis", "cividis": "cividis", "magma": "magma",
+}  # fmt: skip
+"""All perceptually even; "cividis" looks the same to people who do not tell red from green."""
 SATURATED = (0, 229, 255)
 """A colour that neither scale has."""
 LEAST = 200.0

@@ -5,7 +5,10 @@ from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QS
 
 from tankrig.run.state import RunState
 from ui.window.status import RigStatus
+from ui.window.theme import set_role
 from ui.window.words import duration
+
+SIMULATED = "SIMULATED RIG, nothing real moves"
 
 
 class TopBar(QWidget):
@@ -19,9 +22,9 @@ class TopBar(QWidget):
 
     def __init__(self, rig: str, simulated: bool) -> None:
         super().__init__()
-        self.badge = QLabel("SIMULATED RIG, nothing real moves" if simulated else rig)
+        self.badge = QLabel(SIMULATED if simulated else rig)
         self.badge.setObjectName("badge")
-        self.badge.setProperty("real", not simulated)
+        self.badge.setProperty("real", "false" if simulated else "true")
         self.stop = QPushButton("STOP  F12")
         self.stop.setObjectName("stop")
         self.stop.setToolTip("stop the doser at once and abort the run (F12 or Esc, from anywhere in the window)")
@@ -46,6 +49,11 @@ class TopBar(QWidget):
         row.addWidget(self._bar, 1)
         for widget in (theme, keys, self.stop):
             row.addWidget(widget)
+
+    def use_rig(self, name: str, simulated: bool) -> None:
+        """Another rig: a real one looks other than a simulated one."""
+        self.badge.setText(SIMULATED if simulated else name)
+        set_role(self.badge, "false" if simulated else "true", "real")
 
     def name_rig(self, name: str) -> None:
         """Of a real rig, once its file has been read."""

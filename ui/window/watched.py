@@ -1,8 +1,10 @@
 """Camera and projector as the window sees them: the devices themselves, and a look at what passes through them."""
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Generic, TypeVar
 
 from PySide6.QtCore import QObject, Signal
@@ -11,6 +13,8 @@ from tankrig.devices import Camera, CameraSettings, Flip, Frame, Pixels, Project
 from tankrig.pattern import Pattern
 
 T = TypeVar("T")
+LONG_S = 1.0
+"""A person is told how long an exposure still takes that is longer than this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +31,15 @@ class SeenFrame:
         Of the camera, as read back.
     pattern
         What the projector showed, if that is known.
+    run
+        Folder of the run that it was recorded in; None for what the camera sees now.
     """
 
     pixels: Pixels
     saturation: int
     settings: CameraSettings
     pattern: Pattern | None
+    run: Path | None = None
 
 
 class Newest(QObject, Generic[T]):
@@ -98,6 +105,7 @@ class WatchedCamera:
     def __init__(self, camera: Camera, projector: WatchedProjector, seen: Callable[[SeenFrame], object]) -> None:
         self._camera, self._projector, self._seen = camera, projector, seen
         self._settings = CameraSettings(0.0)
+        self._began_s: float | None = None
 
     @property
     def name(self) -> str:
@@ -114,6 +122,14 @@ class WatchedCamera:
         """Count at which pixels saturate."""
         return self._camera.saturation
 
+    @property
+    def exposing_left_s(self) -> float | None:
+        """About how long a long exposure under way still takes; None where none is under way, or a short one."""
+        began_s, exposure_s = self._began_s, 1e-3 * self._settings.exposure_ms
+        if began_s is None or exposure_s < LONG_S:
+            return None
+        return max(0.0, exposure_s - (time.monotonic() - began_s))
+
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Of the device."""
         self._settings = self._camera.configure(settings)
@@ -121,7 +137,11 @@ class WatchedCamera:
 
     def capture(self, after_ns: int, timeout_s: float) -> Frame:
         """Capture, and pass on."""
-        frame = self._camera.capture(after_ns, timeout_s)
+        self._began_s = time.monotonic()
+        try:
+            frame = self._camera.capture(after_ns, timeout_s)
+        finally:
+            self._began_s = None
         self._seen(SeenFrame(frame.pixels, self.saturation, self._settings, self._projector.pattern))
         return frame
 

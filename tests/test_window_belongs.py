@@ -1,0 +1,373 @@
+"""What the window shows of runs that were recorded belongs to the run that its frame names: each mix-up that there was.
+
+The runs are small and their numbers tell which run they are of (`tests/recorded_runs.py`).
+"""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtWidgets import QFileDialog
+
+from tankrig.devices import CameraSettings
+from tankrig.live.formatting import with_error
+from tankrig.live.results import fits_in
+from tankrig.run.reading import open_run
+from tests import recorded_runs as runs
+from tests.window_rig import until, window_on, write_rig
+from ui.window import jobs
+from ui.window.shown import PhotographKey, Shown
+from ui.window.source import Kind, RefitSettings, Source
+from ui.window.watched import SeenFrame
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory):
+    """A window beside runs of 5, 3 and 2 doses, and one that was interrupted after 2 doses."""
+    folder = tmp_path_factory.mktemp("belongs")
+    for name, doses, ending in (("a", 5, "completed"), ("b", 3, "completed"), ("c", 2, "completed"), ("d", 2, "")):
+        runs.recorded(folder / "runs" / f"run-{name}", doses, ending)
+    with window_on(folder, write_rig(folder)) as made:
+        until(lambda: made.status.state.value == "ready", 60.0)
+        yield made
+
+
+@pytest.fixture
+def window(opened):
+    """The camera on screen, no filter, nothing to tell."""
+    opened.on_screen.leave()
+    opened.runs._filter.setText("")
+    while opened.banner.text:
+        opened.banner.put_away()
+    return opened
+
+
+def path_of(window, name: str) -> Path:
+    return window.folder / f"run-{name}"
+
+
+def show(window, name: str) -> Shown:
+    window.show_run(path_of(window, name))
+    shown = window.on_screen.shown
+    until(lambda: shown.reading is not None)
+    return shown
+
+
+def card(window, name: str) -> str:
+    _, value, note = window.fit.card.values[name]
+    return f"{value.text()} {note.text()}"
+
+
+def painted(window) -> None:
+    """What waits for its turn to be painted has been."""
+    until(lambda: not window.fit._curves._turns._waiting)
+
+
+def agrees(window, run: Path) -> bool:
+    """Whether card and curves say what the run's journal holds."""
+    painted(window)
+    doses, series = fits_in([event.fields for event in open_run(run).fits])
+    ink = series.ink if series is not None else doses[-1].medium
+    sd = series.sd if series is not None else doses[-1].sd
+    number, half = with_error(ink.sigma_s, 1.96 * sd[1]).split(" ± ")
+    curve = [(fit.dose_ml, fit.medium.sigma_s) for fit in doses]
+    same = curve == window.fit._curves.points("sigma_s")
+    return number in card(window, "sigma_s") and half in card(window, "sigma_s") and same
+
+
+def test_a_refit_that_comes_after_another_run_was_opened_does_not_show_in_it(window, monkeypatch):
+    """Fit anew of A, then open B: A's five doses stood beside B's fit in one plot."""
+    asked = []
+    monkeypatch.setattr(window.background, "run", lambda *words, **answer: asked.append((words, answer)))
+    show(window, "a")
+    window.runs.refits.ask()
+    show(window, "b")
+    (refit,) = [answer for words, answer in asked if words[0] is jobs.refit]
+    doses = tuple(runs.dose_fit(path_of(window, "a"), number, again=1) for number in range(5))
+    refit["then"](jobs.Found(doses, None, ()))
+    until(lambda: "REFIT of run-a" in window.banner.text)
+    assert window.on_screen.source == Source(Kind.REPLAY, path_of(window, "b"))
+    assert agrees(window, path_of(window, "b"))
+    window.banner.press()
+    assert window.on_screen.source.kind is Kind.REFIT
+    painted(window)
+    assert [y for _, y in window.fit._curves.points("g")] == [0.5] * 5
+    assert window.fit.card.belongs.text().endswith("rays; dark frames subtracted")
+    assert window.live_frame.title.text() == "REFIT of run-a with rays; dark frames subtracted"
+
+
+def test_the_report_is_that_of_the_run_that_ended(window, monkeypatch):
+    """ "Write its report" wrote the report of whatever row was selected."""
+    from tankrig.run.runner import Outcome
+    from tankrig.run.state import FinishReason
+
+    asked = []
+    monkeypatch.setattr(window.background, "run", lambda *words, **_: asked.append(words))
+    window.ended(Outcome(FinishReason.COMPLETED, path_of(window, "c")))
+    window.runs.catalogue.select(path_of(window, "a"))
+    window.banner.press()
+    assert asked == [(jobs.report, path_of(window, "c"))]
+
+
+def test_an_export_is_of_the_run_that_was_asked_about(window, monkeypatch, tmp_path):
+    """The dialog of A, answered when B was selected, saved B's frames as A.nc."""
+    asked = []
+    monkeypatch.setattr(window.background, "run", lambda *words, **_: asked.append(words))
+    window.runs.catalogue.select(path_of(window, "a"))
+    window.runs.export_selected("NetCDF")
+    (question,) = window.runs.findChildren(QFileDialog)
+    assert "run-a" in question.windowTitle()
+    window.runs.catalogue.select(path_of(window, "b"))
+    question.selectFile(str(tmp_path / "out.nc"))
+    question.accept()
+    until(lambda: asked)
+    assert asked == [(jobs.export, path_of(window, "a"), tmp_path / "out.nc")]
+
+
+def test_what_a_filter_hides_is_not_selected(window):
+    """A hidden run stayed selected, and Open opened it."""
+    window.runs.catalogue.select(path_of(window, "a"))
+    window.runs._filter.setText("run-b")
+    assert window.runs.catalogue.selected is None
+    assert not any(button.isEnabled() for button in window.runs._buttons)
+    window.runs.open_selected()
+    assert window.on_screen.source.run is None
+    window.runs._filter.setText("")
+    assert window.runs.catalogue.selected is None
+
+
+def test_a_row_that_is_clicked_selects_that_run_whatever_is_listed(window):
+    window.runs._filter.setText("run-c")
+    window.runs._table.selectRow(0)
+    window.runs._filter.setText("")
+    window.runs.refresh()
+    assert window.runs.catalogue.selected.path == path_of(window, "c")
+    assert window.runs._table.selectedItems()[0].text() == "run-c"
+
+
+def test_against_time_doses_stand_at_their_times(window):
+    """All doses of a run that was opened again stood at .28 s."""
+    show(window, "b")
+    window.fit._against.setCurrentText("against time")
+    painted(window)
+    assert [at for at, _ in window.fit._curves.points("g")] == [60.0, 120.0, 180.0]
+    window.fit._against.setCurrentText("against dose")
+
+
+def test_opening_a_run_leaves_nothing_of_the_one_before(window):
+    """Cards, pictures and bars of the run before stayed until the new one's had come, or for good."""
+    shown = show(window, "a")
+    assert agrees(window, path_of(window, "a"))
+    shown.photographs[PhotographKey("rays", 0.5)] = object()
+    shown.choose(PhotographKey("rays", 0.5))
+    image, medium = np.ones((20, 30)), shown.by_dose[-1].medium
+    rmse = {"1": 0.3, "1–3": 0.2, "1–20": 0.1, "all": 0.05}
+    bench = shown.reading.bench
+    compared = jobs.Comparison("rays", 0.5, image, image, 0.1 * image, rmse, bench.tank, bench.camera)
+    shown.take_comparison(PhotographKey("rays", 0.5), shown.by_dose[-1], compared)
+    until(lambda: not window.fit._turns._waiting)
+    assert not window.fit._observed.empty
+    assert "5 % left" in window.fit._bars._bars["all"].format()
+    window.show_run(path_of(window, "c"))  # nothing of it has been read yet
+    assert window.fit.card.values["sigma_s"][1].text() == "–"
+    assert window.fit._observed.empty
+    assert window.fit._bars._bars["all"].format() == "–"
+    assert window.fit._curves.points("g") == []
+    assert window.sequence.run_list.lines() == []
+    assert medium.sigma_s > 0.0
+
+
+def test_after_resuming_earlier_doses_and_done_steps_are_there(window):
+    """Earlier doses vanished from the curves, and done steps lost their ✓."""
+    path = path_of(window, "d")
+    reading = jobs.read(path)
+    window.on_screen.begin(path, reading.labels, reading.run.journal)
+    painted(window)
+    assert [x for x, _ in window.fit._curves.points("g")] == [0.1, 0.2]
+    assert [line[:1] for line in window.sequence.run_list.lines()[:3]] == ["✓", "✓", " "]
+    for event in runs.add_dose(path, 2, "d" * 64):
+        window.on_screen.take(path, event)
+    assert agrees(window, path)
+    window.on_screen.take(path_of(window, "a"), event)
+    assert agrees(window, path), "a line of another run came through"
+
+
+def test_the_exposure_shown_is_the_pictures_own(window, monkeypatch):
+    """It showed 99 ms while a run took 20."""
+    window.live.set_camera(CameraSettings(99.0), free=False)
+    monkeypatch.setattr(window.live, "set_camera", lambda *_, **__: None)  # as at rest
+    frame = SeenFrame(np.full((20, 30), 100, np.uint16), 4095, CameraSettings(20.0, 2.0), None)
+    window.host.look_away(True)
+    until(lambda: window.live.frame is not None)
+    window.host.frames.put(frame)
+    until(lambda: window.live.frame is frame)
+    assert (window.live._exposure.value, window.live._gain.value) == (20.0, 2.0)
+    window.host.look_away(False)
+
+
+def test_a_frame_of_another_source_is_not_shown(window):
+    """Between two sources a frame of the old one may still be on its way."""
+    show(window, "a")
+    assert window.live.frame is None
+    late = SeenFrame(np.full((20, 30), 100, np.uint16), 4095, CameraSettings(20.0), None)
+    window.host.frames.put(late)
+    of_b = SeenFrame(late.pixels, 4095, CameraSettings(20.0), None, path_of(window, "b"))
+    window.host.frames.put(of_b)
+    own = SeenFrame(late.pixels, 4095, CameraSettings(20.0), None, path_of(window, "a"))
+    from tests.window_rig import wait_ms
+
+    wait_ms(100)
+    assert window.live.frame is None
+    window.host.frames.put(own)
+    until(lambda: window.live.frame is own)
+    window.on_screen.leave()
+    assert window.live.frame is None, "a recorded picture stayed under the camera's title"
+    until(lambda: window.live.frame is not None and window.live.frame.run is None)
+
+
+def test_radiance_is_by_the_gain_of_the_source(window):
+    """The pointer read radiances of one run by the gain of another."""
+    a = show(window, "a")
+    a.dark = 10.0
+    b = show(window, "b")
+    assert b.dark is None
+    assert b.newest.gain != a.newest.gain
+
+
+def test_a_refit_with_a_free_background_has_it_in_all_orders():
+    """The bars of a refit left the background out that it had fitted, so that all orders looked wrong."""
+    from tankrig.live.exposures import Photograph
+    from tankrig.live.results import DoseFit
+    from tankrig.pattern.kinds import Sheet, draw
+    from tankrig.report.pictures import predicted
+    from tankrig.scene import Medium
+    from tests.memory_rig import BENCH
+
+    pattern = draw(Sheet((-60.0, 60.0), (50.0, 70.0)), BENCH.wall)
+    scene = BENCH.scene(pattern, Medium(1e-4, 0.004, 0.5))
+    bare = Photograph("sheet", 0.1, 0.0, scene, np.zeros(scene.camera.shape), np.ones(scene.camera.shape), 0.0, 1)
+    light = predicted(bare, Medium(1e-4, 0.004, 0.5)).image
+    image = 100.0 * light + 0.3 * 100.0 * light.max()
+    fit = DoseFit(0.1, Medium(1e-4, 0.004, 0.5), gain=100.0)
+    free = Photograph("sheet", 0.1, 0.0, scene, image, np.ones_like(image), "free", 1)
+    taken_out = Photograph("sheet", 0.1, 0.0, scene, image, np.ones_like(image), 0.0, 1)
+    assert jobs.compare(free, fit).rmse["all"] < 1e-9
+    assert jobs.compare(taken_out, fit).rmse["all"] > 0.1
+
+
+def test_refits_hand_on_photographs_as_they_were_fitted(monkeypatch, tmp_path):
+    from types import SimpleNamespace
+
+    from tankrig.live.exposures import Photograph
+    from tankrig.pattern.kinds import Sheet, draw
+    from tankrig.scene import Medium
+    from tests.memory_rig import BENCH
+
+    scene = BENCH.scene(draw(Sheet((-60.0, 60.0), (50.0, 70.0)), BENCH.wall), Medium(1e-4, 0.004, 0.5))
+    zero = np.zeros(scene.camera.shape)
+    one = Photograph("sheet", 0.1, 0.0, scene, zero, zero, 0.0, 1)
+    monkeypatch.setattr("tankrig.run.reading.open_run", lambda _: None)
+    monkeypatch.setattr("tankrig.live.exposures.exposures_of", lambda _: SimpleNamespace(photographs=lambda: [one]))
+    monkeypatch.setattr("tankrig.live.fits.fit_dose", lambda here, _: here)
+    found = jobs.refit(tmp_path, RefitSettings(("sheet",), free_background=True))
+    assert [photograph.offset for photograph in found.photographs] == ["free"]
+
+
+def test_what_was_told_goes_when_it_is_no_longer_true(window):
+    """ "288 µl" stood over an empty tank, and "no picture" over a live one."""
+    from dataclasses import replace
+
+    from ui.window.status import RigState
+
+    at_rest = window.status
+    window._follow(replace(at_rest, trouble="the tank holds between 0 and 288 µl", troubles=at_rest.troubles + 1))
+    assert "288" in window.banner.text
+    window._follow(replace(at_rest, troubles=at_rest.troubles + 1))
+    assert "288" not in window.banner.text
+    assert any("288" in one.sentence for one in window.banner.history)
+    window._follow(replace(at_rest, state=RigState.FAILED, trouble="gone", troubles=at_rest.troubles + 2))
+    window._follow(replace(at_rest, troubles=at_rest.troubles + 2))
+    assert "no picture" not in window.live._read_out.text()
+
+
+def test_a_run_that_is_deleted_leaves_the_screen_at_once(window, monkeypatch):
+    """Numbers of a run that is no more belong to nothing."""
+    runs.recorded(path_of(window, "e"), 2)
+    monkeypatch.setattr("ui.window.runs_page._to_trash", lambda run: shutil.rmtree(run) is None)
+    window.runs.refresh()
+    show(window, "e")
+    window.runs.catalogue.select(path_of(window, "e"))
+    window.runs.delete_selected()
+    assert path_of(window, "e").exists(), "it has to be asked twice"
+    window.runs.delete_selected()
+    assert window.on_screen.source.run != path_of(window, "e")
+    assert window.runs.catalogue.find(path_of(window, "e")) is None
+    assert window.live.frame is None or window.live.frame.run is None
+
+
+def test_every_page_says_whose_it_is(window):
+    """A person looks at one page; what it shows must not need another to be understood."""
+    show(window, "a")
+    titles = [frame.title.text() for frame in (window.live_frame, *window._frames, window.runs.frame)]
+    assert titles.count("REPLAY of run-a") == 3  # the picture, the fit and the replay
+    assert titles.count("LIVE: test rig") == 3  # doser, projector and calibration stay the rig's own
+    assert all(titles)
+    assert window.sequence.run_frame.title.text() == "REPLAY of run-a"
+
+
+def test_a_run_whose_folder_vanishes_is_told_and_what_was_read_stays(window, tmp_path):
+    """A stick that is pulled out must not take what is on screen along, nor be met with silence."""
+    path = runs.recorded(window.folder / "run-gone", 2)
+    shown = show(window, "gone")
+    moved = tmp_path / "kept"
+    path.rename(moved)
+    window.runs.refresh()
+    until(lambda: "run-gone" in window.banner.text)
+    assert window.on_screen.shown is shown
+    painted(window)
+    assert [x for x, _ in window.fit._curves.points("g")] == [0.1, 0.2]
+    window.show_run(path)
+    until(lambda: "does not exist" in window.banner.text)
+    assert window.on_screen.source.run != path
+
+
+def test_frames_are_found_by_pattern_and_dose(window):
+    """A slider through hundreds of frames finds no repeat of one picture."""
+    show(window, "a")
+    until(lambda: window.runs.bar._replay is not None)
+    bar = window.runs.bar
+    assert bar._replay.places(None, 0.3) == [2]
+    assert bar._replay.places("no such pattern", None) == []
+    doses = [bar._dose.itemText(row) for row in range(bar._dose.count())]
+    assert doses == ["all doses", "0.1 ml", "0.2 ml", "0.3 ml", "0.4 ml", "0.5 ml"]
+    bar._dose.setCurrentIndex(3)
+    bar._dose.activated.emit(3)
+    assert bar._chosen == [2]
+
+
+def test_counts_along_a_line_are_those_of_its_pixels(window):
+    """A profile that is off by a pixel, or upside down, is worse than none."""
+    from ui.window.live_curves import along
+
+    until(lambda: window.live.frame is not None)
+    pixels = np.arange(600, dtype=np.uint16).reshape(20, 30)
+    # rows: y from −80 to 80 mm, columns: x from 0 to 240 mm, pixels of 8 mm
+    at, counts = along(pixels, window.live._plot, np.array([4.0, -76.0]), np.array([236.0, -76.0]))
+    assert counts.tolist() == list(range(30))
+    assert at[-1] == pytest.approx(232.0)
+    _, counts = along(pixels, window.live._plot, np.array([4.0, -76.0]), np.array([4.0, 200.0]))
+    assert counts.tolist()[0] == 0
+    assert counts.max() == 570, "what lies beside the picture is left out"
+
+
+@pytest.mark.usefixtures("window")
+def test_focus_holds_its_peak():
+    from ui.window.live_curves import FocusCurve
+
+    curve = FocusCurve()
+    for value in (0.1, 0.4, 0.2):
+        curve.add(value)
+    assert curve.best == 0.4
+    curve.begin()
+    assert curve.best == 0.0

@@ -1,0 +1,279 @@
+"""What a person who has never seen the window meets: ways to begin, results that say what they are, runs compared."""
+
+import os
+import signal
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QGuiApplication
+from PySide6.QtTest import QTest
+
+from tests import recorded_runs as runs
+from tests.window_rig import until, wait_ms, window_on, write_rig
+from ui.window import jobs
+from ui.window.first_start import EXAMPLE
+from ui.window.result import of_dose, result_of
+from ui.window.source import Kind, RefitSettings, Source
+
+
+@pytest.fixture(scope="module")
+def window(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("first")
+    for name, doses in (("a", 3), ("b", 2)):
+        runs.recorded(folder / "runs" / f"run-{name}", doses)
+    with window_on(folder, write_rig(folder)) as made:
+        until(lambda: made.status.state.value == "ready" and made.live.displayed, 60.0)
+        made.home = folder
+        yield made
+
+
+def click(button) -> None:
+    QTest.mouseClick(button, Qt.MouseButton.LeftButton)
+
+
+def test_the_first_page_offers_ways_to_begin_and_no_error(window):
+    """It was met by a red: key "steps" is missing."""
+    page = window.sequence
+    assert page.first.isVisible()
+    assert not page.tabs.isVisible()
+    assert page._says.text() == ""
+    assert window.banner.text == ""
+    click(page.first.buttons["Open a run"])
+    until(lambda: window.runs.isVisible())
+    window.show_page(page)
+
+
+def test_the_example_is_two_presses_from_a_run(window):
+    """Try it, then Run: at most four actions from the start to a fitted demo."""
+    click(window.sequence.first.buttons["Try it"])
+    until(lambda: "1.6 ml of ink" in window.sequence.plan_list.says)
+    assert window.top.run.isEnabled() or window.sequence.document.plan is not None
+    assert window.sequence.document.path is None, "saving must not write into the program's own folder"
+    assert EXAMPLE.read_text() == window.sequence.document.text
+
+
+def test_the_example_is_the_one_of_the_documentation():
+    from pathlib import Path
+
+    assert EXAMPLE.read_text() == (Path(__file__).parents[1] / "docs" / "examples" / "dilution.toml").read_text()
+
+
+def test_another_rig_is_opened_by_its_file(window):
+    """To an own rig in at most eight actions, without the command line."""
+    other = window.home / "other"
+    other.mkdir()
+    file = write_rig(other)
+    file.write_text(file.read_text().replace('name = "test rig"', 'name = "other rig"'))
+    window.ask_for_rig()
+    from PySide6.QtWidgets import QFileDialog
+
+    (question,) = window.findChildren(QFileDialog)
+    question.selectFile(str(file))
+    question.accept()
+    until(lambda: window.top.badge.text() == "other rig", 30.0)
+    until(lambda: window.status.state.value == "ready", 30.0)
+    assert any(frame.title.text() == "LIVE: other rig" for frame in window._frames)
+    window.use_rig(window.home / "rig.toml")
+    until(lambda: window.top.badge.text() == "test rig" and window.status.state.value == "ready", 30.0)
+
+
+def opened(window, name: str):
+    window.show_run(window.folder / f"run-{name}")
+    shown = window.on_screen.shown
+    until(lambda: shown.reading is not None)
+    return shown
+
+
+def test_a_result_says_what_it_is_of_and_with_which_confidence(window):
+    """Cards showed one standard deviation and plots 95 %, unlabelled."""
+    shown = opened(window, "a")
+    result = result_of(shown)
+    assert result.doses_ml == (0.1, 0.2, 0.3)
+    assert "ink, from 0.1, 0.2, 0.3 ml" in window.fit.card.belongs.text()
+    assert "Henyey–Greenstein" in window.fit.card.belongs.text()
+    sd = shown.series.sd[1]
+    by_name = {one.name: one for one in result.coefficients}
+    assert by_name["sigma_s"].half == pytest.approx(1.96 * sd)
+    assert "(95 %)" in window.fit.card.values["sigma_s"][2].text()
+    titles = [plot[0].titleLabel.text for plot in window.fit._curves._plots.values()]
+    assert all("95 %" in title for title in titles)
+    assert not {one.name: one for one in of_dose(shown, shown.by_dose[0]).coefficients}["sigma_a"].determined
+
+
+def test_results_are_copied_as_text_and_as_a_table(window):
+    """Numbers that are typed off the screen are typed wrong."""
+    shown = opened(window, "a")
+    window.fit.card.copy_asked.emit("text")
+    text = QGuiApplication.clipboard().text()
+    assert text.startswith("REPLAY of run-a\n")
+    assert "95 %" in text
+    window.fit.card.copy_asked.emit("table")
+    head, *lines = QGuiApplication.clipboard().text().splitlines()
+    assert len(lines) == 4  # three doses and the ink
+    column = head.split("\t").index("σs (1/mm, of ink 1/mm/ml)")
+    assert [float(line.split("\t")[column]) for line in lines[:3]] == pytest.approx(
+        [fit.medium.sigma_s for fit in shown.by_dose]
+    )
+    assert len({line.count("\t") for line in (head, *lines)}) == 1
+
+
+def test_two_runs_are_compared_side_by_side(window):
+    """Each with its own numbers, whatever is on screen; at most six actions."""
+    window.show_page(window.compare)
+    a, b = (Source(Kind.REPLAY, window.folder / f"run-{name}") for name in "ab")
+    window.compare.tick(a, b)
+    until(lambda: len(window.compare._results) == 2)
+    assert {result.title for result in window.compare._results} == {"REPLAY of run-a", "REPLAY of run-b"}
+    for source in (a, b):
+        shown = window.compare.shown_of(source)
+        assert shown.by_dose == [runs.dose_fit(source.run, number) for number in range(3 if source == a else 2)]
+    curves = window.compare._plots["sigma_s"].listDataItems()
+    assert [len(curve.getData()[0]) for curve in curves] == [2, 3] or [len(c.getData()[0]) for c in curves] == [3, 2]
+    window.compare.tick()
+    assert window.compare._results == ()
+
+
+def test_advice_is_appended_as_steps(window, monkeypatch):
+    """The command line's advice had to be typed off a terminal."""
+    asked = []
+    monkeypatch.setattr(window.background, "run", lambda *words, **answer: asked.append((words, answer)))
+    shown = opened(window, "a")
+    window.show_page(window.compare)
+    window.compare.tabs.setCurrentIndex(1)
+    click(window.compare.next.ask)
+    (answer,) = [answer for words, answer in asked if words[0] is jobs.advise]
+    table = {"kind": "rays", "y_mm": [-40.0, 0.0, 40.0], "z_mm": [54.0, 66.0], "width_mm": 8.0}
+    answer["then"]((jobs.Suggestion("dose to 1700 µl, then rays × 4", 1700.0, "beams", table, 4),))
+    assert shown.advice
+    (button,) = window.compare.next.buttons
+    window.sequence.load(EXAMPLE)
+    before = window.sequence.document.reading.sequence
+    click(button)
+    after = window.sequence.document.reading.sequence or window.sequence.document._text_sequence
+    assert len(after.tasks) == len(before.tasks) + 3
+    assert [task.label for task in after.tasks[-3:]] == ["dose to 1700 µl", "wait until mixed", "capture beams × 4"]
+    opened(window, "b")
+    assert window.compare.next.buttons == [], "advice for another run"
+
+
+def test_a_refit_stays_known_and_can_be_shown_again(window, monkeypatch):
+    """Refits were lost as soon as another run was opened."""
+    asked = []
+    monkeypatch.setattr(window.background, "run", lambda *words, **answer: asked.append((words, answer)))
+    opened(window, "a")
+    source = window.on_screen.refit(window.folder / "run-a", RefitSettings(("rays",), free_background=True))
+    (answer,) = [answer for words, answer in asked if words[0] is jobs.refit]
+    fit = runs.dose_fit(window.folder / "run-a", 0, again=7)
+    answer["then"](jobs.Found((fit,), None, ()))
+    until(lambda: window.on_screen.source == source)
+    window.runs.refits.chosen.emit(None)
+    until(lambda: window.on_screen.source.kind is Kind.REPLAY and window.on_screen.shown.fits)
+    assert "refit: rays; background fitted" in [
+        window.runs.refits.list.itemText(row) for row in range(window.runs.refits.list.count())
+    ]
+    window.on_screen.show_refit(source)
+    assert window.on_screen.shown.by_dose == [fit]
+
+
+def nap(seconds: float) -> float:
+    """In the background's process."""
+    import time
+
+    from ui.window import progress
+
+    progress.done(0.5)
+    time.sleep(seconds)
+    return seconds
+
+
+def test_work_in_the_background_is_seen_and_called_off(window):
+    """Minutes without a sign look like a program that hangs."""
+    found, refused = [], []
+    window.background.run(nap, 60.0, then=found.append, failed=refused.append, name="a long nap")
+    window.background.run(nap, 0.01, then=found.append, failed=refused.append, name="a short nap")
+    from ui.window.work_strip import WorkStrip
+
+    (strip,) = window.findChildren(WorkStrip)
+    until(lambda: "a long nap: in work 50 %" in strip._words.text() and "(and 1 more)" in strip._words.text(), 30.0)
+    window.background.cancel(strip.tasks()[0])
+    until(lambda: found == [0.01], 30.0)
+    assert refused == ["cancelled"]
+    until(lambda: strip._words.text() == "")
+
+
+def test_a_background_process_that_dies_is_told_and_the_next_work_is_done(window):
+    """Out of memory, the kernel ends what is largest; the window must not wait for it for ever."""
+    found, refused = [], []
+    window.background.run(nap, 60.0, then=found.append, failed=refused.append, name="what dies")
+    until(lambda: window.background._pool is not None and window.background._pool._processes)
+    until(lambda: window.background.tasks[0].share == 0.5, 30.0)
+    (process,) = window.background._pool._processes.values()
+    os.kill(process.pid, signal.SIGKILL)
+    until(lambda: refused, 30.0)
+    assert "nothing that was recorded is lost" in refused[0]
+    window.background.run(nap, 0.01, then=found.append, failed=refused.append, name="the next")
+    until(lambda: found == [0.01], 30.0)
+
+
+def test_the_resume_offer_stands_above_the_error_of_the_remembered_sequence(tmp_path):
+    """After a crash the offer was covered by what was wrong with the sequence, and lost with it."""
+    (tmp_path / "wrong.toml").write_text('name = "x"\n[[steps]]\ndo = "dance"\n')
+    runs.recorded(tmp_path / "runs" / "run-cut", 1, ending="")
+    rig = write_rig(tmp_path)
+    from PySide6.QtCore import QSettings
+
+    QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat).setValue(
+        "sequence", str(tmp_path / "wrong.toml")
+    )
+    with window_on(tmp_path, rig) as made:
+        until(lambda: made.status.state.value == "ready", 60.0)
+        wait_ms(100)
+        assert made.banner.action == "Resume it"
+        assert "run-cut" in made.banner.text
+        assert any("dance" in one.sentence for one in made.banner.history)
+
+
+def test_any_action_is_found_by_its_name(window):
+    """Keys that nobody remembers are no keys."""
+    window.activateWindow()  # another window may have been opened and closed by a test before
+    assert QTest.qWaitForWindowActive(window, 10_000)
+    QTest.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+    until(lambda: hasattr(window, "_palette") and window._palette.isVisible())
+    QTest.keyClicks(window._palette.field, "calibration page")
+    assert window._palette.list.count() == 1
+    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
+    until(lambda: not window.docks[window.calibration].visibleRegion().isEmpty())
+
+
+def test_what_is_dropped_is_opened_for_what_it_is(window):
+    """A run's folder, a sequence and a rig file; the rest is told."""
+    from PySide6.QtCore import QMimeData, QPoint, QUrl
+    from PySide6.QtGui import QDropEvent
+
+    def drop(path) -> None:
+        data = QMimeData()
+        data.setUrls([QUrl.fromLocalFile(str(path))])
+        action, button = Qt.DropAction.CopyAction, Qt.MouseButton.LeftButton
+        window.dropEvent(QDropEvent(QPoint(5, 5), action, data, button, Qt.KeyboardModifier.NoModifier))
+
+    drop(window.folder / "run-b")
+    until(lambda: window.on_screen.source.run == window.folder / "run-b")
+    drop(EXAMPLE)
+    assert window.sequence.document.path == EXAMPLE
+    drop(window.home / "nothing.xyz")
+    assert "nothing to open" in window.banner.text
+    assert [path.name for path in window._recent()] == ["dilution.toml", "run-b"]
+
+
+def test_what_is_on_screen_is_copied_as_python_that_works(window):
+    """A figure that nobody can make again is an anecdote."""
+    shown = opened(window, "a")
+    window.copy_as_python()
+    names: dict = {}
+    exec(QGuiApplication.clipboard().text(), names)
+    assert [fit["dose_ml"] for fit in names["fits"] if fit["fit"] == "dose"] == [fit.dose_ml for fit in shown.by_dose]
+    from ui.window.as_python import as_python
+
+    refit = as_python(Source(Kind.REFIT, window.folder / "run-a", RefitSettings(("rays",), free_background=True)))
+    compile(refit, "copied", "exec")
+    assert 'offset="free"' in refit

@@ -1,0 +1,38 @@
+"""What is on screen as a few lines of Python that get the same numbers."""
+
+from ui.window.source import Kind, Source
+
+_RUN = """import tankrig
+
+run = tankrig.open_run({path!r})
+frames = run.frames  # xarray: counts by frame, with pattern, ink in the tank, exposure and time
+fits = [event.fields for event in run.fits]  # as they were recorded
+"""
+_REFIT = """from dataclasses import replace
+
+import tankrig
+from tankrig.live.exposures import exposures_of
+from tankrig.live.fits import fit_all, fit_dose
+
+run = tankrig.open_run({path!r})
+photographs = [one for one in exposures_of(run).photographs() if one.pattern in {patterns!r}]
+{free}doses_ml = sorted({{one.dose_ml for one in photographs}})
+fits = [fit_dose([one for one in photographs if one.dose_ml == dose_ml], None) for dose_ml in doses_ml]
+series = fit_all(photographs) if len(fits) > 1 else None
+"""
+_FREE = 'photographs = [replace(one, offset="free") for one in photographs]  # a background that is fitted\n'
+
+
+def as_python(source: Source) -> str:
+    """Lines that open the run of a source and get what it shows; empty for the camera alone.
+
+    >>> from pathlib import Path
+    >>> print(as_python(Source(Kind.REPLAY, Path("runs/a"))).splitlines()[2])
+    run = tankrig.open_run('runs/a')
+    """
+    if source.run is None:
+        return ""
+    if source.kind is not Kind.REFIT or source.settings is None:
+        return _RUN.format(path=str(source.run))
+    free = _FREE if source.settings.free_background else ""
+    return _REFIT.format(path=str(source.run), patterns=source.settings.patterns, free=free)

@@ -1,0 +1,281 @@
+"""The one source that the window looks at, and the objects that hold what is known of each source."""
+
+import logging
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from PySide6.QtCore import QObject, Signal
+
+from tankrig.run.journal import Event
+from ui.window import jobs
+from ui.window.jobs import Found, Reading
+from ui.window.shown import Shown
+from ui.window.source import LIVE, Kind, RefitSettings, Source
+
+if TYPE_CHECKING:
+    from tankrig.sequence import Pace
+
+_log = logging.getLogger(__name__)
+
+
+class Worker(Protocol):
+    """Does work elsewhere and hands the result back in the window's thread."""
+
+    def run(
+        self,
+        work: Callable[..., Any],
+        *arguments: Any,
+        then: Callable[[Any], object],
+        failed: Callable[[str], object] | None = None,
+        name: str = "",
+    ) -> object:
+        """Call `work(*arguments)` elsewhere, then `then(result)` or `failed(sentence)` here."""
+
+
+class Reads(Protocol):
+    """Reads from disk elsewhere and hands what was read back in the window's thread."""
+
+    def run(
+        self,
+        work: Callable[..., Any],
+        *arguments: Any,
+        then: Callable[[Any], object],
+        failed: Callable[[str], object] | None = None,
+    ) -> object:
+        """Call `work(*arguments)` elsewhere, then `then(result)` or `failed(sentence)` here."""
+
+
+class OnScreen(QObject):
+    """Which source is on screen, and one `Shown` for each source that was.
+
+    Pages draw `shown` and nothing else. A source is changed here only; `changed` is emitted in the same turn, and all
+    pages have drawn the new one, or nothing, before it returns.
+
+    Parameters
+    ----------
+    reader
+        Reads runs from disk.
+    background
+        Computes what takes seconds.
+    """
+
+    changed = Signal(object)
+    """The Shown that is on screen from now on."""
+    refitted = Signal(object)
+    """Source of a refit that has come when something else was on screen."""
+    told = Signal(str)
+
+    def __init__(self, reader: Reads, background: Worker) -> None:
+        super().__init__()
+        self._reader, self._background = reader, background
+        self._live = Shown(LIVE)
+        self._shown = self._live
+        self._refits: dict[Source, Shown] = {}
+        self._awaited: set[Shown] = set()
+        self._pace: tuple[Pace, float] | None = None
+        self._comparing: Shown | None = None
+        self._listen(self._live)
+
+    @property
+    def shown(self) -> Shown:
+        """What is on screen."""
+        return self._shown
+
+    @property
+    def source(self) -> Source:
+        """Whose it is."""
+        return self._shown.source
+
+    def set_rig(self, pace: "Pace", most_ul: float) -> None:
+        """How long steps take on the rig, and what its tank may hold, µl: advice rests on both."""
+        self._pace = pace, most_ul
+
+    def refits_of(self, run: Path) -> list[Source]:
+        """Refits of a run that are known, in the order in which they were asked for."""
+        return [source for source in self._refits if source.run == run]
+
+    # -- from one source to another ------------------------------------------------------------------------------------
+
+    def open(self, run: Path) -> None:
+        """Show a recorded run as it was."""
+        shown = Shown(Source(Kind.REPLAY, run))
+        shown.says = "Reading the run…"
+        self._show(shown)
+        self._read(shown, self._ask_for_photographs)
+
+    def leave(self) -> None:
+        """Back to the camera, and to the last run that was recorded here."""
+        self._show(self._live)
+
+    def begin(self, run: Path, labels: Sequence[str], before: Sequence[Event] = ()) -> None:
+        """A run begins, or goes on: `before` is what its journal holds already."""
+        self._forget_refits(run)
+        self._live = Shown(Source(Kind.LIVE, run), labels)
+        for event in before:
+            self._live.take(event)
+        self._show(self._live)
+
+    def take(self, run: Path, event: Event, photographs: Sequence[Any] = ()) -> None:
+        """A line of the journal of the run that goes on."""
+        if self._live.source.run == run:
+            self._live.take(event, photographs)
+
+    def refit(self, run: Path, settings: RefitSettings) -> Source:
+        """Fit a run anew; it is shown when it has come, if the run is still on screen."""
+        source = Source(Kind.REFIT, run, settings)
+        shown = Shown(source)
+        self._awaited.add(shown)
+
+        def failed(sentence: str) -> None:
+            self._awaited.discard(shown)
+            self.told.emit(f"{source.title}: {sentence}")
+
+        self._background.run(
+            jobs.refit, run, settings, then=partial(self._take_refit, shown), failed=failed, name=source.title
+        )
+        return source
+
+    def show_refit(self, source: Source) -> None:
+        """Show a refit that is known."""
+        if source in self._refits:
+            self._show(self._refits[source])
+
+    def forget(self, run: Path) -> None:
+        """A run is no more: nothing of it stays on screen."""
+        self._forget_refits(run)
+        if self._live.source.run == run:
+            self._live = Shown(LIVE)
+        if self.source.run == run:
+            self._show(self._live)
+
+    # -- what belongs to a source --------------------------------------------------------------------------------------
+
+    def compare(self) -> None:
+        """Have the model's picture made of the photograph that is chosen, one at a time."""
+        shown = self._shown
+        wanted = shown.wants_comparison
+        if wanted is None or self._comparing is not None:
+            return
+        key, photograph, fit = wanted
+        self._comparing = shown
+
+        def then(found: Any) -> None:
+            self._comparing = None
+            shown.take_comparison(key, fit, found)
+            self.compare()
+
+        def failed(sentence: str) -> None:
+            self._comparing = None
+            shown.fail_comparison(key, fit, sentence)
+            self.compare()
+
+        self._background.run(
+            jobs.compare, photograph, fit, then=then, failed=failed,
+            name=f"the model's picture of {key.pattern} at {key.dose_ml:.4g} ml",
+        )  # fmt: skip
+
+    def look_up(self, source: Source, failed: Callable[[str], object]) -> Shown:
+        """What is known of a source that need not be on screen; read from disk where nothing is."""
+        if source in self._refits:
+            return self._refits[source]
+        shown = Shown(source)
+        self._reader.run(jobs.read, source.run, then=shown.take_reading, failed=failed)
+        return shown
+
+    def advise(self) -> None:
+        """Ask what to photograph next in the run that is on screen."""
+        shown = self._shown
+        run = shown.source.run
+        if run is None or self._pace is None:
+            return
+        shown.take_advice((), "Models are being prepared and compared; this may take a minute…")
+
+        def failed(sentence: str) -> None:
+            shown.take_advice((), sentence)
+
+        self._background.run(
+            jobs.advise, run, *self._pace, then=shown.take_advice, failed=failed, name=f"advice for {run.name}"
+        )
+
+    def compare_models(self) -> None:
+        """Fit the photograph that is chosen by several models."""
+        shown, key = self._shown, self._shown.chosen
+        photograph = shown.photographs.get(key) if key is not None else None
+        if key is None or photograph is None:
+            return
+        of = f"{key.pattern} at {key.dose_ml:.4g} ml"
+        shown.take_models(None, f"{of} is being fitted by several models…")
+
+        def then(rows: tuple[tuple[str, ...], ...]) -> None:
+            shown.take_models(rows, f"{of}; a coefficient in brackets is not determined")
+
+        def failed(sentence: str) -> None:
+            shown.take_models(None, sentence)
+
+        self._background.run(jobs.compare_models, photograph, then=then, failed=failed, name=f"models of {of}")
+
+    def _show(self, shown: Shown) -> None:
+        if shown is self._shown:
+            return
+        for signal in (self._shown.fits_changed, self._shown.compared):
+            signal.disconnect(self.compare)
+        self._shown = shown
+        self._listen(shown)
+        _log.info("on screen: %s", shown.source.title)
+        self.changed.emit(shown)
+        self.compare()
+
+    def _listen(self, shown: Shown) -> None:
+        for signal in (shown.fits_changed, shown.compared):
+            signal.connect(self.compare)
+
+    def _read(self, shown: Shown, then: Callable[[Shown], object]) -> None:
+        def taken(reading: Reading) -> None:
+            shown.take_reading(reading)
+            then(shown)
+
+        def failed(sentence: str) -> None:
+            shown.fail(sentence)
+            self.told.emit(sentence)
+            if self._shown is shown:
+                self.leave()
+
+        self._reader.run(jobs.read, shown.source.run, then=taken, failed=failed)
+
+    def _ask_for_photographs(self, shown: Shown) -> None:
+        run = shown.source.run
+        assert run is not None
+        name = f"the photographs of {run.name}"
+        self._background.run(jobs.found_in, run, then=shown.take_found, failed=shown.fail, name=name)
+
+    def _take_refit(self, shown: Shown, found: Found) -> None:
+        run = shown.source.run
+        on_screen = self.source.recorded == run
+
+        def there(read: Shown) -> None:
+            if read not in self._awaited:  # the run has gone on meanwhile, or is no more
+                return
+            self._awaited.discard(read)
+            read.take_found(found)
+            self._refits[read.source] = read
+            if on_screen and self.source.recorded == run:
+                self._show(read)
+            else:
+                self.refitted.emit(read.source)
+
+        self._read_refit(shown, there)
+
+    def _read_refit(self, shown: Shown, then: Callable[[Shown], object]) -> None:
+        """The run that was fitted: from what is on screen, or from disk."""
+        here = self._shown.reading if self.source.recorded == shown.source.run else None
+        if here is not None:
+            shown.take_reading(here)
+            then(shown)
+        else:
+            self._read(shown, then)
+
+    def _forget_refits(self, run: Path) -> None:
+        self._refits = {source: shown for source, shown in self._refits.items() if source.run != run}
+        self._awaited = {shown for shown in self._awaited if shown.source.run != run}

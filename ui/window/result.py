@@ -1,0 +1,199 @@
+"""What a source has found, as people read it: one number style, one confidence, and whose result it is."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from tankrig.estimation.verdict import SYMBOLS
+from tankrig.live.formatting import with_error
+from tankrig.live.results import DoseFit, SeriesFit
+from tankrig.scene import Medium
+
+if TYPE_CHECKING:
+    from ui.window.shown import Shown
+
+NAMES = {"sigma_s": "σs", "sigma_a": "σa", "g": "g"}
+CONFIDENCE = "95 %"
+Z = 1.96
+"""Standard deviations on either side that hold 95 %."""
+_PLACES = {"sigma_s": 1, "sigma_a": 0, "g": 2}
+"""In the standard deviations of a fit."""
+_MODELS = {"tank": "tank model", "prepared": "tank model, prepared"}
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One number of a result.
+
+    Parameters
+    ----------
+    name, symbol, unit
+        "sigma_s", "sigma_a" or "g"; σs, σa, g; "per mm", "per mm and ml", or nothing.
+    value, half
+        Best value, and half of the 95 % interval.
+    determined
+        Whether the photographs determine it.
+
+    Examples
+    --------
+    >>> Coefficient("g", "g", "", 0.7123456, 0.0021, True).text
+    '0.7123 ± 0.0021'
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    value: float
+    half: float
+    determined: bool
+
+    @property
+    def text(self) -> str:
+        """With digits from its uncertainty."""
+        return with_error(self.value, self.half) if math.isfinite(self.half) else f"{self.value:.4g} ± unknown"
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was found, and what it belongs to.
+
+    Parameters
+    ----------
+    title
+        Of the source.
+    of
+        What the numbers are of: the ink, or the liquid with one dose.
+    doses_ml, patterns
+        That it rests on.
+    model, phase, settings
+        By which it was found: model of the light, phase function, and what was fitted and what subtracted.
+    coefficients
+        In the order in which they are shown.
+    verdict
+        Whether they are determined, in sentences.
+    """
+
+    title: str
+    of: str
+    doses_ml: tuple[float, ...]
+    patterns: tuple[str, ...]
+    model: str
+    phase: str
+    settings: str
+    coefficients: tuple[Coefficient, ...]
+    verdict: str
+
+    @property
+    def belongs(self) -> str:
+        """One line that says whose numbers these are."""
+        return f"{self.of} · {self.model} · {self.phase} · {self.settings}"
+
+    @property
+    def text(self) -> str:
+        """As plain text."""
+        lines = [self.title, self.belongs]
+        for one in self.coefficients:
+            not_known = "" if one.determined else ", not determined"
+            lines.append(f"{one.symbol} = {one.text} {one.unit}".rstrip() + f" ({CONFIDENCE}{not_known})")
+        return "\n".join([*lines, self.verdict])
+
+
+def result_of(shown: "Shown") -> Result | None:
+    """The best that a source has found: the ink, from all doses, or else the liquid of its newest dose."""
+    if shown.series is not None:
+        return _of_series(shown, shown.series)
+    return None if shown.newest is None else of_dose(shown, shown.newest)
+
+
+def of_dose(shown: "Shown", fit: DoseFit) -> Result:
+    """The liquid with one dose."""
+    of = f"liquid with {fit.dose_ml:.4g} ml of ink"
+    known = {name: fit.identifiable.get(name, True) for name in _PLACES}
+    model = _MODELS.get(fit.model, fit.model)
+    return Result(
+        shown.source.title, of, (fit.dose_ml,), fit.patterns, model, phase_in_words(fit.medium),
+        _settings(shown, fit.patterns), _coefficients(fit.medium, fit.sd, known, "per mm"), in_words(fit),
+    )  # fmt: skip
+
+
+def _of_series(shown: "Shown", fit: SeriesFit) -> Result:
+    doses = ", ".join(f"{dose:.4g}" for dose in fit.doses_ml)
+    known = {name: fit.identifiable.get(name, True) for name in _PLACES}
+    patterns = tuple(dict.fromkeys(fit.patterns or (shown.newest.patterns if shown.newest is not None else ())))
+    model = _MODELS.get(shown.newest.model, shown.newest.model) if shown.newest is not None else _MODELS["tank"]
+    return Result(
+        shown.source.title, f"ink, from {doses} ml", fit.doses_ml, patterns, model, phase_in_words(fit.ink),
+        _settings(shown, patterns), _coefficients(fit.ink, fit.sd, known, "per mm and ml"), fit.verdict,
+    )  # fmt: skip
+
+
+def phase_in_words(medium: Medium) -> str:
+    """The phase function of a medium, by its name.
+
+    >>> phase_in_words(Medium(0.0, 0.01, 0.7))
+    'Henyey–Greenstein'
+    """
+    name = type(medium.phase_function).__name__
+    return "Henyey–Greenstein" if name == "HenyeyGreenstein" else name
+
+
+def in_words(fit: DoseFit) -> str:
+    """Which coefficients a dose's fit determines.
+
+    >>> known = {"sigma_a": False, "sigma_s": True, "g": True}
+    >>> in_words(DoseFit(0.4, Medium(1e-4, 0.01, 0.7), identifiable=known, frames=12, patterns=("sheet",)))
+    'With 0.4 ml, from 12 frames of sheet: σs and g are determined, σa is not yet; more dose or patterns tell more.'
+    """
+    known = [symbol for name, symbol in SYMBOLS.items() if fit.identifiable.get(name, True)]
+    unknown = [symbol for symbol in SYMBOLS.values() if symbol not in known]
+    head = f"With {fit.dose_ml:.4g} ml, from {fit.frames} frames of {', '.join(fit.patterns)}: "
+    if not unknown:
+        return f"{head}σs, g and σa are all determined."
+    are = " and ".join(known) + (" are" if len(known) > 1 else " is") + " determined, " if known else ""
+    rest = " and ".join(unknown) + (" are" if len(unknown) > 1 else " is") + " not yet"
+    return f"{head}{are}{rest}; more dose or patterns tell more."
+
+
+def table(shown: "Shown") -> str:
+    """All fits of a source, see `table_of`: each dose's, and that of the ink where there is one."""
+    results = [of_dose(shown, fit) for fit in shown.by_dose]
+    if shown.series is not None:
+        results.append(_of_series(shown, shown.series))
+    return table_of(results)
+
+
+def table_of(results: Sequence[Result]) -> str:
+    """Results as lines with tabs between, for a spreadsheet; the first line names the columns and their units."""
+    head = ["source", "of", "dose (ml)", "patterns", "model", "phase function", "settings"]
+    for name, symbol in NAMES.items():
+        unit = "" if name == "g" else " (1/mm, of ink 1/mm/ml)"
+        head += [f"{symbol}{unit}", f"{symbol} ± {CONFIDENCE}", f"{symbol} determined"]
+    lines = [head]
+    for one in results:
+        doses = ", ".join(f"{dose:.6g}" for dose in one.doses_ml)
+        row = [one.title, one.of, doses, ", ".join(one.patterns), one.model, one.phase, one.settings]
+        for number in one.coefficients:
+            row += [f"{number.value:.8g}", f"{number.half:.3g}", "yes" if number.determined else "no"]
+        lines.append(row)
+    return "\n".join("\t".join(line) for line in lines) + "\n"
+
+
+def _coefficients(
+    medium: Medium, sd: tuple[float, ...], known: dict[str, bool], unit: str
+) -> tuple[Coefficient, ...]:  # fmt: skip
+    return tuple(
+        Coefficient(
+            name, SYMBOLS[name], "" if name == "g" else unit, float(getattr(medium, name)),
+            Z * sd[place] if place < len(sd) else math.inf, known[name],
+        )
+        for name, place in _PLACES.items()
+    )  # fmt: skip
+
+
+def _settings(shown: "Shown", patterns: tuple[str, ...]) -> str:
+    if shown.source.settings is not None:
+        return shown.source.settings.words
+    offsets = {one.offset == 0.0 for one in shown.photographs.values()}
+    background = {frozenset({True}): "; dark frames subtracted", frozenset({False}): "; background fitted"}
+    return ", ".join(patterns) + background.get(frozenset(offsets), "")

@@ -1,0 +1,86 @@
+"""What the window looks at: the camera, a recorded run as it was, or a recorded run fitted anew."""
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+
+class Kind(Enum):
+    """Where numbers and pictures on screen come from."""
+
+    LIVE = "live"
+    REPLAY = "replay"
+    REFIT = "refit"
+
+
+@dataclass(frozen=True)
+class RefitSettings:
+    """What a run is fitted anew with.
+
+    Parameters
+    ----------
+    patterns
+        Names of those that count, in alphabetical order.
+    free_background
+        Whether a constant background is fitted, rather than the dark frames trusted to have taken it out.
+
+    Examples
+    --------
+    >>> RefitSettings(("rays", "sheet"), free_background=True).words
+    'rays, sheet; background fitted'
+    """
+
+    patterns: tuple[str, ...]
+    free_background: bool = False
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        background = "; background fitted" if self.free_background else "; dark frames subtracted"
+        return ", ".join(self.patterns) + background
+
+
+@dataclass(frozen=True)
+class Source:
+    """One source: everything on screen belongs to it. Two sources are the same where all of this is equal.
+
+    Parameters
+    ----------
+    kind
+        Live, replay or refit.
+    run
+        Folder of the run; None for the camera while nothing has been recorded.
+    settings
+        Of a refit.
+
+    Examples
+    --------
+    >>> Source(Kind.LIVE).title
+    'LIVE: the camera'
+    >>> Source(Kind.REFIT, Path("runs/a"), RefitSettings(("sheet",))).title
+    'REFIT of a with sheet; dark frames subtracted'
+    """
+
+    kind: Kind
+    run: Path | None = None
+    settings: RefitSettings | None = None
+
+    @property
+    def title(self) -> str:
+        """What stands above everything that belongs to it."""
+        if self.run is None:
+            return "LIVE: the camera"
+        if self.kind is Kind.LIVE:
+            return f"LIVE: the camera, and run {self.run.name}"
+        if self.settings is None:
+            return f"REPLAY of {self.run.name}"
+        return f"REFIT of {self.run.name} with {self.settings.words}"
+
+    @property
+    def recorded(self) -> Path | None:
+        """The run whose stored frames are shown; None where the camera's are."""
+        return None if self.kind is Kind.LIVE else self.run
+
+
+LIVE = Source(Kind.LIVE)
+"""The camera, before any run."""
