@@ -229,9 +229,9 @@ def _add_beam(
                 for k in range(4):
                     corners[k] = sighting_row(geometry, x, edges[k // 2], edges[2 + k % 2])
                 corners.sort()
-                top = max(0, math.floor((corners[0] - y_first) / pixel_mm))
-                bottom = min(rows - 1, math.floor((corners[3] - y_first) / pixel_mm))
-                for row in range(top, bottom + 1):
+                top = min(max((corners[0] - y_first) / pixel_mm, 0.0), float(rows))
+                bottom = min(max((corners[3] - y_first) / pixel_mm, -1.0), rows - 1.0)
+                for row in range(math.floor(top), math.floor(bottom) + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
                     total = across_sights(geometry, x, low, high, corners, sigma_t, phase, edges, y_rule, depth_rule)
