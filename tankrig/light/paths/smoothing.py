@@ -1,0 +1,180 @@
+"""What of a noisy image is light: smoothing that leaves nothing out for good, and says how far it is off.
+
+Orders ≥ 3 are smooth along the beams and vary alike from row to row; what is neither is mostly noise. So an image is
+written in Legendre polynomials along x, and each range of degrees keeps the profiles across the rows that stand out of
+its noise. With more paths more of them stand out, in all degrees, so that the image converges.
+
+The profiles are learnt from some of the batches and applied to the others, so that the noise of what is kept is seen in
+the scatter of the latter. What a projection P takes away, (I − P) x, is light in part. Of independent batches x₁, x₂
+
+    E⟨(I − P) x₁, (I − P) x₂⟩ = ‖(I − P) μ‖²
+
+is the square of what P has lost of the true image μ, without the noise.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+RANGES = (0, 13, 25, 49)
+"""Degrees at which a range begins that has profiles of its own."""
+FEWEST = 4
+"""Batches from which light can be told from noise."""
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """An image and its errors.
+
+    Parameters
+    ----------
+    images
+        (classes, rows, columns).
+    variance
+        (rows, columns) of the classes' sum, as it is seen.
+    spread
+        Of the variance's sum, relative: one batch may hold most of it.
+    lost
+        (rows, columns) unbiased estimate of the square of what smoothing has lost there. It is noisy, and may be
+        negative; its sum is not far from the square of the whole loss.
+    lost_stderr
+        Standard error of that sum.
+    """
+
+    images: Array
+    variance: Array
+    spread: float
+    lost: Array
+    lost_stderr: float
+
+
+Seen = Callable[[Array], Array]
+"""From (n, rows, columns) images to the squares that their errors are wanted of."""
+
+
+def averaged(batches: Array, seen: Seen = lambda images: images) -> Smoothed:
+    """Mean of independent batches, (n, classes, rows, columns), as it is."""
+    totals = seen(batches.sum(axis=1))
+    zero = np.zeros(totals.shape[1:])
+    if len(batches) == 1:
+        return Smoothed(batches[0], zero, 0.0, zero, 0.0)
+    variance, spread = _variance(totals)
+    return Smoothed(batches.mean(axis=0), variance, spread, zero, 0.0)
+
+
+def smoothed(batches: Array, first: int = 0, seen: Seen = lambda images: images) -> Smoothed:
+    """Mean of independent noisy images, with what cannot be told from noise removed.
+
+    Parameters
+    ----------
+    batches
+        (n, classes, rows, columns) images of n independent batches by order class; fewer than `FEWEST` don't tell noise
+        from light, and their mean is returned as it is.
+    first
+        Classes before this one are left as they are.
+    seen
+        What errors are told of.
+
+    Examples
+    --------
+    >>> x, y = np.linspace(0, 1, 60), np.linspace(-1, 1, 40)
+    >>> truth = np.exp(-y[:, None] ** 2) * np.exp(-2 * x)
+    >>> noisy = truth + np.random.default_rng(0).normal(0, 0.1, (16, 1, 40, 60))
+    >>> found = smoothed(noisy)
+    >>> error, before = np.linalg.norm(found.images[0] - truth), np.linalg.norm(noisy.mean(axis=(0, 1)) - truth)
+    >>> stated = np.sqrt(found.variance.sum() + max(found.lost.sum(), 0.0))
+    >>> bool(error < 0.4 * before), bool(0.7 < stated / error < 1.4)
+    (True, True)
+    """
+    count, _, _, columns = batches.shape
+    if count < FEWEST or not np.any(batches[:, first:]):
+        return averaged(batches, seen)
+    along = legendre(columns)
+    coefficients = batches[:, first:] @ along
+    totals = coefficients.sum(axis=1)
+    folds = np.arange(count) % min(4, count // 2)
+    # What stands out in a class need not in the sum: order 3 alone lost 14 % beside a wall where the sum lost 1 %.
+    largest = int(np.argmax(np.abs(coefficients.mean(axis=0)).sum(axis=(1, 2))))
+    kept, means = np.empty_like(totals), np.zeros(coefficients.shape[1:])
+    for fold in range(folds.max() + 1):
+        here = folds == fold
+        kept[here] = _projected(totals[~here], totals[here])
+        for k in range(coefficients.shape[1]):
+            if k != largest:
+                means[k] += _projected(coefficients[~here, k], coefficients[here, k]).sum(axis=0) / count
+    means[largest] += kept.mean(axis=0) - means.sum(axis=0)
+    images = np.concatenate([batches[:, :first].mean(axis=0), means @ along.T])
+    left = seen((totals - kept) @ along.T)
+    variance, spread = _variance(seen(batches[:, :first].sum(axis=1) + kept @ along.T))
+    return Smoothed(images, variance, spread, *_product_of_independent(left, folds))
+
+
+def _variance(batches: Array) -> tuple[Array, float]:
+    """Variance of the mean of (n, rows, columns) batches, and the relative standard error of its sum."""
+    count = len(batches)
+    apart = np.square(batches - batches.mean(axis=0))
+    by_batch = apart.sum(axis=(1, 2))
+    total = float(by_batch.sum())
+    spread = float(by_batch.std(ddof=1) * np.sqrt(count)) / total if total > 0.0 else 0.0
+    return apart.sum(axis=0) / (count * (count - 1.0)), spread
+
+
+def _product_of_independent(left: Array, folds: NDArray[np.int64]) -> tuple[Array, float]:
+    """Mean product of what was left over in two batches of a fold, and the standard error of its sum."""
+    total, products = np.zeros(left.shape[1:]), []
+    for fold in range(folds.max() + 1):
+        here = left[folds == fold]
+        pairs = len(here) * (len(here) - 1.0)
+        total += (np.square(here.sum(axis=0)) - np.square(here).sum(axis=0)) / pairs
+        gram = np.tensordot(here, here, ((1, 2), (1, 2)))
+        products.append(gram[np.triu_indices(len(here), 1)])
+    several = np.concatenate(products)
+    stderr = float(np.sqrt(np.mean(np.square(several)) / len(several)))
+    return total / (folds.max() + 1), stderr
+
+
+def _projected(learnt_from: Array, batches: Array) -> Array:
+    """(n, rows, degrees) batches on the profiles that stand out in others, range by range of degrees."""
+    result = batches.copy()
+    edges = [edge for edge in RANGES if edge < batches.shape[2]] + [batches.shape[2]]
+    for low, high in pairwise(edges):
+        project = _projection(learnt_from[..., low:high])
+        if project is not None:
+            result[..., low:high] = project @ batches[..., low:high]
+    return result
+
+
+def _projection(batches: Array) -> Array | None:
+    """(rows, rows) that keeps of batches' mean (n, rows, degrees) the profiles that stand out; None without noise.
+
+    Scaled so that the noise is about 1 everywhere, singular values above its largest one are signal. What is just above
+    is kept in part: a profile that came and went as the medium changes would make the image jump.
+    """
+    count, rows, degrees = batches.shape
+    variance = batches.var(axis=0, ddof=1) / count
+    overall = variance.mean()
+    if overall <= 0.0:
+        return None
+    by_row = np.sqrt(variance.mean(axis=1) + 1e-6 * overall)[:, None]
+    by_degree = np.sqrt(variance.mean(axis=0) / overall + 1e-6)
+    profiles, strength, _ = np.linalg.svd(batches.mean(axis=0) / (by_row * by_degree), full_matrices=False)
+    noise = np.sqrt(rows) + np.sqrt(degrees)
+    kept = 1.0 - (noise / np.maximum(strength, noise)) ** 2
+    project: Array = by_row * ((profiles * kept) @ profiles.T) / by_row.T
+    return project
+
+
+def legendre(columns: int) -> Array:
+    """(columns, columns) orthonormal basis: cell averages of Legendre polynomials, from degree 0 on."""
+    from numpy.polynomial import legendre as polynomials
+
+    edges = np.linspace(-1.0, 1.0, columns + 1)
+    degrees = min(RANGES[-1], columns)
+    integrals = [polynomials.legval(edges, polynomials.legint(row)) for row in np.eye(degrees)]
+    averages = np.diff(np.array(integrals), axis=1).T
+    return np.linalg.qr(np.concatenate([averages, np.eye(columns)], axis=1))[0]
