@@ -23,11 +23,13 @@ from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
 
-NOISE_SHARE = 0.7
-"""Share of the tolerance that noise may use up: an error is above its standard deviation in a third of all cases."""
+NOISE_SHARE, BIAS_SHARE = 0.7, 0.8
+"""Shares of the tolerance that either may use up: errors are above what is stated in every other case."""
 FIRST_LATTICES, FIRST_SMOOTHED = 6, 8
 FAINTEST = 2e-4
 """Share of its weight below which only some paths go on."""
+LOST_USUALLY = 5.0
+"""Square of what smoothing loses over the variance that it keeps: 3 with 8 lattices, 4 to 7 with 48 (four scenes)."""
 NEAR_MM = 6.0
 """Over which what smoothing has lost is averaged, to tell where it was lost."""
 
@@ -176,7 +178,7 @@ def high_orders(
         off = math.sqrt(float(bias.sum())) * scale / size
         if batches is not None or not in_time:
             break
-        missed = math.hypot(noise * math.sqrt(1.0 + found.spread) / NOISE_SHARE, off) / tolerance
+        missed = math.hypot(noise * math.sqrt(1.0 + found.spread) / NOISE_SHARE, off / BIAS_SHARE) / tolerance
         if missed <= 1.0:
             break
         wanted = math.ceil(groups.lattices * min(max(1.1 * missed**2, 1.2), 4.0))
@@ -207,18 +209,20 @@ def _prior(tail: Tail | None, grid: CellGrid) -> Array:
 def _bias(found: Smoothed, tail: Tail | None, grid: CellGrid, size: float) -> Array:
     """(rows, columns) square of what smoothing has lost, as it is seen; `size` is the image's norm there.
 
-    Of a solution that paths correct a bound is known before. It counts for as much as it tells more than the paths do.
+    What is seen is noisy while there are few paths. What is usual, or of a solution its bound, counts for more then.
     """
-    near = gaussian_filter(found.lost, NEAR_MM / math.sqrt(grid.seen_mm2), mode="nearest")
-    near = np.maximum(near, 0.0)
+    near = np.maximum(gaussian_filter(found.lost, NEAR_MM / math.sqrt(grid.seen_mm2), mode="nearest"), 0.0)
     seen = max(float(found.lost.sum()), 0.0)
-    where = near / (float(near.sum()) or 1.0)
-    if tail is None:
-        return seen * where
-    known = (tail.bound * size) ** 2
-    weight = known**2 / (known**2 + found.lost_stderr**2) if known > 0.0 else 0.0
-    image = np.square(grid.seen(grid.folded((tail.to_20 + tail.beyond_20)[None]))[0])
-    return weight * seen * where + (1.0 - weight) * known * image / (float(image.sum()) or 1.0)
+    if tail is not None:
+        image = np.square(grid.seen(grid.folded((tail.to_20 + tail.beyond_20)[None]))[0])
+        usual, where = (tail.bound * size) ** 2, image / (float(image.sum()) or 1.0)
+    else:
+        noise = float(found.variance.sum())
+        usual, where = LOST_USUALLY * noise * float(found.lost_stderr > 0.0), found.variance / (noise or 1.0)
+    sure = 0.5 * usual  # what is usual is known within a factor of 1.5
+    weight = sure**2 / (sure**2 + found.lost_stderr**2) if usual > 0.0 else 0.0
+    here = near / (float(near.sum()) or 1.0)
+    return weight * seen * here + (1.0 - weight) * usual * where
 
 
 def _thinning(scene: Scene) -> int:

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 __all__ = ["CellGrid", "tank_image", "traced"]
 
-DOUBTED = 1.4
+DOUBTED = 1.25
 """What the bound of a solution for moments is multiplied by: .09/.997/.8 errs by .9 % where it says .68."""
 TABLES = (0.001, 0.0004)
 """Error of order 2's coarse and fine tables, of its own norm."""
