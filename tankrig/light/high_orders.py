@@ -18,7 +18,7 @@ from tankrig.light.paths.block import LARGE, SMALL
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import THINNING, Groups, traced
 from tankrig.light.paths.record import CLASSES, GROUPS, Bins
-from tankrig.light.paths.smoothing import Smoothed, averaged, smoothed
+from tankrig.light.paths.smoothing import Smoothed, averaged, smoothed, smoothed_classes
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 NOISE_SHARE, BIAS_SHARE = 0.7, 0.8
 """Shares of the tolerance that either may use up: errors are above what is stated in every other case."""
 FIRST_LATTICES, FIRST_SMOOTHED = 6, 8
+MOST_ORDERS = 30_000
+"""To which paths are followed; in water so deep that light stays for longer, one path would take seconds."""
 FAINTEST = 2e-4
 """Share of its weight below which only some paths go on."""
 LOST_USUALLY = 5.0
@@ -92,14 +94,11 @@ class HighOrders:
         (rows, columns) one-sigma error of their sum: noise, and what smoothing or the tail's solution is off by.
     paths
         How many were followed.
-    reached
-        Whether `stderr` is within the tolerance.
     """
 
     images: Array
     stderr: Array
     paths: int
-    reached: bool
 
     @property
     def by_class(self) -> dict[int | str, Array]:
@@ -146,7 +145,7 @@ def high_orders(
     """
     allowance = allowance or Allowance()
     grid = CellGrid.of(scene)
-    highest = 1_000_000 if max_order is None else max_order
+    highest = min(max_order or MOST_ORDERS, MOST_ORDERS)
     lattice, thinning = (SMALL, _thinning(scene)) if batches is None else (LARGE, THINNING)
     bins, first = (CLASSES, 0) if tail is None else (_bins_above(tail.above), 2)
 
@@ -155,7 +154,7 @@ def high_orders(
         return grid.folded(images)
 
     groups = Groups(image_of)
-    prior = _prior(tail, grid)
+    prior, plain = _prior(tail, grid), tail is None and grid.shiftable
     wanted = batches or (FIRST_LATTICES if grid.shiftable and tail is None else FIRST_SMOOTHED)
     scale = math.sqrt(grid.seen_mm2) / scene.camera.pixel_mm
     done = 0.0
@@ -169,9 +168,8 @@ def high_orders(
         in_time = groups.follow(wanted, told) and allowance.goes_on()
         means = groups.means - prior
         peak = float(np.abs(groups.means).max(initial=0.0)) or 1.0  # squares of faint light would be 0, with its noise
-        plain = tail is None and grid.shiftable
-        found = averaged(means / peak, grid.seen) if plain else smoothed(means / peak, first, grid.seen)
-        image = known + grid.to_pixels(grid.unfolded(peak * (found.images + prior / peak)).sum(axis=0))
+        found = _found(means / peak, first, plain, grid)
+        image = known + grid.to_pixels(grid.unfolded(peak * found.image + prior.sum(axis=0)))
         size = float(np.linalg.norm(image / peak)) or 1.0
         bias = _bias(found, tail, grid, size / scale)
         noise = math.sqrt(float(found.variance.sum())) * scale / size
@@ -181,15 +179,24 @@ def high_orders(
         missed = math.hypot(noise * math.sqrt(1.0 + found.spread) / NOISE_SHARE, off / BIAS_SHARE) / tolerance
         if missed <= 1.0:
             break
-        wanted = math.ceil(groups.lattices * min(max(1.1 * missed**2, 1.2), 4.0))
+        wanted = math.ceil(groups.lattices * min(max(1.1 * missed**2, 1.3), 6.0))
         done = max(done, min(groups.lattices / wanted, 0.99))
     stderr = peak * np.sqrt(grid.variance_to_pixels(found.variance + bias))
-    classes = grid.unfolded(peak * found.images + prior)
+    whole = peak * found.image - means[:, :first].mean(axis=0).sum(axis=0)
+    rest = means[:, first:].mean(axis=0) if plain else smoothed_classes(means[:, first:], whole)
+    classes = grid.unfolded(np.concatenate([means[:, :first].mean(axis=0), rest]) + prior)
     if tail is not None:
         classes = np.array([classes[0], classes[1] + classes[2], classes[3]])
     images = np.array([np.maximum(grid.to_pixels(one), 0.0) for one in classes])
     allowance.progress(1.0)
-    return HighOrders(images, stderr, groups.lattices * lattice.points, math.hypot(noise, off) <= tolerance)
+    return HighOrders(images, stderr, groups.lattices * lattice.points)
+
+
+def _found(batches: Array, first: int, plain: bool, grid: CellGrid) -> Smoothed:
+    """Sum over classes of (n, classes, rows, columns) batches; those before `first` are left as they are."""
+    if plain:
+        return averaged(batches.sum(axis=1), grid.seen)
+    return smoothed(batches[:, first:].sum(axis=1), batches[:, :first].sum(axis=1), grid.seen)
 
 
 def _bins_above(above: int) -> Bins:
@@ -201,7 +208,7 @@ def _bins_above(above: int) -> Bins:
 def _prior(tail: Tail | None, grid: CellGrid) -> Array:
     """What paths are compared with, by class."""
     if tail is None:
-        return np.zeros((1, 1, 1))
+        return grid.folded(np.zeros((len(GROUPS), grid.rows, grid.columns)))
     zero = np.zeros_like(tail.to_20)
     return grid.folded(np.array([zero, zero, tail.to_20, tail.beyond_20]))
 
@@ -222,7 +229,15 @@ def _bias(found: Smoothed, tail: Tail | None, grid: CellGrid, size: float) -> Ar
     sure = 0.5 * usual  # what is usual is known within a factor of 1.5
     weight = sure**2 / (sure**2 + found.lost_stderr**2) if usual > 0.0 else 0.0
     here = near / (float(near.sum()) or 1.0)
-    return weight * seen * here + (1.0 - weight) * usual * where
+    squared: Array = weight * seen * here + (1.0 - weight) * usual * where
+    return squared
+
+
+def beyond_orders(scene: Scene) -> float:
+    """Bound on the light of orders above `MOST_ORDERS`: light stays for about the square of the depth in free paths."""
+    medium = scene.medium
+    deep = (medium.sigma_t * min(scene.tank.size_mm)) ** 2 > MOST_ORDERS
+    return float(medium.albedo**MOST_ORDERS) if deep else 0.0
 
 
 def _thinning(scene: Scene) -> int:

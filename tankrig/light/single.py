@@ -46,6 +46,10 @@ SLANTED_PARTS = 5
 """The same where an edge of the beam runs from one row of pixels into the next."""
 
 
+FAINT = 60.0
+"""Free paths after which light is fainter than any rounding."""
+
+
 @kernel
 def across_sights(
     geometry: Geometry, x: float, low: float, high: float, corners: NDArray[np.float64], sigma_t: float,
@@ -101,6 +105,8 @@ def _along_sight(
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     low, high = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
     low, high = _clip_to_beam(geometry, x, y, vx, vy, vz, edges, low, high)
+    if not geometry.light_pinhole:  # the way to a point and up grows by 1 − vx per mm of depth
+        high = min(high, low + FAINT / (sigma_t * max(1.0 - vx, 1e-3)))
     if high <= low:
         return 0.0
     nodes, weights = rule
@@ -220,10 +226,12 @@ def _add_beam(
         x_left = column * pixel_mm
         if x_left >= geometry.length:
             break
-        parts = _parts_along_x(geometry, x_left, pixel_mm, edges, sigma_t)
+        # Looking straight down, light fades with x as it does on its way.
+        reach = pixel_mm if geometry.camera_pinhole else min(pixel_mm, FAINT / sigma_t)
+        parts = _parts_along_x(geometry, x_left, reach, edges, sigma_t)
         for part in range(parts):
             for i in range(x_nodes.size):
-                x = x_left + pixel_mm * (part + 0.5 + 0.5 * x_nodes[i]) / parts
+                x = x_left + reach * (part + 0.5 + 0.5 * x_nodes[i]) / parts
                 if x >= geometry.length:
                     continue
                 for k in range(4):
@@ -235,7 +243,7 @@ def _add_beam(
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
                     total = across_sights(geometry, x, low, high, corners, sigma_t, phase, edges, y_rule, depth_rule)
-                    image[row, column] += strength * total / pixel_mm * 0.5 * x_weights[i] / parts
+                    image[row, column] += strength * total / pixel_mm * 0.5 * x_weights[i] / parts * reach / pixel_mm
 
 
 @kernel

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.double import COARSE_FROM, double_scattering
-from tankrig.light.high_orders import Allowance, Tail, high_orders
+from tankrig.light.high_orders import MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
 from tankrig.light.moments.plan import moment_plan
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
@@ -87,8 +87,13 @@ def tank_image(
         high = high_orders(scene, known, tolerance, max_order, seed, batches, tail, allowance)
         orders |= high.by_class
         stderr = high.stderr
+        if highest > MOST_ORDERS and (unseen := beyond_orders(scene)) > 0.0:
+            skipped.append(Skipped(f"orders above {MOST_ORDERS}", unseen))
     whole = {key: orders.get(key, zero) for key in ORDER_CLASSES}
     image = np.sum(list(whole.values()), axis=0)
+    lit = any(beam.power > 0.0 for beam in scene.projector.beams)
+    if lit and scene.medium.sigma_s > 0.0 and not image.any():
+        skipped.append(Skipped("all light: none of the paths reached the camera", 1.0))
     if tables > 0.0:
         skipped.append(Skipped("tables that order 2 is looked up in", tables * relative_norm(whole[2], image)))
     return Prediction(image, "tank", MappingProxyType(whole), stderr, tuple(skipped))

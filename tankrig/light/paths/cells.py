@@ -54,7 +54,8 @@ class CellGrid:
         if not self.symmetric:
             return images
         half = (self.rows + 1) // 2
-        return 0.5 * (images + images[..., ::-1, :])[..., :half, :]
+        upper: Array = 0.5 * (images + images[..., ::-1, :])[..., :half, :]
+        return upper
 
     def unfolded(self, images: Array) -> Array:
         """(…, rows, columns) images from folded ones."""
@@ -71,7 +72,8 @@ class CellGrid:
         if self.split < 2:
             return whole
         split = self.split
-        return whole.reshape(-1, self.rows // split, split, self.columns // split, split).mean(axis=(2, 4))
+        squares: Array = whole.reshape(-1, self.rows // split, split, self.columns // split, split).mean(axis=(2, 4))
+        return squares
 
     @property
     def seen_mm2(self) -> float:
