@@ -7,8 +7,8 @@ import pytest
 
 import tankrig
 from tankrig.light.double import double_scattering
-from tankrig.light.single import single_scattering
 from tankrig.light.paths.smoothing import smoothed, smoothed_classes
+from tankrig.light.single import single_scattering
 from tankrig.light.tank import tank_image
 from tankrig.montecarlo import simulate
 from tankrig.scene import Scene
@@ -62,7 +62,7 @@ def test_work_ends_with_the_budget_and_the_best_image_so_far() -> None:
     with pytest.warns(UserWarning, match=r"budget_s = 0.05"):
         prediction = tankrig.predict(scene, tolerance=1e-4, budget_s=0.05)
     assert prediction.missed
-    assert 1e-4 < prediction.error
+    assert prediction.error > 1e-4
     truth = tank_image(scene, 0.005, seed=100).image
     assert relative(prediction.image, truth) < 3.0 * prediction.error
 
@@ -73,13 +73,13 @@ def test_progress_rises_to_the_end_and_may_end_the_work() -> None:
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
 
-    class Cancelled(Exception):
+    class CancelledError(Exception):
         pass
 
-    def cancel(share: float) -> None:
-        raise Cancelled
+    def cancel(_: float) -> None:
+        raise CancelledError
 
-    with pytest.raises(Cancelled):
+    with pytest.raises(CancelledError):
         tank_image(pinholes(), 0.001, progress=cancel)
 
 
