@@ -18,7 +18,7 @@ from tankrig.light.paths.block import LARGE, SMALL
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import THINNING, Groups, traced
 from tankrig.light.paths.record import CLASSES, GROUPS, Bins
-from tankrig.light.paths.smoothing import Smoothed, averaged, smoothed, smoothed_classes
+from tankrig.light.paths.smoothing import FEWEST, Smoothed, averaged, smoothed, smoothed_classes
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -163,7 +163,7 @@ def high_orders(
 
         def told(count: int, share: float = share, before: int = before, aim: int = aim) -> bool:
             allowance.progress(share + (1.0 - share) * min(1.0, (count - before) / max(aim - before, 1)))
-            return allowance.goes_on()
+            return count < FEWEST or allowance.goes_on()  # fewer don't tell how far off they are
 
         in_time = groups.follow(wanted, told) and allowance.goes_on()
         means = groups.means - prior
