@@ -46,6 +46,8 @@ SLANTED_PARTS = 5
 """The same where an edge of the beam runs from one row of pixels into the next."""
 
 
+MOST_PARTS = 64
+"""Along x; in larger pixels, counted in free paths, order 1 is a guess."""
 FAINT = 60.0
 """Free paths after which light is fainter than any rounding."""
 
@@ -105,8 +107,13 @@ def _along_sight(
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     low, high = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
     low, high = _clip_to_beam(geometry, x, y, vx, vy, vz, edges, low, high)
-    if not geometry.light_pinhole:  # the way to a point and up grows by 1 − vx per mm of depth
-        high = min(high, low + FAINT / (sigma_t * max(1.0 - vx, 1e-3)))
+    along = vx  # cosine between light and sight; from a pinhole it falls with the depth
+    if geometry.light_pinhole:
+        ax, ay, az = x - vx * low - geometry.light_x, y - vy * low - geometry.light_y, geometry.height - vz * low
+        az -= geometry.light_z
+        along = (ax * vx + ay * vy + az * vz) / math.sqrt(ax * ax + ay * ay + az * az)
+    # The way to a point and up to the surface grows by 1 − cos per mm of depth.
+    high = min(high, low + FAINT / (sigma_t * max(1.0 - along, 1e-3)))
     if high <= low:
         return 0.0
     nodes, weights = rule
@@ -251,7 +258,7 @@ def _parts_along_x(
     geometry: Geometry, x_left: float, pixel_mm: float, edges: tuple[float, float, float, float], sigma_t: float
 ) -> int:
     """How many parts of a column of pixels to integrate separately along x: more where there are kinks, or dense."""
-    parts = 1 + int(sigma_t * pixel_mm)
+    parts = min(1 + int(sigma_t * pixel_mm), MOST_PARTS)
     for k in range(4):
         left = sighting_row(geometry, x_left, edges[k // 2], edges[2 + k % 2])
         right = sighting_row(geometry, x_left + pixel_mm, edges[k // 2], edges[2 + k % 2])

@@ -12,7 +12,7 @@ from tankrig.light.high_orders import MOST_ORDERS, Allowance, Tail, beyond_order
 from tankrig.light.moments.plan import moment_plan
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
-from tankrig.light.single import single_scattering
+from tankrig.light.single import MOST_PARTS, single_scattering
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Scene
 
@@ -81,6 +81,8 @@ def tank_image(
         orders[2] = double_scattering(scene, tolerance)
         tables = TABLES[0 if tolerance >= COARSE_FROM else 1]
         tables = math.hypot(tables, LOOKED_UP) if scene.camera.kind == "calibrated" else tables
+    if scene.medium.sigma_t * scene.camera.pixel_mm > MOST_PARTS and scene.camera.kind != "orthographic":
+        skipped.append(Skipped(f"how light of order 1 fades within pixels of more than {MOST_PARTS} free paths", 1.0))
     known = sum(orders.values(), zero)
     if highest >= 3 and scene.medium.sigma_s > 0.0:
         tail = None if max_order or batches else _tail(scene, tolerance, seed)
