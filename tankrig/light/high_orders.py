@@ -74,12 +74,15 @@ class Tail:
         (rows, columns) on the cells of `CellGrid`, W/mm²/sr.
     bound
         On its error, relative L2 of the whole image, as far as that is known before.
+    coarse
+        What it holds no detail of.
     """
 
     above: int
     to_20: Array
     beyond_20: Array
     bound: float
+    coarse: str
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,7 @@ def high_orders(
     prior, plain = _prior(tail, grid), tail is None and grid.shiftable
     wanted = batches or (FIRST_LATTICES if grid.shiftable and tail is None else FIRST_SMOOTHED)
     scale = math.sqrt(grid.seen_mm2) / scene.camera.pixel_mm
-    done = 0.0
+    done, steady = 0.0, batches is not None
     while True:
         share, before, aim = done, groups.lattices, wanted
 
@@ -168,7 +171,7 @@ def high_orders(
         in_time = groups.follow(wanted, told) and allowance.goes_on()
         means = groups.means - prior
         peak = float(np.abs(groups.means).max(initial=0.0)) or 1.0  # squares of faint light would be 0, with its noise
-        found = _found(means / peak, first, plain, grid)
+        found = _found(means / peak, first, plain, grid, steady)
         image = known + grid.to_pixels(grid.unfolded(peak * found.image + prior.sum(axis=0)))
         size = float(np.linalg.norm(image / peak)) or 1.0
         bias = _bias(found, tail, grid, size / scale)
@@ -183,7 +186,7 @@ def high_orders(
         done = max(done, min(groups.lattices / wanted, 0.99))
     stderr = peak * np.sqrt(grid.variance_to_pixels(found.variance + bias))
     whole = peak * found.image - means[:, :first].mean(axis=0).sum(axis=0)
-    rest = means[:, first:].mean(axis=0) if plain else smoothed_classes(means[:, first:], whole)
+    rest = means[:, first:].mean(axis=0) if plain else smoothed_classes(means[:, first:], whole, steady)
     classes = grid.unfolded(np.concatenate([means[:, :first].mean(axis=0), rest]) + prior)
     if tail is not None:
         classes = np.array([classes[0], classes[1] + classes[2], classes[3]])
@@ -192,11 +195,11 @@ def high_orders(
     return HighOrders(images, stderr, groups.lattices * lattice.points)
 
 
-def _found(batches: Array, first: int, plain: bool, grid: CellGrid) -> Smoothed:
+def _found(batches: Array, first: int, plain: bool, grid: CellGrid, steady: bool) -> Smoothed:
     """Sum over classes of (n, classes, rows, columns) batches; those before `first` are left as they are."""
     if plain:
         return averaged(batches.sum(axis=1), grid.seen)
-    return smoothed(batches[:, first:].sum(axis=1), batches[:, :first].sum(axis=1), grid.seen)
+    return smoothed(batches[:, first:].sum(axis=1), batches[:, :first].sum(axis=1), grid.seen, steady)
 
 
 def _bins_above(above: int) -> Bins:

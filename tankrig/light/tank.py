@@ -89,6 +89,8 @@ def tank_image(
         high = high_orders(scene, known, tolerance, max_order, seed, batches, tail, allowance)
         orders |= high.by_class
         stderr = high.stderr
+        if tail is not None:
+            skipped.append(Skipped(f"{tail.coarse}: what paths don't mend of it is in stderr", 0.0))
         if highest > MOST_ORDERS and (unseen := beyond_orders(scene)) > 0.0:
             skipped.append(Skipped(f"orders above {MOST_ORDERS}", unseen))
     whole = {key: orders.get(key, zero) for key in ORDER_CLASSES}
@@ -110,7 +112,8 @@ def _tail(scene: Scene, tolerance: float, seed: int) -> Tail | None:
 
     grid = CellGrid.of(scene)
     dense = dense_orders(scene, plan, seed + OTHER_SHIFTS, surface=((grid.rows, grid.columns), grid.cell_mm))
-    return Tail(plan.above, dense.to_20, dense.beyond_20, DOUBTED * plan.bound)
+    coarse = f"above order {plan.above}, degrees beyond {plan.degree} and cells below {plan.side_mm:.1f} mm"
+    return Tail(plan.above, dense.to_20, dense.beyond_20, DOUBTED * plan.bound, coarse)
 
 
 OTHER_SHIFTS = 2**20

@@ -44,7 +44,7 @@ class Smoothed:
         (rows, columns) unbiased estimate of the square of what smoothing has lost there. It is noisy, and may be
         negative; its sum is not far from the square of the whole loss.
     lost_stderr
-        Standard error of that sum; 0 where nothing was smoothed.
+        Standard error of that sum; 0 where nothing was smoothed, infinite where nothing is known of it.
     """
 
     image: Array
@@ -67,7 +67,9 @@ def averaged(batches: Array, seen: Seen = lambda images: images) -> Smoothed:
     return Smoothed(batches.mean(axis=0), *_variance(squares), zero, 0.0)
 
 
-def smoothed(batches: Array, others: Array | None = None, seen: Seen = lambda images: images) -> Smoothed:
+def smoothed(
+    batches: Array, others: Array | None = None, seen: Seen = lambda images: images, steady: bool = False
+) -> Smoothed:
     """Mean of independent noisy images, with what cannot be told from noise removed.
 
     Parameters
@@ -78,6 +80,9 @@ def smoothed(batches: Array, others: Array | None = None, seen: Seen = lambda im
         (n, rows, columns) that are added to them as they are.
     seen
         What errors are told of.
+    steady
+        Learn the profiles from all batches, in the low degrees only: few of them then make an image that changes
+        smoothly with the medium. What is lost isn't seen (`lost_stderr` is infinite).
 
     Examples
     --------
@@ -92,14 +97,15 @@ def smoothed(batches: Array, others: Array | None = None, seen: Seen = lambda im
     if len(batches) < FEWEST or not np.any(batches):
         return averaged(batches + others, seen)
     along = legendre(batches.shape[2])
-    coefficients, folds = _times(batches, along), _folds(len(batches))
+    coefficients, folds = _times(batches, along), _folds(len(batches), steady)
     kept = _kept(coefficients, folds)
     left = seen(_times(coefficients - kept, along.T))
     smooth = others + _times(kept, along.T)
-    return Smoothed(smooth.mean(axis=0), *_variance(seen(smooth)), *_product_of_independent(left, folds))
+    lost = (np.zeros(left.shape[1:]), np.inf) if steady else _product_of_independent(left, folds)
+    return Smoothed(smooth.mean(axis=0), *_variance(seen(smooth)), *lost)
 
 
-def smoothed_classes(batches: Array, whole: Array) -> Array:
+def smoothed_classes(batches: Array, whole: Array, steady: bool = False) -> Array:
     """(classes, rows, columns) images of (n, classes, rows, columns) batches, whose sum is `whole`.
 
     Each has profiles of its own: what stands out in a class need not in the sum (order 3 alone lost 14 % beside a wall
@@ -108,7 +114,7 @@ def smoothed_classes(batches: Array, whole: Array) -> Array:
     means = batches.mean(axis=0)
     largest = int(np.argmax(np.abs(means).sum(axis=(1, 2))))
     if len(batches) >= FEWEST:
-        along, folds = legendre(batches.shape[3]), _folds(len(batches))
+        along, folds = legendre(batches.shape[3]), _folds(len(batches), steady)
         for k in range(len(means)):
             if k != largest and np.any(means[k]):
                 means[k] = _kept(_times(batches[:, k], along), folds).mean(axis=0) @ along.T
@@ -123,14 +129,19 @@ def _times(batches: Array, matrix: Array) -> Array:
     return product.reshape(*batches.shape[:2], -1)
 
 
-def _folds(count: int) -> NDArray[np.int64]:
-    """Of which part each batch is: what is learnt from the other parts is applied to it."""
-    parts: NDArray[np.int64] = np.arange(count) % min(4, count // 2)
+def _folds(count: int, steady: bool) -> NDArray[np.int64]:
+    """Of which part each batch is: it is projected on what is learnt from the others. One part learns from itself."""
+    parts: NDArray[np.int64] = np.arange(count) % (1 if steady else min(4, count // 2))
     return parts
 
 
 def _kept(coefficients: Array, folds: NDArray[np.int64]) -> Array:
-    """(n, rows, degrees) batches, each on the profiles that stand out in the other folds."""
+    """(n, rows, degrees) batches, each on the profiles that stand out in the other folds, if there are any."""
+    if not folds.any():  # what stands out of few batches in high degrees comes and goes with the medium
+        kept = np.zeros_like(coefficients)
+        low = coefficients[..., : RANGES[1]]
+        kept[..., : RANGES[1]] = _projected(low, low)
+        return kept
     kept = np.empty_like(coefficients)
     for fold in range(folds.max() + 1):
         here = folds == fold
