@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.double import COARSE_FROM, double_scattering
+from tankrig.light.double import double_scattering, table_error
 from tankrig.light.high_orders import MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
 from tankrig.light.moments.plan import moment_plan
 from tankrig.light.paths.cells import CellGrid
@@ -22,10 +22,8 @@ __all__ = ["CellGrid", "tank_image", "traced"]
 
 DOUBTED = 1.25
 """What the bound of a solution for moments is multiplied by: .09/.997/.8 errs by .9 % where it says .68."""
-TABLES = (0.001, 0.0004)
-"""Error of order 2's coarse and fine tables, of its own norm."""
 LOOKED_UP = 0.004
-"""The same of what a calibrated camera looks up."""
+"""Error of what a calibrated camera looks up of order 2, of its own norm."""
 
 
 def tank_image(
@@ -79,8 +77,7 @@ def tank_image(
     tables = 0.0
     if highest >= 2:
         orders[2] = double_scattering(scene, tolerance)
-        tables = TABLES[0 if tolerance >= COARSE_FROM else 1]
-        tables = math.hypot(tables, LOOKED_UP) if scene.camera.kind == "calibrated" else tables
+        tables = math.hypot(table_error(tolerance), LOOKED_UP * (scene.camera.kind == "calibrated"))
     if scene.medium.sigma_t * scene.camera.pixel_mm > MOST_PARTS and scene.camera.kind != "orthographic":
         skipped.append(Skipped(f"how light of order 1 fades within pixels of more than {MOST_PARTS} free paths", 1.0))
     known = sum(orders.values(), zero)
@@ -99,7 +96,7 @@ def tank_image(
     if lit and scene.medium.sigma_s > 0.0 and not image.any():
         skipped.append(Skipped("all light: none of the paths reached the camera", 1.0))
     if tables > 0.0:
-        skipped.append(Skipped("tables that order 2 is looked up in", tables * relative_norm(whole[2], image)))
+        skipped.append(Skipped("tables that order 2 is looked up in", tables * relative_norm(known, image)))
     return Prediction(image, "tank", MappingProxyType(whole), stderr, tuple(skipped))
 
 
