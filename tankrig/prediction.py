@@ -1,5 +1,6 @@
 """What a model says a camera would see."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -48,9 +49,17 @@ class Prediction:
         Images by order of scattering (keys of `ORDER_CLASSES`) that add up to `image`; empty where the model
         has none.
     stderr
-        One-sigma standard error of `image`, or None where the model has no noise.
+        One-sigma standard error of `image`: noise, and what smoothing it, or solving for it, has lost. None where the
+        model has neither.
     skipped
         What was left out, with bounds.
+    missed
+        A sentence where the tolerance that was asked for could not be kept, and why; else empty.
+
+    Examples
+    --------
+    >>> Prediction(np.ones((2, 2)), "tank", stderr=np.full((2, 2), 0.03), skipped=(Skipped("tables", 0.04),)).error
+    0.05
     """
 
     image: Image
@@ -58,3 +67,18 @@ class Prediction:
     orders: Mapping[int | str, Image] = field(default_factory=lambda: MappingProxyType({}))
     stderr: Image | None = None
     skipped: tuple[Skipped, ...] = ()
+    missed: str = ""
+
+    @property
+    def error(self) -> float:
+        """Stated error, relative L2 of the image: `stderr` and all finite bounds of what was left out."""
+        bounds = [part.bound for part in self.skipped if math.isfinite(part.bound)]
+        return math.hypot(self.noise, *bounds)
+
+    @property
+    def noise(self) -> float:
+        """`stderr`, relative L2 of the image; however faint both are."""
+        peak = float(np.max(np.abs(self.image), initial=0.0))
+        if self.stderr is None or peak == 0.0:
+            return 0.0
+        return float(np.linalg.norm(self.stderr / peak) / np.linalg.norm(self.image / peak))

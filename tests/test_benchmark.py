@@ -18,6 +18,7 @@ from tankrig.benchmark.race import race, variations
 from tankrig.benchmark.result import Result
 from tankrig.benchmark.trial import run_trial
 from tankrig.benchmark.truth import Case, cases_of, own_cases
+from tankrig.benchmark.wide import Truths, wide_scene
 from tankrig.errors import ImageError, SceneError, TankrigError
 from tankrig.montecarlo import simulate
 from tankrig.scene import Beam, Medium
@@ -198,3 +199,41 @@ def test_time_to_an_equal_error_follows_the_root_of_the_samples() -> None:
     assert plain.seconds == pytest.approx(1001.0, rel=1e-3)
     assert plain.slower == pytest.approx(2002.0, rel=1e-3)
     assert quick.extrapolated == pytest.approx(0.25)
+
+
+def test_two_noisy_truths_tell_an_error_far_below_their_noise() -> None:
+    """An error that held the truths' own noise would call every prediction wrong."""
+    wide = wide_scene(0)
+    rng, truth = np.random.default_rng(0), np.ones((80, 120))
+    noisy = [truth + rng.normal(0.0, 0.02, truth.shape) for _ in range(2)]
+    truths = Truths(wide, noisy[0], noisy[1], np.zeros_like(truth))
+    known = Truths(wide, noisy[0], noisy[0], np.full_like(truth, 0.02**2))
+    for each in (truths, known):
+        error = np.sqrt(each.squares(1.005 * truth).sum()) / each.size
+        assert error == pytest.approx(0.005, rel=0.2)
+
+
+def test_random_scenes_are_of_all_kinds_and_stay_what_they_are() -> None:
+    scenes = [wide_scene(number) for number in range(60)]
+    kinds = [each.kind for each in scenes]
+    assert {kind: kinds.count(kind) for kind in set(kinds)} == {"parallel": 40, "pinholes": 10, "bent": 10}
+    assert scenes == [wide_scene(number) for number in range(60)]
+    media = np.array([each.scene.medium.coefficients for each in scenes])
+    assert media[:, 2].min() < -0.2 < 0.8 < media[:, 2].max()
+    assert {each.scene.tank.surface for each in scenes} == {"matched", "fresnel"}
+
+
+def test_how_tolerances_are_kept_is_told(reference: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    arguments = ["--wide", "1", "--reference", str(reference), "--tolerances", "0.1,0.03", "--out", str(out), "--json"]
+    assert main(["benchmark", *arguments]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((out / "wide.json").read_text())
+    assert [one["tolerance"] for one in printed["summary"]] == [0.1, 0.03]
+    assert all(one["kept"] == 1.0 and one["worst_unsaid"] < 1.0 for one in printed["summary"])
+    assert all(one["cpu_worst"] > 0.0 for one in printed["summary"])
+
+
+def test_senseless_tolerances_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["benchmark", "--wide", "1", "--tolerances", "one", "--out", str(tmp_path)]) == 2
+    assert "no list of relative errors" in capsys.readouterr().err

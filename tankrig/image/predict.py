@@ -1,14 +1,18 @@
 """`predict`: a scene's image by the model that is asked for, or by the one that knows the tank."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
 from tankrig.errors import SceneError
-from tankrig.prediction import Image, Prediction, Skipped
+from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Scene
+
+BUDGET_S = 120.0
+"""Seconds that a prediction may take."""
 
 MODELS = ("tank", "single", "convolution", "diffuse", "montecarlo")
 """Names that `predict` knows."""
@@ -20,6 +24,8 @@ def predict(
     tolerance: float = 0.01,
     max_order: int | None = None,
     seed: int = 0,
+    budget_s: float = BUDGET_S,
+    progress: Callable[[float], object] | None = None,
 ) -> Prediction:
     """Image that the scene's camera would see.
 
@@ -36,21 +42,27 @@ def predict(
         Sum orders of scattering 1 … max_order only; None for all.
     seed
         Of the random numbers, where the model uses any.
+    budget_s
+        Seconds that the tank's model may take to keep the tolerance; then the best image so far is returned. The other
+        models take what they take.
+    progress
+        Called with the share of the work that is done, 0 … 1, again and again by the tank's model; an exception that it
+        raises ends the work.
 
     Returns
     -------
     Prediction
+        Its `error` is what it states, and its `missed` says where that is more than the tolerance.
 
     Raises
     ------
     SceneError
-        When the model is unknown or cannot treat the scene, or the tolerance or the order is out of range.
+        When the model is unknown or cannot treat the scene, or a tolerance, order or budget is out of range.
 
     Warns
     -----
     UserWarning
-        When a bound in `Prediction.skipped` is above the tolerance: noise that the model's budget of light paths
-        couldn't bring down, as in water hundreds of free paths deep, or detail that its grid cannot hold.
+        When the tolerance isn't kept: `Prediction.missed`.
 
     Examples
     --------
@@ -65,23 +77,30 @@ def predict(
         raise SceneError(f"tolerance = {tolerance} is outside 0 … 1; give a relative error such as 0.01")
     if max_order is not None and max_order < 1:
         raise SceneError(f"max_order = {max_order} is below 1; give the highest order of scattering to sum")
-    prediction = _by_model(scene, "tank" if model is None else model, tolerance, max_order, seed)
-    reached = max([part.bound for part in prediction.skipped if np.isfinite(part.bound)], default=0.0)
-    if reached > tolerance:
-        warnings.warn(
-            f'the image of model = "{prediction.model}" may be wrong by {reached:.2g} of its L2 norm, more than the '
-            f"tolerance of {tolerance:g}; Prediction.skipped names why: take another model, or a larger tolerance",
-            UserWarning,
-            stacklevel=2,
+    if not budget_s > 0.0:
+        raise SceneError(f"budget_s = {budget_s} is not positive; give the seconds that a prediction may take")
+    name = "tank" if model is None else model
+    if name == "tank":
+        from tankrig.light.tank import tank_image
+
+        prediction = tank_image(scene, tolerance, max_order, seed, budget_s=budget_s, progress=progress)
+    else:
+        prediction = _by_model(scene, name, tolerance, max_order, seed)
+    if prediction.error > tolerance:
+        why = f"it took all of budget_s = {budget_s:g}" if name == "tank" else "see Prediction.skipped"
+        do = "a longer budget" if name == "tank" else "another model"
+        missed = (
+            f'the image of model = "{name}" may be wrong by {prediction.error:.2g} of its L2 norm, more than the '
+            f"tolerance of {tolerance:g} ({why}); give {do} or a larger tolerance"
         )
+        warnings.warn(missed, UserWarning, stacklevel=2)
+        return replace(prediction, missed=missed)
     return prediction
 
 
 def _by_model(scene: Scene, name: str, tolerance: float, max_order: int | None, seed: int) -> Prediction:
     if name == "single":
         return _single(scene)
-    if name == "tank":
-        return _tank(scene, tolerance, max_order, seed)
     if name == "convolution":
         return _convolution(scene, tolerance, max_order)
     if name == "diffuse":
@@ -97,14 +116,6 @@ def _single(scene: Scene) -> Prediction:
     image = single_scattering(scene)
     bound = float("inf") if scene.medium.sigma_s > 0.0 else 0.0
     return Prediction(image, "single", MappingProxyType({1: image}), None, (Skipped("orders above 1", bound),))
-
-
-def _tank(scene: Scene, tolerance: float, max_order: int | None, seed: int) -> Prediction:
-    from tankrig.light.tank import tank_image
-
-    found = tank_image(scene, tolerance, max_order, seed)
-    assert found.stderr is not None
-    return replace(found, skipped=(*found.skipped, *_noise(found.stderr, found.image, tolerance)))
 
 
 def _convolution(scene: Scene, tolerance: float, max_order: int | None) -> Prediction:
@@ -130,14 +141,4 @@ def _montecarlo(scene: Scene, tolerance: float, max_order: int | None, seed: int
     from tankrig.montecarlo import simulate_to
 
     tally = simulate_to(scene, tolerance, seed=seed, max_order=max_order)
-    skipped = tuple(_noise(tally.stderr, tally.image, tolerance))
-    return Prediction(tally.image, "montecarlo", MappingProxyType(tally.orders), tally.stderr, skipped)
-
-
-def _noise(stderr: Image, image: Image, tolerance: float) -> list[Skipped]:
-    """What is left of the noise, where it is more than was asked for."""
-    peak = float(np.max(image, initial=0.0))
-    if peak == 0.0:
-        return []
-    noise = float(np.linalg.norm(stderr / peak) / np.linalg.norm(image / peak))  # no square under- or overflows
-    return [Skipped("light paths beyond the budget, which leaves noise", noise)] if noise > tolerance else []
+    return Prediction(tally.image, "montecarlo", MappingProxyType(tally.orders), tally.stderr)

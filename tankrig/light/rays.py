@@ -210,26 +210,42 @@ def path_inside(
     return enter, leave
 
 
+FARTHEST_ROW = 1e6
+"""Beyond any tank, mm: where lines of sight and light rays are nearly parallel, they meet at infinity."""
+
+
 @kernel
 def sighting_row(geometry: Geometry, x: float, y0: float, z0: float) -> float:
     """The y at which the line of sight through (x, y, Lz) meets the light ray from (0, y0, z0), both extended.
 
-    Found by secant steps on the lines' triple product; for straight lines of sight it is linear in y or nearly so.
+    Found by secant steps on the lines' triple product, which is linear in y for straight lines of sight and nearly so
+    for bent ones. It is finite whatever the scene, so that rows and columns may be counted from it.
     """
     ux, uy, uz = light_ray(geometry, y0, z0)
     before, now = y0, y0 + 1.0
     miss_before = _miss(geometry, x, before, y0, z0, ux, uy, uz)
-    for _ in range(8):
+    for _ in range(12):
         miss_now = _miss(geometry, x, now, y0, z0, ux, uy, uz)
-        if abs(miss_now - miss_before) < 1e-13:
+        change = miss_now - miss_before
+        if abs(change) < 1e-13 * abs(miss_now) or change == 0.0:
             break
-        before, miss_before, now = now, miss_now, now - miss_now * (now - before) / (miss_now - miss_before)
+        step = miss_now * (now - before) / change
+        before, miss_before, now = now, miss_now, min(max(now - step, -FARTHEST_ROW), FARTHEST_ROW)
+        if abs(step) < 1e-11 * (1.0 + abs(now)):
+            break
     return now
 
 
 @kernel
 def _miss(geometry: Geometry, x: float, y: float, y0: float, z0: float, ux: float, uy: float, uz: float) -> float:
-    """Triple product (C − A)·(u × v) of a line of sight and a light ray: zero when they meet."""
-    vx, vy, vz, _ = sight_line(geometry, x, y)
+    """Triple product (C − A)·(u × v) of a line of sight and a light ray: zero when they meet.
+
+    v is not of length 1: of its own length the product has a kink below a camera that is close to the water.
+    """
+    vx, vy, vz = 0.0, 0.0, 1.0
+    if geometry.camera_pinhole:
+        vx, vy, above = geometry.camera_x - x, geometry.camera_y - y, geometry.camera_z - geometry.height
+        squared = geometry.refractive_index * geometry.refractive_index
+        vz = math.sqrt((squared - 1.0) * (vx * vx + vy * vy) + squared * above * above)
     wy, wz = y - y0, geometry.height - z0
     return x * (uy * vz - uz * vy) + wy * (uz * vx - ux * vz) + wz * (ux * vy - uy * vx)

@@ -46,6 +46,12 @@ SLANTED_PARTS = 5
 """The same where an edge of the beam runs from one row of pixels into the next."""
 
 
+MOST_PARTS = 64
+"""Along x; in larger pixels, counted in free paths, order 1 is a guess."""
+FAINT = 60.0
+"""Free paths after which light is fainter than any rounding."""
+
+
 @kernel
 def across_sights(
     geometry: Geometry, x: float, low: float, high: float, corners: NDArray[np.float64], sigma_t: float,
@@ -101,6 +107,13 @@ def _along_sight(
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     low, high = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
     low, high = _clip_to_beam(geometry, x, y, vx, vy, vz, edges, low, high)
+    along = vx  # cosine between light and sight; from a pinhole it falls with the depth
+    if geometry.light_pinhole:
+        ax, ay, az = x - vx * low - geometry.light_x, y - vy * low - geometry.light_y, geometry.height - vz * low
+        az -= geometry.light_z
+        along = (ax * vx + ay * vy + az * vz) / math.sqrt(ax * ax + ay * ay + az * az)
+    # The way to a point and up to the surface grows by 1 − cos per mm of depth.
+    high = min(high, low + FAINT / (sigma_t * max(1.0 - along, 1e-3)))
     if high <= low:
         return 0.0
     nodes, weights = rule
@@ -220,22 +233,24 @@ def _add_beam(
         x_left = column * pixel_mm
         if x_left >= geometry.length:
             break
-        parts = _parts_along_x(geometry, x_left, pixel_mm, edges, sigma_t)
+        # Looking straight down, light fades with x as it does on its way.
+        reach = pixel_mm if geometry.camera_pinhole else min(pixel_mm, FAINT / sigma_t)
+        parts = _parts_along_x(geometry, x_left, reach, edges, sigma_t)
         for part in range(parts):
             for i in range(x_nodes.size):
-                x = x_left + pixel_mm * (part + 0.5 + 0.5 * x_nodes[i]) / parts
+                x = x_left + reach * (part + 0.5 + 0.5 * x_nodes[i]) / parts
                 if x >= geometry.length:
                     continue
                 for k in range(4):
                     corners[k] = sighting_row(geometry, x, edges[k // 2], edges[2 + k % 2])
                 corners.sort()
-                top = max(0, math.floor((corners[0] - y_first) / pixel_mm))
-                bottom = min(rows - 1, math.floor((corners[3] - y_first) / pixel_mm))
-                for row in range(top, bottom + 1):
+                top = min(max((corners[0] - y_first) / pixel_mm, 0.0), float(rows))
+                bottom = min(max((corners[3] - y_first) / pixel_mm, -1.0), rows - 1.0)
+                for row in range(math.floor(top), math.floor(bottom) + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
                     total = across_sights(geometry, x, low, high, corners, sigma_t, phase, edges, y_rule, depth_rule)
-                    image[row, column] += strength * total / pixel_mm * 0.5 * x_weights[i] / parts
+                    image[row, column] += strength * total / pixel_mm * 0.5 * x_weights[i] / parts * reach / pixel_mm
 
 
 @kernel
@@ -243,7 +258,7 @@ def _parts_along_x(
     geometry: Geometry, x_left: float, pixel_mm: float, edges: tuple[float, float, float, float], sigma_t: float
 ) -> int:
     """How many parts of a column of pixels to integrate separately along x: more where there are kinks, or dense."""
-    parts = 1 + int(sigma_t * pixel_mm)
+    parts = min(1 + int(sigma_t * pixel_mm), MOST_PARTS)
     for k in range(4):
         left = sighting_row(geometry, x_left, edges[k // 2], edges[2 + k % 2])
         right = sighting_row(geometry, x_left + pixel_mm, edges[k // 2], edges[2 + k % 2])

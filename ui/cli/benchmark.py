@@ -44,15 +44,43 @@ DEFAULT_CASES = ("pub01", "pub02", "pub07", "pub09")
 )
 @click.option("--prepared", is_flag=True, help="Prepared models too: minutes for each case that isn't in the cache.")
 @click.option("--quick", is_flag=True, help="One case, few models, no table of costs: less than a minute.")
+@click.option(
+    "--wide",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Instead: how well predictions keep their tolerance on N random scenes, or on N cases of --reference.",
+)
+@click.option(
+    "--tolerances", metavar="LIST", default="0.01", show_default=True, help="Of --wide, by commas, such as 0.03,0.01."
+)
+@click.option(
+    "--budget",
+    "budget_s",
+    type=click.FloatRange(0.0, min_open=True),
+    default=120.0,
+    show_default=True,
+    help="Seconds of each prediction of --wide.",
+)
 @out_option("benchmark", "Folder for benchmark.json and benchmark.png.")
 @json_option
 def benchmark(
-    reference: Path | None, cases: str, repeat: int, limit: float, prepared: bool, quick: bool, out: Path, as_json: bool
+    reference: Path | None,
+    cases: str,
+    repeat: int,
+    limit: float,
+    prepared: bool,
+    quick: bool,
+    wide: int | None,
+    tolerances: str,
+    budget_s: float,
+    out: Path,
+    as_json: bool,
 ) -> None:
     """Measure error against time of every model, side by side, each in a fresh process.
 
     Plain Monte Carlo and, where it is installed (pip install tankrig[mitsuba]), Mitsuba 3 run beside the models, and
-    a table tells what they take for the error that a prediction to 1 % has.
+    a table tells what they take for the error that a prediction to 1 % has. With --wide it is measured instead how well
+    predictions keep the tolerance that they are asked for.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -63,6 +91,9 @@ def benchmark(
     from tankrig.files import require_writable, whole_file
 
     require_writable(out)
+    if wide is not None:
+        _wide(reference, wide, _numbers(tolerances), budget_s, out, as_json)
+        return
     console = Console(stderr=True, width=140, highlight=False)
     with console.status("reading the reference"):
         chosen = _cases(reference, tuple(name.strip() for name in cases.split(",") if name.strip()), quick)
@@ -90,6 +121,62 @@ def benchmark(
         return
     _show(measured)
     click.echo(f"written  {out / 'benchmark.json'}\n         {out / 'benchmark.png'}")
+
+
+def _numbers(tolerances: str) -> list[float]:
+    """Tolerances of a list by commas."""
+    try:
+        found = [float(word) for word in tolerances.split(",")]
+    except ValueError:
+        found = []
+    if not found or not all(0.0 < one <= 1.0 for one in found):
+        raise click.BadParameter(
+            f'"{tolerances}" is no list of relative errors; give such as 0.03,0.01', param_hint="'--tolerances'"
+        )
+    return found
+
+
+def _wide(
+    reference: Path | None, count: int, tolerances: list[float], budget_s: float, out: Path, as_json: bool
+) -> None:
+    """Tolerances on random scenes: write wide.json and show the figures."""
+    from dataclasses import asdict
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from tankrig.benchmark.wide import Kept, measured, own_truths, summary, truths_of
+    from tankrig.files import whole_file
+    from tankrig.light.prepared.cache import cache_folder
+
+    console = Console(stderr=True, width=140, highlight=False)
+
+    def tell(one: Kept) -> None:
+        said = ", said" if one.said else ""
+        console.print(
+            f"{one.name}: {100 * one.error:.2f} % asked for {100 * one.tolerance:g} %, stated {100 * one.stated:.2f} %"
+            f"{said}; {one.cpu_seconds:.2f} CPU s"
+        )
+
+    truths = truths_of(reference, count) if reference else own_truths(count, min(tolerances), cache_folder())
+    found = measured(truths, tolerances, budget_s, tell)
+    figures = [summary(found, tolerance) for tolerance in tolerances]
+    as_plain = {"summary": [asdict(one) for one in figures], "scenes": [asdict(one) for one in found]}
+    with whole_file(out / "wide.json") as unfinished:
+        unfinished.write_text(json.dumps(as_plain, indent=1), encoding="utf-8")
+    if as_json:
+        click.echo(json.dumps(as_plain))
+        return
+    shown = Table(title="How tolerances are kept", box=None)
+    for heading in ("asked %", "scenes", "kept %", "worst unsaid", "blocks", "CPU s median", "95 %", "worst"):
+        shown.add_column(heading, justify="right")
+    for one in figures:
+        shown.add_row(
+            f"{100 * one.tolerance:g}", str(one.scenes), f"{100 * one.kept:.0f}", f"× {one.worst_unsaid:.2f}",
+            f"{one.blocks:.2f}", f"{one.cpu_median:.2f}", f"{one.cpu_95:.2f}", f"{one.cpu_worst:.2f}",
+        )  # fmt: skip
+    Console().print(shown)
+    click.echo(f"written  {out / 'wide.json'}")
 
 
 def _cases(reference: Path | None, names: tuple[str, ...], quick: bool) -> "list[Case]":

@@ -29,13 +29,31 @@ if TYPE_CHECKING:
 )
 @click.option("--max-order", type=click.IntRange(min=1), help="Sum orders of scattering 1 … N only.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the random numbers, where the model uses any.")
+@click.option(
+    "--budget",
+    "budget_s",
+    type=click.FloatRange(0.0, min_open=True),
+    default=120.0,
+    show_default=True,
+    help="Seconds that the tank's model may take to keep the tolerance.",
+)
 @out_option("out", "Folder for SCENE's .npz and .png, or the .npz itself.")
 @json_option
 def predict(
-    scene_file: Path, model: str | None, tolerance: float, max_order: int | None, seed: int, out: Path, as_json: bool
+    scene_file: Path,
+    model: str | None,
+    tolerance: float,
+    max_order: int | None,
+    seed: int,
+    budget_s: float,
+    out: Path,
+    as_json: bool,
 ) -> None:
     """Predict the image that the camera of SCENE sees; write it, and a picture of it in false colour."""
+    import warnings
+
     from rich.console import Console
+    from rich.progress import Progress
 
     import tankrig
     from tankrig.files import require_writable
@@ -45,9 +63,13 @@ def predict(
     arrays = out if out.suffix == ".npz" else out / f"{scene_file.stem}.npz"
     picture = arrays.with_suffix(".png")
     require_writable(arrays.parent)
-    with Console(stderr=True).status("predicting"):
+    with Progress(console=Console(stderr=True), transient=True) as bar, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # `missed` is told below
+        task = bar.add_task("predicting", total=1.0)
         started = time.perf_counter()
-        prediction = tankrig.predict(scene, model, tolerance, max_order, seed)
+        prediction = tankrig.predict(
+            scene, model, tolerance, max_order, seed, budget_s, lambda share: bar.update(task, completed=share)
+        )
         seconds = round(time.perf_counter() - started, 4)
     asked = {"tolerance": tolerance, "max_order": max_order, "seed": seed, "seconds": seconds}
     write_prediction(arrays, prediction, scene, asked)
@@ -56,6 +78,8 @@ def predict(
         click.echo(json.dumps({**_figures(prediction), **asked, "arrays": str(arrays), "picture": str(picture)}))
         return
     _tell(prediction, seconds)
+    if prediction.missed:
+        click.echo(f"missed   {prediction.missed}")
     click.echo(f"written  {arrays}\n         {picture}")
 
 
@@ -71,6 +95,8 @@ def _figures(prediction: "Prediction") -> dict[str, object]:
         "mean": float(prediction.image.mean()),
         "peak": float(prediction.image.max()),
         "shares": _shares(prediction),
+        "error": prediction.error,
+        "missed": prediction.missed,
         "skipped": [
             {"what": part.what, "bound": part.bound if math.isfinite(part.bound) else None}  # JSON knows no infinity
             for part in prediction.skipped
@@ -83,6 +109,7 @@ def _tell(prediction: "Prediction", seconds: float) -> None:
     click.echo(f"image    mean {prediction.image.mean():.4g}, peak {prediction.image.max():.4g} W/mm²/sr")
     if prediction.orders:
         click.echo("orders   " + ", ".join(f"{order}: {share:.1%}" for order, share in _shares(prediction).items()))
+    click.echo(f"error    {prediction.error:.2g} stated, of which noise and smoothing {prediction.noise:.2g}")
     for part in prediction.skipped:
         effect = f"changes the image by at most {part.bound:.2g}" if math.isfinite(part.bound) else "effect unknown"
         click.echo(f"skipped  {part.what} ({effect})")

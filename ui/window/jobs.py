@@ -247,7 +247,7 @@ def advise(path: Path, pace: "Pace", most_ul: float) -> tuple[Suggestion, ...]:
     shots = [*taken, *(one.shot for one in candidates)]
     answer = prepared_answer(known, [one.scene for one in shots], [one.dose_ml for one in shots], progress.done)
     before, found = ranked(known, taken, candidates, answer)
-    patterns = dict(run.settings["sequence"].get("patterns", {}))
+    patterns = dict(run.require_sequence().get("patterns", {}))
     held_ul = 1000.0 * max(shot.dose_ml for shot in taken)
     return tuple(
         Suggestion(

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.geometry.optics import reflectance
+from tankrig.geometry.optics import crossing_offset, reflectance
 from tankrig.light.elementary import exponential
 from tankrig.light.rays import (
     Geometry,
@@ -508,11 +508,11 @@ def _x_nodes(geometry: Geometry, low: float, high: float, finest_mm: float) -> A
 
 def _seen_from_above(geometry: Geometry, x: float, z: float) -> float:
     """The x on the surface through which the camera sees the point (x, 0, z)."""
-    seen = x
-    for _ in range(20):
-        vx, _, vz, _ = sight_line(geometry, seen, 0.0)
-        seen = x + vx / vz * (geometry.height - z)
-    return float(seen)
+    if not geometry.camera_pinhole:
+        return x
+    away, above = x - geometry.camera_x, geometry.camera_z - geometry.height
+    rho = crossing_offset(abs(away), geometry.height - z, above, geometry.refractive_index, 0.0, 1.0)
+    return float(geometry.camera_x + math.copysign(rho, away))
 
 
 def y_weights(table: Table, at: float) -> Array:

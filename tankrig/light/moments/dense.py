@@ -19,13 +19,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DenseOrders:
-    """Light of all orders above some on the camera's pixels.
+    """Light of all orders above some on the camera's pixels, or on other cells of the surface.
 
     Parameters
     ----------
     to_20, beyond_20
         (rows, columns), W/mm²/sr, of the orders up to 20 and beyond. Their sum is known to the plan's bound; how it is
-        shared out, to a few per cent.
+        shared out, to some per cent.
     """
 
     to_20: Array
@@ -37,7 +37,13 @@ class DenseOrders:
         return self.to_20 + self.beyond_20
 
 
-def dense_orders(scene: Scene, plan: MomentPlan, seed: int = 0, residual: float = 2e-4) -> DenseOrders:
+Surface = tuple[tuple[int, int], tuple[float, float]]
+"""Rows and columns of cells of the surface, from x = 0, y = −Ly/2, and their sides along x and y in mm."""
+
+
+def dense_orders(
+    scene: Scene, plan: MomentPlan, seed: int = 0, residual: float = 2e-4, surface: Surface | None = None
+) -> DenseOrders:
     """Image of all orders above `plan.above`.
 
     The emission Q after that many scatterings is followed on in a scaled medium (delta-M: the forward peak g^{L+1}
@@ -54,8 +60,11 @@ def dense_orders(scene: Scene, plan: MomentPlan, seed: int = 0, residual: float 
         Of the paths that make the source.
     residual
         Of the linear solve, relative.
+    surface
+        Cells that the image is made of; None for the camera's pixels.
     """
-    medium = scene.medium
+    medium, pixel = scene.medium, scene.camera.pixel_mm
+    surface = surface or (scene.camera.shape, (pixel, pixel))
     cells = Cells.of(scene.tank, plan.side_mm)
     level = degrees(plan.degree)
     emission = emission_moments(scene, cells, plan.degree, plan.above, plan.batches, seed)
@@ -68,16 +77,16 @@ def dense_orders(scene: Scene, plan: MomentPlan, seed: int = 0, residual: float 
     scattering_moments = _column(medium.sigma_s * (moments[level] - forward))
     transport = propagation(plan.degree, cells, scaled, scene.tank.surface_index)
     field = solved(transport, scattering_moments, transport(source), residual)
-    whole = _seen(scene, cells, scattering_moments * field + source, scaled)
-    image = whole - _seen(scene, cells, source, medium.sigma_t)
-    to_20 = np.clip(_orders_to(20, scene, cells, source, plan.above), 0.0, np.maximum(image, 0.0))
+    whole = _seen(scene, cells, scattering_moments * field + source, scaled, surface)
+    image = whole - _seen(scene, cells, source, medium.sigma_t, surface)
+    to_20 = np.clip(_orders_to(20, scene, cells, source, plan.above, surface), 0.0, np.maximum(image, 0.0))
     return DenseOrders(to_20, np.maximum(image, 0.0) - to_20)
 
 
-def _orders_to(last: int, scene: Scene, cells: Cells, source: Single, above: int) -> Array:
-    """Image of the orders above + 1 … last, one after the other, with no more than two degrees."""
+def _orders_to(last: int, scene: Scene, cells: Cells, source: Single, above: int, surface: Surface) -> Array:
+    """Image of the orders above + 1 … last, one after the other: forward peaks need all degrees."""
     medium = scene.medium
-    degree = min(math.isqrt(len(source)) - 1, 2)
+    degree = math.isqrt(len(source)) - 1
     transport = propagation(degree, cells, medium.sigma_t, scene.tank.surface_index)
     scattered = _column(medium.sigma_s * medium.phase_function.moments(degree)[degrees(degree)])
     emission = source[: (degree + 1) ** 2]
@@ -85,7 +94,7 @@ def _orders_to(last: int, scene: Scene, cells: Cells, source: Single, above: int
     for _ in range(above, last):
         emission = scattered * transport(emission)
         total += emission
-    return _seen(scene, cells, total, medium.sigma_t)
+    return _seen(scene, cells, total, medium.sigma_t, surface)
 
 
 def _column(values: NDArray[np.floating]) -> Single:
@@ -93,15 +102,14 @@ def _column(values: NDArray[np.floating]) -> Single:
     return values.astype(np.float32)[:, None, None, None]
 
 
-def _seen(scene: Scene, cells: Cells, emission: Single, sigma_t: float) -> Array:
+def _seen(scene: Scene, cells: Cells, emission: Single, sigma_t: float, surface: Surface) -> Array:
     """(rows, columns) radiance that leaves towards the camera from moments of the emission."""
     upward = harmonics(math.isqrt(len(emission)) - 1, np.array([[0.0, 0.0, 1.0]]))[0]
     across, along, up = cells.counts
     image = np.tensordot(upward, emission, 1) @ sight_weights(up, cells.size_mm[2], sigma_t)
-    rows, columns = scene.camera.shape
-    pixel = scene.camera.pixel_mm
-    to_rows = _to_pixels(along, cells.size_mm[1], rows, pixel)
-    to_columns = _to_pixels(across, cells.size_mm[0], columns, pixel)
+    (rows, columns), (along_x, along_y) = surface
+    to_rows = _to_pixels(along, cells.size_mm[1], rows, along_y)
+    to_columns = _to_pixels(across, cells.size_mm[0], columns, along_x)
     result: Array = sight_line(geometry_of(scene), 0.0, 0.0)[3] * (to_rows @ image.T @ to_columns.T)
     return result
 

@@ -317,6 +317,23 @@ def thin(block: Block, n: int, every: int) -> None:
         block.limit[i] *= 2.0
 
 
+SPARED = 0.25
+"""Share of the faint paths that go on, for all of them."""
+CHANCE_COORDINATES = 1_000_000
+"""Of the lattice, far beyond its own and those of any order: what paths are spared by."""
+
+
+@kernel
+def spare_some(block: Block, n: int, order: int, lattice: Array) -> None:
+    """Let some paths that have become faint stand for all of them, so that no light is lost where paths end."""
+    for i in range(n):
+        if (
+            0.0 < block.weight[i] <= block.limit[i]
+            and coordinate(int(block.point[i]), CHANCE_COORDINATES + order, lattice) < SPARED
+        ):
+            block.weight[i] *= 1.0 / SPARED
+
+
 @kernel
 def alive(block: Block, n: int, shiftable: bool) -> int:
     """Mark paths that have ended by the weight 0, and move up the others when they have become few: how many to follow.

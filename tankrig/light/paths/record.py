@@ -173,7 +173,7 @@ def tally_rectangles(edges: Array, tally: TallyRecord, n: int, beams: Array, hal
         Size of a cell along y.
     """
     for i in range(n):
-        if tally.value[i] == 0.0:
+        if not tally.value[i] > 0.0:  # nor NaN, whose place is no index
             continue
         first, last = int(tally.first[i]), int(tally.last[i])
         for beam in range(beams.shape[0]):

@@ -41,6 +41,7 @@ from tankrig.light.paths.block import (
     empty_block,
     fly,
     scattered,
+    spare_some,
     thin,
 )
 from tankrig.light.paths.record import (
@@ -99,7 +100,7 @@ def trace(
     max_order
         Highest order to follow.
     faintest
-        Share of its starting weight at which a path ends.
+        Share of its starting weight below which a path ends by chance, and stands for others where it doesn't.
     first_thinning
         From this order on, every doubling of the order halves the paths: later orders are smoother.
     """
@@ -120,6 +121,7 @@ def trace(
             if order == thinning:
                 thinning *= 2
                 thin(block, n, order // first_thinning)
+            spare_some(block, n, order, lattice)
             n = alive(block, n, shiftable)
             if n == 0:
                 break

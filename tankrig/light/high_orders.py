@@ -1,0 +1,249 @@
+"""Orders ≥ 3 in the finite tank: as many lattices of light paths as the tolerance asks for, and time allows.
+
+Where light and sight run straight, a path stands for every start and its image is taken as it is; elsewhere images are
+smoothed. In dense water the paths correct a solution for moments of the light field: what both differ in is smoothed
+likewise, so that with more paths their image takes over from the solution.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from tankrig.light.paths.block import LARGE, SMALL
+from tankrig.light.paths.cells import CellGrid
+from tankrig.light.paths.lattices import THINNING, Groups, traced
+from tankrig.light.paths.record import CLASSES, GROUPS, Bins
+from tankrig.light.paths.smoothing import FEWEST, Smoothed, averaged, smoothed, smoothed_classes
+from tankrig.scene import Scene
+
+Array = NDArray[np.float64]
+
+NOISE_SHARE, BIAS_SHARE = 0.7, 0.8
+"""Shares of the tolerance that either may use up: errors are above what is stated in every other case."""
+FIRST_LATTICES, FIRST_SMOOTHED = 6, 8
+MOST_ORDERS = 30_000
+"""To which paths are followed; in water so deep that light stays for longer, one path would take seconds."""
+FAINTEST = 2e-4
+"""Share of its weight below which only some paths go on."""
+LOST_USUALLY = 5.0
+"""Square of what smoothing loses over the variance that it keeps: 3 with 8 lattices, 4 to 7 with 48 (four scenes)."""
+NEAR_MM = 6.0
+"""Over which what smoothing has lost is averaged, to tell where it was lost."""
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """How long a caller lets work go on, and who is told how far it is.
+
+    Parameters
+    ----------
+    until_s
+        `time.perf_counter()` at which it ends; infinity for as long as it takes.
+    progress
+        Called with the share of the work that is done, 0 … 1; an exception that it raises ends the work.
+    """
+
+    until_s: float = math.inf
+    progress: Callable[[float], object] = lambda _: None
+
+    @classmethod
+    def of(cls, budget_s: float | None, progress: Callable[[float], object] | None) -> "Allowance":
+        """From now on, for so many seconds."""
+        until_s = math.inf if budget_s is None else time.perf_counter() + budget_s
+        return cls(until_s, progress or (lambda _: None))
+
+    def goes_on(self) -> bool:
+        """Whether there is time left."""
+        return time.perf_counter() < self.until_s
+
+
+@dataclass(frozen=True)
+class Tail:
+    """A solution for the orders above some, that paths correct.
+
+    Parameters
+    ----------
+    above
+        Highest order that it has nothing of; 3 or more, up to 19.
+    to_20, beyond_20
+        (rows, columns) on the cells of `CellGrid`, W/mm²/sr.
+    bound
+        On its error, relative L2 of the whole image, as far as that is known before.
+    coarse
+        What it holds no detail of.
+    """
+
+    above: int
+    to_20: Array
+    beyond_20: Array
+    bound: float
+    coarse: str
+
+
+@dataclass(frozen=True)
+class HighOrders:
+    """Orders ≥ 3 on the camera's pixels.
+
+    Parameters
+    ----------
+    images
+        (3, rows, columns) for the classes of `GROUPS`, W/mm²/sr.
+    stderr
+        (rows, columns) one-sigma error of their sum: noise, and what smoothing or the tail's solution is off by.
+    paths
+        How many were followed.
+    """
+
+    images: Array
+    stderr: Array
+    paths: int
+
+    @property
+    def by_class(self) -> dict[int | str, Array]:
+        """Images by order class."""
+        return dict(zip(GROUPS, self.images, strict=True))
+
+
+def high_orders(
+    scene: Scene,
+    known: Array,
+    tolerance: float,
+    max_order: int | None = None,
+    seed: int = 0,
+    batches: int | None = None,
+    tail: Tail | None = None,
+    allowance: Allowance | None = None,
+) -> HighOrders:
+    """Image of the light scattered three times and more.
+
+    Parameters
+    ----------
+    scene
+        Any scene with σs > 0.
+    known
+        (rows, columns) image of the orders below.
+    tolerance
+        Relative L2 error, of the image of all orders, to stay below.
+    max_order
+        Highest order that counts.
+    seed
+        Of the lattice's random shifts.
+    batches
+        Follow this many shifted lattices instead of what `tolerance` asks for: then the image is a smooth function of
+        the medium.
+    tail
+        Solution for the orders above some.
+    allowance
+        How long to go on.
+
+    Notes
+    -----
+    Work goes on until noise and bias are within the tolerance or the allowance is used up; the lattices of a larger
+    tolerance are the first ones of a smaller one.
+    """
+    allowance = allowance or Allowance()
+    grid = CellGrid.of(scene)
+    highest = min(max_order or MOST_ORDERS, MOST_ORDERS)
+    lattice, thinning = (SMALL, _thinning(scene)) if batches is None else (LARGE, THINNING)
+    bins, first = (CLASSES, 0) if tail is None else (_bins_above(tail.above), 2)
+
+    def image_of(number: int) -> Array:
+        images = traced(scene, grid, (seed, number), highest, FAINTEST, bins, lattice, thinning)
+        return grid.folded(images)
+
+    groups = Groups(image_of)
+    prior, plain = _prior(tail, grid), tail is None and grid.shiftable
+    wanted = batches or (FIRST_LATTICES if grid.shiftable and tail is None else FIRST_SMOOTHED)
+    scale = math.sqrt(grid.seen_mm2) / scene.camera.pixel_mm
+    done, steady = 0.0, batches is not None
+    while True:
+        share, before, aim = done, groups.lattices, wanted
+
+        def told(count: int, share: float = share, before: int = before, aim: int = aim) -> bool:
+            allowance.progress(share + (1.0 - share) * min(1.0, (count - before) / max(aim - before, 1)))
+            return count < FEWEST or allowance.goes_on()  # fewer don't tell how far off they are
+
+        in_time = groups.follow(wanted, told) and allowance.goes_on()
+        means = groups.means - prior
+        peak = float(np.abs(groups.means).max(initial=0.0)) or 1.0  # squares of faint light would be 0, with its noise
+        found = _found(means / peak, first, plain, grid, steady)
+        image = known + grid.to_pixels(grid.unfolded(peak * found.image + prior.sum(axis=0)))
+        size = float(np.linalg.norm(image / peak)) or 1.0
+        bias = _bias(found, tail, grid, size / scale)
+        noise = math.sqrt(float(found.variance.sum())) * scale / size
+        off = math.sqrt(float(bias.sum())) * scale / size
+        if batches is not None or not in_time:
+            break
+        missed = math.hypot(noise * math.sqrt(1.0 + found.spread) / NOISE_SHARE, off / BIAS_SHARE) / tolerance
+        if missed <= 1.0:
+            break
+        wanted = math.ceil(groups.lattices * min(max(1.1 * missed**2, 1.3), 6.0))
+        done = max(done, min(groups.lattices / wanted, 0.99))
+    stderr = peak * np.sqrt(grid.variance_to_pixels(found.variance + bias))
+    whole = peak * found.image - means[:, :first].mean(axis=0).sum(axis=0)
+    rest = means[:, first:].mean(axis=0) if plain else smoothed_classes(means[:, first:], whole, steady)
+    classes = grid.unfolded(np.concatenate([means[:, :first].mean(axis=0), rest]) + prior)
+    if tail is not None:
+        classes = np.array([classes[0], classes[1] + classes[2], classes[3]])
+    images = np.array([np.maximum(grid.to_pixels(one), 0.0) for one in classes])
+    allowance.progress(1.0)
+    return HighOrders(images, stderr, groups.lattices * lattice.points)
+
+
+def _found(batches: Array, first: int, plain: bool, grid: CellGrid, steady: bool) -> Smoothed:
+    """Sum over classes of (n, classes, rows, columns) batches; those before `first` are left as they are."""
+    if plain:
+        return averaged(batches.sum(axis=1), grid.seen)
+    return smoothed(batches[:, first:].sum(axis=1), batches[:, :first].sum(axis=1), grid.seen, steady)
+
+
+def _bins_above(above: int) -> Bins:
+    """Order 3, up to `above`, up to 20, beyond."""
+    orders = np.arange(22)
+    return np.select([orders <= 3, orders <= above, orders <= 20], [0, 1, 2], 3)
+
+
+def _prior(tail: Tail | None, grid: CellGrid) -> Array:
+    """What paths are compared with, by class."""
+    if tail is None:
+        return grid.folded(np.zeros((len(GROUPS), grid.rows, grid.columns)))
+    zero = np.zeros_like(tail.to_20)
+    return grid.folded(np.array([zero, zero, tail.to_20, tail.beyond_20]))
+
+
+def _bias(found: Smoothed, tail: Tail | None, grid: CellGrid, size: float) -> Array:
+    """(rows, columns) square of what smoothing has lost, as it is seen; `size` is the image's norm there.
+
+    What is seen is noisy while there are few paths. What is usual, or of a solution its bound, counts for more then.
+    """
+    near = np.maximum(gaussian_filter(found.lost, NEAR_MM / math.sqrt(grid.seen_mm2), mode="nearest"), 0.0)
+    seen = max(float(found.lost.sum()), 0.0)
+    if tail is not None:
+        image = np.square(grid.seen(grid.folded((tail.to_20 + tail.beyond_20)[None]))[0])
+        usual, where = (tail.bound * size) ** 2, image / (float(image.sum()) or 1.0)
+    else:
+        noise = float(found.variance.sum())
+        usual, where = LOST_USUALLY * noise * float(found.lost_stderr > 0.0), found.variance / (noise or 1.0)
+    sure = 0.5 * usual  # what is usual is known within a factor of 1.5
+    weight = sure**2 / (sure**2 + found.lost_stderr**2) if usual > 0.0 else 0.0
+    here = near / (float(near.sum()) or 1.0)
+    squared: Array = weight * seen * here + (1.0 - weight) * usual * where
+    return squared
+
+
+def beyond_orders(scene: Scene) -> float:
+    """Bound on the light of orders above `MOST_ORDERS`: light stays for about the square of the depth in free paths."""
+    medium = scene.medium
+    deep = (medium.sigma_t * min(scene.tank.size_mm)) ** 2 > MOST_ORDERS
+    return float(medium.albedo**MOST_ORDERS) if deep else 0.0
+
+
+def _thinning(scene: Scene) -> int:
+    """Order from which later ones need fewer paths: the deeper the water in free paths, the later (measured)."""
+    depth = scene.medium.sigma_t * scene.tank.size_mm[2]
+    return 4 if depth < 4.0 else 16 if depth < 8.0 else 32
