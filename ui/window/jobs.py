@@ -15,7 +15,7 @@ from ui.window.source import RefitSettings
 if TYPE_CHECKING:
     from tankrig.advice.expected import Expected
     from tankrig.advice.ranking import Advice
-    from tankrig.bench import Bench
+    from tankrig.bench import Bench, KnownScenes
     from tankrig.live.exposures import Photograph
     from tankrig.live.results import DoseFit, SeriesFit
     from tankrig.run.reading import Run
@@ -60,7 +60,7 @@ class Reading:
     run
         The run.
     labels
-        Of its steps, all of them.
+        Of its steps, all of them; a run that was imported followed none.
     patterns
         Names of those that light anything.
     bench
@@ -72,7 +72,7 @@ class Reading:
     run: "Run"
     labels: tuple[str, ...]
     patterns: tuple[str, ...]
-    bench: "Bench"
+    bench: "Bench | KnownScenes"
     without_fits: bool = False
 
 
@@ -144,12 +144,13 @@ def read(path: Path) -> Reading:
     from tankrig.sequence.loading import sequence_from_table
 
     run = open_run(path)
-    sequence = sequence_from_table(dict(run.require_sequence()), str(path))
+    table = run.settings.get("sequence")
+    labels = () if table is None else tuple(task.label for task in sequence_from_table(dict(table), str(path)).tasks)
     lit = tuple(pattern.name for pattern in run.patterns.values() if pattern.pixels.any())
     bench = PhotographPlan.of_run(run).bench
     _ = run.conditions  # found here and not where it would keep the window waiting
     wrong = bool(run.fits) and not fits_that_hold(run)
-    return Reading(run, tuple(task.label for task in sequence.tasks), lit, bench, wrong)
+    return Reading(run, labels, lit, bench, wrong)
 
 
 def found_in(path: Path) -> Found:
