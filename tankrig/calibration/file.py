@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig import bounded_reading
 from tankrig.errors import DecisionError, StoreError
 from tankrig.files import whole_file
 
@@ -154,7 +155,7 @@ def load(path: Path) -> Calibration:
     """
     again = "restore it, or calibrate anew"
     try:
-        first, _, text = path.read_text(encoding="utf-8").partition("\n")
+        first, _, text = bounded_reading.text(path).partition("\n")
         table = tomllib.loads(text)
         hashed = tomllib.loads(first)["sha256"]
     except OSError as error:
@@ -371,10 +372,9 @@ def _loaded_arrays(path: Path, hashed: str) -> dict[str, NDArray[Any]]:
     if not hashed:
         return {}
     try:
-        if sha256(path.read_bytes()).hexdigest() != hashed:
+        if sha256(bounded_reading.whole_bytes(path, bounded_reading.MOST_ARRAY_BYTES)).hexdigest() != hashed:
             raise StoreError(f"{path}: was cut off or changed since it was written; restore it, or calibrate anew")
-        with np.load(path, allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
+        return bounded_reading.arrays(path)
     except StoreError:
         raise
     except OSError as error:

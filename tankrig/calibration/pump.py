@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from tankrig import bounded_reading
 from tankrig.errors import CalibrationError, DeviceError, StoreError
 from tankrig.files import whole_file
 
@@ -258,7 +259,7 @@ def load_pump_calibration(path: Path) -> PumpCalibration:
         When the file cannot be read or is no calibration of a pump.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(bounded_reading.text(path))
         if (values.pop("kind"), values.pop("format")) != ("pump", FORMAT):
             raise ValueError("another kind or version")
         found = PumpCalibration(**values)

@@ -12,6 +12,7 @@ from tankrig.scene import Scene
 
 MODELS = ("tank", "single", "convolution", "diffuse", "montecarlo")
 """Names that `predict` knows."""
+MOST_SEED = 2**63 - 1
 
 
 def predict(
@@ -44,7 +45,7 @@ def predict(
     Raises
     ------
     SceneError
-        When the model is unknown or cannot treat the scene, or the tolerance or the order is out of range.
+        When the model is unknown or cannot treat the scene, or the tolerance, the order or the seed is out of range.
 
     Warns
     -----
@@ -65,6 +66,8 @@ def predict(
         raise SceneError(f"tolerance = {tolerance} is outside 0 … 1; give a relative error such as 0.01")
     if max_order is not None and max_order < 1:
         raise SceneError(f"max_order = {max_order} is below 1; give the highest order of scattering to sum")
+    if not 0 <= seed <= MOST_SEED:
+        raise SceneError(f"seed = {seed} is no seed; give a whole number from 0 to {MOST_SEED}")
     prediction = _by_model(scene, "tank" if model is None else model, tolerance, max_order, seed)
     reached = max([part.bound for part in prediction.skipped if np.isfinite(part.bound)], default=0.0)
     if reached > tolerance:

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from tankrig.errors import DecisionError, DeviceError, StoreError, TankrigError, UndecidedError
+from tankrig.errors import DecisionError, DeviceError, SettingsError, TankrigError, UndecidedError
 
 DONE, FAILURE, BAD_INPUT, DECISION = 0, 1, 2, 3
 
@@ -40,6 +40,8 @@ COMMANDS = (
 """In the order that help lists them; `ui/cli/NAME.py` holds the click command `NAME`, with _ for -."""
 
 DISK_FAILED = {errno.ENOSPC, errno.EDQUOT, errno.EIO}
+_OF_A_PATH = {errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EACCES, errno.EROFS}
+"""Errors of a path that a person has given, where nothing has told them in better words."""
 
 
 class Commands(click.Group):
@@ -99,7 +101,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _say("stopped on request", FAILURE)
     except TankrigError as error:
         return _say(str(error), _status(error))
+    except MemoryError as error:
+        return _say(f"needs more memory than there is ({error}); ask for less, or for fewer pixels", FAILURE)
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in _OF_A_PATH and error.filename:
+            return _say(f"{error.filename}: cannot be used ({error.strerror}); give another path", BAD_INPUT)
+        if isinstance(error, OSError) and error.errno in DISK_FAILED:
+            return _say(f"{error.filename or 'a file'}: cannot be written ({error.strerror}); see to the disk", FAILURE)
         if os.environ.get("TANKRIG_DEBUG") == "1":
             raise
         return _say(f"failed unexpectedly ({type(error).__name__}: {error}); {_kept_traceback()}", FAILURE)
@@ -109,14 +117,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _status(error: TankrigError) -> int:
     if isinstance(error, UndecidedError | DecisionError):
         return DECISION
-    cause = error.__cause__
-    disk_failed = isinstance(error, StoreError) and isinstance(cause, OSError) and cause.errno in DISK_FAILED
-    return FAILURE if isinstance(error, DeviceError) or disk_failed else BAD_INPUT
+    if isinstance(error, SettingsError):
+        return BAD_INPUT
+    return FAILURE if isinstance(error, DeviceError) or _disk_failed(error) else BAD_INPUT
+
+
+def _disk_failed(error: BaseException | None) -> bool:
+    """Whether a disk is behind an error, however often that was put into other words."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in DISK_FAILED:
+            return True
+        error = error.__cause__
+    return False
 
 
 def _say(sentence: str, status: int) -> int:
-    click.echo(f"tankrig: {sentence}", err=True)
+    click.echo(f"tankrig: {_on_one_line(sentence)}", err=True)
     return status
+
+
+def _on_one_line(sentence: str) -> str:
+    r"""A sentence with the letters escaped that would tear it apart: a file's name or a key may hold any.
+
+    >>> print(_on_one_line('key "a' + chr(10) + 'b" is unknown'))
+    key "a\nb" is unknown
+    """
+    lines = sentence.strip()
+    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in lines)
 
 
 def _kept_traceback() -> str:
