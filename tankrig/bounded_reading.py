@@ -11,6 +11,7 @@ import math
 import os
 import stat
 import struct
+import tomllib
 import zipfile
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -73,6 +74,14 @@ def reason(error: OSError | ValueError) -> str:
 def text(path: Path, most: int = MOST_TEXT_BYTES) -> str:
     """What a UTF-8 file says; raises as `whole_bytes`, and ValueError where it is no text."""
     return whole_bytes(path, most).decode("utf-8-sig")
+
+
+def parsed_toml(content: str) -> dict[str, Any]:
+    """A TOML document; raises ValueError where it is none, or is nested deeper than Python's stack."""
+    try:
+        return tomllib.loads(content)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
 
 
 def parsed_json(data: bytes | str) -> Any:

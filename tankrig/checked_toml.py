@@ -3,7 +3,6 @@
 import difflib
 import json
 import math
-import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,12 +48,12 @@ def read_toml(path: Path, what: str, error: type[TankrigError]) -> dict[str, Any
         What to raise when it cannot be read or is not TOML.
     """
     try:
-        return tomllib.loads(bounded_reading.text(path))
+        return bounded_reading.parsed_toml(bounded_reading.text(path))
     except OSError as cause:
         raise error(f"{path}: cannot be read ({cause.strerror or cause}); give the path of {what}") from cause
     except UnicodeDecodeError as cause:
         raise error(f"{path}: is not text, so not {what}; give a TOML file") from cause
-    except (ValueError, RecursionError) as cause:
+    except ValueError as cause:
         raise error(f"{path}: is not TOML ({cause}); mend that line") from cause
 
 
@@ -186,7 +185,7 @@ def _walk(loc: list[Any], schema: dict[str, Any]) -> tuple[str, list[str]]:
             node = _resolved({"$ref": kinds[part]}, schema)
             continue
         known = list(node.get("properties", known))
-        place += f"[{part}]" if isinstance(part, int) else f".{part}" if place else str(part)
+        place += f"[{part}]" if isinstance(part, int) else f".{_cut(part)}" if place else _cut(str(part))
         inner = node.get("items") if isinstance(part, int) else node.get("properties", {}).get(part)
         node = _resolved(inner or node.get("additionalProperties") or {}, schema)
     return place, known

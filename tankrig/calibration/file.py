@@ -1,7 +1,6 @@
 """Calibration files: dated, never overwritten, and referred to by what is in them."""
 
 import os
-import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -156,26 +155,26 @@ def load(path: Path) -> Calibration:
     again = "restore it, or calibrate anew"
     try:
         first, _, text = bounded_reading.text(path).partition("\n")
-        table = tomllib.loads(text)
-        hashed = tomllib.loads(first)["sha256"]
+        table = bounded_reading.parsed_toml(text)
+        hashed = bounded_reading.parsed_toml(first)["sha256"]
+        layout = int(table.pop("format"))
     except OSError as error:
         raise StoreError(f"{path}: cannot be read ({error.strerror}); {again}") from error
-    except (ValueError, KeyError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise StoreError(f"{path}: is no whole calibration file ({error}); {again}") from error
-    if table.get("format", 0) > FORMAT:
+    if layout > FORMAT:
         raise StoreError(
-            f"{path}: was written by {table.get('program', 'a newer tankrig')} in format {table['format']}, and this "
+            f"{path}: was written by {table.get('program', 'a newer tankrig')} in format {layout}, and this "
             f"program reads formats up to {FORMAT}; update tankrig"
         )
     if sha256(text.encode()).hexdigest() != hashed:
         raise StoreError(f"{path}: was cut off or changed since it was written; {again}")
-    table.pop("format")
     try:
         arrays = _loaded_arrays(path.with_suffix(".npz"), table.pop("arrays", ""))
         table["shape"], table["doubts"] = tuple(table["shape"]), tuple(table["doubts"])
         return Calibration(**table, arrays=arrays, path=path, hash=hashed)
     except (KeyError, TypeError, ValueError) as error:
-        raise StoreError(f"{path}: is no calibration file ({error}); {again}") from error
+        raise StoreError(f"{path}: is no calibration file ({str(error)[:200]}); {again}") from error
 
 
 def copy_to(calibration: Calibration, folder: Path) -> None:

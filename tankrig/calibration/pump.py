@@ -2,7 +2,6 @@
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -259,7 +258,7 @@ def load_pump_calibration(path: Path) -> PumpCalibration:
         When the file cannot be read or is no calibration of a pump.
     """
     try:
-        values = tomllib.loads(bounded_reading.text(path))
+        values = bounded_reading.parsed_toml(bounded_reading.text(path))
         if (values.pop("kind"), values.pop("format")) != ("pump", FORMAT):
             raise ValueError("another kind or version")
         found = PumpCalibration(**values)

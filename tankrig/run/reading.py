@@ -81,13 +81,23 @@ class Run:
     @cached_property
     def patterns(self) -> dict[str, Pattern]:
         """The pictures that were to be projected, by hash."""
-        import zarr
+        from tankrig.run.folder import array_for_reading
 
         if not (self.path / "patterns").is_dir():
             return {}
-        array = zarr.open_array(self.path / "patterns", mode="r")
-        names, hashes = array.attrs["names"], array.attrs["hashes"]
-        return {key: Pattern(name, array[i]) for i, (name, key) in enumerate(zip(names, hashes, strict=True))}
+        array = array_for_reading(self.path, "patterns")
+        try:
+            if array.ndim != 3 or array.dtype != np.uint8:
+                raise ValueError(f"{array.ndim} axes of {array.dtype}")
+            names, hashes = array.attrs["names"], array.attrs["hashes"]
+            return {
+                str(key): Pattern(str(name), array[i]) for i, (name, key) in enumerate(zip(names, hashes, strict=True))
+            }
+        except Exception as error:  # Zarr and its codecs raise what their metadata and their bytes lead them to
+            raise StoreError(
+                f"{self.path}: its patterns are damaged and cannot be read ({type(error).__name__}); restore the "
+                f"folder patterns from a copy of the run"
+            ) from error
 
     @cached_property
     def frames(self) -> "xarray.DataArray":
@@ -206,7 +216,7 @@ class StoredFrames:
             pixels: Pixels = self.array[index]
         except StoreError:
             raise
-        except (OSError, RuntimeError, ValueError, LookupError) as error:
+        except Exception as error:  # codecs raise what damaged bytes lead them to, SystemError among it
             raise StoreError(f"{self.path}: frame {index} is damaged and cannot be read ({error}); {remedy}") from error
         if (thoroughly or not self._checked) and digest(pixels) != frame["sha256"]:
             raise StoreError(f"{self.path}: frame {index} is damaged: it is not what was recorded; {remedy}")
