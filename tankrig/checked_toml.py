@@ -90,7 +90,7 @@ def checked(kind: type[T], table: dict[str, Any], name: str, error: type[Tankrig
     except ValidationError as cause:
         problems = sorted(cause.errors(), key=lambda problem: problem["type"] not in _UNKNOWN)
         said = _out_of_bounds(table) if problems[0]["type"] == "json_invalid" else ""
-        raise error(f"{name}: {said or _sentence(problems[0], adapter.json_schema())}") from cause
+        raise error(f"{name}: {_readable(said or _sentence(problems[0], adapter.json_schema()))}") from cause
     except (ArithmeticError, ValueError, RecursionError) as cause:  # a key's check that took such a value for granted
         if said := _out_of_bounds(table):
             raise error(f"{name}: {said}") from cause
@@ -209,6 +209,11 @@ def _shown(value: Any) -> str:
         return _cut(json.dumps(value, default=str, ensure_ascii=False))
     except ValueError:  # a whole number of more digits than Python writes
         return f"{value:.2e}" if abs(value) < MOST else "a number of thousands of digits"
+
+
+def _readable(sentence: str) -> str:
+    """A sentence without the middle of what makes it endless: names of hundreds of letters that a file gives."""
+    return sentence if len(sentence) <= 600 else f"{sentence[:400]} … {sentence[-160:]}"
 
 
 def _cut(text: str) -> str:
