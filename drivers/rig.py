@@ -146,11 +146,12 @@ SIMULATED = Path(__file__).parent / "simulated" / "rig.toml"
 """The rig file of the simulated rig."""
 
 
-def simulated_rig(folder: Path) -> RigFile:
+def simulated_rig(folder: str | os.PathLike[str]) -> RigFile:
     """The simulated rig, with all that it remembers in `folder`: a new folder is a tank of clear water.
 
     A `rig.toml` in the folder stands in for the one that ships.
     """
+    folder = Path(folder)
     own = folder / "rig.toml"
     return load_rig_file(own if own.exists() else SIMULATED, beside=folder.absolute())
 

@@ -20,6 +20,7 @@ from tankrig.run.journal_io import read_journal, read_settings
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.figure import Figure
 
 LEFT_OUT = "left out"
 """Text of the note that names, as `frames`, those that a person has left out because they are damaged."""
@@ -164,6 +165,37 @@ class Run:
             When they are missing or not what was recorded.
         """
         return self._stored.read(frame)
+
+    def plot(self) -> "Figure":
+        """The last frame of each pattern at each dose, as many as fit, in false colour; a figure of matplotlib."""
+        from tankrig.notebook import MOST_SHOWN, pictures
+
+        names = {key: pattern.name for key, pattern in self.patterns.items()}
+        newest = {}
+        for event in self.events("frame"):
+            tank_ul = self.conditions[event["index"]].tank.volume_ul
+            newest[f"{names.get(event['pattern_hash'], '?')}, {tank_ul:g} µl"] = event
+        shown = {title: self.pixels(event) for title, event in list(newest.items())[-MOST_SHOWN:]}
+        return pictures(shown, unit="counts")
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what was recorded, what was fitted last, and the figure."""
+        from tankrig.notebook import page
+
+        frames, end = self.events("frame"), self.end
+        said = [
+            ("folder", str(self.path)),
+            ("sequence", str(self.settings.get("name", ""))),
+            ("frames", f"{len(frames)}" + (f", and {len(self.left_out)} left out" if self.left_out else "")),
+            ("ink in the tank", f"{self.tank.volume_ul:g} µl" if self.tank else "not known"),
+            ("end", "it goes on, or was cut off" if end is None else str(end["reason"])),
+        ]
+        said += [("lost", str(one)) for one in self.lost]
+        last = {fit["dose_ml"]: fit for fit in self.fits if fit.get("dose_ml") is not None and "sigma_s" in fit.fields}
+        for dose_ml, fit in sorted(last.items()):
+            values = ", ".join(f"{name} {fit[name]:.4g}" for name in ("sigma_a", "sigma_s", "g"))
+            said.append((f"fitted at {dose_ml:g} ml", values))
+        return page("run", said, self.plot() if frames else None)
 
     @cached_property
     def _stored(self) -> "StoredFrames":
