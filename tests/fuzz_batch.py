@@ -282,13 +282,13 @@ def arrays_and_pictures(folder: Path, suffix: str) -> Format:
             np.save(text, pixels)
             originals.append(text.getvalue())
     else:
-        kinds = [counts, (counts / 7.0).astype(np.float32)] if suffix == ".tiff" else [counts, counts.astype(np.uint8)]
+        kinds = [counts, (counts / 7.0).astype(np.float32)] if suffix == ".tiff" else [counts, 16 * counts]
         originals, mutate = [cv2.imencode(suffix, pixels)[1].tobytes() for pixels in kinds], mutated_bytes
     file = folder / f"image{suffix}"
 
     def read(data: bytes, number: int) -> bool:
         file.write_bytes(data)
-        reader = (read_image, read_frame, read_mask)[number % 3]
+        reader = (read_image, read_frame, read_mask)[number // 2 % 3]
         return reader(file).ndim == 2 and False
 
     return Format(originals, mutate, read)

@@ -316,7 +316,11 @@ def in_force(
 
 
 def _read(folder: Path, kind: str = "*") -> Iterator[tuple[Path, Calibration | StoreError]]:
-    for path in sorted(folder.glob(f"{kind}-*.toml"), key=lambda path: path.stem, reverse=True):
+    try:
+        paths = sorted(folder.glob(f"{kind}-*.toml"), key=lambda path: path.stem, reverse=True)
+    except OSError as error:
+        raise StoreError(f"{folder}: cannot be read ({error.strerror}); give another folder of calibrations") from error
+    for path in paths:
         try:
             yield path, load(path)
         except StoreError as error:
