@@ -11,6 +11,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from tankrig.errors import DeviceError, SettingsError, TankrigError
+from tankrig.extras import missing
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -86,6 +87,10 @@ def blamed(whose: str, what: str, remedy: str) -> Iterator[None]:
         yield
     except (TankrigError, KeyboardInterrupt, GeneratorExit):
         raise
+    except ModuleNotFoundError as error:
+        if said := missing(error, whose):
+            raise DeviceError(said) from error
+        raise DeviceError(f"{whose}: {what} (ModuleNotFoundError: {error}); {remedy}") from error
     except BaseException as error:
         said = " ".join(str(error).split())
         raise DeviceError(f"{whose}: {what} ({type(error).__name__}{': ' if said else ''}{said}); {remedy}") from error

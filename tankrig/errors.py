@@ -45,5 +45,9 @@ class StoreError(TankrigError, OSError):
     """A run folder that cannot be written, or that is not what it should be."""
 
 
+class MissingExtraError(TankrigError, ImportError):
+    """Something needs packages that are installed with one of tankrig's extras, and they are not (exit code 1)."""
+
+
 class CacheError(TankrigError, OSError):
     """A prepared model that cannot be stored or read back."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tankrig import bounded_reading
 from tankrig.errors import DecisionError, StoreError
+from tankrig.extras import needing_extra
 from tankrig.files import whole_file
 
 FORMAT = 1
@@ -135,7 +136,8 @@ def save(calibration: Calibration, folder: Path, accept: bool = False) -> Calibr
     table = _table(kept)
     if kept.arrays:
         table["arrays"] = _saved_arrays(kept.arrays, kept.path.with_suffix(".npz"))
-    import tomlkit
+    with needing_extra("writing a calibration file"):
+        import tomlkit
 
     text = tomlkit.dumps(table)
     hashed = sha256(text.encode()).hexdigest()

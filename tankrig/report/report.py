@@ -55,7 +55,7 @@ def write_report(
     ImageError
         When the run has nothing to report, or nothing of it has been fitted.
     """
-    run = open_run(path)
+    run, path = open_run(path), Path(path)
     target = path / "report.html" if out is None else out if out.suffix == ".html" else out / "report.html"
     require_writable(target.parent)
     page = report_page(run, progress)

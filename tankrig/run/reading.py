@@ -104,20 +104,22 @@ class Run:
     def frames(self) -> "xarray.DataArray":
         """The acknowledged frames.
 
-        (frame, y, x) uint8 or uint16 counts, read from disk as they are used; with the coordinates `step`, `pattern`
-        (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held when the frame
+        (frame, y, x) uint8 or uint16 counts, read from disk as they are used: `frames[3]` reads one, and
+        `frames.chunk(frame=1)`, where dask is installed, computes with more than memory holds. With the coordinates
+        `step`, `pattern` (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held when the frame
         was exposed, with its bounds `delivered_low_ul` and `delivered_high_ul`; and `exposure_ms` and `gain`, as they
         were read back from the camera (NaN where a run does not say). Reading the pixels of a
         frame that is missing or damaged raises `StoreError` with its number.
         """
-        import dask.array
         import xarray
 
+        from tankrig.run.stack import lazy_stack
+
         rows = [(event, then) for event, then in with_conditions(self.journal) if event.kind == "frame"]
-        stack = _Stack(self._stored, tuple(event for event, _ in rows))
-        chunks = (1, *stack.shape[1:])
-        pictures = dask.array.from_array(stack, chunks=chunks, name=False)  # type: ignore[no-untyped-call]
-        array = xarray.DataArray(pictures, dims=("frame", "y", "x"), name="frames")
+        events, stored = [event for event, _ in rows], self._stored
+        shape = (len(events), *stored.array.shape[1:])
+        pictures = lazy_stack(lambda place: stored.read(events[place]), shape, stored.array.dtype)
+        array = xarray.DataArray(pictures, name="frames")
         names = {key: pattern.name for key, pattern in self.patterns.items()}
         columns: dict[str, Any] = {
             "step": np.array([event["step"] for event, _ in rows], int),
@@ -258,26 +260,6 @@ class StoredFrames:
 def digest(pixels: Pixels) -> str:
     """SHA-256 of the raw pixels, row by row, little-endian."""
     return hashlib.sha256(np.ascontiguousarray(pixels).data).hexdigest()
-
-
-class _Stack:
-    """Frames as dask takes them: an array of which it asks for parts."""
-
-    def __init__(self, stored: StoredFrames, events: tuple[Event, ...]) -> None:
-        self._stored, self._events = stored, events
-        self.shape = (len(events), *stored.array.shape[1:])
-        self.dtype, self.ndim = stored.array.dtype, 3
-
-    def __getitem__(self, key: tuple[Any, ...]) -> Pixels:
-        wanted, *within = key
-        numbers = np.arange(len(self._events))[wanted]
-        if numbers.ndim == 0:
-            one: Pixels = self._stored.read(self._events[int(numbers)])[tuple(within)]
-            return one
-        stack = np.empty((len(numbers), *self.shape[1:]), self.dtype)
-        for place, number in enumerate(numbers):
-            stack[place] = self._stored.read(self._events[number])
-        return stack[(slice(None), *within)]
 
 
 def open_run(path: str | os.PathLike[str]) -> Run:

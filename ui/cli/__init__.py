@@ -11,7 +11,8 @@ from typing import Any
 
 import click
 
-from tankrig.errors import DecisionError, DeviceError, SettingsError, TankrigError, UndecidedError
+from tankrig.errors import DecisionError, DeviceError, MissingExtraError, SettingsError, TankrigError, UndecidedError
+from tankrig.extras import missing
 
 DONE, FAILURE, BAD_INPUT, DECISION = 0, 1, 2, 3
 
@@ -101,6 +102,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _say("stopped on request", FAILURE)
     except TankrigError as error:
         return _say(str(error), _status(error))
+    except ModuleNotFoundError as error:
+        if said := missing(error, "this"):
+            return _say(said, FAILURE)
+        return _unexpected(error)
     except MemoryError as error:
         return _say(f"needs more memory than there is ({error}); ask for less, or for fewer pixels", FAILURE)
     except Exception as error:
@@ -108,10 +113,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _say(f"{error.filename}: cannot be used ({error.strerror}); give another path", BAD_INPUT)
         if isinstance(error, OSError) and error.errno in DISK_FAILED:
             return _say(f"{error.filename or 'a file'}: cannot be written ({error.strerror}); see to the disk", FAILURE)
-        if os.environ.get("TANKRIG_DEBUG") == "1":
-            raise
-        return _say(f"failed unexpectedly ({type(error).__name__}: {error}); {_kept_traceback()}", FAILURE)
+        return _unexpected(error)
     return result if isinstance(result, int) else DONE
+
+
+def _unexpected(error: Exception) -> int:
+    """Say that something went wrong that is not tankrig's own error; called while it is handled."""
+    if os.environ.get("TANKRIG_DEBUG") == "1":
+        raise error
+    return _say(f"failed unexpectedly ({type(error).__name__}: {error}); {_kept_traceback()}", FAILURE)
 
 
 def _status(error: TankrigError) -> int:
@@ -119,7 +129,7 @@ def _status(error: TankrigError) -> int:
         return DECISION
     if isinstance(error, SettingsError):
         return BAD_INPUT
-    return FAILURE if isinstance(error, DeviceError) or _disk_failed(error) else BAD_INPUT
+    return FAILURE if isinstance(error, DeviceError | MissingExtraError) or _disk_failed(error) else BAD_INPUT
 
 
 def _disk_failed(error: BaseException | None) -> bool:
