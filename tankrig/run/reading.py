@@ -106,10 +106,10 @@ class Run:
 
         (frame, y, x) uint8 or uint16 counts, read from disk as they are used: `frames[3]` reads one, and
         `frames.chunk(frame=1)`, where dask is installed, computes with more than memory holds. With the coordinates
-        `step`, `pattern` (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held when the frame
-        was exposed, with its bounds `delivered_low_ul` and `delivered_high_ul`; and `exposure_ms` and `gain`, as they
-        were read back from the camera (NaN where a run does not say). Reading the pixels of a
-        frame that is missing or damaged raises `StoreError` with its number.
+        `step`, `pattern` (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held
+        when the frame was exposed, with its bounds `delivered_low_ul` and `delivered_high_ul`; and `exposure_ms` and
+        `gain`, as they were read back from the camera (NaN where a run does not say). Reading the pixels of a frame
+        that is missing or damaged raises `StoreError` with its number.
         """
         import xarray
 
