@@ -1,6 +1,5 @@
 """From a file to an image: NumPy's .npz and .npy, and 16-bit or floating-point PNG and TIFF."""
 
-import math
 import os
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig import bounded_reading
+from tankrig.checked_toml import MOST
 from tankrig.errors import ImageError
 
 NUMPY_SUFFIXES = (".npz", ".npy")
@@ -77,7 +77,7 @@ def read_image(path: str | os.PathLike[str], array: str | None = None, scale: fl
     array([[0.5, 0.5, 0.5],
            [0.5, 0.5, 0.5]])
     """
-    if not (math.isfinite(scale) and scale > 0.0):
+    if not 1.0 / MOST <= scale <= MOST:
         raise ImageError(f"scale = {scale} is not a positive finite number; give the radiance per count")
     return scale * _checked(Path(path), _values(path, array))
 

@@ -102,7 +102,7 @@ def _with_phase_table(medium: Any, folder: Path, name: str) -> Any:
     file = folder / str(phase["file"])
     cosines, values = [], []
     try:
-        lines = bounded_reading.text(file).splitlines()
+        lines = bounded_reading.text(file, MOST_TABLE_BYTES).splitlines()
     except (OSError, ValueError) as error:
         raise SceneError(f'{name}: medium.phase.file = "{phase["file"]}" cannot be read; give a text file') from error
     for number, line in enumerate(lines, 1):
@@ -121,6 +121,8 @@ def _with_phase_table(medium: Any, folder: Path, name: str) -> Any:
     return {**medium, "phase": {**rest, "cosines": cosines, "values": values}}
 
 
+MOST_TABLE_BYTES = 2**20
+"""Of a table of a phase function; some 30,000 rows."""
 DARK = {"y_mm": [-1e-9, 1e-9], "z_mm": [0.0, 1e-9], "irradiance": 0.0}
 """Stands for the beams until the projector's image is read."""
 

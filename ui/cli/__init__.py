@@ -134,9 +134,11 @@ def _status(error: TankrigError) -> int:
 
 def _disk_failed(error: BaseException | None) -> bool:
     """Whether a disk is behind an error, however often that was put into other words."""
-    while error is not None:
+    seen: list[BaseException] = []
+    while error is not None and error not in seen:  # an error may be raised from itself
         if isinstance(error, OSError) and error.errno in DISK_FAILED:
             return True
+        seen.append(error)
         error = error.__cause__
     return False
 
