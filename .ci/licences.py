@@ -13,7 +13,7 @@ from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-STARTED_WITH = ("dev",)
+STARTED_WITH = ("all", "dev")
 """Extras that ./start installs."""
 
 KNOWN: dict[str, str] = {

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from tankrig.errors import DeviceError, TankrigError
+from tankrig.errors import DeviceError, SettingsError, TankrigError
+from tankrig.extras import missing
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -50,7 +51,7 @@ def open_device(name: str, settings: Mapping[str, Any]) -> Any:
 
 
 def checked(model: "type[_Settings]", driver: str, settings: Mapping[str, Any]) -> "_Settings":
-    """The settings of `driver` as its `model` (pydantic) has them; a DeviceError names the first that is wrong."""
+    """The settings of `driver` as its `model` (pydantic) has them; a SettingsError names the first that is wrong."""
     from pydantic import ValidationError
 
     try:
@@ -59,7 +60,7 @@ def checked(model: "type[_Settings]", driver: str, settings: Mapping[str, Any]) 
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         known = ", ".join(model.model_fields)
-        raise DeviceError(f"{driver}: setting {place}: {first['msg']}; it takes {known}") from error
+        raise SettingsError(f"{driver}: setting {place}: {first['msg']}; it takes {known}") from error
 
 
 def loaded(entry: EntryPoint) -> Any:
@@ -86,6 +87,10 @@ def blamed(whose: str, what: str, remedy: str) -> Iterator[None]:
         yield
     except (TankrigError, KeyboardInterrupt, GeneratorExit):
         raise
+    except ModuleNotFoundError as error:
+        if said := missing(error, whose):
+            raise DeviceError(said) from error
+        raise DeviceError(f"{whose}: {what} (ModuleNotFoundError: {error}); {remedy}") from error
     except BaseException as error:
         said = " ".join(str(error).split())
         raise DeviceError(f"{whose}: {what} ({type(error).__name__}{': ' if said else ''}{said}); {remedy}") from error
@@ -94,7 +99,7 @@ def blamed(whose: str, what: str, remedy: str) -> Iterator[None]:
 def _driver(name: str) -> Any:
     found = {(entry.value, entry.dist and entry.dist.name): entry for entry in entry_points(group=GROUP, name=name)}
     if not found:
-        raise DeviceError(f"there is no driver {name!r}; installed are {', '.join(driver_names()) or 'none'}")
+        raise SettingsError(f"there is no driver {name!r}; installed are {', '.join(driver_names()) or 'none'}")
     if len({value for value, _ in found}) > 1:
         packages = " and ".join(sorted(package or "?" for _, package in found))
         raise DeviceError(f'driver "{name}": is installed by {packages}; uninstall all but one of them')

@@ -17,10 +17,12 @@ from tankrig.calibration.tolerances import Tolerances
 from tankrig.checked_toml import checked, read_toml
 from tankrig.devices import Camera, Projector
 from tankrig.dosing import DoseLimits, TankLedger
-from tankrig.errors import DeviceError, SceneError
+from tankrig.errors import DeviceError, SceneError, SettingsError
 from tankrig.run.rig import Rig, RigLock
 from tankrig.scene.description import CLOSED, Medium
 from tankrig.sequence import ExposureRule, Pace
+from tankrig.sequence.exposure import LEAST_PERIOD_MS
+from tankrig.sequence.steps import MOST_EXPOSURE_MS
 
 if TYPE_CHECKING:
     from drivers.simulated.bench_truth import TrueBench
@@ -78,7 +80,9 @@ class RigFile:
     def exposure_rule(self) -> ExposureRule:
         """What exposures must keep to: by `exposure`, and by the projector's `refresh_hz` where that says no period."""
         refresh_hz = self.projector.get("refresh_hz")
-        if self.exposure.period_ms is not None or not isinstance(refresh_hz, int | float) or refresh_hz <= 0.0:
+        if self.exposure.period_ms is not None or not isinstance(refresh_hz, int | float):
+            return self.exposure
+        if not 1000.0 / MOST_EXPOSURE_MS <= refresh_hz <= 1000.0 / LEAST_PERIOD_MS:  # its driver will refuse it
             return self.exposure
         return replace(self.exposure, period_ms=1000.0 / refresh_hz)
 
@@ -86,8 +90,8 @@ class RigFile:
     def latency_ms(self) -> float | None:
         """Within which light follows a swap, as far as the rig file says; the longest where it says several."""
         said = self.projector.get("latency_ms")
-        longest = max(said, default=None) if isinstance(said, list | tuple) else said
-        return float(longest) if isinstance(longest, int | float) else None
+        times = said if isinstance(said, list | tuple) else [said]
+        return max((float(one) for one in times if isinstance(one, int | float)), default=None)
 
     @property
     def ledger(self) -> Path:
@@ -128,7 +132,8 @@ def load_rig_file(path: str | os.PathLike[str], beside: Path | None = None) -> R
                 for key, value in settings.items()
             }
     for name, usual in (("folder", "."), ("calibration_folder", FOLDER)):
-        table[name] = str(beside / str(table.get(name, usual)))
+        if isinstance(given := table.get(name, usual), str):  # what is none is refused below, like any other key
+            table[name] = str(beside / given)
     description = checked(RigFile, table, str(file), SceneError)
     if description.camera["driver"] == "simulated-camera":
         from drivers.simulated.agreement import require_agreement
@@ -141,11 +146,12 @@ SIMULATED = Path(__file__).parent / "simulated" / "rig.toml"
 """The rig file of the simulated rig."""
 
 
-def simulated_rig(folder: Path) -> RigFile:
+def simulated_rig(folder: str | os.PathLike[str]) -> RigFile:
     """The simulated rig, with all that it remembers in `folder`: a new folder is a tank of clear water.
 
     A `rig.toml` in the folder stands in for the one that ships.
     """
+    folder = Path(folder)
     own = folder / "rig.toml"
     return load_rig_file(own if own.exists() else SIMULATED, beside=folder.absolute())
 
@@ -172,7 +178,7 @@ def _simulated_camera(description: RigFile) -> "SimulatedCameraSettings | None":
         return None
     from drivers.simulated.settings import SimulatedCameraSettings
 
-    return checked(SimulatedCameraSettings, settings, "simulated-camera", DeviceError)
+    return checked(SimulatedCameraSettings, settings, "simulated-camera", SettingsError)
 
 
 def calibrated_bench(description: RigFile) -> Bench:
@@ -247,7 +253,26 @@ def open_light(description: RigFile) -> Iterator[tuple[Projector, Camera]]:
             settings = dict(getattr(description, kind))
             devices.append(open_device(settings.pop("driver"), settings))
             last_first.callback(devices[-1].close)
+            _require_kind(kind, devices[-1], getattr(description, kind)["driver"])
         yield devices[0], devices[1]
+
+
+_DOES = {"projector": "show", "camera": "capture", "doser": "dose_to"}
+"""What only a device of that kind can do."""
+
+
+def _require_kind(kind: str, device: object, driver: str) -> None:
+    """Refuse what a driver has opened where it is a device of another kind.
+
+    Raises
+    ------
+    SettingsError
+        Naming the table of the rig file.
+    """
+    if not callable(getattr(device, _DOES[kind], None)):
+        raise SettingsError(
+            f'[{kind}] driver = "{driver}" makes no {kind}; name a driver of a {kind} (tankrig devices lists them)'
+        )
 
 
 def open_rig(description: RigFile, looking: bool = False) -> Rig:
@@ -281,6 +306,7 @@ def open_rig(description: RigFile, looking: bool = False) -> Rig:
             settings = dict(getattr(description, kind))
             device = open_device(settings.pop("driver"), settings)
             undo.callback(device.close)
+            _require_kind(kind, device, getattr(description, kind)["driver"])
             return device
 
         with ThreadPoolExecutor(1, "open-doser") as beside:

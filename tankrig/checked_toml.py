@@ -2,11 +2,12 @@
 
 import difflib
 import json
-import tomllib
+import math
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+from tankrig import bounded_reading
 from tankrig.errors import TankrigError
 
 T = TypeVar("T")
@@ -25,6 +26,15 @@ _ADVICE = {
 }
 _UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden")
 
+MOST = 1e30
+"""No number of a file is larger, in whatever unit: squares and products of two stay finite."""
+MOST_WHOLE = 2**63 - 1
+"""No whole number of a file is larger, a seed neither."""
+MOST_LETTERS = 10_000
+"""Of one text; people's reasons and notes are shorter."""
+MOST_DEPTH = 32
+"""Of tables and arrays within each other."""
+
 
 def read_toml(path: Path, what: str, error: type[TankrigError]) -> dict[str, Any]:
     """Parse a TOML file.
@@ -39,12 +49,12 @@ def read_toml(path: Path, what: str, error: type[TankrigError]) -> dict[str, Any
         What to raise when it cannot be read or is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return bounded_reading.parsed_toml(bounded_reading.text(path))
     except OSError as cause:
         raise error(f"{path}: cannot be read ({cause.strerror or cause}); give the path of {what}") from cause
     except UnicodeDecodeError as cause:
         raise error(f"{path}: is not text, so not {what}; give a TOML file") from cause
-    except (ValueError, RecursionError) as cause:
+    except ValueError as cause:
         raise error(f"{path}: is not TOML ({cause}); mend that line") from cause
 
 
@@ -78,10 +88,61 @@ def checked(kind: type[T], table: dict[str, Any], name: str, error: type[Tankrig
     adapter: TypeAdapter[T] = _adapter(asked)
     try:
         # As JSON, where strict validation still lets arrays become tuples and tables become dataclasses.
-        return adapter.validate_json(json.dumps(table, default=str))
+        found: T = adapter.validate_json(json.dumps(table, default=str))
     except ValidationError as cause:
         problems = sorted(cause.errors(), key=lambda problem: problem["type"] not in _UNKNOWN)
-        raise error(f"{name}: {_sentence(problems[0], adapter.json_schema())}") from cause
+        said = _out_of_bounds(table) if problems[0]["type"] == "json_invalid" else ""
+        raise error(f"{name}: {_readable(said or _sentence(problems[0], adapter.json_schema()))}") from cause
+    except (ArithmeticError, ValueError, RecursionError) as cause:  # a key's check that took such a value for granted
+        if said := _out_of_bounds(table):
+            raise error(f"{name}: {said}") from cause
+        raise
+    if said := _out_of_bounds(table):
+        raise error(f"{name}: {said}")
+    return found
+
+
+def _out_of_bounds(table: dict[str, Any]) -> str:
+    """What is wrong with the first value that no key of any file could have; empty where there is none.
+
+    Whatever else a key's own check forgets, it meets only finite numbers, and texts that can be printed.
+    """
+    waiting: list[tuple[str, Any, int]] = [("", table, 0)]
+    while waiting:
+        place, value, depth = waiting.pop()
+        if depth > MOST_DEPTH:
+            return f"{_cut(place)} is nested deeper than anything that is known; take it out"
+        if isinstance(value, dict):
+            inner = [(f"{place}.{key}" if place else str(key), one, depth + 1) for key, one in value.items()]
+            if wrong := [key for key in value if not _is_plain(str(key))]:
+                return f"key {_shown(str(wrong[0]))} has letters that no key has; remove it"
+        elif isinstance(value, list | tuple):
+            inner = [(f"{place}[{index}]", one, depth + 1) for index, one in enumerate(value)]
+        else:
+            if what := _refused(value):
+                return f"{place} = {_shown(value)} {what}"
+            continue
+        waiting.extend(reversed(inner))
+    return ""
+
+
+def _refused(value: Any) -> str:
+    if isinstance(value, float) and not math.isfinite(value):
+        return "is not a finite number; give a finite one"
+    if isinstance(value, float) and abs(value) > MOST:
+        return "is larger than any number that has a meaning here; give a smaller one"
+    if isinstance(value, int) and abs(value) > MOST_WHOLE:
+        return "is larger than any whole number that has a meaning here; give a smaller one"
+    if isinstance(value, str) and len(value) > MOST_LETTERS:
+        return f"has {len(value)} letters; give {MOST_LETTERS} at most"
+    if isinstance(value, str) and not _is_plain(value.replace("\n", "").replace("\t", "")):
+        return "has letters that cannot be printed; remove them"
+    return ""
+
+
+def _is_plain(text: str) -> bool:
+    """Whether a text has no control characters, which would tear a sentence or a path apart."""
+    return not any(letter < " " or "\x7f" <= letter < "\xa0" for letter in text)
 
 
 @cache
@@ -134,7 +195,7 @@ def _walk(loc: list[Any], schema: dict[str, Any]) -> tuple[str, list[str]]:
             node = _resolved({"$ref": kinds[part]}, schema)
             continue
         known = list(node.get("properties", known))
-        place += f"[{part}]" if isinstance(part, int) else f".{part}" if place else str(part)
+        place += f"[{part}]" if isinstance(part, int) else f".{_cut(part)}" if place else _cut(str(part))
         inner = node.get("items") if isinstance(part, int) else node.get("properties", {}).get(part)
         node = _resolved(inner or node.get("additionalProperties") or {}, schema)
     return place, known
@@ -152,5 +213,18 @@ def _resolved(node: Any, schema: dict[str, Any]) -> dict[str, Any]:
 
 
 def _shown(value: Any) -> str:
-    text: str = json.dumps(value, default=str, ensure_ascii=False)
+    if isinstance(value, float):
+        return repr(value)  # nan and inf as TOML writes them
+    try:
+        return _cut(json.dumps(value, default=str, ensure_ascii=False))
+    except ValueError:  # a whole number of more digits than Python writes
+        return f"{value:.2e}" if abs(value) < MOST else "a number of thousands of digits"
+
+
+def _readable(sentence: str) -> str:
+    """A sentence without the middle of what makes it endless: names of hundreds of letters that a file gives."""
+    return sentence if len(sentence) <= 600 else f"{sentence[:400]} … {sentence[-160:]}"
+
+
+def _cut(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "…"

@@ -29,6 +29,10 @@ class DeviceError(TankrigError, RuntimeError):
     """A device that did not do, or cannot be shown to have done, what it was asked."""
 
 
+class SettingsError(DeviceError):
+    """A device whose settings in the rig file are wrong: nothing has failed, and the file is to be mended (exit 2)."""
+
+
 class UndecidedError(DeviceError):
     """A doser of which only a person can say what it has delivered; nothing moves until then (exit code 3)."""
 
@@ -39,6 +43,10 @@ class DecisionError(TankrigError):
 
 class StoreError(TankrigError, OSError):
     """A run folder that cannot be written, or that is not what it should be."""
+
+
+class MissingExtraError(TankrigError, ImportError):
+    """Something needs packages that are installed with one of tankrig's extras, and they are not (exit code 1)."""
 
 
 class CacheError(TankrigError, OSError):

@@ -4,12 +4,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Image = NDArray[np.floating]
 
+UNIT = "W/mm²/sr"
 ORDER_CLASSES: tuple[int | str, ...] = (1, 2, 3, "4-20", ">20")
 """Of scattering events, which images are split by; in ascending order, as in the reference images."""
 
@@ -82,3 +87,19 @@ class Prediction:
         if self.stderr is None or peak == 0.0:
             return 0.0
         return float(np.linalg.norm(self.stderr / peak) / np.linalg.norm(self.image / peak))
+
+    def plot(self) -> "Figure":
+        """The image, and its parts by order of scattering, in false colour; a figure of matplotlib."""
+        from tankrig.notebook import pictures
+
+        parts = {f"order {order}": part for order, part in self.orders.items()}
+        return pictures({f"{self.model}, all orders": self.image, **(parts if len(parts) > 1 else {})}, unit=UNIT)
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what it is, what was left out, and the figure."""
+        from tankrig.notebook import page
+
+        rows, columns = self.image.shape
+        said = [("pixels", f"{rows} × {columns}"), ("brightest", f"{float(np.max(self.image)):.4g} {UNIT}")]
+        said += [("left out", f"{one.what} (changes the image by at most {one.bound:.2g})") for one in self.skipped]
+        return page(f"prediction of model {self.model}", said, self.plot())

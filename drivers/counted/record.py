@@ -7,12 +7,14 @@ import os
 import uuid
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
 from drivers.dosing.pump import Count
+from tankrig.bounded_reading import parsed_json, whole_bytes
 from tankrig.errors import DeviceError
 
 FORMAT = 1
+MOST_BYTES = 2**20
 
 
 @dataclass(frozen=True)
@@ -190,15 +192,36 @@ class CountFile:
 
 
 def _record(path: Path) -> Record:
-    values = json.loads(path.read_text(encoding="utf-8"))
-    if values.pop("format") != FORMAT:
-        raise ValueError("written by another version")
-    begun, unsure = values.pop("begun"), values.pop("unsure")
+    values = parsed_json(whole_bytes(path, MOST_BYTES))
+    if not isinstance(values, dict) or values["format"] != FORMAT:
+        raise ValueError("not of this version")
+    if not (isinstance(values["pump"], str) and isinstance(values["tick_ul"], float | int)):
+        raise TypeError("pump or tick_ul")
+    unsure = values["unsure"]
     return Record(
         values["pump"],
-        values["tick_ul"],
-        Count(*values["base"]),
-        Count(*values["seen"]),
-        Begun(**begun) if begun else None,
-        (unsure[0], unsure[1]) if unsure else None,
+        float(values["tick_ul"]),
+        Count(*map(_ticks, values["base"])),
+        Count(*map(_ticks, values["seen"])),
+        _begun(values["begun"]) if values["begun"] else None,
+        (_ticks(unsure[0]), _ticks(unsure[1])) if unsure else None,
     )
+
+
+def _begun(values: dict[str, Any]) -> Begun:
+    if values["what"] not in get_args(Begun.__annotations__["what"]):
+        raise ValueError(values["what"])
+    end = values.get("end")
+    return Begun(
+        values["what"],
+        _ticks(values["to"]),
+        None if end is None else _ticks(end),
+        _ticks(values.get("on_its_own", 0)),
+    )
+
+
+def _ticks(value: Any) -> int:
+    """A whole number of ticks; anything else raises."""
+    if type(value) is not int:
+        raise TypeError(value)
+    return value

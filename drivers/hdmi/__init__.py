@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 def open_hdmi_projector(settings: Mapping[str, Any]) -> "HdmiProjector":
     """Driver `hdmi-projector` (settings: `HdmiProjectorSettings`)."""
     from tankrig.checked_toml import checked
-    from tankrig.errors import DeviceError
+    from tankrig.errors import SettingsError
 
     from .projector import HdmiProjector
     from .settings import HdmiProjectorSettings
 
-    return HdmiProjector(checked(HdmiProjectorSettings, dict(settings), "hdmi-projector", DeviceError))
+    return HdmiProjector(checked(HdmiProjectorSettings, dict(settings), "hdmi-projector", SettingsError))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tankrig import bounded_reading
 from tankrig.devices import Flip
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
@@ -173,7 +174,7 @@ def _colours(response: Path | None) -> Sequence[int]:
         table = np.repeat(np.arange(256)[:, None], 3, axis=1)
     else:
         try:
-            table = np.loadtxt(response, dtype=int, delimiter=None, ndmin=2)
+            table = np.loadtxt(bounded_reading.text(response).splitlines(), dtype=int, delimiter=None, ndmin=2)
         except (OSError, ValueError) as error:
             raise DeviceError(f"{response}: cannot be read as a response curve ({error}); measure it anew") from error
         if table.shape != (256, 3) or table.min() < 0 or table.max() > 255:

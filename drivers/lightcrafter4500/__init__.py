@@ -14,21 +14,21 @@ if TYPE_CHECKING:
 def open_lightcrafter(settings: Mapping[str, Any]) -> "Lightcrafter":
     """Driver `lightcrafter-4500` (settings: `LightcrafterSettings`)."""
     from tankrig.checked_toml import checked
-    from tankrig.errors import DeviceError
+    from tankrig.errors import SettingsError
 
     from .projector import Lightcrafter
     from .settings import LightcrafterSettings
 
-    return Lightcrafter(checked(LightcrafterSettings, dict(settings), "lightcrafter-4500", DeviceError))
+    return Lightcrafter(checked(LightcrafterSettings, dict(settings), "lightcrafter-4500", SettingsError))
 
 
 def open_simulated_lightcrafter(settings: Mapping[str, Any]) -> "SimulatedLightcrafter":
     """Driver `simulated-lightcrafter`: the same on its stand-in (settings: `SimulatedLightcrafterSettings`)."""
     from tankrig.checked_toml import checked
-    from tankrig.errors import DeviceError
+    from tankrig.errors import SettingsError
 
     from .settings import SimulatedLightcrafterSettings
     from .simulated import SimulatedLightcrafter
 
-    table = checked(SimulatedLightcrafterSettings, dict(settings), "simulated-lightcrafter", DeviceError)
+    table = checked(SimulatedLightcrafterSettings, dict(settings), "simulated-lightcrafter", SettingsError)
     return SimulatedLightcrafter(table)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig import bounded_reading
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
@@ -146,9 +147,12 @@ def picture_of(patterns: Sequence[Pattern]) -> NDArray[np.uint8]:
 
 
 def _read(file: Path, shape: tuple[int, int]) -> NDArray[np.uint8]:
-    picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
+    try:
+        picture = bounded_reading.picture(file, cv2.IMREAD_COLOR)
+        found = f"has {list(picture.shape[:2])} pixels (rows, columns)"
+    except (OSError, ValueError) as error:
+        picture, found = None, f"cannot be read ({bounded_reading.reason(error)})"
     if picture is None or picture.shape[:2] != shape:
-        found = "cannot be read" if picture is None else f"has {list(picture.shape[:2])} pixels (rows, columns)"
         raise DeviceError(f"{file}: {found}, and the LightCrafter's mirrors are {list(shape)}; give the picture anew")
     return np.asarray(picture, np.uint8)
 

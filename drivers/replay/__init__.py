@@ -10,9 +10,9 @@ if TYPE_CHECKING:
 def open_replay_camera(settings: Mapping[str, Any]) -> "ReplayCamera":
     """Driver `replay-camera` (settings: `ReplayCameraSettings`)."""
     from tankrig.checked_toml import checked
-    from tankrig.errors import DeviceError
+    from tankrig.errors import SettingsError
 
     from .camera import ReplayCamera
     from .settings import ReplayCameraSettings
 
-    return ReplayCamera(checked(ReplayCameraSettings, dict(settings), "replay-camera", DeviceError))
+    return ReplayCamera(checked(ReplayCameraSettings, dict(settings), "replay-camera", SettingsError))

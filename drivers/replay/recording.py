@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig import bounded_reading
 from tankrig.errors import DeviceError, StoreError
 
 from .settings import ReplayCameraSettings
@@ -106,10 +107,12 @@ def _rising(times_ns: list[int]) -> tuple[int, ...]:
 
 
 def _image(file: Path) -> Pixels:
-    import cv2
-
-    image: Any = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-    if image is None or image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+    try:
+        image: Any = bounded_reading.picture(file)
+    except (OSError, ValueError) as error:
+        why = bounded_reading.reason(error)
+        raise DeviceError(f"{file}: is no image that can be read ({why}); take it out of the folder") from error
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
         raise DeviceError(f"{file}: is no grey image of 8 or 16 bits; take it out of the folder")
     pixels: Pixels = image
     return pixels

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.bounded_reading import arrays
 from tankrig.errors import StoreError
 from tankrig.files import whole_file
 
@@ -32,10 +33,9 @@ class PictureStore:
         """The picture of what `of` says in full, or None."""
         path = self._path(of)
         try:
-            with np.load(path) as kept:
-                picture: NDArray[np.float32] = kept["picture"]
+            picture = np.asarray(arrays(path, "picture")["picture"], np.float32)
             os.utime(path)
-        except Exception:  # none, or one that was damaged, in any of the ways that a ZIP file can be
+        except (OSError, ValueError):  # none, or one that was damaged
             return None
         return picture
 

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 def open_v4l2_camera(settings: Mapping[str, Any]) -> "V4l2Camera":
     """Driver `v4l2-camera` (settings: `V4l2CameraSettings`)."""
     from tankrig.checked_toml import checked
-    from tankrig.errors import DeviceError
+    from tankrig.errors import SettingsError
 
     from .camera import V4l2Camera
     from .settings import V4l2CameraSettings
 
-    return V4l2Camera(checked(V4l2CameraSettings, dict(settings), "v4l2-camera", DeviceError))
+    return V4l2Camera(checked(V4l2CameraSettings, dict(settings), "v4l2-camera", SettingsError))

@@ -1,1 +1,5 @@
 """What to photograph next: which dose and pattern would tell most."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """What has to be measured once: pump, camera, projector. One file for each."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,7 +1,6 @@
 """Calibration files: dated, never overwritten, and referred to by what is in them."""
 
 import os
-import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -13,7 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig import bounded_reading
 from tankrig.errors import DecisionError, StoreError
+from tankrig.extras import needing_extra
 from tankrig.files import whole_file
 
 FORMAT = 1
@@ -135,7 +136,8 @@ def save(calibration: Calibration, folder: Path, accept: bool = False) -> Calibr
     table = _table(kept)
     if kept.arrays:
         table["arrays"] = _saved_arrays(kept.arrays, kept.path.with_suffix(".npz"))
-    import tomlkit
+    with needing_extra("writing a calibration file"):
+        import tomlkit
 
     text = tomlkit.dumps(table)
     hashed = sha256(text.encode()).hexdigest()
@@ -154,27 +156,27 @@ def load(path: Path) -> Calibration:
     """
     again = "restore it, or calibrate anew"
     try:
-        first, _, text = path.read_text(encoding="utf-8").partition("\n")
-        table = tomllib.loads(text)
-        hashed = tomllib.loads(first)["sha256"]
+        first, _, text = bounded_reading.text(path).partition("\n")
+        table = bounded_reading.parsed_toml(text)
+        hashed = bounded_reading.parsed_toml(first)["sha256"]
+        layout = int(table.pop("format"))
     except OSError as error:
         raise StoreError(f"{path}: cannot be read ({error.strerror}); {again}") from error
-    except (ValueError, KeyError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise StoreError(f"{path}: is no whole calibration file ({error}); {again}") from error
-    if table.get("format", 0) > FORMAT:
+    if layout > FORMAT:
         raise StoreError(
-            f"{path}: was written by {table.get('program', 'a newer tankrig')} in format {table['format']}, and this "
+            f"{path}: was written by {table.get('program', 'a newer tankrig')} in format {layout}, and this "
             f"program reads formats up to {FORMAT}; update tankrig"
         )
     if sha256(text.encode()).hexdigest() != hashed:
         raise StoreError(f"{path}: was cut off or changed since it was written; {again}")
-    table.pop("format")
     try:
         arrays = _loaded_arrays(path.with_suffix(".npz"), table.pop("arrays", ""))
         table["shape"], table["doubts"] = tuple(table["shape"]), tuple(table["doubts"])
         return Calibration(**table, arrays=arrays, path=path, hash=hashed)
     except (KeyError, TypeError, ValueError) as error:
-        raise StoreError(f"{path}: is no calibration file ({error}); {again}") from error
+        raise StoreError(f"{path}: is no calibration file ({str(error)[:200]}); {again}") from error
 
 
 def copy_to(calibration: Calibration, folder: Path) -> None:
@@ -316,7 +318,11 @@ def in_force(
 
 
 def _read(folder: Path, kind: str = "*") -> Iterator[tuple[Path, Calibration | StoreError]]:
-    for path in sorted(folder.glob(f"{kind}-*.toml"), key=lambda path: path.stem, reverse=True):
+    try:
+        paths = sorted(folder.glob(f"{kind}-*.toml"), key=lambda path: path.stem, reverse=True)
+    except OSError as error:
+        raise StoreError(f"{folder}: cannot be read ({error.strerror}); give another folder of calibrations") from error
+    for path in paths:
         try:
             yield path, load(path)
         except StoreError as error:
@@ -371,10 +377,9 @@ def _loaded_arrays(path: Path, hashed: str) -> dict[str, NDArray[Any]]:
     if not hashed:
         return {}
     try:
-        if sha256(path.read_bytes()).hexdigest() != hashed:
+        if sha256(bounded_reading.whole_bytes(path, bounded_reading.MOST_ARRAY_BYTES)).hexdigest() != hashed:
             raise StoreError(f"{path}: was cut off or changed since it was written; restore it, or calibrate anew")
-        with np.load(path, allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
+        return bounded_reading.arrays(path)
     except StoreError:
         raise
     except OSError as error:

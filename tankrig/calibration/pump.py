@@ -2,7 +2,6 @@
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from tankrig import bounded_reading
 from tankrig.errors import CalibrationError, DeviceError, StoreError
 from tankrig.files import whole_file
 
@@ -258,7 +258,7 @@ def load_pump_calibration(path: Path) -> PumpCalibration:
         When the file cannot be read or is no calibration of a pump.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = bounded_reading.parsed_toml(bounded_reading.text(path))
         if (values.pop("kind"), values.pop("format")) != ("pump", FORMAT):
             raise ValueError("another kind or version")
         found = PumpCalibration(**values)

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from tankrig.bounded_reading import parsed_json, whole_bytes
 from tankrig.devices import Delivered
 from tankrig.errors import StoreError
 
@@ -15,6 +16,8 @@ from .evidence import Account
 from .records import Joint, Noted, device_of
 
 FORMAT = 1
+MOST_BYTES = 2**28
+"""Of a ledger; a million doses."""
 _FIRST = b'{"number": 1'
 
 
@@ -145,7 +148,10 @@ class TankLedger:
             )
 
     def _read(self) -> None:
-        lines = self.path.read_bytes().splitlines(keepends=True)
+        try:
+            lines = whole_bytes(self.path, MOST_BYTES).splitlines(keepends=True)
+        except OSError as error:
+            raise StoreError(f"{self.path}: the tank's ledger cannot be read ({error.strerror}); mend that") from error
         for number, line in enumerate(lines, start=1):
             try:
                 self._take(_entry(line, number))
@@ -173,24 +179,25 @@ class TankLedger:
         elif kind == "intent":
             self._take_intent(entry)
         elif kind == "aside":
-            self.aside_ul = float(entry["most_ul"])
+            self.aside_ul = _volume(entry["most_ul"])
         if "tank" in entry:
             self._take_tank(entry)
 
     def _take_intent(self, entry: dict[str, Any]) -> None:
-        run = entry["run"]
+        run = _text(entry["run"])
         noted = self._note(entry)
-        self.open_dose = OpenDose(run, self.tank, entry["total_ul"], noted)
+        self.open_dose = OpenDose(run, self.tank, _volume(entry["total_ul"]), noted)
         self._after_run[run] = self.tank
 
     def _take_tank(self, entry: dict[str, Any]) -> None:
         """An entry that says what the tank holds; it ends what was open."""
-        tank, dose = Delivered(*entry["tank"]), self.open_dose
+        tank, dose = _volumes(entry["tank"]), self.open_dose
         self.tank, self.open_dose, self.aside_ul = tank, None, None
         if entry["kind"] == "joint":
-            self.joint = Joint(entry["doser"], tank, Delivered(*entry["count"]))
+            self.joint = Joint(_text(entry["doser"]), tank, _volumes(entry["count"]))
             if "run_used_ul" in entry:  # by the run's journal, where another ledger counted it
-                self._used_ul[entry["run"]] = max(self.used_ul(entry["run"]), entry["run_used_ul"])
+                run = _text(entry["run"])
+                self._used_ul[run] = max(self.used_ul(run), _volume(entry["run_used_ul"]))
         noted = self._note(entry)
         if dose is None:
             return
@@ -206,7 +213,7 @@ class TankLedger:
         if joint is None:
             return None
         if "count" in entry:
-            count = Delivered(*entry["count"])
+            count = _volumes(entry["count"])
         else:
             added_ul = self.tank.volume_ul - joint.tank.volume_ul
             count = Delivered(*(value + added_ul for value in joint.count))
@@ -249,9 +256,27 @@ def _if_known(count: Delivered | None) -> dict[str, Delivered]:
     return {} if count is None else {"count": count}
 
 
+def _volume(value: Any) -> float:
+    """A number of µl of an entry; anything else raises."""
+    if type(value) not in (int, float):
+        raise TypeError(value)
+    return float(value)
+
+
+def _volumes(value: Any) -> Delivered:
+    volume, low, high = value
+    return Delivered(_volume(volume), _volume(low), _volume(high))
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(value)
+    return value
+
+
 def _entry(line: bytes, number: int) -> dict[str, Any]:
     """A line of the ledger; anything but a whole entry with this number raises."""
-    entry = json.loads(line) if line.endswith(b"\n") else None
+    entry = parsed_json(line) if line.endswith(b"\n") else None
     if not isinstance(entry, dict) or entry["number"] != number:
         raise ValueError(number)
     return entry

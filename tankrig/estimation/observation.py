@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tankrig.checked_toml import MOST
 from tankrig.errors import ImageError
 from tankrig.estimation.outliers import (
     STANDS_OUT,
@@ -248,7 +249,7 @@ def _noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.float6
     sigma = _real("noise", noise if noise is not None else 0.0)
     if sigma.shape not in ((), shape):
         raise ImageError(f"the noise has shape {list(sigma.shape)}; give one number or one for each of {list(shape)}")
-    if not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
+    if not ((sigma >= 1.0 / MOST) & (sigma <= MOST)).all():
         raise ImageError("the noise is not a positive finite standard deviation everywhere; give one that is")
     return np.broadcast_to(sigma, shape)
 
@@ -260,6 +261,8 @@ def _check_values(values: NDArray[np.float64], used: NDArray[np.bool_]) -> None:
     seen = values[used]
     if not seen.size:
         raise ImageError("every pixel of the image is masked; mask less")
+    if float(np.abs(seen).max()) > MOST:
+        raise ImageError(f"the image has a pixel of {np.abs(seen).max():.3g}, above {MOST:g}; give it in another unit")
     low, high = float(seen.min()), float(seen.max())
     if high <= 0.0:
         raise ImageError("the image is all dark (no value above 0); check the light, the exposure and the lens cap")

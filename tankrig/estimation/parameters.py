@@ -13,6 +13,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.checked_toml import MOST
 from tankrig.errors import ImageError
 from tankrig.scene import Medium
 
@@ -509,7 +510,8 @@ def _known(name: str, value: object) -> tuple[float | None, float]:
         return None, 0.0
     pair = value if isinstance(value, tuple) and len(value) == 2 else (value, 0.0)
     numbers = [float(one) if isinstance(one, float | int | np.number) else math.nan for one in pair]
-    if not np.isfinite(numbers).all() or numbers[1] < 0.0 or (name == "gain" and numbers[0] <= 0.0):
+    possible = np.isfinite(numbers).all() and max(map(abs, numbers)) <= MOST and numbers[1] >= 0.0
+    if not possible or (name == "gain" and numbers[0] < 1.0 / MOST):
         wanted = "a positive finite number" if name == "gain" else "a finite number"
         raise ImageError(f'{name} = {value!r} cannot be; give "free", {wanted}, or it and its standard deviation')
     return numbers[0], numbers[1]

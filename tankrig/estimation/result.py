@@ -1,7 +1,9 @@
 """What fits say: of one image, of several images of one liquid, of a dilution series, and order by order."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,9 @@ from tankrig.estimation.phase_result import Scattering
 from tankrig.prediction import ORDER_CLASSES, Prediction
 from tankrig.scene import Medium
 from tankrig.scene.phase_table import PhaseFunction
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -108,6 +113,35 @@ class Estimate:
             intervals[name] = (max(low, best - below * float(half)), min(high, best + above * float(half)))
         return intervals
 
+    def plot(self) -> "Figure":
+        """The observed image, the fitted one and what is left over; a figure of matplotlib."""
+        from tankrig.notebook import pictures
+
+        shown = {"observed": self.image + self.residual, "fitted": self.image, "residual": self.residual}
+        return pictures(shown, residuals=("residual",))
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the coefficients with intervals, the verdict, and the figure."""
+        from tankrig.notebook import page
+
+        said = _coefficients(self.medium, self.covariance, self.identifiable)
+        said += [("gain, offset", f"{self.gain:.5g}, {self.offset:.3g}"), ("left over, RMS", f"{self.rmse:.3g}")]
+        said += [(name, f"{value:.4g} ± {sd:.2g}") for name, (value, sd) in self.nuisance.items()]
+        return page(f"estimate by model {self.model}", [*said, ("verdict", self.verdict)], self.plot())
+
+
+def _coefficients(medium: Medium, covariance: Array, identifiable: Mapping[str, bool]) -> list[tuple[str, str]]:
+    """Rows of σa, σs and g with their standard deviations, and whether they are determined."""
+    units = {"sigma_a": "/mm", "sigma_s": "/mm", "g": ""}
+    return [
+        (
+            name,
+            f"{getattr(medium, name):.5g} ± {math.sqrt(max(0.0, covariance[k, k])):.2g}{unit}"
+            + ("" if identifiable[name] else ", not determined"),
+        )
+        for k, (name, unit) in enumerate(units.items())
+    ]
+
 
 @dataclass(frozen=True)
 class LiquidEstimate:
@@ -197,6 +231,22 @@ class SeriesEstimate:
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""
         return in_tank(self.ink, self.water.sigma_a, dose_ml)
+
+    def plot(self) -> "Figure":
+        """What each fitted image leaves over; a figure of matplotlib."""
+        from tankrig.notebook import pictures
+
+        titles = [f"image {number}: left over" for number in range(1, len(self.residuals) + 1)]
+        return pictures(dict(zip(titles, self.residuals, strict=True)), residuals=titles)
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the ink per ml with its errors, the verdict, and the figure."""
+        from tankrig.notebook import page
+
+        said = [(f"ink, per ml: {name}", value) for name, value in
+                _coefficients(self.ink, self.covariance, self.identifiable)]  # fmt: skip
+        said += [("water: sigma_a", f"{self.water.sigma_a:.4g} ± {math.sqrt(max(0.0, self.covariance[3, 3])):.2g}/mm")]
+        return page("estimate of a dilution series", [*said, ("verdict", self.verdict)], self.plot())
 
 
 @dataclass(frozen=True)

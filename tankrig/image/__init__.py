@@ -1,1 +1,5 @@
 """From light to what a camera delivers, and back from files: predictions, observations, pictures of both."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -16,6 +16,7 @@ BUDGET_S = 120.0
 
 MODELS = ("tank", "single", "convolution", "diffuse", "montecarlo")
 """Names that `predict` knows."""
+MOST_SEED = 2**63 - 1
 
 
 def predict(
@@ -57,7 +58,7 @@ def predict(
     Raises
     ------
     SceneError
-        When the model is unknown or cannot treat the scene, or a tolerance, order or budget is out of range.
+        When the model is unknown or cannot treat the scene, or a tolerance, order, seed or budget is out of range.
 
     Warns
     -----
@@ -79,6 +80,8 @@ def predict(
         raise SceneError(f"max_order = {max_order} is below 1; give the highest order of scattering to sum")
     if not budget_s > 0.0:
         raise SceneError(f"budget_s = {budget_s} is not positive; give the seconds that a prediction may take")
+    if not 0 <= seed <= MOST_SEED:
+        raise SceneError(f"seed = {seed} is no seed; give a whole number from 0 to {MOST_SEED}")
     name = "tank" if model is None else model
     if name == "tank":
         from tankrig.light.tank import tank_image

@@ -1,13 +1,13 @@
 """From a file to an image: NumPy's .npz and .npy, and 16-bit or floating-point PNG and TIFF."""
 
-import math
 import os
-import zipfile
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig import bounded_reading
+from tankrig.checked_toml import MOST
 from tankrig.errors import ImageError
 
 NUMPY_SUFFIXES = (".npz", ".npy")
@@ -93,7 +93,7 @@ def read_image(path: str | os.PathLike[str], array: str | None = None, scale: fl
     array([[0.5, 0.5, 0.5],
            [0.5, 0.5, 0.5]])
     """
-    if not (math.isfinite(scale) and scale > 0.0):
+    if not 1.0 / MOST <= scale <= MOST:
         raise ImageError(f"scale = {scale} is not a positive finite number; give the radiance per count")
     return scale * _checked(Path(path), _values(path, array))
 
@@ -109,23 +109,21 @@ def _values(path: str | os.PathLike[str], array: str | None) -> NDArray[np.gener
     if array is not None and suffix != ".npz":
         raise ImageError(f'{file}: holds one image only, no array "{array}"; leave the array\'s name out')
     try:
-        return _read_numpy(file, array) if suffix in NUMPY_SUFFIXES else _read_picture(file)
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
-        if isinstance(error, ImageError):
-            raise
-        reason = (
-            error.strerror if isinstance(error, OSError) and error.strerror else "damaged, or not what its name says"
-        )
+        return _read_numpy(file, array) if suffix in NUMPY_SUFFIXES else bounded_reading.picture(file)
+    except ImageError:
+        raise
+    except OSError as error:
+        reason = bounded_reading.reason(error)
+        raise ImageError(f"{file}: cannot be read ({reason}); give a whole image file") from error
+    except ValueError as error:
+        reason = f"damaged, or not what its name says: {error}"
         raise ImageError(f"{file}: cannot be read ({reason}); give a whole image file") from error
 
 
 def _read_numpy(file: Path, array: str | None) -> NDArray[np.generic]:
-    loaded = np.load(file, allow_pickle=False)
-    if isinstance(loaded, np.ndarray):
-        return loaded
-    with loaded:
-        chosen: NDArray[np.generic] = loaded[_choose(file, array, {name: loaded[name].ndim for name in loaded.files})]
-        return chosen
+    shapes = bounded_reading.array_shapes(file)
+    name = "" if "" in shapes else _choose(file, array, {name: len(shape) for name, shape in shapes.items()})
+    return bounded_reading.arrays(file, name)[name]
 
 
 def _choose(file: Path, array: str | None, dimensions: dict[str, int]) -> str:
@@ -141,23 +139,6 @@ def _choose(file: Path, array: str | None, dimensions: dict[str, int]) -> str:
     if len(images) != 1:
         raise ImageError(f"{file}: {there}; " + ("name one of them as the array" if images else "give another file"))
     return images[0]
-
-
-def _read_picture(file: Path) -> NDArray[np.generic]:
-    import cv2
-
-    data = np.frombuffer(file.read_bytes(), np.uint8)
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        values = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except cv2.error:
-        values = None
-    finally:
-        cv2.utils.logging.setLogLevel(level)
-    if values is None:
-        raise ValueError("not decoded")
-    picture: NDArray[np.generic] = values
-    return picture
 
 
 def _shaped(file: Path, values: NDArray[np.generic]) -> NDArray[np.generic]:

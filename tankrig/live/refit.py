@@ -1,6 +1,7 @@
 """Fits of a run that has been recorded: what it lacks, and making that as the live fit would have."""
 
 import math
+import os
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -72,7 +73,12 @@ def unfitted(run: Run) -> Unfitted:
     return Unfitted(missing, len(frames) > 1 and not whole)
 
 
-def refit(path: Path, everything: bool = False, model: str = "prepared", progress: Told = lambda *_: None) -> list[Fit]:
+def refit(
+    path: str | os.PathLike[str],
+    everything: bool = False,
+    model: str = "prepared",
+    progress: Told = lambda *_: None,
+) -> list[Fit]:
     """Fit what a run lacks, or everything anew, and record each fit in its journal as soon as it is made.
 
     What ends it, be it an error, Ctrl-C or what `progress` raises, loses no fit that was made: the next call goes on.
@@ -99,6 +105,7 @@ def refit(path: Path, everything: bool = False, model: str = "prepared", progres
         When the run is being recorded, cannot be read, or no fit can be recorded in it.
     """
     made: list[Fit] = []
+    path = Path(path)
     if not everything and not unfitted(open_run(path)):
         return made
     with RunWriter(path) as writer:

@@ -1,5 +1,5 @@
 """Patterns: what a projector shows, and which beams it lights with them."""
 
-from tankrig.pattern.pattern import Pattern
+import lazy_loader
 
-__all__ = ["Pattern"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig import bounded_reading
 from tankrig.errors import SequenceError
 from tankrig.pattern.pattern import Pattern
 from tankrig.pattern.wall import Wall
@@ -161,12 +162,15 @@ class Stripes(_Kind):
         low, high = self.y_mm or sorted(wall.y_mm)
         half = self.duty * self.period_mm / 2
         first, last = np.ceil((low + half) / self.period_mm), np.floor((high - half) / self.period_mm)
+        # Those that light nothing of the wall, which an area without end would have without end, are left out.
+        first = max(first, np.floor((min(wall.y_mm) - half) / self.period_mm))
+        last = min(last, np.ceil((max(wall.y_mm) + half) / self.period_mm))
         _require(first <= last, f"period_mm = {self.period_mm}: no whole stripe fits into y_mm = [{low}, {high}]")
         _require(
             min(half * 2, self.period_mm - half * 2) >= wall.pixel_mm[1],
             f"period_mm = {self.period_mm} is finer than the projector's pixels, {wall.pixel_mm[1]:.3g} mm; raise it",
         )
-        centres = self.period_mm * np.arange(first, last + 1)
+        centres = self.period_mm * np.arange(first, last + 1)  # no more than the wall has pixels
         across = np.any([_inside(wall, "y", centre - half, centre + half) for centre in centres], axis=0)
         return _lit(across, _inside(wall, "z", *(self.z_mm or wall.z_mm)), self.level)
 
@@ -259,12 +263,15 @@ class ImageFile(_Kind):
 
     def draw(self, wall: Wall) -> NDArray[np.uint8]:
         """See `PatternKind`."""
-        import cv2
-
-        _require(Path(self.path).is_file(), f"{self.path}: does not exist; give the path of a picture")
-        picture = cv2.imread(self.path, cv2.IMREAD_UNCHANGED)
-        if picture is None:
-            raise SequenceError(f"{self.path}: is not a picture that can be read; give an 8-bit grey PNG")
+        try:
+            picture = bounded_reading.picture(Path(self.path))
+        except FileNotFoundError as error:
+            raise SequenceError(f"{self.path}: does not exist; give the path of a picture") from error
+        except (OSError, ValueError) as error:
+            why = bounded_reading.reason(error)
+            raise SequenceError(
+                f"{self.path}: is not a picture that can be read ({why}); give an 8-bit grey PNG"
+            ) from error
         _require(
             picture.dtype == np.uint8 and picture.shape == wall.shape,
             f"{self.path}: has shape {list(picture.shape)} and type {picture.dtype}; "

@@ -7,9 +7,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.errors import SequenceError
+from tankrig.errors import SceneError, SequenceError
 from tankrig.pattern.pattern import Pattern
+from tankrig.scene.checks import picture_shape
 from tankrig.scene.description import CLOSED, Beam, Interval, Tank
+from tankrig.scene.parts import MOST_MM
 
 ROUNDING = 1e-9
 """By which a fraction may lie outside 0 … 1: a curve that was computed and written down ends at 1.0000000000000004."""
@@ -78,9 +80,13 @@ class Wall:
     response: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if min(self.shape) < 1:
-            raise SequenceError(f"shape = {list(self.shape)} is no picture; give the projector's [rows, columns]")
-        if self.y_mm[0] == self.y_mm[1] or self.z_mm[0] >= self.z_mm[1]:
+        try:
+            picture_shape(self.shape)
+        except SceneError as error:
+            raise SequenceError(str(error)) from error
+        if not max(abs(edge) for edge in (*self.y_mm, *self.z_mm)) <= MOST_MM or (
+            self.y_mm[0] == self.y_mm[1] or self.z_mm[0] >= self.z_mm[1]
+        ):
             raise SequenceError(
                 f"y_mm = {list(self.y_mm)}, z_mm = {list(self.z_mm)} is no area; give the edges of the picture in mm"
             )

@@ -4,6 +4,8 @@ import base64
 import io
 from typing import TYPE_CHECKING, Any
 
+from tankrig.extras import needing_extra
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -18,7 +20,8 @@ def inlined(figure: "Figure", kind: str = "png") -> str:
 
 def rendered(template: str, **values: Any) -> str:
     """A page of a template beside this file."""
-    import jinja2
+    with needing_extra("a report"):
+        import jinja2
 
     loader = jinja2.PackageLoader("tankrig.report", "")
     return jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(template).render(values)

@@ -1,5 +1,6 @@
 """`write_report`: a run as one page that needs nothing but itself."""
 
+import os
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -26,10 +27,12 @@ if TYPE_CHECKING:
 WORDS = {"1": "order 1", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders"}
 
 
-def write_report(path: Path, out: Path | None = None, progress: Callable[[str], None] = lambda _: None) -> Path:
+def write_report(
+    path: str | os.PathLike[str], out: Path | None = None, progress: Callable[[str], None] = lambda _: None
+) -> Path:
     """Write a run's report from the fits that it has recorded: one HTML file with all pictures in it.
 
-    What has not been fitted is left out, and the page says so; `tankrig.live.refit.refit` fits it.
+    What has not been fitted is left out, and the page says so; `tankrig.refit` fits it.
 
     Parameters
     ----------
@@ -52,7 +55,7 @@ def write_report(path: Path, out: Path | None = None, progress: Callable[[str], 
     ImageError
         When the run has nothing to report, or nothing of it has been fitted.
     """
-    run = open_run(path)
+    run, path = open_run(path), Path(path)
     target = path / "report.html" if out is None else out if out.suffix == ".html" else out / "report.html"
     require_writable(target.parent)
     page = report_page(run, progress)

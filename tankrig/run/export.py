@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 from tankrig.errors import StoreError
+from tankrig.extras import needing_extra
 from tankrig.files import require_writable, whole_file
 from tankrig.run.reading import Run
 
@@ -23,7 +24,11 @@ def export_netcdf(run: Run, target: Path) -> None:
     StoreError
         When there are no frames, or one is damaged, or the file cannot be written.
     """
-    frames = _frames(run)
+    with needing_extra("an export to NetCDF"):
+        import dask.array  # noqa: F401 - what chunk() computes with
+        import h5netcdf  # noqa: F401 - the engine
+
+    frames = _frames(run).chunk(frame=1)  # so that no more than a frame is in memory at a time
     frames.attrs = {"units": "counts", "settings": json.dumps(dict(run.settings), default=str, ensure_ascii=False)}
     left_out = [f"frame {index} is left out, being damaged" for index in run.left_out]
     if missing := [str(lost) for lost in run.lost if lost.seqs] + left_out:
@@ -74,4 +79,4 @@ def _frames(run: Run):  # type: ignore[no-untyped-def]  # an xarray.DataArray, w
         raise StoreError(f"{run.path}: has no frames, so there is nothing to export; record some first")
     for event in run.events("frame"):
         run.pixels(event)  # a damaged one is said before anything is written
-    return frames.copy()
+    return frames.copy(deep=False)  # attributes of its own, and no pixels

@@ -188,10 +188,27 @@ def frames_for_reading(path: Path) -> Any:
     StoreError
         When its metadata are damaged.
     """
+    stored_metadata(path)
+    return array_for_reading(path, "frames")
+
+
+def array_for_reading(path: Path, name: str) -> Any:
+    """The Zarr array of that name in the run at `path`.
+
+    Raises
+    ------
+    StoreError
+        When its metadata are damaged.
+    """
     import zarr
 
-    stored_metadata(path)
-    return zarr.open_array(path / "frames", mode="r")
+    try:
+        return zarr.open_array(path / name, mode="r")
+    except Exception as error:  # Zarr raises what the metadata lead it to: two dozen kinds, of several packages
+        raise StoreError(
+            f"{path}: the file {name}/zarr.json, which tells how they are stored, is missing or damaged "
+            f"({type(error).__name__}); restore it from a copy of the run"
+        ) from error
 
 
 def stored_metadata(path: Path) -> dict[str, Any]:

@@ -15,6 +15,8 @@ from typing import Any, Literal, get_args
 
 import google_crc32c
 
+from tankrig.bounded_reading import parsed_json
+
 Kind = Literal["session", "step", "dose_intent", "dose_done", "frame", "gap", "fit", "note", "end"]
 
 KINDS: tuple[str, ...] = get_args(Kind)
@@ -123,12 +125,13 @@ class Event:
         verified = is_sealed(line)
         if not verified and _had_a_seal(line):
             raise ValueError("its checksum is damaged")
-        table = json.loads(line)
+        table = parsed_json(line)
         if not isinstance(table, dict) or any(key not in table for key in _OWN_KEYS) or table["kind"] not in KINDS:
             raise ValueError("not an event")
         table.pop("crc32c", None)
         seq, kind, *moment = (table.pop(key) for key in _OWN_KEYS)
-        if not verified and (type(seq) is not int or seq < 0 or not _says_what_it_should(kind, table)):
+        whole = type(seq) is int and seq >= 0 and [type(one) for one in moment] == [str, int, str]
+        if not verified and not (whole and _says_what_it_should(kind, table)):
             raise ValueError("not an event")
         return cls(seq, kind, Moment(*moment), table)
 

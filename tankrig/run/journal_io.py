@@ -1,9 +1,10 @@
 """Reading a run's settings and journal without its pictures, by the json module alone."""
 
-import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tankrig import bounded_reading
 from tankrig.errors import StoreError
 from tankrig.run.damage import JournalText, read_lines
 
@@ -13,16 +14,22 @@ journal and every chunk has a checksum."""
 
 JOURNAL = "journal.jsonl"
 
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "name": str, "id": str, "rig": str, "saturation": (int, float), "bench": dict, "sequence": dict, "exposure": dict,
+    "calibrations": dict, "measured": list,
+}  # fmt: skip
+"""Of a run's settings, where it has them."""
+
 MARK = "tankrig"
 """Attribute of the group that makes it a run."""
 
 
 def load_json(path: Path) -> Any:
     """A JSON file."""
-    return json.loads(path.read_text(encoding="utf-8"))
+    return bounded_reading.parsed_json(bounded_reading.whole_bytes(path, bounded_reading.MOST_JSON_BYTES))
 
 
-def read_settings(path: Path) -> dict[str, Any]:
+def read_settings(path: Path) -> "Settings":
     """What the run at `path` was made with.
 
     Raises
@@ -30,7 +37,21 @@ def read_settings(path: Path) -> dict[str, Any]:
     StoreError
         When `path` is no run, or one of a newer tankrig, or its settings are damaged.
     """
-    return dict(_mark(path)["settings"])
+    return Settings(_mark(path)["settings"], path)
+
+
+class Settings(dict[str, Any]):
+    """A run's settings; a key that they lack raises a StoreError that names it."""
+
+    def __init__(self, table: Mapping[str, Any], path: Path) -> None:
+        super().__init__(table)
+        self._path = path
+
+    def __missing__(self, key: str) -> Any:
+        raise StoreError(
+            f'{self._path}: its settings do not say "{key}", so this cannot be told of it; restore its zarr.json from '
+            f"a copy of the run"
+        )
 
 
 def _mark(path: Path) -> dict[str, Any]:
@@ -45,6 +66,9 @@ def _mark(path: Path) -> dict[str, Any]:
         layout = mark["format"]
         if not isinstance(layout, int) or not isinstance(mark["settings"], dict):
             raise ValueError("no settings")
+        for key, kind in _KINDS.items():
+            if (value := mark["settings"].get(key)) is not None and not isinstance(value, kind):
+                raise ValueError(f"{key} is not what it was written as")
     except FileNotFoundError as error:
         missing = f"{path}: does not exist; give the folder of a run"
         raise StoreError(not_a_run if path.exists() else missing) from error

@@ -22,6 +22,7 @@ from tankrig.scene.description import Scene
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.figure import Figure
 
 _LIT, _DARK = np.full((1, 1), 255, np.uint8), np.zeros((1, 1), np.uint8)
 """Patterns of which nobody knows the pixels."""
@@ -86,15 +87,25 @@ class Run:
     @cached_property
     def patterns(self) -> dict[str, Pattern]:
         """The pictures that were to be projected, by hash; of an imported run one pixel each, lit or dark."""
-        import zarr
+        from tankrig.run.folder import array_for_reading
 
         if "scenes" in self.settings:
             return {key: Pattern(one["name"], _LIT if one["scene"] else _DARK) for key, one in self._told_scenes}
         if not (self.path / "patterns").is_dir():
             return {}
-        array = zarr.open_array(self.path / "patterns", mode="r")
-        names, hashes = array.attrs["names"], array.attrs["hashes"]
-        return {key: Pattern(name, array[i]) for i, (name, key) in enumerate(zip(names, hashes, strict=True))}
+        array = array_for_reading(self.path, "patterns")
+        try:
+            if array.ndim != 3 or array.dtype != np.uint8:
+                raise ValueError(f"{array.ndim} axes of {array.dtype}")
+            names, hashes = array.attrs["names"], array.attrs["hashes"]
+            return {
+                str(key): Pattern(str(name), array[i]) for i, (name, key) in enumerate(zip(names, hashes, strict=True))
+            }
+        except Exception as error:  # Zarr and its codecs raise what their metadata and their bytes lead them to
+            raise StoreError(
+                f"{self.path}: its patterns are damaged and cannot be read ({type(error).__name__}); restore the "
+                f"folder patterns from a copy of the run"
+            ) from error
 
     @cached_property
     def scenes(self) -> dict[str, Scene]:
@@ -129,20 +140,22 @@ class Run:
     def frames(self) -> "xarray.DataArray":
         """The acknowledged frames.
 
-        (frame, y, x) uint8 or uint16 counts, read from disk as they are used; with the coordinates `step`, `pattern`
-        (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held when the frame
-        was exposed, with its bounds `delivered_low_ul` and `delivered_high_ul`; and `exposure_ms` and `gain`, as they
-        were read back from the camera (NaN where a run does not say). Reading the pixels of a
-        frame that is missing or damaged raises `StoreError` with its number.
+        (frame, y, x) uint8 or uint16 counts, read from disk as they are used: `frames[3]` reads one, and
+        `frames.chunk(frame=1)`, where dask is installed, computes with more than memory holds. With the coordinates
+        `step`, `pattern` (name), `pattern_hash`, `exposure_start_ns`, `utc`; `delivered_ul`, the ink that the tank held
+        when the frame was exposed, with its bounds `delivered_low_ul` and `delivered_high_ul`; and `exposure_ms` and
+        `gain`, as they were read back from the camera (NaN where a run does not say). Reading the pixels of a frame
+        that is missing or damaged raises `StoreError` with its number.
         """
-        import dask.array
         import xarray
 
+        from tankrig.run.stack import lazy_stack
+
         rows = [(event, then) for event, then in with_conditions(self.journal) if event.kind == "frame"]
-        stack = _Stack(self._stored, tuple(event for event, _ in rows))
-        chunks = (1, *stack.shape[1:])
-        pictures = dask.array.from_array(stack, chunks=chunks, name=False)  # type: ignore[no-untyped-call]
-        array = xarray.DataArray(pictures, dims=("frame", "y", "x"), name="frames")
+        events, stored = [event for event, _ in rows], self._stored
+        shape = (len(events), *stored.array.shape[1:])
+        pictures = lazy_stack(lambda place: stored.read(events[place]), shape, stored.array.dtype)
+        array = xarray.DataArray(pictures, name="frames")
         names = {key: pattern.name for key, pattern in self.patterns.items()}
         columns: dict[str, Any] = {
             "step": np.array([event["step"] for event, _ in rows], int),
@@ -190,6 +203,37 @@ class Run:
             When they are missing or not what was recorded.
         """
         return self._stored.read(frame)
+
+    def plot(self) -> "Figure":
+        """The last frame of each pattern at each dose, as many as fit, in false colour; a figure of matplotlib."""
+        from tankrig.notebook import MOST_SHOWN, pictures
+
+        names = {key: pattern.name for key, pattern in self.patterns.items()}
+        newest = {}
+        for event in self.events("frame"):
+            tank_ul = self.conditions[event["index"]].tank.volume_ul
+            newest[f"{names.get(event['pattern_hash'], '?')}, {tank_ul:g} µl"] = event
+        shown = {title: self.pixels(event) for title, event in list(newest.items())[-MOST_SHOWN:]}
+        return pictures(shown, unit="counts")
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what was recorded, what was fitted last, and the figure."""
+        from tankrig.notebook import page
+
+        frames, end = self.events("frame"), self.end
+        said = [
+            ("folder", str(self.path)),
+            ("sequence", str(self.settings.get("name", ""))),
+            ("frames", f"{len(frames)}" + (f", and {len(self.left_out)} left out" if self.left_out else "")),
+            ("ink in the tank", f"{self.tank.volume_ul:g} µl" if self.tank else "not known"),
+            ("end", "it goes on, or was cut off" if end is None else str(end["reason"])),
+        ]
+        said += [("lost", str(one)) for one in self.lost]
+        last = {fit["dose_ml"]: fit for fit in self.fits if fit.get("dose_ml") is not None and "sigma_s" in fit.fields}
+        for dose_ml, fit in sorted(last.items()):
+            values = ", ".join(f"{name} {fit[name]:.4g}" for name in ("sigma_a", "sigma_s", "g"))
+            said.append((f"fitted at {dose_ml:g} ml", values))
+        return page("run", said, self.plot() if frames else None)
 
     @cached_property
     def _stored(self) -> "StoredFrames":
@@ -242,7 +286,7 @@ class StoredFrames:
             pixels: Pixels = self.array[index]
         except StoreError:
             raise
-        except (OSError, RuntimeError, ValueError, LookupError) as error:
+        except Exception as error:  # codecs raise what damaged bytes lead them to, SystemError among it
             raise StoreError(f"{self.path}: frame {index} is damaged and cannot be read ({error}); {remedy}") from error
         if (thoroughly or not self._checked) and digest(pixels) != frame["sha256"]:
             raise StoreError(f"{self.path}: frame {index} is damaged: it is not what was recorded; {remedy}")
@@ -252,26 +296,6 @@ class StoredFrames:
 def digest(pixels: Pixels) -> str:
     """SHA-256 of the raw pixels, row by row, little-endian."""
     return hashlib.sha256(np.ascontiguousarray(pixels).data).hexdigest()
-
-
-class _Stack:
-    """Frames as dask takes them: an array of which it asks for parts."""
-
-    def __init__(self, stored: StoredFrames, events: tuple[Event, ...]) -> None:
-        self._stored, self._events = stored, events
-        self.shape = (len(events), *stored.array.shape[1:])
-        self.dtype, self.ndim = stored.array.dtype, 3
-
-    def __getitem__(self, key: tuple[Any, ...]) -> Pixels:
-        wanted, *within = key
-        numbers = np.arange(len(self._events))[wanted]
-        if numbers.ndim == 0:
-            one: Pixels = self._stored.read(self._events[int(numbers)])[tuple(within)]
-            return one
-        stack = np.empty((len(numbers), *self.shape[1:]), self.dtype)
-        for place, number in enumerate(numbers):
-            stack[place] = self._stored.read(self._events[number])
-        return stack[(slice(None), *within)]
 
 
 def open_run(path: str | os.PathLike[str]) -> Run:

@@ -1,6 +1,7 @@
 """From a sequence and a rig, or from an interrupted run, to a runner; everything is checked before anything moves."""
 
 import json
+import os
 import shutil
 import uuid
 from collections.abc import Mapping
@@ -37,7 +38,7 @@ from tankrig.sequence.exposure import require_camera_keeps
 from tankrig.sequence.loading import sequence_from_table, sequence_table
 
 
-def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None = None) -> Runner:
+def new_run(sequence: Sequence, rig: Rig, path: str | os.PathLike[str], delivered_ul: float | None = None) -> Runner:
     """Get a new run ready: nothing moves before `Runner.run`.
 
     Parameters
@@ -64,6 +65,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
     """
     with ExitStack() as undo:
         undo.callback(rig.close)
+        path = Path(path)
         patterns = sequence.drawn(rig.bench.wall)
         run_id = f"{path.name}-{uuid.uuid4().hex[:8]}"
         doser, journal = _guarded(rig, run_id, undo)
@@ -95,7 +97,7 @@ def new_run(sequence: Sequence, rig: Rig, path: Path, delivered_ul: float | None
         return runner
 
 
-def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runner:
+def resumed_run(path: str | os.PathLike[str], rig: Rig, delivered_ul: float | None = None) -> Runner:
     """Get an interrupted run ready to go on where it stopped: what was done is not done again.
 
     Parameters
@@ -117,6 +119,7 @@ def resumed_run(path: Path, rig: Rig, delivered_ul: float | None = None) -> Runn
     """
     with ExitStack() as undo:
         undo.callback(rig.close)
+        path = Path(path)
         run = require_resumable(path)
         sequence = sequence_from_table(dict(run.require_sequence()), str(path))
         patterns = sequence.drawn(rig.bench.wall)

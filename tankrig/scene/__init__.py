@@ -1,6 +1,5 @@
 """What is in the tank, what lights it and what looks at it."""
 
-from tankrig.scene.description import Beam, Camera, Medium, Projector, Scene, Tank
-from tankrig.scene.loading import load_scene
+import lazy_loader
 
-__all__ = ["Beam", "Camera", "Medium", "Projector", "Scene", "Tank", "load_scene"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

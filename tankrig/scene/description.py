@@ -1,10 +1,17 @@
 """A scene: what is in the tank, what lights it and what looks at it, checked against each other."""
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from tankrig.scene.checks import CLOSED, require
 from tankrig.scene.footprint import typical_pixel_mm
 from tankrig.scene.parts import Beam, Camera, Interval, Matrix, Medium, Projector, Tank, Vector
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_BEAMS_SHOWN = 9
+"""In a figure."""
 
 __all__ = ["CLOSED", "Beam", "Camera", "Interval", "Matrix", "Medium", "Projector", "Scene", "Tank", "Vector"]
 
@@ -66,3 +73,28 @@ class Scene:
             )
         if camera.kind == "calibrated":
             object.__setattr__(self, "camera", replace(camera, pixel_mm=typical_pixel_mm(camera, self.tank)))
+
+    def plot(self) -> "Figure":
+        """The wall x = 0 that the light enters through, and the beams on it; a figure of matplotlib."""
+        from tankrig.notebook import rectangles
+
+        _, width, height = self.tank.size_mm
+        wall = {"wall x = 0": ((-width / 2, width / 2), (0.0, height))}
+        beams = {
+            f"beam {number}, {beam.irradiance:.3g} W/mm²": (beam.y_mm, beam.z_mm)
+            for number, beam in enumerate(self.projector.beams[:_BEAMS_SHOWN], 1)
+        }
+        return rectangles(wall | beams, "y", "z")
+
+    def _repr_html_(self) -> str:
+        """For notebooks: tank, liquid, light and camera, and the figure."""
+        from tankrig.notebook import page
+
+        size, (rows, columns) = " × ".join(f"{side:g}" for side in self.tank.size_mm), self.camera.shape
+        said = [
+            ("tank", f"{size} mm, surface {self.tank.surface}"),
+            ("medium", f"σa {self.medium.sigma_a:.4g}/mm, σs {self.medium.sigma_s:.4g}/mm, g {self.medium.g:.3g}"),
+            ("projector", f"{self.projector.kind}, {len(self.projector.beams)} beams"),
+            ("camera", f"{self.camera.kind}, {rows} × {columns} pixels of {self.camera.pixel_mm:.3g} mm"),
+        ]
+        return page("scene", [*said, *([("from", self.source)] if self.source else [])], self.plot())

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from tankrig import bounded_reading
 from tankrig.checked_toml import checked, read_toml
 from tankrig.errors import SceneError
 from tankrig.scene.description import Scene
@@ -101,8 +102,8 @@ def _with_phase_table(medium: Any, folder: Path, name: str) -> Any:
     file = folder / str(phase["file"])
     cosines, values = [], []
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+        lines = bounded_reading.text(file, MOST_TABLE_BYTES).splitlines()
+    except (OSError, ValueError) as error:
         raise SceneError(f'{name}: medium.phase.file = "{phase["file"]}" cannot be read; give a text file') from error
     for number, line in enumerate(lines, 1):
         words = line.partition("#")[0].replace(",", " ").split()
@@ -120,6 +121,8 @@ def _with_phase_table(medium: Any, folder: Path, name: str) -> Any:
     return {**medium, "phase": {**rest, "cosines": cosines, "values": values}}
 
 
+MOST_TABLE_BYTES = 2**20
+"""Of a table of a phase function; some 30,000 rows."""
 DARK = {"y_mm": [-1e-9, 1e-9], "z_mm": [0.0, 1e-9], "irradiance": 0.0}
 """Stands for the beams until the projector's image is read."""
 
@@ -130,9 +133,13 @@ def _lit(scene: Scene, image: Path, name: str) -> Scene:
 
     from tankrig.scene.projection import lit_by
 
-    picture = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-    if picture is None:
-        raise SceneError(f'{name}: projector.image = "{image}" cannot be read; give the path of a PNG beside the file')
+    try:
+        picture = bounded_reading.picture(image, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    except (OSError, ValueError) as error:
+        raise SceneError(
+            f'{name}: projector.image = "{image}" cannot be read ({bounded_reading.reason(error)}); give the path of a '
+            f"PNG beside the file"
+        ) from error
     try:
         return lit_by(scene, picture)
     except SceneError as error:

@@ -8,13 +8,20 @@ from tankrig.errors import SceneError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
 from tankrig.geometry.shading import TERMS
-from tankrig.scene.checks import CLOSED, finite, number, numbers, require
+from tankrig.scene.checks import CLOSED, between, finite, number, numbers, picture_shape, require
 from tankrig.scene.phase_functions import AnyPhase, HenyeyGreenstein
 from tankrig.scene.phase_table import PhaseFunction
 
 Vector = tuple[float, float, float]
 Interval = tuple[float, float]
 Matrix = tuple[Vector, Vector, Vector]
+
+LEAST_SIDE_MM, MOST_MM = 0.01, 1e6
+"""Of a tank, and of any length there."""
+LEAST_PIXEL_MM = 1e-6
+"""Less than any wavelength of light."""
+MOST_PER_MM = 1e6
+"""Of a coefficient: a free path of a nanometre."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,10 @@ class Tank:
         require(
             min(numbers(self, "size_mm", 3)) > 0.0,
             f"size_mm = {list(self.size_mm)} has a side that is not positive; give three lengths in mm",
+        )
+        require(
+            min(self.size_mm) >= LEAST_SIDE_MM and max(self.size_mm) <= MOST_MM,
+            f"size_mm = {list(self.size_mm)} has a side outside {LEAST_SIDE_MM:g} … {MOST_MM:g} mm; mend it",
         )
         require(
             1.0 <= number(self, "refractive_index") <= 3.0,
@@ -114,6 +125,9 @@ class Medium:
         for name in ("sigma_a", "sigma_s"):
             value = number(self, name)
             require(value >= 0.0, f"{name} = {value} is negative; give a coefficient in 1/mm that is zero or more")
+            require(
+                value <= MOST_PER_MM, f"{name} = {value:g} is above {MOST_PER_MM:g} per mm, as no liquid is; mend it"
+            )
         if self.phase is not None:
             self._take_mean_cosine(self.phase)
         require(self.g is not _LEFT_OUT, "g is missing; give the mean cosine of one scattering, or a phase")
@@ -210,10 +224,7 @@ def _calibration(owner: "Projector | Camera") -> tuple[Lens, Pose]:
 def _shape(owner: "Projector | Camera") -> None:
     shape = tuple(owner.shape or ())
     object.__setattr__(owner, "shape", shape)
-    require(
-        len(shape) == 2 and min(shape) >= 1 and max(shape) <= 16384,
-        f"shape = {list(shape)} is no picture; give [rows, columns] between 1 and 16384",
-    )
+    picture_shape(shape)
 
 
 def _blur(owner: "Projector | Camera") -> None:
@@ -355,6 +366,8 @@ class Camera:
             number(self, "pixel_mm") > 0.0 or self.kind == "calibrated",
             f"pixel_mm = {self.pixel_mm} is not positive; give the side of a pixel in mm",
         )
+        if self.kind != "calibrated":
+            between(self, "pixel_mm", LEAST_PIXEL_MM, MOST_MM, "mm")
         if self.kind == "pinhole":
             require(
                 self.position_mm is not None, "position_mm is missing; a pinhole camera needs [x, y, z] above the water"

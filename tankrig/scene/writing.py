@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any
 
+from tankrig.extras import needing_extra
 from tankrig.scene.description import Camera, Medium, Projector, Scene
 from tankrig.scene.phase_functions import Mixture, Tabulated
 from tankrig.scene.phase_table import sines
@@ -39,7 +40,8 @@ def scene_text(scene: Scene, comments: Sequence[str] = (), image: str | None = N
     >>> scene_from_table(tomllib.loads(text), "text") == scene
     True
     """
-    import tomlkit
+    with needing_extra("writing a scene file"):
+        import tomlkit
 
     document = tomlkit.document()
     for line in comments:

@@ -8,7 +8,7 @@ from tankrig.errors import SequenceError
 from tankrig.scene.description import CLOSED
 from tankrig.sequence.exposure import ExposureRule, require_whole_periods
 from tankrig.sequence.sequence import Sequence
-from tankrig.sequence.steps import Action, Burst, Capture, Dose, Mix, Wait
+from tankrig.sequence.steps import MOST_S, Action, Burst, Capture, Dose, Mix, Wait
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,12 @@ class Pace:
     mixing_s: float = 20.0
 
     def __post_init__(self) -> None:
-        if not (self.flip_s >= 0.0 and self.dose_ul_per_s > 0.0 and self.mixing_s >= 0.0):
-            raise SequenceError("pace has a value below zero; give what the rig needs, in s and µl/s")
+        times = (self.flip_s, self.mixing_s)
+        if not (min(times) >= 0.0 and max(times) <= MOST_S and MOST_S > self.dose_ul_per_s >= 1.0 / MOST_S):
+            raise SequenceError(
+                f"flip_s = {self.flip_s:g}, dose_ul_per_s = {self.dose_ul_per_s:g}, mixing_s = {self.mixing_s:g} has a "
+                f"value that is no pace of a rig; give what it needs, in s and µl/s"
+            )
 
     def seconds(self, action: Action, sequence: Sequence, tank_ul: float) -> float:
         """What one action takes when the tank holds `tank_ul`."""

@@ -7,8 +7,10 @@ from tankrig.devices import Camera, CameraSettings
 from tankrig.errors import SequenceError
 from tankrig.scene.description import CLOSED
 from tankrig.sequence.sequence import Sequence
-from tankrig.sequence.steps import Capture, Mix
+from tankrig.sequence.steps import MOST_EXPOSURE_MS, Capture, Mix
 
+LEAST_PERIOD_MS = 1e-3
+"""No projector's light comes and goes faster."""
 _CLOSE = 0.005
 """Part of an exposure by which it may miss a whole number of periods; its light then errs by as much at most times the
 light's peak over its mean. Cameras round exposures, and refresh rates are told to some digits."""
@@ -34,7 +36,9 @@ class ExposureRule:
     accept: str = ""
 
     def __post_init__(self) -> None:
-        if self.period_ms is not None and not 0.0 <= self.period_ms < float("inf"):
+        if self.period_ms is not None and not (
+            self.period_ms == 0.0 or LEAST_PERIOD_MS <= self.period_ms <= MOST_EXPOSURE_MS
+        ):
             raise SequenceError(f"period_ms = {self.period_ms} is no time; give ms, or 0 for light that is steady")
 
     @property

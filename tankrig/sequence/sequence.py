@@ -14,7 +14,19 @@ from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import AnyKind, Dark, Full, draw
 from tankrig.pattern.wall import Wall
 from tankrig.scene.description import CLOSED, Medium
-from tankrig.sequence.steps import Burst, Capture, Dose, Mix, Step, Task, written_out
+from tankrig.sequence.steps import (
+    MOST_EXPOSURE_MS,
+    MOST_GAIN,
+    MOST_TASKS,
+    Burst,
+    Capture,
+    Dose,
+    Mix,
+    Step,
+    Task,
+    task_count,
+    written_out,
+)
 
 _ALWAYS: dict[str, AnyKind] = {"dark": Dark(), "full": Full()}
 
@@ -68,9 +80,16 @@ class Sequence:
     ink: Medium | None = None
 
     def __post_init__(self) -> None:
-        for key in ("exposure_ms", "gain"):
-            if not 0.0 < getattr(self, key) < float("inf"):
-                raise SequenceError(f"{key} = {getattr(self, key)} is not positive; give a positive number")
+        for key, most in (("exposure_ms", MOST_EXPOSURE_MS), ("gain", MOST_GAIN)):
+            if not 0.0 < getattr(self, key) <= most:
+                raise SequenceError(
+                    f"{key} = {getattr(self, key)} is not positive, or above {most:g}; give a positive number"
+                )
+        if (count := task_count(self.steps)) > MOST_TASKS:
+            raise SequenceError(
+                f"steps are {count} actions when they are written out, more than the {MOST_TASKS} that a run may have; "
+                f"repeat less, or make several runs of it"
+            )
         if not self.tasks:
             raise SequenceError("steps is empty; give at least one step")
         total_ul = 0.0

@@ -10,6 +10,13 @@ from tankrig.errors import SequenceError
 from tankrig.scene.description import CLOSED
 from tankrig.sequence.until import Until
 
+MOST_S = 1e8
+"""Of any wait; three years."""
+MOST_EXPOSURE_MS = 1e7
+MOST_GAIN = 1e6
+MOST_TASKS = 100_000
+"""Of a sequence that is written out: more than a day of one each second."""
+
 
 def _require(condition: bool, message: str) -> None:
     if not condition:
@@ -60,11 +67,11 @@ class Mix:
 
     def __post_init__(self) -> None:
         _require(0.0 < self.tolerance < 1.0, f"tolerance = {self.tolerance} is outside 0…1; give a part of the picture")
-        _require(self.every_s >= 0.0, f"every_s = {self.every_s} is negative; give seconds")
+        _require(0.0 <= self.every_s <= MOST_S, f"every_s = {self.every_s} is no time; give seconds")
         _require(
-            0.0 <= self.at_least_s < self.timeout_s < float("inf"),
-            f"at_least_s = {self.at_least_s}, timeout_s = {self.timeout_s} leaves no time to look; "
-            f"give a timeout that is longer",
+            0.0 <= self.at_least_s < self.timeout_s <= MOST_S,
+            f"at_least_s = {self.at_least_s}, timeout_s = {self.timeout_s} leaves no time to look, or has no end; "
+            f"give a timeout that is longer, up to {MOST_S:g} s",
         )
         _require_positive(self)
 
@@ -100,7 +107,7 @@ class Capture:
         _require(self.frames >= 1, f"frames = {self.frames} records nothing; give 1 or more")
         if self.timeout_s is not None:
             _require(self.until is not None, f"timeout_s = {self.timeout_s} needs until; give both or neither")
-            _require(0.0 < self.timeout_s < float("inf"), f"timeout_s = {self.timeout_s} is no time; give seconds")
+            _require(0.0 < self.timeout_s <= MOST_S, f"timeout_s = {self.timeout_s} is no time; give seconds")
         _require_positive(self)
 
 
@@ -137,10 +144,10 @@ class Burst:
 
 
 def _require_positive(step: Mix | Capture | Burst) -> None:
-    for name in ("exposure_ms", "gain"):
+    for name, most in (("exposure_ms", MOST_EXPOSURE_MS), ("gain", MOST_GAIN)):
         value = getattr(step, name)
-        good = value is None or 0.0 < value < float("inf")
-        _require(good, f"{name} = {value} is not positive, or has no end; give a positive number")
+        good = value is None or 0.0 < value <= most
+        _require(good, f"{name} = {value} is not positive, or has no end; give a positive number up to {most:g}")
 
 
 @dataclass(frozen=True)
@@ -152,7 +159,7 @@ class Wait:
     do: Literal["wait"] = "wait"
 
     def __post_init__(self) -> None:
-        _require(0.0 <= self.seconds < float("inf"), f"seconds = {self.seconds} is no time; give zero or more")
+        _require(0.0 <= self.seconds <= MOST_S, f"seconds = {self.seconds} is no time; give 0 to {MOST_S:g}")
 
 
 @dataclass(frozen=True)
@@ -236,6 +243,24 @@ class Task:
             case Note(text):
                 what = f"note: {text}"
         return self.place + what
+
+
+def task_count(steps: tuple[Step, ...]) -> int:
+    """How many actions nested steps are when written out, which may be more than there is memory for.
+
+    >>> task_count((Repeat(10**6, (Repeat(10**6, (Wait(1.0), Capture("full"))),)),))
+    2000000000000
+    """
+    count = 0
+    for step in steps:
+        match step:
+            case Repeat(times, inner):
+                count += times * task_count(inner)
+            case Series(totals, inner):
+                count += len(totals) * (1 + task_count(inner))
+            case _:
+                count += 1
+    return count
 
 
 def written_out(steps: tuple[Step, ...], place: str = "") -> Iterator[Task]:

@@ -12,7 +12,8 @@ from typing import Any
 
 import click
 
-from tankrig.errors import DecisionError, StoreError, TankrigError, UndecidedError
+from tankrig.errors import DecisionError, MissingExtraError, SettingsError, TankrigError, UndecidedError
+from tankrig.extras import missing
 
 DONE, FAILURE, BAD_INPUT, DECISION = 0, 1, 2, 3
 
@@ -45,6 +46,8 @@ COMMANDS = (
 behind a word of Python's own."""
 
 DISK_FAILED = {errno.ENOSPC, errno.EDQUOT, errno.EIO}
+_OF_A_PATH = {errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EACCES, errno.EROFS}
+"""Errors of a path that a person has given, where nothing has told them in better words."""
 
 
 class Commands(click.Group):
@@ -104,25 +107,61 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _say("stopped on request", FAILURE)
     except TankrigError as error:
         return _say(str(error), _status(error))
+    except ModuleNotFoundError as error:
+        if said := missing(error, "this"):
+            return _say(said, FAILURE)
+        return _unexpected(error)
+    except MemoryError as error:
+        return _say(f"needs more memory than there is ({error}); ask for less, or for fewer pixels", FAILURE)
     except Exception as error:
-        if os.environ.get("TANKRIG_DEBUG") == "1":
-            raise
-        return _say(f"failed unexpectedly ({type(error).__name__}: {error}); {_kept_traceback()}", FAILURE)
+        if isinstance(error, OSError) and error.errno in _OF_A_PATH and error.filename:
+            return _say(f"{error.filename}: cannot be used ({error.strerror}); give another path", BAD_INPUT)
+        if isinstance(error, OSError) and error.errno in DISK_FAILED:
+            return _say(f"{error.filename or 'a file'}: cannot be written ({error.strerror}); see to the disk", FAILURE)
+        return _unexpected(error)
     return result if isinstance(result, int) else DONE
+
+
+def _unexpected(error: Exception) -> int:
+    """Say that something went wrong that is not tankrig's own error; called while it is handled."""
+    if os.environ.get("TANKRIG_DEBUG") == "1":
+        raise error
+    return _say(f"failed unexpectedly ({type(error).__name__}: {error}); {_kept_traceback()}", FAILURE)
 
 
 def _status(error: TankrigError) -> int:
     if isinstance(error, UndecidedError | DecisionError):
         return DECISION
-    cause = error.__cause__
-    disk_failed = isinstance(error, StoreError) and isinstance(cause, OSError) and cause.errno in DISK_FAILED
+    if isinstance(error, SettingsError):
+        return BAD_INPUT
     # A device or a scheduler that did not do what it was asked is a failure, whatever was typed.
-    return FAILURE if isinstance(error, RuntimeError) or disk_failed else BAD_INPUT
+    return FAILURE if isinstance(error, RuntimeError | MissingExtraError) or _disk_failed(error) else BAD_INPUT
+
+
+def _disk_failed(error: BaseException | None) -> bool:
+    """Whether a disk is behind an error, however often that was put into other words."""
+    seen: list[BaseException] = []
+    while error is not None and error not in seen:  # an error may be raised from itself
+        if isinstance(error, OSError) and error.errno in DISK_FAILED:
+            return True
+        seen.append(error)
+        error = error.__cause__
+    return False
 
 
 def _say(sentence: str, status: int) -> int:
-    click.echo(f"tankrig: {sentence}", err=True)
+    click.echo(f"tankrig: {_on_one_line(sentence)}", err=True)
     return status
+
+
+def _on_one_line(sentence: str) -> str:
+    r"""A sentence with the letters escaped that would tear it apart: a file's name or a key may hold any.
+
+    >>> print(_on_one_line('key "a' + chr(10) + 'b" is unknown'))
+    key "a\nb" is unknown
+    """
+    lines = sentence.strip()
+    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in lines)
 
 
 def _kept_traceback() -> str:

@@ -28,7 +28,13 @@ if TYPE_CHECKING:
     help="Relative L2 error to aim for.",
 )
 @click.option("--max-order", type=click.IntRange(min=1), help="Sum orders of scattering 1 … N only.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the random numbers, where the model uses any.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0, 2**63 - 1),
+    default=0,
+    show_default=True,
+    help="Of the random numbers, where the model uses any.",
+)
 @click.option(
     "--budget",
     "budget_s",

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import signal
 import sys
 import threading
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from tankrig.sequence import DryRun, Sequence
 
 _POLL_S = 0.1
+_SHOWN = 1000
+"""Steps of a plan; a table of a hundred thousand takes minutes to draw."""
 
 
 @click.command(epilog="Example: tankrig run dilution.toml --dry-run")
@@ -89,7 +92,10 @@ def _described(rig: Path | None, run_folder: Path) -> "RigFile":
 
     if rig is not None:
         return load_rig_file(rig)
-    return simulated_rig(run_folder.with_name(f"{run_folder.name}.rig"))
+    named = Path(os.path.abspath(run_folder))  # "." has no name of its own  # noqa: PTH100 - links are not followed
+    if not named.name:
+        raise click.UsageError(f"{run_folder} is no folder that a run could have; give another")
+    return simulated_rig(named.with_name(f"{named.name}.rig"))
 
 
 def planned(sequence: "Sequence", description: "RigFile", run_folder: Path | None = None, fit: bool = True) -> "DryRun":
@@ -142,11 +148,13 @@ def _tell_plan(plan: "DryRun", as_json: bool) -> None:
         click.echo(json.dumps({**totals, "at_most": plan.at_most, "steps": steps}))
         return
     table = Table("step", "time", "ink", "frames", box=None, show_footer=False)
-    for step in plan.steps:
+    for step in plan.steps[:_SHOWN]:
         ink = f"{step.ink_ul:g} µl" if step.ink_ul else ""
         bound = "≤ " if step.at_most else ""
         frames = f"{bound}{step.frames}" if step.frames else ""
         table.add_row(Text(step.label), f"{bound}{step.seconds:.1f} s", ink, frames)
+    if len(plan.steps) > _SHOWN:
+        table.add_row(f"… and {len(plan.steps) - _SHOWN} more (--json lists them all)", "", "", "")
     Console().print(table)
     most = "at most " if plan.at_most else ""
     click.echo(

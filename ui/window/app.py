@@ -1,11 +1,14 @@
 """Starting the window."""
 
+import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QSettings, Qt, QTimer
+from PySide6.QtCore import QSettings, Qt, QTimer, QtMsgType, qInstallMessageHandler
 
 from ui.window.rig_file import RigSource
 from ui.window.rig_host import RigHost
@@ -13,6 +16,10 @@ from ui.window.rig_host import RigHost
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
 
+_REMEDY = (
+    "run it where there is a screen (DISPLAY or WAYLAND_DISPLAY names it; ssh -X brings one), and install what it "
+    "names; on Debian or Ubuntu: sudo apt install libxcb-cursor0 libxkbcommon-x11-0 libxcb-icccm4 libxcb-keysyms1"
+)
 SWITCH_S = 0.002
 """Threads hand the interpreter over this often, so that frames and fits do not hold the window up."""
 
@@ -25,11 +32,35 @@ def application() -> "QApplication":
     app = QApplication.instance()
     if not isinstance(app, QApplication):
         QGuiApplication.setHighDpiScaleFactorRoundingPolicy(Qt.HighDpiScaleFactorRoundingPolicy.PassThrough)
-        app = QApplication(sys.argv[:1])
+        with _one_sentence_for_an_abort():
+            app = QApplication(sys.argv[:1])
         app.setApplicationName("tankrig")
         app.setOrganizationName("tankrig")
     sys.setswitchinterval(SWITCH_S)
     return app
+
+
+@contextmanager
+def _one_sentence_for_an_abort() -> Iterator[None]:
+    """End the program with a sentence where Qt would abort it: without a display, or without what its plugins need.
+
+    Qt tells the reasons as warnings and then aborts from within; there is nothing that could be caught.
+    """
+    said: list[str] = []
+
+    def hear(kind: QtMsgType, _: object, text: str | None) -> None:
+        said.extend((text or "").strip().splitlines())
+        if kind == QtMsgType.QtFatalMsg:
+            print(f"tankrig: the window cannot be opened ({said[0]}); {_REMEDY}", file=sys.stderr, flush=True)  # noqa: T201
+            os._exit(1)
+
+    before = qInstallMessageHandler(hear)
+    try:
+        yield
+    finally:
+        qInstallMessageHandler(before)
+        for line in said:
+            print(line, file=sys.stderr)  # noqa: T201 - as Qt would have
 
 
 def settings() -> QSettings:

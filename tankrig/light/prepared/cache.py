@@ -8,7 +8,6 @@ import errno
 import hashlib
 import os
 import shutil
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig import bounded_reading
 from tankrig.errors import CacheError, StoreError
 from tankrig.files import require_writable, whole_file
 
@@ -119,9 +119,8 @@ class Place:
     def kept(self, path: Path) -> dict[str, NDArray[np.generic]] | None:
         """Read a file; None when it is missing, damaged, outdated or something else."""
         try:
-            with np.load(path, allow_pickle=False) as data:
-                arrays = {name: data[name] for name in data.files}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+            arrays = bounded_reading.arrays(path)
+        except (OSError, ValueError):
             return None
         return arrays if str(arrays.pop("mark", "")) == self._mark else None
 

@@ -10,6 +10,9 @@ from tankrig.light.prepared.term import Term
 
 Arrays = dict[str, NDArray[np.generic]]
 
+_DEGREES = 64
+"""Of polynomials, far beyond what a plan takes."""
+
 
 def packed(answer: Answer) -> Arrays:
     """All that the scene and the box don't say."""
@@ -23,15 +26,33 @@ def packed(answer: Answer) -> Arrays:
 
 
 def unpacked(arrays: Arrays, coordinates: Coordinates, shape: tuple[int, int]) -> Answer:
-    """The model again."""
+    """The model again.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        When the arrays are not those of a model of a camera of that shape: none of its kernels is to read beyond them.
+    """
     terms: list[Term] = []
     while f"term{len(terms)}_power" in arrays:
         name = f"term{len(terms)}"
         plane, scale_plane = (Plane((int(i), int(j)), float(f)) for i, j, f in arrays[f"{name}_planes"].astype(float))
         amplitudes, scale = (np.asarray(arrays[f"{name}_{part}"], float) for part in ("amplitudes", "scale"))
+        _require(min(*plane.degrees, *scale_plane.degrees) >= 0, max(*plane.degrees, *scale_plane.degrees) < _DEGREES)
+        _require(amplitudes.ndim == 3, scale.ndim == 2, amplitudes.size > 0, scale.size > 0)
+        _require(amplitudes.shape[1] == plane.size, scale.shape[1] == scale_plane.size)
+        _require(bool(np.isfinite(amplitudes).all()), bool(np.isfinite(scale).all()))
         terms.append(Term(int(arrays[f"{name}_power"]), plane, scale_plane, amplitudes, scale))
     patterns, error = np.asarray(arrays["patterns"], np.float32), np.asarray(arrays["error"], float)
+    _require(len(terms) > 0, patterns.ndim == 2, patterns.shape[-1] == shape[0] * shape[1], error.ndim == 3)
+    _require(all(term.amplitudes.shape[2] == len(patterns) for term in terms), error.size > 0, len(patterns) > 0)
+    _require(bool(np.isfinite(patterns).all()), bool(np.isfinite(error).all()))
     return Answer(coordinates, tuple(terms), patterns, shape, error)
+
+
+def _require(*conditions: bool) -> None:
+    if not all(conditions):
+        raise ValueError("not the arrays of a prepared model")
 
 
 def _numbers(plane: Plane) -> tuple[float, float, float]:

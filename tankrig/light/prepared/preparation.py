@@ -60,10 +60,10 @@ def prepared(
         )
     place = place_of(scene, box, tolerance)
     plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance)
-    known = place.kept(place.model)
+    known = _kept_answer(place, plan, scene.camera.shape)
     if known is not None:
         progress(1.0)
-        return unpacked(known, plan.coordinates, scene.camera.shape), place.model
+        return known, place.model
     work = _Work(scene, plan, place)
     place.require_room(work.size)
     answer = assemble(plan, work.sampling, work.images(progress, threads), scene.camera.shape)
@@ -71,6 +71,17 @@ def prepared(
     place.clear_parts()
     progress(1.0)
     return answer, place.model
+
+
+def _kept_answer(place: Place, plan: PreparationPlan, shape: tuple[int, int]) -> Answer | None:
+    """The model that the cache keeps; None where there is none, or what is there is none."""
+    arrays = place.kept(place.model)
+    if arrays is None:
+        return None
+    try:
+        return unpacked(arrays, plan.coordinates, shape)
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 @dataclass(frozen=True)
@@ -129,10 +140,11 @@ class _Work:
 
     def _image(self, job: _Job) -> NDArray[np.floating]:
         path = self._place.parts / f"{job.name}.npz"
-        known = self._place.kept(path)
-        if known is not None:
-            return np.asarray(known["image"], float)
         sample = job.sample
+        shape = self.sampling.shape if sample.batches else (2, self._pixels)
+        known = (self._place.kept(path) or {}).get("image")
+        if known is not None and known.shape == shape and known.dtype.kind == "f":
+            return known.astype(float)
         image: NDArray[np.floating]
         if sample.batches:
             image = self.sampling.sample(sample.sigma_t, sample.g, sample.index, sample.batches).astype(np.float32)

@@ -1,0 +1,11 @@
+from .check import Check as Check
+from .health import Found as Found
+from .lightcrafter4500.flash import picture_of as picture_of
+from .registry import driver_names as driver_names
+from .registry import open_device as open_device
+from .rig import SIMULATED as SIMULATED
+from .rig import RigFile as RigFile
+from .rig import calibrated_bench as calibrated_bench
+from .rig import load_rig_file as load_rig_file
+from .rig import open_rig as open_rig
+from .rig import simulated_rig as simulated_rig

@@ -1,0 +1,9 @@
+from .board import Board as Board
+from .file import Calibration as Calibration
+from .file import load as load
+from .file import save as save
+from .hdr import Merged as Merged
+from .hdr import merge as merge
+from .pump import PumpCalibration as PumpCalibration
+from .pump import load_pump_calibration as load_pump_calibration
+from .radiometry import Radiometry as Radiometry

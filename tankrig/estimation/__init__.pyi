@@ -1,0 +1,9 @@
+from .comparison import Comparison as Comparison
+from .comparison import compare_models as compare_models
+from .result import Estimate as Estimate
+from .result import Linearity as Linearity
+from .result import LiquidEstimate as LiquidEstimate
+from .result import Reconstruction as Reconstruction
+from .result import SeriesEstimate as SeriesEstimate
+from .result import by_order as by_order
+from .series import estimate_series as estimate_series

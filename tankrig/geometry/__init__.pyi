@@ -1,0 +1,2 @@
+from .lens import Lens as Lens
+from .pose import Pose as Pose

@@ -1,0 +1,13 @@
+from .kinds import Checker as Checker
+from .kinds import Dark as Dark
+from .kinds import Full as Full
+from .kinds import GrayCode as GrayCode
+from .kinds import Hadamard as Hadamard
+from .kinds import ImageFile as ImageFile
+from .kinds import PhaseShift as PhaseShift
+from .kinds import Rays as Rays
+from .kinds import Sheet as Sheet
+from .kinds import Stripes as Stripes
+from .kinds import draw as draw
+from .pattern import Pattern as Pattern
+from .wall import Wall as Wall

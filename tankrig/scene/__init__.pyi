@@ -1,0 +1,16 @@
+from .description import Beam as Beam
+from .description import Camera as Camera
+from .description import Medium as Medium
+from .description import Projector as Projector
+from .description import Scene as Scene
+from .description import Tank as Tank
+from .loading import load_scene as load_scene
+from .outline import blurred_pixels as blurred_pixels
+from .outline import edges_of_light as edges_of_light
+from .phase_functions import FournierForand as FournierForand
+from .phase_functions import HenyeyGreenstein as HenyeyGreenstein
+from .phase_functions import Mixture as Mixture
+from .phase_functions import ReynoldsMcCormick as ReynoldsMcCormick
+from .phase_functions import Tabulated as Tabulated
+from .phase_functions import TwoTerm as TwoTerm
+from .projection import lit_by as lit_by
