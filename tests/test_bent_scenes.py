@@ -318,7 +318,7 @@ def test_the_example_of_a_bench_loads_and_is_predicted() -> None:
 
 
 WRONG = [
-    ('image = "three_beams.png"', 'image = "none.png"', 'none.png" cannot be read; give'),
+    ('image = "three_beams.png"', 'image = "none.png"', 'none.png" cannot be read (No such file or directory); give'),
     ("shape = [192, 256]", "shape = [96, 128]", "the picture has shape [192, 256] and the projector [96, 128]"),
     ("pixel_power = 1.0 ", "beams = []\npixel_power = 1.0 ", "both an image and beams"),
     ("[-420.0, 12.0, 75.0]", "[-4.0, 12.0, 75.0]", "is inside the wall, which is 8 mm thick"),

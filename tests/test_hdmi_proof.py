@@ -3,6 +3,7 @@
 import subprocess
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
@@ -66,9 +67,12 @@ def test_a_window_that_insists_on_being_on_top_is_refused_on_opening(as_before, 
     done = threading.Event()
 
     def insist() -> None:
-        while not done.is_set():
-            with as_before.window(900, 50, 50, 50):
-                done.wait(0.05)
+        with ExitStack() as before:
+            while not done.wait(0.01):
+                on_top = as_before.window(900, 50, 50, 50)
+                on_top.__enter__()  # before the one below it goes, so that the picture is never free
+                before.close()
+                before.push(on_top)
 
     insisting = threading.Thread(target=insist)
     insisting.start()

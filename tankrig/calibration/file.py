@@ -159,7 +159,7 @@ def load(path: Path) -> Calibration:
         first, _, text = bounded_reading.text(path).partition("\n")
         table = bounded_reading.parsed_toml(text)
         hashed = bounded_reading.parsed_toml(first)["sha256"]
-        layout = int(table.pop("format"))
+        layout = int(table.pop("format", 0))
     except OSError as error:
         raise StoreError(f"{path}: cannot be read ({error.strerror}); {again}") from error
     except (KeyError, TypeError, ValueError) as error:

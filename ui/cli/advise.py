@@ -74,7 +74,8 @@ def advise(
     most_ul = description.limits.tank_ul
     candidates = candidates_of(taken, plan, exposure_ms, description.pace, most_ul, doses_ul, frames)
     shots = [*taken, *(one.shot for one in candidates)]
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("preparing models", total=1.0)
         answer = prepared_answer(
             known, [one.scene for one in shots], [one.dose_ml for one in shots],

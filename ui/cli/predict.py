@@ -69,7 +69,8 @@ def predict(
     arrays = out if out.suffix == ".npz" else out / f"{scene_file.stem}.npz"
     picture = arrays.with_suffix(".png")
     require_writable(arrays.parent)
-    with Progress(console=Console(stderr=True), transient=True) as bar, warnings.catch_warnings():
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar, warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # `missed` is told below
         task = bar.add_task("predicting", total=1.0)
         started = time.perf_counter()
