@@ -16,10 +16,10 @@ from tankrig.dosing.limits import DoseLimits
 from tankrig.errors import SceneError
 from tankrig.estimation.result import Linearity
 from tankrig.live.results import DoseFit, SeriesFit
+from tankrig.materials.coefficients import Optics, optics
 from tankrig.materials.dosing import planned
-from tankrig.materials.left_out import band_change, polarised, second_order
 from tankrig.materials.library import material, materials
-from tankrig.materials.optics import Optics, optics
+from tankrig.materials.scalar_light import band_change, polarised, second_order
 from tankrig.materials.validation import validated
 from tankrig.scene import Medium
 from tankrig.scene.mie import Mie

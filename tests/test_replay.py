@@ -79,7 +79,7 @@ def test_at_the_recorded_pace_images_keep_their_interval_and_who_is_late_misses_
     ("spoil", "reason"),
     [
         (lambda folder: [file.unlink() for file in folder.glob("*.png")], "neither a run nor a folder of PNG or TIFF"),
-        (lambda folder: (folder / "frame0.png").write_bytes(b"no"), r"frame0\.png: is no grey image"),
+        (lambda folder: (folder / "frame0.png").write_bytes(b"no"), r"frame0\.png: is no image that can be read"),
     ],
 )
 def test_what_cannot_be_replayed_is_refused_in_one_sentence(images, spoil, reason):

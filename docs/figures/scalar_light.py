@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from tankrig.figures.tank_image import STYLE
-from tankrig.materials.left_out import SEEN_DEG, band_change, left_out, second_order
 from tankrig.materials.library import material
+from tankrig.materials.scalar_light import SEEN_DEG, band_change, left_out, second_order
 from tankrig.scene.mie import Mie
 
 DIAMETERS_UM = (0.2, 0.5, 1.0, 2.0)

@@ -254,10 +254,12 @@ def _outcome(client: "Client", future: Any, errand: Errand) -> Done:
 
 @contextmanager
 def _settings() -> Iterator[None]:
-    """Dask's settings that matter here, for as long as it is used."""
+    """Dask's settings that matter here, for as long as it is used; what goes wrong is told in our own words."""
     import dask
     import distributed  # noqa: F401  # which gives dask its settings
 
+    for name in [one for one in logging.root.manager.loggerDict if one.split(".")[0] == "distributed"]:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # several have a level of their own
     with dask.config.set({
         "distributed.scheduler.allowed-failures": LOST_AT_MOST,
         "distributed.scheduler.work-stealing": True,

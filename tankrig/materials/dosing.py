@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from tankrig.dosing.limits import DoseLimits
 from tankrig.errors import SceneError
-from tankrig.materials.optics import Optics, Uncertain
+from tankrig.materials.coefficients import Optics, Uncertain
 from tankrig.scene.description import Tank
 
 DILUTIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)

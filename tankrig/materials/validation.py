@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.live.results import DoseFit, SeriesFit
-from tankrig.materials.left_out import polarised
-from tankrig.materials.optics import Optics, Uncertain, sideways
+from tankrig.materials.coefficients import Optics, Uncertain, sideways
+from tankrig.materials.scalar_light import polarised
 from tankrig.scene.description import Medium
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from tankrig.errors import ImageError, StoreError
 from tankrig.figures.tank_image import STYLE
 from tankrig.files import require_writable, whole_file
 from tankrig.live.formatting import with_error
+from tankrig.materials.coefficients import Optics
 from tankrig.materials.dosing import tank_volume_ml
-from tankrig.materials.left_out import left_out
-from tankrig.materials.optics import Optics
+from tankrig.materials.scalar_light import left_out
 from tankrig.materials.validation import AGREES, TANK_SD, WIDEST, Row, Validation, budget, validated
 from tankrig.report.inlined import inlined, rendered
 from tankrig.report.results import recorded

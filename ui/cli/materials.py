@@ -12,10 +12,10 @@ from tankrig.errors import SceneError
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
+    from tankrig.materials.coefficients import Optics, Uncertain
     from tankrig.materials.dosing import DosePlan
-    from tankrig.materials.left_out import LeftOut
     from tankrig.materials.library import Material
-    from tankrig.materials.optics import Optics, Uncertain
+    from tankrig.materials.scalar_light import LeftOut
 
 
 class LabelLine(click.ParamType[Any]):
@@ -65,8 +65,8 @@ def optics_of(
     name: str, wavelength_nm: float | None, label: tuple[tuple[str, Any], ...] = (), band_nm: float = 0.0
 ) -> "Optics":
     """A material of the library as a command line asks for it."""
+    from tankrig.materials.coefficients import optics
     from tankrig.materials.library import material
-    from tankrig.materials.optics import optics
 
     found = material(name).labelled(dict(label))
     if wavelength_nm is None:
@@ -121,8 +121,8 @@ def show(
     name: str, wavelength_nm: float | None, label: tuple[tuple[str, Any], ...], band_nm: float, as_json: bool
 ) -> None:
     """Tell what is published of NAME at a wavelength: coefficients, mean cosine, p(90°), uncertainties, sources."""
-    from tankrig.materials.left_out import left_out
     from tankrig.materials.library import material
+    from tankrig.materials.scalar_light import left_out
 
     found = material(name)
     if found.sigma_s is None and found.beads is None:

@@ -1,0 +1,11 @@
+from .coefficients import Optics as Optics
+from .coefficients import optics as optics
+from .dosing import DosePlan as DosePlan
+from .dosing import planned as planned
+from .library import Material as Material
+from .library import material as material
+from .library import materials as materials
+from .scalar_light import LeftOut as LeftOut
+from .scalar_light import left_out as left_out
+from .validation import Validation as Validation
+from .validation import validated as validated
