@@ -212,8 +212,11 @@ class Fitter:
 
     @property
     def unfinished(self) -> bool:
-        """Whether a dose's last fit has not been recorded, or lacks what takes longer: `finish` gives that."""
-        return bool(self._passing or self._bare)
+        """Whether a dose's last fit has not been recorded, or lacks what takes longer: `finish` gives that.
+
+        What takes longer waits for the fits of all doses whose models are being prepared.
+        """
+        return bool(self._passing or (self._bare and not self.waiting))
 
     def finish(self) -> Fit | None:
         """A fit to be recorded: first each dose's last one as it is, then again with single scattering beside it.
