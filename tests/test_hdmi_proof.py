@@ -159,7 +159,7 @@ def test_a_window_that_was_taken_off_the_screen_is_noticed(as_before, reopen):  
 
 
 def test_the_only_screen_of_a_desktop_is_told_apart(reopen, monkeypatch):  # noqa: F811
-    process, display = start_x_server("Xvfb", "-screen", "0", "320x240x24", "-nolisten", "tcp", "-noreset")
+    process, display = start_x_server("Xvfb", "-screen", "0", "320x240x24", "-nolisten", "tcp")
     try:
         if not display:
             pytest.skip("needs Xvfb")

@@ -42,7 +42,7 @@ Section "Screen"
 EndSection
 """
 OPERATOR, PROJECTOR = "DUMMY0", "DUMMY1"
-_ARGUMENTS = "-noreset -novtswitch -sharevts -nolisten tcp -ac".split()  # noqa: SIM905
+_ARGUMENTS = "-novtswitch -sharevts -nolisten tcp -ac".split()  # noqa: SIM905
 # Numbers of this worker's own: of two servers that look for a free one at a time, one that ends takes the other's
 # socket away.
 _NUMBERS = itertools.count(100 + 200 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")))
@@ -54,7 +54,8 @@ def start_x_server(program: str, *arguments: str | Path) -> tuple[subprocess.Pop
         if Path(f"/tmp/.X{number}-lock").exists():
             continue
         reader, writer = os.pipe()
-        command = [program, f":{number}", "-displayfd", str(writer), *arguments]
+        # A server that starts anew when its last client leaves refuses whoever comes in that moment.
+        command = [program, f":{number}", "-noreset", "-displayfd", str(writer), *arguments]
         server = subprocess.Popen(command, pass_fds=(writer,), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         os.close(writer)
         with os.fdopen(reader) as ready:

@@ -1,24 +1,19 @@
 """An archive as one page that needs nothing but itself."""
 
-import base64
-import io
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tankrig.archive import curves
 from tankrig.archive.table import DISAGREES, Record, compared
 from tankrig.errors import ImageError, StoreError
 from tankrig.figures.tank_image import STYLE
 from tankrig.files import whole_file
+from tankrig.report.inlined import inlined, rendered
 from tankrig.run.journal_io import read_settings
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 MOST_ROWS = 200
-"""Of each list on the page; the rest is counted."""
+"""Rows of each list on the page; the rest is counted."""
 
 
 def write_page(archive: Path, records: Sequence[Record], file: Path) -> None:
@@ -40,7 +35,6 @@ def write_page(archive: Path, records: Sequence[Record], file: Path) -> None:
     StoreError
         When the file cannot be written.
     """
-    import jinja2
     import matplotlib as mpl
 
     fitted = [one for one in records if one["fit"]]
@@ -52,21 +46,18 @@ def write_page(archive: Path, records: Sequence[Record], file: Path) -> None:
     failed = [one for one in records if one["failed"]]
     with mpl.rc_context(STYLE):
         pictures = {
-            "over_time": _inline(curves.over_time(drawn)),
-            "side_by_side": _inline(curves.side_by_side(drawn)),
-            "drift": _inline(curves.drift(drawn, calibration_changes(archive, records))),
+            "over_time": inlined(curves.over_time(drawn)),
+            "side_by_side": inlined(curves.side_by_side(drawn)),
+            "drift": inlined(curves.drift(drawn, calibration_changes(archive, records))),
         }
         if any(one["disagreement"] is not None for one in fitted):
-            pictures["disagreements"] = _inline(curves.disagreements(fitted))
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("tankrig.archive", ""), autoescape=True, trim_blocks=True
-    )
-    text = environment.get_template("page.html").render(
+            pictures["disagreements"] = inlined(curves.disagreements(fitted))
+    runs = len({one["run"] for one in records})
+    text = rendered(
+        "page.html",
+        "tankrig.archive",
         title=archive.resolve().name,
-        runs=len({one["run"] for one in records}),
-        fits=len(fitted),
-        since=records[0]["utc"][:10],
-        until=records[-1]["utc"][:10],
+        subtitle=f"{runs} runs, {len(fitted)} fits, {records[0]['utc'][:10]} to {records[-1]['utc'][:10]}",
         kind=kind,
         pictures=pictures,
         groups=compared(fitted, "material")[:MOST_ROWS],
@@ -107,9 +98,3 @@ def calibration_changes(archive: Path, records: Sequence[Record]) -> list[tuple[
 
 def _distance(record: Record) -> float:
     return float(record["disagreement"] or 0.0)
-
-
-def _inline(figure: "Figure") -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"

@@ -1,4 +1,4 @@
-"""Pages that need nothing but themselves: templates beside this file, with figures in them."""
+"""Pages that need nothing but themselves: templates with figures in them."""
 
 import base64
 import io
@@ -18,10 +18,10 @@ def inlined(figure: "Figure", kind: str = "png") -> str:
     return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{text}"
 
 
-def rendered(template: str, **values: Any) -> str:
-    """A page of a template beside this file."""
+def rendered(template: str, package: str = "tankrig.report", **values: Any) -> str:
+    """A page of a template beside a package's modules; it may extend base.html, which stands beside this file."""
     with needing_extra("a report"):
         import jinja2
 
-    loader = jinja2.PackageLoader("tankrig.report", "")
+    loader = jinja2.ChoiceLoader([jinja2.PackageLoader(one, "") for one in (package, "tankrig.report")])
     return jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(template).render(values)
