@@ -5,19 +5,21 @@ dashboard, and asks for certificates that are made for it and die with it; a sch
 """
 
 import asyncio
+import itertools
 import logging
 import os
+import statistics
+from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from tankrig.archive.refit import Errand
-from tankrig.archive.task import FAILED, Done, OtherCodeError
+from tankrig.archive.task import FAILED, MADE, Done, OtherCodeError
 from tankrig.errors import StoreError, TankrigError
 
 if TYPE_CHECKING:
@@ -25,6 +27,11 @@ if TYPE_CHECKING:
 
 AHEAD = 3
 """Errands under way for each thread of a worker: none has to wait, and a hundred thousand are never held at once."""
+PACK_S = 1.0
+"""Of work that is sent at once."""
+MOST_IN_PACK = 32
+LEAST_TOLD = 5
+"""Runs after which it is known about how long one takes."""
 LOST_AT_MOST = 20
 """So many workers may die while they have a run; then the run is a failure. A worker dies with at most two in hand, and
 most deaths are not the run's fault."""
@@ -187,6 +194,9 @@ one on another machine has to ask for certificates; start it with them, and give
 def by_workers(client: "Client", wanted: Sequence[Errand]) -> Iterator[Done]:
     """Have all errands done, a few at a time for each worker, in whatever order they end.
 
+    Runs that are fitted in less than `PACK_S` are sent in packs, since sending costs 8 ms of this process each time.
+    Each run of a pack is kept as soon as it is fitted, so that a worker that dies still loses one at most.
+
     Raises
     ------
     SchedulerError
@@ -196,24 +206,35 @@ def by_workers(client: "Client", wanted: Sequence[Errand]) -> Iterator[Done]:
     """
     from distributed import as_completed
 
-    waiting = iter(wanted)
-    by_key: dict[str, Errand] = {}
+    waiting, pace = deque(wanted), Pace()
+    by_key: dict[str, tuple[Errand, ...]] = {}
+    count = itertools.count()
 
-    def sent(one: Errand) -> Any:
-        future = client.submit(_run, one, pure=False, key=f"refit-{one.name}-{len(by_key)}-{os.getpid()}")
-        by_key[future.key] = one
-        return future
+    def sent(pack: tuple[Errand, ...]) -> Any:
+        key = f"refit-{pack[0].name}-{next(count)}-{os.getpid()}"
+        by_key[key] = pack
+        return client.submit(_run, pack, pure=False, key=key)
+
+    def next_pack() -> tuple[Errand, ...]:
+        size = min(pace.pack, -(-len(waiting) // _room(client)))  # the last ones are for all workers
+        return tuple(waiting.popleft() for _ in range(size))
 
     try:
-        under_way = as_completed([sent(one) for one in islice(waiting, _room(client))], loop=client.loop)
+        first = [next_pack() for _ in range(_room(client)) if waiting]
+        under_way = as_completed([sent(one) for one in first], loop=client.loop)
         for future in under_way:
-            yield _outcome(client, future, by_key.pop(future.key))
+            pack = by_key.pop(future.key)
+            found = _outcomes(client, future, pack)
             future.release()
-            while under_way.count() < _room(client):
-                following = next(waiting, None)
-                if following is None:
-                    break
-                under_way.add(sent(following))
+            if found is None:
+                for one in pack:
+                    under_way.add(sent((one,)))
+                continue
+            for done in found:
+                pace.add(done)
+                yield done
+            while waiting and under_way.count() < _room(client):
+                under_way.add(sent(next_pack()))
     except SchedulerError:
         raise
     except (OSError, TimeoutError, CancelledError, asyncio.CancelledError, RuntimeError) as error:
@@ -223,8 +244,36 @@ def by_workers(client: "Client", wanted: Sequence[Errand]) -> Iterator[Done]:
         ) from error
 
 
-def _run(one: Errand) -> Done:
-    return one.run()
+class Pace:
+    """How many runs are sent at once, from what the latest of them took.
+
+    Examples
+    --------
+    >>> pace = Pace()
+    >>> for _ in range(9):
+    ...     pace.add(Done("a run", "made", cpu_s=0.1))
+    >>> pace.pack
+    10
+    """
+
+    def __init__(self) -> None:
+        self._latest_s: deque[float] = deque(maxlen=50)
+
+    def add(self, done: Done) -> None:
+        """Take in what a run took; one that was there, or failed, tells nothing of the others."""
+        if done.outcome == MADE:
+            self._latest_s.append(max(done.cpu_s, PACK_S / MOST_IN_PACK))
+
+    @property
+    def pack(self) -> int:
+        """Runs that take `PACK_S` together; one where nothing tells yet."""
+        if len(self._latest_s) < LEAST_TOLD:
+            return 1
+        return max(1, int(PACK_S / statistics.fmean(self._latest_s)))
+
+
+def _run(pack: tuple[Errand, ...]) -> list[Done]:
+    return [one.run() for one in pack]
 
 
 def _room(client: "Client") -> int:
@@ -232,24 +281,27 @@ def _room(client: "Client") -> int:
     return AHEAD * max(threads, 2)
 
 
-def _outcome(client: "Client", future: Any, errand: Errand) -> Done:
+def _outcomes(client: "Client", future: Any, pack: tuple[Errand, ...]) -> list[Done] | None:
+    """What became of a pack; None where workers died with it or an error ended it, and each run is to be tried alone."""
     from distributed import KilledWorker
 
     try:
-        done: Done = future.result()
+        done: list[Done] = future.result()
         return done
     except OtherCodeError:
         raise
     except KilledWorker:
-        return Done(
-            errand.name, FAILED,
-            f"{errand.path}: {LOST_AT_MOST} workers died with it, so it may take more memory than they have; fit it by "
-            f"itself: tankrig refit {errand.path}",
-        )  # fmt: skip
+        if len(pack) > 1:
+            return None
+        return [Done(
+            pack[0].name, FAILED,
+            f"{pack[0].path}: {LOST_AT_MOST} workers died with it, so it may take more memory than they have; fit it "
+            f"by itself: tankrig refit {pack[0].path}",
+        )]  # fmt: skip
     except TankrigError as error:
         if client.status != "running":
             raise SchedulerError(f"the scheduler has gone away ({_first_line(error)})") from error
-        return Done(errand.name, FAILED, str(error))
+        return [Done(pack[0].name, FAILED, str(error))] if len(pack) == 1 else None
 
 
 @contextmanager
