@@ -122,7 +122,12 @@ class PhotographPlan:
         patterns: list[Pattern],
         radiometry: Radiometry | None = None,
     ) -> "PhotographPlan":
-        """For a sequence on a bench."""
+        """For a sequence on a bench.
+
+        Waves of a `separate` step are not photographs: each would need a model of its own, and all of them together
+        tell a fit little more than one sheet does. `tankrig.separation` is what reads them.
+        """
+        patterns = [one for one in patterns if one.name not in sequence.waves]
         actions = [task.action for task in sequence.tasks]
         unused = CameraSettings(1.0)
         settings = tuple(
