@@ -26,7 +26,7 @@ TRUTH = Path(__file__).parent / "data" / "waves"
 """Made by an independent Monte Carlo with the beams that the patterns light; README.md beside them says how."""
 WALL = Wall((120, 80), (-40.0, 40.0), (0.0, 120.0))
 TANK = Tank((160.0, 80.0, 120.0))
-PERIODS = (8.0, 16.0, 32.0)
+PERIODS = (4.0, 8.0, 16.0)
 Z_MM, Y_MM = (58.0, 62.0), (-30.0, 30.0)
 CASES = sorted(path.stem for path in TRUTH.glob("*.npz"))
 
@@ -68,8 +68,8 @@ def test_order_1_is_found_without_a_model_and_its_uncertainty_holds(case: str) -
     known = found.known
     assert known.mean() > 0.6
     z = ((found.image - truth) / found.sd)[known]
-    assert float(np.mean(np.abs(z) < 1.96)) > 0.9
-    assert 0.5 < float(np.sqrt(np.mean(z**2))) < 1.25
+    assert 0.93 < float(np.mean(np.abs(z) < 1.96)) < 0.99
+    assert 0.8 < float(np.sqrt(np.mean(z**2))) < 1.1
     beside = agreement(found, truth)
     assert abs(beside.ratio - 1.0) < 2.5 * beside.sd
     assert not beside.doubt
@@ -77,8 +77,8 @@ def test_order_1_is_found_without_a_model_and_its_uncertainty_holds(case: str) -
     if "thick" not in case:
         assert beside.sd < 0.05
         sigma_t, sd = extinction(found, scene)
-        assert abs(sigma_t - scene.medium.sigma_t) < max(2.5 * sd, 0.01 * sigma_t)
-        assert sd < 0.15 * sigma_t
+        assert abs(sigma_t - scene.medium.sigma_t) < 2.5 * sd
+        assert sd < 0.04 * sigma_t
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if "medium" in case])
@@ -88,15 +88,13 @@ def test_it_beats_the_largest_less_the_smallest(case: str) -> None:
     truth, known = single_scattering(scene), found.known
     waves, _ = truth_of(case)
     finest = waves[PERIODS[0]]
-    shifted = [
-        0.5 * (finest.sheet + np.real(finest.wave * np.exp(-0.5j * np.pi * number))) for number in range(4)
-    ]
+    shifted = [0.5 * (finest.sheet + np.real(finest.wave * np.exp(-0.5j * np.pi * number))) for number in range(4)]
     simple = np.max(shifted, axis=0) - np.min(shifted, axis=0)
     wrong = [float(np.linalg.norm((one - truth)[known])) for one in (found.image, simple)]
-    assert wrong[0] < 0.75 * wrong[1]
+    assert wrong[0] < 0.5 * wrong[1]
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if "thick" not in case])
+@pytest.mark.parametrize("case", ["o-thin", "o-medium"])
 def test_the_model_says_what_the_waves_show_order_by_order(case: str) -> None:
     bench = bench_of(case)
     waves, medium = truth_of(case)
@@ -277,7 +275,7 @@ exposure_ms = 5.0
 do = "separate"
 z_mm = [58.0, 62.0]
 y_mm = [-60.0, 60.0]
-periods_mm = [16.0, 32.0]
+periods_mm = [8.0, 16.0]
 """
 
 
@@ -300,7 +298,7 @@ def test_from_a_sequence_to_order_1_by_commands(
     assert sheet["doubts"] == []
     (file,) = Path("run/derived").glob("*.npz")
     arrays, about = read_derived(file)
-    assert {"sheet", "modulated_16mm", "even_32mm", "order_1", "order_1_noise"} <= arrays.keys()
+    assert {"sheet", "modulated_8mm", "even_16mm", "order_1", "order_1_noise"} <= arrays.keys()
     assert about["frames"]
     assert main(["recover", "run"]) == 0
     assert "calculated anew" not in capsys.readouterr().out
@@ -310,9 +308,7 @@ def test_from_a_sequence_to_order_1_by_commands(
     assert len(open_run("run").events("frame")) == 9
 
 
-def test_a_run_without_waves_is_refused_in_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_without_waves_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from tankrig.run.folder import create_run
     from tankrig.sequence.loading import sequence_table
 

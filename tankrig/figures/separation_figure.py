@@ -9,7 +9,7 @@ from tankrig.figures.tank_image import FALSE_COLOUR, brightness, draw, label_out
 from tankrig.scene.description import Medium
 from tankrig.separation.expected import sheet_scene
 from tankrig.separation.recorded import Separation
-from tankrig.separation.waves import Waves
+from tankrig.separation.waves import Mask, Waves
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,7 +53,7 @@ def separation_figure(one: Separation, expected: Mapping[float, Mapping[int | st
     return figure
 
 
-def shares(waves: Mapping[int | str, Waves], lit: "np.ndarray") -> dict[str, float]:  # type: ignore[type-arg]
+def shares(waves: Mapping[int | str, Waves], lit: Mask) -> dict[str, float]:
     """Parts of the sheet's light that follow the wave, by orders of scattering: each along the wave of all of them."""
     along = waves["all"].wave[lit]
     turn = np.conj(along) / np.maximum(np.abs(along), 1e-300)

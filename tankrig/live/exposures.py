@@ -476,6 +476,13 @@ def _photon_transfer(mean: Array, variance: Array, count: int, used: Mask) -> Ar
     return spread
 
 
+def wave_names(run: Run) -> frozenset[str]:
+    """Names of the patterns of a run's `separate` steps, whose frames are not fitted."""
+    if "sequence" not in run.settings:
+        return frozenset()
+    return frozenset(sequence_from_table(dict(run.settings["sequence"]), str(run.path)).waves)
+
+
 def radiometry_of_run(run: Run) -> Radiometry | None:
     """The radiometric calibration that was in force when a run was recorded; its file is in the run's folder.
 

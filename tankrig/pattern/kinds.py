@@ -215,7 +215,8 @@ class Wave(_Kind):
         known = wall.fractions[: self.level + 1]
         levels = np.abs(known - wanted[:, None] * known[-1]).argmin(axis=1)
         across = _inside(wall, "y", *(self.y_mm or sorted(wall.y_mm)))
-        return (np.outer(_inside(wall, "z", *self.z_mm), across) * levels).astype(np.uint8)
+        lit = np.outer(_inside(wall, "z", *self.z_mm), across)
+        return np.where(lit, levels, 0).astype(np.uint8)
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,8 @@ def write_derived(run: Path, name: str, arrays: Mapping[str, NDArray[Any]], fram
     """
     told = json.dumps({**about, "frames": frames, "sha256": _digest(arrays)}, ensure_ascii=False)
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **{**arrays, _ABOUT: np.array(told)})
+    stored: dict[str, Any] = {**arrays, _ABOUT: np.array(told)}
+    np.savez_compressed(buffer, **stored)
     file = run / FOLDER / f"{name}.npz"
     with storing(run, "keep what was calculated"):
         if not file.parent.is_dir():

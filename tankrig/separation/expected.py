@@ -17,6 +17,8 @@ from tankrig.separation.waves import Array, Waves, demodulated
 
 EXTINCTION_PER_MM = (1e-4, 0.5)
 """In which σt is looked for."""
+FAINT = 0.03
+"""Of the brightest column's order 1: what is fainter tells more of higher orders than of its decay."""
 
 
 def sheet_scene(wave: Wave, bench: Bench, camera: Camera, medium: Medium) -> Scene:
@@ -54,13 +56,13 @@ def expected_separation(
 
     seen = replace(bench, camera=camera)
     shown: list[Prediction] = [
-        predict(
-            seen.scene(draw(replace(wave, shift=number / shifts), bench.wall), medium), "tank", tolerance=tolerance
-        )
+        predict(seen.scene(draw(replace(wave, shift=number / shifts), bench.wall), medium), "tank", tolerance=tolerance)
         for number in range(shifts)
     ]
     none = np.zeros((shifts, 1, 1))
-    noise = np.stack([np.zeros(one.image.shape) if one.stderr is None else one.stderr for one in shown])
+    noise = np.stack(
+        [np.zeros(one.image.shape) if one.stderr is None else one.stderr.astype(np.float64) for one in shown]
+    )
     found: dict[int | str, Waves] = {
         order: demodulated(np.stack([one.orders[order] for one in shown]), none) for order in shown[0].orders
     }
@@ -114,7 +116,7 @@ def agreement(measured: OrderOne, of_liquid: Array) -> Agreement:
     seen, image, noise, model = (one[known] for one in (of_liquid, measured.image, measured.noise, measured.model))
     weight = seen / (noise**2 + model**2)
     total = float(weight @ seen)
-    by_noise = float(np.sqrt(np.sum((weight * noise) ** 2))) / total
+    by_noise = float(np.sqrt(measured.alike * np.sum((weight * noise) ** 2))) / total
     return Agreement(float(weight @ image) / total, float(np.hypot(by_noise, float(weight @ model) / total)))
 
 
@@ -144,6 +146,8 @@ def extinction(measured: OrderOne, scene: Scene) -> tuple[float, float]:
     known = measured.known
     if not known.any():
         raise ImageError("order 1 is not known anywhere, so its decay is not either; see its doubts")
+    along = np.where(known, measured.image, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    known = known & (along > FAINT * float(along.max()))
     sd = measured.sd[known]
 
     def scaled(log_sigma_t: float) -> Array:
@@ -167,7 +171,9 @@ def extinction(measured: OrderOne, scene: Scene) -> tuple[float, float]:
     slope = (scaled(at + change) - here) / change
     amount = float(here @ (measured.image[known] / sd))
     noise = measured.noise[known] / sd
-    by_noise = float(np.sqrt(np.sum((slope * noise) ** 2)) / (amount * max(float(slope @ slope), 1e-300)))
+    by_noise = float(
+        np.sqrt(measured.alike * np.sum((slope * noise) ** 2)) / (amount * max(float(slope @ slope), 1e-300))
+    )
     moved = [abs(found(measured.image + part) - at) for part in _doubted(measured)]
     return float(np.exp(at)), float(np.exp(at) * np.hypot(by_noise, max(moved)))
 

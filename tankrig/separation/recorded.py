@@ -1,4 +1,4 @@
-"""Separation of a run's frames: by dose and sheet, with what casts doubt on it, kept beside the frames it is made of."""
+"""Separation of a run's frames, by dose and sheet, with what casts doubt on it."""
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ from tankrig.run.reading import Run
 from tankrig.scene.description import Camera, Interval
 from tankrig.separation.order_one import OrderOne, order_one
 from tankrig.separation.transfer import Transfer, bins_for_waves, transfer_of
-from tankrig.separation.waves import Array, Changed, Waves, demodulated, noise_of_pairs, what_changed
+from tankrig.separation.waves import Array, Changed, Mask, Waves, demodulated, noise_of_pairs, what_changed
 from tankrig.sequence import Separate
 from tankrig.sequence.loading import sequence_from_table
 from tankrig.sequence.steps import separations
@@ -59,7 +59,7 @@ class Separation:
     waves: Mapping[float, Waves]
     transfers: tuple[Transfer, ...]
     changed: Changed
-    saturated: Array
+    saturated: Mask
     frames: str
     left_out: tuple[str, ...] = field(default=())
 
@@ -68,8 +68,9 @@ class Separation:
         """Order 1 by itself; None with fewer than two periods that can be measured."""
         if len(self.transfers) < 2:
             return None
-        kept = [replace_where(one.factor, self.saturated) for one in self.transfers]
-        transfers = [Transfer(one.wave, factor, one.blurred) for one, factor in zip(self.transfers, kept, strict=True)]
+        transfers = [
+            Transfer(one.wave, np.where(self.saturated, 0.0, one.factor), one.blurred) for one in self.transfers
+        ]
         return order_one([self.waves[one.wave.period_mm] for one in transfers], transfers)
 
     @property
@@ -91,7 +92,7 @@ class Separation:
         return tuple(found)
 
     @property
-    def _lit(self) -> Array:
+    def _lit(self) -> Mask:
         sheet = self.sheet
         return np.asarray(sheet > 0.05 * float(sheet.max()))
 
@@ -107,11 +108,6 @@ class Separation:
             first = self.order_one
             found |= {"order_1": first.image, "order_1_noise": first.noise, "order_1_model": first.model}
         return found
-
-
-def replace_where(factor: Array, mask: Array) -> Array:
-    """The factor, 0 in the pixels of a mask."""
-    return np.where(mask, 0.0, factor)
 
 
 def separations_of_run(run: Run) -> list[Separation]:
@@ -138,8 +134,7 @@ def separations_of_run(run: Run) -> list[Separation]:
     steps = list(separations(sequence.steps))
     if not steps:
         raise StoreError(
-            f"{run.path}: its sequence has no step that separates orders of scattering; record one with "
-            'do = "separate"'
+            f'{run.path}: its sequence has no step that separates orders of scattering; record one with do = "separate"'
         )
     bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
     found = [one for step in steps for one in _of_step(run, bench, step)]
@@ -203,10 +198,10 @@ class _Mean:
     """Of the frames of one pattern at one dose, so far."""
 
     image: Array
-    full: Array
+    full: Mask
     sha256: list[str]
 
-    def add(self, image: Array, full: Array, sha256: str) -> None:
+    def add(self, image: Array, full: Mask, sha256: str) -> None:
         """Take in one more."""
         count = len(self.sha256)
         self.image = (count * self.image + image) / (count + 1)
@@ -239,7 +234,7 @@ def _means(run: Run, bench: Bench, step: Separate) -> dict[tuple[float, str], _M
     return means
 
 
-def _add(means: dict[tuple[float, str], _Mean], key: tuple[float, str], image: Array, full: Array, event: Event) -> None:
+def _add(means: dict[tuple[float, str], _Mean], key: tuple[float, str], image: Array, full: Mask, event: Event) -> None:
     if key in means:
         means[key].add(image, full, event["sha256"])
     else:

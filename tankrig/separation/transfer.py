@@ -1,7 +1,7 @@
 """How a wave reaches the picture when its light is scattered once: where its crests lie, and how far they are blurred.
 
-Of order 1 all of this is geometry: the camera's pixels, parallax over the sheet's thickness, the projector's columns, and
-the blur of both lenses. The quotient
+Of order 1 all of this is geometry: the camera's pixels, parallax over the sheet's thickness, the projector's columns,
+and the blur of both lenses. The quotient
 
     T = M₁ / S₁
 
@@ -19,14 +19,14 @@ from tankrig.errors import ImageError
 from tankrig.image.bins import Bins
 from tankrig.pattern.kinds import Sheet, Wave, draw
 from tankrig.scene.description import Camera, Medium
-from tankrig.separation.waves import Array, Complex, demodulated
+from tankrig.separation.waves import Array, Complex, Mask, demodulated
 
 LIQUID = Medium(0.0, 0.01, 0.5)
 """In which order 1 is calculated: between thin and medium."""
 LEAST = 0.15
 """Of |T|: below it nothing is left of the wave that noise and blur's uncertainty would not drown."""
-LIT = 0.05
-"""Of the brightest order 1 in the row: what is fainter is beside the sheet."""
+LIT = 0.7
+"""Of the brightest order 1 in the column of pixels: what is fainter is not all in the sheet."""
 BINS_A_PERIOD = 4
 PIXEL_MM = 2.0
 """Sides of bins at most."""
@@ -51,7 +51,7 @@ class Transfer:
     blurred: float = 1.0
 
     @property
-    def seen(self) -> Array:
+    def seen(self) -> Mask:
         """(rows, columns) whether the wave can be told there."""
         return np.asarray(np.abs(self.factor) > 0.0)
 

@@ -24,6 +24,7 @@ from tankrig.errors import ImageError
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
 
 BLOCK_PIXELS = 8
 """Sides of the blocks in which pairs are compared: noise is small in their means, and what changed is not."""
@@ -102,7 +103,7 @@ def demodulated(pictures: Array, noise: Array) -> Waves:
     imaginary = np.tensordot(1.0 - squares, variance, 1)
     return Waves(
         (2.0 / count) * pictures.sum(axis=0),
-        (4.0 / count) * np.tensordot(turns, pictures, 1),
+        np.asarray((4.0 / count) * np.tensordot(turns, pictures, 1), np.complex128),
         (2.0 / count) * np.sqrt(variance.sum(axis=0)),
         (4.0 / count) * np.sqrt(0.5 * (real + imaginary)),
     )
@@ -213,7 +214,9 @@ def what_changed(pictures: Array, noise: Array) -> Changed:
     sheet, spread = _blocks(pairs.mean(axis=0)), None
     for one in range(1, half):
         change = _blocks(pairs[one] - pairs[0])
-        spread = np.sqrt(_blocks(variance[one] + variance[one + half] + variance[0] + variance[half]) / _in_block(pairs))
+        spread = np.sqrt(
+            _blocks(variance[one] + variance[one + half] + variance[0] + variance[half]) / _in_block(pairs)
+        )
         if not (np.abs(change) > BEYOND_SIGMAS * spread).any():
             continue
         beyond = np.square(change).mean() - np.square(spread).mean()

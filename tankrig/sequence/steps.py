@@ -172,7 +172,7 @@ class Separate:
 
     __pydantic_config__ = CLOSED
     z_mm: Interval
-    periods_mm: tuple[float, ...] = (8.0, 16.0, 32.0)
+    periods_mm: tuple[float, ...] = (4.0, 8.0, 16.0)
     shifts: int = 4
     frames: int = 1
     y_mm: Interval | None = None
@@ -185,7 +185,8 @@ class Separate:
         _require(self.frames >= 1, f"frames = {self.frames} records nothing; give 1 or more")
         _require(len(self.periods_mm) > 0, "periods_mm is empty; give the period of each wave in mm")
         _require(
-            all(0.0 < one < float("inf") for one in self.periods_mm) and len({*self.periods_mm}) == len(self.periods_mm),
+            all(0.0 < one < float("inf") for one in self.periods_mm)
+            and len({*self.periods_mm}) == len(self.periods_mm),
             f"periods_mm = {list(self.periods_mm)} has one that is no length, or one twice; give different ones in mm",
         )
         _require(
@@ -195,9 +196,7 @@ class Separate:
         _require(
             self.z_mm[0] < self.z_mm[1], f"z_mm = {list(self.z_mm)} is no sheet; give its lower and its upper edge"
         )
-        _require(
-            len({*self.heights_mm}) == len(self.heights_mm), "heights_mm has one twice; give different ones in mm"
-        )
+        _require(len({*self.heights_mm}) == len(self.heights_mm), "heights_mm has one twice; give different ones in mm")
         _require_positive(self)
 
     @property

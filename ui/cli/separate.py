@@ -10,8 +10,8 @@ from ui.cli.options import json_option, out_option
 
 if TYPE_CHECKING:
     from tankrig.live.results import DoseFit
-    from tankrig.run.reading import Run
     from tankrig.separation import Separation
+    from tankrig.separation.told import Told
 
 
 @click.command(epilog="Example: tankrig separate runs/2026-11-20T10-00-00 --orders")
@@ -37,67 +37,37 @@ def separate(run: Path, out: Path | None, orders: bool, as_json: bool) -> None:
     from tankrig.run.derived import FOLDER, write_derived
     from tankrig.run.reading import open_run
     from tankrig.separation import separations_of_run
+    from tankrig.separation.told import told_of
 
     opened = open_run(run)
     folder = out or run / FOLDER
     require_writable(folder if folder.is_dir() else folder.parent)
-    told: list[dict[str, Any]] = []
+    told: list[tuple[Told, Path | None]] = []
     with Console(stderr=True).status("reading the frames") as status, mpl.rc_context(STYLE):
         fits = {round(one.dose_ml, 6): one for one in fits_in([event.fields for event in fits_that_hold(opened)])[0]}
         for one in separations_of_run(opened):
             fit = fits.get(round(one.dose_ml, 6))
-            middle_mm = 0.5 * (one.z_mm[0] + one.z_mm[1])
-            name = f"separation-{one.dose_ml:g}ml-z{middle_mm:g}mm"
+            name = f"separation-{one.dose_ml:g}ml-z{0.5 * sum(one.z_mm):g}mm"
             status.update(f"separating {one.dose_ml:g} ml")
-            row = _row(opened, one, fit)
-            write_derived(run, name, one.arrays(), one.frames, **row)
+            found = told_of(one, fit)
+            write_derived(run, name, one.arrays(), one.frames, **found.row)
             expected = None
             if orders and fit is not None:
                 status.update(f"predicting {one.dose_ml:g} ml order by order")
                 expected = _expected(one, fit)
-            folder.mkdir(exist_ok=True)
-            file = folder / f"{name}.png"
+            picture = None
             if one.transfers:
-                separation_figure(one, expected).savefig(file, dpi=110)
-                row["picture"] = str(file)
-            told.append(row)
+                folder.mkdir(exist_ok=True)
+                picture = folder / f"{name}.png"
+                separation_figure(one, expected).savefig(picture, dpi=110)
+            told.append((found, picture))
     if as_json:
-        click.echo(json.dumps({"run": str(run), "sheets": told}))
+        rows = [{**found.row, **({"picture": str(file)} if file else {})} for found, file in told]
+        click.echo(json.dumps({"run": str(run), "sheets": rows}))
     else:
-        _tell(told)
-
-
-def _row(run: "Run", one: "Separation", fit: "DoseFit | None") -> dict[str, Any]:
-    """What is told of a sheet, as numbers and sentences."""
-    from tankrig.separation.expected import extinction, sheet_scene
-    from tankrig.scene.description import Medium
-
-    row: dict[str, Any] = {"dose_ml": one.dose_ml, "z_mm": list(one.z_mm), "doubts": list(one.doubts)}
-    if not one.transfers:
-        return row
-    lit = one.transfers[0].seen
-    whole = float(one.sheet[lit].sum())
-    row["follow"] = {f"{p:g}": float(waves.modulated[lit].sum()) / whole for p, waves in one.waves.items()}
-    first = one.order_one
-    if first is None:
-        return row
-    known = first.known
-    part = float(one.sheet[known].sum())
-    by_noise = float((first.noise[known] ** 2).sum()) ** 0.5
-    row["order_1"] = float(first.image[known].sum()) / part
-    row["order_1_sd"] = (by_noise**2 + float(first.model[known].sum()) ** 2) ** 0.5 / part
-    medium = fit.medium if fit is not None else Medium(0.0, 0.01, 0.0)
-    scene = sheet_scene(one.transfers[0].wave, one.bench, one.camera, medium)
-    if row["order_1"] > 3.0 * row["order_1_sd"]:
-        row["sigma_t"], row["sigma_t_sd"] = extinction(first, scene)
-    if fit is not None:
-        from tankrig.light.single import single_scattering
-        from tankrig.separation.expected import agreement
-
-        beside = agreement(first, fit.gain * single_scattering(scene))
-        row["over_fit"], row["over_fit_sd"] = beside.ratio, beside.sd
-        row["doubts"] += [beside.doubt] if beside.doubt else []
-    return row
+        _tell([found for found, _ in told])
+        for _, file in told:
+            click.echo(f"written  {file}") if file else None
 
 
 def _expected(one: "Separation", fit: "DoseFit") -> dict[float, Any]:
@@ -109,31 +79,30 @@ def _expected(one: "Separation", fit: "DoseFit") -> dict[float, Any]:
     }
 
 
-def _tell(rows: list[dict[str, Any]]) -> None:
+def _tell(rows: "list[Told]") -> None:
     from rich.console import Console
     from rich.table import Table
 
     from tankrig.live.formatting import with_error
 
     table = Table(box=None, pad_edge=False)
-    periods = list(dict.fromkeys(p for row in rows for p in row.get("follow", {})))
-    for heading in ("ink, ml", "z, mm", *(f"follow {p} mm, %" for p in periods), "order 1, %", "σt, 1/mm", "order 1 / fit"):
+    periods = sorted({period_mm for row in rows for period_mm in row.follow})
+    follow = (f"follow {period_mm:g} mm, %" for period_mm in periods)
+    for heading in ("ink, ml", "z, mm", *follow, "order 1, %", "σt, 1/mm", "order 1 / fit"):
         table.add_column(heading, justify="right")
     for row in rows:
-        follow = row.get("follow", {})
+        order_1 = None if row.order_1 is None else (100.0 * row.order_1[0], 100.0 * row.order_1[1])
+        beside = None if row.over_fit is None else (row.over_fit.ratio, row.over_fit.sd)
         table.add_row(
-            f"{row['dose_ml']:.4g}",
-            f"{sum(row['z_mm']) / 2:g}",
-            *(f"{100.0 * follow[p]:.1f}" if p in follow else "–" for p in periods),
+            f"{row.dose_ml:.4g}",
+            f"{row.height_mm:g}",
+            *(f"{100.0 * row.follow[one]:.1f}" if one in row.follow else "–" for one in periods),
             *(
-                with_error(scale * row[name], scale * row[f"{name}_sd"]) if name in row else "–"
-                for name, scale in (("order_1", 100.0), ("sigma_t", 1.0), ("over_fit", 1.0))
+                "–" if one is None else with_error(*one).replace(" ", "\u00a0")
+                for one in (order_1, row.sigma_t, beside)
             ),
         )
-    Console(highlight=False).print(table)
+    Console(highlight=False, width=110).print(table)
     for row in rows:
-        for doubt in row["doubts"]:
-            click.echo(f"{row['dose_ml']:.4g} ml, z = {sum(row['z_mm']) / 2:g} mm: {doubt}")
-    for row in rows:
-        if "picture" in row:
-            click.echo(f"written  {row['picture']}")
+        for doubt in row.doubts:
+            click.echo(f"{row.dose_ml:.4g} ml, z = {row.height_mm:g} mm: {doubt}")

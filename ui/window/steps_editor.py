@@ -67,7 +67,8 @@ def words_of(step: Any) -> str:
             return f"burst of {len(patterns) if isinstance(patterns, list) else '?'} patterns × {step.get('times', 1)}"
         case "separate":
             periods = step.get("periods_mm", Separate.periods_mm)
-            return f"separate by waves of {', '.join(map(str, periods)) if isinstance(periods, list | tuple) else periods} mm"
+            named = ", ".join(map(str, periods)) if isinstance(periods, list | tuple) else periods
+            return f"separate by waves of {named} mm"
         case "wait":
             return f"wait {step.get('seconds', '?')} s"
         case "note":
