@@ -6,7 +6,7 @@ shorter P is: about in proportion to P, and light of higher orders to higher pow
     A(P) = Re(M(P) / T(P)) = I₁ + b P^q
 
 of which the finest two waves tell I₁ and b. That q is 1.25 ± 0.2 there is what an independent program says of thin,
-medium and thick ink (decision 241); that ± is the uncertainty which is told. Finding q from a third wave was tried: its
+medium and thick ink (decision 233); that ± is the uncertainty which is told. Finding q from a third wave was tried: its
 noise did more harm than its news good.
 
 Beyond the sheet's edge there is no wave, so that near it higher orders follow with another phase: their part turns
