@@ -122,7 +122,12 @@ class PhotographPlan:
         patterns: list[Pattern],
         radiometry: Radiometry | None = None,
     ) -> "PhotographPlan":
-        """For a sequence on a bench."""
+        """For a sequence on a bench.
+
+        Waves of a `separate` step are not photographs: each would need a model of its own, and all of them together
+        tell a fit little more than one sheet does. `tankrig.separation` is what reads them.
+        """
+        patterns = [one for one in patterns if one.name not in sequence.waves]
         actions = [task.action for task in sequence.tasks]
         unused = CameraSettings(1.0)
         settings = tuple(
@@ -469,6 +474,13 @@ def _photon_transfer(mean: Array, variance: Array, count: int, used: Mask) -> Ar
     floor = max(0.1 * float(variance[used].mean()), 1e-12 * float(mean[used].max()) ** 2)
     spread: Array = np.maximum((design @ line).reshape(mean.shape), floor)
     return spread
+
+
+def wave_names(run: Run) -> frozenset[str]:
+    """Names of the patterns of a run's `separate` steps, whose frames are not fitted."""
+    if "sequence" not in run.settings:
+        return frozenset()
+    return frozenset(sequence_from_table(dict(run.settings["sequence"]), str(run.path)).waves)
 
 
 def radiometry_of_run(run: Run) -> Radiometry | None:

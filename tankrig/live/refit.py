@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tankrig.live.exposures import Exposures, PhotographPlan, exposures_of, fits_that_hold
+from tankrig.live.exposures import Exposures, PhotographPlan, exposures_of, fits_that_hold, wave_names
 from tankrig.live.fits import fit_all, fit_dose
 from tankrig.live.preparing import Preparation, Preparing
 from tankrig.live.results import DoseFit, Fit, SeriesFit, diluted, fits_in, to_fields
@@ -58,7 +58,8 @@ def unfitted(run: Run) -> Unfitted:
 
     A fit that was made after the run's end has seen all that can be read.
     """
-    lit = {key for key, pattern in run.patterns.items() if pattern.pixels.any()}
+    waves = wave_names(run)
+    lit = {key for key, pattern in run.patterns.items() if pattern.pixels.any() and pattern.name not in waves}
     frames: dict[float, int] = {}
     for event in run.events("frame"):
         dose_ml = run.conditions[event["index"]].tank.volume_ul / 1000.0

@@ -8,6 +8,7 @@ from .kinds import PhaseShift as PhaseShift
 from .kinds import Rays as Rays
 from .kinds import Sheet as Sheet
 from .kinds import Stripes as Stripes
+from .kinds import Wave as Wave
 from .kinds import draw as draw
 from .pattern import Pattern as Pattern
 from .wall import Wall as Wall

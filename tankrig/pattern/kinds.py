@@ -14,6 +14,8 @@ from tankrig.pattern.wall import Wall
 from tankrig.scene.description import CLOSED, Interval
 
 Axis = Literal["columns", "rows"]
+LEAST_PIXELS = 4
+"""Of the projector in a period of a wave: with fewer, its four shifts are no longer the same wave."""
 
 
 def _require(condition: bool, message: str) -> None:
@@ -176,6 +178,48 @@ class Stripes(_Kind):
 
 
 @dataclass(frozen=True)
+class Wave(_Kind):
+    """Light that rises and falls along y as (1 + cos 2π(y/period − shift))/2 of the light of `level`.
+
+    Levels are chosen by what they were measured to give, so that the light is a cosine and not the numbers.
+
+    Parameters
+    ----------
+    period_mm
+        From crest to crest.
+    z_mm
+        (low, high) of the sheet that it is drawn in.
+    shift
+        By which part of a period the crest that would be at y = 0 is moved.
+    y_mm
+        (low, high) of the sheet; the whole wall where left out.
+    """
+
+    period_mm: float
+    z_mm: Interval
+    shift: float = 0.0
+    y_mm: Interval | None = None
+    kind: Literal["wave"] = "wave"
+    level: int = 255
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        finest = LEAST_PIXELS * wall.pixel_mm[1]
+        _require(
+            finest <= self.period_mm < np.inf,
+            f"period_mm = {self.period_mm} is finer than {LEAST_PIXELS} of the projector's pixels, {finest:.3g} mm, or "
+            "has no end; raise it",
+        )
+        _require(abs(self.shift) <= 1.0, f"shift = {self.shift} is outside −1…1; give a part of the period")
+        wanted = 0.5 * (1.0 + np.cos(2 * np.pi * (wall.y_centres_mm / self.period_mm - self.shift)))
+        known = wall.fractions[: self.level + 1]
+        levels = np.abs(known - wanted[:, None] * known[-1]).argmin(axis=1)
+        across = _inside(wall, "y", *(self.y_mm or sorted(wall.y_mm)))
+        lit = np.outer(_inside(wall, "z", *self.z_mm), across)
+        return np.where(lit, levels, 0).astype(np.uint8)
+
+
+@dataclass(frozen=True)
 class GrayCode(_Kind):
     """One bit of the binary-reflected Gray code of the column's or the row's number; bit 0 is the coarsest."""
 
@@ -280,10 +324,10 @@ class ImageFile(_Kind):
         return np.asarray(picture, np.uint8)
 
 
-KINDS = (Dark, Full, Sheet, Rays, Stripes, GrayCode, PhaseShift, Checker, Hadamard, ImageFile)
+KINDS = (Dark, Full, Sheet, Rays, Stripes, Wave, GrayCode, PhaseShift, Checker, Hadamard, ImageFile)
 """All kinds, in the order in which a person meets them."""
 
-AnyKind = Dark | Full | Sheet | Rays | Stripes | GrayCode | PhaseShift | Checker | Hadamard | ImageFile
+AnyKind = Dark | Full | Sheet | Rays | Stripes | Wave | GrayCode | PhaseShift | Checker | Hadamard | ImageFile
 
 
 def gray_code_bits(count: int) -> int:

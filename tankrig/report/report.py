@@ -11,7 +11,7 @@ import numpy as np
 from tankrig.errors import ImageError
 from tankrig.figures.tank_image import STYLE
 from tankrig.files import require_writable, whole_file
-from tankrig.live.exposures import Photograph, PhotographPlan
+from tankrig.live.exposures import Photograph, PhotographPlan, wave_names
 from tankrig.live.formatting import with_error
 from tankrig.live.results import DoseFit
 from tankrig.report import curves, pictures
@@ -20,6 +20,7 @@ from tankrig.report.results import Results, results_of
 from tankrig.report.settings import settings_of, skipped_of
 from tankrig.report.timing import spans_of, totals
 from tankrig.run.reading import Run, open_run
+from tankrig.separation.recorded import separations_of_run
 
 if TYPE_CHECKING:
     pass
@@ -80,6 +81,7 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
             "timeline": inlined(curves.timeline(spans), "svg"),
         }
         rebuilt, faintest = _reconstructions(results, progress)
+        separated = _separated(run, results, progress)
     began = run.journal[0].moment.utc[:19].replace("T", " ") if run.journal else "?"
     ending = run.end["reason"] if run.end else "not finished"
     return rendered(
@@ -89,6 +91,7 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
         headline=_headline(results),
         verdict=results.series.verdict if results.series else "",
         pictures=shown,
+        separated=separated,
         doses=[_dose_row(one, _sigma_t(results, one)) for one in results.doses],
         compared="the series fit" if results.series else "the tank model",
         shown_pattern=_shown(results.photographs)[0].pattern,
@@ -115,6 +118,29 @@ def _headline(results: Results) -> list[dict[str, str]]:
     ]
     parts = [(*with_error(value, error).split(" ± "), name) for value, error, name in numbers]
     return [{"value": value, "error": error, "name": name} for value, error, name in parts]
+
+
+def _separated(run: Run, results: Results, progress: Callable[[str], None]) -> list[dict[str, Any]]:
+    """One picture for each sheet that the run separated, and what it tells beside the fits."""
+    from tankrig.figures.separation_figure import separation_figure
+    from tankrig.separation.told import told_of
+
+    if not wave_names(run):
+        return []
+    progress("separating waves")
+    fits = {one.dose_ml: one for one in results.doses}
+    found = []
+    try:
+        separations = separations_of_run(run)
+    except ImageError:  # none is complete
+        return []
+    for one in separations:
+        told = told_of(one, fits.get(one.dose_ml))
+        if one.transfers:
+            found.append(
+                {"picture": inlined(separation_figure(one)), "about": told.sentence, "doubts": list(told.doubts)}
+            )
+    return found
 
 
 def _sigma_t(results: Results, dose: DoseFit) -> float:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from tankrig.errors import ImageError
-from tankrig.live.exposures import Photograph, exposures_of, fits_that_hold
+from tankrig.live.exposures import Photograph, exposures_of, fits_that_hold, wave_names
 from tankrig.live.refit import unfitted
 from tankrig.live.results import DoseFit, SeriesFit, fits_in
 from tankrig.run.reading import Run
@@ -48,7 +48,7 @@ def results_of(run: Run) -> Results:
     if not photographs:
         raise ImageError(
             f"{run.path}: has no photograph of a lit pattern with ink in the tank, so there is nothing to report; "
-            "record some first"
+            + ("separate its waves: tankrig separate " + str(run.path) if wave_names(run) else "record some first")
         )
     doses_ml = {one.dose_ml for one in photographs}
     made, series = recorded(run)

@@ -8,6 +8,7 @@ from pathlib import Path
 from tankrig.errors import StoreError
 from tankrig.run import disk
 from tankrig.run.damage import Lost
+from tankrig.run.derived import damaged_derived
 from tankrig.run.folder import chunk_numbers, mend_metadata, require_no_links, storing
 from tankrig.run.journal import Event, Moment
 from tankrig.run.journal_io import JOURNAL, read_journal, read_settings
@@ -52,6 +53,8 @@ class Recovery:
         Numbers of frames of which nobody knows what the tank held, a line that may have been about a dose being lost.
     read_only
         Whether the run cannot be written, so that nothing was put right.
+    damaged_derived
+        Names of files with arrays that were calculated from the frames and are damaged; nothing is lost with them.
     """
 
     path: Path
@@ -68,6 +71,7 @@ class Recovery:
     mended: tuple[str, ...] = ()
     unsure_doses: tuple[int, ...] = ()
     read_only: bool = False
+    damaged_derived: tuple[str, ...] = ()
 
     @property
     def whole(self) -> bool:
@@ -133,6 +137,7 @@ def recover(path: str | os.PathLike[str], leave_out: bool = False) -> Recovery:
         tuple(mended),
         tuple(sorted(run.unsure_doses)),
         not writable,
+        damaged_derived(folder),
     )
 
 

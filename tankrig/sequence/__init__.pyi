@@ -10,6 +10,7 @@ from .steps import Dose as Dose
 from .steps import Mix as Mix
 from .steps import Note as Note
 from .steps import Repeat as Repeat
+from .steps import Separate as Separate
 from .steps import Series as Series
 from .steps import Task as Task
 from .steps import Wait as Wait

@@ -24,6 +24,7 @@ from tankrig.sequence.steps import (
     Mix,
     Step,
     Task,
+    separations,
     task_count,
     written_out,
 )
@@ -92,6 +93,8 @@ class Sequence:
             )
         if not self.tasks:
             raise SequenceError("steps is empty; give at least one step")
+        if taken := sorted(self.waves.keys() & {*self.patterns}):
+            raise SequenceError(f'patterns."{taken[0]}" is the name of a wave of a separate step; give it another name')
         total_ul = 0.0
         for task in self.tasks:
             for pattern in _patterns_of(task):
@@ -105,7 +108,7 @@ class Sequence:
                 total_ul = task.action.total_ul
 
     def _require_pattern(self, task: Task, name: str) -> None:
-        known = [*_ALWAYS, *self.patterns]
+        known = [*_ALWAYS, *self.patterns, *self.waves]
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             advice = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
@@ -115,6 +118,11 @@ class Sequence:
     def tasks(self) -> tuple[Task, ...]:
         """The steps, written out."""
         return tuple(written_out(self.steps))
+
+    @cached_property
+    def waves(self) -> dict[str, AnyKind]:
+        """Patterns of its `Separate` steps by name: what they light is not fitted, see `tankrig.separation`."""
+        return {name: wave for step in separations(self.steps) for name, wave in step.patterns.items()}
 
     @property
     def frames(self) -> int:
@@ -138,7 +146,7 @@ class Sequence:
         SequenceError
             When one cannot be drawn with this projector.
         """
-        kinds = _ALWAYS | dict(self.patterns)
+        kinds = _ALWAYS | dict(self.patterns) | self.waves
         used = [pattern for task in self.tasks for pattern in _patterns_of(task)]
         patterns = {}
         for name in dict.fromkeys([*used, "dark"]):

@@ -7,13 +7,15 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from tankrig.errors import SequenceError
-from tankrig.scene.description import CLOSED
+from tankrig.pattern.kinds import Wave
+from tankrig.scene.description import CLOSED, Interval
 from tankrig.sequence.until import Until
 
 MOST_S = 1e8
 """Of any wait; three years."""
 MOST_EXPOSURE_MS = 1e7
 MOST_GAIN = 1e6
+MOST_SHIFTS = 64
 MOST_TASKS = 100_000
 """Of a sequence that is written out: more than a day of one each second."""
 
@@ -143,7 +145,88 @@ class Burst:
         return len(self.patterns) * self.times
 
 
-def _require_positive(step: Mix | Capture | Burst) -> None:
+@dataclass(frozen=True)
+class Separate:
+    """Record waves of light, from which `tankrig.separation` tells light that was scattered once from the rest.
+
+    A sheet is lit by cosine waves along y of each period, each in several shifts. It is written out as captures: a dark
+    one, and at each height, for each period, all shifts, those that are half a period apart one after the other.
+
+    Parameters
+    ----------
+    z_mm
+        (low, high) of the sheet.
+    periods_mm
+        Of the waves.
+    shifts
+        How many of each; a multiple of 4, so that pairs add up to the same light and tell what changed meanwhile.
+    frames
+        Of each.
+    y_mm
+        (low, high) of the sheet; the whole wall where left out.
+    heights_mm
+        Middles of sheets as thick as `z_mm`, in whose places it is done; in that of `z_mm` where there are none.
+    exposure_ms, gain
+        Where they differ from the sequence's.
+    """
+
+    __pydantic_config__ = CLOSED
+    z_mm: Interval
+    periods_mm: tuple[float, ...] = (4.0, 8.0, 16.0)
+    shifts: int = 4
+    frames: int = 1
+    y_mm: Interval | None = None
+    heights_mm: tuple[float, ...] = ()
+    exposure_ms: float | None = None
+    gain: float | None = None
+    do: Literal["separate"] = "separate"
+
+    def __post_init__(self) -> None:
+        _require(self.frames >= 1, f"frames = {self.frames} records nothing; give 1 or more")
+        _require(len(self.periods_mm) > 0, "periods_mm is empty; give the period of each wave in mm")
+        _require(
+            all(0.0 < one < float("inf") for one in self.periods_mm)
+            and len({*self.periods_mm}) == len(self.periods_mm),
+            f"periods_mm = {list(self.periods_mm)} has one that is no length, or one twice; give different ones in mm",
+        )
+        _require(
+            self.shifts >= 4 and self.shifts % 4 == 0 and self.shifts <= MOST_SHIFTS,
+            f"shifts = {self.shifts} does not light every place equally often in pairs; give 4, 8, … {MOST_SHIFTS}",
+        )
+        _require(
+            self.z_mm[0] < self.z_mm[1], f"z_mm = {list(self.z_mm)} is no sheet; give its lower and its upper edge"
+        )
+        _require(len({*self.heights_mm}) == len(self.heights_mm), "heights_mm has one twice; give different ones in mm")
+        _require_positive(self)
+
+    @property
+    def sheets(self) -> tuple[Interval, ...]:
+        """(low, high) of each sheet."""
+        half = 0.5 * (self.z_mm[1] - self.z_mm[0])
+        return tuple((middle - half, middle + half) for middle in self.heights_mm) or (self.z_mm,)
+
+    @property
+    def patterns(self) -> "dict[str, Wave]":
+        """All waves by name, in the order in which they are shown."""
+        half = self.shifts // 2
+        order = [number for first in range(half) for number in (first, first + half)]
+        return {
+            f"wave-{period_mm:g}mm-z{z_mm[0]:g}-{z_mm[1]:g}-{number}of{self.shifts}": Wave(
+                period_mm, z_mm, number / self.shifts, self.y_mm
+            )
+            for z_mm in self.sheets
+            for period_mm in self.periods_mm
+            for number in order
+        }
+
+    @property
+    def captures(self) -> tuple[Capture, ...]:
+        """What it is written out as."""
+        dark = Capture("dark", self.frames, self.exposure_ms, self.gain)
+        return dark, *(Capture(name, self.frames, self.exposure_ms, self.gain) for name in self.patterns)
+
+
+def _require_positive(step: "Mix | Capture | Burst | Separate") -> None:
     for name, most in (("exposure_ms", MOST_EXPOSURE_MS), ("gain", MOST_GAIN)):
         value = getattr(step, name)
         good = value is None or 0.0 < value <= most
@@ -210,7 +293,7 @@ class Series:
 Action = Dose | Mix | Capture | Burst | Wait | Note
 """What the runner does."""
 
-Step = Annotated[Dose | Mix | Capture | Burst | Wait | Note | Repeat | Series, Field(discriminator="do")]
+Step = Annotated[Dose | Mix | Capture | Burst | Separate | Wait | Note | Repeat | Series, Field(discriminator="do")]
 """What a sequence is written in."""
 
 
@@ -258,9 +341,23 @@ def task_count(steps: tuple[Step, ...]) -> int:
                 count += times * task_count(inner)
             case Series(totals, inner):
                 count += len(totals) * (1 + task_count(inner))
+            case Separate():
+                count += 1 + len(step.sheets) * len(step.periods_mm) * step.shifts
             case _:
                 count += 1
     return count
+
+
+def separations(steps: "tuple[Step, ...]") -> Iterator[Separate]:
+    """The `Separate` steps among nested ones, each once, in their order."""
+    for step in steps:
+        match step:
+            case Separate():
+                yield step
+            case Repeat(steps=inner) | Series(steps=inner):
+                yield from separations(inner)
+            case _:
+                pass
 
 
 def written_out(steps: tuple[Step, ...], place: str = "") -> Iterator[Task]:
@@ -282,5 +379,9 @@ def written_out(steps: tuple[Step, ...], place: str = "") -> Iterator[Task]:
                     here = f"{place}dose {number + 1} of {len(totals)}, "
                     yield Task(Dose(total_ul), here)
                     yield from written_out(inner, here)
+            case Separate():
+                captures = step.captures
+                for number, capture in enumerate(captures):
+                    yield Task(capture, f"{place}separate {number + 1} of {len(captures)}, ")
             case _:
                 yield Task(step, place)

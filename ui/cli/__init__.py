@@ -34,6 +34,7 @@ COMMANDS = (
     "calibrate",
     "recover",
     "refit",
+    "separate",
     "archive",
     "import",
     "export",

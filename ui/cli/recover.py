@@ -65,6 +65,11 @@ def tell(found: "Recovery") -> None:
     if found.torn_bytes:
         where = "stays where it is" if found.read_only else "is set aside in journal.jsonl.torn"
         click.echo(f"a torn end of {found.torn_bytes} bytes, never acknowledged, {where}")
+    if found.damaged_derived:
+        click.echo(
+            f"damaged, and to be calculated anew from the frames: {', '.join(found.damaged_derived)} "
+            f"(tankrig separate {found.path})"
+        )
     for what in found.mended:
         click.echo(f"mended: {what}")
     if found.read_only:

@@ -288,6 +288,7 @@ def _aborting_on_signals(runner: "Runner") -> Iterator[None]:
 
 def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -> int:
     """Say how a run ended and what it found, write its report, and give the exit status."""
+    from tankrig.live.exposures import wave_names
     from tankrig.run.reading import open_run
     from tankrig.run.state import FinishReason
 
@@ -313,6 +314,8 @@ def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -
             click.echo(f"report: {report}")
         elif frames:
             click.echo(f"for a report: tankrig report {path}")
+        if wave_names(run):
+            click.echo(f"light sorted by scattering: tankrig separate {path}")
     if outcome.error is not None:
         raise outcome.error
     return 0 if completed else 1

@@ -19,7 +19,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "times": (1, 100_000), "seconds": (0.0, 1e6), "tolerance": (1e-6, 0.999), "every_s": (0.0, 3600.0),
     "at_least_s": (0.0, 1e5), "timeout_s": (0.1, 1e6), "level": (1, 255), "duty": (0.01, 0.99), "bit": (0, 15),
     "period_mm": (0.01, 1e4), "width_mm": (0.01, 1e4), "period_px": (2.0, 1e4), "step": (0, 64), "steps": (2, 64),
-    "cell_px": (1, 4096), "index": (0, 2**24), "size": (2, 4096),
+    "cell_px": (1, 4096), "index": (0, 2**24), "size": (2, 4096), "shift": (-1.0, 1.0),
+    "shifts": (4, 64),
 }  # fmt: skip
 WIDE = (-1e6, 1e6)
 HINTS = {"until": "capture no more once the live fit knows it so well; a share such as 1 %, or a number in its unit"}

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
 )
 
 from tankrig.errors import SequenceError
-from tankrig.sequence.steps import Burst, Capture, Dose, Mix, Note, Repeat, Series, Wait
+from tankrig.sequence.steps import Burst, Capture, Dose, Mix, Note, Repeat, Separate, Series, Wait
 from ui.window import theme
 from ui.window.flow import Flow
 from ui.window.forms import Form, label_of
@@ -28,7 +28,7 @@ from ui.window.sequence_text import Path_, at, line_of, patterns_of
 
 STEPS: dict[str, type[Any]] = {
     "capture": Capture, "dose": Dose, "mix": Mix, "series": Series, "repeat": Repeat, "wait": Wait, "note": Note,
-    "burst": Burst,
+    "burst": Burst, "separate": Separate,
 }  # fmt: skip
 NEW: dict[str, dict[str, Any]] = {
     "capture": {"do": "capture", "pattern": "full", "frames": 4},
@@ -39,6 +39,7 @@ NEW: dict[str, dict[str, Any]] = {
     "wait": {"do": "wait", "seconds": 10.0},
     "note": {"do": "note", "text": "what was seen"},
     "burst": {"do": "burst", "patterns": ["full"]},
+    "separate": {"do": "separate", "z_mm": [58.0, 62.0]},
 }
 ALWAYS = ("dark", "full")
 DOUBTED = "step, "
@@ -64,6 +65,10 @@ def words_of(step: Any) -> str:
         case "burst":
             patterns = step.get("patterns", [])
             return f"burst of {len(patterns) if isinstance(patterns, list) else '?'} patterns × {step.get('times', 1)}"
+        case "separate":
+            periods = step.get("periods_mm", Separate.periods_mm)
+            named = ", ".join(map(str, periods)) if isinstance(periods, list | tuple) else periods
+            return f"separate by waves of {named} mm"
         case "wait":
             return f"wait {step.get('seconds', '?')} s"
         case "note":

@@ -1,0 +1,11 @@
+from .expected import expected_separation as expected_separation
+from .order_one import OrderOne as OrderOne
+from .order_one import order_one as order_one
+from .recorded import Separation as Separation
+from .recorded import separations_of_run as separations_of_run
+from .transfer import Transfer as Transfer
+from .transfer import transfer_of as transfer_of
+from .waves import Changed as Changed
+from .waves import Waves as Waves
+from .waves import demodulated as demodulated
+from .waves import what_changed as what_changed

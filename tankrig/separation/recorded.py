@@ -1,0 +1,245 @@
+"""Separation of a run's frames, by dose and sheet, with what casts doubt on it."""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from tankrig.bench import Bench
+from tankrig.checked_toml import checked
+from tankrig.errors import ImageError, StoreError
+from tankrig.live.exposures import PhotographPlan, radiometry_of_run, replayed
+from tankrig.pattern.kinds import Wave
+from tankrig.run.journal import Event
+from tankrig.run.reading import Run
+from tankrig.scene.description import Camera, Interval
+from tankrig.separation.order_one import OrderOne, order_one
+from tankrig.separation.transfer import Transfer, bins_for_waves, transfer_of
+from tankrig.separation.waves import Array, Changed, Mask, Waves, demodulated, noise_of_pairs, what_changed
+from tankrig.sequence import Separate
+from tankrig.sequence.loading import sequence_from_table
+from tankrig.sequence.steps import separations
+
+FULL_SHARE = 0.001
+"""Share of the sheet's pixels that may be saturated in any of its frames before it is said."""
+
+
+@dataclass(frozen=True, eq=False)
+class Separation:
+    """A sheet at one dose, separated.
+
+    Parameters
+    ----------
+    dose_ml
+        Ink in the tank.
+    z_mm
+        (low, high) of the sheet.
+    bench, camera
+        Of the run; the camera as the frames are binned.
+    waves
+        By period in mm, the finest first.
+    transfers
+        How order 1 brings each wave into the picture, in the same order.
+    changed
+        What changed while they were photographed, the worst of all waves.
+    saturated
+        (rows, columns) bins that are saturated in one of the frames; they tell nothing.
+    frames
+        Names of its frames by their contents: SHA-256 of the frames' own, in their order.
+    left_out
+        A sentence for each period that nothing can be measured with.
+    """
+
+    dose_ml: float
+    z_mm: Interval
+    bench: Bench
+    camera: Camera
+    waves: Mapping[float, Waves]
+    transfers: tuple[Transfer, ...]
+    changed: Changed
+    saturated: Mask
+    frames: str
+    left_out: tuple[str, ...] = field(default=())
+
+    @cached_property
+    def order_one(self) -> OrderOne | None:
+        """Order 1 by itself; None with fewer than two periods that can be measured."""
+        if len(self.transfers) < 2:
+            return None
+        transfers = [
+            Transfer(one.wave, np.where(self.saturated, 0.0, one.factor), one.blurred) for one in self.transfers
+        ]
+        return order_one([self.waves[one.wave.period_mm] for one in transfers], transfers)
+
+    @property
+    def sheet(self) -> Array:
+        """(rows, columns) image under the whole sheet: the mean over all waves, counts per ms."""
+        return np.asarray(np.mean([one.sheet for one in self.waves.values()], axis=0))
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences, each with what to do; empty where there is no reason for doubt."""
+        found = [*self.left_out]
+        if self.changed:
+            found.append(f"{self.changed}; wait until it has mixed, or let the lamp warm up, and separate anew")
+        share = float(self.saturated[self._lit].mean())
+        if share > FULL_SHARE:
+            found.append(f"{100.0 * share:.2g} % of the sheet is saturated in one of its frames; expose for less")
+        if self.order_one is not None and self.order_one.doubt:
+            found.append(self.order_one.doubt)
+        return tuple(found)
+
+    @property
+    def _lit(self) -> Mask:
+        sheet = self.sheet
+        return np.asarray(sheet > 0.05 * float(sheet.max()))
+
+    def arrays(self) -> dict[str, Array]:
+        """All images by name, for a file."""
+        found = {"sheet": self.sheet}
+        for period_mm, one in self.waves.items():
+            found |= {
+                f"modulated_{period_mm:g}mm": one.modulated, f"even_{period_mm:g}mm": one.even,
+                f"wave_sd_{period_mm:g}mm": one.wave_sd, f"sheet_sd_{period_mm:g}mm": one.sheet_sd,
+            }  # fmt: skip
+        if self.order_one is not None:
+            first = self.order_one
+            found |= {"order_1": first.image, "order_1_noise": first.noise, "order_1_model": first.model}
+        return found
+
+
+def separations_of_run(run: Run) -> list[Separation]:
+    """All sheets that a run separated, by dose and then by height.
+
+    Parameters
+    ----------
+    run
+        With a `separate` step in its sequence.
+
+    Returns
+    -------
+    list of Separation
+        Of those of which all shifts of a wave, and a dark frame, are recorded.
+
+    Raises
+    ------
+    StoreError
+        When its sequence separates nothing, or a frame cannot be read.
+    ImageError
+        When no sheet is complete.
+    """
+    sequence = sequence_from_table(dict(run.require_sequence()), str(run.path))
+    steps = list(separations(sequence.steps))
+    if not steps:
+        raise StoreError(
+            f'{run.path}: its sequence has no step that separates orders of scattering; record one with do = "separate"'
+        )
+    bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
+    found = [one for step in steps for one in _of_step(run, bench, step)]
+    if not found:
+        raise ImageError(f"{run.path}: no sheet has all shifts of a wave and a dark frame; let the run come to its end")
+    return sorted(found, key=lambda one: (one.dose_ml, one.z_mm))
+
+
+def _of_step(run: Run, bench: Bench, step: Separate) -> Iterator[Separation]:
+    bins = bins_for_waves(bench.camera, step.periods_mm)
+    camera = bins.camera(bench.camera)
+    means = _means(run, bench, step)
+    transfers: dict[Wave, Transfer | str] = {}
+    for dose_ml in sorted({dose_ml for dose_ml, _ in means}):
+        if (dose_ml, "dark") not in means:
+            continue
+        dark = means[dose_ml, "dark"]
+        for z_mm in step.sheets:
+            names = _names(step, z_mm)
+            complete = {p: of for p, of in names.items() if all((dose_ml, name) in means for name in of)}
+            if not complete:
+                continue
+            lit = {p: [means[dose_ml, name] for name in of] for p, of in complete.items()}
+            pictures = {p: np.stack([one.image - dark.image for one in of]) for p, of in lit.items()}
+            noise = dict(zip(pictures, noise_of_pairs(list(pictures.values())), strict=True))
+            waves = {p: demodulated(pictures[p], noise[p]) for p in sorted(pictures)}
+            changed = max((what_changed(pictures[p], noise[p]) for p in pictures), key=lambda one: one.share)
+            for period_mm in waves:
+                wave = step.patterns[names[period_mm][0]]
+                if wave not in transfers:
+                    transfers[wave] = _transfer(wave, bench, camera, step.shifts)
+            told = [transfers[step.patterns[names[p][0]]] for p in waves]
+            yield Separation(
+                dose_ml, z_mm, bench, camera, waves,
+                tuple(one for one in told if isinstance(one, Transfer)),
+                changed,
+                np.any([one.full for of in lit.values() for one in of], axis=0),
+                _digest([sha for of in lit.values() for one in of for sha in one.sha256]),
+                tuple(one for one in told if isinstance(one, str)),
+            )  # fmt: skip
+
+
+def _names(step: Separate, z_mm: Interval) -> dict[float, list[str]]:
+    """The patterns' names of one sheet by period, in the order of their shifts."""
+    here = {name: wave for name, wave in step.patterns.items() if wave.z_mm == z_mm}
+    return {
+        period_mm: sorted((name for name in here if here[name].period_mm == period_mm), key=lambda n: here[n].shift)
+        for period_mm in step.periods_mm
+    }
+
+
+def _transfer(wave: Wave, bench: Bench, camera: Camera, shifts: int) -> Transfer | str:
+    try:
+        return transfer_of(wave, bench, camera, shifts)
+    except ImageError as error:
+        return str(error)
+
+
+@dataclass(eq=False)
+class _Mean:
+    """Of the frames of one pattern at one dose, so far."""
+
+    image: Array
+    full: Mask
+    sha256: list[str]
+
+    def add(self, image: Array, full: Mask, sha256: str) -> None:
+        """Take in one more."""
+        count = len(self.sha256)
+        self.image = (count * self.image + image) / (count + 1)
+        self.full = self.full | full
+        self.sha256.append(sha256)
+
+
+def _means(run: Run, bench: Bench, step: Separate) -> dict[tuple[float, str], _Mean]:
+    """By dose and pattern: counts per ms of all frames that show a wave of the step, or the dark."""
+    bins = bins_for_waves(bench.camera, step.periods_mm)
+    plan = PhotographPlan.of_run(run)
+    radiometry = radiometry_of_run(run)
+    names = {key: pattern.name for key, pattern in run.patterns.items()}
+    wanted = {"dark", *step.patterns}
+    means: dict[tuple[float, str], _Mean] = {}
+    for event, pixels in replayed(run):
+        if event.kind != "frame" or pixels is None or names.get(event["pattern_hash"]) not in wanted:
+            continue
+        then = run.conditions[event["index"]]
+        settings = then.camera or plan.settings[event["step"]]
+        known = radiometry is not None and radiometry.knows(settings.gain)
+        full = np.asarray(pixels >= (np.inf if plan.saturation is None else plan.saturation))
+        if radiometry is not None and known:
+            image = bins.means(radiometry.light(pixels, settings), ~radiometry.hot)
+            full |= radiometry.saturated(pixels, settings)
+        else:
+            image = bins.means(pixels) / (settings.exposure_ms * settings.gain)
+        key = then.tank.volume_ul / 1000.0, names[event["pattern_hash"]]
+        _add(means, key, image, ~bins.clear_of(full), event)
+    return means
+
+
+def _add(means: dict[tuple[float, str], _Mean], key: tuple[float, str], image: Array, full: Mask, event: Event) -> None:
+    if key in means:
+        means[key].add(image, full, event["sha256"])
+    else:
+        means[key] = _Mean(image, full, [event["sha256"]])
+
+
+def _digest(names: Sequence[str]) -> str:
+    return hashlib.sha256("\n".join(names).encode()).hexdigest()
