@@ -5,7 +5,9 @@ called so: for Python with the code that unpacks its arguments, for kernels with
 by others, and records of arrays take as long to unpack as all the rest, for the compiler.
 """
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from types import FunctionType
 from typing import Any, TypeVar
@@ -61,17 +63,39 @@ def _compiled(function: F, within: dict[str, Any]) -> F:
 
 @cache
 def _called_and_linked() -> type:
-    """Kind of a kernel: numba's own, but for kernels that call it, which get `linked`."""
+    """Kind of a kernel: numba's own, but for kernels that call it, which get `linked`.
+
+    Numba would compile it anew for every constant that it is called with.
+    """
     from numba.core.registry import CPUDispatcher
+    from numba.core.types.misc import unliteral
 
     class Kernel(CPUDispatcher):  # type: ignore[misc]
         def get_call_template(self, args: Any, kws: Any) -> Any:
-            return self.linked.get_call_template(args, kws)
+            named = {name: unliteral(kind) for name, kind in kws.items()}
+            return self.linked.get_call_template(tuple(map(unliteral, args)), named)
 
         def get_overload(self, signature: Any) -> Any:
             return self.linked.get_overload(signature)
 
+        def compile(self, signature: Any) -> Any:
+            with _not_collecting():
+                return super().compile(signature)
+
     return Kernel
+
+
+@contextmanager
+def _not_collecting() -> Iterator[None]:
+    """Keep Python from looking for circular garbage, of which a compiler makes much (measured: a fifth of its time)."""
+    thresholds = gc.get_threshold()
+    if thresholds[0]:
+        gc.set_threshold(0)
+    try:
+        yield
+    finally:
+        if thresholds[0]:
+            gc.set_threshold(*thresholds)
 
 
 def _with_readable_cache(compiled: Any) -> Any:

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -73,11 +74,16 @@ def frame(pattern: Pattern, step: int) -> Event:
     return event("frame", pattern_hash=pattern.hash, step=step)
 
 
-def photographed(dose_ml: float, seed: int) -> np.ndarray:
+@cache
+def counts_of(dose_ml: float) -> np.ndarray:
+    """What a pixel counts in the mean."""
     scene = BENCH.scene(PATTERNS["sheet"], Medium(INK.sigma_a * dose_ml, INK.sigma_s * dose_ml, INK.g))
     radiance = sum(tank_image(scene, seed=5, batches=4).orders.values())
-    counts = 100.0 + 20_000.0 * radiance / radiance.max()
-    return np.random.default_rng(seed).poisson(counts).astype(np.uint16)
+    return 100.0 + 20_000.0 * radiance / radiance.max()
+
+
+def photographed(dose_ml: float, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).poisson(counts_of(dose_ml)).astype(np.uint16)
 
 
 def test_photographs_are_the_mean_less_the_dark_with_the_noise_that_frames_differ_by() -> None:
