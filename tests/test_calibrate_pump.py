@@ -298,7 +298,7 @@ def test_a_pump_is_initialised_only_with_its_tube_in_a_waste_vessel(tmp_path: Pa
         )
         told, status = on_terminal(tmp_path, "n\n", "--rig", "rig.toml", "--initialise")
         assert status == 1
-        assert bench.board._core.initialised_times == 0
+        assert bench.board.core.initialised_times == 0
         told, status = on_terminal(tmp_path, "y\n", "--rig", "rig.toml", "--initialise")
-        assert (status, bench.board._core.initialised_times) == (0, 1), told
+        assert (status, bench.board.core.initialised_times) == (0, 1), told
         assert bench.true_ul == 0.0

@@ -70,7 +70,7 @@ class Board(ABC):
         self._clock, self._in_bulk = now, in_bulk
         self._gremlin = Gremlin(seed, self.most_hits)
         self._lock = threading.Lock()
-        self._core: Core | None = None
+        self.core: Core | None = None
         self._booted_s = 0.0
         self._unplug_now = False
         self._replies: list[tuple[float, bytes]] = []
@@ -124,7 +124,7 @@ class Board(ABC):
 
     def live(self) -> None:
         """Wait a moment for the line, then let everything that is due happen."""
-        busy = self._core is None or self._core.moving or bool(self._replies)
+        busy = self.core is None or self.core.moving or bool(self._replies)
         self._cable.wait(max(0.0005, 0.004 * self._scale) if busy else 0.02)
         self.catch_up()
 
@@ -164,7 +164,7 @@ class Board(ABC):
                 self._reset()
             self.quitting |= action == "quit"
             truth = self._state.truth
-            believed = self._core.believed() if self._core else None
+            believed = self.core.believed() if self.core else None
             faults_now = asdict(self._gremlin.faults)
             return {"true_steps": truth.steps, "moved_ns": truth.moved_ns, "board": believed, "faults": faults_now}
 
@@ -172,12 +172,12 @@ class Board(ABC):
         self._cable.unplug()
         self._unplug_now = False
         if self.powered_by_cable:
-            self._core = None
+            self.core = None
         self._replies.clear()
         self._drop_client()
 
     def _reset(self) -> None:
-        self._core = None
+        self.core = None
         self._replies.clear()
         self._booted_s = self._now() + self._boot_s
 
@@ -189,16 +189,16 @@ class Board(ABC):
     def _live(self) -> None:
         now = self._now()
         if not self._cable.plugged:
-            if self._core:
-                self._core.advance(now)
+            if self.core:
+                self.core.advance(now)
             return
         received = self._receive()
-        if self._core is None and now >= self._booted_s:
-            self._core, greeting = self._power_up()
+        if self.core is None and now >= self._booted_s:
+            self.core, greeting = self._power_up()
             self._say(self._gremlin.junk() if self._gremlin.faults.junk else greeting)
-        elif self._core:
-            self._core.advance(now)
-            for answer in self._answers(self._core, received, now):
+        elif self.core:
+            self.core.advance(now)
+            for answer in self._answers(self.core, received, now):
                 self._say(answer)
         now = self._now()
         while self._replies and self._replies[0][0] <= now:

@@ -52,7 +52,7 @@ class Board(Cabled):
     @property
     def firmware(self) -> Firmware | None:
         """What runs on the board, if it is awake."""
-        return self._core if isinstance(self._core, Firmware) else None
+        return self.core if isinstance(self.core, Firmware) else None
 
     def _power_up(self) -> tuple[Firmware, bytes]:
         firmware = Firmware(self._fram, *self._motor, self._pulse, self._protocol, self._run)
