@@ -98,6 +98,10 @@ def test_a_file_is_read_back_as_it_was_and_never_overwritten(tmp_path: Path) -> 
     path.write_text(path.read_text().replace("correction = 1.0", "correction = 10"))
     with pytest.raises(StoreError, match="is no calibration of a pump"):
         load_pump_calibration(path)
+    path.write_bytes(before.replace(b"mass_mg", b"9" * 5000))
+    with pytest.raises(StoreError, match=r'key "9{60}" is unknown') as refusal:
+        load_pump_calibration(path)
+    assert len(str(refusal.value)) < 600
 
 
 @pytest.mark.parametrize(
