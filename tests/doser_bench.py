@@ -15,7 +15,7 @@ from drivers.cavro.emulator.core import FINER
 from drivers.cavro.emulator.core import Habits as CavroHabits
 from drivers.cavro.settings import CavroSettings
 from drivers.dosing.doser import PumpDoser
-from drivers.emulation.board import Board as AnyBoard
+from drivers.emulation.board import EmulatedBoard
 from drivers.emulation.cable import PseudoTerminal
 from drivers.emulation.truth import TruthFile
 from drivers.new_era.doser import NewEraDoser
@@ -24,7 +24,7 @@ from drivers.new_era.emulator.core import FASTEST_MM_PER_MIN
 from drivers.new_era.emulator.core import Habits as NewEraHabits
 from drivers.new_era.settings import NewEraSettings
 from drivers.rig_doser.doser import RigDoser
-from drivers.rig_doser.emulator.board import Board
+from drivers.rig_doser.emulator.board import RigDoserBoard
 from drivers.rig_doser.emulator.memory import Commissioning, StateFile
 from drivers.rig_doser.settings import RigDoserSettings
 from drivers.serial_line import PortOpener, open_port
@@ -70,7 +70,7 @@ class AnyBench(ABC):
         return opened
 
     @abstractmethod
-    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]: ...
+    def _plug_in(self, seed: int) -> tuple[TruthFile, EmulatedBoard]: ...
 
     @abstractmethod
     def _open(self, **settings: Any) -> Doser: ...
@@ -167,10 +167,10 @@ class Bench(AnyBench):
         self.rate, self._protocol, self._commissioning = rate, protocol, Commissioning(**commissioning)
         super().__init__(folder, time_scale, seed, world)
 
-    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
+    def _plug_in(self, seed: int) -> tuple[TruthFile, EmulatedBoard]:
         state = StateFile(self.folder / "state", self._commissioning)
         motor = {"rate": self.rate, "acceleration": 10 * self.rate, "protocol": self._protocol}
-        return state, Board(state, **motor, **self._life(seed))
+        return state, RigDoserBoard(state, **motor, **self._life(seed))
 
     def _open(self, **settings: Any) -> RigDoser:
         given = {"port": str(self.folder / "doser"), "steps_per_ul": STEPS_PER_UL, "time_scale": self.scale}
@@ -209,7 +209,7 @@ class NewEraBench(CountedBench):
         self.rate = rate_ml_per_min or (self.FASTEST_ML_PER_MIN if self._habits.checks_rates else 30.0)
         super().__init__(folder, time_scale, seed, world)
 
-    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
+    def _plug_in(self, seed: int) -> tuple[TruthFile, EmulatedBoard]:
         state = TruthFile(self.folder / "state")
         unverified = {"nearest": bool(seed & 1), "counter_survives": bool(seed & 2)} | self._device
         return state, NewEraBoard(state, habits=self._habits, **unverified, **self._life(seed))
@@ -241,7 +241,7 @@ class CavroBench(CountedBench):
         self.speed, self.syringe_ul, self._ready = speed_ul_per_s, syringe_ul, True
         super().__init__(folder, time_scale, seed, world)
 
-    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
+    def _plug_in(self, seed: int) -> tuple[TruthFile, EmulatedBoard]:
         state = TruthFile(self.folder / "state")
         ready, self._ready = self._ready, False
         return state, CavroBoard(state, ready=ready, habits=self._habits, **self._life(seed))
