@@ -162,8 +162,8 @@ def load(path: Path) -> Calibration:
         layout = int(table.pop("format", 0))
     except OSError as error:
         raise StoreError(f"{path}: cannot be read ({error.strerror}); {again}") from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise StoreError(f"{path}: is no whole calibration file ({error}); {again}") from error
+    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
+        raise StoreError(f"{path}: is no whole calibration file ({str(error)[:200]}); {again}") from error
     if layout > FORMAT:
         raise StoreError(
             f"{path}: was written by {table.get('program', 'a newer tankrig')} in format {layout}, and this "
