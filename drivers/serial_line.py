@@ -77,7 +77,7 @@ def lost(name: str) -> LineLostError:
     return LineLostError(f"{name}: the serial line is gone; plug it in and open it again")
 
 
-class Line:
+class SerialLine:
     """A serial line to a device that answers each request once, in order, without saying which one it answers.
 
     A reply that did not come in time may still come. So after a missing reply, or a stop, the line is left until it has

@@ -1,6 +1,15 @@
-"""The one way tankrig compiles a numerical kernel."""
+"""The one way tankrig compiles a numerical kernel.
 
-from collections.abc import Callable
+A kernel is called from Python, from other kernels, or both, and is compiled for each in its own way when it is first
+called so: for Python with the code that unpacks its arguments, for kernels without. Most kernels are only ever called
+by others, and records of arrays take as long to unpack as all the rest, for the compiler.
+"""
+
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from types import FunctionType
 from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -20,10 +29,7 @@ def kernel(function: F) -> F:
     function
         Numerical code that numba understands: arrays and numbers in, arrays and numbers out.
     """
-    import numba
-
-    compiled: F = numba.njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")(function)
-    return _with_readable_cache(compiled)
+    return _compiled(function, {})
 
 
 def part(function: F) -> F:
@@ -36,19 +42,69 @@ def part(function: F) -> F:
     function
         As for `kernel`.
     """
+    return _compiled(function, {"forceinline": True})
+
+
+def _compiled(function: F, within: dict[str, Any]) -> F:
+    """The kernel, which is compiled with the options `within` where another kernel calls it."""
     import numba
 
-    compiled: F = numba.njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy", forceinline=True)(function)
-    return _with_readable_cache(compiled)
+    options = {"nogil": True, "cache": True, "fastmath": FAST, "error_model": "numpy", "no_cfunc_wrapper": True}
+    called: Any = numba.njit(**options)(function)
+    # What is kept on disk is told apart by the name, and code for kernels must not be taken for code for Python.
+    linked = FunctionType(function.__code__, function.__globals__, None, function.__defaults__, function.__closure__)
+    linked.__module__, linked.__kwdefaults__ = function.__module__, function.__kwdefaults__
+    linked.__qualname__ = f"{function.__qualname__}.linked"
+    _with_readable_cache(called)
+    called.__class__ = _called_and_linked()
+    called.linked = _with_readable_cache(numba.njit(**options, **within, no_cpython_wrapper=True)(linked))
+    return called  # type: ignore[no-any-return]
 
 
-def _with_readable_cache(compiled: F) -> F:
+@cache
+def _called_and_linked() -> type:
+    """Kind of a kernel: numba's own, but for kernels that call it, which get `linked`.
+
+    Numba would compile it anew for every constant that it is called with.
+    """
+    from numba.core.registry import CPUDispatcher
+    from numba.core.types.misc import unliteral
+
+    class Kernel(CPUDispatcher):  # type: ignore[misc]
+        def get_call_template(self, args: Any, kws: Any) -> Any:
+            named = {name: unliteral(kind) for name, kind in kws.items()}
+            return self.linked.get_call_template(tuple(map(unliteral, args)), named)
+
+        def get_overload(self, signature: Any) -> Any:
+            return self.linked.get_overload(signature)
+
+        def compile(self, signature: Any) -> Any:
+            with _not_collecting():
+                return super().compile(signature)
+
+    return Kernel
+
+
+@contextmanager
+def _not_collecting() -> Iterator[None]:
+    """Keep Python from looking for circular garbage, of which a compiler makes much (measured: a fifth of its time)."""
+    thresholds = gc.get_threshold()
+    if thresholds[0]:
+        gc.set_threshold(0)
+    try:
+        yield
+    finally:
+        if thresholds[0]:
+            gc.set_threshold(*thresholds)
+
+
+def _with_readable_cache(compiled: Any) -> Any:
     """Let an index of compiled code that cannot be read count as empty.
 
     An index names the classes of a kernel's arguments, and numba reads it before it sees that it is out of date. After
     an update in which such a class has moved to another module, reading it fails, and the kernel with it.
     """
-    file = compiled._cache._cache_file  # type: ignore[attr-defined]
+    file = compiled._cache._cache_file
     read = file._load_index
 
     def load_index() -> Any:

@@ -1,4 +1,7 @@
-"""What every test shares: a cache folder of the session's own, so that none finds or leaves models on the computer."""
+"""What every test shares: a cache folder of the session's own, so that none finds or leaves models on the computer.
+
+All processes of a session use the same one, so that what one of them has prepared the others need not.
+"""
 
 import os
 
@@ -9,5 +12,7 @@ import pytest
 def _own_cache(tmp_path_factory: pytest.TempPathFactory):
     with pytest.MonkeyPatch.context() as patch:
         if not os.environ.get("TANKRIG_CACHE"):
-            patch.setenv("TANKRIG_CACHE", str(tmp_path_factory.getbasetemp().parent / "tankrig-cache"))
+            folder = tmp_path_factory.getbasetemp()
+            session = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+            patch.setenv("TANKRIG_CACHE", str(session / "tankrig-cache"))
         yield

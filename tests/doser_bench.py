@@ -15,7 +15,7 @@ from drivers.cavro.emulator.core import FINER
 from drivers.cavro.emulator.core import Habits as CavroHabits
 from drivers.cavro.settings import CavroSettings
 from drivers.dosing.doser import PumpDoser
-from drivers.emulation.board import Board as AnyBoard
+from drivers.emulation.board import EmulatedBoard
 from drivers.emulation.cable import PseudoTerminal
 from drivers.emulation.truth import TruthFile
 from drivers.new_era.doser import NewEraDoser
@@ -24,9 +24,10 @@ from drivers.new_era.emulator.core import FASTEST_MM_PER_MIN
 from drivers.new_era.emulator.core import Habits as NewEraHabits
 from drivers.new_era.settings import NewEraSettings
 from drivers.rig_doser.doser import RigDoser
-from drivers.rig_doser.emulator.board import Board
+from drivers.rig_doser.emulator.board import RigDoserBoard
 from drivers.rig_doser.emulator.memory import Commissioning, StateFile
 from drivers.rig_doser.settings import RigDoserSettings
+from drivers.serial_line import PortOpener, open_port
 from tankrig.devices import Doser
 from tankrig.errors import DeviceError
 
@@ -43,6 +44,7 @@ class AnyBench(ABC):
     def __init__(self, folder: Path, time_scale: float, seed: int = 0, world: World | None = None) -> None:
         self.folder, self.scale, self.world = folder, 1.0 if world else time_scale, world
         self._opened: list[Any] = []
+        self._ports: dict[int, Any] = {}
         self.cable = VirtualCable(world) if world else None
         self.power_on(seed)
 
@@ -56,19 +58,26 @@ class AnyBench(ABC):
     def _surroundings(self) -> dict[str, Any]:
         """What a driver is told of where it lives."""
         if not self.world:
-            return {}
+            return {"opener": self._keeping(open_port)}
         self.clock = ProgramClock(self.world)
-        return {"clock": self.clock, "opener": self.cable.open}
+        return {"clock": self.clock, "opener": self._keeping(self.cable.open)}
+
+    def _keeping(self, opener: PortOpener) -> PortOpener:
+        def opened(port: str, baud: int, name: str, clock: Any) -> Any:
+            self._newest_port = opener(port, baud, name, clock)
+            return self._newest_port
+
+        return opened
 
     @abstractmethod
-    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]: ...
+    def _plug_in(self, seed: int) -> tuple[TruthFile, EmulatedBoard]: ...
 
     @abstractmethod
     def _open(self, **settings: Any) -> Doser: ...
 
-    @abstractmethod
     def port_of(self, doser: Any) -> Any:
         """The driver's serial port, to pull it out or to write noise to."""
+        return self._ports[id(doser)]
 
     def power_on(self, seed: int = 0) -> None:
         self._state, self.board = self._plug_in(seed)
@@ -88,8 +97,10 @@ class AnyBench(ABC):
         self._state.close()
 
     def open(self, **settings: Any) -> Any:
-        self._opened.append(self._open(**settings))
-        return self._opened[-1]
+        doser = self._open(**settings)
+        self._opened.append(doser)
+        self._ports[id(doser)] = self._newest_port
+        return doser
 
     def bury(self, doser: Any) -> None:
         """What the system does for a program that is gone: its files are closed."""
@@ -104,7 +115,7 @@ class AnyBench(ABC):
     def moving(self) -> bool:
         """Whether its motor runs."""
         self.board.catch_up()
-        return self.board._core is not None and self.board._core.moving
+        return self.board.core is not None and self.board.core.moving
 
     def put_right(self, doser: Any) -> None:  # noqa: B027, most need nothing
         """What a person has to do at the device before it can dose."""
@@ -156,17 +167,14 @@ class Bench(AnyBench):
         self.rate, self._protocol, self._commissioning = rate, protocol, Commissioning(**commissioning)
         super().__init__(folder, time_scale, seed, world)
 
-    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
+    def _plug_in(self, seed: int) -> tuple[TruthFile, EmulatedBoard]:
         state = StateFile(self.folder / "state", self._commissioning)
         motor = {"rate": self.rate, "acceleration": 10 * self.rate, "protocol": self._protocol}
-        return state, Board(state, **motor, **self._life(seed))
+        return state, RigDoserBoard(state, **motor, **self._life(seed))
 
     def _open(self, **settings: Any) -> RigDoser:
         given = {"port": str(self.folder / "doser"), "steps_per_ul": STEPS_PER_UL, "time_scale": self.scale}
         return RigDoser(RigDoserSettings(**(given | settings)), **self._surroundings())
-
-    def port_of(self, doser: RigDoser) -> Any:
-        return doser._pump._line._port
 
 
 class CountedBench(AnyBench):
@@ -175,9 +183,6 @@ class CountedBench(AnyBench):
     def bury(self, doser: PumpDoser) -> None:
         super().bury(doser)
         doser._pump._file.close()
-
-    def port_of(self, doser: PumpDoser) -> Any:
-        return doser._pump._counter._line._port
 
 
 class NewEraBench(CountedBench):
@@ -204,7 +209,7 @@ class NewEraBench(CountedBench):
         self.rate = rate_ml_per_min or (self.FASTEST_ML_PER_MIN if self._habits.checks_rates else 30.0)
         super().__init__(folder, time_scale, seed, world)
 
-    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
+    def _plug_in(self, seed: int) -> tuple[TruthFile, EmulatedBoard]:
         state = TruthFile(self.folder / "state")
         unverified = {"nearest": bool(seed & 1), "counter_survives": bool(seed & 2)} | self._device
         return state, NewEraBoard(state, habits=self._habits, **unverified, **self._life(seed))
@@ -236,7 +241,7 @@ class CavroBench(CountedBench):
         self.speed, self.syringe_ul, self._ready = speed_ul_per_s, syringe_ul, True
         super().__init__(folder, time_scale, seed, world)
 
-    def _plug_in(self, seed: int) -> tuple[TruthFile, AnyBoard]:
+    def _plug_in(self, seed: int) -> tuple[TruthFile, EmulatedBoard]:
         state = TruthFile(self.folder / "state")
         ready, self._ready = self._ready, False
         return state, CavroBoard(state, ready=ready, habits=self._habits, **self._life(seed))
@@ -249,6 +254,6 @@ class CavroBench(CountedBench):
 
     def put_right(self, doser: CavroDoser) -> None:
         with suppress(DeviceError):
-            if self.board.command({})["board"] and not self.board._core._initialised:
+            if self.board.command({})["board"] and not self.board.core._initialised:
                 doser.initialise()
                 doser._pump._renew()  # filled, so that the next dose begins at once

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from drivers.lightcrafter4500.emulator.backend import Board, Faults
+from drivers.lightcrafter4500.emulator.backend import Faults, LightcrafterOnBus
 from drivers.lightcrafter4500.emulator.controller import Controller, Habits
 from drivers.lightcrafter4500.projector import Lightcrafter
 from drivers.lightcrafter4500.settings import LightcrafterSettings
@@ -32,7 +32,7 @@ class StandingClock:
         return False
 
 
-class ScheduledBoard(Board):
+class ScheduledBoard(LightcrafterOnBus):
     """The stand-in, whose faults come at given commands.
 
     `schedule` maps the number of a command, from 0, to what is done just before it arrives.

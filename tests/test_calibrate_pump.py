@@ -98,6 +98,10 @@ def test_a_file_is_read_back_as_it_was_and_never_overwritten(tmp_path: Path) -> 
     path.write_text(path.read_text().replace("correction = 1.0", "correction = 10"))
     with pytest.raises(StoreError, match="is no calibration of a pump"):
         load_pump_calibration(path)
+    path.write_bytes(before.replace(b"mass_mg", b"9" * 5000))
+    with pytest.raises(StoreError, match=r'key "9{60}" is unknown') as refusal:
+        load_pump_calibration(path)
+    assert len(str(refusal.value)) < 600
 
 
 @pytest.mark.parametrize(
@@ -298,7 +302,7 @@ def test_a_pump_is_initialised_only_with_its_tube_in_a_waste_vessel(tmp_path: Pa
         )
         told, status = on_terminal(tmp_path, "n\n", "--rig", "rig.toml", "--initialise")
         assert status == 1
-        assert bench.board._core.initialised_times == 0
+        assert bench.board.core.initialised_times == 0
         told, status = on_terminal(tmp_path, "y\n", "--rig", "rig.toml", "--initialise")
-        assert (status, bench.board._core.initialised_times) == (0, 1), told
+        assert (status, bench.board.core.initialised_times) == (0, 1), told
         assert bench.true_ul == 0.0

@@ -1,6 +1,7 @@
 """How a run ends when anything goes wrong: the doser is stopped first, and nothing that went wrong skips the rest."""
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from tankrig.run.event_dispatcher import EventDispatcher
 from tankrig.run.journal import Event, Moment
 from tankrig.run.start import new_run, resumed_run
 from tankrig.run.state import FinishReason, RunState
+from tankrig.run.writer import RunWriter
 from tankrig.sequence import Capture, Dose, Sequence
 
 from .memory_rig import memory_rig
@@ -39,11 +41,10 @@ class Failing:
         self._fails = fails
         for name in CLEAN_UP[:-1]:
             device, _, call = name.partition(".")
-            self.wrap(getattr(rig, device), call, name)
 
-    def wrap(self, device: object, call: str, name: str) -> None:
-        real = getattr(device, call)
+            setattr(getattr(rig, device), call, self.noting(getattr(getattr(rig, device), call), name))
 
+    def noting(self, real: Callable[..., object], name: str) -> Callable[..., object]:
         def called(*given: object, **named: object) -> object:
             self.asked.append(name)
             found = real(*given, **named)
@@ -52,7 +53,7 @@ class Failing:
                 raise fault
             return found
 
-        setattr(device, call, called)
+        return called
 
 
 @given(
@@ -76,7 +77,6 @@ def test_whatever_a_step_of_the_clean_up_or_a_callback_raises_the_others_still_h
     rig.camera.capture = capture
     runner = new_run(STEPS, rig, folder / "run")
     devices = Failing(rig, cleaning)
-    devices.wrap(runner._writer, "finish", "writer.finish")
     heard: list[str] = []
 
     def failing(*_: object) -> None:
@@ -92,10 +92,12 @@ def test_whatever_a_step_of_the_clean_up_or_a_callback_raises_the_others_still_h
     runner.listen(lambda event, _: heard.append(event.kind))
     runner.before_end.append(ready)
     outcome, raised = None, None
-    try:
-        outcome = runner.run()
-    except BaseException as error:
-        raised = error
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RunWriter, "finish", devices.noting(RunWriter.finish, "writer.finish"))
+        try:
+            outcome = runner.run()
+        except BaseException as error:
+            raised = error
     went_well = before["camera.capture"] is None and not isinstance(
         before["before_end"], KeyboardInterrupt | SystemExit
     )
@@ -198,6 +200,7 @@ def test_a_run_that_cannot_be_made_leaves_nothing(tmp_path, monkeypatch, fails: 
 @settings(max_examples=50, deadline=None)
 def test_every_listener_that_does_not_fail_hears_every_event_in_order(failures: list, count: int) -> None:
     """One listener's failure, of whatever kind, must not make another one deaf."""
+    before = set(threading.enumerate())
     dispatcher = EventDispatcher()
     heard: list[list[int]] = []
 
@@ -217,4 +220,4 @@ def test_every_listener_that_does_not_fail_hears_every_event_in_order(failures: 
     dispatcher.close()
     for failure, mine in zip(failures, heard, strict=True):
         assert mine == ([0] if failure is not None else list(range(count)))
-    assert not any(thread.name == "run-dispatcher" and thread is dispatcher._thread for thread in threading.enumerate())
+    assert set(threading.enumerate()) <= before

@@ -32,3 +32,48 @@ def test_a_class_of_arguments_may_move_to_another_module_between_versions(tmp_pa
         stale.unlink()
     said = run(tmp_path, "after")
     assert said.stdout == "3.0\n", said.stderr
+
+
+TWICE = """
+import gc
+import numpy as np
+from tankrig.compiled import kernel, part
+
+@part
+def doubled(x, times):
+    return x * 2.0**times
+
+@kernel
+def first(values):
+    return values[0]
+
+@kernel
+def total(values):
+    return doubled(first(values), 1) + doubled(first(values), 2) + doubled(values[1], 3)
+
+@kernel
+def wrong(values):
+    return values.nothing
+
+before = gc.get_threshold()
+values = np.array([1.0, 10.0])
+print(total(values), first(values), doubled(3.0, 1), len(doubled.linked.signatures))
+try:
+    wrong(values)
+except Exception as error:
+    print(type(error).__name__)
+print(gc.get_threshold() == before, gc.isenabled())
+"""
+
+
+def test_kernels_call_each_other_and_are_called_from_python_in_every_later_process_too(tmp_path: Path) -> None:
+    """Code for kernels that Python took for its own, from the disk, would crash the program without a word."""
+    (tmp_path / "twice.py").write_text(TWICE)
+    said = [
+        subprocess.run([sys.executable, "twice.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+        for _ in range(2)
+    ]
+    first, again = (one.stdout.split("\n") for one in said)
+    assert first == ["86.0 1.0 6.0 1", "TypingError", "True True", ""], said[0].stderr
+    assert again[0].startswith("86.0 1.0 6.0"), said[1].stderr
+    assert again[1:] == first[1:]

@@ -25,7 +25,7 @@ from tankrig.pattern import Pattern
 from tankrig.run.damage import Lost, read_lines
 from tankrig.run.export import export_netcdf, export_tiff
 from tankrig.run.folder import create_run
-from tankrig.run.journal import Event
+from tankrig.run.journal import Event, Moment
 from tankrig.run.recovery import dose_doubt, recover
 from tankrig.run.start import new_run, resumed_run
 from tankrig.run.state import FinishReason
@@ -529,7 +529,7 @@ def test_an_event_survives_any_words_a_person_writes():
     @settings(max_examples=200, deadline=None)
     def check(fields):
         names = {f"_{key}": value for key, value in fields.items()}
-        event = Event(3, "note", Event.parse(b'{"seq":0,"kind":"note","utc":"u","mono_ns":1,"boot":"b"}').moment, names)
+        event = Event(3, "note", Moment("2026-11-20T10:00:00+00:00", 1, "b"), names)
         found = read_lines(event.line(), checked=True)
         assert found.events == (event,)
         assert found.lost == (Lost(1, 0, 0, 0, (0, 2), (), (), -1, True),)

@@ -89,7 +89,7 @@ def test_a_pump_that_goes_on_beyond_its_volume_is_stopped(tmp_path: Path) -> Non
     """Whatever has become of what it was set to: it is stopped at the first poll that counts more than was asked."""
     with NewEraBench(tmp_path, world=World(), **SLOW[NewEraBench]) as bench:
         doser, world = bench.open(), bench.world
-        world.after(1.5, lambda: setattr(bench.board._core, "_left", None))
+        world.after(1.5, lambda: setattr(bench.board.core, "_left", None))
         with pytest.raises(DeviceError, match=r"counts .* where 100 were asked, and still moves"):
             doser.dose_to(100.0)
         assert bench.true_ul <= 100.0 + 0.25 * UL_PER_S
@@ -226,8 +226,9 @@ def another_name(count: Path, how: str) -> Path:
 def test_a_count_has_one_doser_by_whatever_name(bench: AnyBench, how: str, tmp_path: Path) -> None:
     doser = bench.open()
     doser.dose_to(20.0)  # the file has been replaced meanwhile
+    tick_ul = json.loads((tmp_path / "count").read_text())["tick_ul"]
     with pytest.raises(DeviceError, match=r"another doser uses it|has a second name") as refusal:
-        CountFile(another_name(tmp_path / "count", how), "second", doser._pump._counter.tick_ul)
+        CountFile(another_name(tmp_path / "count", how), "second", tick_ul)
     assert "\n" not in str(refusal.value)
     if how == "moved":
         with pytest.raises(DeviceError, match="was moved or replaced"):
@@ -238,7 +239,7 @@ def test_a_count_has_one_doser_by_whatever_name(bench: AnyBench, how: str, tmp_p
     doser.dose_to(40.0)
     doser.close()
     (tmp_path / "other").unlink(missing_ok=True)
-    CountFile(tmp_path / "count", "next", doser._pump._counter.tick_ul).close()
+    CountFile(tmp_path / "count", "next", tick_ul).close()
 
 
 HOLDER = """
@@ -291,7 +292,7 @@ def test_a_count_file_of_an_earlier_version_still_asks_a_person(bench: AnyBench,
     doser.dose_to(20.0)
     doser.close()
     stored = json.loads((tmp_path / "count").read_text())
-    ticks = round(doser._pump.ticks_per_ul)
+    ticks = round(1.0 / stored["tick_ul"])
     (tmp_path / "count").write_text(json.dumps(stored | {"unsure": [10 * ticks, 60 * ticks], "begun": None}))
     again = bench.open()
     assert again.unknown

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from drivers.cavro.emulator.core import SPEED_CODES, XCALIBUR, XLP, Habits, Model
 from drivers.cavro.emulator.core import Core as CavroCore
 from drivers.cavro.emulator.frames import Command
-from drivers.lightcrafter4500.emulator.backend import Board
+from drivers.lightcrafter4500.emulator.backend import LightcrafterOnBus
 from drivers.lightcrafter4500.emulator.controller import Controller
 from drivers.lightcrafter4500.emulator.controller import Habits as LightCrafterHabits
 from drivers.new_era.emulator.core import Core as NewEraCore
@@ -796,7 +796,7 @@ class LightCrafter:
         self.controller = Controller(
             LightCrafterHabits(**habits), lambda output, at_s: self.edges.append((output, at_s))
         )
-        self.board = Board(self.controller, clock=lambda: self.now_s, sleep=self.wait)
+        self.board = LightcrafterOnBus(self.controller, clock=lambda: self.now_s, sleep=self.wait)
         device = usb.core.find(idVendor=0x0451, idProduct=0x6401, backend=self.board)
         assert device is not None
         self.device, self._sequence = device, 0
@@ -1018,7 +1018,7 @@ def test_empty_late_and_lost_reports_reach_pyusb_as_they_are() -> None:
 
 
 def test_the_kernels_driver_has_to_be_detached() -> None:
-    device = usb.core.find(idVendor=0x0451, backend=Board(Controller()))
+    device = usb.core.find(idVendor=0x0451, backend=LightcrafterOnBus(Controller()))
     assert device is not None
     assert device.is_kernel_driver_active(0)
     with pytest.raises(usb.core.USBError, match="busy"):

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from tankrig.devices import Delivered
 from tankrig.dosing import DoseDone, DoseIntent, DoseLimits, GuardedDoser, TankLedger
 from tankrig.dosing.limits import Remaining, dosed_to
-from tankrig.dosing.records import Joint
+from tankrig.dosing.records import JointCount
 from tankrig.errors import DeviceError, SequenceError, StoreError, UndecidedError
 from tankrig.sequence import Note, Pace, Sequence, Series, dry_run
 
@@ -417,7 +417,7 @@ def test_a_tank_of_90_to_110_is_not_dosed_to_200_under_a_budget_of_200(lab: Lab)
     guard.close()
     lab.guard = None
     ledger = TankLedger(lab.path)
-    ledger.join(Joint("syringe 1", Delivered(100.0, 90.0, 110.0), lab.syringe.delivered()))
+    ledger.join(JointCount("syringe 1", Delivered(100.0, 90.0, 110.0), lab.syringe.delivered()))
     ledger.close()
     guard = lab.open()
     assert guard.remaining().tank_ul == pytest.approx(90.0)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import usb.core
 
-from drivers.lightcrafter4500.emulator.backend import Board
+from drivers.lightcrafter4500.emulator.backend import LightcrafterOnBus
 from drivers.lightcrafter4500.emulator.controller import Controller, Habits
 from drivers.lightcrafter4500.projector import Lightcrafter
 from drivers.lightcrafter4500.settings import LightcrafterSettings
@@ -76,7 +76,7 @@ class TestLightcrafter(ProjectorContract):
 
     @pytest.fixture
     def reopen(self, tmp_path):
-        board = Board(Controller(Habits(mode_s=0.0, validate_s=0.0, lock_s=0.0)))
+        board = LightcrafterOnBus(Controller(Habits(mode_s=0.0, validate_s=0.0, lock_s=0.0)))
         table = LightcrafterSettings(screen={"model": "DLP"}, refresh_hz=60.0, latency_ms=30.0)
         opened = []
 

@@ -146,7 +146,7 @@ def test_a_dose_larger_than_the_syringe_takes_several_strokes(tmp_path: Path) ->
         doser = bench.open()
         assert doser.dose_to(700.0).volume_ul == pytest.approx(700.0, abs=doser.increment_ul)
         assert bench.true_ul == pytest.approx(doser.delivered().volume_ul)
-        assert bench.board._core.initialised_times == 0, "it initialised by itself"
+        assert bench.board.core.initialised_times == 0, "it initialised by itself"
 
 
 def test_a_new_era_count_goes_on_where_its_display_ends(tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_a_new_era_pump_set_to_another_diameter_is_set_right_and_keeps_its_count
         doser = bench.open()
         doser.dose_to(20.0)
         doser.close()
-        bench.board._core._kept.update(dia=10.0, steps=0)  # by its keypad
+        bench.board.core._kept.update(dia=10.0, steps=0)  # by its keypad
         again = bench.open()
         assert again.delivered().volume_ul == pytest.approx(19.7, abs=0.2)
         again.dose_to(30.0)
@@ -292,7 +292,7 @@ def test_new_era_settings_that_do_not_read_back_are_refused(tmp_path: Path) -> N
     """A pump that keeps another volume than it was told must not run."""
     with NewEraBench(tmp_path) as bench:
         doser = bench.open()
-        core = bench.board._core
+        core = bench.board.core
         core._do_vol, really = (lambda text, _: "" if text else "100.0UL"), core._do_vol
         with pytest.raises(DeviceError, match=r"VOL reads back as '100.0UL' and not '9.700UL'"):
             doser.dose_to(10.0)

@@ -23,7 +23,7 @@ from drivers.simulated.archive import make_archive
 from tankrig.archive import refit as refitting
 from tankrig.archive.key import Refitting, refit_key
 from tankrig.archive.mark import meaning, refit_mark
-from tankrig.archive.refit import Errand, beside_others, errands, from_share, in_this_process
+from tankrig.archive.refit import RunToRefit, beside_others, from_share, in_this_process, runs_to_refit
 from tankrig.archive.results import FAILED as FAILED_FILE
 from tankrig.archive.results import FITTED, LOCK, Results
 from tankrig.archive.runs import runs_in
@@ -148,11 +148,11 @@ def test_two_refits_of_one_archive_share_it(archive: Path, tmp_path: Path) -> No
 def test_a_run_that_another_program_is_at_is_left_for_the_end(archive: Path, tmp_path: Path) -> None:
     results = Results(tmp_path / "results")
     asked = Refitting(refit_mark())
-    wanted = errands(archive, results, asked)
+    wanted = runs_to_refit(archive, results, asked)
     begun: list[str] = []
 
-    def do(errands: Any) -> Any:
-        for done in in_this_process(errands):
+    def do(runs_to_refit: Any) -> Any:
+        for done in in_this_process(runs_to_refit):
             begun.append(f"{done.name} {done.outcome}")
             if done.name == "twin-01-002":
                 other.__exit__(None, None, None)
@@ -181,7 +181,7 @@ def test_results_of_a_worker_with_other_code_are_not_taken(archive: Path, tmp_pa
 
 def test_a_damaged_result_is_a_row_and_results_are_never_written_over(archive: Path, tmp_path: Path) -> None:
     results = Results(tmp_path / "results")
-    one = errands(archive, results, Refitting(refit_mark()))[0]
+    one = runs_to_refit(archive, results, Refitting(refit_mark()))[0]
     assert one.run().outcome == MADE
     assert one.run().outcome == THERE
     (file,) = (results.folder / "runs" / one.name).glob("*.json")
@@ -352,7 +352,7 @@ def test_what_is_left_is_told_from_the_rate_of_late() -> None:
     for _ in range(5):
         progress.add(refitting.Done("a run", MADE))
     assert str(progress) == "5 of 10 runs, 1 per minute, 5 min left"
-    assert Errand("a", "b", "c", Refitting("")).wait
+    assert RunToRefit("a", "b", "c", Refitting("")).wait
 
 
 @pytest.mark.long
@@ -370,7 +370,7 @@ def test_under_random_kills_each_run_is_fitted_exactly_once(tmp_path: Path, monk
     names = [one.name for one in twins]
     asked = Refitting(refit_mark())
     begun = time.monotonic(), time.process_time()
-    alone = [one for one in errands(archive, Results(serial), asked) if one.name in set(names)]
+    alone = [one for one in runs_to_refit(archive, Results(serial), asked) if one.name in set(names)]
     assert {one.outcome for one in in_this_process(alone)} == {MADE}
     print(
         f"\nserial: {len(names)} runs, {time.monotonic() - begun[0]:.0f} s, {time.process_time() - begun[1]:.0f} CPU s"
@@ -444,7 +444,7 @@ def test_failures_do_not_stop_the_others(archive: Path, tmp_path: Path) -> None:
     (archive / "twin-00-000" / "journal.jsonl").write_bytes(b"")
     outcomes = {
         one.name: one.outcome
-        for one in in_this_process(errands(archive, Results(tmp_path / "r"), Refitting(refit_mark())))
+        for one in in_this_process(runs_to_refit(archive, Results(tmp_path / "r"), Refitting(refit_mark())))
     }
     assert outcomes.pop("twin-00-000") == FAILED
     assert set(outcomes.values()) == {MADE}

@@ -11,7 +11,7 @@ import pytest
 from drivers.clock import SystemClock
 from drivers.rig_doser.doser import RigDoser
 from drivers.rig_doser.emulator.frames import framed
-from drivers.rig_doser.line import Line
+from drivers.rig_doser.line import RigDoserLine
 from drivers.rig_doser.wire import Refusal
 from tankrig.errors import DeviceError, UndecidedError
 
@@ -218,7 +218,7 @@ def test_a_stale_reply_is_never_taken_for_the_right_one() -> None:
     """A reply that comes too late is followed by the right one: the driver must wait for that."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    line = Line(os.ttyname(slave), "doser", SystemClock())
+    line = RigDoserLine(os.ttyname(slave), "doser", SystemClock())
 
     def answer() -> None:
         sequence = int(os.read(master, 100)[1:3], 16)

@@ -40,7 +40,6 @@ def having(name: str) -> pytest.MarkDecorator:
 def stored(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A copy of what a version has stored."""
     monkeypatch.delenv("TANKRIG_RIG", raising=False)
-    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path / "cache"))
     shutil.copytree(STORED / request.param, tmp_path / "stored")
     yield tmp_path / "stored"
     subprocess.run(["pkill", "-f", f"emulator.*{tmp_path}"], check=False)

@@ -1,5 +1,6 @@
 """Steps that stop early: no more light than it takes to know what a person asked for, and the journal says why."""
 
+import itertools
 import threading
 from pathlib import Path
 
@@ -7,7 +8,9 @@ import pytest
 
 import tankrig
 from tankrig import SequenceError
+from tankrig.devices import Frame
 from tankrig.dosing import DoseLimits
+from tankrig.run.rig import Rig
 from tankrig.run.runner import UNFITTED, Runner
 from tankrig.run.start import new_run, resumed_run
 from tankrig.run.state import FinishReason
@@ -26,20 +29,18 @@ SEQUENCE = Sequence(
 )
 
 
-def fitting(runner: Runner, model: str = "tank") -> None:
-    """A live fit that knows σs to 4 % by the square root of the lit frames it has seen, in the thread of the run."""
-    runner.fitted, seen = True, [0]
-    put_frame = runner._writer.put_frame
+def knowing(runner: Runner, rig: Rig, model: str = "tank", recorded: int = 0) -> None:
+    """A live fit that is never late, and knows σs to 4 % over the number of lit frames that the camera has taken."""
+    runner.fitted, seen, capture = True, itertools.count(1), rig.camera.capture
 
-    def put(*args, **fields):
-        index = put_frame(*args, **fields)
-        seen[0] += 1
-        sd = 0.04 * 0.02 / seen[0]
+    def captured(after_ns: int, timeout_s: float) -> Frame:
+        frame, frames = capture(after_ns, timeout_s), next(seen)
+        sd = 0.04 * 0.02 / frames
         fit = {"fit": "dose", "dose_ml": 0.01, "sigma_a": 0.001, "sigma_s": 0.02, "g": 0.5, "sd": [1.0, sd, 0.001]}
-        runner.latest_fit = fit | {"model": model, "newest": index}
-        return index
+        runner.latest_fit = fit | {"model": model, "newest": recorded + frames - 1}
+        return frame
 
-    runner._writer.put_frame = put
+    rig.camera.capture = captured
 
 
 def done(run: tankrig.Run) -> list[dict]:
@@ -51,12 +52,12 @@ def test_a_step_stops_when_enough_is_known_and_the_next_projects_nothing(tmp_pat
     """Light and time are spent on what is not known yet; the run's journal tells why there are fewer frames."""
     rig = memory_rig(tmp_path)
     runner = new_run(SEQUENCE, rig, tmp_path / "run")
-    fitting(runner, model)
+    knowing(runner, rig, model)
     assert runner.run().reason is FinishReason.COMPLETED
     run = tankrig.open_run(tmp_path / "run")
     assert run.frames.pattern.values.tolist() == ["full"] * 4 + ["dark"] * 2
     stopped = [(one.get("frames"), one.get("stopped")) for one in done(run)][1:3]
-    assert stopped == [(4, "σs to 1.00% and g to 0.001 is known"), (0, "σs to 1.00% and g to 0.001 is known")]
+    assert stopped == [(4, "σs to 1.00% and g to 0.001 are known"), (0, "σs to 1.00% and g to 0.001 are known")]
     assert [pattern.name for _, pattern in rig.projector.shown] == ["full", "dark", "dark"]
 
 
@@ -72,8 +73,9 @@ def test_without_a_live_fit_every_frame_is_taken_and_the_journal_says_so(tmp_pat
 def test_time_ends_a_step_too(tmp_path: Path) -> None:
     """A wish that cannot be reached must not hold the experiment up."""
     step = Capture("full", 1000, until=Until(sigma_a="0.001 %"), timeout_s=0.05)
-    runner = new_run(Sequence("late", (Dose(10.0), step), exposure_ms=1.0), memory_rig(tmp_path), tmp_path / "run")
-    fitting(runner)
+    rig = memory_rig(tmp_path)
+    runner = new_run(Sequence("late", (Dose(10.0), step), exposure_ms=1.0), rig, tmp_path / "run")
+    knowing(runner, rig)
     assert runner.run().reason is FinishReason.COMPLETED
     run = tankrig.open_run(tmp_path / "run")
     assert done(run)[1]["stopped"] == "0.05 s have passed"
@@ -102,21 +104,25 @@ def test_with_a_timeout_a_slow_fit_is_waited_for(tmp_path: Path) -> None:
 
 def test_a_resumed_run_counts_the_frames_it_has_and_stops_all_the_same(tmp_path: Path) -> None:
     """Resuming must neither take a step's frames twice nor forget what is known."""
-    runner = new_run(SEQUENCE, memory_rig(tmp_path), tmp_path / "run")
-    fitting(runner)
-    record = runner._writer.put_frame
+    rig = memory_rig(tmp_path)
+    runner = new_run(SEQUENCE, rig, tmp_path / "run")
+    knowing(runner, rig)
+    capture, seen = rig.camera.capture, itertools.count(1)
 
-    def aborting(*args, **fields):
-        index = record(*args, **fields)
-        if index == 1:
+    def aborted_at_the_second(after_ns: int, timeout_s: float) -> Frame:
+        frame = capture(after_ns, timeout_s)
+        if next(seen) == 2:
             runner.abort()
-        return index
+        return frame
 
-    runner._writer.put_frame = aborting
+    rig.camera.capture = aborted_at_the_second
     assert runner.run().reason is FinishReason.ABORTED
-    again = resumed_run(tmp_path / "run", memory_rig(tmp_path))
+    recorded = tankrig.open_run(tmp_path / "run").frames.sizes["frame"]
+    assert recorded == 2
+    rig = memory_rig(tmp_path)
+    again = resumed_run(tmp_path / "run", rig)
     again.latest_fit = runner.latest_fit
-    fitting(again)
+    knowing(again, rig, recorded=recorded)
     assert again.run().reason is FinishReason.COMPLETED
     run = tankrig.open_run(tmp_path / "run")
     assert run.frames.step.values.tolist() == [1] * (2 + 4) + [3] * 2

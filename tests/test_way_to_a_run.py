@@ -18,7 +18,7 @@ from tankrig.calibration.board import LEAST_MARKERS, markers_of_any_board
 from tankrig.calibration.witness import require_no_board
 from tankrig.devices import Delivered
 from tankrig.dosing import TankLedger
-from tankrig.dosing.records import Joint
+from tankrig.dosing.records import JointCount
 from tankrig.errors import ImageError, SequenceError
 from tankrig.live.exposures import PhotographPlan
 from tankrig.live.light_seen import require_light_seen
@@ -101,7 +101,7 @@ def test_a_sequence_that_cannot_be_carried_out_is_found_by_the_doctor(
 def inked(rig: RigFile, volume_ul: float) -> None:
     ledger = TankLedger(rig.ledger)
     none, held = Delivered(0.0, 0.0, 0.0), Delivered(volume_ul, volume_ul, volume_ul)
-    ledger.join(Joint("doser", none, none))
+    ledger.join(JointCount("doser", none, none))
     ledger.begin("run", volume_ul)
     ledger.end(held)
     ledger.close()

@@ -14,7 +14,7 @@ from drivers.emulation.truth import read_truth
 from drivers.rig import load_rig_file
 from tankrig.devices import Delivered
 from tankrig.dosing import TankLedger
-from tankrig.dosing.records import Joint
+from tankrig.dosing.records import JointCount
 from tankrig.run import disk
 from tankrig.run.recovery import recover
 from tests.window_rig import LONG_DOSE, until, wait_ms, window_on, write_rig
@@ -129,7 +129,7 @@ def test_an_unknown_tank_is_explained_and_resolved(tmp_path):
     rig = write_rig(tmp_path)
     ledger = TankLedger(load_rig_file(rig).ledger)
     nothing = Delivered(0.0, 0.0, 0.0)
-    ledger.join(Joint("another doser", nothing, nothing))
+    ledger.join(JointCount("another doser", nothing, nothing))
     ledger.begin("some run", 500.0)
     ledger.close()
     with window_on(tmp_path, rig) as window:

@@ -87,7 +87,8 @@ def test_budgets_are_checked_while_editing(document, tmp_path):
     assert "2600" in document.text.splitlines()[document.problem.line - 1]
     document.undo.undo()
     document.edit_text(document.text.replace("duty = 0.5", "duty = 1.5"))
-    assert document.problem.sentence.startswith("patterns.stripes: duty = 1.5")
+    assert document.problem.sentence.startswith("patterns.stripes.duty = 1.5 is outside")
+    assert "duty = 1.5" in document.text.splitlines()[document.problem.line - 1]
 
 
 def test_a_saved_sequence_is_the_one_that_was_edited(document, tmp_path):

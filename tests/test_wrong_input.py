@@ -72,6 +72,18 @@ def test_a_few_mutated_files_are_read_or_refused_in_a_sentence(name: str, tmp_pa
     assert told["refused"] + told["accepted"] == FEW
 
 
+ONCE_FAILED = [
+    *[("pump", 321), ("calibration", 1491), ("journal", 108), ("journal", 113)],
+    *[("prepared", 575), ("prepared", 2227), ("prepared", 5290)],
+]
+"""Mutations that ended in a traceback, or in a sentence of thousands of letters, before they were mended."""
+
+
+@pytest.mark.parametrize(("name", "number"), ONCE_FAILED)
+def test_what_once_failed_stays_mended(name: str, number: int, tmp_path: Path) -> None:
+    assert not read_batch(name, number, 1, tmp_path)["failed"]
+
+
 def png_header(columns: int, rows: int) -> bytes:
     """A PNG that says it is so large, and holds next to nothing."""
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import serial
 
-from drivers.emulation.board import Board
+from drivers.emulation.board import EmulatedBoard
 from tankrig.errors import DeviceError
 
 BITS_PER_BYTE = 10
@@ -95,7 +95,7 @@ class VirtualCable:
         self.world = world
         self.plugged = False
         self.port: VirtualPort | None = None
-        self.board: Board | None = None
+        self.board: EmulatedBoard | None = None
         self._to_board = b""
         self._woken = False
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from drivers.clock import Clock
 from drivers.counted.counter import Reading, Trust
 from drivers.dosing.pump import Count
-from drivers.serial_line import Line, NoReplyError, NotSentError, PortOpener, open_port
+from drivers.serial_line import NoReplyError, NotSentError, PortOpener, SerialLine, open_port
 from tankrig.errors import DeviceError
 
 from . import wire
@@ -55,7 +55,7 @@ class CavroPump:
         self.lost_by_stopping = LOST_BY_STOPPING * settings.finer
         self._sequence, self._stops = itertools.cycle(range(1, 8)), 0
         self._stops_before = -1
-        self._line = Line(settings.port, settings.baud, name, wire.replies, lambda _: None, clock, opener)
+        self._line = SerialLine(settings.port, settings.baud, name, wire.replies, lambda _: None, clock, opener)
 
     # -- who -----------------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any, Protocol
 
 from .cable import Cable
-from .faults import Gremlin
+from .faults import FaultInjector
 from .truth import TruthFile
 
 
@@ -30,7 +30,7 @@ class Core(Protocol):
         """What it thinks of itself, for the control channel."""
 
 
-class Board(ABC):
+class EmulatedBoard(ABC):
     """A device, its cable and its motor.
 
     Parameters
@@ -68,9 +68,9 @@ class Board(ABC):
     ) -> None:
         self._state, self._cable, self._scale, self._boot_s = state, cable, time_scale, boot_s
         self._clock, self._in_bulk = now, in_bulk
-        self._gremlin = Gremlin(seed, self.most_hits)
+        self._injector = FaultInjector(seed, self.most_hits)
         self._lock = threading.Lock()
-        self._core: Core | None = None
+        self.core: Core | None = None
         self._booted_s = 0.0
         self._unplug_now = False
         self._replies: list[tuple[float, bytes]] = []
@@ -124,7 +124,7 @@ class Board(ABC):
 
     def live(self) -> None:
         """Wait a moment for the line, then let everything that is due happen."""
-        busy = self._core is None or self._core.moving or bool(self._replies)
+        busy = self.core is None or self.core.moving or bool(self._replies)
         self._cable.wait(max(0.0005, 0.004 * self._scale) if busy else 0.02)
         self.catch_up()
 
@@ -150,7 +150,7 @@ class Board(ABC):
         """
         with self._lock:
             if faults := request.get("faults"):
-                self._gremlin.set(dict(faults))  # type: ignore[call-overload]
+                self._injector.set(dict(faults))  # type: ignore[call-overload]
             action = request.get("do")
             if action == "plug" and not self._cable.plugged:
                 if self.powered_by_cable:
@@ -164,20 +164,20 @@ class Board(ABC):
                 self._reset()
             self.quitting |= action == "quit"
             truth = self._state.truth
-            believed = self._core.believed() if self._core else None
-            faults_now = asdict(self._gremlin.faults)
+            believed = self.core.believed() if self.core else None
+            faults_now = asdict(self._injector.faults)
             return {"true_steps": truth.steps, "moved_ns": truth.moved_ns, "board": believed, "faults": faults_now}
 
     def _unplug(self) -> None:
         self._cable.unplug()
         self._unplug_now = False
         if self.powered_by_cable:
-            self._core = None
+            self.core = None
         self._replies.clear()
         self._drop_client()
 
     def _reset(self) -> None:
-        self._core = None
+        self.core = None
         self._replies.clear()
         self._booted_s = self._now() + self._boot_s
 
@@ -189,16 +189,16 @@ class Board(ABC):
     def _live(self) -> None:
         now = self._now()
         if not self._cable.plugged:
-            if self._core:
-                self._core.advance(now)
+            if self.core:
+                self.core.advance(now)
             return
         received = self._receive()
-        if self._core is None and now >= self._booted_s:
-            self._core, greeting = self._power_up()
-            self._say(self._gremlin.junk() if self._gremlin.faults.junk else greeting)
-        elif self._core:
-            self._core.advance(now)
-            for answer in self._answers(self._core, received, now):
+        if self.core is None and now >= self._booted_s:
+            self.core, greeting = self._power_up()
+            self._say(self._injector.junk() if self._injector.faults.junk else greeting)
+        elif self.core:
+            self.core.advance(now)
+            for answer in self._answers(self.core, received, now):
                 self._say(answer)
         now = self._now()
         while self._replies and self._replies[0][0] <= now:
@@ -213,24 +213,24 @@ class Board(ABC):
             self._opened()
         if not opened:
             self._drop_client()
-        return b"" if self._gremlin.faults.deaf else self._gremlin.on_line(received)
+        return b"" if self._injector.faults.deaf else self._injector.on_line(received)
 
     def _send(self, data: bytes) -> None:
-        if self._client and not self._gremlin.faults.mute:
-            self._cable.send(self._gremlin.on_line(data))
+        if self._client and not self._injector.faults.mute:
+            self._cable.send(self._injector.on_line(data))
 
     def _say(self, data: bytes) -> None:
         """Queue what the device says; nothing overtakes what was said before."""
-        due = self._now() + self._gremlin.delay_s()
+        due = self._now() + self._injector.delay_s()
         self._replies.append((max(due, self._replies[-1][0]) if self._replies else due, data))
 
     def _run(self, steps: int) -> int:
         """As many steps of the motor at once as nothing befalls, the plunger following; the next is a `_pulse`."""
-        return self._gremlin.undisturbed(steps) if self._in_bulk else 0
+        return self._injector.undisturbed(steps) if self._in_bulk else 0
 
     def _pulse(self) -> bool:
         """One step of the motor; whether the plunger has followed."""
-        fate = self._gremlin.on_step()
+        fate = self._injector.on_step()
         self._unplug_now |= fate == "unplug"
         if fate == "reset" or (fate == "unplug" and self.powered_by_cable):
             raise PowerLostError

@@ -22,8 +22,8 @@ class Faults:
     unplug_after: int | None = None
 
 
-class Gremlin:
-    """Carries the faults out.
+class FaultInjector:
+    """Does to each byte on the line what the faults in force say.
 
     Parameters
     ----------

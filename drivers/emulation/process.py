@@ -10,7 +10,7 @@ import threading
 from pathlib import Path
 from typing import NoReturn, TextIO
 
-from .board import Board
+from .board import EmulatedBoard
 from .faults import Faults
 
 EPILOG = """\
@@ -40,7 +40,7 @@ def parser(module: str, description: str) -> argparse.ArgumentParser:
     return made
 
 
-def serve(board: Board, args: argparse.Namespace) -> None:
+def serve(board: EmulatedBoard, args: argparse.Namespace) -> None:
     """Run until told to quit, or until nobody has wanted the device for long enough."""
     signal.signal(signal.SIGTERM, lambda *_: board.quit())
     board.command({"faults": args.faults})
@@ -65,7 +65,7 @@ def _faults(text: str) -> dict[str, object]:
     return faults
 
 
-def _serve(board: Board, control: Path) -> NoReturn:
+def _serve(board: EmulatedBoard, control: Path) -> NoReturn:
     """Answer the control socket for as long as the process lives."""
     control.unlink(missing_ok=True)
     with socket.socket(socket.AF_UNIX) as server, selectors.DefaultSelector() as selector:
@@ -81,7 +81,7 @@ def _serve(board: Board, control: Path) -> NoReturn:
                     selector.unregister(key.fileobj)
 
 
-def _converse(board: Board, stream: TextIO) -> bool:
+def _converse(board: EmulatedBoard, stream: TextIO) -> bool:
     """Answer one line; False once the other side is gone."""
     with contextlib.suppress(OSError):
         if line := stream.readline():
@@ -93,7 +93,7 @@ def _converse(board: Board, stream: TextIO) -> bool:
     return False
 
 
-def _answer(board: Board, line: str) -> dict[str, object]:
+def _answer(board: EmulatedBoard, line: str) -> dict[str, object]:
     try:
         return board.command(json.loads(line))
     except (ValueError, TypeError, AttributeError) as error:

@@ -38,7 +38,7 @@ class Crtc:
 
 
 @dataclass(frozen=True)
-class Above:
+class WindowAbove:
     """A window that may be seen, above another in the stack."""
 
     window: int
@@ -107,7 +107,7 @@ class XDisplay:
         )  # fmt: skip
         return x.value, y.value, attributes.width, attributes.height
 
-    def above(self, window: int) -> tuple[Above, ...]:
+    def above(self, window: int) -> tuple[WindowAbove, ...]:
         """Windows that may be seen, above the one that holds `window`, the lowest first."""
         top = self.top_level(window)
         stack = self._children(self._root)
@@ -117,7 +117,7 @@ class XDisplay:
             if attributes and attributes.map_state == _VIEWABLE and attributes.window_class == _INPUT_OUTPUT:
                 border = 2 * attributes.border_width
                 place = (attributes.x, attributes.y, attributes.width + border, attributes.height + border)
-                found.append(Above(other, self._title(other), place))
+                found.append(WindowAbove(other, self._title(other), place))
         return tuple(found)
 
     def top_level(self, window: int) -> int:

@@ -12,7 +12,7 @@ from tankrig import bounded_reading
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
-from .pattern_table import Line, Trigger
+from .pattern_table import TableEntry, Trigger
 
 _PLANES = 24
 _ENDINGS = (".png", ".bmp", ".tif", ".tiff")
@@ -88,7 +88,7 @@ class Flash:
         )
 
 
-def lines(places: Sequence[Place], led: int, trigger: Trigger) -> tuple[tuple[Line, ...], tuple[int, ...]]:
+def lines(places: Sequence[Place], led: int, trigger: Trigger) -> tuple[tuple[TableEntry, ...], tuple[int, ...]]:
     """Lines of the pattern table, and the images that they use.
 
     Raises
@@ -101,7 +101,7 @@ def lines(places: Sequence[Place], led: int, trigger: Trigger) -> tuple[tuple[Li
         following = place.image != images[-1]
         if following:
             images.append(place.image)
-        found.append(Line(place.number, place.bits, led, trigger, black=True, next_image=following))
+        found.append(TableEntry(place.number, place.bits, led, trigger, black=True, next_image=following))
     if len(images) > 2:
         raise DeviceError(
             f"a burst goes through pictures {', '.join(map(str, images))} of the LightCrafter's flash, which holds two "

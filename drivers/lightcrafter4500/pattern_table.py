@@ -8,7 +8,7 @@ LEAST_EXPOSURE_US = (235, 700, 1570, 1700, 2000, 2500, 4500, 8333)
 """By the number of bits of a pattern, from 1 on."""
 DARK_US = 230
 """By which an exposure that is not the whole period has to be shorter."""
-MOST_LINES = 128
+MOST_ENTRIES = 128
 LED = {"red": 1, "green": 2, "blue": 4, "white": 7}
 
 
@@ -21,7 +21,7 @@ class Trigger(IntEnum):
 
 
 @dataclass(frozen=True)
-class Line:
+class TableEntry:
     """One pattern of a sequence.
 
     Parameters
@@ -41,7 +41,7 @@ class Line:
 
     Examples
     --------
-    >>> Line(0, 8, LED["white"], Trigger.RISING).packed().hex(" ")
+    >>> TableEntry(0, 8, LED["white"], Trigger.RISING).packed().hex(" ")
     '01 78 00'
     """
 
@@ -72,7 +72,7 @@ class PatternTable:
         Numbers of the images in flash that it uses, in order; empty where the patterns come from the video input.
     """
 
-    lines: tuple[Line, ...]
+    lines: tuple[TableEntry, ...]
     exposure_us: int
     period_us: int
     images: tuple[int, ...] = ()

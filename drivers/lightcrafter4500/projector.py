@@ -18,7 +18,7 @@ from tankrig.pattern import Pattern
 
 from .board import PatternBoard
 from .flash import Flash, lines
-from .pattern_table import DARK_US, LEAST_EXPOSURE_US, LED, MOST_LINES, Line, PatternTable, Trigger
+from .pattern_table import DARK_US, LEAST_EXPOSURE_US, LED, MOST_ENTRIES, PatternTable, TableEntry, Trigger
 from .settings import LightcrafterSettings
 from .usb_link import NAME, UsbLink
 
@@ -192,8 +192,8 @@ class Lightcrafter:
         settings = self._settings
         if self._flash is None:
             raise DeviceError(f"{self.name}: shows no bursts, since nobody has said what its flash holds; set flash")
-        if not 1 <= len(patterns) <= MOST_LINES:
-            raise DeviceError(f"{self.name}: shows 1 to {MOST_LINES} patterns in a burst, not {len(patterns)}")
+        if not 1 <= len(patterns) <= MOST_ENTRIES:
+            raise DeviceError(f"{self.name}: shows 1 to {MOST_ENTRIES} patterns in a burst, not {len(patterns)}")
         places = self._flash.places(patterns)
         lit_us = round(1000 * exposure_ms) - _WITHIN_US
         least_us = max(LEAST_EXPOSURE_US[place.bits - 1] for place in places)
@@ -215,5 +215,5 @@ def _each_refresh(settings: LightcrafterSettings) -> PatternTable:
     """The video input as one 8-bit pattern of each refresh: pattern 0 is the 8 bits of green."""
     period_us = settings.period_us
     exposure_us = settings.exposure_us or period_us
-    line = Line(0, 8, LED[settings.led], Trigger.RISING, black=exposure_us < period_us)
+    line = TableEntry(0, 8, LED[settings.led], Trigger.RISING, black=exposure_us < period_us)
     return PatternTable((line,), exposure_us, period_us)

@@ -8,7 +8,7 @@ from drivers.simulated.projector import SimulatedProjector
 from drivers.simulated.settings import SimulatedProjectorSettings
 from tankrig.devices import Projector
 
-from .emulator.backend import Board, Faults
+from .emulator.backend import Faults, LightcrafterOnBus
 from .emulator.controller import Controller, Habits
 from .flash import Flash, Place
 from .projector import Lightcrafter
@@ -42,7 +42,7 @@ class SimulatedLightcrafter(Lightcrafter):
         habits = Habits(in_standby=settings.in_standby)
         self._lit = _LitController(habits, flash, self._buffer)
         self._buffer.catch_up = self._lit.catch_up
-        board = Board(self._lit)
+        board = LightcrafterOnBus(self._lit)
         self.faults: Faults = board.faults
 
         def window(asked: LightcrafterSettings) -> Projector:

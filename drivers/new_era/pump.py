@@ -11,7 +11,7 @@ from enum import Enum
 from drivers.clock import Clock
 from drivers.counted.counter import Reading, Trust
 from drivers.dosing.pump import Count
-from drivers.serial_line import Line, NoReplyError, PortOpener, open_port
+from drivers.serial_line import NoReplyError, PortOpener, SerialLine, open_port
 from tankrig.errors import DeviceError
 
 from . import wire
@@ -89,7 +89,7 @@ class NewEraPump:
         self.repeats = self._tells_power_failure_mode = False
         self._mode: Mode = Mode.UNCERTAIN
         self._shown_at_rest, self._count_at_rest = "", Count.exactly(0)
-        self._line = Line(settings.port, settings.baud, name, self._frames, self._heard, clock, opener)
+        self._line = SerialLine(settings.port, settings.baud, name, self._frames, self._heard, clock, opener)
 
     # -- who -----------------------------------------------------------------------------------------------------------
 

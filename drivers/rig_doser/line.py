@@ -13,7 +13,7 @@ BAUD = 115200
 BANNER_S = 3.0
 
 
-class Line:
+class RigDoserLine:
     """An open serial port with a doser on it.
 
     Parameters

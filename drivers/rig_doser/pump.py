@@ -12,7 +12,7 @@ from drivers.serial_line import NoReplyError, PortOpener, open_port
 from tankrig.errors import DeviceError
 
 from . import wire
-from .line import Line
+from .line import RigDoserLine
 from .settings import RigDoserSettings
 
 ATTEMPTS = 3
@@ -46,7 +46,7 @@ class RigPump:
         self._last: wire.State
         self._most_ever: int | None = None
         """Steps that cannot have been passed, from what it counted and was told to do in this program."""
-        self._line = Line(settings.port, name, clock, opener)
+        self._line = RigDoserLine(settings.port, name, clock, opener)
 
     # -- who -----------------------------------------------------------------------------------------------------------
 

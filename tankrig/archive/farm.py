@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from tankrig.archive.refit import Errand
+from tankrig.archive.refit import RunToRefit
 from tankrig.archive.task import FAILED, MADE, Done, OtherCodeError
 from tankrig.errors import StoreError, TankrigError
 
@@ -191,8 +191,8 @@ one on another machine has to ask for certificates; start it with them, and give
     )
 
 
-def by_workers(client: "Client", wanted: Sequence[Errand]) -> Iterator[Done]:
-    """Have all errands done, a few at a time for each worker, in whatever order they end.
+def by_workers(client: "Client", wanted: Sequence[RunToRefit]) -> Iterator[Done]:
+    """Refit all these runs, a few at a time for each worker, in whatever order they end.
 
     Runs that are fitted in less than `PACK_S` are sent in packs, since sending costs 8 ms of this process each time.
     Each run of a pack is kept as soon as it is fitted, so that a worker that dies still loses one at most.
@@ -207,15 +207,15 @@ def by_workers(client: "Client", wanted: Sequence[Errand]) -> Iterator[Done]:
     from distributed import as_completed
 
     waiting, pace = deque(wanted), Pace()
-    by_key: dict[str, tuple[Errand, ...]] = {}
+    by_key: dict[str, tuple[RunToRefit, ...]] = {}
     count = itertools.count()
 
-    def sent(pack: tuple[Errand, ...]) -> Any:
+    def sent(pack: tuple[RunToRefit, ...]) -> Any:
         key = f"refit-{pack[0].name}-{next(count)}-{os.getpid()}"
         by_key[key] = pack
         return client.submit(_run, pack, pure=False, key=key)
 
-    def next_pack() -> tuple[Errand, ...]:
+    def next_pack() -> tuple[RunToRefit, ...]:
         size = min(pace.pack, -(-len(waiting) // _room(client)))  # the last ones are for all workers
         return tuple(waiting.popleft() for _ in range(size))
 
@@ -272,7 +272,7 @@ class Pace:
         return max(1, int(PACK_S / statistics.fmean(self._latest_s)))
 
 
-def _run(pack: tuple[Errand, ...]) -> list[Done]:
+def _run(pack: tuple[RunToRefit, ...]) -> list[Done]:
     return [one.run() for one in pack]
 
 
@@ -281,8 +281,8 @@ def _room(client: "Client") -> int:
     return AHEAD * max(threads, 2)
 
 
-def _outcomes(client: "Client", future: Any, pack: tuple[Errand, ...]) -> list[Done] | None:
-    """What became of a pack; None where workers died with it or an error ended it, and each run is to be tried alone."""
+def _outcomes(client: "Client", future: Any, pack: tuple[RunToRefit, ...]) -> list[Done] | None:
+    """What became of a pack; None where workers died with it or an error ended it, and each is tried alone."""
     from distributed import KilledWorker
 
     try:

@@ -18,7 +18,7 @@ KEPT = 24
 """Models that a process keeps in memory, some hundred kB each; the others are read from disk again."""
 
 
-class Wanted(Preparing):
+class ModelsOnDemand(Preparing):
     """Models of one run, prepared in the caller's thread when they are asked for and not before.
 
     The live fit prepares what may come, beside the experiment, and so what it has at a moment depends on how quick the
@@ -77,24 +77,24 @@ class Wanted(Preparing):
 
 def shared_model(scene: Scene, box: Box, progress: Callable[[str], None] = lambda _: None) -> Prepared:
     """The model of a scene for a box: from memory, from disk, or made now, by one process for all."""
-    return _in_memory(scene, box, _Telling(progress))
+    return _in_memory(scene, box, _Listener(progress))
 
 
-class _Telling:
-    """Somebody to tell, of whom a cache takes no notice."""
+class _Listener:
+    """Whom to tell; all are equal, so that a cache of models does not tell them apart."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self.tell = tell
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Telling)
+        return isinstance(other, _Listener)
 
     def __hash__(self) -> int:
         return 0
 
 
 @lru_cache(maxsize=KEPT)
-def _in_memory(scene: Scene, box: Box, telling: _Telling) -> Prepared:
+def _in_memory(scene: Scene, box: Box, telling: _Listener) -> Prepared:
     file = place_of(scene, box, tolerance_for(scene, box)).model
     if file.exists():
         return model_for(scene, box)

@@ -18,7 +18,7 @@ RECENT_S = 60.0
 
 
 @dataclass(frozen=True)
-class Errand:
+class RunToRefit:
     """One run to be fitted: what a worker is told, short enough to be sent a hundred thousand times."""
 
     path: str
@@ -109,7 +109,7 @@ def in_words(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"
 
 
-def errands(archive: Path, results: Results, refitting: Refitting) -> list[Errand]:
+def runs_to_refit(archive: Path, results: Results, refitting: Refitting) -> list[RunToRefit]:
     """What there is to do in an archive, by the names of the runs; whether it was done is seen when it is begun.
 
     Raises
@@ -119,7 +119,7 @@ def errands(archive: Path, results: Results, refitting: Refitting) -> list[Erran
     """
     results.require_place()
     top, out = archive.resolve(), str(results.folder.resolve())
-    return [Errand(str(path), _name(path, top), out, refitting) for path in runs_in(top)]
+    return [RunToRefit(str(path), _name(path, top), out, refitting) for path in runs_in(top)]
 
 
 def _name(path: Path, top: Path) -> str:
@@ -135,14 +135,14 @@ def followed(outcomes: Iterable[Done], total: int, told: Told) -> Progress:
     return progress
 
 
-def in_this_process(wanted: Iterable[Errand]) -> Iterator[Done]:
+def in_this_process(wanted: Iterable[RunToRefit]) -> Iterator[Done]:
     """One run after the other."""
     for one in wanted:
         yield one.run()
 
 
-def beside_others(do: Callable[[Sequence[Errand]], Iterable[Done]], wanted: Sequence[Errand]) -> Iterator[Done]:
-    """Have errands done where other programs may be at the same archive.
+def beside_others(do: Callable[[Sequence[RunToRefit]], Iterable[Done]], wanted: Sequence[RunToRefit]) -> Iterator[Done]:
+    """Refit runs where other programs may be at the same archive.
 
     What another one is at is left for the end, and then waited for: so both are busy until all is done, no run is
     fitted twice, and what one of them leaves behind when it is killed the other does.
@@ -154,17 +154,17 @@ def beside_others(do: Callable[[Sequence[Errand]], Iterable[Done]], wanted: Sequ
     wanted
         In the order in which they are begun.
     """
-    errand = {one.name: one for one in wanted}
+    asked = {one.name: one for one in wanted}
     taken = []
     for done in do([replace(one, wait=False) for one in wanted]):
         if done.outcome == TAKEN:
-            taken.append(errand[done.name])
+            taken.append(asked[done.name])
         else:
             yield done
     yield from do(taken)
 
 
-def from_share(wanted: Sequence[Errand], share: int, shares: int) -> list[Errand]:
+def from_share(wanted: Sequence[RunToRefit], share: int, shares: int) -> list[RunToRefit]:
     """The whole list, begun at another place by each of several programs that know nothing of each other.
 
     >>> from_share([1, 2, 3, 4], 1, 2)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tankrig.archive.key import Refitting, refit_key
 from tankrig.archive.mark import refit_mark
-from tankrig.archive.models import Wanted
+from tankrig.archive.models import ModelsOnDemand
 from tankrig.archive.results import FORMAT, Results, Row, made_now
 from tankrig.errors import ImageError, StoreError, TankrigError
 from tankrig.live.exposures import PhotographPlan, exposures_of
@@ -123,7 +123,7 @@ def fits_of_archived(run: Run, refitting: Refitting, progress: Callable[[str], N
     if refitting.model == "tank":
         fits = list(fits_made(run, everything=True, model="tank"))
     else:
-        fitter = Fitter((), Wanted(progress), PhotographPlan.of_run(run), progress)
+        fitter = Fitter((), ModelsOnDemand(progress), PhotographPlan.of_run(run), progress)
         made = fit_all_there_is(fitter, lambda: (exposures, True), _nothing_to_wait_for)
         fits = [fit for fit in made if not (isinstance(fit, DoseFit) and fit.passing)]
     failed = [fit for fit in fits if isinstance(fit, FailedFit)]

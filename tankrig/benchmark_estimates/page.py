@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tankrig.benchmark_estimates.section import Section
 from tankrig.files import whole_file
+from tankrig.report.inlined import rendered
 
 
 def write_page(sections: Sequence[Section], path: Path) -> None:
@@ -17,12 +18,11 @@ def write_page(sections: Sequence[Section], path: Path) -> None:
     ------
     StoreError
         When the file cannot be written.
+    MissingExtraError
+        Where the extra `report` is not installed.
     """
-    import jinja2
-
-    loader = jinja2.PackageLoader("tankrig.benchmark_estimates", "")
-    template = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("page.html")
-    page = template.render(
+    page = rendered(
+        "page.html", "tankrig.benchmark_estimates",
         sections=sections, version=version("tankrig"), machine=platform.machine(),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )  # fmt: skip

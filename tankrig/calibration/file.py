@@ -162,8 +162,8 @@ def load(path: Path) -> Calibration:
         layout = int(table.pop("format", 0))
     except OSError as error:
         raise StoreError(f"{path}: cannot be read ({error.strerror}); {again}") from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise StoreError(f"{path}: is no whole calibration file ({error}); {again}") from error
+    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
+        raise StoreError(f"{path}: is no whole calibration file ({str(error)[:200]}); {again}") from error
     if layout > FORMAT:
         raise StoreError(
             f"{path}: was written by {table.get('program', 'a newer tankrig')} in format {layout}, and this "
@@ -206,7 +206,7 @@ def newest(folder: Path, kind: str) -> Calibration | None:
 
 
 @dataclass(frozen=True)
-class PassedOver:
+class UnusableCalibration:
     """A calibration file that cannot be used although it is the newest of its kind, so that an older one would count.
 
     Parameters
@@ -280,7 +280,7 @@ def usable(folder: Path, named: Mapping[str, str] | None = None) -> dict[str, Ca
     return found
 
 
-def passed_over(folder: Path, named: Mapping[str, str] | None = None) -> list[PassedOver]:
+def passed_over(folder: Path, named: Mapping[str, str] | None = None) -> list[UnusableCalibration]:
     """Files that cannot be used, of kinds that nobody has named one of, and are newer than what would count instead."""
     found = usable(folder, named)
     over = []
@@ -288,7 +288,7 @@ def passed_over(folder: Path, named: Mapping[str, str] | None = None) -> list[Pa
         instead = found.get(_kind(path))
         older = instead is not None and instead.path is not None and path.stem < instead.path.stem
         if isinstance(one, StoreError) and not older and _kind(path) not in (named or {}):
-            over.append(PassedOver(path, one, instead))
+            over.append(UnusableCalibration(path, one, instead))
     return over
 
 

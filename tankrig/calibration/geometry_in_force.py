@@ -122,12 +122,12 @@ def camera_pose(tank: Calibration) -> Pose:
 
 
 def projector_pose(projector: Calibration) -> Pose:
-    """Of the projector in the tank's frame."""
+    """Where the projector stands in the tank's frame."""
     return Pose(_vector(projector, "rotation"), _vector(projector, "translation_mm"))
 
 
 def surface_of(tank: Calibration) -> "Window":
-    """Of the water."""
+    """The water's surface, as light passes it."""
     from tankrig.geometry.refraction import water_surface  # numba: half a second that opening a rig need not wait for
 
     return water_surface(float(tank.result["level_mm"]), float(tank.result["water_index"]))

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -261,6 +261,8 @@ def load_pump_calibration(path: Path) -> PumpCalibration:
         values = bounded_reading.parsed_toml(bounded_reading.text(path))
         if (values.pop("kind"), values.pop("format")) != ("pump", FORMAT):
             raise ValueError("another kind or version")
+        if unknown := sorted(values.keys() - {field.name for field in fields(PumpCalibration)}):
+            raise ValueError(f'key "{unknown[0][:60]}" is unknown')
         found = PumpCalibration(**values)
         found = replace(found, nominal_ul=tuple(found.nominal_ul), mass_mg=tuple(found.mass_mg))
         if not _PLAUSIBLE[0] <= found.correction <= _PLAUSIBLE[1]:

@@ -32,7 +32,7 @@ Image = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Testimony:
+class WitnessReport:
     """What the camera says.
 
     Parameters
@@ -47,7 +47,7 @@ class Testimony:
     finding: str
 
 
-def witness(projector: Projector, camera: Camera, rule: ExposureRule) -> Testimony:
+def witness(projector: Projector, camera: Camera, rule: ExposureRule) -> WitnessReport:
     """Show dark, full and three patterns of bands, and ask the camera; takes some seconds.
 
     Parameters
@@ -71,7 +71,7 @@ def witness(projector: Projector, camera: Camera, rule: ExposureRule) -> Testimo
     return told_by(light, seen, back, camera.saturation)
 
 
-def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> Testimony:
+def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> WitnessReport:
     """What pictures say, each (rows, columns) of counts above the dark.
 
     Parameters
@@ -87,23 +87,25 @@ def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> 
     """
     brightest = _brightest(light)
     if brightest < _DIM * saturation:
-        return Testimony(
+        return WitnessReport(
             None,
             "the camera sees too little of its light: clear water (it needs ink or paper), a cap, or a cover",
         )
     lit = light > _LIT * brightest
     if abs(float(back[lit].mean())) > _BACK * float(light[lit].mean()):
-        return Testimony(False, "dark is not what it was a second ago: it follows late, or other light comes and goes")
+        return WitnessReport(
+            False, "dark is not what it was a second ago: it follows late, or other light comes and goes"
+        )
     part = np.array([one[lit] / light[lit] for one in seen])
     if part.min(axis=0).mean() < -_LIT or part.max(axis=0).mean() > 1.0 + _LIT:
-        return Testimony(False, "parts of the picture are brighter than all of it; it shows something else")
+        return WitnessReport(False, "parts of the picture are brighter than all of it; it shows something else")
     gray = sum((part[bit] > 0.5).astype(int) << bit for bit in range(_BITS))
     number = np.asarray(gray) ^ (np.asarray(gray) >> 1) ^ (np.asarray(gray) >> 2)
     rows, columns = np.nonzero(lit)
     share = np.bincount(number, minlength=BANDS) * BANDS / number.size
     missing = [str(band + 1) for band in range(BANDS) if share[band] < _FEW]
     if missing:
-        return Testimony(
+        return WitnessReport(
             None if len(missing) < BANDS - 1 else False,
             f"no light of {', '.join(missing)} of {BANDS} bands, counted from the left, is seen; something covers them "
             f"or the camera does not see there",
@@ -112,8 +114,8 @@ def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> 
     steps = np.diff(places, axis=0)
     across = steps.sum(axis=0)
     if not (steps @ across > 0.0).all():
-        return Testimony(False, "the bands do not follow each other as they were shown; it shows something else")
-    return Testimony(True, f"all {BANDS} bands of its picture are seen, one beside the other")
+        return WitnessReport(False, "the bands do not follow each other as they were shown; it shows something else")
+    return WitnessReport(True, f"all {BANDS} bands of its picture are seen, one beside the other")
 
 
 def _brightest(light: Image) -> float:

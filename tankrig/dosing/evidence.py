@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from tankrig.devices import Delivered
 from tankrig.errors import UndecidedError
 
-from .records import SCALE_ROUNDING, Joint, Noted
+from .records import SCALE_ROUNDING, JointCount, NotedCount
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Account:
     """
 
     tank: Delivered
-    noted: Noted | None = None
-    joint: Joint | None = None
+    noted: NotedCount | None = None
+    joint: JointCount | None = None
     target_ul: float | None = None
     begun_with: str | None = None
     aside_ul: float | None = None
@@ -89,7 +89,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class TankFinding:
     """What the tank holds, or what is to be asked.
 
     Parameters
@@ -133,14 +133,14 @@ def between(tank: Delivered) -> str:
     return f"it is between {tank.low_ul:g} and {tank.high_ul:g} µl"
 
 
-def judge(evidence: Evidence) -> Judgement:
+def judge(evidence: Evidence) -> TankFinding:
     """Put all that is known together.
 
     Examples
     --------
     The ledger says 100 µl, and the doser has counted no more since:
 
-    >>> noted = Noted("d", Delivered(500.0, 500.0, 500.0))
+    >>> noted = NotedCount("d", Delivered(500.0, 500.0, 500.0))
     >>> ledger = Account(Delivered(100.0, 100.0, 100.0), noted)
     >>> judge(Evidence("d", noted.count, False, 0.1, ledger)).question is None
     True
@@ -162,7 +162,7 @@ def judge(evidence: Evidence) -> Judgement:
 # -- one account and the doser's count ---------------------------------------------------------------------------------
 
 
-def _by_count(account: Account, evidence: Evidence) -> Judgement:
+def _by_count(account: Account, evidence: Evidence) -> TankFinding:
     """What the tank holds by one account, and by what the doser has counted since."""
     tank = account.tank
     moved = _moved(account.noted, evidence)
@@ -176,7 +176,7 @@ def _by_count(account: Account, evidence: Evidence) -> Judgement:
     if moved is None:
         if target_ul is not None:
             return _asked(tank, tank.low_ul, max(tank.high_ul, target_ul), "the end of the last dose is not known")
-        return Judgement(tank)
+        return TankFinding(tank)
     slack_ul = _slack_ul(evidence)
     if _fell(moved, slack_ul):
         return _of_a_doser_that_began_anew(account, evidence)
@@ -184,7 +184,7 @@ def _by_count(account: Account, evidence: Evidence) -> Judgement:
     if moved.volume_ul > within_ul + slack_ul:
         why = f"{evidence.doser} has moved since without this tank's ledger, by {moved.volume_ul - within_ul:g} µl"
         return _asked(tank, tank.low_ul, tank.high_ul + moved.high_ul, why)
-    return Judgement(tank if target_ul is None else _with_dose(account, moved, evidence))
+    return TankFinding(tank if target_ul is None else _with_dose(account, moved, evidence))
 
 
 def _with_dose(account: Account, moved: Delivered, evidence: Evidence) -> Delivered:
@@ -197,7 +197,7 @@ def _with_dose(account: Account, moved: Delivered, evidence: Evidence) -> Delive
     return Delivered(*(max(value_ul, tank.low_ul) for value_ul in after))  # ink never comes back
 
 
-def _of_a_doser_that_does_not_know(account: Account, moved: Delivered | None, evidence: Evidence) -> Judgement:
+def _of_a_doser_that_does_not_know(account: Account, moved: Delivered | None, evidence: Evidence) -> TankFinding:
     tank, target_ul = account.tank, account.target_ul
     why = f"{evidence.doser} does not know what it has delivered"
     if moved is None or moved.high_ul < -_slack_ul(evidence):
@@ -207,7 +207,7 @@ def _of_a_doser_that_does_not_know(account: Account, moved: Delivered | None, ev
     return _asked(tank, tank.low_ul + surely_ul, tank.high_ul + max(0.0, moved.high_ul), why)
 
 
-def _of_a_doser_that_began_anew(account: Account, evidence: Evidence, why: str = "") -> Judgement:
+def _of_a_doser_that_began_anew(account: Account, evidence: Evidence, why: str = "") -> TankFinding:
     """Its count is below what was noted: it tells only what it has counted since it began anew."""
     tank = account.tank
     high_ul = max(tank.high_ul, account.target_ul or 0.0) + max(0.0, evidence.count.high_ul)
@@ -215,7 +215,7 @@ def _of_a_doser_that_began_anew(account: Account, evidence: Evidence, why: str =
     return _asked(tank, tank.low_ul, high_ul, why or words)
 
 
-def _moved(noted: Noted | None, evidence: Evidence) -> Delivered | None:
+def _moved(noted: NotedCount | None, evidence: Evidence) -> Delivered | None:
     """What the doser has counted since, µl: best value and bounds; None if there is nothing to compare with."""
     before = noted.on_scale_of(evidence.doser) if noted else None
     if before is None:
@@ -238,8 +238,8 @@ def _fell(moved: Delivered, slack_ul: float) -> bool:
     return moved.volume_ul < -slack_ul
 
 
-def _asked(tank: Delivered, low_ul: float, high_ul: float, why: str) -> Judgement:
-    return Judgement(Delivered(min(max(tank.volume_ul, low_ul), high_ul), low_ul, high_ul), why)
+def _asked(tank: Delivered, low_ul: float, high_ul: float, why: str) -> TankFinding:
+    return TankFinding(Delivered(min(max(tank.volume_ul, low_ul), high_ul), low_ul, high_ul), why)
 
 
 # -- the ledger and the run's journal ----------------------------------------------------------------------------------
@@ -273,38 +273,38 @@ def _agree(tank: Delivered, journal: Account, slack_ul: float) -> bool:
     return journal.tank.low_ul - slack_ul <= tank.volume_ul <= journal.target_ul + slack_ul
 
 
-def _with_the_runs_ledger(by_ledger: Judgement, journal: Account, slack_ul: float) -> Judgement:
+def _with_the_runs_ledger(by_ledger: TankFinding, journal: Account, slack_ul: float) -> TankFinding:
     tank = by_ledger.tank
     if by_ledger.question is not None:
         return by_ledger
     if (open_question := _left_open(journal, tank)) is not None:
-        return Judgement(tank, open_question)
+        return TankFinding(tank, open_question)
     if not _agree(tank, journal, slack_ul):
         why = (
             f"the run's journal says that the tank holds {journal.tank.volume_ul:g} µl, and its ledger and the doser "
             f"say {tank.volume_ul:g}: it was dosed into, or decided on, outside of this run"
         )
-        return Judgement(tank, why)
+        return TankFinding(tank, why)
     return by_ledger
 
 
-def _with_another_ledger(by_ledger: Judgement, journal: Account, evidence: Evidence) -> Judgement:
+def _with_another_ledger(by_ledger: TankFinding, journal: Account, evidence: Evidence) -> TankFinding:
     by_journal = _by_count(journal, evidence)
     if journal.noted is None and not _nothing_dosed(journal):  # of an earlier version: no count to go by
-        by_journal = Judgement(by_journal.tank._replace(high_ul=math.inf), by_journal.question)
+        by_journal = TankFinding(by_journal.tank._replace(high_ul=math.inf), by_journal.question)
     tanks = (by_ledger.tank, by_journal.tank)
     tank = by_ledger.tank._replace(low_ul=min(one.low_ul for one in tanks), high_ul=max(one.high_ul for one in tanks))
     agree = abs(by_ledger.tank.volume_ul - by_journal.tank.volume_ul) <= _slack_ul(evidence)
     if agree:
         why = by_ledger.question or by_journal.question or _left_open(journal, by_ledger.tank)
-        return by_ledger if why is None and math.isinf(tank.high_ul) else Judgement(tank, why)
+        return by_ledger if why is None and math.isinf(tank.high_ul) else TankFinding(tank, why)
     by_doser = f", by the doser {by_journal.tank.volume_ul:g}" if journal.noted else ""
     why = (
         f"the run's journal says that the tank holds {_held(journal)}{by_doser}, and this ledger, which is not known "
         f"to be of the same filling, says {by_ledger.tank.volume_ul:g} µl: "
         "the tank was filled anew, or its ledger was lost"
     )
-    return Judgement(tank, why)
+    return TankFinding(tank, why)
 
 
 def _nothing_dosed(journal: Account) -> bool:

@@ -9,10 +9,10 @@ from typing import Any, Protocol
 from tankrig.devices import Delivered, Doser
 from tankrig.errors import DeviceError, TankrigError, UndecidedError
 
-from .evidence import Account, Evidence, Judgement, between, judge, used_elsewhere_ul
+from .evidence import Account, Evidence, TankFinding, between, judge, used_elsewhere_ul
 from .ledger import TankLedger
 from .limits import DoseLimits, Remaining
-from .records import COUNT_KEYS, DoseDone, DoseIntent, Joint
+from .records import COUNT_KEYS, DoseDone, DoseIntent, JointCount
 
 _CLOSE_S = 60.0
 
@@ -77,7 +77,7 @@ class GuardedDoser:
         self._decided: dict[str, Any] = {}
         self._used_elsewhere_ul = 0.0
         self._dosing = threading.Lock()
-        self._judgement = Judgement(ledger.tank)
+        self._finding = TankFinding(ledger.tank)
         self._ask()
 
     # -- who and what ------------------------------------------------------------------------------------------------
@@ -89,12 +89,12 @@ class GuardedDoser:
 
     @property
     def identity(self) -> str:
-        """Of the device."""
+        """What tells the device from others of its kind."""
         return self._doser.identity
 
     @property
     def increment_ul(self) -> float:
-        """Of the device."""
+        """Smallest volume that the device doses, µl."""
         return self._doser.increment_ul
 
     @property
@@ -105,16 +105,16 @@ class GuardedDoser:
     @property
     def unknown(self) -> bool:
         """Whether a person has to say what the tank holds."""
-        return self._judgement.question is not None
+        return self._finding.question is not None
 
     @property
     def undecided(self) -> str | None:
         """What a person has to decide before anything moves, in a sentence with its numbers; None if nothing is."""
-        why, dose = self._judgement.question, self._ledger.open_dose
+        why, dose = self._finding.question, self._ledger.open_dose
         if why is None:
             return None
         run = f" (run {dose.run})" if dose else ""
-        held = between(self._judgement.tank).removeprefix("it is ")
+        held = between(self._finding.tank).removeprefix("it is ")
         return f"{self._ledger.path}: {why}; the tank holds {held}{run}: say how much it is in all (--delivered-ul)"
 
     @property
@@ -218,7 +218,7 @@ class GuardedDoser:
         finally:
             self._dosing.release()
 
-    def _known(self) -> Joint:
+    def _known(self) -> JointCount:
         """Ask again what the tank holds; where the doser's count and the tank's are put together."""
         self._ask()
         if self.undecided or self._ledger.joint is None:
@@ -256,7 +256,7 @@ class GuardedDoser:
         """Write down what a dose delivered, or that it is not known."""
         tank = self._ledger.tank
         in_doubt = tank._replace(high_ul=max(total_ul, tank.high_ul))
-        self._judgement = Judgement(in_doubt, "the end of the last dose is not known")
+        self._finding = TankFinding(in_doubt, "the end of the last dose is not known")
         self._ask()
         if self.undecided:
             raise UndecidedError(self.undecided)
@@ -270,7 +270,7 @@ class GuardedDoser:
         dose, joint = self._ledger.open_dose, self._ledger.joint
         if self._dosing.locked() and dose and joint:
             return joint.tank_at(self._doser.delivered())
-        return self._judgement.tank
+        return self._finding.tank
 
     def remaining(self) -> Remaining:
         """What the budgets still allow, µl."""
@@ -310,16 +310,16 @@ class GuardedDoser:
         DeviceError
             If nothing is undecided, or if the doser does not answer.
         """
-        question = self._judgement.question
+        question = self._finding.question
         if question is None:
             raise DeviceError(f"{self.name}: nothing is undecided; the tank holds {self.delivered().volume_ul:g} µl")
         self._ask()
         try:
-            exactly = self._judgement.answered(volume_ul, self.increment_ul)
+            exactly = self._finding.answered(volume_ul, self.increment_ul)
         except UndecidedError as error:
             raise UndecidedError(f"{self.name}: {error}") from None
         self._decided = {"said_ul": volume_ul, "asked": question}
-        if self._judgement.question is None:  # the doser has come to know meanwhile, and agrees
+        if self._finding.question is None:  # the doser has come to know meanwhile, and agrees
             return
         if self._doser.unknown:
             count, joint = self._count, self._ledger.joint
@@ -327,7 +327,7 @@ class GuardedDoser:
             self._doser.resolve(min(max(wanted_ul, count.low_ul), count.high_ul))
             self._count = self._doser.delivered()
         self._join(exactly, **self._decided)
-        self._known_by_journal, self._judgement = None, Judgement(self._ledger.tank)
+        self._known_by_journal, self._finding = None, TankFinding(self._ledger.tank)
 
     def close(self) -> None:
         """Stop a dose that runs, write down what it delivered, and let go of doser and ledger."""
@@ -356,30 +356,30 @@ class GuardedDoser:
             self._known_by_journal,
             ledger.after_run(self._run),
         )
-        judgement, self._used_elsewhere_ul = judge(evidence), used_elsewhere_ul(evidence)
-        if judgement.question is None:
-            self._write_down(judgement)
+        finding, self._used_elsewhere_ul = judge(evidence), used_elsewhere_ul(evidence)
+        if finding.question is None:
+            self._write_down(finding)
             self._known_by_journal = None
-        self._judgement = judgement
+        self._finding = finding
 
-    def _write_down(self, judgement: Judgement) -> None:
+    def _write_down(self, finding: TankFinding) -> None:
         """Close what is open in the ledger, and put the doser's count and the tank's together where they are not."""
         ledger = self._ledger
         try:
             if ledger.open_dose:
-                ledger.end(judgement.tank, self._count)
+                ledger.end(finding.tank, self._count)
             anew = ledger.joint is None or ledger.joint.doser != self.identity or ledger.aside_ul is not None
-            if anew or judgement.tank != ledger.tank or self._used_elsewhere_ul > ledger.used_ul(self._run):
-                self._join(judgement.tank)
+            if anew or finding.tank != ledger.tank or self._used_elsewhere_ul > ledger.used_ul(self._run):
+                self._join(finding.tank)
         except BaseException:
-            if self._judgement.question is None:
-                self._judgement = Judgement(judgement.tank, "it could not be written down")
+            if self._finding.question is None:
+                self._finding = TankFinding(finding.tank, "it could not be written down")
             raise
 
     def _join(self, tank: Delivered, **why: Any) -> None:
         if self._used_elsewhere_ul > self._ledger.used_ul(self._run):
             why |= {"run": self._run, "run_used_ul": self._used_elsewhere_ul}
-        self._ledger.join(Joint(self.identity, tank, self._count), **why)
+        self._ledger.join(JointCount(self.identity, tank, self._count), **why)
 
     def _entry(self, total_ul: float) -> DoseDone:
         tank = self._ledger.tank

@@ -13,7 +13,7 @@ from tankrig.devices import Delivered
 from tankrig.errors import StoreError
 
 from .evidence import Account
-from .records import Joint, Noted, device_of
+from .records import JointCount, NotedCount, device_of
 
 FORMAT = 1
 MOST_BYTES = 2**28
@@ -28,7 +28,7 @@ class OpenDose:
     run: str
     tank: Delivered
     total_ul: float
-    noted: Noted | None = None
+    noted: NotedCount | None = None
 
 
 class TankLedger:
@@ -61,14 +61,14 @@ class TankLedger:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.joint: Joint | None = None
+        self.joint: JointCount | None = None
         self.tank = Delivered(0.0, 0.0, 0.0)
         self.open_dose: OpenDose | None = None
         self.aside_ul: float | None = None
         self.filled_utc = ""
         self._used_ul: dict[str, float] = {}
         self._after_run: dict[str, Delivered] = {}
-        self._noted: dict[str, Noted] = {}
+        self._noted: dict[str, NotedCount] = {}
         self._number = self._length = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -103,7 +103,7 @@ class TankLedger:
             self.filled_utc,
         )
 
-    def join(self, joint: Joint, **why: Any) -> None:
+    def join(self, joint: JointCount, **why: Any) -> None:
         """From now on the doser's count and the tank's go up together; `why` is written beside it.
 
         Ends what is open: a dose, or a movement that did not go into the tank.
@@ -194,7 +194,7 @@ class TankLedger:
         tank, dose = _volumes(entry["tank"]), self.open_dose
         self.tank, self.open_dose, self.aside_ul = tank, None, None
         if entry["kind"] == "joint":
-            self.joint = Joint(_text(entry["doser"]), tank, _volumes(entry["count"]))
+            self.joint = JointCount(_text(entry["doser"]), tank, _volumes(entry["count"]))
             if "run_used_ul" in entry:  # by the run's journal, where another ledger counted it
                 run = _text(entry["run"])
                 self._used_ul[run] = max(self.used_ul(run), _volume(entry["run_used_ul"]))
@@ -207,7 +207,7 @@ class TankLedger:
         self._used_ul[dose.run] = self.used_ul(dose.run) + max(0.0, used_ul)
         self._after_run[dose.run] = tank
 
-    def _note(self, entry: dict[str, Any]) -> Noted | None:
+    def _note(self, entry: dict[str, Any]) -> NotedCount | None:
         """What the doser has counted by now; entries of earlier versions leave it to be worked out from the joint."""
         joint = self.joint
         if joint is None:
@@ -217,7 +217,7 @@ class TankLedger:
         else:
             added_ul = self.tank.volume_ul - joint.tank.volume_ul
             count = Delivered(*(value + added_ul for value in joint.count))
-        noted = Noted(joint.doser, count)
+        noted = NotedCount(joint.doser, count)
         self._noted[noted.device] = noted
         return noted
 

@@ -55,7 +55,7 @@ class DoseDone:
 
 
 @dataclass(frozen=True)
-class Noted:
+class NotedCount:
     """What a doser had counted when something was written down.
 
     Parameters
@@ -73,7 +73,7 @@ class Noted:
     def device(self) -> str:
         """The doser itself, whatever correction its volumes have.
 
-        >>> Noted("cavro 1f ×1.02", Delivered(0.0, 0.0, 0.0)).device
+        >>> NotedCount("cavro 1f ×1.02", Delivered(0.0, 0.0, 0.0)).device
         'cavro 1f'
         """
         return _device_and_correction(self.doser)[0]
@@ -83,9 +83,9 @@ class Noted:
 
         A correction stands in an identity with six digits: the bounds are widened by that rounding.
 
-        >>> Noted("cavro 1f", Delivered(100.0, 100.0, 100.0)).on_scale_of("cavro 1f ×1.02").volume_ul
+        >>> NotedCount("cavro 1f", Delivered(100.0, 100.0, 100.0)).on_scale_of("cavro 1f ×1.02").volume_ul
         102.0
-        >>> Noted("cavro 1f", Delivered(100.0, 100.0, 100.0)).on_scale_of("cavro 20")
+        >>> NotedCount("cavro 1f", Delivered(100.0, 100.0, 100.0)).on_scale_of("cavro 20")
         """
         if doser == self.doser:
             return self.count
@@ -120,7 +120,7 @@ def _device_and_correction(doser: str) -> tuple[str, float]:
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointCount:
     """The doser's count and the tank's, at one moment; from then on both go up together."""
 
     doser: str
@@ -130,7 +130,7 @@ class Joint:
     def tank_at(self, count: Delivered) -> Delivered:
         """What the tank holds when the doser has counted `count`.
 
-        >>> joint = Joint("d", tank=Delivered(100.0, 100.0, 100.0), count=Delivered(500.0, 500.0, 500.0))
+        >>> joint = JointCount("d", tank=Delivered(100.0, 100.0, 100.0), count=Delivered(500.0, 500.0, 500.0))
         >>> joint.tank_at(Delivered(520.0, 519.0, 520.0))
         Delivered(volume_ul=120.0, low_ul=119.0, high_ul=120.0)
         """

@@ -230,12 +230,12 @@ class MediumBlock(Block):
 
     @property
     def low(self) -> Array:
-        """Of the range."""
+        """Lowest values that the range allows."""
         return self.range.low
 
     @property
     def high(self) -> Array:
-        """Of the range."""
+        """Highest values that the range allows."""
         return self.range.high
 
     def start(self, densest: Medium) -> Array:

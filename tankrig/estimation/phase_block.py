@@ -55,12 +55,12 @@ class CoefficientsBlock(Block):
 
     @property
     def low(self) -> Array:
-        """Of the range."""
+        """Lowest values that the range allows."""
         return self.range.low[:2]
 
     @property
     def high(self) -> Array:
-        """Of the range."""
+        """Highest values that the range allows."""
         return self.range.high[:2]
 
     def start(self, densest: Medium) -> Array:
@@ -118,12 +118,12 @@ class PhaseBlock(Block):
 
     @property
     def low(self) -> Array:
-        """Of the family."""
+        """Lowest values that the family allows."""
         return self.family.low
 
     @property
     def high(self) -> Array:
-        """Of the family."""
+        """Highest values that the family allows."""
         return self.family.high
 
     @property

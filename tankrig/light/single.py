@@ -31,6 +31,7 @@ from tankrig.light.rays import (
     sight_line,
     sighting_row,
 )
+from tankrig.light.sorting import put_in_order
 from tankrig.scene import Scene
 from tankrig.scene.footprint import footprints
 from tankrig.scene.phase import phase_density
@@ -243,7 +244,7 @@ def _add_beam(
                     continue
                 for k in range(4):
                     corners[k] = sighting_row(geometry, x, edges[k // 2], edges[2 + k % 2])
-                corners.sort()
+                put_in_order(corners)
                 top = min(max((corners[0] - y_first) / pixel_mm, 0.0), float(rows))
                 bottom = min(max((corners[3] - y_first) / pixel_mm, -1.0), rows - 1.0)
                 for row in range(math.floor(top), math.floor(bottom) + 1):
@@ -384,7 +385,7 @@ def _slice(
                 continue
             for k in range(4):
                 corners[k] = sighting_row(geometry, x, edges[k // 2], edges[2 + k % 2])
-            corners.sort()
+            put_in_order(corners)
             if corners[3] <= low or corners[0] >= high:
                 continue
             along = across_sights(geometry, x, low, high, corners, sigma_t, phase, edges, y_rule, depth_rule)

@@ -21,7 +21,7 @@ from tankrig.errors import SceneError, StoreError
 from tankrig.estimation.observation import pixel_noise
 from tankrig.image.bins import HALF, Bins, Seen, bins_for
 from tankrig.pattern import Pattern
-from tankrig.run.conditions import Following, clamped
+from tankrig.run.conditions import JournalFollower, clamped
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run
 from tankrig.scene.description import Camera, Medium, Scene
@@ -283,7 +283,7 @@ class Exposures:
         self._sums, self._squares, self._seen = (one.reshape(shape) for one in (sums, squares, seen))
         self._index = {key: index for index, key in enumerate(plan.patterns)}
         self._lit = list(plan.scenes)
-        self._conditions = Following()
+        self._conditions = JournalFollower()
 
     @property
     def dose(self) -> int:

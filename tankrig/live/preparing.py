@@ -117,7 +117,7 @@ def is_kept(scene: Scene, box: Box) -> bool:
     return place_of(scene, box, tolerance_for(scene, box)).model.exists()
 
 
-class _EnoughError(Exception):
+class _NotWantedError(Exception):
     """Raised in the middle of a preparation that is not wanted any more."""
 
 
@@ -213,7 +213,7 @@ class Preparing:
                 self._began_s, self._share = self._clock(), 0.0
             try:
                 model = self._prepared(scene, box)
-            except _EnoughError:
+            except _NotWantedError:
                 continue
             except Exception as error:  # whatever it is, today's fit goes on
                 with self._change:
@@ -234,7 +234,7 @@ class Preparing:
         def progress(share: float) -> None:
             self._share = share
             if self._closing or self._waiting[:1] != [(scene, box)]:
-                raise _EnoughError
+                raise _NotWantedError
 
         return model_for(scene, box, progress)
 

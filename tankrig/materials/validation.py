@@ -47,7 +47,7 @@ class Row:
 
     @property
     def sd(self) -> float:
-        """Of the difference."""
+        """Standard deviation of the difference."""
         return math.hypot(self.found_sd, self.known.sd)
 
     @property

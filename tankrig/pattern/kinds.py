@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal, Protocol
+from typing import Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,16 @@ from tankrig import bounded_reading
 from tankrig.errors import SequenceError
 from tankrig.pattern.pattern import Pattern
 from tankrig.pattern.wall import Wall
+from tankrig.ranges import Within, require_ranges
 from tankrig.scene.description import CLOSED, Interval
 
 Axis = Literal["columns", "rows"]
 LEAST_PIXELS = 4
 """Of the projector in a period of a wave: with fewer, its four shifts are no longer the same wave."""
+Level = Annotated[int, Within(1, 255, "is outside 1…255; give the brightness of lit pixels")]
+MOST_MM = 1e6
+"""Of a pattern; the sides of tanks are shorter."""
+MOST_PX = 2**20
 
 
 def _require(condition: bool, message: str) -> None:
@@ -62,13 +67,12 @@ def draw(kind: PatternKind, wall: Wall, name: str = "") -> Pattern:
 
 @dataclass(frozen=True)
 class _Kind:
-    """What all kinds share: closed to unknown keys when read from a file, and a level to check where there is one."""
+    """What all kinds share: closed to unknown keys when read from a file, and ranges that their numbers are within."""
 
     __pydantic_config__: ClassVar = CLOSED
 
     def __post_init__(self) -> None:
-        level = getattr(self, "level", 255)
-        _require(1 <= level <= 255, f"level = {level} is outside 1…255; give the brightness of lit pixels")
+        require_ranges(self, SequenceError)
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ class Full(_Kind):
     """Every pixel lit."""
 
     kind: Literal["full"] = "full"
-    level: int = 255
+    level: Level = 255
 
     def draw(self, wall: Wall) -> NDArray[np.uint8]:
         """See `PatternKind`."""
@@ -101,7 +105,7 @@ class Sheet(_Kind):
     y_mm: Interval
     z_mm: Interval
     kind: Literal["sheet"] = "sheet"
-    level: int = 255
+    level: Level = 255
 
     def draw(self, wall: Wall) -> NDArray[np.uint8]:
         """See `PatternKind`."""
@@ -124,9 +128,9 @@ class Rays(_Kind):
 
     y_mm: tuple[float, ...]
     z_mm: Interval
-    width_mm: float = 4.0
+    width_mm: Annotated[float, Within(0.0, MOST_MM, "is no width; give a length in mm", above=True)] = 4.0
     kind: Literal["rays"] = "rays"
-    level: int = 255
+    level: Level = 255
 
     def draw(self, wall: Wall) -> NDArray[np.uint8]:
         """See `PatternKind`."""
@@ -150,17 +154,17 @@ class Stripes(_Kind):
         (low, high) of the striped area; the whole wall where left out. Only whole stripes are drawn.
     """
 
-    period_mm: float
-    duty: float = 0.5
+    period_mm: Annotated[float, Within(0.0, MOST_MM, "is not positive; give a length in mm", above=True)]
+    duty: Annotated[
+        float, Within(0.0, 1.0, "is outside 0 < duty < 1; give the lit part of a period", above=True, below=True)
+    ] = 0.5
     y_mm: Interval | None = None
     z_mm: Interval | None = None
     kind: Literal["stripes"] = "stripes"
-    level: int = 255
+    level: Level = 255
 
     def draw(self, wall: Wall) -> NDArray[np.uint8]:
         """See `PatternKind`."""
-        _require(self.period_mm > 0.0, f"period_mm = {self.period_mm} is not positive; give a length in mm")
-        _require(0.0 < self.duty < 1.0, f"duty = {self.duty} is outside 0 < duty < 1; give the lit part of a period")
         low, high = self.y_mm or sorted(wall.y_mm)
         half = self.duty * self.period_mm / 2
         first, last = np.ceil((low + half) / self.period_mm), np.floor((high - half) / self.period_mm)
@@ -195,22 +199,21 @@ class Wave(_Kind):
         (low, high) of the sheet; the whole wall where left out.
     """
 
-    period_mm: float
+    period_mm: Annotated[float, Within(0.0, MOST_MM, "is not positive; give a length in mm", above=True)]
     z_mm: Interval
-    shift: float = 0.0
+    shift: Annotated[float, Within(-1.0, 1.0, "is outside −1…1; give a part of the period")] = 0.0
     y_mm: Interval | None = None
     kind: Literal["wave"] = "wave"
-    level: int = 255
+    level: Level = 255
 
     def draw(self, wall: Wall) -> NDArray[np.uint8]:
         """See `PatternKind`."""
         finest = LEAST_PIXELS * wall.pixel_mm[1]
         _require(
-            finest <= self.period_mm < np.inf,
-            f"period_mm = {self.period_mm} is finer than {LEAST_PIXELS} of the projector's pixels, {finest:.3g} mm, or "
-            "has no end; raise it",
+            finest <= self.period_mm,
+            f"period_mm = {self.period_mm} is finer than {LEAST_PIXELS} of the projector's pixels, {finest:.3g} mm; "
+            "raise it",
         )
-        _require(abs(self.shift) <= 1.0, f"shift = {self.shift} is outside −1…1; give a part of the period")
         wanted = 0.5 * (1.0 + np.cos(2 * np.pi * (wall.y_centres_mm / self.period_mm - self.shift)))
         known = wall.fractions[: self.level + 1]
         levels = np.abs(known - wanted[:, None] * known[-1]).argmin(axis=1)
@@ -242,7 +245,7 @@ class GrayCode(_Kind):
 class PhaseShift(_Kind):
     """A sine along one axis, shifted by `step` of `steps` parts of its period."""
 
-    period_px: float
+    period_px: Annotated[float, Within(2.0, MOST_PX, "is finer than the pixels, or than none; give 2 or more")]
     step: int
     steps: int = 4
     axis: Axis = "columns"
@@ -250,7 +253,6 @@ class PhaseShift(_Kind):
 
     def draw(self, wall: Wall) -> NDArray[np.uint8]:
         """See `PatternKind`."""
-        _require(self.period_px >= 2.0, f"period_px = {self.period_px} is finer than the pixels; give 2 or more")
         _require(0 <= self.step < self.steps, f"step = {self.step} is outside 0…{self.steps - 1}")
         count = wall.shape[1 if self.axis == "columns" else 0]
         phase = 2 * np.pi * (np.arange(count) / self.period_px - self.step / self.steps)
@@ -261,13 +263,12 @@ class PhaseShift(_Kind):
 class Checker(_Kind):
     """A checkerboard; fine ones separate what was scattered once from what was scattered often."""
 
-    cell_px: int
+    cell_px: Annotated[int, Within(1, MOST_PX, "is no cell; give 1 or more")]
     inverse: bool = False
     kind: Literal["checker"] = "checker"
 
     def draw(self, wall: Wall) -> NDArray[np.uint8]:
         """See `PatternKind`."""
-        _require(self.cell_px >= 1, f"cell_px = {self.cell_px} is no cell; give 1 or more")
         row, column = np.indices(wall.shape) // self.cell_px
         return np.where((row + column + self.inverse) % 2 == 0, 255, 0).astype(np.uint8)
 

@@ -46,14 +46,14 @@ class Conditions:
         return {**tank, **high, **camera}
 
 
-class Following:
+class JournalFollower:
     """Follows a journal, event by event in their order, and knows what was true at each.
 
     Examples
     --------
     >>> from tankrig.run.journal import Moment
     >>> held = {"delivered_ul": 100.0, "delivered_low_ul": 99.0, "delivered_high_ul": 101.0}
-    >>> seen = Following()
+    >>> seen = JournalFollower()
     >>> _ = seen.at(Event(0, "session", Moment("", 0, ""), held))
     >>> seen.at(Event(1, "frame", Moment("", 0, ""), {"index": 0})).tank.volume_ul
     100.0
@@ -75,7 +75,7 @@ class Following:
 
 def with_conditions(journal: Iterable[Event]) -> Iterator[tuple[Event, Conditions]]:
     """Each event of a journal with what was true at it."""
-    seen = Following()
+    seen = JournalFollower()
     for event in journal:
         yield event, seen.at(event)
 

@@ -5,6 +5,7 @@ bytes of the line before `,"crc32c"`, as eight hexadecimal digits. Lines of runs
 """
 
 import json
+import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,6 +25,7 @@ KINDS: tuple[str, ...] = get_args(Kind)
 _OWN_KEYS = ("seq", "kind", "utc", "mono_ns", "boot")
 
 _NEEDED: dict[str, dict[str, Any]] = {
+    "session": {"devices": dict},
     "frame": {"index": int, "step": int, "pattern_hash": str, "exposure_start_ns": int, "sha256": str},
     "dose_intent": {"total_ul": int | float},
     "dose_done": {"delivered_ul": int | float, "delivered_low_ul": int | float, "delivered_high_ul": int | float},
@@ -32,6 +34,8 @@ _NEEDED: dict[str, dict[str, Any]] = {
     "end": {"reason": str},
 }
 """What every line of a kind has always had; where there is no checksum, a line without it is damaged."""
+
+_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,9})?\+00:00")
 
 _SEAL = b',"crc32c":"%08x"}'
 _SEAL_BYTES = len(_SEAL % 0)
@@ -131,9 +135,17 @@ class Event:
         table.pop("crc32c", None)
         seq, kind, *moment = (table.pop(key) for key in _OWN_KEYS)
         whole = type(seq) is int and seq >= 0 and [type(one) for one in moment] == [str, int, str]
-        if not verified and not (whole and _says_what_it_should(kind, table)):
+        if not verified and not (whole and _is_time(moment[0]) and _says_what_it_should(kind, table)):
             raise ValueError("not an event")
         return cls(seq, kind, Moment(*moment), table)
+
+
+def _is_time(utc: str) -> bool:
+    """Whether a text is a time as journals have always had it."""
+    try:
+        return _TIME.fullmatch(utc) is not None and datetime.fromisoformat(utc).tzinfo is not None
+    except ValueError:
+        return False
 
 
 def _says_what_it_should(kind: str, fields: Mapping[str, Any]) -> bool:

@@ -403,7 +403,7 @@ class Runner:
         patient = capture.timeout_s is not None and frames > 1  # two frames tell the noise
         longest_s = (frames and capture.timeout_s) or _CATCH_UP_S  # before the first frame there is the last step's fit
         if (fit := self._caught_up(begun_s + longest_s, patient)) and capture.until.reached(fit):
-            return f"{capture.until.found(fit)} is known"
+            return capture.until.found(fit)
         if capture.timeout_s is not None and time.monotonic() - begun_s > capture.timeout_s:
             return f"{capture.timeout_s:g} s have passed"
         return ""

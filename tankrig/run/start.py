@@ -20,7 +20,7 @@ from tankrig.checked_toml import checked
 from tankrig.devices import BurstProjector, Delivered
 from tankrig.dosing import DoseDone, GuardedDoser, TankLedger
 from tankrig.dosing.evidence import Account
-from tankrig.dosing.records import COUNT_KEYS, Noted
+from tankrig.dosing.records import COUNT_KEYS, NotedCount
 from tankrig.errors import SequenceError, StoreError, UndecidedError
 from tankrig.files import require_writable
 from tankrig.pattern import Pattern
@@ -185,7 +185,7 @@ def known_by_journal(run: Run) -> Account | None:
     doser = last.get("doser") or (session["devices"]["doser"] if session else "")
     return Account(
         Delivered(last["delivered_ul"], last["delivered_low_ul"], last["delivered_high_ul"]),
-        Noted(doser, Delivered(*(last[key] for key in COUNT_KEYS))) if last.get(COUNT_KEYS[0]) is not None else None,
+        None if last.get(COUNT_KEYS[0]) is None else NotedCount(doser, Delivered(*(last[key] for key in COUNT_KEYS))),
         target_ul=target_ul,
         begun_with=run.events("dose_intent")[-1]["doser"] if target_ul is not None else None,
         filled_utc=session.get("filled_utc") if session else None,

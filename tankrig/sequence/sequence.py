@@ -13,14 +13,15 @@ from tankrig.errors import SequenceError
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import AnyKind, Dark, Full, draw
 from tankrig.pattern.wall import Wall
+from tankrig.ranges import require_ranges
 from tankrig.scene.description import CLOSED, Medium
 from tankrig.sequence.steps import (
-    MOST_EXPOSURE_MS,
-    MOST_GAIN,
     MOST_TASKS,
     Burst,
     Capture,
     Dose,
+    Exposure,
+    Gain,
     Mix,
     Step,
     Task,
@@ -75,17 +76,13 @@ class Sequence:
     name: str
     steps: tuple[Step, ...]
     patterns: Mapping[str, Annotated[AnyKind, Field(discriminator="kind")]] = field(default_factory=dict)
-    exposure_ms: float = 20.0
-    gain: float = 1.0
+    exposure_ms: Exposure = 20.0
+    gain: Gain = 1.0
     any_exposure: str = ""
     ink: Medium | None = None
 
     def __post_init__(self) -> None:
-        for key, most in (("exposure_ms", MOST_EXPOSURE_MS), ("gain", MOST_GAIN)):
-            if not 0.0 < getattr(self, key) <= most:
-                raise SequenceError(
-                    f"{key} = {getattr(self, key)} is not positive, or above {most:g}; give a positive number"
-                )
+        require_ranges(self, SequenceError)
         if (count := task_count(self.steps)) > MOST_TASKS:
             raise SequenceError(
                 f"steps are {count} actions when they are written out, more than the {MOST_TASKS} that a run may have; "

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from tankrig.errors import SequenceError
 from tankrig.pattern.kinds import Wave
+from tankrig.ranges import Within, require_ranges
 from tankrig.scene.description import CLOSED, Interval
 from tankrig.sequence.until import Until
 
@@ -18,6 +19,24 @@ MOST_GAIN = 1e6
 MOST_SHIFTS = 64
 MOST_TASKS = 100_000
 """Of a sequence that is written out: more than a day of one each second."""
+MOST_UL = 1e9
+"""Of ink; a cubic metre."""
+MOST_FRAMES = 10**7
+MOST_TIMES = 10**12
+"""More than `MOST_TASKS`, so that a sequence says how many actions it is written out."""
+
+Exposure = Annotated[
+    float,
+    Within(
+        0.0, MOST_EXPOSURE_MS, "is not positive, or has no end; give a positive number up to 1e+07", above=True
+    ),
+]  # fmt: skip
+"""Of a frame, ms."""
+Gain = Annotated[
+    float, Within(0.0, MOST_GAIN, "is not positive, or has no end; give a positive number up to 1e+06", above=True)
+]
+Volume = Annotated[float, Within(0.0, MOST_UL, "is no volume; give zero or more µl")]
+Frames = Annotated[int, Within(1, MOST_FRAMES, f"records nothing, or more than {MOST_FRAMES}; give 1 or more")]
 
 
 def _require(condition: bool, message: str) -> None:
@@ -30,11 +49,11 @@ class Dose:
     """Dose ink until the tank holds `total_ul` in all since it was filled."""
 
     __pydantic_config__ = CLOSED
-    total_ul: float
+    total_ul: Volume
     do: Literal["dose"] = "dose"
 
     def __post_init__(self) -> None:
-        _require(0.0 <= self.total_ul < float("inf"), f"total_ul = {self.total_ul} is no volume; give zero or more µl")
+        require_ranges(self, SequenceError)
 
 
 @dataclass(frozen=True)
@@ -59,23 +78,23 @@ class Mix:
 
     __pydantic_config__ = CLOSED
     pattern: str = "full"
-    tolerance: float = 0.01
-    every_s: float = 0.25
-    at_least_s: float = 3.0
-    timeout_s: float = 300.0
-    exposure_ms: float | None = None
-    gain: float | None = None
+    tolerance: Annotated[
+        float, Within(0.0, 1.0, "is outside 0…1; give a part of the picture", above=True, below=True)
+    ] = 0.01
+    every_s: Annotated[float, Within(0.0, MOST_S, "is no time; give seconds")] = 0.25
+    at_least_s: Annotated[float, Within(0.0, MOST_S, "is no time; give seconds")] = 3.0
+    timeout_s: Annotated[float, Within(0.0, MOST_S, "is no time, or has no end; give seconds", above=True)] = 300.0
+    exposure_ms: Exposure | None = None
+    gain: Gain | None = None
     do: Literal["mix"] = "mix"
 
     def __post_init__(self) -> None:
-        _require(0.0 < self.tolerance < 1.0, f"tolerance = {self.tolerance} is outside 0…1; give a part of the picture")
-        _require(0.0 <= self.every_s <= MOST_S, f"every_s = {self.every_s} is no time; give seconds")
+        require_ranges(self, SequenceError)
         _require(
-            0.0 <= self.at_least_s < self.timeout_s <= MOST_S,
-            f"at_least_s = {self.at_least_s}, timeout_s = {self.timeout_s} leaves no time to look, or has no end; "
-            f"give a timeout that is longer, up to {MOST_S:g} s",
+            self.at_least_s < self.timeout_s,
+            f"at_least_s = {self.at_least_s}, timeout_s = {self.timeout_s} leaves no time to look; give a timeout that "
+            f"is longer, up to {MOST_S:g} s",
         )
-        _require_positive(self)
 
 
 @dataclass(frozen=True)
@@ -98,19 +117,17 @@ class Capture:
 
     __pydantic_config__ = CLOSED
     pattern: str
-    frames: int = 1
-    exposure_ms: float | None = None
-    gain: float | None = None
+    frames: Frames = 1
+    exposure_ms: Exposure | None = None
+    gain: Gain | None = None
     until: Until | None = None
-    timeout_s: float | None = None
+    timeout_s: Annotated[float, Within(0.0, MOST_S, "is no time; give seconds", above=True)] | None = None
     do: Literal["capture"] = "capture"
 
     def __post_init__(self) -> None:
-        _require(self.frames >= 1, f"frames = {self.frames} records nothing; give 1 or more")
+        require_ranges(self, SequenceError)
         if self.timeout_s is not None:
             _require(self.until is not None, f"timeout_s = {self.timeout_s} needs until; give both or neither")
-            _require(0.0 < self.timeout_s <= MOST_S, f"timeout_s = {self.timeout_s} is no time; give seconds")
-        _require_positive(self)
 
 
 @dataclass(frozen=True)
@@ -129,15 +146,14 @@ class Burst:
 
     __pydantic_config__ = CLOSED
     patterns: tuple[str, ...]
-    times: int = 1
-    exposure_ms: float | None = None
-    gain: float | None = None
+    times: Annotated[int, Within(1, MOST_TIMES, "shows nothing; give 1 or more")] = 1
+    exposure_ms: Exposure | None = None
+    gain: Gain | None = None
     do: Literal["burst"] = "burst"
 
     def __post_init__(self) -> None:
         _require(len(self.patterns) > 0, "patterns is empty; name what to show")
-        _require(self.times >= 1, f"times = {self.times} shows nothing; give 1 or more")
-        _require_positive(self)
+        require_ranges(self, SequenceError)
 
     @property
     def frames(self) -> int:
@@ -173,16 +189,16 @@ class Separate:
     __pydantic_config__ = CLOSED
     z_mm: Interval
     periods_mm: tuple[float, ...] = (4.0, 8.0, 16.0)
-    shifts: int = 4
-    frames: int = 1
+    shifts: Annotated[int, Within(4, MOST_SHIFTS, f"is not 4, 8, … {MOST_SHIFTS}")] = 4
+    frames: Frames = 1
     y_mm: Interval | None = None
     heights_mm: tuple[float, ...] = ()
-    exposure_ms: float | None = None
-    gain: float | None = None
+    exposure_ms: Exposure | None = None
+    gain: Gain | None = None
     do: Literal["separate"] = "separate"
 
     def __post_init__(self) -> None:
-        _require(self.frames >= 1, f"frames = {self.frames} records nothing; give 1 or more")
+        require_ranges(self, SequenceError)
         _require(len(self.periods_mm) > 0, "periods_mm is empty; give the period of each wave in mm")
         _require(
             all(0.0 < one < float("inf") for one in self.periods_mm)
@@ -190,14 +206,13 @@ class Separate:
             f"periods_mm = {list(self.periods_mm)} has one that is no length, or one twice; give different ones in mm",
         )
         _require(
-            self.shifts >= 4 and self.shifts % 4 == 0 and self.shifts <= MOST_SHIFTS,
+            self.shifts % 4 == 0,
             f"shifts = {self.shifts} does not light every place equally often in pairs; give 4, 8, … {MOST_SHIFTS}",
         )
         _require(
             self.z_mm[0] < self.z_mm[1], f"z_mm = {list(self.z_mm)} is no sheet; give its lower and its upper edge"
         )
         _require(len({*self.heights_mm}) == len(self.heights_mm), "heights_mm has one twice; give different ones in mm")
-        _require_positive(self)
 
     @property
     def sheets(self) -> tuple[Interval, ...]:
@@ -226,23 +241,16 @@ class Separate:
         return dark, *(Capture(name, self.frames, self.exposure_ms, self.gain) for name in self.patterns)
 
 
-def _require_positive(step: "Mix | Capture | Burst | Separate") -> None:
-    for name, most in (("exposure_ms", MOST_EXPOSURE_MS), ("gain", MOST_GAIN)):
-        value = getattr(step, name)
-        good = value is None or 0.0 < value <= most
-        _require(good, f"{name} = {value} is not positive, or has no end; give a positive number up to {most:g}")
-
-
 @dataclass(frozen=True)
 class Wait:
     """Do nothing for a while."""
 
     __pydantic_config__ = CLOSED
-    seconds: float
+    seconds: Annotated[float, Within(0.0, MOST_S, f"is no time; give 0 to {MOST_S:g}")]
     do: Literal["wait"] = "wait"
 
     def __post_init__(self) -> None:
-        _require(0.0 <= self.seconds <= MOST_S, f"seconds = {self.seconds} is no time; give 0 to {MOST_S:g}")
+        require_ranges(self, SequenceError)
 
 
 @dataclass(frozen=True)
@@ -259,12 +267,12 @@ class Repeat:
     """Do the steps several times."""
 
     __pydantic_config__ = CLOSED
-    times: int
+    times: Annotated[int, Within(1, MOST_TIMES, "does nothing; give 1 or more")]
     steps: "tuple[Step, ...]"
     do: Literal["repeat"] = "repeat"
 
     def __post_init__(self) -> None:
-        _require(self.times >= 1, f"times = {self.times} does nothing; give 1 or more")
+        require_ranges(self, SequenceError)
         _require(len(self.steps) > 0, "steps is empty; give what to repeat")
 
 

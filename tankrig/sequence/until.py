@@ -55,7 +55,13 @@ class Until:
         )
 
     def found(self, table: Mapping[str, Any]) -> str:
-        """What such a fit knows, in words."""
+        """What such a fit knows, in words.
+
+        Examples
+        --------
+        >>> Until(g=0.01).found({"g": 0.7, "sd": [1e-4, 1e-4, 0.004]})
+        'g to 0.004 is known'
+        """
         parts = []
         for name, (_, share) in self._wishes():
             sd = table["sd"][_ORDER.index(name)]
@@ -63,7 +69,7 @@ class Until:
             parts.append(
                 f"{_SYMBOLS[name]} to {sd / value:.2%}" if share and value > 0.0 else f"{_SYMBOLS[name]} to {sd:.2g}"
             )
-        return " and ".join(parts)
+        return f"{' and '.join(parts)} {'is' if len(parts) == 1 else 'are'} known"
 
     def __str__(self) -> str:
         parts = [f"{size:.12g}" if not share else f"{100.0 * size:.12g} %" for _, (size, share) in self._wishes()]

@@ -15,7 +15,7 @@ import click
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from tankrig.archive.refit import Errand, Progress
+    from tankrig.archive.refit import Progress, RunToRefit
     from tankrig.archive.task import Done
 
 SHOWN_FAILURES = 20
@@ -86,11 +86,11 @@ def refit_archive(archive: Path, out: Path, model: str, work: Work, as_json: boo
         os.environ.setdefault(name, os.environ.get("TANKRIG_THREADS", "1"))
     from tankrig.archive.key import Refitting
     from tankrig.archive.mark import refit_mark
-    from tankrig.archive.refit import beside_others, errands, followed
+    from tankrig.archive.refit import beside_others, followed, runs_to_refit
     from tankrig.archive.results import Results
 
     refitting = Refitting(refit_mark(), "tank" if model == "tank" else "prepared")
-    wanted = errands(archive, Results(out), refitting)
+    wanted = runs_to_refit(archive, Results(out), refitting)
     began_s = time.monotonic()
     with _asked_to_end(), ExitStack() as undo:
         do, wanted = _who(work, wanted, undo)
@@ -114,9 +114,9 @@ def refit_archive(archive: Path, out: Path, model: str, work: Work, as_json: boo
 
 
 def _who(
-    work: Work, wanted: "list[Errand]", undo: ExitStack
-) -> "tuple[Callable[[Sequence[Errand]], Iterator[Done]], list[Errand]]":
-    """Who does errands, and in what order they are begun."""
+    work: Work, wanted: "list[RunToRefit]", undo: ExitStack
+) -> "tuple[Callable[[Sequence[RunToRefit]], Iterator[Done]], list[RunToRefit]]":
+    """Who refits the runs, and in what order they are begun."""
     from functools import partial
 
     from tankrig.archive.refit import from_share, in_this_process

@@ -7,6 +7,7 @@ from typing import Any
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QLineEdit, QVBoxLayout, QWidget
 
+from tankrig.ranges import Within
 from ui.window.theme import set_role
 
 
@@ -115,7 +116,15 @@ class NumberField(CheckedField):
     """A number with a unit and a range."""
 
     def __init__(
-        self, unit: str, low: float, high: float, what: str = "", optional: bool = False, whole: bool = False
+        self,
+        unit: str,
+        low: float,
+        high: float,
+        what: str = "",
+        optional: bool = False,
+        whole: bool = False,
+        above: bool = False,
+        below: bool = False,
     ) -> None:
         def read(text: str) -> tuple[float | int | None, str]:
             if optional and not text.strip():
@@ -123,11 +132,12 @@ class NumberField(CheckedField):
             value = number(text)
             if value is None or (whole and value != int(value)):
                 return None, f"{text or 'nothing'} is no {'whole ' if whole else ''}number; give {span}"
-            if not low <= value <= high:
+            if not within.holds(value):
                 return None, f"{value:g} is outside of {span}"
             return (int(value) if whole else value), ""
 
-        span = f"{low:g} to {high:g} {unit}".strip()
+        within = Within(low, high, "", above, below)
+        span = f"{'more than ' if above else ''}{low:g} to {'less than ' if below else ''}{high:g} {unit}".strip()
         super().__init__(read, unit, f"{what}: {span}" if what else span)
         self.edit.setMinimumWidth(64)
         self.edit.setMaximumWidth(110)

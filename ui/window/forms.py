@@ -9,19 +9,16 @@ from typing import Any, Literal
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QLineEdit, QPushButton, QWidget
 
+from tankrig.ranges import Within, ranges_of
 from ui.window.fields import CheckedField, NumberField, number
 from ui.window.files import ask_for_file
 from ui.window.parts_field import PartsField
 
 UNITS = {"_ul": "µl", "_mm": "mm", "_ms": "ms", "_s": "s", "_px": "px"}
 RANGES: dict[str, tuple[float, float]] = {
-    "total_ul": (0.0, 1e6), "exposure_ms": (1e-3, 1e5), "gain": (0.01, 1e3), "frames": (1, 100_000),
-    "times": (1, 100_000), "seconds": (0.0, 1e6), "tolerance": (1e-6, 0.999), "every_s": (0.0, 3600.0),
-    "at_least_s": (0.0, 1e5), "timeout_s": (0.1, 1e6), "level": (1, 255), "duty": (0.01, 0.99), "bit": (0, 15),
-    "period_mm": (0.01, 1e4), "width_mm": (0.01, 1e4), "period_px": (2.0, 1e4), "step": (0, 64), "steps": (2, 64),
-    "cell_px": (1, 4096), "index": (0, 2**24), "size": (2, 4096), "shift": (-1.0, 1.0),
-    "shifts": (4, 64),
+    "bit": (0, 15), "step": (0, 64), "steps": (2, 64), "index": (0, 2**24), "size": (2, 4096),
 }  # fmt: skip
+"""Of fields that do not declare theirs, because the projector decides."""
 WIDE = (-1e6, 1e6)
 HINTS = {"until": "capture no more once the live fit knows it so well; a share such as 1 %, or a number in its unit"}
 PICTURES = "Pictures (*.png *.tif *.tiff *.bmp *.pgm)"
@@ -89,13 +86,16 @@ class Form(QWidget):
             if field.name in skip or not field.init:
                 continue
             default = None if field.default is dataclasses.MISSING else field.default
-            widget = self._widget(field.name, hints[field.name], values.get(field.name), default, choices)
+            within = ranges_of(kind).get(field.name) or Within(*RANGES.get(field.name, WIDE), "")
+            widget = self._widget(field.name, hints[field.name], values.get(field.name), default, choices, within)
             self.rows[field.name] = widget
             label = QLabel(label_of(field.name))
             label.setBuddy(widget)
             layout.addRow(label, widget)
 
-    def _widget(self, name: str, hint: Any, value: Any, default: Any, choices: dict[str, list[str]]) -> QWidget:
+    def _widget(
+        self, name: str, hint: Any, value: Any, default: Any, choices: dict[str, list[str]], within: Within
+    ) -> QWidget:
         optional = default is not None or type(None) in typing.get_args(hint)
         hint = _without_none(hint)
         if typing.get_origin(hint) is Literal or name in choices:
@@ -109,8 +109,16 @@ class Form(QWidget):
         if hint is bool:
             return self._box(name, bool(default if value is None else value))
         if hint in (float, int):
-            low, high = RANGES.get(name, WIDE)
-            field: CheckedField = NumberField(unit_of(name), low, high, label_of(name), optional, hint is int)
+            field: CheckedField = NumberField(
+                unit_of(name),
+                within.low,
+                within.high,
+                label_of(name),
+                optional,
+                hint is int,
+                within.above,
+                within.below,
+            )
         elif name == "path":
             field = _file_field(name)
         elif typing.get_origin(hint) is tuple and str in typing.get_args(hint):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject, Signal
 
 from tankrig.live.results import DoseFit, FailedFit, SeriesFit, from_fields
-from tankrig.run.conditions import Following
+from tankrig.run.conditions import JournalFollower
 from tankrig.run.journal import Event
 from ui.window.source import Kind, Source
 
@@ -120,7 +120,7 @@ class Shown(QObject):
         self.dark: float | None = None
         """Median count of its last dark frame."""
         self._compared: dict[PhotographKey, tuple[DoseFit, Comparison | None]] = {}
-        self._clock, self._conditions = _Clock(), Following()
+        self._clock, self._conditions = _Clock(), JournalFollower()
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ import random
 from collections.abc import Iterator
 from typing import Any
 
-from drivers.emulation.board import Board
+from drivers.emulation.board import EmulatedBoard
 from drivers.emulation.cable import Cable
 from drivers.emulation.truth import TruthFile
 
@@ -14,7 +14,7 @@ from .frames import Reader, answered
 BOOT_S = 0.3
 
 
-class CavroBoard(Board):
+class CavroBoard(EmulatedBoard):
     """A pump, its cable and its motor.
 
     Parameters
@@ -63,8 +63,8 @@ class CavroBoard(Board):
 
     def _answers(self, core: Core, received: bytes, now: float) -> Iterator[bytes]:
         for command in self._reader.feed(received):
-            for _ in range(1 + self._gremlin.twice()):
-                if self._gremlin.faults.stranger:
+            for _ in range(1 + self._injector.twice()):
+                if self._injector.faults.stranger:
                     yield b"ERROR\r\n"
                 elif command.address == self._address:
                     yield answered(*core.obey(command, now))

@@ -48,8 +48,8 @@ class Faults:
     unplugged: bool = False
 
 
-class Board(usb.backend.IBackend):  # type: ignore[misc]
-    """One LightCrafter 4500 on the bus: `usb.core.find(backend=Board(Controller()))`.
+class LightcrafterOnBus(usb.backend.IBackend):  # type: ignore[misc]
+    """One LightCrafter 4500 on the bus: `usb.core.find(backend=LightcrafterOnBus(Controller()))`.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ class Board(usb.backend.IBackend):  # type: ignore[misc]
             wMaxPacketSize=REPORT, bInterval=1, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
         )  # fmt: skip
 
-    def open_device(self, _dev: object) -> "Board":
+    def open_device(self, _dev: object) -> "LightcrafterOnBus":
         """Open the board, as long as it is plugged in."""
         self._check_plugged()
         return self

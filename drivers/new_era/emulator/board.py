@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from drivers.emulation.board import Board
+from drivers.emulation.board import EmulatedBoard
 from drivers.emulation.cable import Cable
 from drivers.emulation.truth import TruthFile
 
@@ -13,7 +13,7 @@ from .frames import Reader, basic, safe
 BOOT_S = 0.3
 
 
-class NewEraBoard(Board):
+class NewEraBoard(EmulatedBoard):
     """A pump, its cable and its motor.
 
     Parameters
@@ -70,9 +70,9 @@ class NewEraBoard(Board):
         yield from self._unasked(core)
         command = self._reader.feed(received, now, core.safe_mode)
         while command is not None:
-            for _ in range(1 + self._gremlin.twice()):
+            for _ in range(1 + self._injector.twice()):
                 framed = safe if core.safe_mode else basic
-                answer = "00SOTHER1.0" if self._gremlin.faults.stranger else core.obey(command, now)
+                answer = "00SOTHER1.0" if self._injector.faults.stranger else core.obey(command, now)
                 if answer is not None:
                     yield framed(answer)
                 yield from self._unasked(core)

@@ -6,7 +6,7 @@ import sys
 from drivers.emulation.cable import PseudoTerminal
 from drivers.emulation.process import parser, serve
 
-from .board import Board
+from .board import RigDoserBoard
 from .firmware import PROTOCOLS
 from .memory import Commissioning, StateFile
 
@@ -36,7 +36,7 @@ def main() -> int:
         sys.stderr.write(f"{args.state}: another emulator runs on this state file\n")
         return 2
     motor = {"rate": args.rate, "acceleration": args.acceleration, "protocol": args.protocol}
-    serve(Board(state, PseudoTerminal(args.link), **motor, time_scale=args.time_scale, seed=args.seed), args)
+    serve(RigDoserBoard(state, PseudoTerminal(args.link), **motor, time_scale=args.time_scale, seed=args.seed), args)
     state.close()
     return 0
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from drivers.emulation.board import Board as Cabled
+from drivers.emulation.board import EmulatedBoard
 from drivers.emulation.cable import Cable
 
 from .firmware import Firmware
@@ -13,7 +13,7 @@ from .memory import StateFile
 BOOT_S = 0.5
 
 
-class Board(Cabled):
+class RigDoserBoard(EmulatedBoard):
     """A doser's board, its cable and its motor.
 
     Parameters
@@ -52,18 +52,18 @@ class Board(Cabled):
     @property
     def firmware(self) -> Firmware | None:
         """What runs on the board, if it is awake."""
-        return self._core if isinstance(self._core, Firmware) else None
+        return self.core if isinstance(self.core, Firmware) else None
 
     def _power_up(self) -> tuple[Firmware, bytes]:
         firmware = Firmware(self._fram, *self._motor, self._pulse, self._protocol, self._run)
-        return firmware, framed("!GRBL 1.1") if self._gremlin.faults.stranger else firmware.banner()
+        return firmware, framed("!GRBL 1.1") if self._injector.faults.stranger else firmware.banner()
 
     def _answers(self, core: Firmware, received: bytes, now: float) -> Iterator[bytes]:
         for item in self._reader.feed(received, now):
             if not isinstance(item, Request):
                 core.stop(now)
-            elif not self._gremlin.faults.stranger:
-                for _ in range(1 + self._gremlin.twice()):
+            elif not self._injector.faults.stranger:
+                for _ in range(1 + self._injector.twice()):
                     yield core.answer(item, now)
 
     def _opened(self) -> None:

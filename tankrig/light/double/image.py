@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel
 from tankrig.light.double.table import COARSE, FINE, Table, depth_below, fill_table, lagrange, share_seen, y_weights
 from tankrig.light.rays import Geometry, light_sources, shift_invariant, sighting_row
+from tankrig.light.sorting import put_in_order
 from tankrig.light.surface import on_surface, to_camera
 from tankrig.scene import Beam, Scene
 from tankrig.scene.description import Interval
@@ -226,7 +227,7 @@ def average_rows(
                     cuts[0], cuts[1] = pixel_low - beam_high, pixel_low - beam_low
                     cuts[2], cuts[3] = pixel_high - beam_high, pixel_high - beam_low
                     cuts[4] = min(max(0.0, pixel_low - beam_high), pixel_high - beam_low)
-                    cuts.sort()
+                    put_in_order(cuts)
                     for k in range(4):
                         start, end = cuts[k], cuts[k + 1]
                         panel_start = start

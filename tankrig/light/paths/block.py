@@ -183,7 +183,7 @@ class Block(NamedTuple):
     all: Array
     """(rows, BLOCK): the arrays below."""
     point: Array
-    """Of the lattice."""
+    """Number of the path's point in the lattice."""
     x: Array
     y: Array
     z: Array

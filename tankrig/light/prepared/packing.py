@@ -12,6 +12,10 @@ Arrays = dict[str, NDArray[np.generic]]
 
 _DEGREES = 64
 """Of polynomials, far beyond what a plan takes."""
+_MOST_POWER = 64
+"""Of σs."""
+_MOST_SCALE = 600.0
+"""Of a term's logarithm: beyond it there is no number."""
 
 
 def packed(answer: Answer) -> Arrays:
@@ -42,9 +46,12 @@ def unpacked(arrays: Arrays, coordinates: Coordinates, shape: tuple[int, int]) -
         _require(amplitudes.ndim == 3, scale.ndim == 2, amplitudes.size > 0, scale.size > 0)
         _require(amplitudes.shape[1] == plane.size, scale.shape[1] == scale_plane.size)
         _require(bool(np.isfinite(amplitudes).all()), bool(np.isfinite(scale).all()))
-        terms.append(Term(int(arrays[f"{name}_power"]), plane, scale_plane, amplitudes, scale))
+        power = int(arrays[f"{name}_power"])
+        _require(0 <= power <= _MOST_POWER, float(np.abs(scale).sum()) <= _MOST_SCALE)
+        terms.append(Term(power, plane, scale_plane, amplitudes, scale))
     patterns, error = np.asarray(arrays["patterns"], np.float32), np.asarray(arrays["error"], float)
-    _require(len(terms) > 0, patterns.ndim == 2, patterns.shape[-1] == shape[0] * shape[1], error.ndim == 3)
+    _require(len(terms) > 0, patterns.ndim == 2, error.ndim == 3)
+    _require(patterns.shape[1] == shape[0] * shape[1])
     _require(all(term.amplitudes.shape[2] == len(patterns) for term in terms), error.size > 0, len(patterns) > 0)
     _require(bool(np.isfinite(patterns).all()), bool(np.isfinite(error).all()))
     return Answer(coordinates, tuple(terms), patterns, shape, error)

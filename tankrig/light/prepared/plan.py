@@ -76,7 +76,7 @@ class PreparationPlan:
 
     @cached_property
     def coordinates(self) -> Coordinates:
-        """Of the box."""
+        """Coordinates of the media in the box."""
         return Coordinates(self.box, self.length_mm)
 
     def _degrees(self, rates: tuple[float, float]) -> tuple[int, int]:

@@ -1,0 +1,91 @@
+"""Ranges of numbers, declared once beside the field that has them.
+
+The field's dataclass refuses other numbers when it is made, in a file's own words; forms show the range.
+"""
+
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any
+
+from tankrig.errors import TankrigError
+
+
+@dataclass(frozen=True)
+class Within:
+    """What a number may be; stands in its field's type, as in `Annotated[float, Within(0.0, 1e8, "is no time; …")]`.
+
+    Parameters
+    ----------
+    low, high
+        The least and the largest that there may be.
+    advice
+        What is wrong with others, and what to give instead.
+    above
+        Whether `low` itself is refused.
+    below
+        Whether `high` itself is refused.
+    """
+
+    low: float
+    high: float
+    advice: str
+    above: bool = False
+    below: bool = False
+
+    def holds(self, value: float) -> bool:
+        """Whether a number may be this; NaN may not.
+
+        >>> [Within(0.0, 1.0, "", above=True).holds(value) for value in (0.0, 1.0, float("nan"))]
+        [False, True, False]
+        """
+        low = self.low < value if self.above else self.low <= value
+        return low and (value < self.high if self.below else value <= self.high)
+
+
+def ranges_of(kind: type) -> Mapping[str, Within]:
+    """The ranges that a dataclass declares, by field.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True)
+    ... class Wait:
+    ...     seconds: Annotated[float, Within(0.0, 1e8, "is no time; give seconds")]
+    ...     most: Annotated[float, Within(0.0, 1.0, "is no part")] | None = None
+    >>> {name: (one.low, one.high) for name, one in ranges_of(Wait).items()}
+    {'seconds': (0.0, 100000000.0), 'most': (0.0, 1.0)}
+    """
+    asked: Any = kind
+    return _ranges_of(asked)
+
+
+@cache
+def _ranges_of(kind: Any) -> Mapping[str, Within]:
+    hints = typing.get_type_hints(kind, include_extras=True)
+    declared = {field.name: _declared(hints[field.name]) for field in dataclasses.fields(kind)}
+    return {name: one for name, one in declared.items() if one is not None}
+
+
+def _declared(hint: Any) -> Within | None:
+    if typing.get_origin(hint) is Annotated:
+        return next((one for one in hint.__metadata__ if isinstance(one, Within)), None)
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return next((one for one in map(_declared, typing.get_args(hint)) if one is not None), None)
+    return None
+
+
+def require_ranges(owner: Any, error: type[TankrigError]) -> None:
+    """Refuse the first field whose number is outside of its range; what is None is not looked at.
+
+    Raises
+    ------
+    TankrigError
+        The kind that is given as `error`: the field's name, its value and the range's advice.
+    """
+    for name, within in ranges_of(type(owner)).items():
+        value = getattr(owner, name)
+        if value is not None and not within.holds(value):
+            raise error(f"{name} = {value} {within.advice}")
