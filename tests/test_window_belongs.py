@@ -17,9 +17,9 @@ from tankrig.run.reading import open_run
 from tests import recorded_runs as runs
 from tests.window_rig import until, window_on, write_rig
 from ui.window import jobs
+from ui.window.observed_devices import SeenFrame
 from ui.window.shown import PhotographKey, Shown
 from ui.window.source import Kind, RefitSettings, Source
-from ui.window.watched import SeenFrame
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def card(window, name: str) -> str:
 
 def painted(window) -> None:
     """What waits for its turn to be painted has been."""
-    until(lambda: not window.fit._curves._turns._waiting)
+    until(lambda: not window.fit._curves._painter._waiting)
 
 
 def agrees(window, run: Path) -> bool:
@@ -166,7 +166,7 @@ def test_opening_a_run_leaves_nothing_of_the_one_before(window):
     bench = shown.reading.bench
     compared = jobs.Comparison("rays", 0.5, image, image, 0.1 * image, rmse, bench.tank, bench.camera)
     shown.take_comparison(PhotographKey("rays", 0.5), shown.by_dose[-1], compared)
-    until(lambda: not window.fit._turns._waiting)
+    until(lambda: not window.fit._painter._waiting)
     assert not window.fit._observed.empty
     assert "5 % left" in window.fit._bars._bars["all"].format()
     window.show_run(path_of(window, "c"))  # nothing of it has been read yet

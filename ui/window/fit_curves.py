@@ -10,8 +10,8 @@ from PySide6.QtWidgets import QGraphicsItem, QHBoxLayout, QSizePolicy, QWidget
 
 from tankrig.live.results import DoseFit, SeriesFit
 from ui.window.result import CONFIDENCE, Z
+from ui.window.staggered_painter import StaggeredPainter
 from ui.window.theme import CURVES
-from ui.window.turns import Turns
 
 COEFFICIENTS = {"sigma_s": ("σs", 1, "per mm"), "sigma_a": ("σa", 0, "per mm"), "g": ("g", 2, "")}
 """Symbol, place in the standard deviations, unit."""
@@ -53,12 +53,12 @@ class FitCurves(QWidget):
             widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._fits: Sequence[tuple[float, DoseFit]] = []
         self._series: SeriesFit | None = None
-        self._against, self._turns = "", Turns(self)
+        self._against, self._painter = "", StaggeredPainter(self)
 
     def clear(self) -> None:
         """Show nothing, at once."""
         self._fits, self._series = [], None
-        self._turns.take([])
+        self._painter.take([])
         for _, line, bars, points in self._plots.values():
             line.setData([], [])
             points.setData([], [])
@@ -76,7 +76,7 @@ class FitCurves(QWidget):
             self._against = against
             for plot, *_ in self._plots.values():
                 plot.setLabel("bottom", "ink (ml)" if against == "dose_ml" else "time (s)")
-        self._turns.take(partial(self._show, name) for name in self._plots)
+        self._painter.take(partial(self._show, name) for name in self._plots)
 
     def _show(self, name: str) -> None:
         plot, line, bars, points = self._plots[name]

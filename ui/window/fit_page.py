@@ -14,9 +14,9 @@ from ui.window.fit_curves import FitCurves
 from ui.window.flow import Flow
 from ui.window.result import result_of, table
 from ui.window.shown import Shown
+from ui.window.staggered_painter import StaggeredPainter
 from ui.window.tank_plot import TankPlot
 from ui.window.tone import Tone, residual_palette
-from ui.window.turns import Turns
 
 if TYPE_CHECKING:
     from ui.window.jobs import Comparison
@@ -37,7 +37,7 @@ class FitPage(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._shown: Shown | None = None
-        self._turns = Turns(self)
+        self._painter = StaggeredPainter(self)
         self._lay_out()
 
     def show_source(self, shown: Shown) -> None:
@@ -122,7 +122,7 @@ class FitPage(QWidget):
             self._says.setText("The model's picture is being computed…")
 
     def _clear_pictures(self) -> None:
-        self._turns.take([])
+        self._painter.take([])
         for plot in (self._observed, self._model, self._residual):
             plot.clear()
         self._bars.show_rmse({})
@@ -136,7 +136,7 @@ class FitPage(QWidget):
 
     def _draw(self, one: "Comparison") -> None:
         peak = float(one.observed.max()) or 1.0
-        tone = Tone(0.0, TOP, root=True)
+        tone = Tone(0.0, TOP, gamma=0.5)
         table, palette = tone.table(), tone.palette()
 
         def toned(image: Image) -> Indices:
@@ -157,7 +157,7 @@ class FitPage(QWidget):
             plot.place(one.tank, one.camera)
             plot.name(name)
 
-        self._turns.take((
+        self._painter.take((
             partial(show, self._observed, "observed, 0–100 %", toned(one.observed), palette),
             partial(show, self._model, "model, same scale", toned(one.model), palette),
             partial(show, self._residual, same, left, colours),

@@ -20,11 +20,11 @@ from tankrig.errors import DeviceError, TankrigError, UndecidedError
 from tankrig.pattern import Pattern
 from tankrig.run.rig import Rig
 from tankrig.run.state import RunState
+from ui.window.observed_devices import LatestValue, ObservedCamera, ObservedProjector, SeenFrame
 from ui.window.rig_file import RigSource
 from ui.window.rig_parts import LedgerOnly, RunOrder, import_ahead
 from ui.window.status import RigState, RigStatus
 from ui.window.threads import OwnedThread, StopThread
-from ui.window.watched import Newest, SeenFrame, WatchedCamera, WatchedProjector
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -70,7 +70,7 @@ class RigHost(QObject):
     def __init__(self, source: RigSource) -> None:
         super().__init__()
         self.source = source
-        self.frames: Newest[SeenFrame] = Newest()
+        self.frames: LatestValue[SeenFrame] = LatestValue()
         self._orders: queue.SimpleQueue[Callable[[Rig], object]] = queue.SimpleQueue()
         self._run_order: RunOrder | None = None
         self._refill = False
@@ -83,7 +83,7 @@ class RigHost(QObject):
         self._fit: LiveFit | None = None
         self._target_ul: float | None = None
         self._aside_ul: float | None = None
-        self._camera: WatchedCamera | None = None
+        self._camera: ObservedCamera | None = None
         self._dose_thread: OwnedThread | None = None
         self.camera_settings = CameraSettings(20.0)
         self._pattern: Pattern | None = None
@@ -288,8 +288,8 @@ class RigHost(QObject):
         description = self._description = self.source.description()
         rig = open_rig(description, looking)
         opened.callback(rig.close)
-        projector = WatchedProjector(rig.projector, self._shown)
-        self._camera = camera = WatchedCamera(rig.camera, projector, self._see)
+        projector = ObservedProjector(rig.projector, self._shown)
+        self._camera = camera = ObservedCamera(rig.camera, projector, self._see)
         return description, replace(rig, projector=projector, camera=camera)
 
     def _try_run(self, order: RunOrder) -> None:

@@ -9,7 +9,7 @@ EVERY_MS = 1000
 OLDEST_EVERY = 60
 
 
-class GarbageTimer(QObject):
+class GcTimer(QObject):
     """Takes over from Python's own collector, which runs in whatever thread happens to allocate, until `close`.
 
     Parameters
