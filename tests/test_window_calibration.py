@@ -27,7 +27,7 @@ def window(tmp_path: Path):
 
 def choose(window, kind: str, options: str):
     wizard = window.calibration.wizard
-    wizard.choice.setCurrentIndex(wizard.choice.findData(kind))
+    wizard.choose(kind)
     words = options.split()
     for flag, value in zip(words[::2], words[1::2], strict=True):
         wizard.options[flag].setText(value)

@@ -1,5 +1,7 @@
 """The window for a person with wet hands: keys that stop, fields that say what is wrong, and what the pump does."""
 
+import time
+
 import pytest
 from PySide6.QtCore import QEvent, QPoint, QRect, QSize, Qt
 from PySide6.QtGui import QCloseEvent
@@ -317,3 +319,29 @@ def test_text_and_outlines_stand_out(window, theme):
     assert looked > 150
     assert not faint
     assert not thin
+
+
+def test_the_pump_delivers_at_the_rate_that_was_set(window):
+    """A plume that is pushed too fast mixes otherwise than the one that was calibrated."""
+    window.show_page(window.doser)
+    page = window.doser
+    until(lambda: page._rate.isEnabled(), 60.0)
+    assert page._rate.value == 200.0, "2000 steps/s at 10 steps per µl"
+    for typed in ("0", "1e9", "fast"):
+        page._rate.edit.setText(typed)
+        page._rate.edit.textEdited.emit(typed)
+        assert not page._set_rate.isEnabled()
+        assert "0.01 to 6553.5 µl/s" in page._rate.says.text()
+    page._rate.edit.setText("25")
+    page._rate.edit.textEdited.emit("25")
+    page._set_rate.click()
+    until(lambda: window._rig.pace.dose_ul_per_s == 25.0 and window.status.state.value == "ready", 60.0)
+    held = window.status.tank.volume_ul
+    window.dose_to(held + 50.0)
+    until(lambda: window.status.tank.volume_ul > held + 1.0, 60.0)
+    began = time.monotonic()
+    until(lambda: window.status.target_ul is None, 60.0)
+    assert time.monotonic() - began > 1.5, "50 µl at 25 µl/s take two seconds; at 200 µl/s they took a quarter"
+    assert window.host.source.rate_ul_per_s == 25.0
+    window.host.use(type(window.host.source)(window.host.source.file, window.host.source.folder))
+    until(lambda: window._rig.pace.dose_ul_per_s == 200.0 and window.status.state.value == "ready", 60.0)

@@ -75,6 +75,9 @@ class CalibrationPage(QWidget):
 
     def set_rig(self, rig: "RigFile") -> None:
         """Show this rig's calibration."""
+        from drivers.calibration_health import calibration_checks
+        from ui.calibration_way import calibration_steps
+
         self._clear()
         folder = self._source.file.parent if self._source.file is not None else self._source.folder
         for row, known in enumerate(known_of(rig, self._path(), folder)):
@@ -86,6 +89,7 @@ class CalibrationPage(QWidget):
             self._grid.addWidget(name, 2 * row, 0, 2, 1, Qt.AlignmentFlag.AlignTop)
             self._grid.addWidget(words, 2 * row, 1)
             self._grid.addWidget(note, 2 * row + 1, 1)
+        self.wizard.show_way(calibration_steps(rig, calibration_checks(rig, {})))
         self._read_file()
 
     def follow(self, status: RigStatus) -> None:

@@ -187,6 +187,7 @@ class MainWindow(QMainWindow):
         self.projector.screen_asked.connect(self.use_screen)
         self.doser.dose_asked.connect(self.dose_to)
         self.doser.aside_asked.connect(self.dose_aside)
+        self.doser.rate_asked.connect(host.set_rate)
         self.doser.resolve_asked.connect(host.resolve)
         self.doser.clear_asked.connect(host.clear_stop)
         self.doser.refill_asked.connect(host.refill)

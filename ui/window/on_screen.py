@@ -70,7 +70,7 @@ class OnScreen(QObject):
 
     def __init__(self, reader: Reads, background: Worker) -> None:
         super().__init__()
-        self._reader, self._background = reader, background
+        self.reader, self._background = reader, background
         self._live = Shown(LIVE)
         self._shown = self._live
         self._refits: dict[Source, Shown] = {}
@@ -182,7 +182,7 @@ class OnScreen(QObject):
         if source in self._refits:
             return self._refits[source]
         shown = Shown(source)
-        self._reader.run(jobs.read, source.run, then=shown.take_reading, failed=failed)
+        self.reader.run(jobs.read, source.run, then=shown.take_reading, failed=failed)
         return shown
 
     def advise(self) -> None:
@@ -260,7 +260,7 @@ class OnScreen(QObject):
             if self._shown is shown:
                 self.leave()
 
-        self._reader.run(jobs.read, shown.source.run, then=taken, failed=failed)
+        self.reader.run(jobs.read, shown.source.run, then=taken, failed=failed)
 
     def _ask_for_photographs(self, shown: Shown) -> None:
         run = shown.source.run

@@ -169,6 +169,12 @@ class RigHost(QObject):
         self._run_order, self._question, self._trouble = None, None, ""
         self._wake.set()
 
+    def set_rate(self, ul_per_s: float) -> None:
+        """Have the pump deliver at another rate from now on: the rig is opened again with it, while nothing moves."""
+        if self._may_dose():
+            _log.info("the pump's rate is %g µl/s from now on", ul_per_s)
+            self.use(replace(self.source, rate_ul_per_s=ul_per_s))
+
     def use(self, source: RigSource) -> None:
         """Let go of the rig and open another one."""
         self.source = source
