@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from tankrig.bench import Bench, KnownScenes
     from tankrig.live.exposures import Photograph
     from tankrig.live.results import DoseFit, SeriesFit
+    from tankrig.prediction import Prediction
     from tankrig.run.reading import Run
+    from tankrig.scene import Scene
     from tankrig.sequence import Pace
 
 Image = NDArray[np.floating]
@@ -330,6 +332,13 @@ def compare_models(photograph: "Photograph") -> tuple[tuple[str, ...], ...]:
             cells.append(text if one.estimate.identifiable[name] else f"({text})")
         rows.append((one.contender.name, f"{100.0 * one.estimate.rmse / peak:.2g}", *cells, f"{one.bic:.0f}"))
     return tuple(rows)
+
+
+def predict_scene(scene: "Scene", tolerance: float) -> "Prediction":
+    """The picture of a scene, as its image alone: orders would only make it slow to hand over."""
+    import tankrig
+
+    return replace(tankrig.predict(scene, tolerance=tolerance), orders={})
 
 
 def report(path: Path) -> Path:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QSettings, Qt, QTimer
 from PySide6.QtGui import (
@@ -198,6 +198,9 @@ class MainWindow(QMainWindow):
         self.sequence.run_asked.connect(self.run)
         self.compare.next.step_asked.connect(self.sequence.append)
         self.sequence.rig_asked.connect(self.ask_for_rig)
+        self.sequence.opened.connect(self.remember)
+        self.sequence.recent_asked.connect(self.open_path)
+        self.sequence.list_recent(self.recent())
         self.sequence.runs_asked.connect(lambda: self.show_page(self.runs))
         self.sequence.dropped.connect(self.offer_text)
         self.runs.resume_asked.connect(self.resume)
@@ -403,6 +406,7 @@ class MainWindow(QMainWindow):
             self.tell("a run goes on in the live view; open another when it has ended")
         else:
             self.on_screen.open(path)
+            self.remember(path)
 
     def _show_source(self, shown: "Shown") -> None:
         """Have every page draw this source, or nothing, before anything else happens."""
@@ -579,6 +583,7 @@ class MainWindow(QMainWindow):
         self.top.use_rig(file.stem, simulated=False)
         self.calibration.use_rig(source)
         self._offered, self._rig = False, None
+        self.remember(file)
         self.show_page(self.calibration)
 
     def show_palette(self) -> None:
@@ -588,6 +593,7 @@ class MainWindow(QMainWindow):
         actions.append(Action(BY_NAME["stop"].what, "F12", self.stop))
         actions.append(Action("open a rig file", "", self.ask_for_rig))
         actions += [
+            Action("open a scene and predict its picture", "", self.ask_for_scene),
             Action("copy what is on screen as Python", "", self.copy_as_python),
             Action("save this frame, its counts as they are", "", self.save_frame),
             Action("save what the page in front shows as a figure", "", self.save_figure),
@@ -596,7 +602,7 @@ class MainWindow(QMainWindow):
         actions += actions_of("Camera", self.live, self.live.setFocus)
         for title, page in self.docks.pages():
             actions += actions_of(title, page, partial(self.show_page, page))
-        actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self._recent()]
+        actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self.recent()]
         self._palette = Palette(self, actions)
         self._palette.show()
         self._palette.field.setFocus()
@@ -666,15 +672,41 @@ class MainWindow(QMainWindow):
             self.show_page(self.sequence)
         elif kind is Dropped.RIG:
             self.use_rig(path)
+        elif kind is Dropped.SCENE:
+            self.open_scene(path)
         else:
-            self.tell(f"{path}: is no run, no sequence and no rig file, so that there is nothing to open")
-            return
-        recent = [str(path), *(one for one in map(str, self._recent()) if one != str(path))]
-        self._settings.setValue("recent", recent[:MOST_RECENT])
+            self.tell(f"{path}: is no run, no sequence, no rig file and no scene, so that there is nothing to open")
 
-    def _recent(self) -> list[Path]:
-        kept = self._settings.value("recent") or []
-        return [Path(str(one)) for one in ([kept] if isinstance(kept, str) else kept)]
+    def open_scene(self, path: Path) -> None:
+        """Predict the picture of a scene, in a window of its own."""
+        from tankrig.scene import load_scene
+        from ui.window.scene_window import SceneWindow
+
+        try:
+            scene = load_scene(path)
+        except TankrigError as error:
+            self.tell(str(error))
+            return
+        self.scene = SceneWindow(self, path, scene, self.background)
+        self.scene.show()
+        theme.paint_plots(self.scene)
+        self.remember(path)
+
+    def ask_for_scene(self) -> None:
+        """Ask for a scene file and predict its picture."""
+        ask_for_file(self, "Open a scene", Path.cwd(), "Scenes (*.toml)", self.open_scene)
+
+    def remember(self, path: Path) -> None:
+        """List this among what was open lately, first."""
+        recent = [str(path.absolute()), *(str(one) for one in self.recent() if one != path.absolute())]
+        self._settings.setValue("recent", recent[:MOST_RECENT])
+        self.sequence.list_recent(self.recent())
+
+    def recent(self) -> list[Path]:
+        """Files and runs that were open lately and are still there, the last first."""
+        kept: Any = self._settings.value("recent") or []
+        paths = [Path(str(one)) for one in ([kept] if isinstance(kept, str) else kept)]
+        return [path for path in paths if path.exists()]
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:  # noqa: N802 - Qt's name
         """A file or folder may be dropped."""

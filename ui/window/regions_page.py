@@ -309,6 +309,7 @@ class RegionsPage(QWidget):
 def table(counted: Sequence[Counted]) -> str:
     """What was counted, as lines with tabs between; the first line names the columns.
 
+    >>> from tankrig.run.regions import Region
     >>> table([Counted(Region("a", (0, 2), (0, 3)), 0, 1.5, "rays", 100.0, 20.0, 1.0, 7.25, 0.5, 7, 8)]).split()[-4:]
     ['7.25', '0.5', '7', '8']
     """
