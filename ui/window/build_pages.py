@@ -2,20 +2,23 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QWidget
 
-from ui.window.live_view import LiveView
-from ui.window.on_screen import OnScreen, Worker
-from ui.window.rig_file import RigSource
 from ui.window.source_frame import SourceFrame
+
+if TYPE_CHECKING:
+    from ui.window.live_view import LiveView
+    from ui.window.on_screen import OnScreen, Worker
+    from ui.window.rig_file import RigSource
 
 Page = tuple[str, str, QWidget, SourceFrame]
 """Name of the window's attribute, title of the dock, the page, and the frame around it."""
 
 
 def pages(
-    folder: Path, on_screen: OnScreen, background: Worker, source: RigSource, live: LiveView
+    folder: Path, on_screen: "OnScreen", background: "Worker", source: "RigSource", live: "LiveView"
 ) -> Iterator[tuple[Page, ...]]:
     """Make a window's pages; between what this yields it may do something else.
 

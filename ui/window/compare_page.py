@@ -140,6 +140,8 @@ class ComparePage(QWidget):
                 item.setToolTip(text)
                 self._table.setItem(row, column, item)
         self._results = tuple(results)
+        self._table.setVisible(bool(results))
+        self._copy.setVisible(bool(results))
         self._copy.setEnabled(bool(results))
 
     def _colour(self, ticked: Sequence[Shown]) -> None:
@@ -201,6 +203,7 @@ class ComparePage(QWidget):
         whole.addWidget(self._curves, 2)
         whole.addWidget(self._table, 1)
         whole.addWidget(self._copy, 0, Qt.AlignmentFlag.AlignLeft)
+        whole.addStretch(0)
         right.setLayout(whole)
         split = QSplitter(Qt.Orientation.Vertical)
         split.addWidget(self._sources)

@@ -14,12 +14,14 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from ui.window.elided import Elided
 from ui.window.result import CONFIDENCE, NAMES, Result
 
 ORDERS = {
     "1": "order 1 only", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders",
     "single": "single scattering's best",
 }  # fmt: skip
+VERDICT_LINES = 2
 NOTHING = "not fitted yet"
 
 
@@ -27,28 +29,33 @@ class ResultCard(QWidget):
     """One result: σs, σa, g with their 95 % intervals, whose they are, and what the verdict says."""
 
     copy_asked = Signal(str)
-    """"text" or "table"."""
+    """"text", "table" or "figure"."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.belongs, self.verdict = QLabel(), QLabel()
+        self.belongs, self.verdict = QLabel(), Elided(VERDICT_LINES)
         self.belongs.setProperty("role", "faint")
-        for label in (self.belongs, self.verdict):
-            label.setWordWrap(True)
-            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.verdict.setMinimumHeight(36)
+        self.belongs.setWordWrap(True)
+        self.belongs.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self._whole = QPushButton("Whole verdict")
+        self._whole.setCheckable(True)
+        self._whole.setToolTip("all that the verdict says, or its first lines")
+        self._whole.toggled.connect(self.verdict.show_all)
+        self.verdict.cut.connect(self._whole.setEnabled)
         head, row = QHBoxLayout(), QHBoxLayout()
         head.addWidget(self.belongs, 1)
         self._copies = []
         for words, what, tip in (
             ("Copy", "text", "copy this result as text"),
-            ("Copy table", "table", "copy the fits of all doses as a table, for a spreadsheet"),
+            ("Table", "table", "copy the fits of all doses as a table, for a spreadsheet"),
+            ("Figure", "figure", "copy what this page shows as a picture"),
         ):
             button = QPushButton(words)
             button.setToolTip(tip)
             button.clicked.connect(lambda _=False, what=what: self.copy_asked.emit(what))
             head.addWidget(button)
             self._copies.append(button)
+        head.insertWidget(1, self._whole)
         self.values: dict[str, tuple[QLabel, QLabel, QLabel]] = {}
         for name in NAMES:
             card = QFrame()
@@ -89,7 +96,7 @@ class ResultCard(QWidget):
             note.setText(f"± {half} ({CONFIDENCE})" + ("" if one.determined else ", not determined"))
         self.belongs.setText(result.belongs if result is not None else "")
         verdict = result.verdict if result is not None else ""
-        self.verdict.setText(f"{says} {verdict}".strip())
+        self.verdict.say(f"{says} {verdict}".strip())
         for button in self._copies:
             button.setEnabled(result is not None)
 

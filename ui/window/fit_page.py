@@ -9,6 +9,7 @@ from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from ui.window.fields import with_name
+from ui.window.figure import pixmap_of
 from ui.window.fit_cards import OrderBars, ResultCard
 from ui.window.fit_curves import FitCurves
 from ui.window.flow import Flow
@@ -76,6 +77,7 @@ class FitPage(QWidget):
             fits = [(fit.dose_ml, fit) for fit in shown.by_dose]
         else:
             fits = [(one.time_s, one.fit) for one in shown.fits]
+        self._curves.setVisible(bool(fits))  # axes of nothing would measure nothing
         self._curves.show_fits(fits, against, shown.series)
 
     def _list_photographs(self, shown: Shown) -> None:
@@ -129,7 +131,9 @@ class FitPage(QWidget):
         self._says.setText(EMPTY)
 
     def _copy(self, what: str) -> None:
-        if self._shown is not None:
+        if what == "figure":
+            QGuiApplication.clipboard().setPixmap(pixmap_of(self))
+        elif self._shown is not None:
             result = result_of(self._shown)
             text = table(self._shown) if what == "table" else result.text if result is not None else ""
             QGuiApplication.clipboard().setText(text)
@@ -208,3 +212,4 @@ class FitPage(QWidget):
         column.addWidget(self._says)
         column.addLayout(middle)
         column.addWidget(self._curves, 3)
+        column.addStretch(0)

@@ -301,11 +301,14 @@ class LiveView(QWidget):
         whole.clicked.connect(self._plot.fit)
         self._exposure = NumberField("ms", 0.001, 100_000.0, what="exposure of a frame, outside of runs")
         self._gain = NumberField("×", 0.01, 1000.0, what="gain of the camera, outside of runs")
+        for field in (self._exposure, self._gain):
+            field.edit.setFixedWidth(70)
         self._exposure.committed.connect(self._ask_camera)
         self._gain.committed.connect(self._ask_camera)
         rows = Flow(
-            self._colours, with_name(self._gamma_words, self._gamma), whole, with_name("exposure", self._exposure),
-            with_name("gain", self._gain), self._automatic, self._saturation, self._overlay, focus, profile, regions,
+            self._colours, with_name(self._gamma_words, self._gamma), whole, regions,
+            with_name("exposure", self._exposure), with_name("gain", self._gain), self._automatic, self._saturation,
+            self._overlay, focus, profile,
         )  # fmt: skip
         self._read_out = QLabel(NO_PICTURE)
         self._saturated, self._focus, self._rate = QLabel(), QLabel(), QLabel()

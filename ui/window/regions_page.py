@@ -12,7 +12,7 @@ import pyqtgraph as pg
 from pyqtgraph.parametertree import Parameter, ParameterTree
 from PySide6.QtCore import QRectF, Qt, Signal
 from PySide6.QtGui import QColor, QGuiApplication
-from PySide6.QtWidgets import QComboBox, QLabel, QPushButton, QSplitter, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QLabel, QPushButton, QSizePolicy, QSplitter, QVBoxLayout, QWidget
 
 from tankrig.run.regions import COLUMNS, REGIONS, Counted
 from ui.window.fields import with_name
@@ -278,12 +278,15 @@ class RegionsPage(QWidget):
             button.clicked.connect(do)
         self._pattern.setMinimumWidth(110)
         self._pattern.activated.connect(lambda _: self._draw())
-        self._root = Parameter.create(name="regions", type="group")
+        self._root = Parameter.create(name="on the picture", type="group")
         self._tree = ParameterTree(showHeader=False)
         self._tree.setParameters(self._root, showTop=False)
         self._tree.setAccessibleName("places of the regions, in mm on the water")
         self._plot = pg.PlotWidget()
+        self._tree.setMinimumHeight(110)
         self._plot.setMinimumHeight(130)
+        for widget in (self._tree, self._plot):
+            widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         item = self._plot.getPlotItem()
         item.hideButtons()
         item.setMenuEnabled(False)

@@ -410,8 +410,6 @@ class RigHost(QObject):
             self._publish()
 
     def _publish(self) -> None:
-        from tankrig.live.formatting import preparation_in_words
-
         guard, runner = self._guard, self._runner
         status = RigStatus(
             self._state,
@@ -429,8 +427,7 @@ class RigHost(QObject):
                     undecided=self._question or (None if self._dosing() else guard.undecided),
                 )  # fmt: skip
         if runner is not None:
-            fit = self._fit
-            preparation = preparation_in_words(fit.preparation) if fit is not None else ""
+            preparation = _preparation(self._fit) if self._fit is not None else ""
             status = replace(status, progress=runner.progress(), run_state=runner.state, preparation=preparation)
             if runner.state is RunState.RUNNING and status.progress is not None:
                 status = replace(status, target_ul=None)
@@ -450,3 +447,10 @@ class RigHost(QObject):
     def _tell(self, sentence: str) -> None:
         self._trouble, self._troubles = sentence, self._troubles + 1
         _log.error("%s", sentence)
+
+
+def _preparation(fit: "LiveFit") -> str:
+    """What the fits of a run wait for, in words; imported where there are fits, for it brings numba along."""
+    from tankrig.live.formatting import preparation_in_words
+
+    return preparation_in_words(fit.preparation)

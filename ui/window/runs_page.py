@@ -30,8 +30,8 @@ from ui.window.run_summary import RunSummary
 from ui.window.shown import Shown
 from ui.window.source_frame import SourceFrame
 
-COLUMNS = ("run", "sequence", "began (local time)", "ending", "doses", "frames", "note")
-BEGAN, NOTE = COLUMNS.index("began (local time)"), COLUMNS.index("note")
+COLUMNS = ("run", "began", "ending", "doses", "frames", "note", "sequence")
+BEGAN, NOTE = COLUMNS.index("began"), COLUMNS.index("note")
 PATH = Qt.ItemDataRole.UserRole
 DELETE = "Delete"
 
@@ -206,7 +206,7 @@ class RunsPage(QWidget):
         table.setSortingEnabled(False)
         table.setRowCount(len(runs))
         for row, one in enumerate(runs):
-            cells = (one.path.name, one.name, one.began_local, one.ending, one.doses, one.frames, one.note)
+            cells = (one.path.name, one.began_local, one.ending, one.doses, one.frames, one.note, one.name)
             for column, value in enumerate(cells):
                 item = QTableWidgetItem()
                 item.setData(Qt.ItemDataRole.DisplayRole, value)  # a number is sorted as one
@@ -252,6 +252,9 @@ class RunsPage(QWidget):
     def _lay_out(self) -> None:
         self._table = QTableWidget(0, len(COLUMNS))
         self._table.setHorizontalHeaderLabels(list(COLUMNS))
+        began = self._table.horizontalHeaderItem(BEGAN)
+        assert began is not None
+        began.setToolTip("by the clock on the wall here")
         self._table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self._table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self._table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)

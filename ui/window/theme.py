@@ -140,9 +140,9 @@ def _sheet(theme: Theme) -> str:
     QComboBox QAbstractItemView::item:selected {{ background: {theme.accent}; color: {theme.on_accent}; }}
     QListView::item:selected, QTreeView::item:selected, QTableView::item:selected {{
         background: {theme.accent}; color: {theme.on_accent}; }}
-    QTabBar::tab {{ min-height: 30px; padding: 2px 8px; background: {theme.window}; color: {theme.faint};
+    QTabBar::tab {{ min-height: 30px; padding: 2px 4px; background: {theme.window}; color: {theme.faint};
         border: none; border-bottom: 3px solid transparent; }}
-    QTabBar::tab:selected {{ color: {theme.text}; border-bottom: 3px solid {theme.accent}; font-weight: 600; }}
+    QTabBar::tab:selected {{ color: {theme.text}; border-bottom: 3px solid {theme.accent}; }}
     QTabWidget::pane {{ border: none; border-top: 1px solid {theme.line}; }}
     QDockWidget {{ font-weight: 600; color: {theme.text}; }}
     QDockWidget::title {{ background: {theme.window}; padding: 4px 8px; border-bottom: 1px solid {theme.line}; }}
