@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import QFileSystemWatcher, Qt, QTimer, Signal
 from PySide6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
@@ -15,6 +15,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tankrig.errors import TankrigError
 from ui.window.calibration_known import known_of
 from ui.window.calibration_wizard import CalibrationWizard
 from ui.window.marked_text import MarkedText
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from drivers.rig import RigFile
 
 
+SETTLED_MS = 100
+"""A file is read once whoever writes it has had so long to finish."""
 OWN_FILE = "the simulated rig's own file"
 
 
@@ -50,7 +53,9 @@ class CalibrationPage(QWidget):
         area.setWidgetResizable(True)
         area.setFrameShape(QScrollArea.Shape.NoFrame)
         area.setWidget(self._table)
-        self._text = MarkedText()
+        self._text, self._as_read, self._sure = MarkedText(), "", False
+        self._watcher = QFileSystemWatcher(self)
+        self._watcher.fileChanged.connect(lambda _: QTimer.singleShot(SETTLED_MS, self._look_at_file))
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.addTab(area, "What is known")
@@ -96,7 +101,7 @@ class CalibrationPage(QWidget):
         """Mark the line of the rig file that is to blame, once it has failed."""
         self.wizard.follow(status)
         failed = status.state is RigState.FAILED
-        self._again.setEnabled(failed)
+        self._again.setEnabled(failed or (self._source.file is not None and status.state is RigState.IDLE))
         if failed and status.trouble and self._source.file is not None and not self._text.marked:
             self._read_file()
             line = line_of(self._text.toPlainText(), status.trouble.partition(": ")[2])
@@ -115,10 +120,39 @@ class CalibrationPage(QWidget):
         return self._source.file or own
 
     def _read_file(self) -> None:
+        self._sure = False
         try:
-            self._text.replace_text(self._path().read_text(encoding="utf-8-sig"))
+            self._as_read = self._path().read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as error:
-            self._text.replace_text(f"# {self._path()}: cannot be read ({error})")
+            self._as_read = f"# {self._path()}: cannot be read ({error})"
+        self._text.replace_text(self._as_read)
+        watched = [str(self._source.file)] if self._source.file is not None else []
+        if self._watcher.files() != watched:
+            self._watcher.removePaths(self._watcher.files())
+            self._watcher.addPaths(watched)
+
+    @property
+    def _changed_outside(self) -> bool:
+        """Whether the file is no longer what was read of it, or written to it, here."""
+        try:
+            return self._path().read_text(encoding="utf-8-sig") != self._as_read
+        except (OSError, UnicodeDecodeError):
+            return True
+
+    def _look_at_file(self) -> None:
+        """Somebody has written the rig file, or taken it away."""
+        file = self._source.file
+        if file is None or not self._changed_outside:
+            return
+        edited = self._text.toPlainText() != self._as_read
+        if not file.exists():
+            self.told.emit(f"{file} is gone; the rig stays as it was opened, and saving here writes the file anew")
+        elif edited:
+            self.told.emit(f"{file} was changed by another program, and here, too: saving here writes over that")
+        else:
+            self._read_file()
+            self.told.emit(f"{file} was changed by another program; it counts once the rig is opened again")
+        self._again.setEnabled(True)
 
     def _save(self) -> None:
         from tankrig.files import whole_file
@@ -126,12 +160,19 @@ class CalibrationPage(QWidget):
         if self._source.file is None:
             self.told.emit("the simulated rig's file comes with tankrig; copy it and start with --rig to change it")
             return
+        if self._changed_outside and not self._sure:
+            self._sure = True
+            self.told.emit(
+                f"{self._source.file} was changed by another program meanwhile; press again to write over it"
+            )
+            return
         try:
             with whole_file(self._source.file) as unfinished:
                 unfinished.write_text(self._text.toPlainText(), encoding="utf-8")
-        except OSError as error:
+        except (OSError, TankrigError) as error:
             self.told.emit(str(error))
             return
+        self._sure, self._as_read = False, self._text.toPlainText()
         self._text.mark(0)
         self.reopen_asked.emit()
 

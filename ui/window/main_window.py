@@ -123,6 +123,7 @@ class MainWindow(QMainWindow):
         self._ending: OwnedThread | None = None
         self._offered = self.built = False
         self._asked: str | None = None
+        self._draft_lost = False
         self._actions: dict[str, Callable[[], object]] = {}
         self.top, self.banner, self.live = TopBar("rig", host.source.simulated), Banner(), LiveView(host.frames)
         self.live_frame = SourceFrame(self.live)
@@ -263,6 +264,9 @@ class MainWindow(QMainWindow):
         self._settings.setValue("sequence", str(document.path or ""))
         self._settings.setValue("draft", document.text if document.unsaved else "")
         self._settings.sync()
+        if self._settings.status() is not QSettings.Status.NoError and not self._draft_lost:
+            self._draft_lost = True
+            self.tell(f"{self._settings.fileName()}: cannot be written, so that what is typed is not kept; save it")
 
     def _opened(self, rig: "RigFile | None", afresh: bool = False) -> None:
         if rig is None:
