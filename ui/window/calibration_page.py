@@ -127,9 +127,11 @@ class CalibrationPage(QWidget):
             self._as_read = f"# {self._path()}: cannot be read ({error})"
         self._text.replace_text(self._as_read)
         watched = [str(self._source.file)] if self._source.file is not None else []
-        if self._watcher.files() != watched:
-            self._watcher.removePaths(self._watcher.files())
-            self._watcher.addPaths(watched)
+        now = self._watcher.files()
+        for file in set(now) - set(watched):
+            self._watcher.removePath(file)
+        for file in set(watched) - set(now):  # one that was replaced as a whole is no longer watched
+            self._watcher.addPath(file)
 
     @property
     def _changed_outside(self) -> bool:
