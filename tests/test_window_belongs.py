@@ -97,7 +97,7 @@ def test_a_refit_that_comes_after_another_run_was_opened_does_not_show_in_it(win
     assert window.on_screen.source.kind is Kind.REFIT
     painted(window)
     assert [y for _, y in window.fit._curves.points("g")] == [0.5] * 5
-    assert window.fit.card.belongs.text().endswith("rays; dark frames subtracted")
+    assert window.fit.card.belongs.whole.endswith("rays; dark frames subtracted")
     assert window.live_frame.title.text() == "REFIT of run-a with rays; dark frames subtracted"
 
 

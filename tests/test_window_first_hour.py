@@ -90,8 +90,8 @@ def test_a_result_says_what_it_is_of_and_with_which_confidence(window):
     shown = opened(window, "a")
     result = result_of(shown)
     assert result.doses_ml == (0.1, 0.2, 0.3)
-    assert "ink, from 0.1, 0.2, 0.3 ml" in window.fit.card.belongs.text()
-    assert "Henyey–Greenstein" in window.fit.card.belongs.text()
+    assert "ink, from 0.1, 0.2, 0.3 ml" in window.fit.card.belongs.whole
+    assert "Henyey–Greenstein" in window.fit.card.belongs.whole
     sd = shown.series.sd[1]
     by_name = {one.name: one for one in result.coefficients}
     assert by_name["sigma_s"].half == pytest.approx(1.96 * sd)

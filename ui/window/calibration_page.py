@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
 from tankrig.errors import TankrigError
 from ui.window.calibration_known import known_of
 from ui.window.calibration_wizard import CalibrationWizard
+from ui.window.flow import take_rest
 from ui.window.marked_text import MarkedText
 from ui.window.rig_file import RigSource
 from ui.window.sequence_text import line_of
@@ -66,6 +67,7 @@ class CalibrationPage(QWidget):
         self.tabs.addTab(self._file_tab(), "Rig file")
         column = QVBoxLayout(self)
         column.setContentsMargins(14, 10, 14, 10)
+        take_rest(self.tabs, 300)
         column.addWidget(self.tabs)
         self._say_empty()
 

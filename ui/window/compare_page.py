@@ -24,6 +24,7 @@ from PySide6.QtWidgets import (
 )
 
 from ui.window.fit_curves import AXIS_PX, COEFFICIENTS
+from ui.window.flow import take_rest
 from ui.window.next_steps import NextSteps
 from ui.window.on_screen import OnScreen
 from ui.window.result import CONFIDENCE, NAMES, Result, Z, result_of, table_of
@@ -217,6 +218,7 @@ class ComparePage(QWidget):
         self.tabs.addTab(self.frame, "Models, and what next")
         column = QVBoxLayout(self)
         column.setContentsMargins(10, 8, 10, 8)
+        take_rest(self.tabs, 330)
         column.addWidget(self.tabs)
 
     def show_source(self, shown: Shown) -> None:

@@ -33,17 +33,14 @@ class ResultCard(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.belongs, self.verdict = QLabel(), Elided(VERDICT_LINES)
+        self.belongs, self.verdict = Elided(1), Elided(VERDICT_LINES)
         self.belongs.setProperty("role", "faint")
-        self.belongs.setWordWrap(True)
-        self.belongs.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self._whole = QPushButton("Whole verdict")
+        self._whole = QPushButton("All of it")
         self._whole.setCheckable(True)
         self._whole.setToolTip("all that the verdict says, or its first lines")
         self._whole.toggled.connect(self.verdict.show_all)
         self.verdict.cut.connect(self._whole.setEnabled)
-        head, row = QHBoxLayout(), QHBoxLayout()
-        head.addWidget(self.belongs, 1)
+        row = QHBoxLayout()
         self._copies = []
         for words, what, tip in (
             ("Copy", "text", "copy this result as text"),
@@ -53,9 +50,9 @@ class ResultCard(QWidget):
             button = QPushButton(words)
             button.setToolTip(tip)
             button.clicked.connect(lambda _=False, what=what: self.copy_asked.emit(what))
-            head.addWidget(button)
             self._copies.append(button)
-        head.insertWidget(1, self._whole)
+        self.buttons = (self._whole, *self._copies)
+        """What can be done with the result, for whoever lays out the page."""
         self.values: dict[str, tuple[QLabel, QLabel, QLabel]] = {}
         for name in NAMES:
             card = QFrame()
@@ -75,7 +72,7 @@ class ResultCard(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(4)
-        column.addLayout(head)
+        column.addWidget(self.belongs)
         column.addLayout(row)
         column.addWidget(self.verdict)
         self.show_result(None, "")
@@ -94,7 +91,7 @@ class ResultCard(QWidget):
             title.setText(f"{one.symbol} {one.unit}".strip())
             value.setText(number)
             note.setText(f"± {half} ({CONFIDENCE})" + ("" if one.determined else ", not determined"))
-        self.belongs.setText(result.belongs if result is not None else "")
+        self.belongs.say(result.belongs if result is not None else "")
         verdict = result.verdict if result is not None else ""
         self.verdict.say(f"{says} {verdict}".strip())
         for button in self._copies:
@@ -114,7 +111,7 @@ class OrderBars(QWidget):
             bar = QProgressBar()
             bar.setRange(0, 1000)
             bar.setFormat("–")
-            bar.setFixedHeight(20)
+            bar.setFixedHeight(16)
             bar.setAlignment(Qt.AlignmentFlag.AlignCenter)
             label = QLabel(words)
             label.setToolTip("root mean square of what is left over, in percent of the brightest pixel")

@@ -200,7 +200,8 @@ class FitPage(QWidget):
         self._against.currentTextChanged.connect(lambda _: self._draw_curves())
         self._same.toggled.connect(lambda _: self._draw_comparison())
         choices = Flow(
-            with_name("picture of", self._pattern), with_name("at", self._dose), self._same, self._against
+            *self.card.buttons, with_name("picture of", self._pattern), with_name("at", self._dose), self._same,
+            self._against,
         )  # fmt: skip
         middle = QGridLayout()
         middle.addWidget(self._bars, 0, 0)

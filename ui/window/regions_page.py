@@ -12,11 +12,11 @@ import pyqtgraph as pg
 from pyqtgraph.parametertree import Parameter, ParameterTree
 from PySide6.QtCore import QRectF, Qt, Signal
 from PySide6.QtGui import QColor, QGuiApplication
-from PySide6.QtWidgets import QComboBox, QLabel, QPushButton, QSizePolicy, QSplitter, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QLabel, QPushButton, QSplitter, QVBoxLayout, QWidget
 
 from tankrig.run.regions import COLUMNS, REGIONS, Counted
 from ui.window.fields import with_name
-from ui.window.flow import Flow
+from ui.window.flow import Flow, take_rest
 from ui.window.frame_renderer import RegionNow
 from ui.window.live_curves import LineProfile
 from ui.window.on_screen import OnScreen
@@ -285,8 +285,6 @@ class RegionsPage(QWidget):
         self._plot = pg.PlotWidget()
         self._tree.setMinimumHeight(110)
         self._plot.setMinimumHeight(130)
-        for widget in (self._tree, self._plot):
-            widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         item = self._plot.getPlotItem()
         item.hideButtons()
         item.setMenuEnabled(False)
@@ -301,7 +299,8 @@ class RegionsPage(QWidget):
         split.addWidget(self._tree)
         split.addWidget(self._plot)
         split.setChildrenCollapsible(False)
-        split.setSizes([260, 300])
+        split.setSizes([220, 220])
+        take_rest(split, 250)
         column = QVBoxLayout(self)
         column.setContentsMargins(10, 8, 10, 8)
         column.addLayout(Flow(add, remove, self._save, self._copy, with_name("curves of", self._pattern)))

@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
 from tankrig.run.notes import MOST_LETTERS, write_note
 from ui.window import jobs
 from ui.window.files import ask_where_to_save
-from ui.window.flow import Flow
+from ui.window.flow import Flow, take_rest
 from ui.window.on_screen import OnScreen, Worker
 from ui.window.refit_row import RefitRow
 from ui.window.replay_bar import ReplayBar
@@ -301,6 +301,7 @@ class RunsPage(QWidget):
         column.setContentsMargins(14, 10, 14, 10)
         column.addLayout(head)
         column.addWidget(self._empty)
+        take_rest(self._table, 120)
         column.addWidget(self._table, 1)
         column.addWidget(self._selected)
         column.addWidget(self._note)

@@ -18,7 +18,7 @@ from tankrig.errors import TankrigError
 from ui.window.fields import NumberField, with_name
 from ui.window.files import ask_for_file, ask_where_to_save
 from ui.window.first_start import EXAMPLE, FirstStart
-from ui.window.flow import Flow
+from ui.window.flow import Flow, take_rest
 from ui.window.marked_text import MarkedText
 from ui.window.patterns_editor import PatternsEditor
 from ui.window.plan_list import PlanList
@@ -88,6 +88,7 @@ class SequencePage(QWidget):
         column.setContentsMargins(10, 8, 10, 8)
         column.addLayout(self._head())
         column.addWidget(self.first, 1)
+        take_rest(self.tabs, 230)
         column.addWidget(self.tabs, 1)
         column.addWidget(self._says)
         column.addLayout(self._foot())

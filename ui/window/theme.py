@@ -149,7 +149,7 @@ def _sheet(theme: Theme) -> str:
     QHeaderView::section {{ background: {theme.window}; color: {theme.faint}; border: none;
         border-bottom: 1px solid {theme.line}; padding: 4px 6px; }}
     QProgressBar {{ border: 1px solid {theme.line}; border-radius: 5px; background: {theme.base}; text-align: center;
-        min-height: 18px; color: {theme.text}; }}
+        min-height: 14px; color: {theme.text}; }}
     QProgressBar::chunk {{ background: {theme.bar}; border-radius: 4px; }}
     QProgressBar[level="high"]::chunk {{ background: {theme.warning}; }}
     QToolBar {{ border: none; border-bottom: 1px solid {theme.line}; spacing: 6px; padding: 0px 4px; }}
