@@ -48,3 +48,10 @@ def test_a_rate_beyond_the_bounds_is_refused_and_would_be_by_the_driver(tmp_path
             settings(**{**table, rate.key: 1.01 * rate.most_ul_per_s * rate.per_ul_per_s})
     with pytest.raises(SceneError, match="not in the rig file"):
         at_rate(replace(rig, doser={"driver": "rig-doser", "steps_per_ul": 10.0}), 10.0)
+
+
+@pytest.mark.parametrize("wrong", [-3, 0, "much", None, float("nan"), float("inf")])
+def test_a_wrong_table_has_no_rate_to_set(wrong):
+    """The driver says what is wrong with it; a field that offers 0.01 to -21845 µl/s says nothing."""
+    assert pump_rate({"driver": "simulated-doser", "steps_per_ul": wrong}) is None
+    assert pump_rate({"driver": "cavro", "speed_ul_per_s": 20.0, "syringe_ul": wrong}) is None

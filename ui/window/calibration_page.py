@@ -112,7 +112,7 @@ class CalibrationPage(QWidget):
                 self._text.go_to(line)
                 self.tabs.setCurrentIndex(2)
                 self.wrong_line.emit()
-        if not failed:
+        if not failed and self._text.marked:
             self._text.mark(0)
 
     def _path(self) -> Path:

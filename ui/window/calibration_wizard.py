@@ -154,8 +154,8 @@ class CalibrationWizard(QWidget):
             if step is None:
                 continue
             sign = "✓" if step.done else "→" if missing[:1] == [wizard.kind] else " "
-            item.setText(f"{row + 1}  {sign}  {wizard.title}: {step.finding}")
-            item.setToolTip(step.finding)
+            item.setText(f"{row + 1}  {sign}  {wizard.kind.capitalize()}: {step.finding}")
+            item.setToolTip(f"{wizard.title}: {step.finding}")
         if missing and not self._chosen_by_person and not self.at_work:
             self.choose(missing[0])
 
@@ -314,7 +314,7 @@ class CalibrationWizard(QWidget):
             self._choices.addRow(one.name, field)
             self.options[one.flag] = field
         if not self.at_work:
-            self._ask(f"Wants {wizard.wants}.", False, answered=False)
+            self._ask(f"{wizard.title}. Wants {wizard.wants}.", False, answered=False)
 
     def _lay_out(self) -> None:
         self.choice.addItems([f"{number}     {wizard.title}" for number, wizard in enumerate(WIZARDS, 1)])

@@ -54,9 +54,18 @@ class Histogram(QObject):
         self._range = (0.0, 0)
         self._coloured: Tone | None = None
 
+        self.clear()
+
     def clear(self) -> None:
-        """Show no counts."""
+        """Show no counts, and no axis, which would count nothing."""
         self._curve.setData([0.0, 1.0], [0.0])
+        self._show(False)
+
+    def _show(self, shown: bool) -> None:
+        if self._bar.isVisible() != shown:
+            for item in (self._bar, self._region, self._full):
+                item.setVisible(shown)
+            self._plot.showAxis("bottom", shown)
 
     def show_counts(self, often: NDArray[np.intp], saturation: int, tone: Tone) -> None:
         """Show how often each count occurs, where the camera saturates, and the colours that are in use."""
@@ -64,6 +73,7 @@ class Histogram(QObject):
         width = max(1, math.ceil(most / BINS))
         counts = np.add.reduceat(often, np.arange(0, len(often), width))
         self._silent = True
+        self._show(True)
         heights = np.log1p(counts)
         self._curve.setData(width * np.arange(len(counts) + 1), heights / max(float(heights.max()), 1.0))
         if (most, saturation) != self._range:

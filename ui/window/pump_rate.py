@@ -1,5 +1,6 @@
 """How fast the pump of a rig delivers, and between which bounds its driver takes another rate."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -80,9 +81,10 @@ def pump_rate(doser: Mapping[str, Any]) -> PumpRate | None:
     """
     of = _BY_DRIVER.get(str(doser.get("driver")))
     try:
-        return of(doser) if of is not None else None
-    except (KeyError, TypeError, ValueError):
+        rate = of(doser) if of is not None else None
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
         return None  # the driver says what is wrong with its table when the rig is opened
+    return rate if rate is not None and 0.0 < rate.least_ul_per_s < rate.most_ul_per_s < math.inf else None
 
 
 def at_rate(rig: "RigFile", ul_per_s: float) -> "RigFile":
