@@ -33,13 +33,22 @@ class Hands:
 
     def answer(self, path: Path) -> None:
         """Type a file's name into the question that stands beside the window, and press Enter: two actions."""
+        until(lambda: any(one.isVisible() for one in self.window.findChildren(QFileDialog)))
         (question,) = [one for one in self.window.findChildren(QFileDialog) if one.isVisible()]
-        field = question.findChild(QLineEdit)
+        question.activateWindow()
+        assert QTest.qWaitForWindowActive(question, 10_000)
+        field = question.findChild(QLineEdit, "fileNameEdit")
         field.setFocus()
+        until(field.hasFocus)
+        wait_ms(100)
         field.selectAll()
         QTest.keyClicks(field, str(path))
+        wait_ms(500)  # the list beside the field follows what is typed
         QTest.keyClick(field, Qt.Key.Key_Return)
         self.actions += 2
+        until(lambda: not any(one.isVisible() for one in self.window.findChildren(QFileDialog)))
+        self.window.activateWindow()
+        assert QTest.qWaitForWindowActive(self.window, 10_000)
 
 
 @pytest.mark.long

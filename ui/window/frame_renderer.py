@@ -78,7 +78,8 @@ class FrameStatistics:
     saturated
         Part of the pixels.
     focus
-        Sharpness of the first region, or of the middle.
+        Sharpness of the first region, or of the middle; None of the very first frame, whose picture does not wait for
+        OpenCV to be imported.
     regions
         What is counted in each region.
     dark
@@ -89,7 +90,7 @@ class FrameStatistics:
 
     often: NDArray[np.intp]
     saturated: float
-    focus: float
+    focus: float | None
     regions: tuple[RegionNow, ...]
     dark: float | None
     outlines: NDArray[np.float64]
@@ -155,6 +156,7 @@ class FrameRenderer:
 
     def _work(self, ending: threading.Event) -> None:
         tone: Tone | None = None
+        first = True
         while self._wake.wait() and not ending.is_set():
             self._wake.clear()
             changed, self._view_changed = self._view_changed, False
@@ -165,14 +167,15 @@ class FrameRenderer:
             view, statistics = self._view, None
             if changed or time.monotonic() - self._statistics_s > SLOW_S:
                 self._statistics_s = time.monotonic()
-                statistics = statistics_of(frame, view)
+                statistics = statistics_of(frame, view, focus=not first)
+                first = False
             tone = _tone(view, frame, tone, statistics)
             table, palette = _developed(tone)
             indices = np.take(table, frame.pixels[:: view.every, :: view.every], mode="clip")
             self.pictures.put(Picture(frame, indices, palette, tone, statistics))
 
 
-def statistics_of(frame: SeenFrame, view: ViewSettings) -> FrameStatistics:
+def statistics_of(frame: SeenFrame, view: ViewSettings, focus: bool = True) -> FrameStatistics:
     """Levels, saturation, focus and what is counted in the regions of a frame."""
     pixels = frame.pixels
     parts = [region.of(pixels) for region in view.regions]
@@ -181,7 +184,7 @@ def statistics_of(frame: SeenFrame, view: ViewSettings) -> FrameStatistics:
     return FrameStatistics(
         how_often(pixels),
         np.count_nonzero(pixels >= frame.saturation) / pixels.size,
-        sharpness(sharp),
+        sharpness(sharp) if focus else None,
         tuple(
             RegionNow(region, float(part.mean()), float(part.std()))
             for region, part in zip(view.regions, parts, strict=True)

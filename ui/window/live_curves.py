@@ -137,5 +137,6 @@ def _plot(bottom: str, left: str) -> pg.PlotWidget:
     plot.setLabel("left", left)
     for side in ("left", "bottom"):
         plot.getAxis(side).enableAutoSIPrefix(False)
+        plot.getAxis(side).setTickDensity(0.5)  # numbers have little room
         plot.getAxis(side).setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
     return widget

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 
 GAMMA_PERCENT = 20, 200
+PICTURE_PX = 150
 POINT = "point at the picture to read counts and radiance"
 NO_PICTURE = "the camera's picture will stand here"
 
@@ -181,8 +182,9 @@ class LiveView(QWidget):
             f"saturated {statistics.saturated:.2%}" if statistics.saturated else "nothing saturated"
         )
         set_role(self._saturated, "wrong" if statistics.saturated > 0.001 else "faint")
-        self._focus_curve.add(statistics.focus)
-        self._focus.setText(f"focus {statistics.focus:.3f}, best {self._focus_curve.best:.3f}")
+        if statistics.focus is not None:
+            self._focus_curve.add(statistics.focus)
+            self._focus.setText(f"focus {statistics.focus:.3f}, best {self._focus_curve.best:.3f}")
         self._draw_profile()
         self.counted.emit(statistics.regions)
         if statistics.dark is not None and self._shown is not None:
@@ -325,9 +327,12 @@ class LiveView(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(8, 6, 8, 4)
         column.addLayout(rows)
+        self._plot.widget.setMinimumHeight(PICTURE_PX)
         column.addWidget(self._plot.widget, 1)
-        column.addWidget(self._focus_curve.widget)
-        column.addWidget(self.profile.widget)
+        curves = QHBoxLayout()
+        curves.addWidget(self._focus_curve.widget, 1)
+        curves.addWidget(self.profile.widget, 1)
+        column.addLayout(curves)
         column.addWidget(self._histogram.widget)
         column.addWidget(self._read_out)
         column.addLayout(third)
