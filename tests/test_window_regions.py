@@ -112,6 +112,15 @@ def test_regions_are_counted_in_a_whole_run_and_come_back_with_it(window):
     bench = window.on_screen.shown.reading.bench
     regions = window.live.regions.in_pixels(bench.camera, bench.tank)
     assert regions == (Region("wall", (5, 8), (10, 14)), Region("glass", (10, 12), (1, 3)))
+    window.on_screen.leave()
+    assert window.live.regions.drawn == [], "what was drawn before the run was opened is there again"
+    window.live.regions.add(name="own")
+    window.show_run(path)
+    until(lambda: [one.name for one in window.live.regions.drawn] == ["wall", "glass"], 30.0)
+    window.on_screen.leave()
+    assert [one.name for one in window.live.regions.drawn] == ["own"]
+    window.show_run(path)
+    until(lambda: window.on_screen.shown.counted, 30.0)
     window.regions._copy_table()
     assert len(QGuiApplication.clipboard().text().splitlines()) == 1 + 2 * 4
 

@@ -295,8 +295,9 @@ def test_text_and_outlines_stand_out(window, theme):
     (window.home / "seen.toml").write_text('name = "x"\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n')
     window.sequence.load(window.home / "seen.toml")
     faint, thin, looked = [], [], 0
+    window.live.regions.add()
     for page in (window.sequence, window.fit, window.doser, window.projector, window.runs, window.compare,
-                 window.calibration, window.log):  # fmt: skip
+                 window.regions, window.calibration, window.log):  # fmt: skip
         window.show_page(page)
         wait_ms(60)
         for widget in window.findChildren(QWidget):
@@ -316,6 +317,8 @@ def test_text_and_outlines_stand_out(window, theme):
                     who = type(widget).__name__, widget.accessibleName() or widget.toolTip()
                     thin.append((page.__class__.__name__, *who, round(found, 2)))
     window.set_theme("dark")
+    for one in list(window.live.regions.drawn):
+        window.live.regions.remove(one)
     assert looked > 150
     assert not faint
     assert not thin

@@ -24,6 +24,7 @@ from ui.window.words import volume
 if TYPE_CHECKING:
     from drivers.rig import RigFile
 
+EMPTY = "What the tank holds, and what its budgets leave, will stand here once the rig is open."
 UNKNOWN = (
     "<b>It is not known how much ink the tank holds.</b> A dose was begun and nobody saw it end, the doser moved "
     "without tankrig, or the run, the tank's ledger and the doser do not say the same. Nothing moves until a person "
@@ -55,7 +56,8 @@ class DoserPage(QWidget):
         self._rig: RigFile | None = None
         self._pump: PumpRate | None = None
         self._sure = self._free = False
-        self._held, self._concentration = QLabel("–"), QLabel()
+        self._held, self._concentration = QLabel("–"), QLabel(EMPTY)
+        self._concentration.setWordWrap(True)
         self._held.setProperty("role", "big")
         self._concentration.setProperty("role", "faint")
         column = QVBoxLayout(self)

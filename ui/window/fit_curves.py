@@ -39,8 +39,8 @@ class FitCurves(QWidget):
                 axis = plot.getAxis(side)
                 axis.enableAutoSIPrefix(False)
                 axis.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
+                axis.setTickDensity(0.6)  # side by side, numbers have little room
             plot.getAxis("left").setWidth(AXIS_PX)
-            plot.getAxis("bottom").setTickDensity(0.6)  # side by side, numbers have little room
             plot.showGrid(x=True, y=True, alpha=0.2)
             line = plot.plot(pen=pg.mkPen("#888888", width=1.5))
             bars = pg.ErrorBarItem(pen=pg.mkPen(colour, width=2), beam=0.0)

@@ -105,18 +105,25 @@ class PictureRegions(QObject):
                 self._picture.plot.removeItem(item)
             self.listed.emit()
 
-    def replace(self, regions: Sequence[Region], camera: Camera, tank: Tank) -> None:
-        """Have these instead of those that are there."""
+    def draw(self, regions: Sequence[tuple[str, QRectF]]) -> None:
+        """Have these, by name and place in mm, instead of those that are there."""
         before = self.blockSignals(True)
         for one in list(self.drawn):
             self.remove(one)
+        for name, rect_mm in regions:
+            self.add(rect_mm, name)
+        self.blockSignals(before)
+        self.listed.emit()
+
+    def replace(self, regions: Sequence[Region], camera: Camera, tank: Tank) -> None:
+        """Have these, in pixels of a camera's picture, instead of those that are there."""
         to_mm = pixels_to_mm(camera, tank)
+        found = []
         for region in regions:
             (top, bottom), (left, right) = region.rows, region.columns
             first, last = to_mm.map(QPointF(left, top)), to_mm.map(QPointF(right, bottom))
-            self.add(QRectF(first, last).normalized(), region.name)
-        self.blockSignals(before)
-        self.listed.emit()
+            found.append((region.name, QRectF(first, last).normalized()))
+        self.draw(found)
 
     def in_pixels(self, camera: Camera, tank: Tank) -> tuple[Region, ...]:
         """Those that lie on the picture of a camera, in its pixels."""

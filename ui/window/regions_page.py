@@ -22,6 +22,7 @@ from ui.window.live_curves import LineProfile
 from ui.window.on_screen import OnScreen
 from ui.window.picture_regions import DrawnRegion, PictureRegions
 from ui.window.shown import Shown
+from ui.window.source import Kind
 
 EMPTY = (
     "Press “Add region” and drag the rectangle on the picture: mean and standard deviation of its counts will stand "
@@ -55,6 +56,8 @@ class RegionsPage(QWidget):
         self._now: dict[str, deque[tuple[float, float]]] = {}
         self._curves: dict[str, Any] = {}
         self._bench: Any = None
+        self._set_aside: list[tuple[str, QRectF]] | None = None
+        """Regions that a person had drawn before a run was opened that brought its own."""
         self._silent = False
         self._lay_out()
         regions.listed.connect(self._list)
@@ -71,6 +74,9 @@ class RegionsPage(QWidget):
         shown.counted_changed.connect(self._draw)
         shown.read.connect(self._take_saved)
         self._now.clear()
+        if shown.source.kind is Kind.LIVE and self._set_aside is not None:
+            self._regions.draw(self._set_aside)
+            self._set_aside = None
         self._draw()
 
     def take(self, counted: Sequence[RegionNow]) -> None:
@@ -195,6 +201,8 @@ class RegionsPage(QWidget):
         reading = shown.reading if shown is not None else None
         saved = tuple(dict.fromkeys(one.region for one in shown.counted)) if shown is not None else ()
         if reading is not None and saved:
+            if self._set_aside is None:
+                self._set_aside = [(one.name, one.rect_mm) for one in self._regions.drawn]
             self._regions.replace(saved, reading.bench.camera, reading.bench.tank)
 
     # -- curves --------------------------------------------------------------------------------------------------------

@@ -68,6 +68,9 @@ class ReplayBar(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._replay: Replay | None = None
+        self._listed: tuple[str, float] | None = None
+        self._places: list[int] = []
+        """Frames of the pattern and the dose in `_listed`."""
         self._play = QPushButton("Play")
         self._play.setCheckable(True)
         self._play.toggled.connect(self._toggle)
@@ -107,6 +110,7 @@ class ReplayBar(QWidget):
         self.pattern.set_values(list(dict.fromkeys(name for name, _ in axes)))
         self.dose.set_values(sorted({dose for _, dose in axes}), lambda dose: f"{dose:.4g} ml")
         self.repeat.set_values([])
+        self._listed = None
         self._play.setChecked(False)
         self._words.setText(NOTHING)
         if replay is not None:
@@ -130,9 +134,11 @@ class ReplayBar(QWidget):
 
     def _list_repeats(self, pattern: str, dose_ml: float) -> list[int]:
         assert self._replay is not None
-        places = self._replay.places(pattern, dose_ml)
-        self.repeat.set_values(places, lambda place: f"{places.index(place) + 1} of {len(places)}")
-        return places
+        if (pattern, dose_ml) != self._listed:
+            self._listed = pattern, dose_ml
+            self._places = places = self._replay.places(pattern, dose_ml)
+            self.repeat.set_values(places, lambda place: f"{places.index(place) + 1} of {len(places)}")
+        return self._places
 
     def _to_frame(self) -> None:
         """A person has moved the slider of all frames."""
