@@ -1,5 +1,6 @@
 """σs, σa and g against dose or time, with 95 % error bars."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -105,9 +106,20 @@ class FitCurves(QWidget):
             plot.setXRange(0.0, 1.05 * furthest, padding=0)
         if not (bottom <= low and high + margin <= top and top - bottom <= ROOM * (high + margin - low)):
             plot.setYRange(low - 0.5 * margin, high + 1.5 * margin, padding=0)
+            plot.getAxis("left").setTickSpacing(levels=[(_step(high - low + 2.0 * margin), 0)])
 
     def _line(self, name: str, at: Any, series: SeriesFit | None) -> tuple[Any, Any]:
         if series is None:
             return [], []
         x = np.array([0.0, float(at.max()) * 1.1])
         return x, np.array([getattr(series.at(dose_ml), name) for dose_ml in x.tolist()])
+
+
+def _step(length: float) -> float:
+    """Between the numbers of an axis, so that there are one to four of them however low the plot is.
+
+    >>> _step(1.05), _step(0.0021), _step(9.9)
+    (0.5, 0.001, 5.0)
+    """
+    ten = 10.0 ** math.floor(math.log10(max(length, 1e-300)))
+    return next(part * ten for part in (5.0, 2.0, 1.0, 0.5) if length / (part * ten) >= 1.5)

@@ -207,6 +207,7 @@ class FitPage(QWidget):
         middle.addWidget(self._bars, 0, 0)
         column = QVBoxLayout(self)
         column.setContentsMargins(10, 8, 10, 8)
+        column.setSpacing(4)
         column.addWidget(self.card)
         column.addLayout(choices)
         column.addLayout(pictures, 4)
