@@ -29,8 +29,9 @@ from tankrig.run.reading import open_run
 from tankrig.run.start import new_run
 from tankrig.scene import Camera, Tank
 from tankrig.sequence import Capture, ExposureRule, Sequence, load_sequence
+from ui.calibration_way import CALIBRATIONS
 from ui.cli import main
-from ui.cli.way import CALIBRATIONS, next_step, way
+from ui.cli.way import next_step, way
 
 from .test_calibration_in_force import CALIBRATED
 

@@ -8,18 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtWidgets import QFileDialog
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFileDialog, QSlider
 
 from tankrig.devices import CameraSettings
 from tankrig.live.formatting import with_error
 from tankrig.live.results import fits_in
+from tankrig.run.notes import person_note
 from tankrig.run.reading import open_run
 from tests import recorded_runs as runs
 from tests.window_rig import until, window_on, write_rig
 from ui.window import jobs
+from ui.window.observed_devices import SeenFrame
+from ui.window.replay import UNKNOWN
+from ui.window.runs_page import COLUMNS, PATH
 from ui.window.shown import PhotographKey, Shown
 from ui.window.source import Kind, RefitSettings, Source
-from ui.window.watched import SeenFrame
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +65,7 @@ def card(window, name: str) -> str:
 
 def painted(window) -> None:
     """What waits for its turn to be painted has been."""
-    until(lambda: not window.fit._curves._turns._waiting)
+    until(lambda: not window.fit._curves._painter._waiting)
 
 
 def agrees(window, run: Path) -> bool:
@@ -93,7 +97,7 @@ def test_a_refit_that_comes_after_another_run_was_opened_does_not_show_in_it(win
     assert window.on_screen.source.kind is Kind.REFIT
     painted(window)
     assert [y for _, y in window.fit._curves.points("g")] == [0.5] * 5
-    assert window.fit.card.belongs.text().endswith("rays; dark frames subtracted")
+    assert window.fit.card.belongs.whole.endswith("rays; dark frames subtracted")
     assert window.live_frame.title.text() == "REFIT of run-a with rays; dark frames subtracted"
 
 
@@ -166,7 +170,7 @@ def test_opening_a_run_leaves_nothing_of_the_one_before(window):
     bench = shown.reading.bench
     compared = jobs.Comparison("rays", 0.5, image, image, 0.1 * image, rmse, bench.tank, bench.camera)
     shown.take_comparison(PhotographKey("rays", 0.5), shown.by_dose[-1], compared)
-    until(lambda: not window.fit._turns._waiting)
+    until(lambda: not window.fit._painter._waiting)
     assert not window.fit._observed.empty
     assert "5 % left" in window.fit._bars._bars["all"].format()
     window.show_run(path_of(window, "c"))  # nothing of it has been read yet
@@ -310,7 +314,7 @@ def test_every_page_says_whose_it_is(window):
     """A person looks at one page; what it shows must not need another to be understood."""
     show(window, "a")
     titles = [frame.title.text() for frame in (window.live_frame, *window._frames, window.runs.frame)]
-    assert titles.count("REPLAY of run-a") == 3  # the picture, the fit and the replay
+    assert titles.count("REPLAY of run-a") == 4  # the picture, the fit, the regions and the replay
     assert titles.count("LIVE: test rig") == 3  # doser, projector and calibration stay the rig's own
     assert all(titles)
     assert window.sequence.run_frame.title.text() == "REPLAY of run-a"
@@ -332,18 +336,63 @@ def test_a_run_whose_folder_vanishes_is_told_and_what_was_read_stays(window, tmp
     assert window.on_screen.source.run != path
 
 
-def test_frames_are_found_by_pattern_and_dose(window):
-    """A slider through hundreds of frames finds no repeat of one picture."""
+def test_frames_are_found_by_pattern_dose_and_repeat(window):
+    """A slider through hundreds of frames finds no repeat of one picture; each axis has one of its own."""
     show(window, "a")
     until(lambda: window.runs.bar._replay is not None)
     bar = window.runs.bar
     assert bar._replay.places(None, 0.3) == [2]
     assert bar._replay.places("no such pattern", None) == []
-    doses = [bar._dose.itemText(row) for row in range(bar._dose.count())]
-    assert doses == ["all doses", "0.1 ml", "0.2 ml", "0.3 ml", "0.4 ml", "0.5 ml"]
-    bar._dose.setCurrentIndex(3)
-    bar._dose.activated.emit(3)
-    assert bar._chosen == [2]
+    jumped = []
+    bar._replay.jump = jumped.append
+    bar.dose.slider.setSliderPosition(2)
+    bar.dose.slider.triggerAction(QSlider.SliderAction.SliderMove)
+    assert bar.dose.value.text() == "0.3 ml"
+    assert jumped[-1] == 2
+    assert bar.repeat.value.text() == "1 of 1"
+    bar._moved(bar._replay, 4, "frame 5 of 5")
+    assert [axis.value.text() for axis in bar._axes] == ["5 of 5", UNKNOWN, "0.5 ml", "1 of 1"]
+
+
+def test_runs_are_listed_with_what_they_hold_and_sorted_by_it(window):
+    """Ten doses are more than nine, and the newest run is first."""
+    table = window.runs._table
+    doses = COLUMNS.index("doses")
+    held = {table.item(row, 0).text(): table.item(row, doses).data(Qt.ItemDataRole.DisplayRole)
+            for row in range(table.rowCount())}  # fmt: skip
+    assert {name: held[name] for name in ("run-a", "run-b", "run-c")} == {
+        "run-a": 5, "run-b": 3, "run-c": 2,
+    }  # fmt: skip
+    window.runs.catalogue.select(path_of(window, "b"))
+    for order in (Qt.SortOrder.AscendingOrder, Qt.SortOrder.DescendingOrder):
+        table.sortItems(doses, order)
+        found = [table.item(row, doses).data(Qt.ItemDataRole.DisplayRole) for row in range(table.rowCount())]
+        assert found == sorted(found, reverse=order is Qt.SortOrder.DescendingOrder)
+        window.runs.refresh()
+        assert window.runs.catalogue.selected.path == path_of(window, "b")
+        assert {item.data(PATH) for item in table.selectedItems()} == {str(path_of(window, "b"))}
+    window.runs.open_selected()
+    assert window.on_screen.source.run == path_of(window, "b")
+
+
+def test_a_note_is_kept_with_the_run_that_it_was_typed_for(window):
+    """Bubbles on the wall are remembered for a week, and written on the wrong run."""
+    window.runs.catalogue.select(path_of(window, "c"))
+    window.runs._note.setText("bubbles on the wall")
+    window.runs.catalogue.select(path_of(window, "b"))
+    assert window.runs._note.text() == ""
+    window.runs.catalogue.select(path_of(window, "c"))
+    window.runs._note.setText("bubbles on the wall")
+    window.runs._note.editingFinished.emit()
+    until(lambda: window.runs.catalogue.find(path_of(window, "c")).note == "bubbles on the wall")
+    assert person_note(open_run(path_of(window, "c")).journal) == "bubbles on the wall"
+    assert window.runs.catalogue.find(path_of(window, "c")).ending == "completed", "a note is no end of a run"
+    assert window.runs.catalogue.find(path_of(window, "b")).note == ""
+    window.runs._filter.setText("bubbles")
+    assert [one.path.name for one in window.runs.catalogue.visible] == ["run-c"]
+    window.runs._filter.setText("")
+    window.runs.note(path_of(window, "c"), "")
+    until(lambda: window.runs.catalogue.find(path_of(window, "c")).note == "")
 
 
 def test_counts_along_a_line_are_those_of_its_pixels(window):

@@ -19,7 +19,7 @@ FAST = "time_scale = 0.005"
 def window(tmp_path: Path):
     rig = write_rig(tmp_path, projector=FAST, camera=f"{FAST}\nmost_per_s = 1000.0")
     with window_on(tmp_path, rig) as made:
-        until(lambda: made.furnished and made.status.state.name == "IDLE", what="the rig opens")
+        until(lambda: made.built and made.status.state.name == "IDLE", what="the rig opens")
         made.show_page(made.calibration)
         made.calibration.tabs.setCurrentIndex(1)
         yield made
@@ -27,7 +27,7 @@ def window(tmp_path: Path):
 
 def choose(window, kind: str, options: str):
     wizard = window.calibration.wizard
-    wizard.choice.setCurrentIndex(wizard.choice.findData(kind))
+    wizard.choose(kind)
     words = options.split()
     for flag, value in zip(words[::2], words[1::2], strict=True):
         wizard.options[flag].setText(value)

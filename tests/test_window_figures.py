@@ -124,9 +124,9 @@ class Ticks:
     """Gaps of a window's event loop beside the time that a host took from this machine meanwhile."""
 
     def __init__(self, window: Any) -> None:
-        self._gaps = window.gaps
+        self._gaps = window.event_loop
         self.reset()
-        window.gaps._timer.timeout.connect(self._look)
+        window.event_loop._timer.timeout.connect(self._look)
 
     def _look(self) -> None:
         if self._gaps._recent:
@@ -160,20 +160,20 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
         ticks = Ticks(window)
         ended: list[Any] = []
         window.host.run_ended.connect(ended.append)
-        window.gaps.reset()
+        window.event_loop.reset()
         window.run()
         until(lambda: window.status.running and window.status.progress.step > 3, 60.0)
         window.show_page(window.fit)
         wait_ms(10_000)
-        at_start = window.gaps.worst_ms
+        at_start = window.event_loop.worst_ms
         memory = psutil.Process()
-        window.gaps.reset()
+        window.event_loop.reset()
         ticks.reset()
         began, displayed, held = time.monotonic(), window.live.displayed, memory.memory_info().rss
         taken = cameras[-1].taken
         until(lambda: ended or time.monotonic() > began + RUN_S, RUN_S + 60.0)
         seconds = time.monotonic() - began
-        worst, longest, own = window.gaps.worst_ms, window.gaps.longest(5), ticks.undisturbed_ms()
+        worst, longest, own = window.event_loop.worst_ms, window.event_loop.longest(5), ticks.undisturbed_ms()
         quiet = 100.0 * len(own) / len(ticks._ms)
         rate, taken = (window.live.displayed - displayed) / seconds, (cameras[-1].taken - taken) / seconds
         grown = (memory.memory_info().rss - held) / 1e6
@@ -267,7 +267,7 @@ if __name__ == "__main__":
         windows = [one for one in QApplication.topLevelWidgets() if one.objectName() == "tankrig"]
         if windows and windows[0].live.displayed and not told:
             told.append(time.time() - began)  # the picture was painted before this timer fired again
-        if windows and windows[0].furnished:
+        if windows and windows[0].built:
             print(told[0], time.time() - began)
             timer.stop()
             windows[0].close()

@@ -12,6 +12,7 @@ from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window import jobs
 from ui.window.first_start import EXAMPLE
+from ui.window.keys import KEYS
 from ui.window.result import of_dose, result_of
 from ui.window.source import Kind, RefitSettings, Source
 
@@ -89,8 +90,8 @@ def test_a_result_says_what_it_is_of_and_with_which_confidence(window):
     shown = opened(window, "a")
     result = result_of(shown)
     assert result.doses_ml == (0.1, 0.2, 0.3)
-    assert "ink, from 0.1, 0.2, 0.3 ml" in window.fit.card.belongs.text()
-    assert "Henyey–Greenstein" in window.fit.card.belongs.text()
+    assert "ink, from 0.1, 0.2, 0.3 ml" in window.fit.card.belongs.whole
+    assert "Henyey–Greenstein" in window.fit.card.belongs.whole
     sd = shown.series.sd[1]
     by_name = {one.name: one for one in result.coefficients}
     assert by_name["sigma_s"].half == pytest.approx(1.96 * sd)
@@ -260,9 +261,109 @@ def test_what_is_dropped_is_opened_for_what_it_is(window):
     until(lambda: window.on_screen.source.run == window.folder / "run-b")
     drop(EXAMPLE)
     assert window.sequence.document.path == EXAMPLE
+    (window.home / "own.toml").write_text(EXAMPLE.read_text())
+    drop(window.home / "own.toml")
     drop(window.home / "nothing.xyz")
     assert "nothing to open" in window.banner.text
-    assert [path.name for path in window._recent()] == ["dilution.toml", "run-b"]
+    assert [path.name for path in window.recent()][:2] == ["own.toml", "run-b"]
+    menu = window.sequence._recent.menu()
+    assert [one.text().split()[0] for one in menu.actions()][:2] == ["own.toml", "run-b"]
+    menu.actions()[1].trigger()
+    until(lambda: window.on_screen.source.run == window.folder / "run-b")
+
+
+SCENE = """
+[tank]
+size_mm = [240.0, 160.0, 120.0]
+surface = "matched"
+[medium]
+sigma_a = 0.0002
+sigma_s = 0.0198
+g = 0.5
+[projector]
+kind = "collimated"
+beams = [ { y_mm = [-8.0, 8.0], z_mm = [52.0, 68.0], irradiance = 1.0 } ]
+[camera]
+kind = "orthographic"
+shape = [10, 15]
+pixel_mm = 16.0
+"""
+
+
+def test_a_scene_is_predicted_and_again_when_a_number_is_changed(window):
+    """What a coefficient does to the picture is seen by changing it."""
+    import tankrig
+
+    (window.home / "scene.toml").write_text(SCENE)
+    window.open_path(window.home / "scene.toml")
+    scene = window.scene
+    until(lambda: scene.prediction is not None, 120.0)
+    assert scene.prediction.image.shape == (10, 15)
+    before = scene.prediction
+    scene.tree_root.child("σs").setValue(0.005)
+    until(lambda: scene.prediction is not before, 120.0)
+    assert scene.prediction.image.sum() < 0.7 * before.image.sum()
+    names: dict = {}
+    exec(scene.python.rpartition("prediction =")[0], names)
+    assert names["scene"].medium.sigma_s == 0.005
+    assert names["scene"] == scene.scene
+    assert isinstance(names["scene"], tankrig.Scene)
+    scene.close()
+    (window.home / "scene.toml").write_text(SCENE.replace("sigma_s", "sigma_x"))
+    window.open_path(window.home / "scene.toml")
+    assert "sigma_x" in window.banner.text
+
+
+def test_every_button_of_every_page_is_found_by_its_name_and_pressed_by_keys(window):
+    """Every action by keyboard alone: a button that only a mouse reaches is none for some people."""
+    from PySide6.QtWidgets import QAbstractButton, QTabBar
+
+    window.show_palette()
+    listed = [action.words for action in window._palette._actions]
+    window._palette.close()
+    missing = []
+    for title, page in (("Camera", window.live), *window.docks.pages()):
+        for button in page.findChildren(QAbstractButton):
+            words = button.text().partition("  ")[0].strip().rstrip("…")
+            own = words and not isinstance(button.parent(), QTabBar)
+            if own and not any(one.startswith(f"{title}: {words}") for one in listed):
+                missing.append((title, words))
+    assert not missing
+    assert len(listed) > 80
+    for key in KEYS:
+        assert any(key.what in words for words in listed), key.name
+    window.show_palette()
+    QTest.keyClicks(window._palette.field, "residual on the same scale")
+    before = window.fit._same.isChecked()
+    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
+    assert window.fit._same.isChecked() is not before
+    window.fit._same.setChecked(before)
+
+
+def test_frames_and_figures_are_saved_as_they_are(window):
+    """A screenshot of colours has no counts; a figure in a report must be one that can be enlarged."""
+    import cv2
+
+    from ui.window.figure import save_figure, write_counts
+
+    window.on_screen.leave()
+    until(lambda: window.live.frame is not None)
+    pixels = window.live.frame.pixels
+    for name in ("frame.tif", "frame.png"):
+        write_counts(window.home / name, pixels)
+        again = cv2.imread(str(window.home / name), cv2.IMREAD_UNCHANGED)
+        assert again.dtype == pixels.dtype
+        assert (again == pixels).all()
+    window.show_page(window.fit)
+    title, page = window.docks.in_front()
+    assert title == "Fit"
+    save_figure(page, window.home / "fit.pdf")
+    assert (window.home / "fit.pdf").read_bytes()[:5] == b"%PDF-"
+    save_figure(page, window.home / "fit.png")
+    picture = cv2.imread(str(window.home / "fit.png"))
+    assert picture.shape[:2] == (2 * page.height(), 2 * page.width())
+    window.copy_figure()
+    assert QGuiApplication.clipboard().pixmap().width() == 2 * page.width()
 
 
 def test_what_is_on_screen_is_copied_as_python_that_works(window):

@@ -1,8 +1,10 @@
 """The window from opening to closing: which rig it says, what it remembers, and a rig file that is wrong."""
 
+import os
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 from PySide6.QtCore import Qt
@@ -102,3 +104,46 @@ def test_the_projector_s_screen_is_chosen_in_the_rig_file(tmp_path):
     source.choose_screen({"serial": "X1", "model": "Beamer"})
     assert tomllib.loads(rig.read_text())["projector"]["screen"] == {"serial": "X1", "model": "Beamer"}
     assert rig.read_text().startswith("# ours\n")
+
+
+NEEDED_LATER = ("numba", "scipy", "matplotlib", "cv2", "zarr", "xarray", "tomlkit", "yaml", "pandas", "dask")
+FIRST_PICTURE = """
+import sys
+if __name__ == "__main__":
+    from ui.cli import main
+    from ui.window import app
+    from PySide6.QtCore import QSettings, QTimer
+    app.settings = lambda: QSettings(sys.argv[1] + "/w.ini", QSettings.Format.IniFormat)
+    made, told = app.application, []
+
+    def look():
+        from PySide6.QtWidgets import QApplication
+        windows = [one for one in QApplication.topLevelWidgets() if one.objectName() == "tankrig"]
+        if windows and windows[0].live.displayed and not told:
+            told.append(sorted(set(sys.argv[2].split(",")) & set(sys.modules)))
+            print("imported:", *told[0])
+            timer.stop()
+            windows[0].close()
+
+    timer = QTimer()
+    timer.timeout.connect(look)
+
+    def application():
+        program = made()
+        timer.start(0)
+        return program
+
+    app.application = application
+    sys.exit(main(["gui", "--runs", sys.argv[1] + "/runs"]))
+"""
+
+
+def test_the_first_picture_waits_for_no_library_that_it_does_not_need(tmp_path):
+    """Half a second of numba before the camera's picture, only to say that no fit goes on."""
+    (tmp_path / "start.py").write_text(FIRST_PICTURE)
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    command = [sys.executable, str(tmp_path / "start.py"), str(tmp_path), ",".join(NEEDED_LATER)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "imported:" in done.stdout, done.stderr
+    assert done.stdout.split("imported:")[1].split() == []

@@ -1,5 +1,7 @@
 """The window for a person with wet hands: keys that stop, fields that say what is wrong, and what the pump does."""
 
+import time
+
 import pytest
 from PySide6.QtCore import QEvent, QPoint, QRect, QSize, Qt
 from PySide6.QtGui import QCloseEvent
@@ -293,8 +295,9 @@ def test_text_and_outlines_stand_out(window, theme):
     (window.home / "seen.toml").write_text('name = "x"\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n')
     window.sequence.load(window.home / "seen.toml")
     faint, thin, looked = [], [], 0
+    window.live.regions.add()
     for page in (window.sequence, window.fit, window.doser, window.projector, window.runs, window.compare,
-                 window.calibration, window.log):  # fmt: skip
+                 window.regions, window.calibration, window.log):  # fmt: skip
         window.show_page(page)
         wait_ms(60)
         for widget in window.findChildren(QWidget):
@@ -314,6 +317,34 @@ def test_text_and_outlines_stand_out(window, theme):
                     who = type(widget).__name__, widget.accessibleName() or widget.toolTip()
                     thin.append((page.__class__.__name__, *who, round(found, 2)))
     window.set_theme("dark")
+    for one in list(window.live.regions.drawn):
+        window.live.regions.remove(one)
     assert looked > 150
     assert not faint
     assert not thin
+
+
+def test_the_pump_delivers_at_the_rate_that_was_set(window):
+    """A plume that is pushed too fast mixes otherwise than the one that was calibrated."""
+    window.show_page(window.doser)
+    page = window.doser
+    until(lambda: page._rate.isEnabled(), 60.0)
+    assert page._rate.value == 200.0, "2000 steps/s at 10 steps per µl"
+    for typed in ("0", "1e9", "fast"):
+        page._rate.edit.setText(typed)
+        page._rate.edit.textEdited.emit(typed)
+        assert not page._set_rate.isEnabled()
+        assert "0.01 to 6553.5 µl/s" in page._rate.says.text()
+    page._rate.edit.setText("25")
+    page._rate.edit.textEdited.emit("25")
+    page._set_rate.click()
+    until(lambda: window._rig.pace.dose_ul_per_s == 25.0 and window.status.state.value == "ready", 60.0)
+    held = window.status.tank.volume_ul
+    window.dose_to(held + 50.0)
+    until(lambda: window.status.tank.volume_ul > held + 1.0, 60.0)
+    began = time.monotonic()
+    until(lambda: window.status.target_ul is None, 60.0)
+    assert time.monotonic() - began > 1.5, "50 µl at 25 µl/s take two seconds; at 200 µl/s they took a quarter"
+    assert window.host.source.rate_ul_per_s == 25.0
+    window.host.use(type(window.host.source)(window.host.source.file, window.host.source.folder))
+    until(lambda: window._rig.pace.dose_ul_per_s == 200.0 and window.status.state.value == "ready", 60.0)

@@ -81,7 +81,7 @@ def window_on(folder: Path, rig: Path | None) -> Iterator[Any]:
     if settings.value("theme") is None:
         settings.setValue("theme", "dark")
     window = MainWindow(RigHost(RigSource(rig, folder / "simulated.rig")), folder / "runs", settings)
-    window.furnish()
+    window.build_pages()
     window.show()
     window.activateWindow()
     assert QTest.qWaitForWindowActive(window, 10_000)

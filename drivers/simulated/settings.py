@@ -228,7 +228,7 @@ class BoardBench(BaseModel):
     model_config = _CLOSED
 
     seed: int = Field(default=0, ge=0)
-    board: Board = Board()
+    board: Board = Field(default_factory=Board)
     camera_shape: tuple[int, int] = (540, 960)
     projector_shape: tuple[int, int] = (384, 512)
     level_mm: float | None = Field(default=None, gt=0.0)

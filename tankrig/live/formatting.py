@@ -1,10 +1,13 @@
 """Fits of a run as text, for whoever watches it."""
 
 import math
+from typing import TYPE_CHECKING
 
 from tankrig.estimation.verdict import SYMBOLS
-from tankrig.live.preparing import Preparation
 from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit
+
+if TYPE_CHECKING:
+    from tankrig.live.preparing import Preparation  # it brings numba along, which words do not need
 
 
 def with_error(value: float, sd: float) -> str:
@@ -61,11 +64,12 @@ def doubts(fit: DoseFit | SeriesFit) -> str:
     return said
 
 
-def preparation_in_words(left: Preparation) -> str:
+def preparation_in_words(left: "Preparation") -> str:
     """What fits wait for, and for how long; empty where they wait for nothing.
 
     Examples
     --------
+    >>> from tankrig.live.preparing import Preparation
     >>> preparation_in_words(Preparation(3, 42.0))
     '3 models are being prepared for the fit, about 42 s left'
     >>> preparation_in_words(Preparation(0, 0.0))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ui.cli.way import CALIBRATIONS
+from ui.calibration_way import CALIBRATIONS
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile

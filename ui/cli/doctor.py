@@ -8,8 +8,9 @@ from pathlib import Path
 import click
 
 from drivers.check import typed
+from ui.calibration_way import Step
 from ui.cli.options import json_option
-from ui.cli.way import Step, next_step, rig_as_typed, way
+from ui.cli.way import next_step, rig_as_typed, way
 
 _MARKS = {True: "✓", False: "✗", None: "?"}
 

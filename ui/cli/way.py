@@ -1,47 +1,17 @@
 """The way from a rig file to a fitted run: what is done and what is missing, in order, each with its command."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
 from drivers.check import RIG, Check, typed
 from tankrig.errors import StoreError, TankrigError
+from ui.calibration_way import Step, calibration_steps
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.sequence import Sequence
-
-GEOMETRY = ("camera", "tank", "projector")
-CALIBRATIONS = ("radiometry", *GEOMETRY, "latency")
-"""In the order in which they rest on each other."""
-_PUMP_IS_EXACT = "simulated-doser"
-
-
-@dataclass(frozen=True)
-class Step:
-    """A step on the way.
-
-    Parameters
-    ----------
-    what
-        Is true once it is done.
-    done
-        None: not done, and a run can begin all the same.
-    finding
-        What was found.
-    command
-        To be typed, or in words where no command does it; empty where nothing is to be done.
-    wanted
-        Whether the run's figures are worth less without it.
-    """
-
-    what: str
-    done: bool | None
-    finding: str
-    command: str = ""
-    wanted: bool = True
 
 
 def rig_as_typed(rig: Path | None) -> str:
@@ -66,13 +36,12 @@ def way(
         Sequence that is to be run.
     """
     option = rig_as_typed(rig)
-    by_part: dict[str, list[Check]] = {}
+    checks, by_part = list(checks), dict[str, list[Check]]()
     for check in checks:
         by_part.setdefault(check.part, []).append(check)
     steps = [_devices(by_part.get("devices", [])), _light(by_part)]
-    steps += [_calibration(kind, by_part, description) for kind in CALIBRATIONS]
+    steps += calibration_steps(description, checks).values()
     steps += [
-        _pump(description),
         _passed("exposures keep to the projector's period", by_part.get("exposure", [])),
         _passed("the rig file agrees with what was measured", by_part.get("rig file", [])),
         _ink(description),
@@ -116,31 +85,6 @@ def _light(by_part: dict[str, list[Check]]) -> Step:
     return Step(
         what, None, finding, "tankrig doctor again, with ink or white paper where the light falls", wanted=False
     )
-
-
-def _calibration(kind: str, by_part: dict[str, list[Check]], description: "RigFile") -> Step:
-    what, command = f"the {kind} is calibrated", f"tankrig calibrate {kind} {RIG}"
-    checks = [*by_part.get("calibration", []), *by_part.get(kind, [])]
-    wrong = next((check for check in checks if check.passed is False), None)
-    if wrong is not None:
-        return Step(what, False, wrong.finding, command)
-    good = next((check for check in checks if check.passed), None)
-    if good is not None:
-        return Step(what, True, good.finding)
-    if kind in GEOMETRY and description.bench.camera.kind == "orthographic":
-        return Step(what, True, "its lens is telecentric, which no board measures; the rig file is believed")
-    finding = next((check.finding for check in checks), "was not looked at")
-    return Step(what, None, finding, command)
-
-
-def _pump(description: "RigFile") -> Step:
-    what = "the pump is calibrated"
-    if file := description.doser.get("calibration"):
-        return Step(what, True, Path(str(file)).name)
-    if description.doser["driver"] == _PUMP_IS_EXACT:
-        return Step(what, True, "it is simulated, and its steps are exact")
-    finding = "nobody has weighed its doses; its nominal volume is believed"
-    return Step(what, None, finding, f"tankrig calibrate pump {RIG}")
 
 
 def _passed(what: str, checks: list[Check]) -> Step:

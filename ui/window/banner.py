@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QDialog, QFrame, QHBoxLayout, QLabel, QListWidget, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QDialog, QFrame, QHBoxLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
 
+from ui.window.elided import Elided
 from ui.window.theme import set_role
 
 LINES = 2
@@ -51,7 +51,7 @@ class Banner(QFrame):
         self.setObjectName("banner")
         self._notices: list[Notice] = []
         self.history: list[Notice] = []
-        self._text = _Elided()
+        self._text = Elided(LINES)
         self._action, self._away, self._past = QPushButton(), QPushButton("Put away"), QPushButton("Earlier")
         self._action.clicked.connect(self._act)
         self._away.clicked.connect(self.put_away)
@@ -133,42 +133,3 @@ class Banner(QFrame):
         level = "none" if notice is None else notice.level
         set_role(self, level, "level")
         set_role(self._text, "faint" if notice is None else "")
-
-
-class _Elided(QLabel):
-    """Two lines of text; what does not fit is in the tooltip."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._whole = ""
-        self.setWordWrap(True)
-        self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.setMinimumWidth(120)
-        self.setTextFormat(Qt.TextFormat.PlainText)
-        self.setFixedHeight(LINES * self.fontMetrics().lineSpacing() + 8)
-
-    def say(self, text: str) -> None:
-        """Say this."""
-        self._whole = text
-        self._fit()
-
-    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802 - Qt's name
-        """Another width holds another part of it."""
-        super().resizeEvent(event)
-        self._fit()
-
-    def _fit(self) -> None:
-        text = self._whole
-        if not self._holds(text):
-            low, high = 0, len(text)
-            while high - low > 1:
-                middle = (low + high) // 2
-                low, high = (middle, high) if self._holds(text[:middle] + "…") else (low, middle)
-            text = text[:low].rstrip() + "…"
-        self.setText(text)
-        self.setToolTip(self._whole if text != self._whole else "")
-
-    def _holds(self, text: str) -> bool:
-        metrics, wrap = self.fontMetrics(), int(Qt.TextFlag.TextWordWrap.value)
-        box = metrics.boundingRect(0, 0, max(1, self.width() - 4), 10_000, wrap, text)
-        return box.height() <= LINES * metrics.lineSpacing() + 2

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import QFileSystemWatcher, Qt, QTimer, Signal
 from PySide6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
@@ -15,8 +15,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tankrig.errors import TankrigError
 from ui.window.calibration_known import known_of
 from ui.window.calibration_wizard import CalibrationWizard
+from ui.window.flow import take_rest
 from ui.window.marked_text import MarkedText
 from ui.window.rig_file import RigSource
 from ui.window.sequence_text import line_of
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
     from drivers.rig import RigFile
 
 
+SETTLED_MS = 100
+"""A file is read once whoever writes it has had so long to finish."""
 OWN_FILE = "the simulated rig's own file"
 
 
@@ -50,7 +54,9 @@ class CalibrationPage(QWidget):
         area.setWidgetResizable(True)
         area.setFrameShape(QScrollArea.Shape.NoFrame)
         area.setWidget(self._table)
-        self._text = MarkedText()
+        self._text, self._as_read, self._sure = MarkedText(), "", False
+        self._watcher = QFileSystemWatcher(self)
+        self._watcher.fileChanged.connect(lambda _: QTimer.singleShot(SETTLED_MS, self._look_at_file))
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.addTab(area, "What is known")
@@ -61,6 +67,7 @@ class CalibrationPage(QWidget):
         self.tabs.addTab(self._file_tab(), "Rig file")
         column = QVBoxLayout(self)
         column.setContentsMargins(14, 10, 14, 10)
+        take_rest(self.tabs, 300)
         column.addWidget(self.tabs)
         self._say_empty()
 
@@ -75,6 +82,9 @@ class CalibrationPage(QWidget):
 
     def set_rig(self, rig: "RigFile") -> None:
         """Show this rig's calibration."""
+        from drivers.calibration_health import calibration_checks
+        from ui.calibration_way import calibration_steps
+
         self._clear()
         folder = self._source.file.parent if self._source.file is not None else self._source.folder
         for row, known in enumerate(known_of(rig, self._path(), folder)):
@@ -86,13 +96,14 @@ class CalibrationPage(QWidget):
             self._grid.addWidget(name, 2 * row, 0, 2, 1, Qt.AlignmentFlag.AlignTop)
             self._grid.addWidget(words, 2 * row, 1)
             self._grid.addWidget(note, 2 * row + 1, 1)
+        self.wizard.show_way(calibration_steps(rig, calibration_checks(rig, {})))
         self._read_file()
 
     def follow(self, status: RigStatus) -> None:
         """Mark the line of the rig file that is to blame, once it has failed."""
         self.wizard.follow(status)
         failed = status.state is RigState.FAILED
-        self._again.setEnabled(failed)
+        self._again.setEnabled(failed or (self._source.file is not None and status.state is RigState.IDLE))
         if failed and status.trouble and self._source.file is not None and not self._text.marked:
             self._read_file()
             line = line_of(self._text.toPlainText(), status.trouble.partition(": ")[2])
@@ -101,7 +112,7 @@ class CalibrationPage(QWidget):
                 self._text.go_to(line)
                 self.tabs.setCurrentIndex(2)
                 self.wrong_line.emit()
-        if not failed:
+        if not failed and self._text.marked:
             self._text.mark(0)
 
     def _path(self) -> Path:
@@ -111,10 +122,41 @@ class CalibrationPage(QWidget):
         return self._source.file or own
 
     def _read_file(self) -> None:
+        self._sure = False
         try:
-            self._text.replace_text(self._path().read_text(encoding="utf-8-sig"))
+            self._as_read = self._path().read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as error:
-            self._text.replace_text(f"# {self._path()}: cannot be read ({error})")
+            self._as_read = f"# {self._path()}: cannot be read ({error})"
+        self._text.replace_text(self._as_read)
+        watched = [str(self._source.file)] if self._source.file is not None else []
+        now = self._watcher.files()
+        for file in set(now) - set(watched):
+            self._watcher.removePath(file)
+        for file in set(watched) - set(now):  # one that was replaced as a whole is no longer watched
+            self._watcher.addPath(file)
+
+    @property
+    def _changed_outside(self) -> bool:
+        """Whether the file is no longer what was read of it, or written to it, here."""
+        try:
+            return self._path().read_text(encoding="utf-8-sig") != self._as_read
+        except (OSError, UnicodeDecodeError):
+            return True
+
+    def _look_at_file(self) -> None:
+        """Somebody has written the rig file, or taken it away."""
+        file = self._source.file
+        if file is None or not self._changed_outside:
+            return
+        edited = self._text.toPlainText() != self._as_read
+        if not file.exists():
+            self.told.emit(f"{file} is gone; the rig stays as it was opened, and saving here writes the file anew")
+        elif edited:
+            self.told.emit(f"{file} was changed by another program, and here, too: saving here writes over that")
+        else:
+            self._read_file()
+            self.told.emit(f"{file} was changed by another program; it counts once the rig is opened again")
+        self._again.setEnabled(True)
 
     def _save(self) -> None:
         from tankrig.files import whole_file
@@ -122,12 +164,19 @@ class CalibrationPage(QWidget):
         if self._source.file is None:
             self.told.emit("the simulated rig's file comes with tankrig; copy it and start with --rig to change it")
             return
+        if self._changed_outside and not self._sure:
+            self._sure = True
+            self.told.emit(
+                f"{self._source.file} was changed by another program meanwhile; press again to write over it"
+            )
+            return
         try:
             with whole_file(self._source.file) as unfinished:
                 unfinished.write_text(self._text.toPlainText(), encoding="utf-8")
-        except OSError as error:
+        except (OSError, TankrigError) as error:
             self.told.emit(str(error))
             return
+        self._sure, self._as_read = False, self._text.toPlainText()
         self._text.mark(0)
         self.reopen_asked.emit()
 

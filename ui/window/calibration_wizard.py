@@ -4,16 +4,16 @@ import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QImage, QPixmap
 from PySide6.QtWidgets import (
-    QComboBox,
     QFormLayout,
     QHBoxLayout,
     QLabel,
     QLineEdit,
+    QListWidget,
     QPlainTextEdit,
     QProgressBar,
     QPushButton,
@@ -27,6 +27,9 @@ from ui.window.fields import number
 from ui.window.rig_file import RigSource
 from ui.window.status import RigState, RigStatus
 from ui.window.theme import set_role
+
+if TYPE_CHECKING:
+    from ui.calibration_way import Step
 
 
 @dataclass(frozen=True)
@@ -73,9 +76,6 @@ WIZARDS = (
     Wizard("radiometry", "Radiometry: camera and projector in numbers of light",
            "a lens cap, and a diffuser that the projector lights; about 6 minutes",
            (Choice("camera gains", "--gains", "1", "those that runs will use, with commas between them"),)),
-    Wizard("latency", "Latency of the projector's light",
-           "the projector's light before the camera; about 10 seconds",
-           (Choice("changes of light", "--flips", "100", "how often it goes from dark to bright; 20 or more"),)),
     Wizard("camera", "Camera: its lens", "a ChArUco board, held in air; about 3 minutes",
            (Choice("views of the board", "--views", "15", "at different slants and places"),)),
     Wizard("tank", "Tank and water before the camera",
@@ -84,13 +84,18 @@ WIZARDS = (
     Wizard("projector", "Projector: its lens and place",
            "camera and tank calibrated; the board at a slant in the tank; about 4 minutes",
            (Choice("views of the board", "--views", "8", "at different slants"),)),
+    Wizard("latency", "Latency of the projector's light",
+           "the projector's light before the camera; about 10 seconds",
+           (Choice("changes of light", "--flips", "100", "how often it goes from dark to bright; 20 or more"),)),
     Wizard("pump", "Pump: doses weighed on a balance",
            "a balance to 0.1 mg and a vessel on it, for the tube when it is asked for; about 20 minutes",
            (Choice("volumes (µl)", "--volumes", "50,250,500", "with commas between them"),
             Choice("doses of each", "--repeats", "10", "how often each volume is weighed"),
             Choice("water's temperature (°C)", "--temperature", "20", "its density follows from it"))),
 )  # fmt: skip
+"""In the order in which they rest on each other."""
 _SEEN = (320, 200)
+ROW_PX = 28
 
 
 class CalibrationWizard(QWidget):
@@ -116,14 +121,16 @@ class CalibrationWizard(QWidget):
         self._picture: Path | None = None
         self._aside: Path | None = None
         self._wants_number = False
-        self.choice, self.options = QComboBox(), dict[str, QLineEdit]()
+        self.choice, self.options = QListWidget(), dict[str, QLineEdit]()
+        self._chosen_by_person = False
         self.use = QPushButton("Use it all the same")
         self.begin, self.cancel, self.done = QPushButton("Begin"), QPushButton("Cancel"), QPushButton("Done")
         self.request, self.answer, self.bar = QLabel(), QLineEdit(), QProgressBar()
         self.light, self.seen, self.result = QLabel(), QLabel(), QLabel()
         self.said = QPlainTextEdit()
         self._lay_out()
-        self.choice.currentIndexChanged.connect(self._chosen)
+        self.choice.currentRowChanged.connect(lambda _: self._chosen())
+        self.choice.itemPressed.connect(self._choose_by_hand)
         self.begin.clicked.connect(self._begin)
         self.cancel.clicked.connect(self._cancel)
         self.done.clicked.connect(self._answer)
@@ -139,6 +146,26 @@ class CalibrationWizard(QWidget):
         """Measure another rig."""
         self._source = source
 
+    def show_way(self, steps: "Mapping[str, Step]") -> None:
+        """What is measured and what is missing; the first that is missing is chosen, until a person chooses."""
+        missing = [kind for kind, step in steps.items() if not step.done]
+        for row, wizard in enumerate(WIZARDS):
+            step, item = steps.get(wizard.kind), self.choice.item(row)
+            if step is None:
+                continue
+            sign = "✓" if step.done else "→" if missing[:1] == [wizard.kind] else " "
+            item.setText(f"{row + 1}  {sign}  {wizard.kind.capitalize()}: {step.finding}")
+            item.setToolTip(f"{wizard.title}: {step.finding}")
+        if missing and not self._chosen_by_person and not self.at_work:
+            self.choose(missing[0])
+
+    def choose(self, kind: str) -> None:
+        """Lead through this one next."""
+        self.choice.setCurrentRow([wizard.kind for wizard in WIZARDS].index(kind))
+
+    def _choose_by_hand(self) -> None:
+        self._chosen_by_person = True
+
     def follow(self, status: RigStatus) -> None:
         """Begin once the rig has been let go of; nothing can begin while it is in use."""
         if self._words is not None and status.state is RigState.LENT:
@@ -146,7 +173,7 @@ class CalibrationWizard(QWidget):
         self.begin.setEnabled(not self.at_work and not status.busy and status.state is not RigState.OPENING)
 
     def _begin(self) -> None:
-        wizard = WIZARDS[self.choice.currentIndex()]
+        wizard = WIZARDS[max(0, self.choice.currentRow())]
         rig = ["--rig", str(self._source.file)] if self._source.file is not None else []
         chosen = [word for flag, field in self.options.items() if field.text().strip()
                   for word in (flag, "".join(field.text().split()))]  # fmt: skip
@@ -275,7 +302,7 @@ class CalibrationWizard(QWidget):
         self.seen.setPixmap(picture.scaledToWidth(min(width, max(picture.width(), _SEEN[0])), smooth))
 
     def _chosen(self) -> None:
-        wizard = WIZARDS[self.choice.currentIndex()]
+        wizard = WIZARDS[max(0, self.choice.currentRow())]
         while self._choices.rowCount():
             self._choices.removeRow(0)
         self.options = {}
@@ -287,13 +314,14 @@ class CalibrationWizard(QWidget):
             self._choices.addRow(one.name, field)
             self.options[one.flag] = field
         if not self.at_work:
-            self._ask(f"Wants {wizard.wants}.", False, answered=False)
+            self._ask(f"{wizard.title}. Wants {wizard.wants}.", False, answered=False)
 
     def _lay_out(self) -> None:
-        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.choice.setMinimumContentsLength(24)
-        for wizard in WIZARDS:
-            self.choice.addItem(wizard.title, wizard.kind)
+        self.choice.addItems([f"{number}     {wizard.title}" for number, wizard in enumerate(WIZARDS, 1)])
+        self.choice.setCurrentRow(0)
+        self.choice.setAccessibleName("the way of calibration, in its order")
+        self.choice.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.choice.setFixedHeight(len(WIZARDS) * ROW_PX + 8)
         self._choices = QFormLayout()
         self.use.setToolTip("a doubtful result, or one much worse than the last, is kept aside until somebody says so")
         self.use.clicked.connect(self._use)

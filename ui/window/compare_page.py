@@ -24,6 +24,7 @@ from PySide6.QtWidgets import (
 )
 
 from ui.window.fit_curves import AXIS_PX, COEFFICIENTS
+from ui.window.flow import take_rest
 from ui.window.next_steps import NextSteps
 from ui.window.on_screen import OnScreen
 from ui.window.result import CONFIDENCE, NAMES, Result, Z, result_of, table_of
@@ -140,6 +141,8 @@ class ComparePage(QWidget):
                 item.setToolTip(text)
                 self._table.setItem(row, column, item)
         self._results = tuple(results)
+        self._table.setVisible(bool(results))
+        self._copy.setVisible(bool(results))
         self._copy.setEnabled(bool(results))
 
     def _colour(self, ticked: Sequence[Shown]) -> None:
@@ -201,6 +204,7 @@ class ComparePage(QWidget):
         whole.addWidget(self._curves, 2)
         whole.addWidget(self._table, 1)
         whole.addWidget(self._copy, 0, Qt.AlignmentFlag.AlignLeft)
+        whole.addStretch(0)
         right.setLayout(whole)
         split = QSplitter(Qt.Orientation.Vertical)
         split.addWidget(self._sources)
@@ -214,6 +218,7 @@ class ComparePage(QWidget):
         self.tabs.addTab(self.frame, "Models, and what next")
         column = QVBoxLayout(self)
         column.setContentsMargins(10, 8, 10, 8)
+        take_rest(self.tabs, 330)
         column.addWidget(self.tabs)
 
     def show_source(self, shown: Shown) -> None:

@@ -5,11 +5,12 @@ from functools import partial
 import pyqtgraph as pg
 from PySide6.QtCore import QEvent, QObject, Qt, QTimer
 from PySide6.QtGui import QGuiApplication
-from PySide6.QtWidgets import QDockWidget, QFrame, QMainWindow, QScrollArea, QTabWidget, QWidget
+from PySide6.QtWidgets import QApplication, QDockWidget, QFrame, QMainWindow, QScrollArea, QTabWidget, QWidget
 
-from ui.window.turns import Turns
+from ui.window.source_frame import SourceFrame
+from ui.window.staggered_painter import StaggeredPainter
 
-TITLES = ("Sequence", "Fit", "Doser", "Projector", "Runs", "Compare", "Calibration", "Log")
+TITLES = ("Sequence", "Fit", "Doser", "Projector", "Runs", "Compare", "Regions", "Calibration", "Log")
 PART = 0.54
 """Of the window's width, at first."""
 
@@ -57,7 +58,21 @@ class Docks(QObject):
         frame.setVisible(not dock.visibleRegion().isEmpty())
         dock.visibilityChanged.connect(frame.setVisible)  # else the keyboard gets to pages behind the one in front
         self._by_page[page] = dock
-        dock.visibilityChanged.connect(partial(_appear, page.findChildren(pg.PlotWidget), Turns(page)))
+        dock.visibilityChanged.connect(partial(_appear, page.findChildren(pg.PlotWidget), StaggeredPainter(page)))
+
+    def pages(self) -> list[tuple[str, QWidget]]:
+        """Title and page of each dock that has one."""
+        titles = {dock: title for title, dock in self._by_title.items()}
+        return [(titles[dock], page) for page, dock in self._by_page.items()]
+
+    def in_front(self) -> tuple[str, QWidget]:
+        """Title and frame of the page that has the keyboard, or else of the first one that can be seen."""
+        seen = [(title, dock) for title, dock in self._by_title.items() if not dock.visibleRegion().isEmpty()]
+        focus = QApplication.focusWidget()
+        held = [one for one in seen if focus is not None and one[1].isAncestorOf(focus)]
+        title, dock = next(iter(held or seen), (TITLES[0], self._by_title[TITLES[0]]))
+        frame = dock.findChild(SourceFrame)
+        return title, dock if frame is None else frame
 
     def show(self, page: QWidget) -> None:
         """Bring a page to the front."""
@@ -118,7 +133,7 @@ class Docks(QObject):
         self._share, self._width = PART, 0
 
 
-def _appear(plots: list[pg.PlotWidget], turns: Turns, visible: bool) -> None:
+def _appear(plots: list[pg.PlotWidget], turns: StaggeredPainter, visible: bool) -> None:
     """Paint a page's plots one after another: all at once they would hold the live picture up."""
     if visible:
         for plot in plots:

@@ -15,14 +15,16 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from ui.window.fields import NumberField, with_name
+from ui.window.fields import CheckedField, NumberField, number, with_name
 from ui.window.flow import Flow
+from ui.window.pump_rate import PumpRate, pump_rate
 from ui.window.status import RigState, RigStatus
 from ui.window.words import volume
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
 
+EMPTY = "What the tank holds, and what its budgets leave, will stand here once the rig is open."
 UNKNOWN = (
     "<b>It is not known how much ink the tank holds.</b> A dose was begun and nobody saw it end, the doser moved "
     "without tankrig, or the run, the tank's ledger and the doser do not say the same. Nothing moves until a person "
@@ -42,6 +44,8 @@ class DoserPage(QWidget):
     """Total that the tank is to hold, µl."""
     aside_asked = Signal(float)
     """Volume to be delivered into a waste vessel, µl."""
+    rate_asked = Signal(float)
+    """Rate that the pump is to have while the window is open, µl/s."""
     resolve_asked = Signal(float)
     clear_asked = Signal()
     refill_asked = Signal()
@@ -50,8 +54,10 @@ class DoserPage(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._rig: RigFile | None = None
+        self._pump: PumpRate | None = None
         self._sure = self._free = False
-        self._held, self._concentration = QLabel("–"), QLabel()
+        self._held, self._concentration = QLabel("–"), QLabel(EMPTY)
+        self._concentration.setWordWrap(True)
         self._held.setProperty("role", "big")
         self._concentration.setProperty("role", "faint")
         column = QVBoxLayout(self)
@@ -62,14 +68,23 @@ class DoserPage(QWidget):
         column.addLayout(self._budgets())
         column.addWidget(self._dose_card())
         column.addWidget(self._prime_card())
+        column.addWidget(self._rate_card())
         column.addWidget(self._stopped_card())
         column.addWidget(self._unknown_card())
         column.addStretch(1)
         column.addLayout(self._refill_row())
 
     def set_rig(self, rig: "RigFile") -> None:
-        """Whose budgets and whose tank."""
+        """Whose budgets, tank and pump."""
         self._rig = rig
+        self._pump = pump_rate(rig.doser)
+        if self._pump is None:
+            self._rate.set_text("")
+            self._rate_says.setText("The pump's own firmware, or its driver, sets how fast it delivers.")
+        else:
+            self._rate.set_text(f"{self._pump.ul_per_s:.6g}")
+            self._rate_says.setText(f"{self._pump.span}; the rig file's own rate comes back with the next window.")
+        self._able()
 
     def follow(self, status: RigStatus) -> None:
         """Show where the ink stands."""
@@ -124,7 +139,23 @@ class DoserPage(QWidget):
     def _able(self) -> None:
         """What is free to be asked for, with what stands in the fields."""
         self._dose.setEnabled(self._free and (not self._target.edit.text() or not self._target.wrong))
+        self._rate.setEnabled(self._free and self._pump is not None)
+        self._set_rate.setEnabled(self._free and self._pump is not None and self._rate.value is not None)
         self._prime.setEnabled(self._free and self._hangs.isChecked() and self._volume.value is not None)
+
+    def _read_rate(self, text: str) -> tuple[float | None, str]:
+        """A rate that the pump of this rig takes."""
+        if self._pump is None:
+            return None, ""
+        value = number(text)
+        if value is None or not self._pump.least_ul_per_s <= value <= self._pump.most_ul_per_s:
+            return None, f"{text or 'nothing'} is no rate of this pump; give {self._pump.span}"
+        return value, ""
+
+    def _ask_rate(self) -> None:
+        value = self._rate.value
+        if value is not None and self._set_rate.isEnabled():
+            self.rate_asked.emit(float(value))
 
     def _ask_resolve(self) -> None:
         value = self._truth.value
@@ -194,6 +225,26 @@ class DoserPage(QWidget):
             row.addWidget(widget)
         column = QVBoxLayout(card)
         column.addLayout(row)
+        return card
+
+    def _rate_card(self) -> QFrame:
+        card, row = QFrame(), Flow()
+        card.setObjectName("card")
+        self._rate = CheckedField(self._read_rate, "µl/s", "how fast the pump delivers")
+        self._rate.edit.setObjectName("pump-rate")
+        self._rate.edit.setMaximumWidth(110)
+        self._set_rate, self._rate_says = QPushButton("Set the rate"), QLabel()
+        self._set_rate.setToolTip("open the rig again with this rate; runs that begin in this window have it, too")
+        self._rate_says.setProperty("role", "faint")
+        self._rate_says.setWordWrap(True)
+        self._rate.changed.connect(self._able)
+        self._rate.edit.returnPressed.connect(self._ask_rate)
+        self._set_rate.clicked.connect(self._ask_rate)
+        for widget in (with_name("The pump delivers", self._rate), self._set_rate):
+            row.addWidget(widget)
+        column = QVBoxLayout(card)
+        column.addLayout(row)
+        column.addWidget(self._rate_says)
         return card
 
     def _stopped_card(self) -> QFrame:

@@ -11,11 +11,12 @@ class Dropped(Enum):
     RUN = "run"
     SEQUENCE = "sequence"
     RIG = "rig file"
+    SCENE = "scene"
     OTHER = "nothing that the window opens"
 
 
 def kind_of(path: Path) -> Dropped:
-    """A run's folder, a sequence, a rig file, or something else; a TOML file that is torn counts as a sequence.
+    """A run's folder, a sequence, a rig file, a scene, or something else; torn TOML counts as a sequence.
 
     Examples
     --------
@@ -34,4 +35,6 @@ def kind_of(path: Path) -> Dropped:
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):
         return Dropped.SEQUENCE
-    return Dropped.RIG if "doser" in table else Dropped.SEQUENCE
+    if "doser" in table:
+        return Dropped.RIG
+    return Dropped.SCENE if "steps" not in table and {"medium", "camera"} & table.keys() else Dropped.SEQUENCE

@@ -147,13 +147,13 @@ class NumberField(CheckedField):
         self.set_text("" if value is None else f"{value:.10g}")
 
 
-def with_name(name: str, field: QWidget) -> QWidget:
+def with_name(name: str | QLabel, field: QWidget) -> QWidget:
     """A field behind its name, as one widget that no line break parts."""
     whole = QWidget()
     row = QHBoxLayout(whole)
     row.setContentsMargins(0, 0, 0, 0)
     row.setSpacing(6)
-    label = QLabel(name)
+    label = QLabel(name) if isinstance(name, str) else name
     label.setBuddy(field)
     row.addWidget(label)
     row.addWidget(field)

@@ -14,12 +14,14 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from ui.window.elided import Elided
 from ui.window.result import CONFIDENCE, NAMES, Result
 
 ORDERS = {
     "1": "order 1 only", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders",
     "single": "single scattering's best",
 }  # fmt: skip
+VERDICT_LINES = 2
 NOTHING = "not fitted yet"
 
 
@@ -27,28 +29,30 @@ class ResultCard(QWidget):
     """One result: σs, σa, g with their 95 % intervals, whose they are, and what the verdict says."""
 
     copy_asked = Signal(str)
-    """"text" or "table"."""
+    """"text", "table" or "figure"."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.belongs, self.verdict = QLabel(), QLabel()
+        self.belongs, self.verdict = Elided(1), Elided(VERDICT_LINES)
         self.belongs.setProperty("role", "faint")
-        for label in (self.belongs, self.verdict):
-            label.setWordWrap(True)
-            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.verdict.setMinimumHeight(36)
-        head, row = QHBoxLayout(), QHBoxLayout()
-        head.addWidget(self.belongs, 1)
+        self._whole = QPushButton("All of it")
+        self._whole.setCheckable(True)
+        self._whole.setToolTip("all that the verdict says, or its first lines")
+        self._whole.toggled.connect(self.verdict.show_all)
+        self.verdict.cut.connect(self._whole.setEnabled)
+        row = QHBoxLayout()
         self._copies = []
         for words, what, tip in (
             ("Copy", "text", "copy this result as text"),
-            ("Copy table", "table", "copy the fits of all doses as a table, for a spreadsheet"),
+            ("Table", "table", "copy the fits of all doses as a table, for a spreadsheet"),
+            ("Figure", "figure", "copy what this page shows as a picture"),
         ):
             button = QPushButton(words)
             button.setToolTip(tip)
             button.clicked.connect(lambda _=False, what=what: self.copy_asked.emit(what))
-            head.addWidget(button)
             self._copies.append(button)
+        self.buttons = (self._whole, *self._copies)
+        """What can be done with the result, for whoever lays out the page."""
         self.values: dict[str, tuple[QLabel, QLabel, QLabel]] = {}
         for name in NAMES:
             card = QFrame()
@@ -68,7 +72,7 @@ class ResultCard(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(4)
-        column.addLayout(head)
+        column.addWidget(self.belongs)
         column.addLayout(row)
         column.addWidget(self.verdict)
         self.show_result(None, "")
@@ -87,9 +91,9 @@ class ResultCard(QWidget):
             title.setText(f"{one.symbol} {one.unit}".strip())
             value.setText(number)
             note.setText(f"± {half} ({CONFIDENCE})" + ("" if one.determined else ", not determined"))
-        self.belongs.setText(result.belongs if result is not None else "")
+        self.belongs.say(result.belongs if result is not None else "")
         verdict = result.verdict if result is not None else ""
-        self.verdict.setText(f"{says} {verdict}".strip())
+        self.verdict.say(f"{says} {verdict}".strip())
         for button in self._copies:
             button.setEnabled(result is not None)
 
@@ -107,7 +111,7 @@ class OrderBars(QWidget):
             bar = QProgressBar()
             bar.setRange(0, 1000)
             bar.setFormat("–")
-            bar.setFixedHeight(20)
+            bar.setFixedHeight(16)
             bar.setAlignment(Qt.AlignmentFlag.AlignCenter)
             label = QLabel(words)
             label.setToolTip("root mean square of what is left over, in percent of the brightest pixel")

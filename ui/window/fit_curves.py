@@ -1,5 +1,6 @@
 """σs, σa and g against dose or time, with 95 % error bars."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -10,8 +11,8 @@ from PySide6.QtWidgets import QGraphicsItem, QHBoxLayout, QSizePolicy, QWidget
 
 from tankrig.live.results import DoseFit, SeriesFit
 from ui.window.result import CONFIDENCE, Z
+from ui.window.staggered_painter import StaggeredPainter
 from ui.window.theme import CURVES
-from ui.window.turns import Turns
 
 COEFFICIENTS = {"sigma_s": ("σs", 1, "per mm"), "sigma_a": ("σa", 0, "per mm"), "g": ("g", 2, "")}
 """Symbol, place in the standard deviations, unit."""
@@ -39,8 +40,8 @@ class FitCurves(QWidget):
                 axis = plot.getAxis(side)
                 axis.enableAutoSIPrefix(False)
                 axis.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
+                axis.setTickDensity(0.6)  # side by side, numbers have little room
             plot.getAxis("left").setWidth(AXIS_PX)
-            plot.getAxis("bottom").setTickDensity(0.6)  # side by side, numbers have little room
             plot.showGrid(x=True, y=True, alpha=0.2)
             line = plot.plot(pen=pg.mkPen("#888888", width=1.5))
             bars = pg.ErrorBarItem(pen=pg.mkPen(colour, width=2), beam=0.0)
@@ -53,12 +54,12 @@ class FitCurves(QWidget):
             widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._fits: Sequence[tuple[float, DoseFit]] = []
         self._series: SeriesFit | None = None
-        self._against, self._turns = "", Turns(self)
+        self._against, self._painter = "", StaggeredPainter(self)
 
     def clear(self) -> None:
         """Show nothing, at once."""
         self._fits, self._series = [], None
-        self._turns.take([])
+        self._painter.take([])
         for _, line, bars, points in self._plots.values():
             line.setData([], [])
             points.setData([], [])
@@ -76,7 +77,7 @@ class FitCurves(QWidget):
             self._against = against
             for plot, *_ in self._plots.values():
                 plot.setLabel("bottom", "ink (ml)" if against == "dose_ml" else "time (s)")
-        self._turns.take(partial(self._show, name) for name in self._plots)
+        self._painter.take(partial(self._show, name) for name in self._plots)
 
     def _show(self, name: str) -> None:
         plot, line, bars, points = self._plots[name]
@@ -105,9 +106,20 @@ class FitCurves(QWidget):
             plot.setXRange(0.0, 1.05 * furthest, padding=0)
         if not (bottom <= low and high + margin <= top and top - bottom <= ROOM * (high + margin - low)):
             plot.setYRange(low - 0.5 * margin, high + 1.5 * margin, padding=0)
+            plot.getAxis("left").setTickSpacing(levels=[(_step(high - low + 2.0 * margin), 0)])
 
     def _line(self, name: str, at: Any, series: SeriesFit | None) -> tuple[Any, Any]:
         if series is None:
             return [], []
         x = np.array([0.0, float(at.max()) * 1.1])
         return x, np.array([getattr(series.at(dose_ml), name) for dose_ml in x.tolist()])
+
+
+def _step(length: float) -> float:
+    """Between the numbers of an axis, so that there are one to four of them however low the plot is.
+
+    >>> _step(1.05), _step(0.0021), _step(9.9)
+    (0.5, 0.001, 5.0)
+    """
+    ten = 10.0 ** math.floor(math.log10(max(length, 1e-300)))
+    return next(part * ten for part in (5.0, 2.0, 1.0, 0.5) if length / (part * ten) >= 1.5)

@@ -9,14 +9,15 @@ from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from ui.window.fields import with_name
+from ui.window.figure import pixmap_of
 from ui.window.fit_cards import OrderBars, ResultCard
 from ui.window.fit_curves import FitCurves
 from ui.window.flow import Flow
 from ui.window.result import result_of, table
 from ui.window.shown import Shown
+from ui.window.staggered_painter import StaggeredPainter
 from ui.window.tank_plot import TankPlot
 from ui.window.tone import Tone, residual_palette
-from ui.window.turns import Turns
 
 if TYPE_CHECKING:
     from ui.window.jobs import Comparison
@@ -37,7 +38,7 @@ class FitPage(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._shown: Shown | None = None
-        self._turns = Turns(self)
+        self._painter = StaggeredPainter(self)
         self._lay_out()
 
     def show_source(self, shown: Shown) -> None:
@@ -76,6 +77,7 @@ class FitPage(QWidget):
             fits = [(fit.dose_ml, fit) for fit in shown.by_dose]
         else:
             fits = [(one.time_s, one.fit) for one in shown.fits]
+        self._curves.setVisible(bool(fits))  # axes of nothing would measure nothing
         self._curves.show_fits(fits, against, shown.series)
 
     def _list_photographs(self, shown: Shown) -> None:
@@ -122,21 +124,23 @@ class FitPage(QWidget):
             self._says.setText("The model's picture is being computed…")
 
     def _clear_pictures(self) -> None:
-        self._turns.take([])
+        self._painter.take([])
         for plot in (self._observed, self._model, self._residual):
             plot.clear()
         self._bars.show_rmse({})
         self._says.setText(EMPTY)
 
     def _copy(self, what: str) -> None:
-        if self._shown is not None:
+        if what == "figure":
+            QGuiApplication.clipboard().setPixmap(pixmap_of(self))
+        elif self._shown is not None:
             result = result_of(self._shown)
             text = table(self._shown) if what == "table" else result.text if result is not None else ""
             QGuiApplication.clipboard().setText(text)
 
     def _draw(self, one: "Comparison") -> None:
         peak = float(one.observed.max()) or 1.0
-        tone = Tone(0.0, TOP, root=True)
+        tone = Tone(0.0, TOP, gamma=0.5)
         table, palette = tone.table(), tone.palette()
 
         def toned(image: Image) -> Indices:
@@ -157,7 +161,7 @@ class FitPage(QWidget):
             plot.place(one.tank, one.camera)
             plot.name(name)
 
-        self._turns.take((
+        self._painter.take((
             partial(show, self._observed, "observed, 0–100 %", toned(one.observed), palette),
             partial(show, self._model, "model, same scale", toned(one.model), palette),
             partial(show, self._residual, same, left, colours),
@@ -196,15 +200,18 @@ class FitPage(QWidget):
         self._against.currentTextChanged.connect(lambda _: self._draw_curves())
         self._same.toggled.connect(lambda _: self._draw_comparison())
         choices = Flow(
-            with_name("picture of", self._pattern), with_name("at", self._dose), self._same, self._against
+            *self.card.buttons, with_name("picture of", self._pattern), with_name("at", self._dose), self._same,
+            self._against,
         )  # fmt: skip
         middle = QGridLayout()
         middle.addWidget(self._bars, 0, 0)
         column = QVBoxLayout(self)
         column.setContentsMargins(10, 8, 10, 8)
+        column.setSpacing(4)
         column.addWidget(self.card)
         column.addLayout(choices)
         column.addLayout(pictures, 4)
         column.addWidget(self._says)
         column.addLayout(middle)
         column.addWidget(self._curves, 3)
+        column.addStretch(0)

@@ -101,6 +101,16 @@ class Flow(QLayout):
             left += wide + GAP_PX
 
 
+def take_rest(widget: QWidget, least_px: int) -> None:
+    """Let a widget have the height that is left, and at least so much.
+
+    A page that scrolls asks each widget how high it would like to be, and what shows lists or plots would like more
+    than a small screen has.
+    """
+    widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+    widget.setMinimumHeight(least_px)
+
+
 def _grows(item: QLayoutItem) -> bool:
     widget = item.widget()
     return widget is not None and widget.sizePolicy().horizontalPolicy() is QSizePolicy.Policy.Expanding

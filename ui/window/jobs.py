@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.errors import StoreError
+from tankrig.run.regions import Counted, Region, read_regions, write_regions
+from tankrig.run.regions import count_regions as in_all_frames
 from tankrig.scene.description import Camera, Medium, Tank
 from ui.window import progress
 from ui.window.source import RefitSettings
@@ -18,7 +21,9 @@ if TYPE_CHECKING:
     from tankrig.bench import Bench, KnownScenes
     from tankrig.live.exposures import Photograph
     from tankrig.live.results import DoseFit, SeriesFit
+    from tankrig.prediction import Prediction
     from tankrig.run.reading import Run
+    from tankrig.scene import Scene
     from tankrig.sequence import Pace
 
 Image = NDArray[np.floating]
@@ -67,6 +72,10 @@ class Reading:
         Where it was recorded.
     without_fits
         Whether its recorded fits do not hold, see `tankrig.live.exposures.fits_that_hold`.
+    counted
+        In regions of its frames, where some are saved with it.
+    doubts
+        What lies beside the run and cannot be read, in sentences.
     """
 
     run: "Run"
@@ -74,6 +83,8 @@ class Reading:
     patterns: tuple[str, ...]
     bench: "Bench | KnownScenes"
     without_fits: bool = False
+    counted: tuple[Counted, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +161,28 @@ def read(path: Path) -> Reading:
     bench = PhotographPlan.of_run(run).bench
     _ = run.conditions  # found here and not where it would keep the window waiting
     wrong = bool(run.fits) and not fits_that_hold(run)
-    return Reading(run, labels, lit, bench, wrong)
+    counted: tuple[Counted, ...] = ()
+    doubts: tuple[str, ...] = ()
+    try:
+        counted = read_regions(path)
+    except StoreError as error:
+        doubts = (str(error),)
+    return Reading(run, labels, lit, bench, wrong, counted, doubts)
+
+
+def count_regions(path: Path, regions: tuple[Region, ...]) -> tuple[Counted, ...]:
+    """Count regions in all frames of a run, and save that with it.
+
+    Raises
+    ------
+    StoreError
+        When a frame cannot be read, or the file not be written.
+    """
+    from tankrig.run.reading import open_run
+
+    counted = in_all_frames(open_run(path), regions, progress.done)
+    write_regions(path, counted)
+    return counted
 
 
 def found_in(path: Path) -> Found:
@@ -300,6 +332,13 @@ def compare_models(photograph: "Photograph") -> tuple[tuple[str, ...], ...]:
             cells.append(text if one.estimate.identifiable[name] else f"({text})")
         rows.append((one.contender.name, f"{100.0 * one.estimate.rmse / peak:.2g}", *cells, f"{one.bic:.0f}"))
     return tuple(rows)
+
+
+def predict_scene(scene: "Scene", tolerance: float) -> "Prediction":
+    """The picture of a scene, as its image alone: orders would only make it slow to hand over."""
+    import tankrig
+
+    return replace(tankrig.predict(scene, tolerance=tolerance), orders={})
 
 
 def report(path: Path) -> Path:

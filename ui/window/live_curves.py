@@ -81,6 +81,23 @@ class LineProfile(QObject):
         """Whether line and curve are there."""
         self.widget.setVisible(shown)
         self._line.setVisible(shown)
+        self.moved.emit()
+
+    @property
+    def shown(self) -> bool:
+        """Whether the line is there."""
+        return bool(self._line.isVisible())
+
+    @property
+    def ends_mm(self) -> NDArray[np.float64]:
+        """(2, 2) x and y of its beginning and of its end."""
+        ends = [self._line.mapToParent(QPointF(handle["pos"])) for handle in self._line.handles]
+        return np.array([[one.x(), one.y()] for one in ends])
+
+    def move(self, ends_mm: NDArray[np.float64]) -> None:
+        """Put the line from one place to another."""
+        for number, end in enumerate(ends_mm.tolist()):
+            self._line.movePoint(self._line.handles[number]["item"], QPointF(*end), coords="parent")
 
     def draw(self, pixels: "Pixels | None") -> None:
         """Of this picture, while the curve is shown."""
@@ -89,8 +106,7 @@ class LineProfile(QObject):
         if pixels is None:
             self._curve.setData([], [])
             return
-        ends = [self._line.mapToParent(QPointF(handle["pos"])) for handle in self._line.handles]
-        start, end = np.array([[one.x(), one.y()] for one in ends])
+        start, end = self.ends_mm
         at, counts = along(pixels, self._picture, start, end)
         self._curve.setData(at, counts)
 
@@ -121,5 +137,6 @@ def _plot(bottom: str, left: str) -> pg.PlotWidget:
     plot.setLabel("left", left)
     for side in ("left", "bottom"):
         plot.getAxis(side).enableAutoSIPrefix(False)
+        plot.getAxis(side).setTickDensity(0.5)  # numbers have little room
         plot.getAxis(side).setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
     return widget

@@ -7,27 +7,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
-from PySide6.QtCore import QPointF, Signal
-from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtCore import QPointF, Qt, Signal
+from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QPushButton, QSlider, QVBoxLayout, QWidget
 
 from tankrig.devices import CameraSettings
-from ui.window.darkroom import Darkroom, Judgement, Picture, Wishes
 from ui.window.fields import NumberField, with_name
 from ui.window.flow import Flow
+from ui.window.frame_renderer import FrameRenderer, FrameStatistics, Picture, ViewSettings
 from ui.window.histogram import Histogram
 from ui.window.live_curves import FocusCurve, LineProfile
+from ui.window.observed_devices import LatestValue, SeenFrame
+from ui.window.picture_regions import PictureRegions
 from ui.window.radiometry import radiance_in_words
 from ui.window.source import LIVE
 from ui.window.tank_plot import TankPlot, pen
 from ui.window.theme import set_role
 from ui.window.tone import COLOURS, Tone
-from ui.window.watched import Newest, SeenFrame
 
 if TYPE_CHECKING:
     from tankrig.bench import Bench, KnownScenes
+    from tankrig.scene.description import Camera
     from ui.window.shown import Shown
 
 
+GAMMA_PERCENT = 20, 200
+PICTURE_PX = 150
 POINT = "point at the picture to read counts and radiance"
 NO_PICTURE = "the camera's picture will stand here"
 
@@ -43,12 +47,16 @@ class LiveView(QWidget):
 
     camera_asked = Signal(object)
     """CameraSettings that a person wants."""
+    counted = Signal(object)
+    """RegionNow of each region, a few times a second."""
+    regions_asked = Signal()
+    """A person wants to draw regions."""
     first_shown = Signal()
 
-    def __init__(self, source: Newest[SeenFrame]) -> None:
+    def __init__(self, source: LatestValue[SeenFrame]) -> None:
         super().__init__()
-        self._darkroom = Darkroom(source)
-        self._darkroom.pictures.arrived.connect(self._show)
+        self._renderer = FrameRenderer(source)
+        self._renderer.pictures.arrived.connect(self._show)
         self._bench: Bench | KnownScenes | None = None
         self._picture: Picture | None = None
         self._levels = (0.0, 65535.0)
@@ -63,17 +71,16 @@ class LiveView(QWidget):
         self._trouble = ""
         self._free = False
         self._plot = TankPlot()
-        self._histogram, self._focus_curve, self._profile = Histogram(), FocusCurve(), LineProfile(self._plot)
-        self._profile.moved.connect(self._draw_profile)
+        self._histogram, self._focus_curve, self.profile = Histogram(), FocusCurve(), LineProfile(self._plot)
+        self.profile.moved.connect(self._draw_profile)
         self._histogram.levels_moved.connect(self._set_levels)
         self._beams = pg.PlotDataItem(pen=pen("#39d0ff", 1.2, dashed=True), connect="finite")
         self._plot.plot.addItem(self._beams)
-        self._roi = pg.RectROI((60, -20), (60, 40), pen=pen("#9cff57", 2.0))
-        self._roi.hide()
-        self._plot.plot.addItem(self._roi)
-        self._roi.sigRegionChanged.connect(self._wish)
+        self.regions = PictureRegions(self._plot)
+        self.regions.moved.connect(self._set_view)
+        self.regions.listed.connect(self._set_view)
         self._lay_out()
-        self._plot.plot.getViewBox().sigTransformChanged.connect(self._wish)
+        self._plot.plot.getViewBox().sigTransformChanged.connect(self._set_view)
         self._plot.widget.scene().sigMouseMoved.connect(self._mouse_moved)
 
     # -- what is shown -------------------------------------------------------------------------------------------------
@@ -81,7 +88,7 @@ class LiveView(QWidget):
     def set_bench(self, bench: "Bench | KnownScenes") -> None:
         """Say where pixels lie, and where beams should be."""
         self._bench = bench
-        self._wish()
+        self._set_view()
 
     def show_source(self, shown: "Shown") -> None:
         """Show frames of this source from now on; a picture that is of another one goes at once."""
@@ -94,7 +101,7 @@ class LiveView(QWidget):
             self._outlined = None
             self._focus_curve.begin()
             self._draw_profile()
-            for label in (self._saturated, self._focus, self._roi_text):
+            for label in (self._saturated, self._focus):
                 label.clear()
         self._say()
         self._show_settings()
@@ -142,63 +149,66 @@ class LiveView(QWidget):
 
     def close_view(self) -> None:
         """Look at no more frames."""
-        self._darkroom.close()
+        self._renderer.close()
 
     def _show(self) -> None:
-        picture = self._darkroom.pictures.take()
+        picture = self._renderer.pictures.take()
         if picture is None or self._bench is None or picture.frame.run != self._source.recorded:
             return
-        before, self._picture, camera = self._picture, picture, self._bench.camera
-        if picture.frame.pixels.shape != camera.shape:
-            camera = replace(camera, shape=picture.frame.pixels.shape)
+        before, self._picture = self._picture, picture
         self._plot.show_indices(picture.indices, picture.palette)
-        self._plot.place(self._bench.tank, camera)
+        self._plot.place(self._bench.tank, self._camera)
         if before is None:
             self._say()
+        if before is None or before.frame.pixels.shape != picture.frame.pixels.shape:
+            self._set_view()  # regions lie elsewhere in a picture of another size
         if before is None or before.frame.settings != picture.frame.settings:
             self._show_settings()
         self.displayed += 1
         if self.displayed == 1:
             self.first_shown.emit()
-        if picture.judgement is not None:
-            self._tell(picture.judgement)
-            self._histogram.show_counts(picture.judgement.often, picture.frame.saturation, picture.tone)
+        if picture.statistics is not None:
+            self._tell(picture.statistics)
+            self._histogram.show_counts(picture.statistics.often, picture.frame.saturation, picture.tone)
 
-    def _tell(self, judged: Judgement) -> None:
+    def _tell(self, statistics: FrameStatistics) -> None:
         """What follows at a slower pace."""
         now = time.monotonic()
         if now - self._rate_at >= 1.0:
             rate = (self.displayed - self._displayed_before) / (now - self._rate_at)
             self._rate_at, self._displayed_before = now, self.displayed
             self._rate.setText(f"{rate:.0f} pictures/s")
-        self._saturated.setText(f"saturated {judged.saturated:.2%}" if judged.saturated else "nothing saturated")
-        set_role(self._saturated, "wrong" if judged.saturated > 0.001 else "faint")
-        self._focus_curve.add(judged.focus)
-        self._focus.setText(f"focus {judged.focus:.3f}, best {self._focus_curve.best:.3f}")
+        self._saturated.setText(
+            f"saturated {statistics.saturated:.2%}" if statistics.saturated else "nothing saturated"
+        )
+        set_role(self._saturated, "wrong" if statistics.saturated > 0.001 else "faint")
+        if statistics.focus is not None:
+            self._focus_curve.add(statistics.focus)
+            self._focus.setText(f"focus {statistics.focus:.3f}, best {self._focus_curve.best:.3f}")
         self._draw_profile()
-        if self._roi.isVisible():
-            self._roi_text.setText(f"region {judged.mean:.1f} ± {judged.sd:.1f} counts")
-        if judged.dark is not None and self._shown is not None:
-            self._shown.dark = judged.dark
-        if judged.outlines is not self._outlined:
-            self._outlined = judged.outlines
-            self._beams.setData(judged.outlines[:, 0], judged.outlines[:, 1])
+        self.counted.emit(statistics.regions)
+        if statistics.dark is not None and self._shown is not None:
+            self._shown.dark = statistics.dark
+        if statistics.outlines is not self._outlined:
+            self._outlined = statistics.outlines
+            self._beams.setData(statistics.outlines[:, 0], statistics.outlines[:, 1])
         if self._cursor is not None:
             self._read(self._cursor)
 
     # -- what a person does --------------------------------------------------------------------------------------------
 
-    def _wish(self) -> None:
+    def _set_view(self) -> None:
         """Have pictures as the boxes say."""
-        colours, root = self._colours.currentText(), self._scale.currentText() == "square root"
+        colours, gamma = self._colours.currentText(), self._gamma.value() / 100.0
+        self._gamma_words.setText(f"γ {gamma:.2f}")
         bench = self._bench if self._overlay.isChecked() else None
         every = max(1, int(self._plot.dot_mm / self._bench.camera.pixel_mm)) if self._bench else 1
-        self._darkroom.wish(
-            Wishes(
-                Tone(*self._levels, root=root, colours=colours),
+        self._renderer.render_as(
+            ViewSettings(
+                Tone(*self._levels, gamma=gamma, colours=colours),
                 self._automatic.isChecked(),
                 self._saturation.isChecked(),
-                self._region(),
+                self.regions.in_pixels(self._camera, self._bench.tank) if self._bench is not None else (),
                 bench,
                 every,
             )
@@ -207,41 +217,33 @@ class LiveView(QWidget):
     def _set_levels(self, low: float, high: float) -> None:
         self._automatic.setChecked(False)
         self._levels = low, max(high, low + 1.0)
-        self._wish()
+        self._set_view()
 
     def _keep_levels(self, automatic: bool) -> None:
         """Levels that followed the picture stay as they are when they no longer do."""
         if not automatic and self._picture is not None:
             self._levels = self._picture.tone.low, self._picture.tone.high
-        self._wish()
-
-    def _show_region(self, shown: bool) -> None:
-        self._roi.setVisible(shown)
-        self._roi_text.clear()
-        self._wish()
+        self._set_view()
 
     def _show_focus(self, shown: bool) -> None:
         self._focus_curve.begin()
         self._focus_curve.widget.setVisible(shown)
 
     def _show_profile(self, shown: bool) -> None:
-        self._profile.show(shown)
+        self.profile.show(shown)
         self._draw_profile()
 
     def _draw_profile(self) -> None:
-        self._profile.draw(self.frame.pixels if self.frame is not None else None)
+        self.profile.draw(self.frame.pixels if self.frame is not None else None)
 
-    def _region(self) -> tuple[slice, slice] | None:
-        """Rows and columns of the region of interest."""
-        if self._bench is None or not self._roi.isVisible():
-            return None
-        camera, at, size = self._bench.camera, self._roi.pos(), self._roi.size()
-        corners = [self._plot.pixel_at(x, y) for x in (at.x(), at.x() + size.x()) for y in (at.y(), at.y() + size.y())]
-        (bottom, top), (left, right) = (
-            (int(np.clip(min(edges), 0, most)), int(np.clip(max(edges), 0, most)))
-            for edges, most in zip(zip(*corners, strict=True), camera.shape, strict=True)
-        )
-        return (slice(bottom, top), slice(left, right)) if right - left > 2 and top - bottom > 2 else None
+    @property
+    def _camera(self) -> "Camera":
+        """As the bench has it, with as many pixels as the picture."""
+        assert self._bench is not None
+        camera = self._bench.camera
+        if self.frame is None or self.frame.pixels.shape == camera.shape:
+            return camera
+        return replace(camera, shape=self.frame.pixels.shape)
 
     def _mouse_moved(self, at: QPointF) -> None:
         self._cursor = self._plot.plot.getViewBox().mapSceneToView(at)
@@ -266,46 +268,55 @@ class LiveView(QWidget):
             self.camera_asked.emit(CameraSettings(exposure_ms, gain))
 
     def _lay_out(self) -> None:
-        self._colours, self._scale = QComboBox(), QComboBox()
+        self._colours = QComboBox()
         self._colours.addItems(list(COLOURS))
         self._colours.setToolTip("false colour as in the figures, or grey")
-        self._scale.addItems(["square root", "linear"])
-        self._scale.setToolTip("square root: faint scattered light shows beside beams")
+        self._gamma, self._gamma_words = QSlider(Qt.Orientation.Horizontal), QLabel()
+        self._gamma.setRange(*GAMMA_PERCENT)
+        self._gamma.setValue(50)
+        self._gamma.setFixedWidth(70)
+        self._gamma.setAccessibleName("gamma of the colours, in percent")
+        self._gamma.setToolTip(
+            "brightness as this power of the counts: 1 is linear; 0.5, the square root, shows faint light beside beams"
+        )
+        self._gamma.valueChanged.connect(self._set_view)
         self._automatic, self._saturation = QCheckBox("auto levels"), QCheckBox("saturation")
-        self._overlay, region = QCheckBox("beams"), QCheckBox("region")
+        self._overlay, regions = QCheckBox("beams"), QPushButton("Regions")
         self._automatic.setToolTip("levels follow the picture; drag the histogram's edges to set them")
         self._saturation.setToolTip("saturated pixels in bright blue")
         self._overlay.setToolTip("dashed: where each beam should be, by the calibration")
-        region.setToolTip("a rectangle to drag; mean and focus are those of what is inside")
+        regions.setToolTip("rectangles to drag, and what is counted in them over time (Ctrl+9)")
+        regions.clicked.connect(self.regions_asked)
         for box in (self._automatic, self._saturation, self._overlay):
             box.setChecked(True)
-        for combo in (self._colours, self._scale):
-            combo.currentTextChanged.connect(self._wish)
+        self._colours.currentTextChanged.connect(self._set_view)
         focus, profile = QCheckBox("focus"), QCheckBox("line")
         focus.setToolTip("sharpness over the last minute, with its best held; tick anew to begin anew")
         profile.setToolTip("counts along a line: drag its ends on the picture")
         focus.toggled.connect(self._show_focus)
         profile.toggled.connect(self._show_profile)
-        region.toggled.connect(self._show_region)
-        self._overlay.toggled.connect(self._wish)
-        self._saturation.toggled.connect(self._wish)
+        self._overlay.toggled.connect(self._set_view)
+        self._saturation.toggled.connect(self._set_view)
         self._automatic.toggled.connect(self._keep_levels)
         whole = QPushButton("Whole")
         whole.setToolTip("show the whole picture again (wheel: zoom, drag: move)")
         whole.clicked.connect(self._plot.fit)
         self._exposure = NumberField("ms", 0.001, 100_000.0, what="exposure of a frame, outside of runs")
         self._gain = NumberField("×", 0.01, 1000.0, what="gain of the camera, outside of runs")
+        for field in (self._exposure, self._gain):
+            field.edit.setFixedWidth(70)
         self._exposure.committed.connect(self._ask_camera)
         self._gain.committed.connect(self._ask_camera)
         rows = Flow(
-            self._colours, self._scale, whole, with_name("exposure", self._exposure), with_name("gain", self._gain),
-            self._automatic, self._saturation, self._overlay, region, focus, profile,
+            self._colours, with_name(self._gamma_words, self._gamma), whole, regions,
+            with_name("exposure", self._exposure), with_name("gain", self._gain), self._automatic, self._saturation,
+            self._overlay, focus, profile,
         )  # fmt: skip
         self._read_out = QLabel(NO_PICTURE)
-        self._saturated, self._focus, self._rate, self._roi_text = QLabel(), QLabel(), QLabel(), QLabel()
+        self._saturated, self._focus, self._rate = QLabel(), QLabel(), QLabel()
         self._focus.setToolTip("fine structure over brightness; turn the lens until it is largest")
         third = QHBoxLayout()
-        for label in (self._saturated, self._focus, self._roi_text):
+        for label in (self._saturated, self._focus):
             third.addWidget(label)
         third.addStretch(1)
         third.addWidget(self._rate)
@@ -316,9 +327,12 @@ class LiveView(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(8, 6, 8, 4)
         column.addLayout(rows)
+        self._plot.widget.setMinimumHeight(PICTURE_PX)
         column.addWidget(self._plot.widget, 1)
-        column.addWidget(self._focus_curve.widget)
-        column.addWidget(self._profile.widget)
+        curves = QHBoxLayout()
+        curves.addWidget(self._focus_curve.widget, 1)
+        curves.addWidget(self.profile.widget, 1)
+        column.addLayout(curves)
         column.addWidget(self._histogram.widget)
         column.addWidget(self._read_out)
         column.addLayout(third)

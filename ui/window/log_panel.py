@@ -27,7 +27,7 @@ class _Handler(QObject, logging.Handler):
         logging.Handler.__init__(self, logging.INFO)
 
     def emit(self, record: logging.LogRecord) -> None:  # type: ignore[override]
-        """From any thread."""
+        """Take a record in, from any thread."""
         at = datetime.fromtimestamp(record.created).strftime("%H:%M:%S")
         text = record.getMessage()
         if record.exc_info and record.exc_info[1] is not None:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QSettings, Qt, QTimer
 from PySide6.QtGui import (
@@ -25,15 +25,17 @@ from ui.window import theme
 from ui.window.as_python import as_python
 from ui.window.background import Background
 from ui.window.banner import Banner
+from ui.window.build_pages import pages
 from ui.window.docks import Docks
 from ui.window.dropped import Dropped, kind_of
+from ui.window.event_loop_monitor import EventLoopMonitor
+from ui.window.figure import FIGURE_KINDS, FRAME_KINDS, pixmap_of, save_figure, write_counts
 from ui.window.files import ask_for_file, ask_where_to_save
 from ui.window.focus_ring import FocusRing
-from ui.window.furnishing import pages
-from ui.window.gap import GapMonitor
-from ui.window.garbage import GarbageTimer
+from ui.window.gc_timer import GcTimer
 from ui.window.keys import BY_NAME, KEYS, KeyCard
 from ui.window.live_view import LiveView
+from ui.window.page_actions import actions_of
 from ui.window.palette import Action, Palette
 from ui.window.rig_file import RigSource
 from ui.window.rig_host import RigHost
@@ -59,6 +61,7 @@ if TYPE_CHECKING:
     from ui.window.on_screen import OnScreen
     from ui.window.projector_page import ProjectorPage
     from ui.window.reader import Reader
+    from ui.window.regions_page import RegionsPage
     from ui.window.replay import Replay
     from ui.window.runs_page import RunsPage
     from ui.window.sequence_page import SequencePage
@@ -67,7 +70,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-LAYOUT = 3
+LAYOUT = 4
 """Raised when docks are added, so that an old layout is not restored."""
 PICTURE_MS = 3000
 """The pages are made once the first picture is on screen, or after this."""
@@ -101,6 +104,7 @@ class MainWindow(QMainWindow):
     projector: "ProjectorPage"
     runs: "RunsPage"
     calibration: "CalibrationPage"
+    regions: "RegionsPage"
     log: "LogPanel"
     on_screen: "OnScreen"
 
@@ -111,14 +115,15 @@ class MainWindow(QMainWindow):
         self.setAcceptDrops(True)
         self._settings, self.folder, self._first_sequence = settings, runs, sequence
         self.status = RigStatus()
-        self.gaps, self.background, self.host = GapMonitor(), Background(), host
+        self.event_loop, self.background, self.host = EventLoopMonitor(), Background(), host
         self._replay: Replay | None = None
         self._reader: Reader | None = None
         self._frames: list[SourceFrame] = []
         self._rig: RigFile | None = None
         self._ending: OwnedThread | None = None
-        self._offered = self.furnished = False
+        self._offered = self.built = False
         self._asked: str | None = None
+        self._draft_lost = False
         self._actions: dict[str, Callable[[], object]] = {}
         self.top, self.banner, self.live = TopBar("rig", host.source.simulated), Banner(), LiveView(host.frames)
         self.live_frame = SourceFrame(self.live)
@@ -136,32 +141,32 @@ class MainWindow(QMainWindow):
         self._pulse = QTimer(self)
         self._pulse.timeout.connect(host.window_alive)
         self._pulse.start(1000)
-        self._furnishing = self._furnished_in_turn()
-        self.live.first_shown.connect(self._furnish_soon)
-        QTimer.singleShot(PICTURE_MS, self._go_on_furnishing)
+        self._building = self._built_in_turn()
+        self.live.first_shown.connect(self._build_soon)
+        QTimer.singleShot(PICTURE_MS, self._go_on_building)
 
     # -- the pages -----------------------------------------------------------------------------------------------------
 
-    def furnish(self) -> None:
+    def build_pages(self) -> None:
         """Make the pages that are not there yet, now."""
-        for _ in self._furnishing:
+        for _ in self._building:
             pass
 
-    def _go_on_furnishing(self) -> None:
+    def _go_on_building(self) -> None:
         """One page at a time, and in between whatever else there is to do."""
-        if self._ending is None and next(self._furnishing, None):
-            self._furnish_soon()
+        if self._ending is None and next(self._building, None):
+            self._build_soon()
 
-    def _furnish_soon(self) -> None:
-        QTimer.singleShot(BREATH_MS, self._go_on_furnishing)
+    def _build_soon(self) -> None:
+        QTimer.singleShot(BREATH_MS, self._go_on_building)
 
-    def _furnished_in_turn(self) -> Iterator[bool]:
+    def _built_in_turn(self) -> Iterator[bool]:
         from ui.window.on_screen import OnScreen
         from ui.window.reader import Reader
 
         self._reader = Reader()
         self.on_screen = OnScreen(self._reader, self.background)
-        for made in pages(self.folder, self.on_screen, self.background, self.host.source):
+        for made in pages(self.folder, self.on_screen, self.background, self.host.source, self.live):
             for name, title, page, frame in made:
                 setattr(self, name, page)
                 self._frames.append(frame)
@@ -183,6 +188,7 @@ class MainWindow(QMainWindow):
         self.projector.screen_asked.connect(self.use_screen)
         self.doser.dose_asked.connect(self.dose_to)
         self.doser.aside_asked.connect(self.dose_aside)
+        self.doser.rate_asked.connect(host.set_rate)
         self.doser.resolve_asked.connect(host.resolve)
         self.doser.clear_asked.connect(host.clear_stop)
         self.doser.refill_asked.connect(host.refill)
@@ -193,6 +199,9 @@ class MainWindow(QMainWindow):
         self.sequence.run_asked.connect(self.run)
         self.compare.next.step_asked.connect(self.sequence.append)
         self.sequence.rig_asked.connect(self.ask_for_rig)
+        self.sequence.opened.connect(self.remember)
+        self.sequence.recent_asked.connect(self.open_path)
+        self.sequence.list_recent(self.recent())
         self.sequence.runs_asked.connect(lambda: self.show_page(self.runs))
         self.sequence.dropped.connect(self.offer_text)
         self.runs.resume_asked.connect(self.resume)
@@ -204,11 +213,14 @@ class MainWindow(QMainWindow):
             self.calibration.told,
             self.on_screen.told,
             self.compare.told,
+            self.regions.told,
         ):
             teller.connect(self.tell)
+        self.live.counted.connect(self.regions.take)
+        self.live.regions_asked.connect(self.show_regions)
         undo, pages = self.sequence.document.undo, (
             self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log,
-            self.compare,
+            self.compare, self.regions,
         )  # fmt: skip
         self.make_keys({
             "palette": self.show_palette, "screenshot": self.save_screenshot,
@@ -225,7 +237,7 @@ class MainWindow(QMainWindow):
 
     def _begin_with_pages(self) -> None:
         """All pages are there: tell them what is known."""
-        self.furnished = True
+        self.built = True
         self._show_source(self.on_screen.shown)
         last = self._first_sequence or self._settings.value("sequence")
         if last and (self._first_sequence or Path(str(last)).is_file()):
@@ -240,7 +252,7 @@ class MainWindow(QMainWindow):
         self._draft_timer.setSingleShot(True)
         self._draft_timer.timeout.connect(self._keep_draft)
         self.sequence.document.changed.connect(lambda: self._draft_timer.start(DRAFT_MS))
-        self._garbage = GarbageTimer(lambda: not self.status.running)
+        self._gc_timer = GcTimer(lambda: not self.status.running)
         assert self._reader is not None
         self._reader.run(import_ahead, then=lambda _: None)
 
@@ -252,6 +264,9 @@ class MainWindow(QMainWindow):
         self._settings.setValue("sequence", str(document.path or ""))
         self._settings.setValue("draft", document.text if document.unsaved else "")
         self._settings.sync()
+        if self._settings.status() is not QSettings.Status.NoError and not self._draft_lost:
+            self._draft_lost = True
+            self.tell(f"{self._settings.fileName()}: cannot be written, so that what is typed is not kept; save it")
 
     def _opened(self, rig: "RigFile | None", afresh: bool = False) -> None:
         if rig is None:
@@ -263,10 +278,11 @@ class MainWindow(QMainWindow):
             self.top.name_rig(rig.name)
         for frame in self._frames:
             frame.name_rig(rig.name)
-        if not self.furnished:
+        if not self.built:
             return
         self.calibration.set_rig(rig)
         self.on_screen.set_rig(rig.pace, rig.limits.tank_ul)
+        self.regions.set_bench(rig.bench)
         if new:
             for page in (self.sequence.document, self.doser, self.projector):
                 page.set_rig(rig)
@@ -290,9 +306,9 @@ class MainWindow(QMainWindow):
         self._held.setText("" if status.tank is None else f"{volume(status.tank.volume_ul)} of ink in the tank")
         self.live.set_camera(self.host.camera_settings, status.state is RigState.IDLE)
         self._tell_trouble(before, status)
-        if not self.furnished:
+        if not self.built:
             if status.state in (RigState.FAILED, RigState.ASKING):  # no picture will come
-                self.furnish()
+                self.build_pages()
             return
         for page in (self.sequence, self.doser, self.projector, self.calibration):
             page.follow(status)
@@ -381,6 +397,8 @@ class MainWindow(QMainWindow):
         level = "bad" if outcome.error is not None else "good" if completed else ""
         _log.info("%s", words)
         self.runs.refresh()
+        if self.live.regions.drawn and self.on_screen.source.run == path:
+            self.regions.count()
         if completed:
             self.banner.say(words, level, "Write its report", lambda: self.runs.report(path), key="ended")
         else:
@@ -392,6 +410,7 @@ class MainWindow(QMainWindow):
             self.tell("a run goes on in the live view; open another when it has ended")
         else:
             self.on_screen.open(path)
+            self.remember(path)
 
     def _show_source(self, shown: "Shown") -> None:
         """Have every page draw this source, or nothing, before anything else happens."""
@@ -400,7 +419,7 @@ class MainWindow(QMainWindow):
             replay.close()
         self.runs.bar.set_replay(None)
         self.host.look_away(shown.source.recorded is not None)
-        for page in (self.live, self.fit, self.sequence, self.compare):
+        for page in (self.live, self.fit, self.sequence, self.compare, self.regions):
             page.show_source(shown)
         for frame in (self.live_frame, *self._frames):
             frame.show_source(shown.source)
@@ -449,6 +468,12 @@ class MainWindow(QMainWindow):
     def show_page(self, page: QWidget) -> None:
         """Bring a page to the front."""
         self.docks.show(page)
+
+    def show_regions(self) -> None:
+        """Bring the regions to the front, with one to begin with."""
+        self.show_page(self.regions)
+        if not self.live.regions.drawn:
+            self.regions.add()
 
     def set_theme(self, name: str) -> None:
         """Dark or light."""
@@ -507,10 +532,10 @@ class MainWindow(QMainWindow):
         self.background.close()
         if self._reader is not None:
             self._reader.close()
-        if self.furnished:
+        if self.built:
             self._keep_draft()
             self.log.close_log()
-            self._garbage.close()
+            self._gc_timer.close()
         event.accept()
 
     def _lay_out(self) -> None:
@@ -562,6 +587,7 @@ class MainWindow(QMainWindow):
         self.top.use_rig(file.stem, simulated=False)
         self.calibration.use_rig(source)
         self._offered, self._rig = False, None
+        self.remember(file)
         self.show_page(self.calibration)
 
     def show_palette(self) -> None:
@@ -570,8 +596,17 @@ class MainWindow(QMainWindow):
                    if key.name in self._actions]  # fmt: skip
         actions.append(Action(BY_NAME["stop"].what, "F12", self.stop))
         actions.append(Action("open a rig file", "", self.ask_for_rig))
-        actions.append(Action("copy what is on screen as Python", "", self.copy_as_python))
-        actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self._recent()]
+        actions += [
+            Action("open a scene and predict its picture", "", self.ask_for_scene),
+            Action("copy what is on screen as Python", "", self.copy_as_python),
+            Action("save this frame, its counts as they are", "", self.save_frame),
+            Action("save what the page in front shows as a figure", "", self.save_figure),
+            Action("copy what the page in front shows as a picture", "", self.copy_figure),
+        ]
+        actions += actions_of("Camera", self.live, self.live.setFocus)
+        for title, page in self.docks.pages():
+            actions += actions_of(title, page, partial(self.show_page, page))
+        actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self.recent()]
         self._palette = Palette(self, actions)
         self._palette.show()
         self._palette.field.setFocus()
@@ -586,6 +621,42 @@ class MainWindow(QMainWindow):
                 self.tell(f"{path}: cannot be written; choose another place")
 
         ask_where_to_save(self, "Save a picture of the window", Path.cwd() / name, "Pictures (*.png)", save)
+
+    def save_frame(self) -> None:
+        """Ask where to, and save the counts of the frame on screen as they are: 16 or 8 bits, one channel."""
+        frame = self.live.frame
+        if frame is None or self._reader is None:
+            self.tell("there is no picture to save; wait for one, then save it")
+            return
+        reader, pixels = self._reader, frame.pixels
+        of = frame.run.name if frame.run is not None else f"camera-{datetime.now():%Y-%m-%dT%H-%M-%S}"
+        name = f"{of}-{frame.pattern.name if frame.pattern is not None else 'frame'}.tif".replace(" ", "-")
+
+        def save(path: Path) -> None:
+            told = f"the frame is saved as {path}"
+            reader.run(write_counts, path, pixels, then=lambda _: self.tell(told), failed=self.tell)
+
+        ask_where_to_save(self, "Save this frame", Path.cwd() / name, FRAME_KINDS, save)
+
+    def save_figure(self) -> None:
+        """Ask where to, and save what the page in front shows, as a picture or as a PDF that can be enlarged."""
+        title, page = self.docks.in_front()
+        source = "-".join(self.on_screen.source.title.replace(":", "").replace(",", "").split()[:4])
+        name = f"{title.lower()}-{source}.pdf"
+
+        def save(path: Path) -> None:
+            try:
+                save_figure(page, path)
+            except TankrigError as error:
+                self.tell(str(error))
+            else:
+                self.tell(f"the figure is saved as {path}")
+
+        ask_where_to_save(self, f"Save the {title} page as a figure", Path.cwd() / name, FIGURE_KINDS, save)
+
+    def copy_figure(self) -> None:
+        """What the page in front shows goes to the clipboard as a picture."""
+        QGuiApplication.clipboard().setPixmap(pixmap_of(self.docks.in_front()[1]))
 
     def copy_as_python(self) -> None:
         """Lines that get the numbers on screen go to the clipboard."""
@@ -605,19 +676,45 @@ class MainWindow(QMainWindow):
             self.show_page(self.sequence)
         elif kind is Dropped.RIG:
             self.use_rig(path)
+        elif kind is Dropped.SCENE:
+            self.open_scene(path)
         else:
-            self.tell(f"{path}: is no run, no sequence and no rig file, so that there is nothing to open")
-            return
-        recent = [str(path), *(one for one in map(str, self._recent()) if one != str(path))]
-        self._settings.setValue("recent", recent[:MOST_RECENT])
+            self.tell(f"{path}: is no run, no sequence, no rig file and no scene, so that there is nothing to open")
 
-    def _recent(self) -> list[Path]:
-        kept = self._settings.value("recent") or []
-        return [Path(str(one)) for one in ([kept] if isinstance(kept, str) else kept)]
+    def open_scene(self, path: Path) -> None:
+        """Predict the picture of a scene, in a window of its own."""
+        from tankrig.scene import load_scene
+        from ui.window.scene_window import SceneWindow
+
+        try:
+            scene = load_scene(path)
+        except TankrigError as error:
+            self.tell(str(error))
+            return
+        self.scene = SceneWindow(self, path, scene, self.background)
+        self.scene.show()
+        theme.paint_plots(self.scene)
+        self.remember(path)
+
+    def ask_for_scene(self) -> None:
+        """Ask for a scene file and predict its picture."""
+        ask_for_file(self, "Open a scene", Path.cwd(), "Scenes (*.toml)", self.open_scene)
+
+    def remember(self, path: Path) -> None:
+        """List this among what was open lately, first."""
+        recent = [str(path.absolute()), *(str(one) for one in self.recent() if one != path.absolute())]
+        self._settings.setValue("recent", recent[:MOST_RECENT])
+        self.sequence.list_recent(self.recent())
+
+    def recent(self) -> list[Path]:
+        """Files and runs that were open lately and are still there, the last first."""
+        kept: Any = self._settings.value("recent") or []
+        paths = [Path(str(one)) for one in ([kept] if isinstance(kept, str) else kept)]
+        return [path for path in paths if path.exists()]
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:  # noqa: N802 - Qt's name
         """A file or folder may be dropped."""
-        if self.furnished and event.mimeData().hasUrls():
+        if self.built and event.mimeData().hasUrls():
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent) -> None:  # noqa: N802 - Qt's name

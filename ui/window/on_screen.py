@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from PySide6.QtCore import QObject, Signal
 
 from tankrig.run.journal import Event
+from tankrig.run.regions import Region
 from ui.window import jobs
 from ui.window.jobs import Found, Reading
 from ui.window.shown import Shown
@@ -69,7 +70,7 @@ class OnScreen(QObject):
 
     def __init__(self, reader: Reads, background: Worker) -> None:
         super().__init__()
-        self._reader, self._background = reader, background
+        self.reader, self._background = reader, background
         self._live = Shown(LIVE)
         self._shown = self._live
         self._refits: dict[Source, Shown] = {}
@@ -181,7 +182,7 @@ class OnScreen(QObject):
         if source in self._refits:
             return self._refits[source]
         shown = Shown(source)
-        self._reader.run(jobs.read, source.run, then=shown.take_reading, failed=failed)
+        self.reader.run(jobs.read, source.run, then=shown.take_reading, failed=failed)
         return shown
 
     def advise(self) -> None:
@@ -216,6 +217,21 @@ class OnScreen(QObject):
 
         self._background.run(jobs.compare_models, photograph, then=then, failed=failed, name=f"models of {of}")
 
+    def count_regions(self, regions: Sequence[Region]) -> None:
+        """Have regions counted in all frames of the run that is on screen, and saved with it."""
+        shown = self._shown
+        run = shown.source.run
+        if run is None or not regions:
+            return
+
+        def failed(sentence: str) -> None:
+            self.told.emit(f"regions of {run.name}: {sentence}")
+
+        self._background.run(
+            jobs.count_regions, run, tuple(regions), then=shown.take_counted, failed=failed,
+            name=f"the regions of {run.name}",
+        )  # fmt: skip
+
     def _show(self, shown: Shown) -> None:
         if shown is self._shown:
             return
@@ -234,6 +250,8 @@ class OnScreen(QObject):
     def _read(self, shown: Shown, then: Callable[[Shown], object]) -> None:
         def taken(reading: Reading) -> None:
             shown.take_reading(reading)
+            for doubt in reading.doubts:
+                self.told.emit(doubt)
             then(shown)
 
         def failed(sentence: str) -> None:
@@ -242,7 +260,7 @@ class OnScreen(QObject):
             if self._shown is shown:
                 self.leave()
 
-        self._reader.run(jobs.read, shown.source.run, then=taken, failed=failed)
+        self.reader.run(jobs.read, shown.source.run, then=taken, failed=failed)
 
     def _ask_for_photographs(self, shown: Shown) -> None:
         run = shown.source.run

@@ -56,7 +56,8 @@ class Palette(QDialog):
         column = QVBoxLayout(self)
         column.addWidget(self.field)
         column.addWidget(self.list)
-        self.resize(520, 420)
+        self.list.setWordWrap(True)
+        self.resize(640, 460)
         self._sift("")
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 - Qt's name

@@ -11,8 +11,8 @@ from PySide6.QtCore import QObject, Signal
 
 from tankrig.devices import CameraSettings
 from tankrig.errors import StoreError
+from ui.window.observed_devices import SeenFrame
 from ui.window.threads import OwnedThread
-from ui.window.watched import SeenFrame
 
 if TYPE_CHECKING:
     from tankrig.run.reading import Run
@@ -66,7 +66,7 @@ class Replay(QObject):
 
     @property
     def path(self) -> Path:
-        """Of the run."""
+        """Folder of the run."""
         return self._run.path
 
     def play(self, on: bool) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tankrig.errors import SceneError, StoreError
+from ui.window.pump_rate import at_rate
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -21,10 +22,13 @@ class RigSource:
         A rig file; None for the simulated rig.
     folder
         Where the simulated rig remembers its tank.
+    rate_ul_per_s
+        At which a person has the pump deliver while this window is open; None for the rig file's own rate.
     """
 
     file: Path | None
     folder: Path
+    rate_ul_per_s: float | None = None
 
     @property
     def simulated(self) -> bool:
@@ -37,11 +41,12 @@ class RigSource:
         Raises
         ------
         SceneError
-            When the rig file is wrong.
+            When the rig file is wrong, or its pump does not take the rate.
         """
         from drivers.rig import load_rig_file, simulated_rig
 
-        return simulated_rig(self.folder) if self.file is None else load_rig_file(self.file)
+        rig = simulated_rig(self.folder) if self.file is None else load_rig_file(self.file)
+        return rig if self.rate_ul_per_s is None else at_rate(rig, self.rate_ul_per_s)
 
     def choose_screen(self, identity: dict[str, str]) -> None:
         """Write into the rig file which screen the projector is.

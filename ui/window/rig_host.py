@@ -20,11 +20,11 @@ from tankrig.errors import DeviceError, TankrigError, UndecidedError
 from tankrig.pattern import Pattern
 from tankrig.run.rig import Rig
 from tankrig.run.state import RunState
+from ui.window.observed_devices import LatestValue, ObservedCamera, ObservedProjector, SeenFrame
 from ui.window.rig_file import RigSource
 from ui.window.rig_parts import LedgerOnly, RunOrder, import_ahead
 from ui.window.status import RigState, RigStatus
 from ui.window.threads import OwnedThread, StopThread
-from ui.window.watched import Newest, SeenFrame, WatchedCamera, WatchedProjector
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -70,7 +70,7 @@ class RigHost(QObject):
     def __init__(self, source: RigSource) -> None:
         super().__init__()
         self.source = source
-        self.frames: Newest[SeenFrame] = Newest()
+        self.frames: LatestValue[SeenFrame] = LatestValue()
         self._orders: queue.SimpleQueue[Callable[[Rig], object]] = queue.SimpleQueue()
         self._run_order: RunOrder | None = None
         self._refill = False
@@ -83,7 +83,7 @@ class RigHost(QObject):
         self._fit: LiveFit | None = None
         self._target_ul: float | None = None
         self._aside_ul: float | None = None
-        self._camera: WatchedCamera | None = None
+        self._camera: ObservedCamera | None = None
         self._dose_thread: OwnedThread | None = None
         self.camera_settings = CameraSettings(20.0)
         self._pattern: Pattern | None = None
@@ -168,6 +168,12 @@ class RigHost(QObject):
         """Open the rig again after it failed, or give up what it waits for."""
         self._run_order, self._question, self._trouble = None, None, ""
         self._wake.set()
+
+    def set_rate(self, ul_per_s: float) -> None:
+        """Have the pump deliver at another rate from now on: the rig is opened again with it, while nothing moves."""
+        if self._may_dose():
+            _log.info("the pump's rate is %g µl/s from now on", ul_per_s)
+            self.use(replace(self.source, rate_ul_per_s=ul_per_s))
 
     def use(self, source: RigSource) -> None:
         """Let go of the rig and open another one."""
@@ -288,8 +294,8 @@ class RigHost(QObject):
         description = self._description = self.source.description()
         rig = open_rig(description, looking)
         opened.callback(rig.close)
-        projector = WatchedProjector(rig.projector, self._shown)
-        self._camera = camera = WatchedCamera(rig.camera, projector, self._see)
+        projector = ObservedProjector(rig.projector, self._shown)
+        self._camera = camera = ObservedCamera(rig.camera, projector, self._see)
         return description, replace(rig, projector=projector, camera=camera)
 
     def _try_run(self, order: RunOrder) -> None:
@@ -404,8 +410,6 @@ class RigHost(QObject):
             self._publish()
 
     def _publish(self) -> None:
-        from tankrig.live.formatting import preparation_in_words
-
         guard, runner = self._guard, self._runner
         status = RigStatus(
             self._state,
@@ -423,8 +427,7 @@ class RigHost(QObject):
                     undecided=self._question or (None if self._dosing() else guard.undecided),
                 )  # fmt: skip
         if runner is not None:
-            fit = self._fit
-            preparation = preparation_in_words(fit.preparation) if fit is not None else ""
+            preparation = _preparation(self._fit) if self._fit is not None else ""
             status = replace(status, progress=runner.progress(), run_state=runner.state, preparation=preparation)
             if runner.state is RunState.RUNNING and status.progress is not None:
                 status = replace(status, target_ul=None)
@@ -444,3 +447,10 @@ class RigHost(QObject):
     def _tell(self, sentence: str) -> None:
         self._trouble, self._troubles = sentence, self._troubles + 1
         _log.error("%s", sentence)
+
+
+def _preparation(fit: "LiveFit") -> str:
+    """What the fits of a run wait for, in words; imported where there are fits, for it brings numba along."""
+    from tankrig.live.formatting import preparation_in_words
+
+    return preparation_in_words(fit.preparation)

@@ -18,9 +18,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tankrig.run.notes import MOST_LETTERS, write_note
 from ui.window import jobs
 from ui.window.files import ask_where_to_save
-from ui.window.flow import Flow
+from ui.window.flow import Flow, take_rest
 from ui.window.on_screen import OnScreen, Worker
 from ui.window.refit_row import RefitRow
 from ui.window.replay_bar import ReplayBar
@@ -29,7 +30,8 @@ from ui.window.run_summary import RunSummary
 from ui.window.shown import Shown
 from ui.window.source_frame import SourceFrame
 
-COLUMNS = ("run", "sequence", "began (local time)", "ending")
+COLUMNS = ("run", "began", "ending", "doses", "frames", "note", "sequence")
+BEGAN, NOTE = COLUMNS.index("began"), COLUMNS.index("note")
 PATH = Qt.ItemDataRole.UserRole
 DELETE = "Delete"
 
@@ -47,6 +49,8 @@ class RunsPage(QWidget):
         self.catalogue, self.on_screen, self._background = RunCatalogue(folder), on_screen, background
         self._busy = False
         self._sure: Path | None = None
+        self._noted: Path | None = None
+        """The run whose note stands in the field."""
         self.bar, self.refits = ReplayBar(), RefitRow()
         self._lay_out()
         self.catalogue.changed.connect(self._list)
@@ -147,6 +151,22 @@ class RunsPage(QWidget):
             self.on_screen.forget(run)
         self.refresh()
 
+    def _keep_note(self) -> None:
+        """Keep what was typed with the run whose note stood in the field."""
+        run, text = self._noted, self._note.text().strip()
+        known = self.catalogue.find(run) if run is not None else None
+        if known is not None and text != known.note:
+            self.note(known.path, text)
+
+    def note(self, run: Path, text: str) -> None:
+        """Note something of a run."""
+
+        def noted(_: None) -> None:
+            self._says.setText(f"The note is kept with {run.name}.")
+            self.refresh()
+
+        self.on_screen.reader.run(write_note, run, text, then=noted, failed=self.told.emit)
+
     def _refit(self, settings: Any) -> None:
         run = self.on_screen.source.recorded
         if run is not None:
@@ -183,18 +203,24 @@ class RunsPage(QWidget):
         """The runs that are visible, with the selected one marked."""
         runs, table = self.catalogue.visible, self._table
         table.blockSignals(True)
+        table.setSortingEnabled(False)
         table.setRowCount(len(runs))
         for row, one in enumerate(runs):
-            for column, text in enumerate((one.path.name, one.name, one.began_local, one.ending)):
-                item = QTableWidgetItem(text)
-                item.setToolTip(one.message or str(one.path))
+            cells = (one.path.name, one.began_local, one.ending, one.doses, one.frames, one.note, one.name)
+            for column, value in enumerate(cells):
+                item = QTableWidgetItem()
+                item.setData(Qt.ItemDataRole.DisplayRole, value)  # a number is sorted as one
+                item.setToolTip(one.note if column == NOTE and one.note else one.message or str(one.path))
                 item.setData(PATH, str(one.path))
                 table.setItem(row, column, item)
+        table.setSortingEnabled(True)
         table.clearSelection()
         table.setCurrentCell(-1, -1)
         selected = self.catalogue.selected
         if selected is not None:
-            table.selectRow([one.path for one in runs].index(selected.path))
+            items = (table.item(row, 0) for row in range(table.rowCount()))
+            paths = [item.data(PATH) for item in items if item is not None]
+            table.selectRow(paths.index(str(selected.path)))
         table.blockSignals(False)
         self._empty.setVisible(not self.catalogue.runs)
         self._able()
@@ -209,6 +235,10 @@ class RunsPage(QWidget):
         selected = self.catalogue.selected
         for button in self._buttons:
             button.setEnabled(selected is not None)
+        self._note.setEnabled(selected is not None)
+        if not self._note.hasFocus() or self._noted != (selected.path if selected is not None else None):
+            self._noted = selected.path if selected is not None else None
+            self._note.setText(selected.note if selected is not None else "")
         self._resume_button.setEnabled(selected is not None and selected.resumable and not self._busy)
         if selected is None or self._sure != selected.path:
             self._sure = None
@@ -222,6 +252,9 @@ class RunsPage(QWidget):
     def _lay_out(self) -> None:
         self._table = QTableWidget(0, len(COLUMNS))
         self._table.setHorizontalHeaderLabels(list(COLUMNS))
+        began = self._table.horizontalHeaderItem(BEGAN)
+        assert began is not None
+        began.setToolTip("by the clock on the wall here")
         self._table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self._table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self._table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
@@ -229,14 +262,15 @@ class RunsPage(QWidget):
         self._table.verticalHeader().hide()
         self._table.verticalHeader().setDefaultSectionSize(34)
         self._table.setShowGrid(False)
+        self._table.setWordWrap(False)
         self._table.setAlternatingRowColors(True)
         header = self._table.horizontalHeader()
-        header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
-        for narrow in (1, 2, 3):
-            header.setSectionResizeMode(narrow, QHeaderView.ResizeMode.ResizeToContents)
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setStretchLastSection(True)
+        header.setSortIndicator(BEGAN, Qt.SortOrder.DescendingOrder)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         self._table.itemSelectionChanged.connect(self._select)
-        self._table.itemDoubleClicked.connect(lambda _: self.open_selected())
+        self._table.itemActivated.connect(lambda _: self.open_selected())
         self._filter = QLineEdit()
         self._filter.setPlaceholderText("only runs with these words")
         self._filter.setClearButtonEnabled(True)
@@ -250,6 +284,11 @@ class RunsPage(QWidget):
             f"No runs in {self.catalogue.folder} yet. Run a sequence, and when it has ended it will be here."
         )
         self._empty.setProperty("role", "faint")
+        self._note = QLineEdit()
+        self._note.setMaxLength(MOST_LETTERS)
+        self._note.setPlaceholderText("a note on the selected run, kept with it")
+        self._note.setAccessibleName("note on the selected run")
+        self._note.editingFinished.connect(self._keep_note)
         self._selected, self._says = QLabel(), QLabel()
         for label in (self._empty, self._selected, self._says):
             label.setWordWrap(True)
@@ -263,8 +302,10 @@ class RunsPage(QWidget):
         column.setContentsMargins(14, 10, 14, 10)
         column.addLayout(head)
         column.addWidget(self._empty)
+        take_rest(self._table, 120)
         column.addWidget(self._table, 1)
         column.addWidget(self._selected)
+        column.addWidget(self._note)
         column.addLayout(self._actions())
         column.addWidget(self._says)
         column.addWidget(self.frame)

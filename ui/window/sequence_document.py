@@ -40,11 +40,11 @@ class _Edit(QUndoCommand):
         return True
 
     def undo(self) -> None:
-        """Back."""
+        """Have the text from before the edit again."""
         self._document.take(self._before)
 
     def redo(self) -> None:
-        """Forth."""
+        """Have the text from after the edit."""
         self._document.take(self._after)
 
 

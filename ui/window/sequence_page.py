@@ -1,11 +1,13 @@
 """The sequence: build it, check it, run it."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
     QLabel,
+    QMenu,
     QPushButton,
     QTabWidget,
     QVBoxLayout,
@@ -16,7 +18,7 @@ from tankrig.errors import TankrigError
 from ui.window.fields import NumberField, with_name
 from ui.window.files import ask_for_file, ask_where_to_save
 from ui.window.first_start import EXAMPLE, FirstStart
-from ui.window.flow import Flow
+from ui.window.flow import Flow, take_rest
 from ui.window.marked_text import MarkedText
 from ui.window.patterns_editor import PatternsEditor
 from ui.window.plan_list import PlanList
@@ -47,6 +49,10 @@ class SequencePage(QWidget):
     rig_asked = Signal()
     runs_asked = Signal()
     """Before there is a sequence: a rig file, or the runs that there are."""
+    opened = Signal(object)
+    """Path of a sequence that was opened."""
+    recent_asked = Signal(object)
+    """Path of something that was open lately and is wanted again."""
     dropped = Signal(str)
     """A text that was edited and not saved before another was opened."""
 
@@ -82,6 +88,7 @@ class SequencePage(QWidget):
         column.setContentsMargins(10, 8, 10, 8)
         column.addLayout(self._head())
         column.addWidget(self.first, 1)
+        take_rest(self.tabs, 230)
         column.addWidget(self.tabs, 1)
         column.addWidget(self._says)
         column.addLayout(self._foot())
@@ -106,6 +113,8 @@ class SequencePage(QWidget):
         except TankrigError as error:
             self.told.emit(str(error))
             return
+        if path != EXAMPLE:
+            self.opened.emit(path)
         problem = self.document.problem
         if problem is not None:
             self.tabs.setCurrentWidget(self.text)
@@ -113,6 +122,15 @@ class SequencePage(QWidget):
             self.told.emit(f"{path.name}: {problem.sentence}")
         if unsaved:
             self.dropped.emit(unsaved)  # last, for it can be put right now only
+
+    def list_recent(self, paths: list[Path]) -> None:
+        """What was open lately stands in the menu of the button “Recent”."""
+        menu = self._recent.menu()
+        assert menu is not None
+        menu.clear()
+        for path in paths:
+            menu.addAction(f"{path.name}    {path.parent}", partial(self.recent_asked.emit, path))
+        self._recent.setEnabled(bool(paths))
 
     def try_example(self) -> None:
         """Open the example and show what it would take; the next press of Run carries it out."""
@@ -259,6 +277,11 @@ class SequencePage(QWidget):
             button.setToolTip(tip)
             button.clicked.connect(do)
             row.addWidget(button)
+        self._recent = QPushButton("Recent")
+        self._recent.setToolTip("sequences, runs, rig files and scenes that were open lately")
+        self._recent.setMenu(QMenu(self._recent))
+        self._recent.setEnabled(False)
+        row.addWidget(self._recent)
         stack = self.document.undo
         undo, redo = QPushButton("Undo"), QPushButton("Redo")
         for button, do, able, key in (

@@ -20,6 +20,7 @@ from ui.window.source import Kind, Source
 
 if TYPE_CHECKING:
     from tankrig.live.exposures import Photograph
+    from tankrig.run.regions import Counted
     from ui.window.jobs import Comparison, Found, Reading, Suggestion
 
 NO_FIT = "No fit yet. Fits come by themselves while a run goes on, from the first dose of ink."
@@ -93,6 +94,8 @@ class Shown(QObject):
     """The model's picture of the photograph that is chosen has come, or another one was chosen."""
     advised = Signal()
     """Advice, or a comparison of models, has come."""
+    counted_changed = Signal()
+    """What was counted in regions of its run has come."""
     read = Signal()
     """A recorded run has been read from disk, and can be played."""
 
@@ -117,6 +120,8 @@ class Shown(QObject):
         self.models: tuple[tuple[str, ...], ...] | None = None
         """A row for each model of the light."""
         self.models_of = ""
+        self.counted: tuple[Counted, ...] = ()
+        """In regions of its run's frames, as it is saved with the run."""
         self.dark: float | None = None
         """Median count of its last dark frame."""
         self._compared: dict[PhotographKey, tuple[DoseFit, Comparison | None]] = {}
@@ -151,9 +156,11 @@ class Shown(QObject):
         self.blockSignals(before)
         if self.source.kind is Kind.REPLAY and not self.fits:
             self.says = "This run has no fit that holds."
+        self.counted = reading.counted
         self.steps_changed.emit()
         self.fits_changed.emit()
         self.read.emit()
+        self.counted_changed.emit()
 
     def take_found(self, found: "Found") -> None:
         """Take in what the background has found, in place of what was known before."""
@@ -190,6 +197,11 @@ class Shown(QObject):
         """One of its photographs fitted by several models; `of` says which, or why there is nothing."""
         self.models, self.models_of = rows, of
         self.advised.emit()
+
+    def take_counted(self, counted: "tuple[Counted, ...]") -> None:
+        """What was counted in regions of its run."""
+        self.counted = counted
+        self.counted_changed.emit()
 
     def fail_comparison(self, key: PhotographKey, fit: DoseFit, sentence: str) -> None:
         """The model's picture could not be made; it is not asked for again until there is another fit."""

@@ -102,12 +102,8 @@ class TankPlot:
             return
         moved, self._place = self._place[0] != place, (place, shape)
         corners = picture_corners_mm(camera, tank)
-        rows, columns = shape
-        to_mm = _projective([(0, 0), (columns, 0), (columns, rows), (0, rows)], corners.tolist())
-        full_rows, full_columns = camera.shape
-        ends = [(0, 0), (full_columns, 0), (full_columns, full_rows), (0, full_rows)]
-        self._to_pixels = _projective(corners.tolist(), ends)
-        self.image.setTransform(to_mm)
+        self._to_pixels, _ = pixels_to_mm(camera, tank).inverted()
+        self.image.setTransform(_projective(_ends(shape), corners.tolist()))
         if moved:
             (left, low), (right, high) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
             self.plot.setRange(QRectF(left, low, right - left, high - low), padding=0.02)
@@ -131,6 +127,17 @@ class TankPlot:
     def fit(self) -> None:
         """Show the whole picture again."""
         self.plot.setRange(self.image.mapRectToParent(self.image.boundingRect()), padding=0.02)
+
+
+def pixels_to_mm(camera: Camera, tank: Tank) -> QTransform:
+    """From (column, row) of a camera's picture, whole numbers being pixels' edges, to x and y on the water in mm."""
+    return _projective(_ends(camera.shape), picture_corners_mm(camera, tank).tolist())
+
+
+def _ends(shape: tuple[int, ...]) -> list[Any]:
+    """The corners of a picture as (column, row), in the order of `picture_corners_mm`."""
+    rows, columns = shape
+    return [(0, 0), (columns, 0), (columns, rows), (0, rows)]
 
 
 def _projective(here: list[Any], there: list[Any]) -> QTransform:

@@ -140,16 +140,16 @@ def _sheet(theme: Theme) -> str:
     QComboBox QAbstractItemView::item:selected {{ background: {theme.accent}; color: {theme.on_accent}; }}
     QListView::item:selected, QTreeView::item:selected, QTableView::item:selected {{
         background: {theme.accent}; color: {theme.on_accent}; }}
-    QTabBar::tab {{ min-height: 30px; padding: 2px 8px; background: {theme.window}; color: {theme.faint};
+    QTabBar::tab {{ min-height: 30px; padding: 2px 4px; background: {theme.window}; color: {theme.faint};
         border: none; border-bottom: 3px solid transparent; }}
-    QTabBar::tab:selected {{ color: {theme.text}; border-bottom: 3px solid {theme.accent}; font-weight: 600; }}
+    QTabBar::tab:selected {{ color: {theme.text}; border-bottom: 3px solid {theme.accent}; }}
     QTabWidget::pane {{ border: none; border-top: 1px solid {theme.line}; }}
     QDockWidget {{ font-weight: 600; color: {theme.text}; }}
     QDockWidget::title {{ background: {theme.window}; padding: 4px 8px; border-bottom: 1px solid {theme.line}; }}
     QHeaderView::section {{ background: {theme.window}; color: {theme.faint}; border: none;
         border-bottom: 1px solid {theme.line}; padding: 4px 6px; }}
     QProgressBar {{ border: 1px solid {theme.line}; border-radius: 5px; background: {theme.base}; text-align: center;
-        min-height: 18px; color: {theme.text}; }}
+        min-height: 14px; color: {theme.text}; }}
     QProgressBar::chunk {{ background: {theme.bar}; border-radius: 4px; }}
     QProgressBar[level="high"]::chunk {{ background: {theme.warning}; }}
     QToolBar {{ border: none; border-bottom: 1px solid {theme.line}; spacing: 6px; padding: 0px 4px; }}

@@ -1,6 +1,7 @@
 """From counts to colours: one table look-up per pixel, fast enough for every frame."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import pyqtgraph as pg
@@ -10,7 +11,7 @@ COUNTS = 2**16
 COLOURS = {
     "false colour": "inferno", "grey": "CET-L1", "viridis": "viridis", "cividis": "cividis", "magma": "magma",
 }  # fmt: skip
-"""All perceptually even; "cividis" looks the same to people who do not tell red from green."""
+"""All perceptually even, and lighter from end to end, so that people who do not tell red from green read them too."""
 SATURATED = (0, 229, 255)
 """A colour that neither scale has."""
 LEAST = 200.0
@@ -25,8 +26,9 @@ class Tone:
     ----------
     low, high
         Counts at the dark and at the bright end.
-    root
-        Whether brightness goes as the square root, on which faint scattered light shows beside beams.
+    gamma
+        Brightness goes as this power of the counts between the ends: 1 is linear; 0.5, the square root, shows faint
+        scattered light beside beams.
     saturation
         Counts from here on have a colour of their own; None where that is switched off.
     colours
@@ -35,7 +37,7 @@ class Tone:
 
     low: float = 0.0
     high: float = float(COUNTS - 1)
-    root: bool = True
+    gamma: float = 0.5
     saturation: int | None = None
     colours: str = "false colour"
 
@@ -46,20 +48,26 @@ class Tone:
     def table(self) -> NDArray[np.uint8]:
         """(65536,) index into `palette` of each count.
 
-        >>> tone = Tone(100.0, 500.0, root=False, saturation=4095)
+        >>> tone = Tone(100.0, 500.0, gamma=1.0, saturation=4095)
         >>> tone.table()[[0, 100, 300, 500, 4094, 4095]].tolist()
         [0, 0, 127, 254, 254, 255]
         """
         part = np.clip((np.arange(COUNTS) - self.low) / max(self.high - self.low, 1e-9), 0.0, 1.0)
-        index: NDArray[np.uint8] = (254.0 * (np.sqrt(part) if self.root else part) + 0.5).astype(np.uint8)
+        index: NDArray[np.uint8] = (254.0 * part**self.gamma + 0.5).astype(np.uint8)
         if self.saturation is not None:
             index[self.saturation :] = 255
         return index
 
     def palette(self) -> NDArray[np.uint8]:
         """(256, 3) colours; the last is that of saturated pixels."""
-        colours: NDArray[np.uint8] = pg.colormap.get(COLOURS[self.colours]).getLookupTable(nPts=255)[:, :3]
-        return np.vstack([colours, np.array([SATURATED], np.uint8)])
+        return _palette(self.colours)
+
+    def bar(self, steps: int = 256) -> NDArray[np.uint8]:
+        """(1, steps, 3) colours of counts that rise evenly from `low` to `high`: the colour bar."""
+        counts = np.linspace(self.low, self.high, steps)
+        part = np.clip((counts - self.low) / max(self.high - self.low, 1e-9), 0.0, 1.0)
+        colours: NDArray[np.uint8] = self.palette()[(254.0 * part**self.gamma + 0.5).astype(np.uint8)]
+        return colours[None]
 
 
 def how_often(pixels: NDArray[np.unsignedinteger]) -> NDArray[np.intp]:
@@ -77,6 +85,13 @@ def automatic(often: NDArray[np.intp]) -> tuple[float, float]:
     upto = np.cumsum(often)
     low, high = np.searchsorted(upto, (0.005 * upto[-1], 0.999 * upto[-1]), "right")
     return float(low), float(max(high, low + LEAST))
+
+
+@lru_cache
+def _palette(colours: str) -> NDArray[np.uint8]:
+    """(256, 3) colours of a key of `COLOURS`, and that of saturated pixels."""
+    found: NDArray[np.uint8] = pg.colormap.get(COLOURS[colours]).getLookupTable(nPts=255)[:, :3]
+    return np.vstack([found, np.array([SATURATED], np.uint8)])
 
 
 def residual_palette() -> NDArray[np.uint8]:

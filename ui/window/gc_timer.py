@@ -6,17 +6,19 @@ from collections.abc import Callable
 from PySide6.QtCore import QObject, QTimer
 
 EVERY_MS = 1000
-OLDEST_EVERY = 60
+OLDEST_EVERY, ALL_EVERY = 60, 600
+"""Turns of the timer after which what has survived so far is looked at, and, where nobody minds, all there is."""
 
 
-class GarbageTimer(QObject):
+class GcTimer(QObject):
     """Takes over from Python's own collector, which runs in whatever thread happens to allocate, until `close`.
 
     Parameters
     ----------
     idle
-        Whether nobody minds if the window stands still for a moment: then all there is is looked at, and otherwise
-        only what has come since, as that takes a few milliseconds and all of it takes forty.
+        Whether nobody minds if the window stands still for a moment: then, every ten minutes and after a run, all there
+        is is looked at, which takes up to a fifth of a second of processor time; otherwise only what has come since,
+        which takes a few milliseconds.
     """
 
     def __init__(self, idle: Callable[[], bool]) -> None:
@@ -39,12 +41,12 @@ class GarbageTimer(QObject):
     def _collect(self) -> None:
         was_idle, self._was_idle = self._was_idle, self._idle()
         self._count += 1
-        if was_idle and not self._was_idle:
-            self._count = 0  # a run begins: the last moment in which all that came before it may be looked at
+        if was_idle is not self._was_idle:
+            self._count = 0  # a run begins or has ended: now what came before it may be looked at
         if self._count % OLDEST_EVERY:
             gc.collect(1)
             return
-        if self._was_idle:
+        if self._was_idle and (not was_idle or self._count % ALL_EVERY == 0):
             gc.unfreeze()
         gc.collect(2)
         gc.freeze()

@@ -7,7 +7,7 @@ from PySide6.QtCore import QObject, QTimer
 TURN_MS = 40
 
 
-class Turns(QObject):
+class StaggeredPainter(QObject):
     """Calls one thing after another, with the event loop free in between.
 
     Parameters

@@ -42,7 +42,7 @@ class SeenFrame:
     run: Path | None = None
 
 
-class Newest(QObject, Generic[T]):
+class LatestValue(QObject, Generic[T]):
     """Hands the newest of many values to the window's thread: older ones are let go, and no queue builds up.
 
     `arrived` comes once for all values that were put before the window takes one.
@@ -57,7 +57,7 @@ class Newest(QObject, Generic[T]):
         self._told = False
 
     def put(self, value: T) -> None:
-        """From any thread; never waits for the window."""
+        """Hand over a value, from any thread; never waits for the window."""
         with self._lock:
             self._value, told, self._told = value, self._told, True
         if not told:
@@ -70,7 +70,7 @@ class Newest(QObject, Generic[T]):
             return value
 
 
-class WatchedProjector:
+class ObservedProjector:
     """A projector that tells what it shows; implements `tankrig.devices.Projector`."""
 
     def __init__(self, projector: Projector, shown: Callable[[Pattern], object]) -> None:
@@ -79,7 +79,7 @@ class WatchedProjector:
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """The device's name, for messages."""
         return self._projector.name
 
     @property
@@ -95,21 +95,21 @@ class WatchedProjector:
         return flip
 
     def close(self) -> None:
-        """Of the device."""
+        """Close the projector."""
         self._projector.close()
 
 
-class WatchedCamera:
+class ObservedCamera:
     """A camera that passes on each frame it hands out; implements `tankrig.devices.Camera`."""
 
-    def __init__(self, camera: Camera, projector: WatchedProjector, seen: Callable[[SeenFrame], object]) -> None:
+    def __init__(self, camera: Camera, projector: ObservedProjector, seen: Callable[[SeenFrame], object]) -> None:
         self._camera, self._projector, self._seen = camera, projector, seen
         self._settings = CameraSettings(0.0)
         self._began_s: float | None = None
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """The device's name, for messages."""
         return self._camera.name
 
     @property
@@ -131,7 +131,7 @@ class WatchedCamera:
         return max(0.0, exposure_s - (time.monotonic() - began_s))
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Of the device."""
+        """Set the camera; returns what it reads back."""
         self._settings = self._camera.configure(settings)
         return self._settings
 
@@ -146,5 +146,5 @@ class WatchedCamera:
         return frame
 
     def close(self) -> None:
-        """Of the device."""
+        """Close the camera."""
         self._camera.close()

@@ -8,7 +8,7 @@ from PySide6.QtCore import QObject, Qt, QTimer
 TICK_MS = 10
 
 
-class GapMonitor(QObject):
+class EventLoopMonitor(QObject):
     """Measures the time between ticks that should come every 10 ms.
 
     Attributes

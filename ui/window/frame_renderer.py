@@ -12,24 +12,27 @@ from PySide6.QtCore import Qt
 
 from tankrig.errors import SceneError, SequenceError
 from tankrig.image.focus import sharpness
+from tankrig.run.regions import Region
+from ui.window.observed_devices import LatestValue, SeenFrame
 from ui.window.threads import OwnedThread
 from ui.window.tone import Tone, automatic, how_often
-from ui.window.watched import Newest, SeenFrame
 
 if TYPE_CHECKING:
     from tankrig.bench import Bench, KnownScenes
     from tankrig.pattern import Pattern
 
 SLOW_S = 0.2
-"""What is judged of frames follows them at this pace."""
+"""Statistics of frames follow them at this pace."""
 FOCUS_PX = 512
+LEAST_PX = 2
+"""A region with sides no longer than this has no focus."""
 MOST_OUTLINES = 200
 END_S = 5.0
 
 
 @dataclass(frozen=True)
-class Wishes:
-    """How a person wants to see frames.
+class ViewSettings:
+    """How a person has chosen to see frames.
 
     Parameters
     ----------
@@ -39,8 +42,8 @@ class Wishes:
         Whether its ends follow the picture.
     saturation
         Whether saturated pixels have a colour of their own.
-    region
-        Rows and columns that mean and focus are taken of; None for the middle.
+    regions
+        Rectangles that are counted in; focus is taken of the first, and of the middle where there is none.
     bench
         Where beams should be; None where they are not to be outlined.
     every
@@ -50,13 +53,22 @@ class Wishes:
     tone: Tone = field(default_factory=Tone)
     automatic: bool = True
     saturation: bool = True
-    region: tuple[slice, slice] | None = None
+    regions: tuple[Region, ...] = ()
     bench: "Bench | KnownScenes | None" = None
     every: int = 1
 
 
+@dataclass(frozen=True)
+class RegionNow:
+    """Mean and standard deviation of the counts in a region of one frame."""
+
+    region: Region
+    mean: float
+    sd: float
+
+
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class FrameStatistics:
     """What can be said of a frame.
 
     Parameters
@@ -66,9 +78,10 @@ class Judgement:
     saturated
         Part of the pixels.
     focus
-        Sharpness of the region.
-    mean, sd
-        Of the region, counts.
+        Sharpness of the first region, or of the middle; None of the very first frame, whose picture does not wait for
+        OpenCV to be imported.
+    regions
+        What is counted in each region.
     dark
         Median of a frame without light, counts.
     outlines
@@ -77,9 +90,8 @@ class Judgement:
 
     often: NDArray[np.intp]
     saturated: float
-    focus: float
-    mean: float
-    sd: float
+    focus: float | None
+    regions: tuple[RegionNow, ...]
     dark: float | None
     outlines: NDArray[np.float64]
 
@@ -93,12 +105,12 @@ class Picture:
     frame
         What it is of.
     indices
-        Into `palette`, of the rows and columns that were wished.
+        Into `palette`, of every so many rows and columns.
     palette
         (256, 3) colours.
     tone
         Which made them.
-    judgement
+    statistics
         A few times a second.
     """
 
@@ -106,10 +118,10 @@ class Picture:
     indices: NDArray[np.uint8]
     palette: NDArray[np.uint8]
     tone: Tone
-    judgement: Judgement | None
+    statistics: FrameStatistics | None
 
 
-class Darkroom:
+class FrameRenderer:
     """Makes the newest frame of `source` a picture; older ones are let go.
 
     Attributes
@@ -118,21 +130,21 @@ class Darkroom:
         Where they come out.
     """
 
-    def __init__(self, source: Newest[SeenFrame]) -> None:
-        self.pictures: Newest[Picture] = Newest()
+    def __init__(self, source: LatestValue[SeenFrame]) -> None:
+        self.pictures: LatestValue[Picture] = LatestValue()
         self._source = source
-        self._wishes, self._wished = Wishes(), False
+        self._view, self._view_changed = ViewSettings(), False
         self._frame: SeenFrame | None = None
-        self._judged_s = 0.0
+        self._statistics_s = 0.0
         self._wake = threading.Event()
         source.arrived.connect(self._wake.set, Qt.ConnectionType.DirectConnection)
-        self._thread = OwnedThread("darkroom", self._work, END_S)
+        self._thread = OwnedThread("frame-renderer", self._work, END_S)
         self._wake.set()  # for what came before
 
-    def wish(self, wishes: Wishes) -> None:
+    def render_as(self, view: ViewSettings) -> None:
         """Have pictures like this from now on, the one that is shown included."""
-        if wishes != self._wishes:
-            self._wishes, self._wished = wishes, True
+        if view != self._view:
+            self._view, self._view_changed = view, True
             self._wake.set()
 
     def close(self) -> None:
@@ -144,49 +156,55 @@ class Darkroom:
 
     def _work(self, ending: threading.Event) -> None:
         tone: Tone | None = None
+        first = True
         while self._wake.wait() and not ending.is_set():
             self._wake.clear()
-            wished, self._wished = self._wished, False
+            changed, self._view_changed = self._view_changed, False
             new = self._source.take()
             self._frame = frame = new or self._frame
-            if frame is None or not (new or wished):
+            if frame is None or not (new or changed):
                 continue
-            wishes, judgement = self._wishes, None
-            if wished or time.monotonic() - self._judged_s > SLOW_S:
-                self._judged_s = time.monotonic()
-                judgement = judge(frame, wishes)
-            tone = _tone(wishes, frame, tone, judgement)
+            view, statistics = self._view, None
+            if changed or time.monotonic() - self._statistics_s > SLOW_S:
+                self._statistics_s = time.monotonic()
+                statistics = statistics_of(frame, view, focus=not first)
+                first = False
+            tone = _tone(view, frame, tone, statistics)
             table, palette = _developed(tone)
-            indices = np.take(table, frame.pixels[:: wishes.every, :: wishes.every], mode="clip")
-            self.pictures.put(Picture(frame, indices, palette, tone, judgement))
+            indices = np.take(table, frame.pixels[:: view.every, :: view.every], mode="clip")
+            self.pictures.put(Picture(frame, indices, palette, tone, statistics))
 
 
-def judge(frame: SeenFrame, wishes: Wishes) -> Judgement:
-    """What a person needs to judge a frame by."""
+def statistics_of(frame: SeenFrame, view: ViewSettings, focus: bool = True) -> FrameStatistics:
+    """Levels, saturation, focus and what is counted in the regions of a frame."""
     pixels = frame.pixels
-    region = pixels[wishes.region or _middle(pixels.shape)]
+    parts = [region.of(pixels) for region in view.regions]
+    sharp = next((part for part in parts if min(part.shape) > LEAST_PX), pixels[_middle(pixels.shape)])
     dark = frame.pattern is not None and not frame.pattern.pixels.any()
-    return Judgement(
+    return FrameStatistics(
         how_often(pixels),
         np.count_nonzero(pixels >= frame.saturation) / pixels.size,
-        sharpness(region),
-        float(region.mean()),
-        float(region.std()),
+        sharpness(sharp) if focus else None,
+        tuple(
+            RegionNow(region, float(part.mean()), float(part.std()))
+            for region, part in zip(view.regions, parts, strict=True)
+            if part.size
+        ),
         float(np.median(pixels[::4, ::4])) if dark else None,
-        _outlines(wishes.bench, frame.pattern),
+        _outlines(view.bench, frame.pattern),
     )
 
 
-def _tone(wishes: Wishes, frame: SeenFrame, before: Tone | None, judgement: Judgement | None) -> Tone:
-    """As wished; automatic ends stay where they were until they are off by more than one can see."""
-    tone = replace(wishes.tone, saturation=frame.saturation if wishes.saturation else None)
-    if not wishes.automatic:
+def _tone(view: ViewSettings, frame: SeenFrame, before: Tone | None, statistics: FrameStatistics | None) -> Tone:
+    """As chosen; automatic ends stay where they were until they are off by more than one can see."""
+    tone = replace(view.tone, saturation=frame.saturation if view.saturation else None)
+    if not view.automatic:
         return tone
     if before is not None:
         tone = tone.between(before.low, before.high)
-    if judgement is None:
+    if statistics is None:
         return tone
-    low, high = automatic(judgement.often)
+    low, high = automatic(statistics.often)
     off = max(abs(low - tone.low), abs(high - tone.high))
     return tone.between(low, high) if off > 0.02 * (high - low) else tone
 

@@ -2,18 +2,24 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QWidget
 
-from ui.window.on_screen import OnScreen, Worker
-from ui.window.rig_file import RigSource
 from ui.window.source_frame import SourceFrame
+
+if TYPE_CHECKING:
+    from ui.window.live_view import LiveView
+    from ui.window.on_screen import OnScreen, Worker
+    from ui.window.rig_file import RigSource
 
 Page = tuple[str, str, QWidget, SourceFrame]
 """Name of the window's attribute, title of the dock, the page, and the frame around it."""
 
 
-def pages(folder: Path, on_screen: OnScreen, background: Worker, source: RigSource) -> Iterator[tuple[Page, ...]]:
+def pages(
+    folder: Path, on_screen: "OnScreen", background: "Worker", source: "RigSource", live: "LiveView"
+) -> Iterator[tuple[Page, ...]]:
     """Make a window's pages; between what this yields it may do something else.
 
     Parameters
@@ -26,6 +32,8 @@ def pages(folder: Path, on_screen: OnScreen, background: Worker, source: RigSour
         Where the pages have work done.
     source
         Of the rig.
+    live
+        On whose picture regions are drawn.
     """
     from ui.window.sequence_page import SequencePage
 
@@ -41,13 +49,16 @@ def pages(folder: Path, on_screen: OnScreen, background: Worker, source: RigSour
     from ui.window.calibration_page import CalibrationPage
     from ui.window.compare_page import ComparePage
     from ui.window.log_panel import LogPanel
+    from ui.window.regions_page import RegionsPage
     from ui.window.runs_page import RunsPage
 
+    regions = RegionsPage(live.regions, live.profile, on_screen)
     runs = RunsPage(folder, on_screen, background)
     yield (
         _of_rig("runs", "Runs", runs, "RUNS recorded with"),
         _of_rig("compare", "Compare", ComparePage(runs.catalogue, on_screen), "COMPARISON of runs, beside"),
         _of_rig("calibration", "Calibration", CalibrationPage(source)),
+        ("regions", "Regions", regions, SourceFrame(regions)),
         _of_rig("log", "Log", LogPanel(folder), "LOG of this window, with"),
     )
 

@@ -1,0 +1,164 @@
+"""Regions on the picture: counted where they lie, kept with the run, and never shown with another run."""
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QRectF, Qt
+from PySide6.QtGui import QGuiApplication
+from PySide6.QtTest import QTest
+
+import tankrig
+from tankrig.run.regions import Counted, Region, read_regions, write_regions
+from tests import recorded_runs as runs
+from tests.window_rig import until, wait_ms, window_on, write_rig
+
+SHORT = (
+    'name = "short"\nexposure_ms = 5\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n'
+    '[[steps]]\ndo = "capture"\npattern = "dark"\nframes = 2\n'
+)
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("regions")
+    with window_on(folder, write_rig(folder)) as made:
+        until(lambda: made.status.state.value == "ready" and made.live.displayed, 60.0)
+        made.home = folder
+        yield made
+
+
+@pytest.fixture
+def window(opened):
+    """The camera on screen, and no region."""
+    opened.on_screen.leave()
+    for one in list(opened.live.regions.drawn):
+        opened.live.regions.remove(one)
+    opened.show_page(opened.regions)
+    until(lambda: opened.live.frame is not None)
+    return opened
+
+
+def in_pixels(window):
+    bench = window._rig.bench
+    return window.live.regions.in_pixels(bench.camera, bench.tank)
+
+
+def test_a_region_counts_the_pixels_that_it_lies_on(window):
+    """A mean of other pixels than the ones under the rectangle would be believed."""
+    seen = []
+    window.live.counted.connect(seen.append)
+    one = window.live.regions.add(QRectF(80.0, -40.0, 32.0, 24.0), "wall")
+    assert in_pixels(window) == (Region("wall", (5, 8), (10, 14)),), "pixels are 8 mm wide"
+    until(lambda: seen and seen[-1] and seen[-1][0].region.name == "wall")
+    window.host.look_away(True)
+    wait_ms(400)
+    one.move(QRectF(80.0, -40.0, 32.0, 16.0))
+    until(lambda: seen[-1][0].region.rows == (5, 7))
+    part = window.live.frame.pixels[5:7, 10:14]
+    assert (seen[-1][0].mean, seen[-1][0].sd) == pytest.approx((part.mean(), part.std()))
+    window.host.look_away(False)
+    window.live.counted.disconnect(seen.append)
+
+
+def test_numbers_of_the_tree_move_the_region_and_follow_it(window):
+    """Without a mouse a region is placed by typing; a dragged one says where it is."""
+    one = window.live.regions.add(QRectF(80.0, -40.0, 32.0, 24.0), "wall")
+    row = window.regions._rows[one]
+    row.child("x").setValue(96.0)
+    row.child("width").setValue(40.0)
+    assert one.rect_mm == QRectF(96.0, -40.0, 40.0, 24.0)
+    one.move(QRectF(16.0, -8.0, 24.0, 24.0))
+    assert [row.child(side).value() for side in ("x", "y", "width", "height")] == [16.0, -8.0, 24.0, 24.0]
+    other = window.live.regions.add()
+    window.regions._rows[other].setName("wall")
+    assert other.name != "wall", "two regions of one name could not be told apart in the file"
+    row.setName("glass")
+    assert [drawn.name for drawn in window.live.regions.drawn] == ["glass", other.name]
+    assert [drawn.label.toPlainText() for drawn in window.live.regions.drawn] == ["glass", other.name]
+
+
+def test_a_line_is_placed_by_its_numbers(window):
+    window.live.profile.show(True)
+    assert window.regions._ends.opts["visible"]
+    window.regions._ends.child("from x").setValue(16.0)
+    window.regions._ends.child("to y").setValue(24.0)
+    np.testing.assert_allclose(window.live.profile.ends_mm[[0, 1], [0, 1]], [16.0, 24.0])
+    window.live.profile.show(False)
+
+
+def test_regions_are_counted_in_a_whole_run_and_come_back_with_it(window):
+    """What was measured beside a run is lost if it stays in a window."""
+    window.live.regions.add(QRectF(80.0, -40.0, 32.0, 24.0), "wall")
+    window.live.regions.add(QRectF(8.0, 0.0, 16.0, 16.0), "glass")
+    (window.home / "short.toml").write_text(SHORT)
+    window.sequence.load(window.home / "short.toml")
+    until(lambda: window.top.run.isEnabled(), 60.0)
+    ended = []
+    window.host.run_ended.connect(ended.append)
+    window.run()
+    until(lambda: ended, 180.0)
+    path = ended[0].path
+    until(lambda: window.on_screen.shown.counted, 120.0, "regions that are drawn are counted when a run has ended")
+    run = tankrig.open_run(path)
+    assert [one.region.name for one in read_regions(path)] == ["wall", "glass"] * 4
+    expected = run.frames.values[:, 5:8, 10:14].mean(axis=(1, 2))
+    found = [one.mean for one in window.on_screen.shown.counted if one.region.name == "wall"]
+    assert found == pytest.approx(expected)
+    for one in list(window.live.regions.drawn):
+        window.live.regions.remove(one)
+    until(lambda: not window.status.busy, 60.0)
+    window.show_run(path)
+    until(lambda: window.on_screen.shown.counted, 30.0)
+    assert [one.name for one in window.live.regions.drawn] == ["wall", "glass"]
+    bench = window.on_screen.shown.reading.bench
+    regions = window.live.regions.in_pixels(bench.camera, bench.tank)
+    assert regions == (Region("wall", (5, 8), (10, 14)), Region("glass", (10, 12), (1, 3)))
+    window.on_screen.leave()
+    assert window.live.regions.drawn == [], "what was drawn before the run was opened is there again"
+    window.live.regions.add(name="own")
+    window.show_run(path)
+    until(lambda: [one.name for one in window.live.regions.drawn] == ["wall", "glass"], 30.0)
+    window.on_screen.leave()
+    assert [one.name for one in window.live.regions.drawn] == ["own"]
+    window.show_run(path)
+    until(lambda: window.on_screen.shown.counted, 30.0)
+    window.regions._copy_table()
+    assert len(QGuiApplication.clipboard().text().splitlines()) == 1 + 2 * 4
+
+
+def test_what_was_counted_in_one_run_is_not_shown_in_another(window):
+    """Curves of A under the title of B."""
+    for name in "ab":
+        runs.recorded(window.folder / f"run-{name}", 1)
+    run = window.folder / "run-a"
+    window.show_run(run)
+    until(lambda: window.on_screen.shown.reading is not None)
+    assert window.on_screen.shown.counted == ()
+    region = Region("wall", (0, 2), (0, 2))
+    write_regions(run, [Counted(region, 0, 1.0, "rays", 0.0, 8.0, 1.0, 7.0, 1.0, 5, 9)])
+    window.show_run(window.folder / "run-b")
+    window.show_run(run)
+    until(lambda: window.on_screen.shown.counted)
+    assert window.regions._plot.getPlotItem().listDataItems()
+    window.show_run(window.folder / "run-b")
+    assert window.on_screen.shown.counted == ()
+    assert all(len(item.getData()[0] or ()) == 0 for item in window.regions._plot.getPlotItem().listDataItems())
+    (run / "regions.csv").write_text("region,frame\nx,one\n")
+    window.show_run(run)
+    until(lambda: window.on_screen.shown.reading is not None)
+    until(lambda: "save the regions again" in window.banner.text)
+    assert window.on_screen.shown.fits, "a damaged list of regions keeps nobody from the run"
+
+
+def test_any_region_can_be_added_and_taken_away_by_keyboard(window):
+    """Every action by keyboard alone."""
+    window.activateWindow()
+    assert QTest.qWaitForWindowActive(window, 10_000)
+    QTest.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+    until(lambda: hasattr(window, "_palette") and window._palette.isVisible())
+    QTest.keyClicks(window._palette.field, "add region")
+    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
+    until(lambda: len(window.live.regions.drawn) == 1)
+    window.show_palette()
+    QTest.keyClicks(window._palette.field, "remove region")
+    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
+    until(lambda: not window.live.regions.drawn)
