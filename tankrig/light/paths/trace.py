@@ -162,10 +162,19 @@ def trace(
 @kernel
 def _look(block: Block, n: int, geometry: Geometry, sigma_t: float) -> None:
     """Lines of sight through the ends of paths."""
-    for i in range(n):
-        seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, block.x[i], block.y[i], block.z[i])
-        block.seen_x[i], block.seen_y[i], block.sx[i], block.sy[i], block.sz[i] = seen_x, seen_y, sx, sy, sz
-        block.reaches[i] = factor * exponential(-sigma_t * path)
+    if geometry.refractive_index == 1.0:
+        for i in range(n):
+            _look_from(block, i, geometry, 1.0, sigma_t)
+    else:
+        for i in range(n):
+            _look_from(block, i, geometry, geometry.refractive_index, sigma_t)
+
+
+@part
+def _look_from(block: Block, i: int, geometry: Geometry, index: float, sigma_t: float) -> None:
+    seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, index, block.x[i], block.y[i], block.z[i])
+    block.seen_x[i], block.seen_y[i], block.sx[i], block.sy[i], block.sz[i] = seen_x, seen_y, sx, sy, sz
+    block.reaches[i] = factor * exponential(-sigma_t * path)
 
 
 @kernel
@@ -186,6 +195,7 @@ def _probed(
     w: Array,
     i: int,
     geometry: Geometry,
+    index: float,
     sampling: PathSampling,
     order: int,
     remaining: float,
@@ -208,7 +218,7 @@ def _probed(
         _wide_lobe(ahead, sampling.phase.g) - plain
     )
     qx, qy, qz, pz, chance = fly(
-        _walls(block, i, geometry), geometry.height, geometry.refractive_index, sampling.sigma_t,
+        _walls(block, i, geometry), geometry.height, index, sampling.sigma_t,
         block.x[i], block.y[i], block.z[i], px, py, pz, w[i],
     )  # fmt: skip
     return qx, qy, qz, px, py, pz, block.weight[i] * chance * sampling.albedo * plain / density
@@ -229,11 +239,23 @@ def _probe(
     sampling: PathSampling, order: int, remaining: float,
 ) -> None:  # fmt: skip
     """What probes send to the camera."""
-    for i in range(n):
-        x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining)
-        tally.x[i], tally.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z)
-        phase = phase_density(dx * sx + dy * sy + dz * sz, sampling.phase)
-        tally.value[i] = weight * phase * factor * exponential(-sampling.sigma_t * path)
+    if geometry.refractive_index == 1.0:
+        for i in range(n):
+            _probe_from(tally, block, u, v, w, i, geometry, 1.0, sampling, order, remaining)
+    else:
+        for i in range(n):
+            _probe_from(tally, block, u, v, w, i, geometry, geometry.refractive_index, sampling, order, remaining)
+
+
+@part
+def _probe_from(
+    tally: TallyRecord, block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, index: float,
+    sampling: PathSampling, order: int, remaining: float,
+) -> None:  # fmt: skip
+    x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, index, sampling, order, remaining)
+    tally.x[i], tally.y[i], sx, sy, sz, path, factor = seen_from(geometry, index, x, y, z)
+    phase = phase_density(dx * sx + dy * sy + dz * sz, sampling.phase)
+    tally.value[i] = weight * phase * factor * exponential(-sampling.sigma_t * path)
 
 
 @kernel
@@ -250,9 +272,22 @@ def _probe_anywhere(
     sampling: PathSampling, order: int, remaining: float,
 ) -> None:  # fmt: skip
     """Probes of paths that may begin anywhere."""
-    for i in range(n):
-        x, y, z, _, _, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining)
-        probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
+    if geometry.refractive_index == 1.0:
+        for i in range(n):
+            _probe_from_anywhere(probes, block, u, v, w, i, geometry, 1.0, sampling, order, remaining)
+    else:
+        index = geometry.refractive_index
+        for i in range(n):
+            _probe_from_anywhere(probes, block, u, v, w, i, geometry, index, sampling, order, remaining)
+
+
+@part
+def _probe_from_anywhere(
+    probes: Ends, block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, index: float,
+    sampling: PathSampling, order: int, remaining: float,
+) -> None:  # fmt: skip
+    x, y, z, _, _, dz, weight = _probed(block, u, v, w, i, geometry, index, sampling, order, remaining)
+    probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
 
 
 @kernel
@@ -305,15 +340,24 @@ def scatter(block: Block, u: Array, v: Array, n: int, sampling: PathSampling, or
 @kernel
 def advance(block: Block, w: Array, n: int, geometry: Geometry, sampling: PathSampling) -> None:
     """Follow paths to their next collision."""
-    for i in range(n):
-        dz = block.dz[i]
-        block.x[i], block.y[i], block.z[i], after, chance = fly(
-            _walls(block, i, geometry), geometry.height, geometry.refractive_index, sampling.sigma_t,
-            block.x[i], block.y[i], block.z[i], block.dx[i], block.dy[i], dz, w[i],
-        )  # fmt: skip
-        block.dz[i], block.ez[i] = after, block.ez[i] if after == dz else -block.ez[i]  # reflected at the surface
-        weight = block.weight[i] * chance * sampling.albedo
-        block.weight[i], block.seen[i] = weight, weight * block.share[i]
+    if geometry.refractive_index == 1.0:
+        for i in range(n):
+            _advance_path(block, w, i, geometry, 1.0, sampling)
+    else:
+        for i in range(n):
+            _advance_path(block, w, i, geometry, geometry.refractive_index, sampling)
+
+
+@part
+def _advance_path(block: Block, w: Array, i: int, geometry: Geometry, index: float, sampling: PathSampling) -> None:
+    dz = block.dz[i]
+    block.x[i], block.y[i], block.z[i], after, chance = fly(
+        _walls(block, i, geometry), geometry.height, index, sampling.sigma_t,
+        block.x[i], block.y[i], block.z[i], block.dx[i], block.dy[i], dz, w[i],
+    )  # fmt: skip
+    block.dz[i], block.ez[i] = after, block.ez[i] if after == dz else -block.ez[i]  # reflected at the surface
+    weight = block.weight[i] * chance * sampling.albedo
+    block.weight[i], block.seen[i] = weight, weight * block.share[i]
 
 
 @part
