@@ -169,8 +169,9 @@ def high_orders(
             return count < FEWEST or allowance.goes_on()  # fewer don't tell how far off they are
 
         in_time = groups.follow(wanted, told) and allowance.goes_on()
-        means = groups.means - prior
-        peak = float(np.abs(groups.means).max(initial=0.0)) or 1.0  # squares of faint light would be 0, with its noise
+        means = groups.means
+        peak = float(np.abs(means).max(initial=0.0)) or 1.0  # squares of faint light would be 0, with its noise
+        means -= prior
         found = _found(means / peak, first, plain, grid, steady)
         image = known + grid.to_pixels(grid.unfolded(peak * found.image + prior.sum(axis=0)))
         size = float(np.linalg.norm(image / peak)) or 1.0

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 THINNING = 16
 """Order from which paths are thinned out, where the image shall be a smooth function of the medium."""
-MOST_GROUPS = 64
+MOST_GROUPS = 32
 """Of lattices, whose images are kept apart to see their scatter; more are averaged two by two."""
 
 
