@@ -15,6 +15,7 @@ from tankrig.light.paths.lattices import traced
 from tankrig.light.single import MOST_PARTS, single_scattering
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Scene
+from tankrig.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ LOOKED_UP = 0.004
 """Error of what a calibrated camera looks up of order 2, of its own norm."""
 
 
+@one_blas_thread()
 def tank_image(
     scene: Scene,
     tolerance: float = 0.01,

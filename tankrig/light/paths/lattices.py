@@ -46,6 +46,11 @@ class Groups:
         return len(self._means) * self.size + len(self._unfinished)
 
     @property
+    def counted(self) -> int:
+        """How many of them are in `means`."""
+        return len(self._means) * self.size
+
+    @property
     def means(self) -> Array:
         """(groups, classes, rows, columns)."""
         return np.array(self._means)

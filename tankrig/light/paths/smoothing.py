@@ -180,7 +180,7 @@ def _product_of_independent(left: Array, folds: NDArray[np.int64]) -> tuple[Arra
 
 
 def _projected(learnt_from: Array, batches: Array, waves: bool) -> Array:
-    """(n, rows, degrees) batches on what stands out in others, range by range of degrees: profiles, and waves if asked."""
+    """(n, rows, degrees) batches on what stands out in others: profiles by range of degrees, and waves if asked."""
     result = batches.copy()
     edges = [edge for edge in RANGES if edge < batches.shape[2]] + [batches.shape[2]]
     across = cosines(batches.shape[1])
@@ -225,8 +225,10 @@ def cosines(rows: int) -> Array:
 def _projection(batches: Array) -> Array | None:
     """(rows, rows) that keeps of batches' mean (n, rows, degrees) the profiles that stand out; None without noise.
 
-    Scaled so that the noise is about 1 everywhere, singular values above its largest one are signal. What is just above
-    is kept in part: a profile that came and went as the medium changes would make the image jump.
+    Scaled so that the noise is about 1 everywhere, singular values above its largest one are signal. That is at least
+    √rows + √degrees, and more where a path marks many pixels; the batches' alternating sum shows it, in which there is
+    no light. What is just above is kept in part: a profile that came and went as the medium changes would make the
+    image jump.
     """
     count, rows, degrees = batches.shape
     variance = batches.var(axis=0, ddof=1) / count
@@ -236,7 +238,9 @@ def _projection(batches: Array) -> Array | None:
     by_row = np.sqrt(variance.mean(axis=1) + 1e-6 * overall)[:, None]
     by_degree = np.sqrt(variance.mean(axis=0) / overall + 1e-6)
     profiles, strength, _ = np.linalg.svd(batches.mean(axis=0) / (by_row * by_degree), full_matrices=False)
-    noise = np.sqrt(rows) + np.sqrt(degrees)
+    even = count - count % 2
+    alternating = (batches[0:even:2].sum(axis=0) - batches[1:even:2].sum(axis=0)) / (even * by_row * by_degree)
+    noise = max(np.sqrt(rows) + np.sqrt(degrees), float(np.linalg.norm(alternating, 2)))
     kept = 1.0 - (noise / np.maximum(strength, noise)) ** 2
     project: Array = by_row * ((profiles * kept) @ profiles.T) / by_row.T
     return project
