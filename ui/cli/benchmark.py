@@ -168,14 +168,30 @@ def _wide(
         click.echo(json.dumps(as_plain))
         return
     shown = Table(title="How tolerances are kept", box=None)
-    for heading in ("asked %", "scenes", "kept %", "worst unsaid", "blocks", "CPU s median", "95 %", "worst"):
+    for heading in (
+        "asked %",
+        "scenes",
+        "kept %",
+        "worst unsaid",
+        "blocks",
+        "CPU s median",
+        "95 %",
+        "worst",
+        "classes %",
+    ):
         shown.add_column(heading, justify="right")
     for one in figures:
         shown.add_row(
             f"{100 * one.tolerance:g}", str(one.scenes), f"{100 * one.kept:.0f}", f"× {one.worst_unsaid:.2f}",
             f"{one.blocks:.2f}", f"{one.cpu_median:.2f}", f"{one.cpu_95:.2f}", f"{one.cpu_worst:.2f}",
+            f"{100 * one.classes:.0f}",
         )  # fmt: skip
     Console().print(shown)
+    for one in figures:
+        for kind, slower in one.slower.items():
+            click.echo(
+                f"at {100 * one.tolerance:g} % the truths' program takes {slower:.3g} times as long: {kind}, median"
+            )
     click.echo(f"written  {out / 'wide.json'}")
 
 

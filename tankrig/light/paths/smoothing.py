@@ -218,8 +218,9 @@ def _above_noise(batches: Array, first: int) -> Array:
 def cosines(rows: int) -> Array:
     """(rows, waves) orthonormal half waves across the rows, even at both ends."""
     waves = np.arange(min(WAVES[-1], rows))
-    table: Array = np.cos(np.pi * (np.arange(rows)[:, None] + 0.5) * waves / rows)
-    return table / np.linalg.norm(table, axis=0)
+    table = np.cos(np.pi * (np.arange(rows)[:, None] + 0.5) * waves / rows)
+    scaled: Array = table / np.linalg.norm(table, axis=0)
+    return scaled
 
 
 def _projection(batches: Array) -> Array | None:
