@@ -161,7 +161,7 @@ def _wide(
     truths = truths_of(reference, count) if reference else own_truths(count, min(tolerances), cache_folder())
     found = measured(truths, tolerances, budget_s, tell)
     figures = [summary(found, tolerance) for tolerance in tolerances]
-    as_plain = {"summary": [asdict(one) for one in figures], "scenes": [asdict(one) for one in found]}
+    as_plain = {key: [_known(asdict(one)) for one in some] for key, some in (("summary", figures), ("scenes", found))}
     with whole_file(out / "wide.json") as unfinished:
         unfinished.write_text(json.dumps(as_plain, indent=1), encoding="utf-8")
     if as_json:
@@ -193,6 +193,11 @@ def _wide(
                 f"at {100 * one.tolerance:g} % the truths' program takes {slower:.3g} times as long: {kind}, median"
             )
     click.echo(f"written  {out / 'wide.json'}")
+
+
+def _known(figures: dict[str, object]) -> dict[str, object]:
+    """Figures with None for what isn't known, since JSON knows no NaN."""
+    return {name: None if isinstance(one, float) and one != one else one for name, one in figures.items()}
 
 
 def _cases(reference: Path | None, names: tuple[str, ...], quick: bool) -> "list[Case]":
