@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tankrig import predict
 from tankrig.benchmark.contestant import Contestant
 from tankrig.benchmark.equal import at_equal_error
 from tankrig.benchmark.mitsuba_tank import mitsuba_image
@@ -18,10 +19,11 @@ from tankrig.benchmark.race import race, variations
 from tankrig.benchmark.result import Result
 from tankrig.benchmark.trial import run_trial
 from tankrig.benchmark.truth import Case, cases_of, own_cases
-from tankrig.benchmark.wide import Truths, wide_scene
+from tankrig.benchmark.wide import CLASSES, Truths, measured, summary, truths_of, wide_scene
 from tankrig.errors import ImageError, SceneError, TankrigError
 from tankrig.montecarlo import simulate
 from tankrig.scene import Beam, Medium
+from tankrig.scene.writing import scene_text
 from tests.stress_scenes import medium_of, relative, scene_of, with_camera
 from ui.cli import main
 
@@ -211,6 +213,27 @@ def test_two_noisy_truths_tell_an_error_far_below_their_noise() -> None:
     for each in (truths, known):
         error = np.sqrt(each.squares(1.005 * truth).sum()) / each.size
         assert error == pytest.approx(0.005, rel=0.2)
+
+
+def test_a_folder_that_tells_more_is_asked_for_classes_and_times(tmp_path: Path) -> None:
+    """The truths' program takes 1/error² as long: without its own noise in that, any factor could be claimed."""
+    wide = wide_scene(1)
+    prediction = predict(wide.scene, tolerance=0.03)
+    orders = {key: np.asarray(image) for key, image in prediction.orders.items()}
+    size = float(np.linalg.norm(prediction.image))
+    off = np.zeros(orders[2].shape)
+    off[40, 60] = 0.05 * size  # one class is off by 5 % of the image, and another makes up for it
+    told = {CLASSES[key]: image for key, image in orders.items()}
+    told |= {CLASSES[2]: orders[2] + off, CLASSES[3]: orders[3] - off, "total": prediction.image}
+    twice = told | {f"{name}_2": image for name, image in told.items()}
+    metadata = json.dumps({"cpu_seconds": 8.0, "l2_noise": 0.01})
+    np.savez(tmp_path / "one.npz", **twice, stderr=np.zeros_like(off), metadata=np.array(metadata))
+    (tmp_path / "one.toml").write_text(scene_text(wide.scene))
+    found = measured(truths_of(tmp_path, 1), [0.03], 60.0, lambda _: None)[0]
+    assert found.error < 1e-3
+    assert found.classes == pytest.approx(0.05, rel=0.02)
+    assert found.slower == pytest.approx(8.0 * (0.01 / (0.5 * found.stated)) ** 2 / found.cpu_seconds, rel=1e-6)
+    assert summary([found], 0.03).classes == 0.0
 
 
 def test_random_scenes_are_of_all_kinds_and_stay_what_they_are() -> None:

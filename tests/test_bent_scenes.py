@@ -121,8 +121,10 @@ def test_what_the_surface_shows_is_looked_up_without_loss() -> None:
     scene = scenes.bench(MEDIUM)  # whose camera sees all of the tank
     plain = on_surface(scene)
     pixel = plain.camera.pixel_mm
-    y, x = (np.arange(count) + 0.5 for count in plain.camera.shape)
-    slope = 1.0 + 0.3 * x[None, :] * pixel / 240.0 + 0.2 * (y[:, None] * pixel - 80.0) / 80.0
+    edges = np.minimum(np.arange(plain.camera.shape[1] + 1) * pixel, 240.0)  # the last cells may lie over it in part
+    x, y = 0.5 * (edges[1:] + edges[:-1]), (np.arange(plain.camera.shape[0]) + 0.5) * pixel
+    even = np.broadcast_to(np.diff(edges) / pixel, plain.camera.shape)
+    slope = even * (1.0 + 0.3 * x[None, :] / 240.0 + 0.2 * (y[:, None] - 80.0) / 80.0)
     seen = footprints(scene.camera, scene.tank)
     expected = 1.0 + 0.3 * seen.centres_mm[..., 0] / 240.0 + 0.2 * seen.centres_mm[..., 1] / 80.0
     corners = seen.corners_mm
@@ -131,7 +133,7 @@ def test_what_the_surface_shows_is_looked_up_without_loss() -> None:
     image = to_camera(scene, slope, (pixel, pixel))
     assert np.abs(image - expected)[whole].max() < 2e-3
     assert (image[np.maximum(corners[1:, 1:, 0], corners[:-1, 1:, 0]) < 0.0] == 0.0).all()
-    assert np.nansum(to_camera(scene, np.ones_like(slope), (pixel, pixel)) * seen.areas_mm2) == pytest.approx(
+    assert np.nansum(to_camera(scene, even, (pixel, pixel)) * seen.areas_mm2) == pytest.approx(
         38400.0, rel=2e-3
     )
 

@@ -1,17 +1,21 @@
 """What a prediction promises: a tolerance that is kept or said not to be, errors that cover, no scene that crashes."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import ThreadpoolController
 
 import tankrig
+import tankrig.light.high_orders as high
 from tankrig.light.double import double_scattering
 from tankrig.light.paths.smoothing import smoothed, smoothed_classes
 from tankrig.light.single import single_scattering
 from tankrig.light.tank import tank_image
 from tankrig.montecarlo import simulate
 from tankrig.scene import Scene
+from tankrig.threads import one_blas_thread
 from tests.stress_scenes import medium_of, relative, scene_of
 
 
@@ -116,3 +120,43 @@ def test_classes_add_up_to_the_whole() -> None:
     batches = np.random.default_rng(0).normal(1.0, 0.3, (8, 3, 12, 20))
     whole = smoothed(batches.sum(axis=1)).image
     assert np.allclose(smoothed_classes(batches, whole).sum(axis=0), whole)
+
+
+def test_noise_that_marks_many_pixels_at_once_is_no_light() -> None:
+    """A path seen from all its starts marks a whole strip: what is common to its pixels is still noise."""
+    left = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        strips = rng.normal(0.0, 1.0, (16, 6, 30, 1)) * rng.normal(0.0, 1.0, (16, 6, 1, 40))
+        batches = strips.sum(axis=1)
+        left.append(np.linalg.norm(smoothed(batches).image) / np.linalg.norm(batches.mean(axis=0)))
+    assert np.mean(left) < 0.3  # .7 where only white noise is expected
+
+
+def test_products_of_matrices_keep_to_one_thread_until_all_have_left() -> None:
+    """Spinning threads took eight times the CPU time; a caller's own setting comes back."""
+    libraries = ThreadpoolController().select(user_api="blas")
+
+    def threads() -> set[int]:
+        return {one["num_threads"] for one in libraries.info()}
+
+    with libraries.limit(limits=2):
+        before = threads()
+        with one_blas_thread():
+            with one_blas_thread():
+                assert threads() == {1}
+            assert threads() == {1}
+        assert threads() == before
+
+
+def test_light_of_low_orders_alone_makes_no_difference_but_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In dense water most lattices end at the orders that no solution is had of; their light counts once."""
+    scene = scene_of(medium_of(8.0, 0.02, 0.6))
+    images = {}
+    for every in (1, 4):
+        monkeypatch.setattr(high, "_low_per_full", lambda *_, every=every: every)
+        images[every] = tankrig.predict(scene, tolerance=0.006)
+    apart = relative(images[4].image, images[1].image)
+    assert 0.0 < apart < 2.5 * math.hypot(images[1].error, images[4].error)
+    for order, image in images[1].orders.items():
+        assert np.linalg.norm(images[4].orders[order] - image) < 0.01 * np.linalg.norm(images[1].image), order

@@ -5,12 +5,17 @@ Truth is noisy too. With two independent truths t₁ and t₂ of a scene, the er
     ‖p − truth‖² = E⟨p − t₁, p − t₂⟩
 
 without the noise of either; with one truth and its standard error, it is ‖p − t‖² − Σ stderr².
+
+A folder's truths may tell more: images by order class, and what the program took that made them. Its time goes with
+1/error², which tells what it would have taken for the error that a prediction has.
 """
 
+import json
+import math
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -35,6 +40,10 @@ BLOCK_PIXELS = 8
 """Sides of the blocks in which errors are compared with what is stated."""
 TOLD_APART = 0.3
 """Blocks count whose stated error is at least this share of the truths' noise there."""
+CLASSES: Mapping[int | str, str] = {1: "order1", 2: "order2", 3: "order3", "4-20": "order4_20", ">20": "order_gt20"}
+"""Arrays of a folder's truths by order class; those of the second truth end with _2."""
+LUCKY = 0.5
+"""Share of the stated error below which an error counts as luck, where times to an equal error are compared."""
 
 
 @dataclass(frozen=True)
@@ -121,12 +130,19 @@ class Truths:
         (rows, columns) images; independent of each other, or the same one with a standard error.
     variance
         (rows, columns) of their common noise: 0 where they are independent.
+    classes
+        Two independent images of each order class that is known.
+    cpu_seconds_to_1
+        What the program took that made them, times its relative noise squared: its time for an error of 1; NaN where
+        that isn't known.
     """
 
     scene: WideScene
     first: Array
     second: Array
     variance: Array
+    classes: Mapping[int | str, tuple[Array, Array]] = field(default_factory=dict)
+    cpu_seconds_to_1: float = math.nan
 
     def squares(self, image: Array) -> Array:
         """(rows, columns) whose sums over many pixels are those of the squared error, without the truths' noise."""
@@ -181,14 +197,35 @@ def truths_of(folder: Path, count: int) -> list[Truths]:
     for case in cases_of(folder)[:count]:
         with np.load(folder / f"{case.name}.npz") as data:
             second = data["total_2"].astype(np.float64) if "total_2" in data.files else None
+            classes = {
+                key: (data[name].astype(np.float64), data[f"{name}_2"].astype(np.float64))
+                for key, name in CLASSES.items()
+                if name in data.files and f"{name}_2" in data.files
+            }
+            spent = _spent(str(data["metadata"])) if "metadata" in data.files else math.nan
         wide = WideScene(case.name, _kind(case), case.scene)
         none = np.zeros_like(case.image)
         found.append(
-            Truths(wide, case.image, case.image, np.square(case.stderr))
+            Truths(wide, case.image, case.image, np.square(case.stderr), classes, spent)
             if second is None
-            else Truths(wide, case.image, second, none)
+            else Truths(wide, case.image, second, none, classes, spent)
         )
     return found
+
+
+def _spent(metadata: str) -> float:
+    """CPU seconds times noise squared, from what a program wrote beside its image.
+
+    Examples
+    --------
+    >>> _spent('{"cpu_seconds": 2.0, "l2_noise": 0.1}'), _spent("{}")
+    (0.020000000000000004, nan)
+    """
+    try:
+        told = json.loads(metadata)
+        return float(told["cpu_seconds"]) * float(told["l2_noise"]) ** 2
+    except (ValueError, KeyError, TypeError):
+        return math.nan
 
 
 def _kind(case: Case) -> str:
@@ -216,6 +253,10 @@ class Kept:
         Mean over blocks of squared error over squared stated error; NaN where the truths are too noisy to tell.
     cpu_seconds
         Of the prediction.
+    classes
+        Largest error of an order class, relative L2 of the whole image; NaN where classes aren't known.
+    slower
+        CPU seconds that the truths' program takes to the same error, over the prediction's; NaN where not known.
     """
 
     name: str
@@ -226,6 +267,8 @@ class Kept:
     said: bool
     block_squares: float
     cpu_seconds: float
+    classes: float
+    slower: float
 
 
 def measured(
@@ -272,8 +315,17 @@ def _kept(truth: Truths, tolerance: float, budget_s: float) -> Kept:
     error = float(np.sqrt(max(float(squares.sum()), 0.0))) / (truth.size or 1.0)
     return Kept(
         truth.scene.name, truth.scene.kind, tolerance, error, prediction.error, bool(prediction.missed),
-        _block_squares(truth, prediction, squares), cpu_seconds,
+        _block_squares(truth, prediction, squares), cpu_seconds, _class_error(truth, prediction),
+        truth.cpu_seconds_to_1 / max(error, LUCKY * prediction.error, 1e-9) ** 2 / cpu_seconds,
     )  # fmt: skip
+
+
+def _class_error(truth: Truths, prediction: Prediction) -> float:
+    errors = [
+        float(((np.asarray(prediction.orders[key]) - first) * (np.asarray(prediction.orders[key]) - second)).sum())
+        for key, (first, second) in truth.classes.items()
+    ]
+    return math.sqrt(max(*errors, 0.0)) / (truth.size or 1.0) if errors else math.nan
 
 
 def _block_squares(truth: Truths, prediction: Prediction, squares: Array) -> float:
@@ -311,6 +363,10 @@ class Summary:
         Root of the mean of `Kept.block_squares`.
     cpu_median, cpu_95, cpu_worst
         CPU seconds.
+    classes
+        Share of the scenes whose order classes are all within the tolerance, of the whole image; NaN where not known.
+    slower
+        Median by kind of scene, of how much more the truths' program takes to the same error.
     """
 
     tolerance: float
@@ -321,6 +377,8 @@ class Summary:
     cpu_median: float
     cpu_95: float
     cpu_worst: float
+    classes: float
+    slower: Mapping[str, float]
 
 
 def summary(found: list[Kept], tolerance: float) -> Summary:
@@ -329,6 +387,7 @@ def summary(found: list[Kept], tolerance: float) -> Summary:
     seconds = np.array([one.cpu_seconds for one in here])
     blocks = np.array([one.block_squares for one in here])
     told = blocks[np.isfinite(blocks)]
+    classes = np.array([one.classes for one in here if math.isfinite(one.classes)])
     return Summary(
         tolerance,
         len(here),
@@ -338,4 +397,9 @@ def summary(found: list[Kept], tolerance: float) -> Summary:
         float(np.median(seconds)),
         float(np.quantile(seconds, 0.95)),
         float(seconds.max()),
+        float(np.mean(classes <= tolerance)) if classes.size else math.nan,
+        {
+            kind: float(np.median([one.slower for one in here if one.kind == kind]))
+            for kind in sorted({one.kind for one in here if math.isfinite(one.slower)})
+        },
     )

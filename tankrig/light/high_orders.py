@@ -8,17 +8,18 @@ likewise, so that with more paths their image takes over from the solution.
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from tankrig.light.paths.block import LARGE, SMALL
+from tankrig.light.paths.block import LARGE, SMALL, TURNS
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import THINNING, Groups, traced
 from tankrig.light.paths.record import CLASSES, GROUPS, Bins
 from tankrig.light.paths.smoothing import FEWEST, Smoothed, averaged, smoothed, smoothed_classes
+from tankrig.light.rays import shift_invariant
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -32,6 +33,11 @@ FAINTEST = 2e-4
 """Share of its weight below which only some paths go on."""
 LOST_USUALLY = 5.0
 """Square of what smoothing loses over the variance that it keeps: 3 with 8 lattices, 4 to 7 with 48 (four scenes)."""
+LOW_ONLY = 2**20
+"""Number from which lattices are counted that are followed through a tail's low orders only."""
+FURTHER_ORDERS = 30.0
+FEWEST_FULL = 8
+"""At least one in so many lattices is followed through all orders."""
 NEAR_MM = 6.0
 """Over which what smoothing has lost is averaged, to tell where it was lost."""
 
@@ -150,28 +156,43 @@ def high_orders(
     grid = CellGrid.of(scene)
     highest = min(max_order or MOST_ORDERS, MOST_ORDERS)
     lattice, thinning = (SMALL, _thinning(scene)) if batches is None else (LARGE, THINNING)
+    turns = TURNS if batches is not None else _turns(scene)
     bins, first = (CLASSES, 0) if tail is None else (_bins_above(tail.above), 2)
 
     def image_of(number: int) -> Array:
-        images = traced(scene, grid, (seed, number), highest, FAINTEST, bins, lattice, thinning)
+        images = traced(scene, grid, (seed, number), highest, FAINTEST, bins, lattice, thinning, turns)
         return grid.folded(images)
 
-    groups = Groups(image_of)
+    def low_image_of(number: int) -> Array:
+        of = seed, LOW_ONLY + number
+        return grid.folded(traced(scene, grid, of, tail.above if tail else 0, FAINTEST, bins, lattice, thinning))[:2]
+
+    groups, low_groups, every = Groups(image_of), Groups(low_image_of), 1
     prior, plain = _prior(tail, grid), tail is None and grid.shiftable
     wanted = batches or (FIRST_LATTICES if grid.shiftable and tail is None else FIRST_SMOOTHED)
     scale = math.sqrt(grid.seen_mm2) / scene.camera.pixel_mm
     done, steady = 0.0, batches is not None
     while True:
-        share, before, aim = done, groups.lattices, wanted
+        through = max(groups.lattices, math.ceil(wanted / every))
+        share, before, aim = done, groups.lattices + low_groups.lattices, wanted
 
-        def told(count: int, share: float = share, before: int = before, aim: int = aim) -> bool:
-            allowance.progress(share + (1.0 - share) * min(1.0, (count - before) / max(aim - before, 1)))
-            return count < FEWEST or allowance.goes_on()  # fewer don't tell how far off they are
+        def told(done_here: int, share: float = share, before: int = before, aim: int = aim) -> bool:
+            allowance.progress(share + (1.0 - share) * min(1.0, (done_here - before) / max(aim - before, 1)))
+            return done_here < FEWEST or allowance.goes_on()  # fewer don't tell how far off they are
 
-        in_time = groups.follow(wanted, told) and allowance.goes_on()
-        means = groups.means - prior
-        peak = float(np.abs(groups.means).max(initial=0.0)) or 1.0  # squares of faint light would be 0, with its noise
-        found = _found(means / peak, first, plain, grid, steady)
+        in_time = groups.follow(through, lambda count: told(count + low_groups.lattices))
+        if in_time and wanted > through:
+            in_time = low_groups.follow(wanted - through, lambda count: told(count + groups.lattices))
+        in_time = in_time and allowance.goes_on()
+        means, low_means = groups.means, low_groups.means
+        peak = float(np.abs(means).max(initial=0.0)) or 1.0  # squares of faint light would be 0, with its noise
+        means -= prior
+        own = groups.counted / (groups.counted + low_groups.counted)
+        low = own * means[:, :first].mean(axis=0)
+        found = _found(means / peak, first, own, plain, grid, steady)
+        if low_groups.counted:
+            low += (1.0 - own) * low_means.mean(axis=0)
+            found = _with(found, averaged((1.0 - own) * low_means.sum(axis=1) / peak, grid.seen))
         image = known + grid.to_pixels(grid.unfolded(peak * found.image + prior.sum(axis=0)))
         size = float(np.linalg.norm(image / peak)) or 1.0
         bias = _bias(found, tail, grid, size / scale)
@@ -182,24 +203,45 @@ def high_orders(
         missed = math.hypot(noise * math.sqrt(1.0 + found.spread) / NOISE_SHARE, off / BIAS_SHARE) / tolerance
         if missed <= 1.0:
             break
-        wanted = math.ceil(groups.lattices * min(max(1.1 * missed**2, 1.3), 6.0))
-        done = max(done, min(groups.lattices / wanted, 0.99))
+        if tail is not None and before == 0:
+            every = _low_per_full(means, tail.above)
+        followed = groups.lattices + low_groups.lattices
+        wanted = math.ceil(followed * min(max(1.1 * missed**2, 1.3), 6.0))
+        done = max(done, min(followed / wanted, 0.99))
     stderr = peak * np.sqrt(grid.variance_to_pixels(found.variance + bias))
-    whole = peak * found.image - means[:, :first].mean(axis=0).sum(axis=0)
+    whole = peak * found.image - low.sum(axis=0)
     rest = means[:, first:].mean(axis=0) if plain else smoothed_classes(means[:, first:], whole, steady)
-    classes = grid.unfolded(np.concatenate([means[:, :first].mean(axis=0), rest]) + prior)
+    classes = grid.unfolded(np.concatenate([low, rest]) + prior)
     if tail is not None:
         classes = np.array([classes[0], classes[1] + classes[2], classes[3]])
     images = np.array([np.maximum(grid.to_pixels(one), 0.0) for one in classes])
     allowance.progress(1.0)
-    return HighOrders(images, stderr, groups.lattices * lattice.points)
+    return HighOrders(images, stderr, (groups.lattices + low_groups.lattices) * lattice.points)
 
 
-def _found(batches: Array, first: int, plain: bool, grid: CellGrid, steady: bool) -> Smoothed:
-    """Sum over classes of (n, classes, rows, columns) batches; those before `first` are left as they are."""
+def _found(batches: Array, first: int, own: float, plain: bool, grid: CellGrid, steady: bool) -> Smoothed:
+    """Sum over classes of (n, classes, rows, columns) batches; those before `first` as they are, times `own`."""
     if plain:
         return averaged(batches.sum(axis=1), grid.seen)
-    return smoothed(batches[:, first:].sum(axis=1), batches[:, :first].sum(axis=1), grid.seen, steady)
+    return smoothed(batches[:, first:].sum(axis=1), own * batches[:, :first].sum(axis=1), grid.seen, steady)
+
+
+def _with(found: Smoothed, further: Smoothed) -> Smoothed:
+    """An image with an independent one added to it that nothing of was lost in smoothing."""
+    of, to = float(found.variance.sum()), float(further.variance.sum())
+    spread = math.hypot(found.spread * of, further.spread * to) / (of + to) if of + to > 0.0 else 0.0
+    return replace(found, image=found.image + further.image, variance=found.variance + further.variance, spread=spread)
+
+
+def _low_per_full(means: Array, above: int) -> int:
+    """Of how many lattices one is worth being followed beyond the orders that the tail has nothing of.
+
+    Work with the least noise for its cost: as the noise of either part goes, over the root of its cost. Low orders cost
+    in proportion to their number; all further ones about as much as `FURTHER_ORDERS`.
+    """
+    low, high = averaged(means[:, :2].sum(axis=1)), smoothed(means[:, 2:].sum(axis=1))
+    noise = math.sqrt(float(high.variance.sum()) / (float(low.variance.sum()) or 1.0))
+    return int(min(max(1.0 / max(noise * math.sqrt(above / FURTHER_ORDERS), 1e-9), 1.0), FEWEST_FULL))
 
 
 def _bins_above(above: int) -> Bins:
@@ -241,6 +283,15 @@ def beyond_orders(scene: Scene) -> float:
     medium = scene.medium
     deep = (medium.sigma_t * min(scene.tank.size_mm)) ** 2 > MOST_ORDERS
     return float(medium.albedo**MOST_ORDERS) if deep else 0.0
+
+
+def _turns(scene: Scene) -> int:
+    """How many of the first scatterings paths may turn at: more where light goes on for many of them before it turns.
+
+    At σt/ϖ/g = .056/.999/.95 a third of the variance, at g ≤ .93 and in shallower water none.
+    """
+    deep = scene.medium.sigma_t * scene.tank.size_mm[2] > 4.0
+    return 3 * TURNS if deep and scene.medium.g > 0.9 and shift_invariant(scene) else TURNS
 
 
 def _thinning(scene: Scene) -> int:

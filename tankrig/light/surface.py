@@ -16,9 +16,9 @@ from tankrig.scene.footprint import footprints
 
 Array = NDArray[np.float64]
 
-PER_PIXEL = 2.0
-"""Cells along a pixel: light scattered twice errs by 0.4 % between them, by 1–3 % with cells as large as pixels."""
-FINEST = 320
+PER_PIXEL = 3.0
+"""Cells along a pixel: light scattered twice errs by 0.06 % between them, by 0.13 % with two, by 1–3 % with one."""
+FINEST = 360
 """Cells along the longer side of the surface, at most."""
 
 
@@ -42,6 +42,18 @@ def on_surface(scene: Scene) -> Scene:
     return replace(scene, camera=Camera("pinhole", (rows, columns), cell, scene.camera.position_mm))
 
 
+def lookup_error(scene: Scene) -> float:
+    """What light scattered twice errs by where it is looked up, of its norm; 0 for plain cameras.
+
+    With three cells along a pixel .06 % for pixels of 2 mm and .12 % for pixels of 3.4 mm; no more than .4 % where the
+    camera is finer than the cells may be.
+    """
+    if scene.camera.kind != "calibrated":
+        return 0.0
+    cells = scene.camera.pixel_mm / on_surface(scene).camera.pixel_mm
+    return 0.0015 if cells > PER_PIXEL - 0.5 else 0.004
+
+
 def to_camera(scene: Scene, cells: Array, cell_mm: tuple[float, float]) -> Array:
     """What a calibrated camera's pixels show of an image on cells of the plane z = Lz.
 
@@ -58,8 +70,8 @@ def to_camera(scene: Scene, cells: Array, cell_mm: tuple[float, float]) -> Array
     Returns
     -------
     (rows, columns) array of the camera
-        Cubic interpolation at four points of each pixel, as far apart as it takes for cell and points together to
-        spread like the pixel; times the share of the pixel that lies over the tank.
+        Cubic interpolation at points of each pixel, about as many along a side as cells and two at least, as far apart
+        as it takes for cell and points together to spread like the pixel; times its share over the tank.
     """
     from scipy.interpolate import RectBivariateSpline
 
@@ -84,17 +96,22 @@ def _middles(count: int, cell: float, size: float) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=8)
 def _looked_up(camera: Camera, tank: Tank, cell: float) -> tuple[Array, Array]:
-    """(4, n, 2) points of the plane, for the n pixels that see the tank, and (rows, columns) their shares of it."""
+    """(points, n, 2) points of the plane for the n pixels that see the tank, and (rows, columns) their shares of it."""
     seen = footprints(camera, tank)
     corners = seen.corners_mm
     quads = np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]])
     inside = _share_inside(quads, tank.size_mm[0], 0.5 * tank.size_mm[1])
     quads = quads[:, inside > 0.0]
     areas = seen.areas_mm2[inside > 0.0]
-    # A square's second moment is that of four points at its corners moved in by 1/√3; the cells have part of it.
-    apart = np.sqrt(np.clip(1.0 - cell**2 / areas, 0.0, None) / 3.0)[:, None]
-    middle = quads.mean(axis=0)
-    points = middle + apart * (quads - middle)
+    # A square's second moment is that of m × m even points, the outer ones moved in from its corners by
+    # √((m − 1)/(m + 1)); the cells have part of it.
+    along = max(2, round(camera.pixel_mm / cell))
+    apart = np.sqrt(np.clip(1.0 - cell**2 / areas, 0.0, None) * (along - 1.0) / (along + 1.0))[:, None]
+    steps = np.linspace(-1.0, 1.0, along)
+    right, down = (part.reshape(-1, 1, 1) for part in np.meshgrid(steps, steps))
+    a, b, c, d = quads
+    points = 0.25 * (a + b + c + d + apart * (right * (b + c - a - d) + down * (c + d - a - b)))
+    points = points + 0.25 * apart**2 * right * down * (a - b + c - d)
     # Pixels that lie over the tank in part look at the middle of that part: light fades towards its walls.
     half = 0.5 * tank.size_mm[1]
     low, high = quads.min(axis=0), quads.max(axis=0)

@@ -13,8 +13,10 @@ from tankrig.light.moments.plan import moment_plan
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
 from tankrig.light.single import MOST_PARTS, single_scattering
+from tankrig.light.surface import lookup_error
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Scene
+from tankrig.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -22,10 +24,9 @@ __all__ = ["CellGrid", "tank_image", "traced"]
 
 DOUBTED = 1.25
 """What the bound of a solution for moments is multiplied by: .09/.997/.8 errs by .9 % where it says .68."""
-LOOKED_UP = 0.004
-"""Error of what a calibrated camera looks up of order 2, of its own norm."""
 
 
+@one_blas_thread()
 def tank_image(
     scene: Scene,
     tolerance: float = 0.01,
@@ -77,7 +78,7 @@ def tank_image(
     tables = 0.0
     if highest >= 2:
         orders[2] = double_scattering(scene, tolerance)
-        tables = math.hypot(table_error(tolerance), LOOKED_UP * (scene.camera.kind == "calibrated"))
+        tables = math.hypot(table_error(tolerance), lookup_error(scene))
     if scene.medium.sigma_t * scene.camera.pixel_mm > MOST_PARTS and scene.camera.kind != "orthographic":
         skipped.append(Skipped(f"how light of order 1 fades within pixels of more than {MOST_PARTS} free paths", 1.0))
     known = sum(orders.values(), zero)

@@ -161,22 +161,43 @@ def _wide(
     truths = truths_of(reference, count) if reference else own_truths(count, min(tolerances), cache_folder())
     found = measured(truths, tolerances, budget_s, tell)
     figures = [summary(found, tolerance) for tolerance in tolerances]
-    as_plain = {"summary": [asdict(one) for one in figures], "scenes": [asdict(one) for one in found]}
+    as_plain = {key: [_known(asdict(one)) for one in some] for key, some in (("summary", figures), ("scenes", found))}
     with whole_file(out / "wide.json") as unfinished:
         unfinished.write_text(json.dumps(as_plain, indent=1), encoding="utf-8")
     if as_json:
         click.echo(json.dumps(as_plain))
         return
     shown = Table(title="How tolerances are kept", box=None)
-    for heading in ("asked %", "scenes", "kept %", "worst unsaid", "blocks", "CPU s median", "95 %", "worst"):
+    for heading in (
+        "asked %",
+        "scenes",
+        "kept %",
+        "worst unsaid",
+        "blocks",
+        "CPU s median",
+        "95 %",
+        "worst",
+        "classes %",
+    ):
         shown.add_column(heading, justify="right")
     for one in figures:
         shown.add_row(
             f"{100 * one.tolerance:g}", str(one.scenes), f"{100 * one.kept:.0f}", f"× {one.worst_unsaid:.2f}",
             f"{one.blocks:.2f}", f"{one.cpu_median:.2f}", f"{one.cpu_95:.2f}", f"{one.cpu_worst:.2f}",
+            f"{100 * one.classes:.0f}",
         )  # fmt: skip
     Console().print(shown)
+    for one in figures:
+        for kind, slower in one.slower.items():
+            click.echo(
+                f"at {100 * one.tolerance:g} % the truths' program takes {slower:.3g} times as long: {kind}, median"
+            )
     click.echo(f"written  {out / 'wide.json'}")
+
+
+def _known(figures: dict[str, object]) -> dict[str, object]:
+    """Figures with None for what isn't known, since JSON knows no NaN."""
+    return {name: None if isinstance(one, float) and one != one else one for name, one in figures.items()}
 
 
 def _cases(reference: Path | None, names: tuple[str, ...], quick: bool) -> "list[Case]":

@@ -16,6 +16,9 @@ from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
 
+COARSER = 1.5
+"""Sides of the cells on which light is shared out between orders, over those that it is solved for on."""
+
 
 @dataclass(frozen=True)
 class DenseOrders:
@@ -79,7 +82,9 @@ def dense_orders(
     field = solved(transport, scattering_moments, transport(source), residual)
     whole = _seen(scene, cells, scattering_moments * field + source, scaled, surface)
     image = whole - _seen(scene, cells, source, medium.sigma_t, surface)
-    to_20 = np.clip(_orders_to(20, scene, cells, source, plan.above, surface), 0.0, np.maximum(image, 0.0))
+    coarse = Cells.of(scene.tank, COARSER * plan.side_mm)
+    to_20 = _orders_to(20, scene, coarse, averaged_over(cells, coarse, source), plan.above, surface)
+    to_20 = np.clip(to_20, 0.0, np.maximum(image, 0.0))
     return DenseOrders(to_20, np.maximum(image, 0.0) - to_20)
 
 
@@ -95,6 +100,23 @@ def _orders_to(last: int, scene: Scene, cells: Cells, source: Single, above: int
         emission = scattered * transport(emission)
         total += emission
     return _seen(scene, cells, total, medium.sigma_t, surface)
+
+
+def averaged_over(fine: Cells, coarse: Cells, emission: Single) -> Single:
+    """(moments, nx, ny, nz) averages over other cells of the same tank.
+
+    Examples
+    --------
+    >>> fine, coarse = Cells((4, 4, 6), (1.0, 1.0, 1.0)), Cells((4, 4, 4), (1.0, 1.0, 1.5))
+    >>> bool(np.allclose(averaged_over(fine, coarse, np.ones((1, 4, 4, 6), np.float32)), 1.0))
+    True
+    """
+    for axis, (before, after) in enumerate(zip(fine.counts, coarse.counts, strict=True), start=1):
+        low, high = np.arange(after)[:, None] * before / after, np.arange(1, after + 1)[:, None] * before / after
+        cell = np.arange(before)
+        shares = np.clip(np.minimum(high, cell + 1) - np.maximum(low, cell), 0.0, None) * after / before
+        emission = np.moveaxis(np.tensordot(shares.astype(np.float32), emission, (1, axis)), 0, axis)
+    return np.ascontiguousarray(emission)
 
 
 def _column(values: NDArray[np.floating]) -> Single:

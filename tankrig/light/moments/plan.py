@@ -11,7 +11,7 @@ DENSEST_CELL = 0.5
 FEWEST_CELLS = 15
 MOST_CELLS = (50, 38, 32, 28, 26)
 """Cells along the tank's shortest side, at most by degree: so many take some 10 s of one core and 300 MiB."""
-NOISE_SHARE = 0.48
+NOISE_SHARE = 0.3
 """Share of the tolerance that the source's noise may use up."""
 
 

@@ -172,7 +172,7 @@ FLIGHT_COORDINATES = 6
 UNTURNED = 0.4
 """Share of the paths that are scattered by the phase function alone."""
 TURNS = 12
-"""The other paths turn at one of this many first scatterings."""
+"""The other paths turn at one of this many first scatterings, unless another number is asked for."""
 BLOCK = 1024
 """Paths that are followed together."""
 
@@ -243,6 +243,12 @@ class PathSampling(NamedTuple):
     guided: bool
     per_turn: float
     """Share of the paths that turn at one given order."""
+
+
+@part
+def turns_at(order: int, sampling: PathSampling) -> bool:
+    """Whether some paths turn at this order."""
+    return order * sampling.per_turn < 1.0 - UNTURNED + 0.5 * sampling.per_turn
 
 
 @part

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.paths.block import LARGE, Lattice
+from tankrig.light.paths.block import LARGE, TURNS, Lattice
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.record import Bins, image_of_edges
 from tankrig.light.paths.trace import trace
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 THINNING = 16
 """Order from which paths are thinned out, where the image shall be a smooth function of the medium."""
-MOST_GROUPS = 64
+MOST_GROUPS = 32
 """Of lattices, whose images are kept apart to see their scatter; more are averaged two by two."""
 
 
@@ -44,6 +44,11 @@ class Groups:
     def lattices(self) -> int:
         """How many have been followed."""
         return len(self._means) * self.size + len(self._unfinished)
+
+    @property
+    def counted(self) -> int:
+        """How many of them are in `means`."""
+        return len(self._means) * self.size
 
     @property
     def means(self) -> Array:
@@ -83,7 +88,7 @@ class Groups:
 
 def traced(
     scene: Scene, grid: CellGrid, seed: tuple[int, int], max_order: int, faintest: float, bins: Bins,
-    lattice: Lattice = LARGE, thinning: int = THINNING,
+    lattice: Lattice = LARGE, thinning: int = THINNING, turns: int = TURNS,
 ) -> Array:  # fmt: skip
     """Images of one shifted lattice of paths, W/mm²/sr.
 
@@ -105,6 +110,8 @@ def traced(
         Of the paths.
     thinning
         Order from which every doubling of the order halves the paths.
+    turns
+        Paths that turn to the camera do so at one of this many first scatterings.
 
     Returns
     -------
@@ -130,7 +137,7 @@ def traced(
         trace(
             edges, cells if z_mm is None else cells[:, :0], bins, geometry, shiftable, grid.cell_mm,
             medium.sigma_t, medium.albedo, medium.phase_function.record, table, shifted, 0, points, max_order,
-            faintest, thinning,
+            faintest, thinning, turns,
         )  # fmt: skip
         if z_mm is None:
             cells *= power.sum() / (points * grid.cell_mm[0] * grid.cell_mm[1])

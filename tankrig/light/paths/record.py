@@ -19,9 +19,19 @@ Array = NDArray[np.float64]
 
 @part
 def seen_from(
-    geometry: Geometry, x: float, y: float, z: float
+    geometry: Geometry, x: float, y: float, z: float, index: float = 0.0
 ) -> tuple[float, float, float, float, float, float, float]:
     """The line of sight through a point in the water.
+
+    Parameters
+    ----------
+    geometry
+        Numbers of the scene.
+    x, y, z
+        The point, mm.
+    index
+        Of the surface; 0 for the scene's own. Where it is the constant 1, only what a matched surface needs is
+        compiled, which takes a quarter of the time.
 
     Returns
     -------
@@ -36,11 +46,19 @@ def seen_from(
         steradian: transmission over the surface and over the spreading of lines of sight, 1 when they are vertical and
         the surface is matched.
     """
-    index = geometry.refractive_index
+    index = index if index > 0.0 else geometry.refractive_index
     depth = geometry.height - z
     if not geometry.camera_pinhole:
         return x, y, 0.0, 0.0, 1.0, depth, (1.0 - reflectance(1.0, 1.0 / index)) / (index * index)
     to_x, to_y, above = geometry.camera_x - x, geometry.camera_y - y, geometry.camera_z - geometry.height
+    if index == 1.0:
+        up = above + depth
+        nearer = above / up
+        cosine = up / math.sqrt(to_x * to_x + to_y * to_y + up * up)
+        return (
+            geometry.camera_x - to_x * nearer, geometry.camera_y - to_y * nearer, to_x * cosine / up,
+            to_y * cosine / up, cosine, depth / cosine, nearer * nearer / cosine,
+        )  # fmt: skip
     offset = math.sqrt(to_x * to_x + to_y * to_y)
     rho = _crossing(offset, depth, above, index)
     ex, ey = (to_x / offset, to_y / offset) if offset > 1e-9 else (1.0, 0.0)
@@ -61,12 +79,11 @@ def seen_from(
 def _crossing(offset: float, depth: float, above: float, index: float) -> float:
     """`crossing_offset` with a fixed number of steps, so that a loop over points is vectorised.
 
-    From the paraxial ray, five of Newton's steps end within rounding, three up to 79° from the normal.
+    From the paraxial ray, three of Newton's steps end within 0.01 mm as far as 87° from the normal, and within 1e-6 mm
+    from cameras 200 mm above the surface and more.
     """
     excess, reach = index * index - 1.0, index * index * above * above
     rho = offset / (1.0 + depth / (index * above))
-    rho = _nearer(rho, offset, depth, excess, reach)
-    rho = _nearer(rho, offset, depth, excess, reach)
     rho = _nearer(rho, offset, depth, excess, reach)
     rho = _nearer(rho, offset, depth, excess, reach)
     return _nearer(rho, offset, depth, excess, reach)
@@ -75,9 +92,8 @@ def _crossing(offset: float, depth: float, above: float, index: float) -> float:
 @part
 def _nearer(rho: float, offset: float, depth: float, excess: float, reach: float) -> float:
     """One of Newton's steps for ρ + depth · tan θ_water(ρ) = offset."""
-    squared = excess * rho * rho + reach
-    root = math.sqrt(squared)
-    return rho + (offset - rho - depth * rho / root) / (1.0 + depth * reach / (squared * root))
+    slope = 1.0 / math.sqrt(excess * rho * rho + reach)
+    return rho + (offset - rho - depth * rho * slope) / (1.0 + depth * reach * slope * slope * slope)
 
 
 Bins = NDArray[np.int64]

