@@ -9,7 +9,7 @@ would look like a way to a better fit.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -20,6 +20,7 @@ from tankrig.estimation.parameters import NAMES, Range
 from tankrig.estimation.phase_families import Family
 from tankrig.image.predict import predict
 from tankrig.image.prepare import require_henyey_greenstein
+from tankrig.light.paths.block import LARGE, SMALL, Lattice
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 
@@ -66,6 +67,43 @@ ERROR_PIXELS = 4.0
 """Standard deviation of the Gaussian over which a stated noise is averaged."""
 
 
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """The tank's image by a fixed number of lattices of paths, and its derivatives along them.
+
+    Parameters
+    ----------
+    scene
+        Of any medium.
+    batches, seed, max_order, lattice
+        See `tank_tangent`.
+    """
+
+    scene: Scene
+    batches: int
+    seed: int
+    max_order: int | None
+    lattice: Lattice = LARGE
+
+    def __call__(self, medium: Medium) -> Prediction:
+        """The image."""
+        return self._both(medium)[0]
+
+    def slopes(self, medium: Medium) -> Image:
+        """(3, rows, columns) derivatives by σa, σs and g."""
+        return self._both(medium)[1]
+
+    @cached_property
+    def _both(self) -> "Callable[[Medium], tuple[Prediction, Image]]":
+        from tankrig.light.tangent import tank_tangent
+
+        def both(medium: Medium) -> tuple[Prediction, Image]:
+            scene = replace(self.scene, medium=medium)
+            return tank_tangent(scene, self.batches, self.seed, self.max_order, self.lattice, SLOPE_BLUR_MM)
+
+        return remembered(both)
+
+
 @dataclass(frozen=True)
 class Models:
     """Versions of one forward model.
@@ -102,7 +140,14 @@ class Models:
         """Derivatives: the model's own, or by differences of one of its versions."""
         if self.family is not None:
             return liquid_slopes_of(image_of(model), length_mm, self.family, self.central)
+        if isinstance(model, Followed):
+            return model.slopes
         return self.slopes or slopes_of(image_of(model), length_mm, self.central)
+
+    @property
+    def with_slopes(self) -> bool:
+        """Whether derivatives come with the images, for less than their own price."""
+        return self.slopes is not None or (self.family is None and isinstance(self.coarse, Followed))
 
     def refined(self, medium: Medium) -> tuple[Model, Model]:
         """See `refine`."""
@@ -124,7 +169,8 @@ def models_of(scene: Scene, model: "str | Prepared", max_order: int | None, fami
                 f'phase = "{family.name}" needs model = "tank": prepared models know Henyey–Greenstein '
                 'only (phase = "hg")'
             )
-        return replace(models_of(scene, model, max_order), family=family)
+        different = _tank_models(scene, max_order) if model == "tank" else models_of(scene, model, max_order)
+        return replace(different, family=family)
     if model == "prepared":
         from tankrig.image.prepare import prepare
 
@@ -132,7 +178,7 @@ def models_of(scene: Scene, model: "str | Prepared", max_order: int | None, fami
     if not isinstance(model, str):
         return _prepared_models(scene, model, max_order)
     if model == "tank":
-        return _tank_models(scene, max_order)
+        return _followed_models(scene, max_order)
 
     def within(tolerance: float) -> Model:
         return remembered(lambda medium: predict(replace(scene, medium=medium), model, tolerance, max_order))
@@ -195,6 +241,30 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
 
     def exact(medium: Medium, times: int) -> Prediction:
         return following(times * batches(medium, EXACT_NOISE, EXACT_BATCHES), 3)(medium)
+
+    return Models(coarse, refine, exact=exact)
+
+
+def _followed_models(scene: Scene, max_order: int | None) -> Models:
+    """Of Henyey–Greenstein's media, whose derivatives come along the paths."""
+    from tankrig.light.rays import shift_invariant
+
+    straight = shift_invariant(scene)
+    fewest = COARSE_BATCHES if straight else SMOOTHED_BATCHES
+    coarse = Followed(scene, fewest, 0, max_order, SMALL)
+    slanted = remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, fewest, 1, 0.0))
+
+    def batches(medium: Medium, noise: float, most: int) -> int:
+        need = fewest * stated_error(slanted(medium)) ** 2
+        return int(np.clip(need / noise**2, fewest, most))
+
+    def refine(medium: Medium) -> tuple[Model, Model]:
+        fine, slope = batches(medium, FINE_NOISE, FINE_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
+        return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
+
+    def exact(medium: Medium, times: int) -> Prediction:
+        count = times * batches(medium, EXACT_NOISE, EXACT_BATCHES)
+        return _tank(replace(scene, medium=medium), max_order, count, 3, 0.0)
 
     return Models(coarse, refine, exact=exact)
 

@@ -41,6 +41,12 @@ START_MEAN_FREE_PATHS = (0.6, 2.4, 9.6)
 START_ALBEDO = 0.97
 START_ASYMMETRY = (0.0, 0.5, 0.85)
 """Media looked at first: every pair of scatterings along the tank and g; the best for each g is a start."""
+PROFILE_ASYMMETRY = (0.5, 0.7, 0.85, 0.94, 0.25, 0.0, -0.25, -0.5, -0.8)
+"""At which the whole profile of one image is looked at, each from its neighbour's best: upwards, then downwards."""
+PROFILE_ENOUGH, PROFILE_STEPS = 10.0, 4
+"""Where a look stops, and its steps at most."""
+VALLEYS = 3
+"""Of the profile that are searched, at most."""
 FIRST_STEPS, LAST_STEPS = 5, 40
 """Steps that every start gets before only the best go on, and steps with the accurate model at most."""
 COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
@@ -182,6 +188,34 @@ def first_guess(problem: Problem, length_mm: float) -> tuple[list[Evaluation], l
         first.append(best)
         rest += others
     return _by_cost(first), _by_cost(rest)
+
+
+def profiled(problem: Problem, length_mm: float, seen: Told) -> list[Evaluation]:
+    """The best of its neighbours along the whole profile in g, best first.
+
+    One image may have several optima, most of them at a g of their own: light that turns back looks like light that
+    goes on and is absorbed. At a given g extinction and albedo have few, mostly one.
+    """
+    found: dict[float, Evaluation] = {}
+    for g in PROFILE_ASYMMETRY:
+        seen(f"looking at g = {g:g}")
+        near = min(found, key=lambda other: abs(other - g), default=None)
+        held = replace(problem, held=((ASYMMETRY_COORDINATE, math.atanh(g)),))
+        starts = [] if near is None else [found[near].coordinates]
+        if near is None:
+            for paths in START_MEAN_FREE_PATHS:
+                sigma_s = paths / length_mm
+                starts.append(problem.start(Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g)))
+        first = min((held.at(np.clip(one, *held.box)) for one in starts), key=lambda one: one.cost)
+        found[g] = solve(held, first.coordinates, PROFILE_ENOUGH, PROFILE_STEPS)
+    along = [found[g] for g in sorted(found)]
+    costs = [math.inf, *(one.cost for one in along), math.inf]
+    valleys = [one for k, one in enumerate(along) if one.cost <= min(costs[k], costs[k + 2])]
+    return [problem.at(one.coordinates) for one in _by_cost(valleys)]
+
+
+ASYMMETRY_COORDINATE = 2
+"""Number of atanh g among the coordinates of a medium, and of ink."""
 
 
 def _by_cost(places: Iterable[Evaluation]) -> list[Evaluation]:
@@ -349,7 +383,7 @@ def _rough(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, s
         ambient = float(np.percentile(seen.image[seen.used], 5)) if scaling.offset is None else scaling.offset
         error = share * np.maximum(seen.image - ambient, 0.0)
         views.append(shot.view(image_of(coarse), shot.slopes_of(coarse), error))
-    return Problem(tuple(views), blocks, scaling, quick=all(shot.models.slopes for shot in shots))
+    return Problem(tuple(views), blocks, scaling, quick=all(shot.models.with_slopes for shot in shots))
 
 
 def _searched(
@@ -357,15 +391,15 @@ def _searched(
 ) -> tuple[Problem, list[Vector]]:
     """The problem of the cheap models, and the ends of a search of it that looks at few images, best first."""
     problem = _rough(shots, blocks, scaling)
-    progress("looking at a few media")
-    first, rest = first_guess(problem.of(few), shots[0].length_mm)
-    starts = [look.coordinates for look in first]
     if len(few) > 1:  # they have no twins, and need no reserve
-        starts = starts[: 2 if first[1].cost < RIVAL * first[0].cost else 1]
+        progress("looking at a few media")
+        first, _ = first_guess(problem.of(few), shots[0].length_mm)
+        starts = [look.coordinates for look in first[: 2 if first[1].cost < RIVAL * first[0].cost else 1]]
         return problem, search(problem.of(few), starts, progress, enough=SEVERAL_ENOUGH)
-    share = stated_error(shots[few[0]].models.coarse(first[0].media[0]))
+    valleys = profiled(problem.of(few), shots[0].length_mm, progress)[:VALLEYS]
+    share = stated_error(shots[few[0]].models.coarse(valleys[0].media[0]))
     problem = _rough(shots, blocks, scaling, float(np.clip(share, 0.1 * COARSE, COARSE)))
-    return problem, search(problem.of(few), starts, progress, [look.coordinates for look in rest])
+    return problem, search(problem.of(few), [one.coordinates for one in valleys], progress)
 
 
 def guessed(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told) -> Medium:

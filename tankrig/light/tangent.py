@@ -1,0 +1,117 @@
+"""The tank's image together with its derivatives by the medium, for fits."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from tankrig.light.double import double_scattering
+from tankrig.light.double.image import table_error
+from tankrig.light.high_orders import FAINTEST, LOST_USUALLY, MOST_ORDERS
+from tankrig.light.paths.block import LARGE, Lattice
+from tankrig.light.paths.cells import CellGrid
+from tankrig.light.paths.smoothing import FEWEST, averaged, smoothed
+from tankrig.light.paths.tangents import traced_tangents
+from tankrig.light.single import single_scattering
+from tankrig.prediction import Prediction, Skipped
+from tankrig.scene import Medium, Scene
+from tankrig.threads import THREADS
+
+Array = NDArray[np.float64]
+
+TABLES = 0.01
+"""Tolerance that order 2 is computed to: coarse tables do."""
+STEP_LENGTH, STEP_ASYMMETRY = 0.02, 0.015
+"""By which orders 1 and 2, which have no noise, are differentiated: σa times the tank's length, and g over 1 − g²."""
+
+
+def tank_tangent(
+    scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE,
+    blur_mm: float = 0.0,
+) -> tuple[Prediction, Array]:  # fmt: skip
+    """Image of the finite tank by a fixed number of lattices of paths, and its derivatives along the same paths.
+
+    Parameters
+    ----------
+    scene
+        Any scene with σs > 0 whose phase function is Henyey–Greenstein's.
+    batches
+        Number of shifted lattices.
+    seed
+        Of their shifts.
+    max_order
+        Sum orders 1 … max_order only.
+    lattice
+        Of the paths.
+    blur_mm
+        Standard deviation of a Gaussian that the derivatives of orders ≥ 3 are averaged over.
+
+    Returns
+    -------
+    Prediction, (3, rows, columns) array
+        The image, as `tank_image` has it with as many lattices but for its orders; its derivatives by σa, σs and g.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Projector, Tank
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> scene = Scene(Tank(), Medium(0.001, 0.02, 0.5), light, Camera("orthographic", (40, 60), 4.0))
+    >>> prediction, slopes = tank_tangent(scene, 2)
+    >>> slopes.shape, bool((slopes[0].sum() < 0.0) & (slopes[1].sum() > 0.0))
+    ((3, 40, 60), True)
+    """
+    sharp, slopes = _sharp(scene, max_order)
+    rest, stderr = _from_paths(scene, batches, seed, max_order or MOST_ORDERS, lattice)
+    if blur_mm > 0.0:
+        widths = [0.0, *(blur_mm / side for side in scene.camera.sides_mm)]
+        rest[1:] = gaussian_filter(rest[1:], widths, mode="nearest")
+    image = sharp + np.maximum(rest[0], 0.0)
+    size = float(np.linalg.norm(image)) or 1.0
+    tables = Skipped("tables that order 2 is looked up in", table_error(TABLES) * float(np.linalg.norm(sharp)) / size)
+    return Prediction(image, "tank", stderr=stderr, skipped=(tables,)), slopes + rest[1:]
+
+
+def _sharp(scene: Scene, max_order: int | None) -> tuple[Array, Array]:
+    """Orders 1 and 2, and their derivatives: they go with σs and σs² at one extinction."""
+    medium, highest = scene.medium, max_order or MOST_ORDERS
+
+    def orders(other: Medium) -> tuple[Array, Array]:
+        lit = replace(scene, medium=other)
+        first = single_scattering(lit)
+        return first, double_scattering(lit, TABLES) if highest >= 2 else np.zeros_like(first)
+
+    first, second = orders(medium)
+    absorption = STEP_LENGTH / max(scene.tank.size_mm)
+    turning = STEP_ASYMMETRY * (1.0 - medium.g) * (1.0 + medium.g) * (-1.0 if medium.g > 0.0 else 1.0)
+    darker = sum(orders(replace(medium, sigma_a=medium.sigma_a + absorption)))
+    turned = sum(orders(replace(medium, g=medium.g + turning)))
+    image = first + second
+    by_absorption = (darker - image) / absorption
+    by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
+    return image, np.stack([by_absorption, by_scattering, (turned - image) / turning])
+
+
+def _from_paths(
+    scene: Scene, batches: int, seed: int, max_order: int, lattice: Lattice
+) -> tuple[Array, Array]:  # fmt: skip
+    """Orders ≥ 3 and their derivatives, (4, rows, columns), and the light's standard error."""
+    grid = CellGrid.of(scene)
+    if max_order < 3:
+        zero = np.zeros((4, *scene.camera.shape))
+        return zero, zero[0]
+
+    def followed(number: int) -> Array:
+        return grid.folded(traced_tangents(scene, grid, (seed, number), max_order, FAINTEST, lattice))
+
+    with ThreadPoolExecutor(min(THREADS, batches)) as pool:
+        layers = np.moveaxis(np.array(list(pool.map(followed, range(batches)))), 1, 0)
+    plain = grid.shiftable or batches < FEWEST
+    peaks = np.abs(layers).max(axis=(1, 2, 3), keepdims=True) + 1e-300
+    found = [
+        averaged(one, grid.seen) if plain else smoothed(one, seen=grid.seen, steady=True) for one in layers / peaks
+    ]
+    images = [grid.to_pixels(grid.unfolded(one.image)) for one in found]
+    variance = grid.variance_to_pixels(found[0].variance) * (1.0 if plain else 1.0 + LOST_USUALLY)
+    return peaks[:, 0] * np.array(images), float(peaks[0, 0, 0, 0]) * np.sqrt(variance)
