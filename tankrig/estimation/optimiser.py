@@ -41,8 +41,10 @@ START_MEAN_FREE_PATHS = (0.6, 2.4, 9.6)
 START_ALBEDO = 0.97
 START_ASYMMETRY = (0.0, 0.5, 0.85)
 """Media looked at first: every pair of scatterings along the tank and g; the best for each g is a start."""
-PROFILE_ASYMMETRY = (0.5, 0.7, 0.85, 0.94, 0.25, 0.0, -0.25, -0.5, -0.8)
-"""At which the whole profile of one image is looked at, each from its neighbour's best: upwards, then downwards."""
+PROFILE_ASYMMETRY = (-0.85, -0.6, -0.3, 0.0, 0.3, 0.55, 0.75, 0.87, 0.95)
+"""At which the whole profile of one image is looked at."""
+PROFILE_FROM = 0.55
+"""g of the liquids that are looked at first."""
 PROFILE_ENOUGH, PROFILE_STEPS = 10.0, 4
 """Where a look stops, and its steps at most."""
 VALLEYS = 3
@@ -179,39 +181,54 @@ def first_guess(problem: Problem, length_mm: float) -> tuple[list[Evaluation], l
     """Where to start from: the best of a few densities for each of a few g, best first; and the others."""
     first, rest = [], []
     for g in START_ASYMMETRY:
-        looks = []
-        for paths in START_MEAN_FREE_PATHS:
-            sigma_s = paths / length_mm
-            start = problem.start(Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g))
-            looks.append(problem.at(np.clip(start, *problem.box)))
+        looks = [problem.at(one) for one in _densities(problem, length_mm, g)]
         best, *others = _by_cost(looks)
         first.append(best)
         rest += others
     return _by_cost(first), _by_cost(rest)
 
 
-def profiled(problem: Problem, length_mm: float, seen: Told) -> list[Evaluation]:
-    """The best of its neighbours along the whole profile in g, best first.
+def _densities(problem: Problem, length_mm: float, g: float) -> list[Vector]:
+    """Coordinates of liquids of a few densities."""
+    scattering = [paths / length_mm for paths in START_MEAN_FREE_PATHS]
+    media = [Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g) for sigma_s in scattering]
+    return [np.clip(problem.start(one), *problem.box) for one in media]
+
+
+def profiled(problem: Problem, start: Vector, seen: Told) -> list[Evaluation]:
+    """Places along the whole profile in g that explain an image better than their neighbours, best first.
 
     One image may have several optima, most of them at a g of their own: light that turns back looks like light that
-    goes on and is absorbed. At a given g extinction and albedo have few, mostly one.
+    goes on and is absorbed. At a given g extinction and albedo have few, mostly one, so each g is begun from the best
+    of its neighbour, away from the start and then back.
+
+    Parameters
+    ----------
+    problem
+        Of one image; a cheap forward model will do.
+    start
+        Coordinates to begin from.
+    seen
+        Told in words what is being done.
     """
-    found: dict[float, Evaluation] = {}
-    for g in PROFILE_ASYMMETRY:
-        seen(f"looking at g = {g:g}")
-        near = min(found, key=lambda other: abs(other - g), default=None)
-        held = replace(problem, held=((ASYMMETRY_COORDINATE, math.atanh(g)),))
-        starts = [] if near is None else [found[near].coordinates]
-        if near is None:
-            for paths in START_MEAN_FREE_PATHS:
-                sigma_s = paths / length_mm
-                starts.append(problem.start(Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g)))
-        first = min((held.at(np.clip(one, *held.box)) for one in starts), key=lambda one: one.cost)
-        found[g] = solve(held, first.coordinates, PROFILE_ENOUGH, PROFILE_STEPS)
-    along = [found[g] for g in sorted(found)]
-    costs = [math.inf, *(one.cost for one in along), math.inf]
-    valleys = [one for k, one in enumerate(along) if one.cost <= min(costs[k], costs[k + 2])]
-    return [problem.at(one.coordinates) for one in _by_cost(valleys)]
+    along = np.arctanh(PROFILE_ASYMMETRY)
+    found: list[Evaluation | None] = [None] * along.size
+    first = int(np.argmin(np.abs(along - start[ASYMMETRY_COORDINATE])))
+    ways = [range(first, along.size), range(first - 1, -1, -1), range(1, along.size), range(along.size - 2, -1, -1)]
+    for number in (number for way in ways for number in way):
+        seen(f"looking at g = {PROFILE_ASYMMETRY[number]:g}")
+        held, best = replace(problem, held=((ASYMMETRY_COORDINATE, along[number]),)), found[number]
+        beside = (found[k] for k in (number - 1, number + 1) if 0 <= k < along.size)
+        starts = [start, *(one.coordinates for one in beside if one is not None)] if best is None else [
+            one.coordinates for one in beside if one is not None
+        ]
+        ahead = min((held.at(np.clip(one, *held.box)) for one in starts), key=lambda one: one.cost)
+        if best is None or ahead.cost < best.cost:
+            found[number] = solve(held, ahead.coordinates, PROFILE_ENOUGH, PROFILE_STEPS)
+    profile = [one for one in found if one is not None]
+    costs = [math.inf, *(one.cost for one in profile), math.inf]
+    valleys = [one for k, one in enumerate(profile) if one.cost <= min(costs[k], costs[k + 2])]
+    return _by_cost(problem.at(one.coordinates) for one in valleys)
 
 
 ASYMMETRY_COORDINATE = 2
@@ -396,9 +413,12 @@ def _searched(
         first, _ = first_guess(problem.of(few), shots[0].length_mm)
         starts = [look.coordinates for look in first[: 2 if first[1].cost < RIVAL * first[0].cost else 1]]
         return problem, search(problem.of(few), starts, progress, enough=SEVERAL_ENOUGH)
-    valleys = profiled(problem.of(few), shots[0].length_mm, progress)[:VALLEYS]
-    share = stated_error(shots[few[0]].models.coarse(valleys[0].media[0]))
+    progress("looking at a few media")
+    looks = [problem.of(few).at(one) for one in _densities(problem, shots[0].length_mm, PROFILE_FROM)]
+    best = min(looks, key=lambda one: one.cost)
+    share = stated_error(shots[few[0]].models.coarse(best.media[0]))
     problem = _rough(shots, blocks, scaling, float(np.clip(share, 0.1 * COARSE, COARSE)))
+    valleys = profiled(problem.of(few), best.coordinates, progress)[:VALLEYS]
     return problem, search(problem.of(few), [one.coordinates for one in valleys], progress)
 
 
