@@ -435,7 +435,7 @@ def slopes_of(forward: Forward, length_mm: float, central: bool = True, step: fl
     central
         Whether both sides are looked at.
     step
-        Relative step; of (1 − g²) for g. Derivatives are used again within as much of where they were computed.
+        Relative step; of (1 − g²) for g. Derivatives are used again within `NEARBY` of it.
 
     Examples
     --------
@@ -448,7 +448,7 @@ def slopes_of(forward: Forward, length_mm: float, central: bool = True, step: fl
     def slopes(medium: Medium) -> Image:
         sizes = _steps(medium, step, length_mm)
         if last and all(
-            abs(getattr(last[0][0], name) - getattr(medium, name)) <= size
+            abs(getattr(last[0][0], name) - getattr(medium, name)) <= NEARBY * size
             for name, size in zip(NAMES, sizes, strict=True)
         ):
             return last[0][1]
@@ -526,6 +526,9 @@ def liquid_slopes_of(
     return slopes
 
 
+NEARBY = 0.25
+"""Share of a step within which derivatives by σa, σs and g are used again: within a whole one, single scattering's
+valley bends by more than where it is left."""
 NEAR = 5.0
 """Steps within which derivatives by a phase function's coordinates are used again: it bends little."""
 

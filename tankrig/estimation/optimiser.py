@@ -73,9 +73,14 @@ SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
-DAMPED = 1e-2
-"""Share of the curvature by which a first step is damped, and one after a step that failed."""
-MOST_REFUSED = 3
+DAMPED, LEAST_DAMPED = 1e-2, 1e-4
+"""Share of the curvature by which a first step is damped, and one after a step that failed at least."""
+CREEPING = 0.3
+"""Share of what a step promised that it has to gain, or the Jacobian is computed anew: in a bent valley one that is
+only taken along leads into the walls."""
+MOST_BENT = 0.75
+"""Share of a step by which it may be bent."""
+MOST_REFUSED = 5
 """Steps in a row that may fail with a Jacobian just computed, each ten times shorter: what is left is roughness."""
 
 
@@ -117,7 +122,7 @@ def solve(
     damping = max(damping, least)
     here = problem.at(np.clip(start, *box))
     jacobian = here.jacobian
-    fresh, refused = True, 0
+    fresh, refused, bend = True, 0, _Bend(np.zeros_like(here.coordinates), np.zeros_like(here.residual))
     for _ in range(most_steps):
         at, value = here.coordinates, here.residual
         if _promise(value, jacobian, _step(value, jacobian, least, at, box, longest_step)) < enough:
@@ -126,21 +131,53 @@ def solve(
             jacobian, fresh = here.jacobian, True
             continue
         step = _step(value, jacobian, damping, at, box, longest_step)
+        step = np.clip(at + step + bend.back(step, jacobian, damping), *box) - at
         ahead = problem.at(at + step)
         if ahead.cost < here.cost:
-            if problem.quick:
+            fresh = problem.quick or here.cost - ahead.cost < CREEPING * _promise(value, jacobian, step)
+            if fresh:
                 jacobian = ahead.jacobian
             else:
                 jacobian = jacobian + np.outer(ahead.residual - value - jacobian @ step, step) / float(step @ step)
-            here, fresh, refused = ahead, problem.quick, 0
+            bend = bend.after(step, ahead.residual - value - jacobian @ step) if bend.step.any() else bend
+            here, refused = ahead, 0
             damping = max(damping / 5.0, 1e-6, least)
         elif not fresh:
             jacobian, fresh = here.jacobian, True
         elif refused == MOST_REFUSED:
             break
         else:
-            damping, refused = max(10.0 * damping, DAMPED), refused + 1
+            bend = bend.after(step, ahead.residual - value - jacobian @ step)
+            damping, refused = max(10.0 * damping, LEAST_DAMPED), refused + 1
     return here
+
+
+@dataclass(frozen=True)
+class _Bend:
+    """By how much residuals bent along the last step that failed, or since: half their second derivative along it.
+
+    In a bent valley, as single scattering's is, straight steps go a hundredth of the way that bent ones do (geodesic
+    acceleration; Transtrum and Sethna 2012). What a failed step has shown costs nothing.
+    """
+
+    step: Vector
+    bent: Vector
+
+    def after(self, step: Vector, bent: Vector) -> "_Bend":
+        """As another step shows it."""
+        return _Bend(step, bent)
+
+    def back(self, step: Vector, jacobian: NDArray[np.float64], damping: float) -> Vector:
+        """What to add to a step to stay in the valley; nothing where it leads elsewhere or is not small."""
+        square = float(self.step @ self.step)
+        if square == 0.0:
+            return np.zeros_like(step)
+        share = float(step @ self.step) / square
+        curvature = jacobian.T @ jacobian
+        matrix = curvature + (damping + 1e-9) * np.diag(np.diag(curvature)) + 1e-300 * np.eye(step.size)
+        back: Vector = -np.linalg.solve(matrix, jacobian.T @ self.bent) * share**2
+        size = math.sqrt(float(back @ back) / max(float(step @ step), 1e-300))
+        return back * min(1.0, MOST_BENT / size) if size > 0.0 else back
 
 
 def _promise(value: Vector, jacobian: NDArray[np.float64], step: Vector) -> float:
