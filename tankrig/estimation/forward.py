@@ -53,6 +53,11 @@ SLOPE_BLUR_MM = 4.0
 """Standard deviation of the Gaussian over which orders ≥ 3 are averaged where changes of the image matter and not the
 image: paths take other ways in another medium, and the noise of the difference passes for knowledge."""
 
+LOOK_PIXELS, LOOK_BATCHES = 2400, 2
+"""Pixels of the images that the search looks at, or up to four times as many, and small lattices of paths in them."""
+NEAR_NOISE, NEAR_BATCHES = 0.01, 8
+"""Noise of the images that lead from the search's end to where accurate ones are worth their price."""
+
 EXACT_NOISE, EXACT_BATCHES = 0.0005, 128
 """The same for the one image, at the optimum, that the others are corrected by."""
 
@@ -126,6 +131,9 @@ class Models:
         Whether differences look at both sides.
     family
         Of the phase functions of its media; None: Henyey–Greenstein.
+    look
+        Pixels along the side of a block that the search takes for one, and the cheap version of such blocks' image;
+        None where it looks at single pixels.
     """
 
     coarse: Model
@@ -135,6 +143,7 @@ class Models:
     exact: Exact | None = None
     central: bool = True
     family: Family | None = None
+    look: tuple[int, Model] | None = None
 
     def slopes_of(self, model: Model, length_mm: float) -> Slopes:
         """Derivatives: the model's own, or by differences of one of its versions."""
@@ -252,6 +261,8 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
     straight = shift_invariant(scene)
     fewest = COARSE_BATCHES if straight else SMOOTHED_BATCHES
     coarse = Followed(scene, fewest, 0, max_order, SMALL)
+    by = max(1, int(math.sqrt(math.prod(scene.camera.shape) / LOOK_PIXELS)))
+    look = by, Followed(replace(scene, camera=scene.camera.binned(by)), LOOK_BATCHES, 0, max_order, SMALL)
     slanted = remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, fewest, 1, 0.0))
 
     def batches(medium: Medium, noise: float, most: int) -> int:
@@ -259,14 +270,14 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
         return int(np.clip(need / noise**2, fewest, most))
 
     def refine(medium: Medium) -> tuple[Model, Model]:
-        fine, slope = batches(medium, FINE_NOISE, FINE_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
+        fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
         return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
 
     def exact(medium: Medium, times: int) -> Prediction:
         count = times * batches(medium, EXACT_NOISE, EXACT_BATCHES)
         return _tank(replace(scene, medium=medium), max_order, count, 3, 0.0)
 
-    return Models(coarse, refine, exact=exact)
+    return Models(coarse, refine, exact=exact, look=look)
 
 
 def _tank(scene: Scene, max_order: int | None, batches: int, seed: int, blur_mm: float) -> Prediction:

@@ -41,12 +41,12 @@ START_MEAN_FREE_PATHS = (0.6, 2.4, 9.6)
 START_ALBEDO = 0.97
 START_ASYMMETRY = (0.0, 0.5, 0.85)
 """Media looked at first: every pair of scatterings along the tank and g; the best for each g is a start."""
-PROFILE_ASYMMETRY = (-0.85, -0.6, -0.3, 0.0, 0.3, 0.55, 0.75, 0.87, 0.95)
+PROFILE_ASYMMETRY = (-0.75, -0.4, -0.1, 0.25, 0.55, 0.8, 0.94)
 """At which the whole profile of one image is looked at."""
 PROFILE_FROM = 0.55
 """g of the liquids that are looked at first."""
-PROFILE_ENOUGH, PROFILE_STEPS = 10.0, 4
-"""Where a look stops, and its steps at most."""
+PROFILE_ENOUGH, PROFILE_SHARE, PROFILE_STEPS = 10.0, 0.03, 4
+"""Where a look stops, in χ²/2 or as a share of what it began with, and its steps at most."""
 VALLEYS = 3
 """Of the profile that are searched, at most."""
 FIRST_STEPS, LAST_STEPS = 5, 40
@@ -250,18 +250,23 @@ def profiled(problem: Problem, start: Vector, seen: Told) -> list[Evaluation]:
     """
     along = np.arctanh(PROFILE_ASYMMETRY)
     found: list[Evaluation | None] = [None] * along.size
+
+    def look(number: int, begin: Vector) -> None:
+        held, best = replace(problem, held=((ASYMMETRY_COORDINATE, float(along[number])),)), found[number]
+        ahead = held.at(np.clip(begin, *held.box))
+        if best is None or ahead.cost < (1.0 - PROFILE_SHARE) * best.cost:
+            enough = max(PROFILE_ENOUGH, PROFILE_SHARE * ahead.cost)
+            found[number] = solve(held, ahead.coordinates, enough, PROFILE_STEPS)
+
     first = int(np.argmin(np.abs(along - start[ASYMMETRY_COORDINATE])))
-    ways = [range(first, along.size), range(first - 1, -1, -1), range(1, along.size), range(along.size - 2, -1, -1)]
-    for number in (number for way in ways for number in way):
+    for number in (*range(first, along.size), *range(first - 1, -1, -1)):
         seen(f"looking at g = {PROFILE_ASYMMETRY[number]:g}")
-        held, best = replace(problem, held=((ASYMMETRY_COORDINATE, along[number]),)), found[number]
-        beside = (found[k] for k in (number - 1, number + 1) if 0 <= k < along.size)
-        starts = [start, *(one.coordinates for one in beside if one is not None)] if best is None else [
-            one.coordinates for one in beside if one is not None
-        ]
-        ahead = min((held.at(np.clip(one, *held.box)) for one in starts), key=lambda one: one.cost)
-        if best is None or ahead.cost < best.cost:
-            found[number] = solve(held, ahead.coordinates, PROFILE_ENOUGH, PROFILE_STEPS)
+        near = None if number == first else found[number - 1 if number > first else number + 1]
+        look(number, start if near is None else near.coordinates)
+    for number in (*range(along.size - 2, first, -1), *range(1, first + 1)):  # and back
+        near = found[number + 1 if number > first else number - 1]
+        if near is not None:
+            look(number, near.coordinates)
     profile = [one for one in found if one is not None]
     costs = [math.inf, *(one.cost for one in profile), math.inf]
     valleys = [one for k, one in enumerate(profile) if one.cost <= min(costs[k], costs[k + 2])]
@@ -343,6 +348,16 @@ class Shot:
     def length_mm(self) -> float:
         """Longest side of the tank."""
         return max(self.scene.tank.size_mm)
+
+    def looked_at(self) -> "Shot":
+        """It as a search looks at it."""
+        if self.models.look is None:
+            return self
+        by, model = self.models.look
+        scene = replace(self.scene, camera=self.scene.camera.binned(by))
+        return replace(
+            self, observation=self.observation.binned(by), scene=scene, models=replace(self.models, coarse=model)
+        )
 
     def slopes_of(self, model: Model) -> Slopes:
         """Derivatives: the model's own, or by differences of one of its versions."""
@@ -451,12 +466,14 @@ def _searched(
         starts = [look.coordinates for look in first[: 2 if first[1].cost < RIVAL * first[0].cost else 1]]
         return problem, search(problem.of(few), starts, progress, enough=SEVERAL_ENOUGH)
     progress("looking at a few media")
-    looks = [problem.of(few).at(one) for one in _densities(problem, shots[0].length_mm, PROFILE_FROM)]
-    best = min(looks, key=lambda one: one.cost)
-    share = stated_error(shots[few[0]].models.coarse(best.media[0]))
-    problem = _rough(shots, blocks, scaling, float(np.clip(share, 0.1 * COARSE, COARSE)))
-    valleys = profiled(problem.of(few), best.coordinates, progress)[:VALLEYS]
-    return problem, search(problem.of(few), [one.coordinates for one in valleys], progress)
+    look = [shots[number].looked_at() for number in few]
+    seen = _rough(look, blocks, scaling)
+    places = [seen.at(one) for one in _densities(seen, look[0].length_mm, PROFILE_FROM)]
+    best = min(places, key=lambda one: one.cost)
+    share = stated_error(look[0].models.coarse(best.media[0]))
+    seen = _rough(look, blocks, scaling, float(np.clip(share, 0.1 * COARSE, COARSE)))
+    valleys = profiled(seen, best.coordinates, progress)[:VALLEYS]
+    return problem, search(seen, [one.coordinates for one in valleys], progress)
 
 
 def guessed(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told) -> Medium:
