@@ -41,15 +41,15 @@ START_MEAN_FREE_PATHS = (0.6, 2.4, 9.6)
 START_ALBEDO = 0.97
 START_ASYMMETRY = (0.0, 0.5, 0.85)
 """Media looked at first: every pair of scatterings along the tank and g; the best for each g is a start."""
-PROFILE_ASYMMETRY = (-0.75, -0.4, -0.1, 0.25, 0.55, 0.8, 0.94)
+PROFILE_ASYMMETRY = (-0.8, -0.5, -0.2, 0.1, 0.35, 0.6, 0.8, 0.93)
 """At which the whole profile of one image is looked at."""
 PROFILE_FROM = 0.55
 """g of the liquids that are looked at first."""
-PROFILE_ENOUGH, PROFILE_SHARE, PROFILE_STEPS = 10.0, 0.03, 4
+PROFILE_ENOUGH, PROFILE_SHARE, PROFILE_STEPS = 10.0, 0.02, 8
 """Where a look stops, in χ²/2 or as a share of what it began with, and its steps at most."""
 VALLEYS = 3
 """Of the profile that are searched, at most."""
-FIRST_STEPS, LAST_STEPS = 5, 40
+FIRST_STEPS, LAST_STEPS = 5, 100
 """Steps that every start gets before only the best go on, and steps with the accurate model at most."""
 COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
 """Where the searches stop, see `solve`: the cheap model's optimum is only a start for the accurate one's, and errors
@@ -96,7 +96,8 @@ def solve(
     start
         Where to begin; moved into the box.
     enough
-        Stop when the linearised problem promises to lower the cost by less than this; 0.005 is a tenth of a standard
+        Stop when the linearised problem promises to lower the cost by less than this, by whole or by damped steps (one
+        that is cut because nothing tells two coordinates apart promises little); 0.005 is a tenth of a standard
         deviation.
     most_steps
         Steps tried at most.
@@ -125,7 +126,8 @@ def solve(
     fresh, refused, bend = True, 0, _Bend(np.zeros_like(here.coordinates), np.zeros_like(here.residual))
     for _ in range(most_steps):
         at, value = here.coordinates, here.residual
-        if _promise(value, jacobian, _step(value, jacobian, least, at, box, longest_step)) < enough:
+        looks = (_step(value, jacobian, max(least, share), at, box, longest_step) for share in (0.0, DAMPED))
+        if max(_promise(value, jacobian, look) for look in looks) < enough:
             if fresh:
                 break
             jacobian, fresh = here.jacobian, True
@@ -253,16 +255,20 @@ def profiled(problem: Problem, start: Vector, seen: Told) -> list[Evaluation]:
 
     def look(number: int, begin: Vector) -> None:
         held, best = replace(problem, held=((ASYMMETRY_COORDINATE, float(along[number])),)), found[number]
-        ahead = held.at(np.clip(begin, *held.box))
-        if best is None or ahead.cost < (1.0 - PROFILE_SHARE) * best.cost:
+        here = np.where(np.arange(begin.size) == ALBEDO_COORDINATE, np.minimum(begin, LEAST_ABSORBING), begin)
+        ahead = held.at(np.clip(here, *held.box))
+        if best is None or begin is start or ahead.cost < (1.0 - PROFILE_SHARE) * best.cost:
             enough = max(PROFILE_ENOUGH, PROFILE_SHARE * ahead.cost)
-            found[number] = solve(held, ahead.coordinates, enough, PROFILE_STEPS)
+            end = solve(held, ahead.coordinates, enough, PROFILE_STEPS)
+            found[number] = end if best is None or end.cost < best.cost else best
 
     first = int(np.argmin(np.abs(along - start[ASYMMETRY_COORDINATE])))
     for number in (*range(first, along.size), *range(first - 1, -1, -1)):
         seen(f"looking at g = {PROFILE_ASYMMETRY[number]:g}")
         near = None if number == first else found[number - 1 if number > first else number + 1]
         look(number, start if near is None else near.coordinates)
+        if near is not None and abs(near.coordinates[0] - start[0]) > FAR_FROM_START:
+            look(number, start)  # where g is wrong, clear water with a gain may be the best, from where none is found
     for number in (*range(along.size - 2, first, -1), *range(1, first + 1)):  # and back
         near = found[number + 1 if number > first else number - 1]
         if near is not None:
@@ -273,8 +279,12 @@ def profiled(problem: Problem, start: Vector, seen: Told) -> list[Evaluation]:
     return _by_cost(problem.at(one.coordinates) for one in valleys)
 
 
-ASYMMETRY_COORDINATE = 2
-"""Number of atanh g among the coordinates of a medium, and of ink."""
+ALBEDO_COORDINATE, ASYMMETRY_COORDINATE = 1, 2
+"""Numbers of logit ϖ and atanh g among the coordinates of a medium, and of ink."""
+FAR_FROM_START = 2.0
+"""In log σs: a neighbour's best that is as far from the start is not the only place that a look begins from."""
+LEAST_ABSORBING = math.log(0.99 / 0.01)
+"""logit ϖ at most, where a look begins: a step may lead to no absorption at all, from where no logarithm leads back."""
 
 
 def _by_cost(places: Iterable[Evaluation]) -> list[Evaluation]:
