@@ -274,8 +274,10 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
         return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
 
     def exact(medium: Medium, times: int) -> Prediction:
+        from tankrig.light.tangent import tank_accurate
+
         count = times * batches(medium, EXACT_NOISE, EXACT_BATCHES)
-        return _tank(replace(scene, medium=medium), max_order, count, 3, 0.0)
+        return tank_accurate(replace(scene, medium=medium), count * LARGE.points, 3, max_order)
 
     return Models(coarse, refine, exact=exact, look=look)
 
@@ -406,6 +408,15 @@ def error_map(prediction: Prediction) -> NDArray[np.float64]:
     variance: NDArray[np.float64] = gaussian_filter(np.square(np.asarray(prediction.stderr, float)), ERROR_PIXELS)
     whole: NDArray[np.float64] = np.hypot(error, np.sqrt(variance))
     return whole
+
+
+def smooth_error_map(prediction: Prediction) -> NDArray[np.float64]:
+    """The same without the noise whose patterns are known."""
+    if prediction.patterns is None or prediction.stderr is None:
+        return error_map(prediction)
+    known = np.sum(np.square(np.asarray(prediction.patterns, float)), axis=0)
+    rest = np.sqrt(np.maximum(np.square(np.asarray(prediction.stderr, float)) - known, 0.0))
+    return error_map(replace(prediction, stderr=rest))
 
 
 def counted_error(prediction: Prediction, gain: float) -> Image:

@@ -69,6 +69,8 @@ CORRECTIONS, SETTLED = 4, 0.1
 which that is over, see `Block.looseness`."""
 FEW_STEPS = 12
 """Steps with the accurate model, and as the models bend, at most, where a phase function's coordinates are fitted."""
+SETTLED_SHARE = 0.5
+"""Of its standard deviation, by which each value may have moved besides."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 CLEANINGS = 3
@@ -547,7 +549,7 @@ def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model],
         centre = best
         fit = about(centre, centre, 1)
         best = fit.optimum
-        if (np.abs(best.coordinates - centre.coordinates) < SETTLED * problem.looseness).all():
+        if _settled(best, centre, SETTLED * problem.looseness):
             break
     if sharper and _held_back(best):
         progress("correcting by images as accurate as the photographs")
@@ -555,6 +557,16 @@ def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model],
     end = fit.optimum
     views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
     return replace(fit, optimum=replace(end.problem, views=tuple(views)).at(end.coordinates))
+
+
+def _settled(best: Evaluation, centre: Evaluation, near: Vector) -> bool:
+    """Whether an optimum stayed where the image that it was corrected by was made, or within a share of its errors."""
+    if (np.abs(best.coordinates - centre.coordinates) < near).all():
+        return True
+    views = best.problem.views
+    spread = best.sensitivity.covariance([view.observation.noise for view in views], [view.error for view in views])
+    pairs = [np.concatenate([one.values[block.name] for block in one.problem.blocks]) for one in (best, centre)]
+    return bool((np.abs(pairs[0] - pairs[1]) < SETTLED_SHARE * np.sqrt(np.diag(spread))).all())
 
 
 def _weighed(

@@ -1,5 +1,6 @@
-"""The tank's image together with its derivatives by the medium, for fits."""
+"""The tank's image as fits want it: with its derivatives by the medium, or accurate and with its noise as it lies."""
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -9,10 +10,12 @@ from scipy.ndimage import gaussian_filter
 
 from tankrig.light.double import double_scattering
 from tankrig.light.double.image import table_error
-from tankrig.light.high_orders import FAINTEST, LOST_USUALLY, MOST_ORDERS
-from tankrig.light.paths.block import LARGE, Lattice
+from tankrig.light.high_orders import FAINTEST, LOST_USUALLY, MOST_ORDERS, _bias
+from tankrig.light.paths.block import LARGE, SMALL, Lattice
 from tankrig.light.paths.cells import CellGrid
-from tankrig.light.paths.smoothing import FEWEST, averaged, smoothed
+from tankrig.light.paths.lattices import Groups, traced
+from tankrig.light.paths.record import Bins
+from tankrig.light.paths.smoothing import FEWEST, averaged, kept_apart, smoothed
 from tankrig.light.paths.tangents import traced_tangents
 from tankrig.light.single import single_scattering
 from tankrig.prediction import Prediction, Skipped
@@ -21,8 +24,16 @@ from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 
-TABLES = 0.01
-"""Tolerance that order 2 is computed to: coarse tables do."""
+TABLES, FINE_TABLES = 0.01, 0.001
+"""Tolerance that order 2 is computed to beside derivatives, where coarse tables do, and in accurate images."""
+FEWEST_APART = 12
+"""Lattices whose scatter tells what the noise of their mean does."""
+MANY_PIXELS = 40_000
+"""Of a camera, from which the noise of no more lattices is kept apart."""
+ONE_BIN: Bins = np.zeros(4, np.int64)
+"""All orders in one image."""
+LOOKED_UP = 0.004
+"""Error of what a calibrated camera looks up of order 2, of its own norm."""
 STEP_LENGTH, STEP_ASYMMETRY = 0.02, 0.015
 """By which orders 1 and 2, which have no noise, are differentiated: σa times the tank's length, and g over 1 − g²."""
 
@@ -91,6 +102,56 @@ def _sharp(scene: Scene, max_order: int | None) -> tuple[Array, Array]:
     by_absorption = (darker - image) / absorption
     by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
     return image, np.stack([by_absorption, by_scattering, (turned - image) / turning])
+
+
+def tank_accurate(scene: Scene, paths: int, seed: int = 0, max_order: int | None = None) -> Prediction:
+    """Image of the finite tank by so many paths, with the patterns that its noise has.
+
+    Noise of paths is alike along beams and lines of sight, and what it does to fitted coefficients is what its patterns
+    do: the scatter of lattices from their mean. What smoothing has lost is seen by them too (decision 113), and is in
+    `stderr` besides.
+
+    Parameters
+    ----------
+    scene
+        Any scene with σs > 0.
+    paths
+        At least so many are followed, on `FEWEST_APART` lattices or more.
+    seed, max_order
+        As for `tank_tangent`.
+    """
+    first = single_scattering(scene)
+    second = double_scattering(scene, FINE_TABLES) if (max_order or 2) >= 2 else np.zeros_like(first)
+    sharp, grid, highest = first + second, CellGrid.of(scene), max_order or MOST_ORDERS
+    if highest < 3:
+        return Prediction(sharp, "tank")
+    count = max(FEWEST_APART, math.ceil(paths / SMALL.points))
+
+    def followed(number: int) -> Array:
+        found = traced(scene, grid, (seed, number), highest, FAINTEST, ONE_BIN, SMALL)
+        return np.asarray(grid.folded(found)[0])
+
+    groups = Groups(lambda number: followed(number)[None])
+    groups.follow(count, lambda _: True)
+    batches = groups.means[:, 0]
+    peak = float(np.abs(batches).max(initial=0.0)) or 1.0
+    found = averaged(batches / peak, grid.seen) if grid.shiftable else smoothed(batches / peak, seen=grid.seen)
+    image = sharp + np.maximum(grid.to_pixels(grid.unfolded(peak * found.image)), 0.0)
+    each = batches if grid.shiftable else peak * kept_apart(batches / peak)
+    if math.prod(scene.camera.shape) > MANY_PIXELS and len(each) > FEWEST_APART:  # or patterns would take a GiB
+        each = np.array([part.mean(axis=0) for part in np.split(each[: len(each) // FEWEST_APART * FEWEST_APART], FEWEST_APART)])
+    apart = (each - each.mean(axis=0)) / math.sqrt(len(each) * (len(each) - 3.0))  # as Student's t is wider
+    patterns = np.array([grid.to_pixels(grid.unfolded(one)) for one in apart])
+    size = float(np.linalg.norm(image)) or 1.0
+    per_pixel = math.sqrt(grid.seen_mm2) / scene.camera.pixel_mm
+    bias = _bias(found, None, grid, size / per_pixel / peak) if found.lost_stderr > 0.0 else np.zeros_like(found.lost)
+    lost = peak * np.sqrt(grid.variance_to_pixels(bias))
+    tables = table_error(FINE_TABLES) * float(np.linalg.norm(sharp)) / size
+    skipped = [Skipped("tables that order 2 is looked up in", tables)]
+    if scene.camera.kind == "calibrated":
+        skipped.append(Skipped("what a calibrated camera looks up of order 2", LOOKED_UP * float(np.linalg.norm(second)) / size))
+    stderr = np.sqrt(np.sum(np.square(patterns), axis=0) + lost**2)
+    return Prediction(image, "tank", stderr=stderr, skipped=tuple(skipped), patterns=patterns)
 
 
 def _from_paths(
