@@ -91,12 +91,18 @@ class Followed:
     lattice: Lattice = LARGE
 
     def __call__(self, medium: Medium) -> Prediction:
-        """The image."""
-        return self._both(medium)[0]
+        """The image; of another phase function than Henyey–Greenstein's by itself."""
+        return self._both(medium)[0] if medium.phase is None else self._alone(medium)
 
     def slopes(self, medium: Medium) -> Image:
         """(3, rows, columns) derivatives by σa, σs and g."""
         return self._both(medium)[1]
+
+    @cached_property
+    def _alone(self) -> Model:
+        return remembered(
+            lambda medium: _tank(replace(self.scene, medium=medium), self.max_order, self.batches, self.seed, 0.0)
+        )
 
     @cached_property
     def _both(self) -> "Callable[[Medium], tuple[Prediction, Image]]":

@@ -41,11 +41,11 @@ START_MEAN_FREE_PATHS = (0.6, 2.4, 9.6)
 START_ALBEDO = 0.97
 START_ASYMMETRY = (0.0, 0.5, 0.85)
 """Media looked at first: every pair of scatterings along the tank and g; the best for each g is a start."""
-PROFILE_ASYMMETRY = (-0.8, -0.5, -0.2, 0.1, 0.35, 0.6, 0.8, 0.93)
+PROFILE_ASYMMETRY = (-0.7, -0.35, 0.0, 0.3, 0.6, 0.82, 0.94)
 """At which the whole profile of one image is looked at."""
 PROFILE_FROM = 0.55
 """g of the liquids that are looked at first."""
-PROFILE_ENOUGH, PROFILE_SHARE, PROFILE_STEPS = 10.0, 0.02, 8
+PROFILE_ENOUGH, PROFILE_SHARE, PROFILE_STEPS = 10.0, 0.1, 4
 """Where a look stops, in χ²/2 or as a share of what it began with, and its steps at most."""
 VALLEYS = 3
 """Of the profile that are searched, at most."""
@@ -80,9 +80,11 @@ DAMPED, LEAST_DAMPED = 1e-2, 1e-4
 CREEPING = 0.3
 """Share of what a step promised that it has to gain, or the Jacobian is computed anew: in a bent valley one that is
 only taken along leads into the walls."""
+LONGER = 3.0
+"""Times as far that a step may go after one that led down, and one that did not may have gone."""
 MOST_BENT = 0.75
 """Share of a step by which it may be bent."""
-MOST_REFUSED = 5
+MOST_REFUSED = 8
 """Steps in a row that may fail with a Jacobian just computed, each ten times shorter: what is left is roughness."""
 
 
@@ -117,12 +119,12 @@ def solve(
     ...         self.residual, self.jacobian = np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10], [-1, 0]])
     ...         self.cost = 0.5 * self.residual @ self.residual
     >>> wide = np.full(2, 5.0)
-    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), longest_step=np.inf, quick=False, least_damping=0.0)
+    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), longest_step=np.full(2, 9.0), quick=False, least_damping=0.0)
     >>> solve(problem, np.array([-1.2, 1.0]), 1e-9, 200).coordinates.round(3).tolist()
     [1.0, 1.0]
     """
     box, longest_step, least = problem.box, problem.longest_step, problem.least_damping
-    damping = max(damping, least)
+    damping, reach = max(damping, least), longest_step
     here = problem.at(np.clip(start, *box))
     jacobian = here.jacobian
     fresh, refused, bend = True, 0, _Bend(np.zeros_like(here.coordinates), np.zeros_like(here.residual))
@@ -134,7 +136,7 @@ def solve(
                 break
             jacobian, fresh = here.jacobian, True
             continue
-        step = _step(value, jacobian, damping, at, box, longest_step)
+        step = _step(value, jacobian, damping, at, box, reach)
         step = np.clip(at + step + bend.back(step, jacobian, damping), *box) - at
         ahead = problem.at(at + step)
         if ahead.cost < here.cost:
@@ -144,7 +146,7 @@ def solve(
             else:
                 jacobian = jacobian + np.outer(ahead.residual - value - jacobian @ step, step) / float(step @ step)
             bend = bend.after(step, ahead.residual - value - jacobian @ step) if bend.step.any() else bend
-            here, refused = ahead, 0
+            here, refused, reach = ahead, 0, np.minimum(longest_step, LONGER * reach)
             damping = max(damping / 5.0, 1e-6, least)
         elif not fresh:
             jacobian, fresh = here.jacobian, True
@@ -152,7 +154,7 @@ def solve(
             break
         else:
             bend = bend.after(step, ahead.residual - value - jacobian @ step)
-            damping, refused = max(10.0 * damping, LEAST_DAMPED), refused + 1
+            damping, refused, reach = max(10.0 * damping, LEAST_DAMPED), refused + 1, reach / LONGER
     return here
 
 
@@ -193,22 +195,25 @@ def _step(
     value: Vector, jacobian: NDArray[np.float64], damping: float, at: Vector, box: tuple[Vector, Vector],
     longest: Vector | float,
 ) -> Vector:  # fmt: skip
-    """Damped Gauss–Newton step that stays in the box; a coordinate that would leave it is held and the rest solved."""
+    """Damped Gauss–Newton step that stays in the box and is nowhere too long.
+
+    A coordinate that would go further stops there and the rest are solved for again: one that nothing tells from others
+    wants to go anywhere, and must not keep these where they are.
+    """
     curvature, downhill = jacobian.T @ jacobian, -(jacobian.T @ value)
     scale = np.diag(curvature) + 1e-12 * float(np.trace(curvature)) + 1e-300
-    free = np.ones(at.size, bool)
-    step = np.zeros(at.size)
-    for _ in range(at.size):
-        matrix = curvature + (damping + 1e-9) * np.diag(scale)
-        step[:] = 0.0
-        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], downhill[free])
-        outward = free & ((at <= box[0]) & (step < 0.0) | (at >= box[1]) & (step > 0.0))
-        if not outward.any():
+    matrix = curvature + (damping + 1e-9) * np.diag(scale)
+    low, high = np.maximum(box[0] - at, -longest), np.minimum(box[1] - at, longest)
+    free, step = np.ones(at.size, bool), np.zeros(at.size)
+    while free.any():
+        wanted = downhill[free] - matrix[np.ix_(free, ~free)] @ step[~free]
+        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], wanted)
+        beyond = np.where(free, np.maximum(step - high, low - step), 0.0) / np.broadcast_to(longest, at.shape)
+        worst = int(np.argmax(beyond))
+        if not beyond[worst] > 0.0:
             break
-        free &= ~outward
-    step[~free] = 0.0
-    step /= max(1.0, float(np.max(np.abs(step) / longest)))
-    return np.clip(at + step, box[0], box[1]) - at
+        step[worst], free[worst] = np.clip(step[worst], low[worst], high[worst]), False
+    return np.clip(step, low, high)
 
 
 def polish(problem: Problem, start: Vector) -> Evaluation:
@@ -362,9 +367,9 @@ class Shot:
         return max(self.scene.tank.size_mm)
 
     def looked_at(self) -> "Shot":
-        """It as a search looks at it."""
+        """It as a search looks at it: differences to one side do."""
         if self.models.look is None:
-            return self
+            return replace(self, models=replace(self.models, central=False))
         by, model = self.models.look
         scene = replace(self.scene, camera=self.scene.camera.binned(by))
         return replace(

@@ -10,12 +10,12 @@ from scipy.ndimage import gaussian_filter
 
 from tankrig.light.double import double_scattering
 from tankrig.light.double.image import table_error
-from tankrig.light.high_orders import FAINTEST, LOST_USUALLY, MOST_ORDERS, _bias
+from tankrig.light.high_orders import FAINTEST, LOST_USUALLY, MOST_ORDERS
 from tankrig.light.paths.block import LARGE, SMALL, Lattice
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import Groups, traced
 from tankrig.light.paths.record import Bins
-from tankrig.light.paths.smoothing import FEWEST, averaged, kept_apart, smoothed
+from tankrig.light.paths.smoothing import FEWEST, averaged, smoothed
 from tankrig.light.paths.tangents import traced_tangents
 from tankrig.light.single import single_scattering
 from tankrig.prediction import Prediction, Skipped
@@ -108,8 +108,8 @@ def tank_accurate(scene: Scene, paths: int, seed: int = 0, max_order: int | None
     """Image of the finite tank by so many paths, with the patterns that its noise has.
 
     Noise of paths is alike along beams and lines of sight, and what it does to fitted coefficients is what its patterns
-    do: the scatter of lattices from their mean. What smoothing has lost is seen by them too (decision 113), and is in
-    `stderr` besides.
+    do: the scatter of lattices from their mean. It is not smoothed: a fit averages over all pixels by itself, and what
+    smoothing takes from the light it could not give back.
 
     Parameters
     ----------
@@ -134,23 +134,21 @@ def tank_accurate(scene: Scene, paths: int, seed: int = 0, max_order: int | None
     groups = Groups(lambda number: followed(number)[None])
     groups.follow(count, lambda _: True)
     batches = groups.means[:, 0]
-    peak = float(np.abs(batches).max(initial=0.0)) or 1.0
-    found = averaged(batches / peak, grid.seen) if grid.shiftable else smoothed(batches / peak, seen=grid.seen)
-    image = sharp + np.maximum(grid.to_pixels(grid.unfolded(peak * found.image)), 0.0)
-    each = batches if grid.shiftable else peak * kept_apart(batches / peak)
-    if math.prod(scene.camera.shape) > MANY_PIXELS and len(each) > FEWEST_APART:  # or patterns would take a GiB
-        each = np.array([part.mean(axis=0) for part in np.split(each[: len(each) // FEWEST_APART * FEWEST_APART], FEWEST_APART)])
-    apart = (each - each.mean(axis=0)) / math.sqrt(len(each) * (len(each) - 3.0))  # as Student's t is wider
+    mean, count = batches.mean(axis=0), len(batches)
+    image = sharp + np.maximum(grid.to_pixels(grid.unfolded(mean)), 0.0)
+    if math.prod(scene.camera.shape) > MANY_PIXELS and count > FEWEST_APART:  # or patterns would take a GiB
+        whole = batches[: count // FEWEST_APART * FEWEST_APART]
+        batches = np.array([part.mean(axis=0) for part in np.split(whole, FEWEST_APART)])
+    count = len(batches)
+    apart = (batches - mean) / math.sqrt(count * (count - 3.0))  # as Student's t is wider
     patterns = np.array([grid.to_pixels(grid.unfolded(one)) for one in apart])
     size = float(np.linalg.norm(image)) or 1.0
-    per_pixel = math.sqrt(grid.seen_mm2) / scene.camera.pixel_mm
-    bias = _bias(found, None, grid, size / per_pixel / peak) if found.lost_stderr > 0.0 else np.zeros_like(found.lost)
-    lost = peak * np.sqrt(grid.variance_to_pixels(bias))
     tables = table_error(FINE_TABLES) * float(np.linalg.norm(sharp)) / size
     skipped = [Skipped("tables that order 2 is looked up in", tables)]
     if scene.camera.kind == "calibrated":
-        skipped.append(Skipped("what a calibrated camera looks up of order 2", LOOKED_UP * float(np.linalg.norm(second)) / size))
-    stderr = np.sqrt(np.sum(np.square(patterns), axis=0) + lost**2)
+        looked_up = LOOKED_UP * float(np.linalg.norm(second)) / size
+        skipped.append(Skipped("what a calibrated camera looks up of order 2", looked_up))
+    stderr = np.sqrt(np.sum(np.square(patterns), axis=0))
     return Prediction(image, "tank", stderr=stderr, skipped=tuple(skipped), patterns=patterns)
 
 

@@ -105,14 +105,6 @@ def smoothed(
     return Smoothed(smooth.mean(axis=0), *_variance(seen(smooth)), *lost)
 
 
-def kept_apart(batches: Array) -> Array:
-    """(n, rows, columns) what smoothing keeps of each batch, whose mean `smoothed` gives."""
-    if len(batches) < FEWEST or not np.any(batches):
-        return batches
-    along = legendre(batches.shape[2])
-    return _times(_kept(_times(batches, along), _folds(len(batches), steady=False)), along.T)
-
-
 def smoothed_classes(batches: Array, whole: Array, steady: bool = False) -> Array:
     """(classes, rows, columns) images of (n, classes, rows, columns) batches, whose sum is `whole`.
 
