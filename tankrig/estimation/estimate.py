@@ -29,7 +29,14 @@ from tankrig.estimation.residual import (
 )
 from tankrig.estimation.result import Estimate as Estimate
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
-from tankrig.estimation.uncertainty import ModelError, PatternedError, SmoothError, identifiable, overconfidence, stretches
+from tankrig.estimation.uncertainty import (
+    ModelError,
+    PatternedError,
+    SmoothError,
+    identifiable,
+    overconfidence,
+    stretches,
+)
 from tankrig.estimation.verdict import (
     what_is_determined,
     what_is_left,

@@ -20,7 +20,6 @@ from tankrig.estimation.parameters import NAMES, Range
 from tankrig.estimation.phase_families import Family
 from tankrig.image.predict import predict
 from tankrig.image.prepare import require_henyey_greenstein
-from tankrig.light.paths.block import LARGE, SMALL, Lattice
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 
@@ -80,15 +79,17 @@ class Followed:
     ----------
     scene
         Of any medium.
-    batches, seed, max_order, lattice
+    batches, seed, max_order
         See `tank_tangent`.
+    small
+        Whether lattices are of a quarter as many paths.
     """
 
     scene: Scene
     batches: int
     seed: int
     max_order: int | None
-    lattice: Lattice = LARGE
+    small: bool = False
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image; of another phase function than Henyey–Greenstein's by itself."""
@@ -106,11 +107,14 @@ class Followed:
 
     @cached_property
     def _both(self) -> "Callable[[Medium], tuple[Prediction, Image]]":
+        from tankrig.light.paths.block import LARGE, SMALL
         from tankrig.light.tangent import tank_tangent
+
+        lattice = SMALL if self.small else LARGE
 
         def both(medium: Medium) -> tuple[Prediction, Image]:
             scene = replace(self.scene, medium=medium)
-            return tank_tangent(scene, self.batches, self.seed, self.max_order, self.lattice, SLOPE_BLUR_MM)
+            return tank_tangent(scene, self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM)
 
         return remembered(both)
 
@@ -266,9 +270,9 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
 
     straight = shift_invariant(scene)
     fewest = COARSE_BATCHES if straight else SMOOTHED_BATCHES
-    coarse = Followed(scene, fewest, 0, max_order, SMALL)
+    coarse = Followed(scene, fewest, 0, max_order, small=True)
     by = max(1, int(math.sqrt(math.prod(scene.camera.shape) / LOOK_PIXELS)))
-    look = by, Followed(replace(scene, camera=scene.camera.binned(by)), LOOK_BATCHES, 0, max_order, SMALL)
+    look = by, Followed(replace(scene, camera=scene.camera.binned(by)), LOOK_BATCHES, 0, max_order, small=True)
     slanted = remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, fewest, 1, 0.0))
 
     def batches(medium: Medium, noise: float, most: int) -> int:
@@ -280,6 +284,7 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
         return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
 
     def exact(medium: Medium, times: int) -> Prediction:
+        from tankrig.light.paths.block import LARGE
         from tankrig.light.tangent import tank_accurate
 
         count = times * batches(medium, EXACT_NOISE, EXACT_BATCHES)

@@ -119,7 +119,8 @@ def solve(
     ...         self.residual, self.jacobian = np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10], [-1, 0]])
     ...         self.cost = 0.5 * self.residual @ self.residual
     >>> wide = np.full(2, 5.0)
-    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), longest_step=np.full(2, 9.0), quick=False, least_damping=0.0)
+    >>> rest = {"longest_step": wide, "quick": False, "least_damping": 0.0}
+    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), **rest)
     >>> solve(problem, np.array([-1.2, 1.0]), 1e-9, 200).coordinates.round(3).tolist()
     [1.0, 1.0]
     """
@@ -181,9 +182,9 @@ class _Bend:
         share = float(step @ self.step) / square
         curvature = jacobian.T @ jacobian
         matrix = curvature + (damping + 1e-9) * np.diag(np.diag(curvature)) + 1e-300 * np.eye(step.size)
-        back: Vector = -np.linalg.solve(matrix, jacobian.T @ self.bent) * share**2
+        back: Vector = np.asarray(-np.linalg.solve(matrix, jacobian.T @ self.bent) * share**2, float)
         size = math.sqrt(float(back @ back) / max(float(step @ step), 1e-300))
-        return back * min(1.0, MOST_BENT / size) if size > 0.0 else back
+        return np.asarray(back * min(1.0, MOST_BENT / size) if size > 0.0 else back)
 
 
 def _promise(value: Vector, jacobian: NDArray[np.float64], step: Vector) -> float:
@@ -283,7 +284,7 @@ def profiled(problem: Problem, start: Vector, seen: Told) -> list[Evaluation]:
     profile = [one for one in found if one is not None]
     costs = [math.inf, *(one.cost for one in profile), math.inf]
     valleys = [one for k, one in enumerate(profile) if one.cost <= min(costs[k], costs[k + 2])]
-    return _by_cost(problem.at(one.coordinates) for one in valleys)
+    return [problem.at(one.coordinates) for one in _by_cost(valleys)]
 
 
 ALBEDO_COORDINATE, ASYMMETRY_COORDINATE = 1, 2
