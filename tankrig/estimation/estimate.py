@@ -130,7 +130,7 @@ def estimate(
     scaling, asked = Scaling.given(gain, offset), asked_for(phase, scene)
     misalignment = Misalignment(scene, nuisance, 1 if model == "single" else max_order) if nuisance else None
     observation = observe(image, scene.camera.shape, noise, mask)
-    models = models_of(scene, model, max_order, asked.family)
+    models = models_of(scene, model, max_order, asked.family, checked=True)
     return fit_models(observation, scene, scaling, models, progress or _silently, misalignment, asked)
 
 

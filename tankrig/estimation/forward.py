@@ -52,6 +52,8 @@ SLOPE_BLUR_MM = 4.0
 """Standard deviation of the Gaussian over which orders ≥ 3 are averaged where changes of the image matter and not the
 image: paths take other ways in another medium, and the noise of the difference passes for knowledge."""
 
+CHECK_BATCHES = 32
+"""Lattices of the image that a prepared model of light or sight that slant is compared with."""
 LOOK_PIXELS, LOOK_BATCHES = 2400, 2
 """Pixels of the images that the search looks at, or up to four times as many, and small lattices of paths in them."""
 NEAR_NOISE, NEAR_BATCHES = 0.01, 8
@@ -173,8 +175,13 @@ class Models:
         return self.refine(medium) if self.refine is not None else (self.coarse, self.coarse)
 
 
-def models_of(scene: Scene, model: "str | Prepared", max_order: int | None, family: Family | None = None) -> Models:
+def models_of(
+    scene: Scene, model: "str | Prepared", max_order: int | None, family: Family | None = None, checked: bool = False
+) -> Models:
     """Versions of a model of a scene, for media of a family of phase functions; None: Henyey–Greenstein.
+
+    With `checked`, what a prepared model says of light or sight that slant is compared with light paths at the optimum:
+    it was trained on smoothed images, and what these all lack no cross-validation sees.
 
     Raises
     ------
@@ -195,7 +202,7 @@ def models_of(scene: Scene, model: "str | Prepared", max_order: int | None, fami
 
         model = prepare(replace(scene, medium=Medium(*scene.medium.coefficients)))
     if not isinstance(model, str):
-        return _prepared_models(scene, model, max_order)
+        return _prepared_models(scene, model, max_order, checked)
     if model == "tank":
         return _followed_models(scene, max_order)
 
@@ -206,7 +213,9 @@ def models_of(scene: Scene, model: "str | Prepared", max_order: int | None, fami
     return Models(within(COARSE), lambda _: (fine, fine))
 
 
-def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None) -> Models:
+def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, checked: bool) -> Models:
+    from tankrig.light.rays import shift_invariant
+
     if replace(model.scene, medium=scene.medium) != scene:
         raise SceneError(
             f"the model {model.path} was prepared for another tank, projector or camera than "
@@ -233,11 +242,19 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None) -> 
     def predicted(medium: Medium) -> Prediction:
         return answered(medium)[0]
 
+    def compared(medium: Medium, times: int) -> Prediction:
+        from tankrig.light.paths.block import LARGE
+        from tankrig.light.tangent import tank_accurate
+
+        found = tank_accurate(replace(scene, medium=inside(medium)), times * CHECK_BATCHES * LARGE.points, 3)
+        return replace(found, model="prepared")
+
     albedo, g = ((edges[0], min(edges[1], 1.0 - 1e-6)) for edges in (box.albedo, box.g))
     scattering = (box.sigma_t[0] * albedo[0], box.sigma_t[1])
     return Models(
         predicted, lambda _: (predicted, predicted), lambda medium: answered(medium)[1],
         Range.of_media(scattering, albedo, g, sigma_t=box.sigma_t),
+        exact=compared if checked and not shift_invariant(scene) else None,
     )  # fmt: skip
 
 
