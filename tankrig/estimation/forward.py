@@ -85,6 +85,8 @@ class Followed:
         See `tank_tangent`.
     small
         Whether lattices are of a quarter as many paths.
+    rough
+        Whether order 2 is left to the paths as well.
     """
 
     scene: Scene
@@ -92,6 +94,7 @@ class Followed:
     seed: int
     max_order: int | None
     small: bool = False
+    rough: bool = False
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image; of another phase function than Henyey–Greenstein's by itself."""
@@ -116,7 +119,7 @@ class Followed:
 
         def both(medium: Medium) -> tuple[Prediction, Image]:
             scene = replace(self.scene, medium=medium)
-            return tank_tangent(scene, self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM)
+            return tank_tangent(scene, self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM, self.rough)
 
         return remembered(both)
 
@@ -289,7 +292,7 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
     fewest = COARSE_BATCHES if straight else SMOOTHED_BATCHES
     coarse = Followed(scene, fewest, 0, max_order, small=True)
     by = max(1, int(math.sqrt(math.prod(scene.camera.shape) / LOOK_PIXELS)))
-    look = by, Followed(replace(scene, camera=scene.camera.binned(by)), LOOK_BATCHES, 0, max_order, small=True)
+    look = by, Followed(replace(scene, camera=scene.camera.binned(by)), LOOK_BATCHES, 0, max_order, True, rough=True)
     slanted = remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, fewest, 1, 0.0))
 
     def batches(medium: Medium, noise: float, most: int) -> int:

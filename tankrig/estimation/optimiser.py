@@ -69,8 +69,8 @@ CORRECTIONS, SETTLED = 4, 0.1
 which that is over, see `Block.looseness`."""
 FEW_STEPS = 12
 """Steps with the accurate model, and as the models bend, at most, where a phase function's coordinates are fitted."""
-SETTLED_SHARE = 0.5
-"""Of its standard deviation, by which each value may have moved besides."""
+SETTLED_SHARE, SETTLED_WITHIN = 0.5, 3.0
+"""Standard deviations by which each value may have moved, where a coordinate has moved by more than that and else."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 CLEANINGS = 3
@@ -566,13 +566,16 @@ def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model],
 
 
 def _settled(best: Evaluation, centre: Evaluation, near: Vector) -> bool:
-    """Whether an optimum stayed where the image that it was corrected by was made, or within a share of its errors."""
-    if (np.abs(best.coordinates - centre.coordinates) < near).all():
-        return True
+    """Whether an optimum stayed where the image that it was corrected by was made, by its errors.
+
+    Where images are accurate, a tenth of a coordinate may be many standard deviations, over which derivatives err.
+    """
     views = best.problem.views
     spread = best.sensitivity.covariance([view.observation.noise for view in views], [view.error for view in views])
     pairs = [np.concatenate([one.values[block.name] for block in one.problem.blocks]) for one in (best, centre)]
-    return bool((np.abs(pairs[0] - pairs[1]) < SETTLED_SHARE * np.sqrt(np.diag(spread))).all())
+    moved = np.abs(pairs[0] - pairs[1]) / np.sqrt(np.diag(spread))
+    far = (np.abs(best.coordinates - centre.coordinates) >= near).any()
+    return bool((moved < (SETTLED_SHARE if far else SETTLED_WITHIN)).all())
 
 
 def _weighed(

@@ -77,9 +77,9 @@ def by_asymmetry(cosine: float, g: float) -> float:
 def trace_tangents(
     edges: Array, cells: Array, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float], sigma_t: float,
     albedo: float, phase: PhaseRecord, beams: Array, lattice: Array, stop: int, max_order: int, faintest: float,
-    first_thinning: int,
+    first_thinning: int, lowest: int,
 ) -> None:  # fmt: skip
-    """Follow the paths of the lattice points below `stop` as `trace` does, and record orders ≥ 3 and their scores.
+    """Follow the paths of the lattice points below `stop` as `trace` does, with their scores, from order `lowest`.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def trace_tangents(
                 narrow(block, n, geometry)
             else:
                 _look(block, n, geometry, sigma_t)
-            if order == 1:
+            if scatterings < lowest:
                 continue
             for i in range(n):
                 at = int(block.point[i]) - first
@@ -313,7 +313,7 @@ def _tally_cells(
 
 def traced_tangents(
     scene: Scene, grid: "CellGrid", seed: tuple[int, int], max_order: int, faintest: float,
-    lattice: Lattice = LARGE, thinning: int = THINNING,
+    lattice: Lattice = LARGE, thinning: int = THINNING, lowest: int = 3,
 ) -> Array:  # fmt: skip
     """Image of one shifted lattice of paths, and its derivatives by σa, σs and g.
 
@@ -321,11 +321,14 @@ def traced_tangents(
     ----------
     scene, grid, seed, max_order, faintest, lattice, thinning
         As for `traced`; the phase function is Henyey–Greenstein's.
+    lowest
+        Order that is recorded first, 2 or 3.
 
     Returns
     -------
     (4, rows, columns) array
-        Orders ≥ 3 in W/mm²/sr, the same as `traced` gives; their derivatives in that per 1/mm and per unit of g.
+        Orders from `lowest` in W/mm²/sr, from 3 the same as `traced` gives; their derivatives by
+        σa, σs (times mm) and g.
     """
     medium, geometry = scene.medium, geometry_of(scene)
     shifted, shiftable = lattice.shifted(seed), grid.shiftable
@@ -342,7 +345,7 @@ def traced_tangents(
         edges = np.zeros((2, grid.rows + 2, grid.columns + 2, LAYERS) if shiftable else (2, 2, 2, LAYERS))
         trace_tangents(
             edges, cells, geometry, shiftable, grid.cell_mm, medium.sigma_t, medium.albedo,
-            medium.phase_function.record, table, shifted, lattice.points, max_order, faintest, thinning,
+            medium.phase_function.record, table, shifted, lattice.points, max_order, faintest, thinning, lowest,
         )  # fmt: skip
         if z_mm is None:
             found += np.moveaxis(cells, 2, 0) * (power.sum() / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1]))
