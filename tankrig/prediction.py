@@ -60,6 +60,9 @@ class Prediction:
         What was left out, with bounds.
     missed
         A sentence where the tolerance that was asked for could not be kept, and why; else empty.
+    patterns
+        (n, rows, columns) of what noise is in `stderr`, as it lies: its covariance is the sum of their products. None
+        where only its size is known.
 
     Examples
     --------
@@ -73,6 +76,7 @@ class Prediction:
     stderr: Image | None = None
     skipped: tuple[Skipped, ...] = ()
     missed: str = ""
+    patterns: Image | None = None
 
     @property
     def error(self) -> float:

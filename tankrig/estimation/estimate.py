@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
-from tankrig.estimation.forward import Models, error_map, models_of, stated_error
+from tankrig.estimation.forward import Models, error_map, models_of, smooth_error_map, stated_error
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
@@ -29,7 +29,14 @@ from tankrig.estimation.residual import (
 )
 from tankrig.estimation.result import Estimate as Estimate
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
-from tankrig.estimation.uncertainty import ModelError, SmoothError, identifiable, overconfidence, stretches
+from tankrig.estimation.uncertainty import (
+    ModelError,
+    PatternedError,
+    SmoothError,
+    identifiable,
+    overconfidence,
+    stretches,
+)
 from tankrig.estimation.verdict import (
     what_is_determined,
     what_is_left,
@@ -123,7 +130,7 @@ def estimate(
     scaling, asked = Scaling.given(gain, offset), asked_for(phase, scene)
     misalignment = Misalignment(scene, nuisance, 1 if model == "single" else max_order) if nuisance else None
     observation = observe(image, scene.camera.shape, noise, mask)
-    models = models_of(scene, model, max_order, asked.family)
+    models = models_of(scene, model, max_order, asked.family, checked=True)
     return fit_models(observation, scene, scaling, models, progress or _silently, misalignment, asked)
 
 
@@ -260,7 +267,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
     used, stated = observation.used, left.stated
     # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
     error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
-    spread = spread_of(best, [left], [SmoothError.of(scene, error)])
+    spread = spread_of(best, [left], [_error_of(prediction, gain, left.beyond, scene)])
     off, answer = _misalignments(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
     medium, spread = answer.liquid, answer.covariance
     whitened = np.where(used, left.residual, 0.0) / left.noise
@@ -297,6 +304,13 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
         noise=rms(left.noise[used]), model_error=left.counted, nuisance=off, structure=structure_map(whitened, used),
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
+
+
+def _error_of(prediction: Prediction, gain: float, beyond: float, scene: Scene) -> ModelError:
+    """A prediction's error in units of the image: noise by its patterns where they are known, the rest as smooth."""
+    rest = gain * np.hypot(smooth_error_map(prediction), beyond * np.abs(prediction.image))
+    smooth = SmoothError.of(scene, rest)
+    return smooth if prediction.patterns is None else PatternedError(gain * prediction.patterns, smooth)
 
 
 def spread_of(best: Evaluation, left: Sequence[Left], errors: Sequence[ModelError]) -> Array:

@@ -9,7 +9,7 @@ would look like a way to a better fit.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -52,6 +52,13 @@ SLOPE_BLUR_MM = 4.0
 """Standard deviation of the Gaussian over which orders ≥ 3 are averaged where changes of the image matter and not the
 image: paths take other ways in another medium, and the noise of the difference passes for knowledge."""
 
+CHECK_BATCHES = 32
+"""Lattices of the image that a prepared model of light or sight that slant is compared with."""
+LOOK_PIXELS, LOOK_BATCHES = 2400, 2
+"""Pixels of the images that the search looks at, or up to four times as many, and small lattices of paths in them."""
+NEAR_NOISE, NEAR_BATCHES = 0.01, 8
+"""Noise of the images that lead from the search's end to where accurate ones are worth their price."""
+
 EXACT_NOISE, EXACT_BATCHES = 0.0005, 128
 """The same for the one image, at the optimum, that the others are corrected by."""
 
@@ -64,6 +71,57 @@ PURE_WATER_SIGMA_S = 1.9e-6
 
 ERROR_PIXELS = 4.0
 """Standard deviation of the Gaussian over which a stated noise is averaged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """The tank's image by a fixed number of lattices of paths, and its derivatives along them.
+
+    Parameters
+    ----------
+    scene
+        Of any medium.
+    batches, seed, max_order
+        See `tank_tangent`.
+    small
+        Whether lattices are of a quarter as many paths.
+    rough
+        Whether order 2 is left to the paths as well.
+    """
+
+    scene: Scene
+    batches: int
+    seed: int
+    max_order: int | None
+    small: bool = False
+    rough: bool = False
+
+    def __call__(self, medium: Medium) -> Prediction:
+        """The image; of another phase function than Henyey–Greenstein's by itself."""
+        return self._both(medium)[0] if medium.phase is None else self._alone(medium)
+
+    def slopes(self, medium: Medium) -> Image:
+        """(3, rows, columns) derivatives by σa, σs and g."""
+        return self._both(medium)[1]
+
+    @cached_property
+    def _alone(self) -> Model:
+        return remembered(
+            lambda medium: _tank(replace(self.scene, medium=medium), self.max_order, self.batches, self.seed, 0.0)
+        )
+
+    @cached_property
+    def _both(self) -> "Callable[[Medium], tuple[Prediction, Image]]":
+        from tankrig.light.paths.block import LARGE, SMALL
+        from tankrig.light.tangent import tank_tangent
+
+        lattice = SMALL if self.small else LARGE
+
+        def both(medium: Medium) -> tuple[Prediction, Image]:
+            scene = replace(self.scene, medium=medium)
+            return tank_tangent(scene, self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM, self.rough)
+
+        return remembered(both)
 
 
 @dataclass(frozen=True)
@@ -88,6 +146,9 @@ class Models:
         Whether differences look at both sides.
     family
         Of the phase functions of its media; None: Henyey–Greenstein.
+    look
+        Pixels along the side of a block that the search takes for one, and the cheap version of such blocks' image;
+        None where it looks at single pixels.
     """
 
     coarse: Model
@@ -97,20 +158,33 @@ class Models:
     exact: Exact | None = None
     central: bool = True
     family: Family | None = None
+    look: tuple[int, Model] | None = None
 
     def slopes_of(self, model: Model, length_mm: float) -> Slopes:
         """Derivatives: the model's own, or by differences of one of its versions."""
         if self.family is not None:
             return liquid_slopes_of(image_of(model), length_mm, self.family, self.central)
+        if isinstance(model, Followed):
+            return model.slopes
         return self.slopes or slopes_of(image_of(model), length_mm, self.central)
+
+    @property
+    def with_slopes(self) -> bool:
+        """Whether derivatives come with the images, for less than their own price."""
+        return self.slopes is not None or (self.family is None and isinstance(self.coarse, Followed))
 
     def refined(self, medium: Medium) -> tuple[Model, Model]:
         """See `refine`."""
         return self.refine(medium) if self.refine is not None else (self.coarse, self.coarse)
 
 
-def models_of(scene: Scene, model: "str | Prepared", max_order: int | None, family: Family | None = None) -> Models:
+def models_of(
+    scene: Scene, model: "str | Prepared", max_order: int | None, family: Family | None = None, checked: bool = False
+) -> Models:
     """Versions of a model of a scene, for media of a family of phase functions; None: Henyey–Greenstein.
+
+    With `checked`, what a prepared model says of light or sight that slant is compared with light paths at the optimum:
+    it was trained on smoothed images, and what these all lack no cross-validation sees.
 
     Raises
     ------
@@ -124,15 +198,16 @@ def models_of(scene: Scene, model: "str | Prepared", max_order: int | None, fami
                 f'phase = "{family.name}" needs model = "tank": prepared models know Henyey–Greenstein '
                 'only (phase = "hg")'
             )
-        return replace(models_of(scene, model, max_order), family=family)
+        different = _tank_models(scene, max_order) if model == "tank" else models_of(scene, model, max_order)
+        return replace(different, family=family)
     if model == "prepared":
         from tankrig.image.prepare import prepare
 
         model = prepare(replace(scene, medium=Medium(*scene.medium.coefficients)))
     if not isinstance(model, str):
-        return _prepared_models(scene, model, max_order)
+        return _prepared_models(scene, model, max_order, checked)
     if model == "tank":
-        return _tank_models(scene, max_order)
+        return _followed_models(scene, max_order)
 
     def within(tolerance: float) -> Model:
         return remembered(lambda medium: predict(replace(scene, medium=medium), model, tolerance, max_order))
@@ -141,7 +216,9 @@ def models_of(scene: Scene, model: "str | Prepared", max_order: int | None, fami
     return Models(within(COARSE), lambda _: (fine, fine))
 
 
-def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None) -> Models:
+def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, checked: bool) -> Models:
+    from tankrig.light.rays import shift_invariant
+
     if replace(model.scene, medium=scene.medium) != scene:
         raise SceneError(
             f"the model {model.path} was prepared for another tank, projector or camera than "
@@ -168,11 +245,19 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None) -> 
     def predicted(medium: Medium) -> Prediction:
         return answered(medium)[0]
 
+    def compared(medium: Medium, times: int) -> Prediction:
+        from tankrig.light.paths.block import LARGE
+        from tankrig.light.tangent import tank_accurate
+
+        found = tank_accurate(replace(scene, medium=inside(medium)), times * CHECK_BATCHES * LARGE.points, 3)
+        return replace(found, model="prepared")
+
     albedo, g = ((edges[0], min(edges[1], 1.0 - 1e-6)) for edges in (box.albedo, box.g))
     scattering = (box.sigma_t[0] * albedo[0], box.sigma_t[1])
     return Models(
         predicted, lambda _: (predicted, predicted), lambda medium: answered(medium)[1],
         Range.of_media(scattering, albedo, g, sigma_t=box.sigma_t),
+        exact=compared if checked and not shift_invariant(scene) else None,
     )  # fmt: skip
 
 
@@ -197,6 +282,35 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
         return following(times * batches(medium, EXACT_NOISE, EXACT_BATCHES), 3)(medium)
 
     return Models(coarse, refine, exact=exact)
+
+
+def _followed_models(scene: Scene, max_order: int | None) -> Models:
+    """Of Henyey–Greenstein's media, whose derivatives come along the paths."""
+    from tankrig.light.rays import shift_invariant
+
+    straight = shift_invariant(scene)
+    fewest = COARSE_BATCHES if straight else SMOOTHED_BATCHES
+    coarse = Followed(scene, fewest, 0, max_order, small=True)
+    by = max(1, int(math.sqrt(math.prod(scene.camera.shape) / LOOK_PIXELS)))
+    look = by, Followed(replace(scene, camera=scene.camera.binned(by)), LOOK_BATCHES, 0, max_order, True, rough=True)
+    slanted = remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, fewest, 1, 0.0))
+
+    def batches(medium: Medium, noise: float, most: int) -> int:
+        need = fewest * stated_error(slanted(medium)) ** 2
+        return int(np.clip(need / noise**2, fewest, most))
+
+    def refine(medium: Medium) -> tuple[Model, Model]:
+        fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
+        return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
+
+    def exact(medium: Medium, times: int) -> Prediction:
+        from tankrig.light.paths.block import LARGE
+        from tankrig.light.tangent import tank_accurate
+
+        count = times * batches(medium, EXACT_NOISE, EXACT_BATCHES)
+        return tank_accurate(replace(scene, medium=medium), count * LARGE.points, 3, max_order)
+
+    return Models(coarse, refine, exact=exact, look=look)
 
 
 def _tank(scene: Scene, max_order: int | None, batches: int, seed: int, blur_mm: float) -> Prediction:
@@ -327,6 +441,15 @@ def error_map(prediction: Prediction) -> NDArray[np.float64]:
     return whole
 
 
+def smooth_error_map(prediction: Prediction) -> NDArray[np.float64]:
+    """The same without the noise whose patterns are known."""
+    if prediction.patterns is None or prediction.stderr is None:
+        return error_map(prediction)
+    known = np.sum(np.square(np.asarray(prediction.patterns, float)), axis=0)
+    rest = np.sqrt(np.maximum(np.square(np.asarray(prediction.stderr, float)) - known, 0.0))
+    return error_map(replace(prediction, stderr=rest))
+
+
 def counted_error(prediction: Prediction, gain: float) -> Image:
     """The model's error by pixel in units of the image, which no pixel has more of than of a coarse image."""
     error: Image = abs(gain) * np.minimum(error_map(prediction), COARSE * np.abs(prediction.image).max())
@@ -365,7 +488,7 @@ def slopes_of(forward: Forward, length_mm: float, central: bool = True, step: fl
     central
         Whether both sides are looked at.
     step
-        Relative step; of (1 − g²) for g. Derivatives are used again within as much of where they were computed.
+        Relative step; of (1 − g²) for g. Derivatives are used again within `NEARBY` of it.
 
     Examples
     --------
@@ -378,7 +501,7 @@ def slopes_of(forward: Forward, length_mm: float, central: bool = True, step: fl
     def slopes(medium: Medium) -> Image:
         sizes = _steps(medium, step, length_mm)
         if last and all(
-            abs(getattr(last[0][0], name) - getattr(medium, name)) <= size
+            abs(getattr(last[0][0], name) - getattr(medium, name)) <= NEARBY * size
             for name, size in zip(NAMES, sizes, strict=True)
         ):
             return last[0][1]
@@ -456,6 +579,9 @@ def liquid_slopes_of(
     return slopes
 
 
+NEARBY = 0.25
+"""Share of a step within which derivatives by σa, σs and g are used again: within a whole one, single scattering's
+valley bends by more than where it is left."""
 NEAR = 5.0
 """Steps within which derivatives by a phase function's coordinates are used again: it bends little."""
 

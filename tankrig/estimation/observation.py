@@ -83,6 +83,28 @@ class Observation:
         # No camera and no model is better than 10⁻⁵ of the peak.
         return replace(self, noise=np.maximum(noise, 1e-5 * float(np.abs(self.image[self.used]).max())))
 
+    def binned(self, by: int) -> "Observation":
+        """The same in blocks of `by` × `by` pixels, means of those that are used; blocks of which half are not are out.
+
+        Examples
+        --------
+        >>> seen = observe(np.arange(1.0, 25.0).reshape(4, 6), (4, 6), 0.2).binned(2)
+        >>> seen.image.tolist(), seen.noise[0].tolist()
+        ([[4.5, 6.5, 8.5], [16.5, 18.5, 20.5]], [0.1, 0.1, 0.1])
+        """
+        rows, columns = (count // by for count in self.image.shape)
+
+        def blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            cut = values[: rows * by, : columns * by].reshape(rows, by, columns, by)
+            return np.asarray(cut.sum(axis=(1, 3)))
+
+        count = blocks(self.used.astype(float))
+        many = np.maximum(count, 1.0)
+        image, variance = (blocks(np.where(self.used, one, 0.0)) for one in (self.image, self.noise**2))
+        used = count >= 0.5 * by * by
+        noise = np.where(used, np.sqrt(variance) / many, self.noise.max())
+        return replace(self, image=image / many, noise=noise, used=used, specks=np.zeros_like(used))
+
     def _level(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Brightness without noise and bubbles: what was fitted, and what is left over there at large."""
         from scipy.ndimage import median_filter

@@ -41,7 +41,15 @@ START_MEAN_FREE_PATHS = (0.6, 2.4, 9.6)
 START_ALBEDO = 0.97
 START_ASYMMETRY = (0.0, 0.5, 0.85)
 """Media looked at first: every pair of scatterings along the tank and g; the best for each g is a start."""
-FIRST_STEPS, LAST_STEPS = 5, 40
+PROFILE_ASYMMETRY = (-0.7, -0.35, 0.0, 0.3, 0.6, 0.82, 0.94)
+"""At which the whole profile of one image is looked at."""
+PROFILE_FROM = 0.55
+"""g of the liquids that are looked at first."""
+PROFILE_ENOUGH, PROFILE_SHARE, PROFILE_STEPS = 10.0, 0.1, 4
+"""Where a look stops, in χ²/2 or as a share of what it began with, and its steps at most."""
+VALLEYS = 3
+"""Of the profile that are searched, at most."""
+FIRST_STEPS, LAST_STEPS = 5, 100
 """Steps that every start gets before only the best go on, and steps with the accurate model at most."""
 COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
 """Where the searches stop, see `solve`: the cheap model's optimum is only a start for the accurate one's, and errors
@@ -61,13 +69,22 @@ CORRECTIONS, SETTLED = 4, 0.1
 which that is over, see `Block.looseness`."""
 FEW_STEPS = 12
 """Steps with the accurate model, and as the models bend, at most, where a phase function's coordinates are fitted."""
+SETTLED_SHARE, SETTLED_WITHIN = 0.5, 3.0
+"""Standard deviations by which each value may have moved, where a coordinate has moved by more than that and else."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
-DAMPED = 1e-2
-"""Share of the curvature by which a first step is damped, and one after a step that failed."""
-MOST_REFUSED = 3
+DAMPED, LEAST_DAMPED = 1e-2, 1e-4
+"""Share of the curvature by which a first step is damped, and one after a step that failed at least."""
+CREEPING = 0.3
+"""Share of what a step promised that it has to gain, or the Jacobian is computed anew: in a bent valley one that is
+only taken along leads into the walls."""
+LONGER = 3.0
+"""Times as far that a step may go after one that led down, and one that did not may have gone."""
+MOST_BENT = 0.75
+"""Share of a step by which it may be bent."""
+MOST_REFUSED = 8
 """Steps in a row that may fail with a Jacobian just computed, each ten times shorter: what is left is roughness."""
 
 
@@ -83,7 +100,8 @@ def solve(
     start
         Where to begin; moved into the box.
     enough
-        Stop when the linearised problem promises to lower the cost by less than this; 0.005 is a tenth of a standard
+        Stop when the linearised problem promises to lower the cost by less than this, by whole or by damped steps (one
+        that is cut because nothing tells two coordinates apart promises little); 0.005 is a tenth of a standard
         deviation.
     most_steps
         Steps tried at most.
@@ -101,38 +119,72 @@ def solve(
     ...         self.residual, self.jacobian = np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10], [-1, 0]])
     ...         self.cost = 0.5 * self.residual @ self.residual
     >>> wide = np.full(2, 5.0)
-    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), longest_step=np.inf, quick=False, least_damping=0.0)
+    >>> rest = {"longest_step": wide, "quick": False, "least_damping": 0.0}
+    >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), **rest)
     >>> solve(problem, np.array([-1.2, 1.0]), 1e-9, 200).coordinates.round(3).tolist()
     [1.0, 1.0]
     """
     box, longest_step, least = problem.box, problem.longest_step, problem.least_damping
-    damping = max(damping, least)
+    damping, reach = max(damping, least), longest_step
     here = problem.at(np.clip(start, *box))
     jacobian = here.jacobian
-    fresh, refused = True, 0
+    fresh, refused, bend = True, 0, _Bend(np.zeros_like(here.coordinates), np.zeros_like(here.residual))
     for _ in range(most_steps):
         at, value = here.coordinates, here.residual
-        if _promise(value, jacobian, _step(value, jacobian, least, at, box, longest_step)) < enough:
+        looks = (_step(value, jacobian, max(least, share), at, box, longest_step) for share in (0.0, DAMPED))
+        if max(_promise(value, jacobian, look) for look in looks) < enough:
             if fresh:
                 break
             jacobian, fresh = here.jacobian, True
             continue
-        step = _step(value, jacobian, damping, at, box, longest_step)
+        step = _step(value, jacobian, damping, at, box, reach)
+        step = np.clip(at + step + bend.back(step, jacobian, damping), *box) - at
         ahead = problem.at(at + step)
         if ahead.cost < here.cost:
-            if problem.quick:
+            fresh = problem.quick or here.cost - ahead.cost < CREEPING * _promise(value, jacobian, step)
+            if fresh:
                 jacobian = ahead.jacobian
             else:
                 jacobian = jacobian + np.outer(ahead.residual - value - jacobian @ step, step) / float(step @ step)
-            here, fresh, refused = ahead, problem.quick, 0
+            bend = bend.after(step, ahead.residual - value - jacobian @ step) if bend.step.any() else bend
+            here, refused, reach = ahead, 0, np.minimum(longest_step, LONGER * reach)
             damping = max(damping / 5.0, 1e-6, least)
         elif not fresh:
             jacobian, fresh = here.jacobian, True
         elif refused == MOST_REFUSED:
             break
         else:
-            damping, refused = max(10.0 * damping, DAMPED), refused + 1
+            bend = bend.after(step, ahead.residual - value - jacobian @ step)
+            damping, refused, reach = max(10.0 * damping, LEAST_DAMPED), refused + 1, reach / LONGER
     return here
+
+
+@dataclass(frozen=True)
+class _Bend:
+    """By how much residuals bent along the last step that failed, or since: half their second derivative along it.
+
+    In a bent valley, as single scattering's is, straight steps go a hundredth of the way that bent ones do (geodesic
+    acceleration; Transtrum and Sethna 2012). What a failed step has shown costs nothing.
+    """
+
+    step: Vector
+    bent: Vector
+
+    def after(self, step: Vector, bent: Vector) -> "_Bend":
+        """As another step shows it."""
+        return _Bend(step, bent)
+
+    def back(self, step: Vector, jacobian: NDArray[np.float64], damping: float) -> Vector:
+        """What to add to a step to stay in the valley; nothing where it leads elsewhere or is not small."""
+        square = float(self.step @ self.step)
+        if square == 0.0:
+            return np.zeros_like(step)
+        share = float(step @ self.step) / square
+        curvature = jacobian.T @ jacobian
+        matrix = curvature + (damping + 1e-9) * np.diag(np.diag(curvature)) + 1e-300 * np.eye(step.size)
+        back: Vector = np.asarray(-np.linalg.solve(matrix, jacobian.T @ self.bent) * share**2, float)
+        size = math.sqrt(float(back @ back) / max(float(step @ step), 1e-300))
+        return np.asarray(back * min(1.0, MOST_BENT / size) if size > 0.0 else back)
 
 
 def _promise(value: Vector, jacobian: NDArray[np.float64], step: Vector) -> float:
@@ -144,22 +196,25 @@ def _step(
     value: Vector, jacobian: NDArray[np.float64], damping: float, at: Vector, box: tuple[Vector, Vector],
     longest: Vector | float,
 ) -> Vector:  # fmt: skip
-    """Damped Gauss–Newton step that stays in the box; a coordinate that would leave it is held and the rest solved."""
+    """Damped Gauss–Newton step that stays in the box and is nowhere too long.
+
+    A coordinate that would go further stops there and the rest are solved for again: one that nothing tells from others
+    wants to go anywhere, and must not keep these where they are.
+    """
     curvature, downhill = jacobian.T @ jacobian, -(jacobian.T @ value)
     scale = np.diag(curvature) + 1e-12 * float(np.trace(curvature)) + 1e-300
-    free = np.ones(at.size, bool)
-    step = np.zeros(at.size)
-    for _ in range(at.size):
-        matrix = curvature + (damping + 1e-9) * np.diag(scale)
-        step[:] = 0.0
-        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], downhill[free])
-        outward = free & ((at <= box[0]) & (step < 0.0) | (at >= box[1]) & (step > 0.0))
-        if not outward.any():
+    matrix = curvature + (damping + 1e-9) * np.diag(scale)
+    low, high = np.maximum(box[0] - at, -longest), np.minimum(box[1] - at, longest)
+    free, step = np.ones(at.size, bool), np.zeros(at.size)
+    while free.any():
+        wanted = downhill[free] - matrix[np.ix_(free, ~free)] @ step[~free]
+        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], wanted)
+        beyond = np.where(free, np.maximum(step - high, low - step), 0.0) / np.broadcast_to(longest, at.shape)
+        worst = int(np.argmax(beyond))
+        if not beyond[worst] > 0.0:
             break
-        free &= ~outward
-    step[~free] = 0.0
-    step /= max(1.0, float(np.max(np.abs(step) / longest)))
-    return np.clip(at + step, box[0], box[1]) - at
+        step[worst], free[worst] = np.clip(step[worst], low[worst], high[worst]), False
+    return np.clip(step, low, high)
 
 
 def polish(problem: Problem, start: Vector) -> Evaluation:
@@ -173,15 +228,71 @@ def first_guess(problem: Problem, length_mm: float) -> tuple[list[Evaluation], l
     """Where to start from: the best of a few densities for each of a few g, best first; and the others."""
     first, rest = [], []
     for g in START_ASYMMETRY:
-        looks = []
-        for paths in START_MEAN_FREE_PATHS:
-            sigma_s = paths / length_mm
-            start = problem.start(Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g))
-            looks.append(problem.at(np.clip(start, *problem.box)))
+        looks = [problem.at(one) for one in _densities(problem, length_mm, g)]
         best, *others = _by_cost(looks)
         first.append(best)
         rest += others
     return _by_cost(first), _by_cost(rest)
+
+
+def _densities(problem: Problem, length_mm: float, g: float) -> list[Vector]:
+    """Coordinates of liquids of a few densities."""
+    scattering = [paths / length_mm for paths in START_MEAN_FREE_PATHS]
+    media = [Medium(sigma_s * (1.0 / START_ALBEDO - 1.0), sigma_s, g) for sigma_s in scattering]
+    return [np.clip(problem.start(one), *problem.box) for one in media]
+
+
+def profiled(problem: Problem, start: Vector, seen: Told) -> list[Evaluation]:
+    """Places along the whole profile in g that explain an image better than their neighbours, best first.
+
+    One image may have several optima, most of them at a g of their own: light that turns back looks like light that
+    goes on and is absorbed. At a given g extinction and albedo have few, mostly one, so each g is begun from the best
+    of its neighbour, away from the start and then back.
+
+    Parameters
+    ----------
+    problem
+        Of one image; a cheap forward model will do.
+    start
+        Coordinates to begin from.
+    seen
+        Told in words what is being done.
+    """
+    along = np.arctanh(PROFILE_ASYMMETRY)
+    found: list[Evaluation | None] = [None] * along.size
+
+    def look(number: int, begin: Vector) -> None:
+        held, best = replace(problem, held=((ASYMMETRY_COORDINATE, float(along[number])),)), found[number]
+        here = np.where(np.arange(begin.size) == ALBEDO_COORDINATE, np.minimum(begin, LEAST_ABSORBING), begin)
+        ahead = held.at(np.clip(here, *held.box))
+        if best is None or begin is start or ahead.cost < (1.0 - PROFILE_SHARE) * best.cost:
+            enough = max(PROFILE_ENOUGH, PROFILE_SHARE * ahead.cost)
+            end = solve(held, ahead.coordinates, enough, PROFILE_STEPS)
+            found[number] = end if best is None or end.cost < best.cost else best
+
+    first = int(np.argmin(np.abs(along - start[ASYMMETRY_COORDINATE])))
+    for number in (*range(first, along.size), *range(first - 1, -1, -1)):
+        seen(f"looking at g = {PROFILE_ASYMMETRY[number]:g}")
+        near = None if number == first else found[number - 1 if number > first else number + 1]
+        look(number, start if near is None else near.coordinates)
+        if near is not None and abs(near.coordinates[0] - start[0]) > FAR_FROM_START:
+            look(number, start)  # where g is wrong, clear water with a gain may be the best, from where none is found
+    for number in (*range(along.size - 2, first, -1), *range(1, first + 1)):  # and back
+        near = found[number + 1 if number > first else number - 1]
+        if near is not None:
+            look(number, near.coordinates)
+    profile = [one for one in found if one is not None]
+    costs = [math.inf, *(one.cost for one in profile), math.inf]
+    valleys = [one for k, one in enumerate(profile) if one.cost <= min(costs[k], costs[k + 2])]
+    return [problem.at(one.coordinates) for one in _by_cost(valleys)]
+
+
+ALBEDO_COORDINATE, ASYMMETRY_COORDINATE = 1, 2
+"""Numbers of logit ϖ and atanh g among the coordinates of a medium, and of ink."""
+FAR_FROM_START = 2.0
+"""In log σs: a neighbour's best that is as far from the start is not the only place that a look begins from."""
+LEAST_ABSORBING = math.log(0.99 / 0.01)
+"""logit ϖ at most, where a look begins: a step may lead to no absorption at all, from where no logarithm leads back."""
 
 
 def _by_cost(places: Iterable[Evaluation]) -> list[Evaluation]:
@@ -255,6 +366,16 @@ class Shot:
     def length_mm(self) -> float:
         """Longest side of the tank."""
         return max(self.scene.tank.size_mm)
+
+    def looked_at(self) -> "Shot":
+        """It as a search looks at it: differences to one side do."""
+        if self.models.look is None:
+            return replace(self, models=replace(self.models, central=False))
+        by, model = self.models.look
+        scene = replace(self.scene, camera=self.scene.camera.binned(by))
+        return replace(
+            self, observation=self.observation.binned(by), scene=scene, models=replace(self.models, coarse=model)
+        )
 
     def slopes_of(self, model: Model) -> Slopes:
         """Derivatives: the model's own, or by differences of one of its versions."""
@@ -349,7 +470,7 @@ def _rough(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, s
         ambient = float(np.percentile(seen.image[seen.used], 5)) if scaling.offset is None else scaling.offset
         error = share * np.maximum(seen.image - ambient, 0.0)
         views.append(shot.view(image_of(coarse), shot.slopes_of(coarse), error))
-    return Problem(tuple(views), blocks, scaling, quick=all(shot.models.slopes for shot in shots))
+    return Problem(tuple(views), blocks, scaling, quick=all(shot.models.with_slopes for shot in shots))
 
 
 def _searched(
@@ -357,15 +478,20 @@ def _searched(
 ) -> tuple[Problem, list[Vector]]:
     """The problem of the cheap models, and the ends of a search of it that looks at few images, best first."""
     problem = _rough(shots, blocks, scaling)
-    progress("looking at a few media")
-    first, rest = first_guess(problem.of(few), shots[0].length_mm)
-    starts = [look.coordinates for look in first]
     if len(few) > 1:  # they have no twins, and need no reserve
-        starts = starts[: 2 if first[1].cost < RIVAL * first[0].cost else 1]
+        progress("looking at a few media")
+        first, _ = first_guess(problem.of(few), shots[0].length_mm)
+        starts = [look.coordinates for look in first[: 2 if first[1].cost < RIVAL * first[0].cost else 1]]
         return problem, search(problem.of(few), starts, progress, enough=SEVERAL_ENOUGH)
-    share = stated_error(shots[few[0]].models.coarse(first[0].media[0]))
-    problem = _rough(shots, blocks, scaling, float(np.clip(share, 0.1 * COARSE, COARSE)))
-    return problem, search(problem.of(few), starts, progress, [look.coordinates for look in rest])
+    progress("looking at a few media")
+    look = [shots[number].looked_at() for number in few]
+    seen = _rough(look, blocks, scaling)
+    places = [seen.at(one) for one in _densities(seen, look[0].length_mm, PROFILE_FROM)]
+    best = min(places, key=lambda one: one.cost)
+    share = stated_error(look[0].models.coarse(best.media[0]))
+    seen = _rough(look, blocks, scaling, float(np.clip(share, 0.1 * COARSE, COARSE)))
+    valleys = profiled(seen, best.coordinates, progress)[:VALLEYS]
+    return problem, search(seen, [one.coordinates for one in valleys], progress)
 
 
 def guessed(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told) -> Medium:
@@ -429,7 +555,7 @@ def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model],
         centre = best
         fit = about(centre, centre, 1)
         best = fit.optimum
-        if (np.abs(best.coordinates - centre.coordinates) < SETTLED * problem.looseness).all():
+        if _settled(best, centre, SETTLED * problem.looseness):
             break
     if sharper and _held_back(best):
         progress("correcting by images as accurate as the photographs")
@@ -437,6 +563,19 @@ def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model],
     end = fit.optimum
     views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
     return replace(fit, optimum=replace(end.problem, views=tuple(views)).at(end.coordinates))
+
+
+def _settled(best: Evaluation, centre: Evaluation, near: Vector) -> bool:
+    """Whether an optimum stayed where the image that it was corrected by was made, by its errors.
+
+    Where images are accurate, a tenth of a coordinate may be many standard deviations, over which derivatives err.
+    """
+    views = best.problem.views
+    spread = best.sensitivity.covariance([view.observation.noise for view in views], [view.error for view in views])
+    pairs = [np.concatenate([one.values[block.name] for block in one.problem.blocks]) for one in (best, centre)]
+    moved = np.abs(pairs[0] - pairs[1]) / np.sqrt(np.diag(spread))
+    far = (np.abs(best.coordinates - centre.coordinates) >= near).any()
+    return bool((moved < (SETTLED_SHARE if far else SETTLED_WITHIN)).all())
 
 
 def _weighed(

@@ -86,18 +86,24 @@ class Problem:
     scaling
         Gain and offset, known or free.
     quick
-        Whether models answer, derivatives included, sooner than a thread begins.
+        Whether derivatives come along with the models' images.
+    held
+        Coordinates that are not searched: number and value of each.
     """
 
     views: tuple[View, ...]
     blocks: tuple[Block, ...]
     scaling: Scaling
     quick: bool = True
+    held: tuple[tuple[int, float], ...] = ()
 
     @property
     def box(self) -> tuple[Array, Array]:
         """Lowest and highest coordinates."""
-        return np.concatenate([one.low for one in self.blocks]), np.concatenate([one.high for one in self.blocks])
+        low, high = (np.concatenate([getattr(one, end) for one in self.blocks]) for end in ("low", "high"))
+        for number, value in self.held:
+            low[number] = high[number] = value
+        return low, high
 
     @property
     def longest_step(self) -> Array:

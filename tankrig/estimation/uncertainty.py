@@ -135,6 +135,37 @@ class SmoothError:
         return mean
 
 
+@dataclass(frozen=True)
+class PatternedError:
+    """Noise of which the patterns are known, as light paths show theirs, besides a smooth error.
+
+    Parameters
+    ----------
+    patterns
+        (n, rows, columns): the noise's covariance is the sum of their products.
+    smooth
+        What else there is.
+    """
+
+    patterns: Image
+    smooth: SmoothError
+
+    @property
+    def sd(self) -> Image:
+        """(rows, columns) standard deviation of both."""
+        return np.asarray(np.hypot(np.sqrt(np.sum(np.square(self.patterns), axis=0)), self.smooth.sd))
+
+    def whitening(self, noise: Image, used: Mask) -> Whitening:
+        """Of their size in each pixel."""
+        return Weights(1.0 / np.hypot(noise[used], np.asarray(self.sd[used], float)))
+
+    def between(self, responses: Array, used: Mask) -> Array:
+        """What the patterns do, one by one, and the rest."""
+        moved = responses @ np.asarray(self.patterns[:, used], float).T
+        found: Array = moved @ moved.T + self.smooth.between(responses, used)
+        return found
+
+
 def _smooth_products(grid: Array, *lengths: float) -> Array:
     """Σ_ij a_i K_ij b_j for all pairs of (k, rows, columns), K a Gaussian correlation of so many rows and columns."""
     along_y, along_x = (

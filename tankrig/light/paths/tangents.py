@@ -1,0 +1,357 @@
+"""Derivatives of what paths send to the camera by σa, σs and g, along the very same paths.
+
+A path of n scatterings and of the length ℓ from x = 0 to the surface brings light in proportion to
+
+    σsⁿ exp(−(σa + σs) ℓ) Π p(cos θₖ),
+
+so that, with its places held and the density that it was drawn with, its light changes by
+
+    −ℓ by σa,   n/σs − ℓ by σs,   Σ ∂ ln p(cos θₖ)/∂g by g
+
+of itself (the score, or likelihood ratio; Glynn 1990). All three come with the image for less than its own price, and
+have no step: differences between two media have the noise of both images over the step, because paths take other
+ways in another medium.
+"""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.compiled import kernel, part
+from tankrig.light.elementary import exponential
+from tankrig.light.paths.block import (
+    BLOCK,
+    FLIGHT_COORDINATES,
+    LARGE,
+    START_COORDINATES,
+    TURNS,
+    UNTURNED,
+    Block,
+    Ends,
+    Lattice,
+    PathSampling,
+    alive,
+    begin,
+    begin_at_origin,
+    begin_on_beams,
+    draw,
+    empty_block,
+    spare_some,
+    thin,
+)
+from tankrig.light.paths.lattices import THINNING
+from tankrig.light.paths.record import TallyRecord, empty_record, image_of_edges, seen_from
+from tankrig.light.paths.trace import _arrive, _cover, _look, _probed, advance, narrow, scatter
+from tankrig.light.rays import Geometry, geometry_of, sight_line
+from tankrig.scene import Scene
+from tankrig.scene.phase import phase_density
+from tankrig.scene.phase_table import PhaseRecord
+
+if TYPE_CHECKING:
+    from tankrig.light.paths.cells import CellGrid
+
+Array = NDArray[np.float64]
+
+LAYERS = 4
+"""Of an image: its light, and the light times n, times ℓ and times Σ ∂ ln p/∂g."""
+
+
+@part
+def by_asymmetry(cosine: float, g: float) -> float:
+    """∂ ln p/∂g of Henyey–Greenstein's phase function, −2g/(1 − g²) − 3 (g − cos θ)/(1 + g² − 2 g cos θ).
+
+    Examples
+    --------
+    >>> from tankrig.scene.phase import henyey_greenstein
+    >>> above, below = (math.log(henyey_greenstein(0.3, 0.6 + step)) for step in (1e-6, -1e-6))
+    >>> round(by_asymmetry(0.3, 0.6) - (above - below) / 2e-6, 6) + 0.0
+    0.0
+    """
+    spread = (1.0 - abs(g)) ** 2 + 2.0 * abs(g) * (1.0 - cosine if g >= 0.0 else 1.0 + cosine)
+    return -2.0 * g / ((1.0 - g) * (1.0 + g)) - 3.0 * (g - cosine) / spread
+
+
+@kernel
+def trace_tangents(
+    edges: Array, cells: Array, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float], sigma_t: float,
+    albedo: float, phase: PhaseRecord, beams: Array, lattice: Array, stop: int, max_order: int, faintest: float,
+    first_thinning: int, lowest: int,
+) -> None:  # fmt: skip
+    """Follow the paths of the lattice points below `stop` as `trace` does, with their scores, from order `lowest`.
+
+    Parameters
+    ----------
+    edges
+        (2, rows + 2, columns + 2, `LAYERS`), added to where `shiftable`; ℓ less the place where it is seen along x.
+    cells
+        (rows, columns, `LAYERS`), added to otherwise.
+    geometry, shiftable, cell_mm, sigma_t, albedo, phase, beams, lattice, max_order, faintest, first_thinning
+        As for `trace`; the phase function is Henyey–Greenstein's.
+    """
+    sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / TURNS)
+    block, tally = empty_block(), empty_record(BLOCK)
+    u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
+    before = np.empty((6, BLOCK))
+    way_mm, turning = np.empty(BLOCK), np.empty(BLOCK)  # of each path, by its lattice point
+    seen_way, seen_turning = np.empty(BLOCK), np.empty(BLOCK)
+    for first in range(0, stop, BLOCK):
+        n = min(BLOCK, stop - first)
+        if shiftable:
+            begin_at_origin(block, n, first, geometry, sampling, beams, lattice)
+        else:
+            begin_on_beams(block, n, first, geometry, sampling, beams, lattice)
+            _look(block, n, geometry, sigma_t)
+        begin(block, n, first, sampling, lattice, faintest)
+        for i in range(n):
+            way_mm[i], turning[i] = block.x[i] / block.dx[i], 0.0
+        thinning = first_thinning
+        for order in range(1, max_order):
+            if order == thinning:
+                thinning *= 2
+                thin(block, n, order // first_thinning)
+            spare_some(block, n, order, lattice)
+            n = alive(block, n, shiftable)
+            if n == 0:
+                break
+            remaining = 1.0 - sampling.per_turn * min(order - 1, TURNS) if sampling.guided else 1.0
+            dimension = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
+            scatterings = order + 1.0
+            if sampling.guided and order >= 2:
+                draw(u, block.point, n, dimension + 3, lattice)
+                draw(v, block.point, n, dimension + 4, lattice)
+                draw(w, block.point, n, dimension + 5, lattice)
+                _probe(
+                    probes, seen_way, seen_turning, block, way_mm, turning, first, u, v, w, n, geometry, sampling,
+                    order, remaining,
+                )  # fmt: skip
+                if shiftable:
+                    _cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
+                    _end_up(seen_way, seen_turning, probes, n, geometry, sampling)
+                    _tally_rectangles(
+                        edges, tally, scatterings, seen_way, seen_turning, n, beams, geometry.half_width, cell_mm[1]
+                    )
+                else:
+                    _tally_cells(
+                        cells, probes.x, probes.y, probes.weight, scatterings, seen_way, seen_turning, n,
+                        geometry.half_width, cell_mm,
+                    )  # fmt: skip
+            draw(u, block.point, n, dimension, lattice)
+            draw(v, block.point, n, dimension + 1, lattice)
+            draw(w, block.point, n, dimension + 2, lattice)
+            for i in range(n):
+                before[0, i], before[1, i], before[2, i] = block.dx[i], block.dy[i], block.dz[i]
+                before[3, i], before[4, i], before[5, i] = block.x[i], block.y[i], block.z[i]
+            scatter(block, u, v, n, sampling, order, remaining)
+            _turn(block, before, turning, first, n, sampling)
+            advance(block, w, n, geometry, sampling)
+            _go(block, before, way_mm, first, n, geometry)
+            if shiftable:
+                narrow(block, n, geometry)
+            else:
+                _look(block, n, geometry, sigma_t)
+            if scatterings < lowest:
+                continue
+            for i in range(n):
+                at = int(block.point[i]) - first
+                seen_way[i], seen_turning[i] = way_mm[at], turning[at]
+            if shiftable:
+                ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
+                _cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
+                _end_up(seen_way, seen_turning, ends, n, geometry, sampling)
+                _tally_rectangles(
+                    edges, tally, scatterings, seen_way, seen_turning, n, beams, geometry.half_width, cell_mm[1]
+                )
+            else:
+                _arrive(tally, block, n, sampling)
+                for i in range(n):
+                    ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
+                    seen_turning[i] += by_asymmetry(ahead, sampling.phase.g)
+                    seen_way[i] += (geometry.height - block.z[i]) / block.sz[i]
+                _tally_cells(
+                    cells, block.seen_x, block.seen_y, tally.value, scatterings, seen_way, seen_turning, n,
+                    geometry.half_width, cell_mm,
+                )  # fmt: skip
+
+
+@kernel
+def _turn(block: Block, before: Array, turning: Array, first: int, n: int, sampling: PathSampling) -> None:
+    """Count the scattering that has just turned paths; their vertical directions are kept for the flight."""
+    for i in range(n):
+        cosine = block.dx[i] * before[0, i] + block.dy[i] * before[1, i] + block.dz[i] * before[2, i]
+        turning[int(block.point[i]) - first] += by_asymmetry(cosine, sampling.phase.g)
+        before[2, i] = block.dz[i]
+
+
+@kernel
+def _go(block: Block, before: Array, way_mm: Array, first: int, n: int, geometry: Geometry) -> None:
+    """Count the flight that paths have just made."""
+    for i in range(n):
+        reflected = block.dz[i] != before[2, i]
+        way_mm[int(block.point[i]) - first] += _length(
+            block.x[i] - before[3, i], block.y[i] - before[4, i], before[5, i], block.z[i],
+            block.dx[i], block.dy[i], block.dz[i], reflected, geometry.height,
+        )  # fmt: skip
+
+
+@part
+def _length(
+    across: float, along: float, low: float, high: float, dx: float, dy: float, dz: float, reflected: bool,
+    surface: float,
+) -> float:  # fmt: skip
+    """Length of a flight, by way of the surface or not, from where it leads in x and y and both heights."""
+    rise = 2.0 * surface - low - high if reflected else abs(high - low)
+    return across * dx + along * dy + rise * abs(dz)
+
+
+@kernel
+def _probe(
+    probes: Ends, seen_way: Array, seen_turning: Array, block: Block, way_mm: Array, turning: Array, first: int,
+    u: Array, v: Array, w: Array, n: int, geometry: Geometry, sampling: PathSampling, order: int, remaining: float,
+) -> None:  # fmt: skip
+    """Probes with their scores: of paths that may begin anywhere up to the probe's end, of others as they are seen.
+
+    Of the latter x, y and weight are those that the camera sees.
+    """
+    shiftable = block.x_high[0] > block.x_low[0]
+    for i in range(n):
+        x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining)
+        across, along, up = x - block.x[i], y - block.y[i], z - block.z[i]
+        straight = math.sqrt(across * across + along * along + up * up)
+        reflected = (
+            geometry.refractive_index > 1.0
+            and dz < 0.0
+            and across * dx + along * dy + up * dz < straight * (1.0 - 1e-9)
+        )
+        left = -dz if reflected else dz
+        cosine = dx * block.dx[i] + dy * block.dy[i] + left * block.dz[i]
+        at = int(block.point[i]) - first
+        seen_way[i] = way_mm[at] + _length(across, along, block.z[i], z, dx, dy, dz, reflected, geometry.height)
+        seen_turning[i] = turning[at] + by_asymmetry(cosine, sampling.phase.g)
+        if shiftable:
+            probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
+        else:
+            probes.x[i], probes.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z)
+            ahead = dx * sx + dy * sy + dz * sz
+            probes.weight[i] = weight * phase_density(ahead, sampling.phase) * factor
+            probes.weight[i] *= exponential(-sampling.sigma_t * path)
+            seen_way[i] += path
+            seen_turning[i] += by_asymmetry(ahead, sampling.phase.g)
+
+
+@kernel
+def _end_up(
+    way_mm: Array, turning: Array, ends: Ends, n: int, geometry: Geometry, sampling: PathSampling
+) -> None:  # fmt: skip
+    """The last scattering, into the camera above, and the way up; less the place, which starts add."""
+    for i in range(n):
+        way_mm[i] += geometry.height - ends.z[i] - ends.x[i]
+        turning[i] += by_asymmetry(ends.dz[i], sampling.phase.g)
+
+
+@kernel
+def _tally_rectangles(
+    edges: Array, tally: TallyRecord, scatterings: float, way_mm: Array, turning: Array, n: int, beams: Array,
+    half_width: float, cell_mm: float,
+) -> None:  # fmt: skip
+    """As `tally_rectangles`, in all layers."""
+    factors = np.empty(LAYERS)
+    for i in range(n):
+        if not tally.value[i] > 0.0:  # nor NaN, whose place is no index
+            continue
+        first, last = int(tally.first[i]), int(tally.last[i])
+        factors[0], factors[1], factors[2], factors[3] = 1.0, scatterings, way_mm[i], turning[i]
+        for beam in range(beams.shape[0]):
+            low, high = max(beams[beam, 0], tally.y_low[i]), min(beams[beam, 1], tally.y_high[i])
+            if high <= low:
+                continue
+            for side in range(2):
+                place = ((low if side == 0 else high) + tally.y[i] + half_width) / cell_mm
+                row = int(place)
+                change = beams[beam, 4] if side == 0 else -beams[beam, 4]
+                after = (place - row) * change
+                before = change - after
+                for k in range(LAYERS):
+                    here, below = before * factors[k], after * factors[k]
+                    edges[0, row, first, k] += here * tally.first_part[i]
+                    edges[0, row + 1, first, k] += below * tally.first_part[i]
+                    edges[1, row, first + 1, k] += here * tally.first_on[i]
+                    edges[1, row + 1, first + 1, k] += below * tally.first_on[i]
+                    edges[0, row, last, k] -= here * tally.last_part[i]
+                    edges[0, row + 1, last, k] -= below * tally.last_part[i]
+                    edges[1, row, last + 1, k] -= here * tally.last_on[i]
+                    edges[1, row + 1, last + 1, k] -= below * tally.last_on[i]
+
+
+@kernel
+def _tally_cells(
+    cells: Array, x: Array, y: Array, value: Array, scatterings: float, way_mm: Array, turning: Array, n: int,
+    half_width: float, cell_mm: tuple[float, float],
+) -> None:  # fmt: skip
+    """As `tally_cells`, in all layers."""
+    rows, columns, _ = cells.shape
+    factors = np.empty(LAYERS)
+    for i in range(n):
+        across, along = x[i] / cell_mm[0], (y[i] + half_width) / cell_mm[1]
+        if not (value[i] > 0.0 and 0.0 <= across <= columns and 0.0 <= along <= rows):
+            continue
+        across, along = min(max(across - 0.5, 0.0), columns - 1.0), min(max(along - 0.5, 0.0), rows - 1.0)
+        column, row = int(across), int(along)
+        after, below = min(column + 1, columns - 1), min(row + 1, rows - 1)
+        lower = value[i] * (along - row)
+        upper = value[i] - lower
+        right = across - column
+        factors[0], factors[1], factors[2], factors[3] = 1.0, scatterings, way_mm[i], turning[i]
+        for k in range(LAYERS):
+            cells[row, column, k] += upper * (1.0 - right) * factors[k]
+            cells[row, after, k] += upper * right * factors[k]
+            cells[below, column, k] += lower * (1.0 - right) * factors[k]
+            cells[below, after, k] += lower * right * factors[k]
+
+
+def traced_tangents(
+    scene: Scene, grid: "CellGrid", seed: tuple[int, int], max_order: int, faintest: float,
+    lattice: Lattice = LARGE, thinning: int = THINNING, lowest: int = 3,
+) -> Array:  # fmt: skip
+    """Image of one shifted lattice of paths, and its derivatives by σa, σs and g.
+
+    Parameters
+    ----------
+    scene, grid, seed, max_order, faintest, lattice, thinning
+        As for `traced`; the phase function is Henyey–Greenstein's.
+    lowest
+        Order that is recorded first, 2 or 3.
+
+    Returns
+    -------
+    (4, rows, columns) array
+        Orders from `lowest` in W/mm²/sr, from 3 the same as `traced` gives; their derivatives by
+        σa, σs (times mm) and g.
+    """
+    medium, geometry = scene.medium, geometry_of(scene)
+    shifted, shiftable = lattice.shifted(seed), grid.shiftable
+    middles = (np.arange(grid.columns) + 0.5) * grid.cell_mm[0]
+    cells = np.zeros((grid.rows, grid.columns, LAYERS))
+    found = np.zeros((LAYERS, grid.rows, grid.columns))
+    lit = [beam for beam in scene.projector.beams if beam.irradiance > 0.0]
+    for z_mm in sorted({beam.z_mm for beam in lit}) if shiftable else [None]:
+        beams = [beam for beam in lit if z_mm in (None, beam.z_mm)]
+        power = np.array([beam.power for beam in beams])
+        table = np.column_stack(
+            [np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams]), np.cumsum(power) / power.sum()]
+        )
+        edges = np.zeros((2, grid.rows + 2, grid.columns + 2, LAYERS) if shiftable else (2, 2, 2, LAYERS))
+        trace_tangents(
+            edges, cells, geometry, shiftable, grid.cell_mm, medium.sigma_t, medium.albedo,
+            medium.phase_function.record, table, shifted, lattice.points, max_order, faintest, thinning, lowest,
+        )  # fmt: skip
+        if z_mm is None:
+            found += np.moveaxis(cells, 2, 0) * (power.sum() / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1]))
+            break
+        image = image_of_edges(np.moveaxis(edges, 3, 0), medium.sigma_t, grid.cell_mm[0])
+        image[2] += image[0] * middles  # a start's own way is where its light is seen, less where the path leads
+        found += image * (sight_line(geometry, 0.0, 0.0)[3] * (z_mm[1] - z_mm[0]) / lattice.points)
+    light, scattered, far, turned = found
+    return np.array([light, -far, scattered / medium.sigma_s - far, turned])

@@ -1,0 +1,179 @@
+"""The tank's image as fits want it: with its derivatives by the medium, or accurate and with its noise as it lies."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from tankrig.light.double import double_scattering
+from tankrig.light.double.image import table_error
+from tankrig.light.high_orders import FAINTEST, LOST_USUALLY, MOST_ORDERS
+from tankrig.light.paths.block import LARGE, SMALL, Lattice
+from tankrig.light.paths.cells import CellGrid
+from tankrig.light.paths.lattices import Groups, traced
+from tankrig.light.paths.record import Bins
+from tankrig.light.paths.smoothing import FEWEST, averaged, smoothed
+from tankrig.light.paths.tangents import traced_tangents
+from tankrig.light.single import single_scattering
+from tankrig.prediction import Prediction, Skipped
+from tankrig.scene import Medium, Scene
+from tankrig.threads import THREADS
+
+Array = NDArray[np.float64]
+
+TABLES, FINE_TABLES = 0.01, 0.001
+"""Tolerance that order 2 is computed to beside derivatives, where coarse tables do, and in accurate images."""
+FEWEST_APART = 12
+"""Lattices whose scatter tells what the noise of their mean does."""
+MANY_PIXELS = 40_000
+"""Of a camera, from which the noise of no more lattices is kept apart."""
+ONE_BIN: Bins = np.zeros(4, np.int64)
+"""All orders in one image."""
+LOOKED_UP = 0.004
+"""Error of what a calibrated camera looks up of order 2, of its own norm."""
+STEP_LENGTH, STEP_ASYMMETRY = 0.02, 0.015
+"""By which orders 1 and 2, which have no noise, are differentiated: σa times the tank's length, and g over 1 − g²."""
+
+
+def tank_tangent(
+    scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE,
+    blur_mm: float = 0.0, rough: bool = False,
+) -> tuple[Prediction, Array]:  # fmt: skip
+    """Image of the finite tank by a fixed number of lattices of paths, and its derivatives along the same paths.
+
+    Parameters
+    ----------
+    scene
+        Any scene with σs > 0 whose phase function is Henyey–Greenstein's.
+    batches
+        Number of shifted lattices.
+    seed
+        Of their shifts.
+    max_order
+        Sum orders 1 … max_order only.
+    lattice
+        Of the paths.
+    blur_mm
+        Standard deviation of a Gaussian that the derivatives of orders ≥ 3 are averaged over.
+    rough
+        Whether order 2 is left to the paths as well: noisier, and where light or sight slant three times as quick.
+
+    Returns
+    -------
+    Prediction, (3, rows, columns) array
+        The image, as `tank_image` has it with as many lattices but for its orders; its derivatives by σa, σs and g.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Projector, Tank
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> scene = Scene(Tank(), Medium(0.001, 0.02, 0.5), light, Camera("orthographic", (40, 60), 4.0))
+    >>> prediction, slopes = tank_tangent(scene, 2)
+    >>> slopes.shape, bool((slopes[0].sum() < 0.0) & (slopes[1].sum() > 0.0))
+    ((3, 40, 60), True)
+    """
+    lowest = 2 if rough else 3
+    sharp, slopes = _sharp(scene, min(max_order or MOST_ORDERS, lowest - 1))
+    rest, stderr = _from_paths(scene, batches, seed, max_order or MOST_ORDERS, lattice, lowest)
+    if blur_mm > 0.0:
+        widths = [0.0, *(blur_mm / side for side in scene.camera.sides_mm)]
+        rest[1:] = gaussian_filter(rest[1:], widths, mode="nearest")
+    image = sharp + np.maximum(rest[0], 0.0)
+    size = float(np.linalg.norm(image)) or 1.0
+    tables = Skipped("tables that order 2 is looked up in", table_error(TABLES) * float(np.linalg.norm(sharp)) / size)
+    return Prediction(image, "tank", stderr=stderr, skipped=(tables,)), slopes + rest[1:]
+
+
+def _sharp(scene: Scene, highest: int) -> tuple[Array, Array]:
+    """Orders 1 and 2, and their derivatives: they go with σs and σs² at one extinction."""
+    medium = scene.medium
+
+    def orders(other: Medium) -> tuple[Array, Array]:
+        lit = replace(scene, medium=other)
+        first = single_scattering(lit)
+        return first, double_scattering(lit, TABLES) if highest >= 2 else np.zeros_like(first)
+
+    first, second = orders(medium)
+    absorption = STEP_LENGTH / max(scene.tank.size_mm)
+    turning = STEP_ASYMMETRY * (1.0 - medium.g) * (1.0 + medium.g) * (-1.0 if medium.g > 0.0 else 1.0)
+    darker = sum(orders(replace(medium, sigma_a=medium.sigma_a + absorption)))
+    turned = sum(orders(replace(medium, g=medium.g + turning)))
+    image = first + second
+    by_absorption = (darker - image) / absorption
+    by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
+    return image, np.stack([by_absorption, by_scattering, (turned - image) / turning])
+
+
+def tank_accurate(scene: Scene, paths: int, seed: int = 0, max_order: int | None = None) -> Prediction:
+    """Image of the finite tank by so many paths, with the patterns that its noise has.
+
+    Noise of paths is alike along beams and lines of sight, and what it does to fitted coefficients is what its patterns
+    do: the scatter of lattices from their mean. It is not smoothed: a fit averages over all pixels by itself, and what
+    smoothing takes from the light it could not give back.
+
+    Parameters
+    ----------
+    scene
+        Any scene with σs > 0.
+    paths
+        At least so many are followed, on `FEWEST_APART` lattices or more.
+    seed, max_order
+        As for `tank_tangent`.
+    """
+    first = single_scattering(scene)
+    second = double_scattering(scene, FINE_TABLES) if (max_order or 2) >= 2 else np.zeros_like(first)
+    sharp, grid, highest = first + second, CellGrid.of(scene), max_order or MOST_ORDERS
+    if highest < 3:
+        return Prediction(sharp, "tank")
+    count = max(FEWEST_APART, math.ceil(paths / SMALL.points))
+
+    def followed(number: int) -> Array:
+        found = traced(scene, grid, (seed, number), highest, FAINTEST, ONE_BIN, SMALL)
+        return np.asarray(grid.folded(found)[0])
+
+    groups = Groups(lambda number: followed(number)[None])
+    groups.follow(count, lambda _: True)
+    batches = groups.means[:, 0]
+    mean, count = batches.mean(axis=0), len(batches)
+    image = sharp + np.maximum(grid.to_pixels(grid.unfolded(mean)), 0.0)
+    if math.prod(scene.camera.shape) > MANY_PIXELS and count > FEWEST_APART:  # or patterns would take a GiB
+        whole = batches[: count // FEWEST_APART * FEWEST_APART]
+        batches = np.array([part.mean(axis=0) for part in np.split(whole, FEWEST_APART)])
+    count = len(batches)
+    apart = (batches - mean) / math.sqrt(count * (count - 3.0))  # as Student's t is wider
+    patterns = np.array([grid.to_pixels(grid.unfolded(one)) for one in apart])
+    size = float(np.linalg.norm(image)) or 1.0
+    tables = table_error(FINE_TABLES) * float(np.linalg.norm(sharp)) / size
+    skipped = [Skipped("tables that order 2 is looked up in", tables)]
+    if scene.camera.kind == "calibrated":
+        looked_up = LOOKED_UP * float(np.linalg.norm(second)) / size
+        skipped.append(Skipped("what a calibrated camera looks up of order 2", looked_up))
+    stderr = np.sqrt(np.sum(np.square(patterns), axis=0))
+    return Prediction(image, "tank", stderr=stderr, skipped=tuple(skipped), patterns=patterns)
+
+
+def _from_paths(
+    scene: Scene, batches: int, seed: int, max_order: int, lattice: Lattice, lowest: int
+) -> tuple[Array, Array]:  # fmt: skip
+    """Orders from the lowest on and their derivatives, (4, rows, columns), and the light's standard error."""
+    grid = CellGrid.of(scene)
+    if max_order < lowest:
+        zero = np.zeros((4, *scene.camera.shape))
+        return zero, zero[0]
+
+    def followed(number: int) -> Array:
+        return grid.folded(traced_tangents(scene, grid, (seed, number), max_order, FAINTEST, lattice, lowest=lowest))
+
+    with ThreadPoolExecutor(min(THREADS, batches)) as pool:
+        layers = np.moveaxis(np.array(list(pool.map(followed, range(batches)))), 1, 0)
+    plain = grid.shiftable or batches < FEWEST
+    peaks = np.abs(layers).max(axis=(1, 2, 3), keepdims=True) + 1e-300
+    found = [
+        averaged(one, grid.seen) if plain else smoothed(one, seen=grid.seen, steady=True) for one in layers / peaks
+    ]
+    images = [grid.to_pixels(grid.unfolded(one.image)) for one in found]
+    variance = grid.variance_to_pixels(found[0].variance) * (1.0 if plain else 1.0 + LOST_USUALLY)
+    return peaks[:, 0] * np.array(images), float(peaks[0, 0, 0, 0]) * np.sqrt(variance)

@@ -1,0 +1,88 @@
+"""Derivatives along the paths are those of the image, and noise that is kept apart is the image's."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tankrig.estimation.uncertainty import PatternedError, SmoothError
+from tankrig.light.paths.block import SMALL
+from tankrig.light.paths.cells import CellGrid
+from tankrig.light.paths.tangents import traced_tangents
+from tankrig.light.tangent import tank_accurate, tank_tangent
+from tankrig.light.tank import tank_image
+from tankrig.scene import Medium, Scene
+from tests.stress_scenes import medium_of, scene_of
+
+Array = NDArray[np.float64]
+
+SCENES = {
+    "parallel": scene_of(medium_of(1.0, 0.05, 0.6), "parallel"),
+    "pinholes": scene_of(medium_of(1.0, 0.05, 0.6), "pinhole"),
+    "mirror": scene_of(medium_of(1.0, 0.05, 0.2), "parallel", surface="fresnel"),
+    "backward": scene_of(medium_of(2.0, 0.02, -0.4), "parallel"),
+}
+COEFFICIENTS = ("sigma_a", "sigma_s", "g")
+
+
+def changed(scene: Scene, **values: float) -> Scene:
+    medium = {name: getattr(scene.medium, name) for name in COEFFICIENTS} | values
+    return scene.__class__(scene.tank, Medium(**medium), scene.projector, scene.camera)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_image_that_comes_with_derivatives_is_the_image(name: str) -> None:
+    """A fit steps on one and ends on the other: they must not be two models."""
+    scene = SCENES[name]
+    image = tank_image(scene, seed=3, batches=6).image
+    found, _ = tank_tangent(scene, 6, seed=3)
+    assert np.linalg.norm(found.image - image) < 1e-6 * np.linalg.norm(image)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_light_of_one_order_goes_with_a_power_of_scattering(name: str) -> None:
+    """Order 3 is in proportion to σs³ at one extinction, whatever a path does on its way: exact in every cell."""
+    scene = SCENES[name]
+    light, by_absorption, by_scattering, _ = traced_tangents(scene, CellGrid.of(scene), (1, 0), 3, 2e-4, SMALL)
+    assert np.allclose(by_scattering - by_absorption, 3.0 * light / scene.medium.sigma_s, rtol=1e-9, atol=0.0)
+    assert (by_absorption <= 0.0).all()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_derivatives_are_those_of_the_light(name: str) -> None:
+    """A derivative that is off makes steps creep and errors lie; differences know nothing of scores."""
+    scene = SCENES[name]
+    medium, (_, slopes) = scene.medium, tank_tangent(scene, 8, seed=5)
+    steps = {"sigma_a": 0.05 * medium.sigma_a, "sigma_s": 0.03 * medium.sigma_s, "g": 0.03 * (1.0 - medium.g**2)}
+    for slope, (coefficient, step) in zip(slopes, steps.items(), strict=True):
+        at = getattr(medium, coefficient)
+        above, below = (
+            tank_image(changed(scene, **{coefficient: at + sign * step}), tolerance=0.001, seed=5, batches=8).image
+            for sign in (1.0, -1.0)
+        )
+        difference = (above - below) / (2.0 * step)
+        mine, other = (one.reshape(4, 6, 4, 9).sum(axis=(1, 3)) for one in (slope, difference))
+        assert np.linalg.norm(mine - other) < 0.04 * np.linalg.norm(other), coefficient
+
+
+@pytest.mark.parametrize("name", ["parallel", "pinholes"])
+def test_patterns_of_noise_are_how_images_scatter(name: str) -> None:
+    """What noise does to a fitted number is what its patterns do: for sums over any part of an image too."""
+    scene = SCENES[name]
+    made = [tank_accurate(scene, 1, seed=seed) for seed in range(24)]
+    images = np.array([one.image for one in made])
+    rows, columns = np.mgrid[:24, :36]
+    for weight in (np.ones((24, 36)), np.cos(columns / 8.0), np.sin(rows / 3.0)):
+        seen = np.var(np.tensordot(images, weight, 2), ddof=1)
+        told = np.mean([np.sum(np.tensordot(one.patterns, weight, 2) ** 2) for one in made if one.patterns is not None])
+        assert 0.35 < seen / told < 2.0
+
+
+def test_patterned_errors_move_what_they_are_like() -> None:
+    """A response that looks like a pattern moves by all of it, one that is orthogonal to it does not move."""
+    pattern, used = np.zeros((1, 4, 6)), np.ones((4, 6), bool)
+    pattern[0, :, :3] = 0.5
+    error = PatternedError(pattern, SmoothError(np.zeros((4, 6)), 6.0))
+    like, unlike = pattern[0][used], np.zeros((4, 6))
+    unlike[:, 3:] = 1.0
+    found = error.between(np.array([like, unlike[used]]), used)
+    assert np.allclose(found, [[(0.25 * 12) ** 2, 0.0], [0.0, 0.0]])
