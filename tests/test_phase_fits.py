@@ -20,6 +20,7 @@ from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.phase_answer import Asked, asked_for
 from tankrig.estimation.phase_families import FAMILIES, Family, family_of, fixed, free, henyey_greenstein, labelled
 from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
+from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.prediction import Prediction
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.free_phase import SHAPES, FreePhase
@@ -143,6 +144,65 @@ def test_a_given_phase_function_stays_what_it_is() -> None:
     off = np.array([found.medium.sigma_a - 0.001, found.medium.sigma_s - 0.02])
     assert (np.abs(off) < 4.0 * np.sqrt(np.diag(found.covariance)[:2])).all()
     assert found.covariance[2, 2] == pytest.approx(0.0, abs=1e-12)
+
+
+DOSES_ML = [0.5, 0.5, 1.0, 2.0, 4.0]
+WATER, WATER_SIGMA_S = 3e-4, 1.9e-6
+
+
+def dilution(phase: PhaseFunction, seed: int = 0, share: float = 0.003, bend: float = 0.0) -> tuple[list[Array], float]:
+    """Images of ink that has σa .0002 and σs .005 per mm and ml, with one gain, and their noise."""
+    images = []
+    for dose_ml in DOSES_ML:
+        sigma_s = 0.005 * dose_ml * (1.0 + bend * dose_ml / DOSES_ML[-1])
+        shares = sigma_s / (sigma_s + WATER_SIGMA_S), WATER_SIGMA_S / (sigma_s + WATER_SIGMA_S)
+        both = Mixture((phase, HenyeyGreenstein(0.0)), shares)
+        images.append(700.0 * many_turns(Medium(WATER + 2e-4 * dose_ml, sigma_s + WATER_SIGMA_S, phase=both)).image)
+    noise = share * float(images[0].max())
+    rng = np.random.default_rng(seed)
+    return [image + rng.normal(0.0, noise, image.shape) for image in images], noise
+
+
+def series_of(phase: PhaseFunction, asked: str | PhaseFunction, **dilution_of: float) -> SeriesEstimate:
+    images, noise = dilution(phase, **dilution_of)  # type: ignore[arg-type]
+    return estimate_series(
+        images, SCENE, DOSES_ML, offset=0.0, noise=noise, phase=asked, water_sigma_s=WATER_SIGMA_S,
+        model_of=lambda *_: many_turns,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("asked", "truth"),
+    [
+        ("reynolds-mccormick", ReynoldsMcCormick(0.6, 1.2)),
+        (LABEL, Mie(0.51, 1.5834, 1.3317, 633.0, spread=0.02)),
+        ("any", ReynoldsMcCormick(0.6, 1.2)),
+        (TwoTerm(0.85, -0.3, 0.93), TwoTerm(0.85, -0.3, 0.93)),
+    ],
+    ids=["a family", "a bead that its label is 2 % off", "the average", "one that is given"],
+)
+def test_a_series_shares_one_phase_function(asked: str | PhaseFunction, truth: PhaseFunction) -> None:
+    """Ink per ml, mean cosine and water within their errors, though nobody knows the gain; the ink is in proportion."""
+    found = series_of(truth, asked)
+    true = np.array([2e-4, 0.005, truth.mean_cosine, WATER])
+    got = np.array([*found.ink.coefficients, found.water.sigma_a])
+    sd = np.sqrt(np.maximum(np.diag(found.covariance), 1e-18))
+    assert (np.abs(got - true) < 4.0 * sd + 1e-9).all()
+    assert np.linalg.eigvalsh(found.covariance / np.outer(sd, sd)).min() > -1e-6
+    assert found.ink.sigma_s == pytest.approx(0.005, rel=0.03)
+    assert found.identifiable["sigma_s"]
+    assert found.linearity is not None
+    assert found.linearity.holds
+    assert found.gain == pytest.approx(700.0, rel=0.05)
+    assert found.at(2.0).phase_function.mean_cosine == pytest.approx(found.ink.g)
+    curve = found.scattering.curve
+    assert np.log(curve.value / truth.at(np.cos(np.radians(ANGLES_DEG))))[12:28] == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_series_phase_function_does_not_hide_that_ink_is_not_in_proportion() -> None:
+    found = series_of(ReynoldsMcCormick(0.6, 1.2), "reynolds-mccormick", bend=0.1)
+    assert found.linearity is not None
+    assert not found.linearity.holds
 
 
 def test_henyey_greenstein_on_another_liquid_is_far_off_and_a_free_one_is_not() -> None:

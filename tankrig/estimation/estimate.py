@@ -14,8 +14,8 @@ from tankrig.estimation.forward import Models, error_map, models_of, stated_erro
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
-from tankrig.estimation.parameters import MediumBlock, Range, Scaling
-from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, phase_instead
+from tankrig.estimation.parameters import Range, Scaling
+from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, liquid_blocks, phase_instead
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import (
     PHASE,
@@ -153,12 +153,12 @@ def fit_models(
     asked
         Which phase functions are.
     """
-    block = MediumBlock(models.range or Range.of_tank(max(scene.tank.size_mm)))
+    blocks_of = liquid_blocks(models.range or Range.of_tank(max(scene.tank.size_mm)))
     shot = Shot(observation, scene, models)
     if asked.family is None:
-        fit = fitted([shot], (block,), scaling, progress, sharper=True)
+        fit = fitted([shot], blocks_of(None), scaling, progress, sharper=True)
     else:
-        fit = fit_phase(shot, asked, block, scaling, progress)
+        fit = fit_phase([shot], asked, blocks_of, scaling, progress, sharper=True)
     if misalignment is not None:
         progress("aligning")
         fit = _aligned(fit, misalignment)

@@ -59,18 +59,24 @@ class Score:
 
     @classmethod
     def of(cls, best: Evaluation, spread: Array) -> "Score":
-        """Of an optimum and the covariance (k, k) of its values, whatever that counts."""
-        sensitivity = best.sensitivity
+        """Of an optimum and the covariance (k, k) of its first k values, whatever that counts.
+
+        Values beyond those (of the set-up, water, doses) follow them wherever they go.
+        """
+        sensitivity, count = best.sensitivity, len(spread)
         size, weight = sensitivity.widest, sensitivity.weight
         changes, priors = sensitivity.changes * size[:, None], sensitivity.priors * size[:, None]
         fisher = changes @ changes.T + priors @ priors.T
+        besides = np.linalg.solve((fisher + np.diag(weight))[count:, count:], fisher[count:, :count])
+        fisher = fisher[:count, :count] - fisher[:count, count:] @ besides
+        size, weight = size[:count], weight[:count]
         # Of the values in units of `widest`, of which covariance is F⁻¹ (Σ + prior) F⁻¹.
         whole = fisher + np.diag(weight)
         scatter = whole @ (spread / np.outer(size, size)) @ whole - np.diag(weight**2)
         values, vectors = np.linalg.eigh(0.5 * (scatter + scatter.T))
         root = vectors / np.sqrt(np.maximum(values, 1e-9 * values[-1]))
-        score = changes @ best.left
-        at = np.concatenate([best.values["medium"], best.values["phase"]])
+        score = changes[:count] @ best.left
+        at = np.concatenate([best.values[best.problem.blocks[0].name], best.values["phase"]])
         return cls(at, root.T @ score, root.T @ fisher / size)
 
     def misfit(self, at: Array) -> Array:
