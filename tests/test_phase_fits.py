@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import tankrig
-from tankrig.errors import SceneError
+from tankrig.errors import SceneError, SequenceError
 from tankrig.estimation.estimate import Estimate, fit_models
 from tankrig.estimation.forward import Models
 from tankrig.estimation.observation import observe
@@ -21,12 +21,15 @@ from tankrig.estimation.phase_answer import Asked, asked_for
 from tankrig.estimation.phase_families import FAMILIES, Family, family_of, fixed, free, henyey_greenstein, labelled
 from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
 from tankrig.estimation.series import SeriesEstimate, estimate_series
+from tankrig.live.exposures import phase_of
+from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, from_fields, to_fields
 from tankrig.prediction import Prediction
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.free_phase import SHAPES, FreePhase
 from tankrig.scene.mie import Mie
 from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture, ReynoldsMcCormick, Tabulated, TwoTerm
 from tankrig.scene.phase_table import PhaseFunction
+from tankrig.sequence.loading import sequence_from_table
 from tests.test_estimation import SCENE
 from ui.cli import main
 
@@ -343,3 +346,52 @@ def test_the_command_tells_the_phase_function(tmp_path: Path, capsys: pytest.Cap
     assert set(told["phase"]["parameters"]) == {"g", "alpha"}
     assert main([*common, "--phase", "henyey"]) == 2
     assert "is unknown; use one of hg" in capsys.readouterr().err
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.one_of(
+        st.builds(HenyeyGreenstein, st.floats(-0.9, 0.9)),
+        st.builds(FreePhase, st.floats(-0.9, 0.9), st.lists(st.floats(-3.0, 3.0), max_size=SHAPES).map(tuple)),
+        st.builds(lambda d, n: Mie(d, n, 1.3317, 633.0, spread=0.02), st.floats(0.2, 1.0), st.floats(1.5, 1.7)),
+        st.just(Mixture((TwoTerm(0.9, -0.3, 0.9), HenyeyGreenstein(0.0)), (0.75, 0.25))),
+        st.just(Tabulated((-1.0, 1.0), (0.05305, 0.1061))),
+    ),
+    st.floats(1e-5, 1.0),
+)
+def test_a_journal_keeps_the_fitted_phase_function(phase: PhaseFunction, sigma_s: float) -> None:
+    """A report or a validation that is written later would else be of another liquid."""
+    curve = tuple(np.linspace(0.0, 180.0, 5).tolist())
+    found = PhaseFound(curve, curve, curve, (1e-4, 1e-6), (1e-3, 1e-5), {"g": (0.7, 0.01)}, {phase.kind: 1.0})
+    liquid = Medium(1e-4, sigma_s, phase=phase)
+    scattering = None if liquid.phase is None else found
+    dose = DoseFit(0.4, liquid, (1e-5, 1e-4, 1e-2), scattering=scattering)
+    series = SeriesFit((0.4, 0.8), liquid, Medium(2e-4, 0.0, 0.0), (1e-5, 1e-4, 1e-2, 1e-5), scattering=scattering)
+    for fit in (dose, series):
+        assert from_fields(json.loads(json.dumps(to_fields(fit)))) == fit
+
+
+def test_a_run_is_fitted_as_its_sequence_says() -> None:
+    """By its own word first, then by its material's label, then by its ink; without any as ever."""
+
+    def of(**said: object) -> str | PhaseFunction:
+        return phase_of(
+            sequence_from_table({"name": "x", "steps": [{"do": "capture", "pattern": "full"}], **said}, "x")
+        )
+
+    bead = {"material": "polystyrene-1.0", "wavelength_nm": 633.0}
+    mie = {"kind": "mie", "diameter_um": 0.5, "particle_index": 1.58, "water_index": 1.33, "wavelength_nm": 633.0}
+    assert of() == "hg"
+    assert of(ink={"sigma_a": 0.0, "sigma_s": 0.01, "g": 0.5}) == "hg"
+    assert of(ink={"sigma_a": 0.0, "sigma_s": 0.01, "phase": mie}) == Mie(0.5, 1.58, 1.33, 633.0)
+    found = of(**bead)
+    assert isinstance(found, Mie)
+    assert found.diameter_um == 1.0
+    assert of(material="intralipid-20", wavelength_nm=633.0) == "free"
+    assert of(**bead, phase="hg") == "hg"
+    with pytest.raises(SequenceError, match="needs wavelength_nm"):
+        of(material="polystyrene-1.0")
+    with pytest.raises(SceneError, match="did you mean"):
+        of(material="polystyren", wavelength_nm=633.0)
+    with pytest.raises(SequenceError, match="phase"):
+        of(phase="henyey")

@@ -114,6 +114,9 @@ def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bo
     path = out or Path("runs") / datetime.now(UTC).strftime("demo-%Y-%m-%dT%H-%M-%S")
     totals_ul = DOSES_UL[:doses] if liquid is None else liquid.totals_ul[1:][-doses:]
     sequence = _sequence(totals_ul)
+    if liquid is not None:
+        optics = liquid.optics
+        sequence = replace(sequence, material=optics.material.name, wavelength_nm=optics.wavelength_nm)
     require_place(path, 0)
     description = _rig(path, TRUTH if liquid is None else _truth(liquid))
     runner = open_runner(sequence, path, description)
