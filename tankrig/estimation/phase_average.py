@@ -184,18 +184,23 @@ def mixed(answers: Sequence[Scattering], shares: Sequence[float]) -> Scattering:
     mean = weight @ media
     covariance = np.einsum("i,ijk->jk", weight, np.array([one.covariance for one in answers]))
     covariance = covariance + np.einsum("i,ij,ik->jk", weight, media - mean, media - mean)
-    logs = np.array([np.log(one.curve.value) for one in answers])
-    value = weight @ np.exp(logs)
-    spread = weight @ (np.array([one.curve.sd for one in answers]) ** 2 + (logs - np.log(value)) ** 2)
     first = answers[int(np.argmax(weight))]
     phase = Mixture(tuple(one.liquid.phase_function for one in answers), tuple(weight.tolist()))
     return replace(
         first, liquid=Medium(float(mean[0]), float(mean[1]), phase=phase), covariance=covariance,
-        curve=PhaseCurve(first.curve.angle_deg, value, np.sqrt(spread)),
+        curve=_mixed_curve(weight, [one.curve for one in answers]),
+        beta=_mixed_curve(weight, [one.beta for one in answers if one.beta is not None]),
         at_right_angle=_mixed(weight, [one.at_right_angle for one in answers]),
         reduced=_mixed(weight, [one.reduced for one in answers]),
         families={next(iter(one.families)): float(share) for one, share in zip(answers, weight, strict=True)},
     )  # fmt: skip
+
+
+def _mixed_curve(weight: Array, curves: Sequence[PhaseCurve]) -> PhaseCurve:
+    logs = np.array([np.log(one.value) for one in curves])
+    value = weight @ np.exp(logs)
+    spread = weight @ (np.array([one.sd for one in curves]) ** 2 + (logs - np.log(value)) ** 2)
+    return PhaseCurve(curves[0].angle_deg, value, np.sqrt(spread))
 
 
 def _mixed(weight: Array, numbers: Sequence[tuple[float, float]]) -> tuple[float, float]:

@@ -36,6 +36,8 @@ def validation_of(
 ) -> Validation:
     """A run's recorded fits beside a reference; see `tankrig.report.beside_reference.validated`.
 
+    Where nobody says how far the light is polarised, what the run's bench says counts.
+
     Raises
     ------
     ImageError
@@ -45,6 +47,7 @@ def validation_of(
     if series is None:
         raise ImageError(f"{run.path}: its series is not fitted, which takes two doses; run tankrig refit {run.path}")
     bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
+    polarisation = bench.polarisation if polarisation is None else polarisation
     fitted = [one for one in doses if one.dose_ml in series.doses_ml]
     volume_ml = tank_ml or tank_volume_ml(bench.tank)
     return validated(optics, series, fitted, volume_ml, tank_relative_sd, stock, polarisation)

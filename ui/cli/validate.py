@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 @click.option(
     "--polarisation",
     type=click.FloatRange(0.0, 1.0),
-    help="Largest degree of the light's linear polarisation, 0 for none; default: unknown, so all is possible.",
+    help="Largest degree of the light's linear polarisation, 0 for none; default: what the run's bench says, else all "
+    "is possible.",
 )
 @click.option("--quick", is_flag=True, help="Compare what RUN has fitted, and fit nothing.")
 @out_option(None, "The .html file, or a folder for it; default: validation.html in RUN.")
