@@ -19,21 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.parameters import WIDEST
-from tankrig.estimation.phase_families import Family, henyey_greenstein, reynolds_mccormick, two_term
+from tankrig.estimation.phase_families import Family, as_free, henyey_greenstein, reynolds_mccormick, two_term
 from tankrig.estimation.phase_result import PhaseCurve, Scattering, scattering_of
 from tankrig.estimation.problem import Evaluation
 from tankrig.scene import Medium
-from tankrig.scene.free_phase import FORWARD_DEG, shapes_at
-from tankrig.scene.phase_functions import Mixture, phase_function
+from tankrig.scene.phase_functions import Mixture
 
 Array = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-3
 """Share of the answer below which a family is left out of it."""
-RIDGE = 1e-3
-"""Keeps shapes finite that a curve says nothing about."""
-PLACES_DEG = np.exp(np.linspace(math.log(FORWARD_DEG), math.log(180.0 + FORWARD_DEG), 100)) - FORWARD_DEG
-"""Angles at which curves are compared, as dense as the shapes want them."""
 STEPS = 40
 LEAST = 1e-3
 """Of the coefficients that the free fit found, below which no family's are sought."""
@@ -136,7 +131,7 @@ def _family(score: Score, family: Family, near: Medium) -> Weighed:
 
     def place(off: Array) -> Array:
         values = middle + scale * off
-        return np.concatenate([values[:2], _as_free(score, family, np.clip(values[2:], family.low, family.high))])
+        return np.concatenate([values[:2], as_free(family.phase(values[2:]), float(score.at[2]))])
 
     def residual(off: Array) -> Array:
         return np.concatenate([score.misfit(place(off)), off[2:]])
@@ -162,17 +157,6 @@ def _evidence(misfit: Array, pulls: float, response: Array) -> float:
     """Laplace's, of parameters in standard deviations of what is expected."""
     curvature = np.eye(response.shape[1]) + response.T @ response
     return -0.5 * float(misfit @ misfit) - 0.5 * pulls - 0.5 * float(np.linalg.slogdet(curvature)[1])
-
-
-def _as_free(score: Score, family: Family, coordinates: Array) -> Array:
-    """(k − 2,) coordinates of the free phase function that is most like a family's member, its base as it was found."""
-    cosines = np.cos(np.radians(PLACES_DEG))
-    base = math.tanh(float(score.at[2]))
-    log = np.log(np.maximum(family.phase(coordinates).at(cosines) / phase_function(cosines, base), 1e-300))
-    columns = np.vstack([shapes_at(cosines), np.ones(log.size)]).T
-    ridge = RIDGE * np.eye(columns.shape[1])
-    amplitudes = np.linalg.solve(columns.T @ columns + ridge, columns.T @ log)[:-1]
-    return np.concatenate([score.at[2:3], amplitudes])
 
 
 def mixed(answers: Sequence[Scattering], shares: Sequence[float]) -> Scattering:
