@@ -202,6 +202,19 @@ def test_a_series_shares_one_phase_function(asked: str | PhaseFunction, truth: P
     assert np.log(curve.value / truth.at(np.cos(np.radians(ANGLES_DEG))))[12:28] == pytest.approx(0.0, abs=0.1)
 
 
+def test_henyey_greenstein_determines_nothing_of_a_series_of_another_liquid() -> None:
+    """A lab that does not say what it dosed would else get a wrong number with a narrow interval."""
+    truth = ReynoldsMcCormick(0.6, 1.2)
+    found = series_of(truth, "hg")
+    assert not found.identifiable["sigma_s"]
+    assert not found.identifiable["g"]
+    assert "another phase function" in found.verdict
+    honest = series_of(HenyeyGreenstein(0.7), "hg")
+    assert honest.identifiable["sigma_s"]
+    assert honest.ink.sigma_s == pytest.approx(0.005, rel=0.01)
+    assert "another phase function" not in honest.verdict
+
+
 def test_a_series_phase_function_does_not_hide_that_ink_is_not_in_proportion() -> None:
     found = series_of(ReynoldsMcCormick(0.6, 1.2), "reynolds-mccormick", bend=0.1)
     assert found.linearity is not None
