@@ -130,9 +130,9 @@ def answer_by_paths(known: Known) -> Answer:
         return models_of(scene, "tank", None, known.family)
 
     def answer(scene: Scene, medium: Medium) -> tuple[Array, Array]:
-        model = models(scene)
-        slopes = model.slopes_of(model.coarse, max(scene.tank.size_mm))(medium)
-        return np.asarray(model.coarse(medium).image), np.asarray(slopes)
+        _, quiet = models(scene).refined(medium)  # noise of derivatives would pass for information
+        slopes = models(scene).slopes_of(quiet, max(scene.tank.size_mm))(medium)
+        return np.asarray(quiet(medium).image), np.asarray(slopes)
 
     return answer
 
