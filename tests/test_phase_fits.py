@@ -231,6 +231,28 @@ def test_henyey_greenstein_on_another_liquid_is_far_off_and_a_free_one_is_not() 
     assert np.mean((value > low) & (value < high)) > 0.8
 
 
+@pytest.mark.parametrize("truth", [ReynoldsMcCormick(0.6, 1.2), HenyeyGreenstein(0.8)], ids=["another", "its own"])
+def test_a_fit_left_alone_weighs_families_where_henyey_greenstein_does_not_hold(truth: PhaseFunction) -> None:
+    """Nobody who photographs an emulsion has to know that there are phase functions; nobody pays who has none."""
+
+    def tank(liquid: Medium) -> Prediction:
+        return replace(many_turns(liquid), model="tank")
+
+    image = many_turns(Medium(0.001, 0.02, phase=truth)).image
+    noise = 0.003 * float(image.max())
+    seen = observe(image + np.random.default_rng(0).normal(0.0, noise, image.shape), image.shape, noise)
+    asked = Asked(further=Asked(free(), averaged=True))
+    found = fit_models(
+        seen, SCENE, Scaling(1.0, 0.0), Models(tank, lambda _: (tank, tank)), lambda _: None, asked=asked
+    )
+    plain = isinstance(truth, HenyeyGreenstein)
+    assert (set(found.scattering.families) == {"hg"}) == plain
+    assert ("another phase function explains" in found.verdict.lower()) != plain
+    assert np.abs(off_in_sd(found, truth)).max() < 4.0
+    assert found.medium.sigma_s == pytest.approx(0.02, rel=0.03)
+    assert found.identifiable["sigma_s"]
+
+
 def test_families_are_weighed_by_what_they_explain() -> None:
     """A simple liquid keeps narrow intervals, and what no family describes gets the free one's."""
     simple = fit(HenyeyGreenstein(0.8), "any")

@@ -31,7 +31,7 @@ from tankrig.scene.phase_functions import ReynoldsMcCormick
 EMULSION = ReynoldsMcCormick(0.65, 0.75)
 """About what oil droplets do: a mean cosine of .77."""
 NOISE, MODEL_ERROR = 0.003, 0.0005
-SIGMA_S = (0.003, 0.01, 0.03, 0.1)
+SIGMA_S = (0.003, 0.01, 0.03)
 SIGMA_A = 5e-4
 LOOKED_AT_DEG = (60.0, 90.0, 120.0, 150.0)
 HEADS = ("σs, %", "g", "σs(1−g), %", "σs p(90°), %", *(f"p({angle:g}°), %" for angle in LOOKED_AT_DEG))

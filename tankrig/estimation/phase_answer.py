@@ -39,11 +39,14 @@ class Asked:
         Whether families are weighed by evidence; `family` is the free one then.
     begin
         Phase function to begin from; None: the one that is most like Henyey–Greenstein.
+    further
+        What is asked next where these leave what another phase function explains; None: nothing.
     """
 
     family: Family | None = None
     averaged: bool = False
     begin: PhaseFunction | None = None
+    further: "Asked | None" = None
 
 
 def asked_for(phase: str | PhaseFunction | None, scene: Scene) -> Asked:

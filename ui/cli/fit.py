@@ -114,7 +114,7 @@ class Nuisance(click.ParamType[Any]):
     "--phase",
     metavar="NAME",
     help="How one scattering turns light: hg, two-term, reynolds-mccormick, fournier-forand, free, mie or table (the "
-    "scene's), any (weighed by evidence); default: the scene's, or hg.",
+    "scene's), any (weighed by evidence); default: the scene's, or hg, and any where that does not hold.",
 )
 @click.option(
     "--nuisance",
