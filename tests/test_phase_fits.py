@@ -14,11 +14,20 @@ from numpy.typing import NDArray
 import tankrig
 from tankrig.errors import SceneError, SequenceError
 from tankrig.estimation.estimate import Estimate, fit_models
-from tankrig.estimation.forward import Models
+from tankrig.estimation.forward import Models, image_of, liquid_slopes_of, models_of, tank_model
 from tankrig.estimation.observation import observe
 from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.phase_answer import Asked, asked_for
-from tankrig.estimation.phase_families import FAMILIES, Family, family_of, fixed, free, henyey_greenstein, labelled
+from tankrig.estimation.phase_families import (
+    FAMILIES,
+    Family,
+    as_free,
+    family_of,
+    fixed,
+    free,
+    henyey_greenstein,
+    labelled,
+)
 from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
 from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.live.exposures import phase_of
@@ -291,6 +300,22 @@ def test_errors_of_what_follows_are_those_of_repeated_draws() -> None:
         phase, sigma_s = family.phase(at + move[2:]), 0.02 + move[1]
         draws.append((sigma_s * float(phase.at(0.0)), sigma_s * (1.0 - phase.mean_cosine)))
     assert np.std(draws, axis=0) == pytest.approx([stated.at_right_angle[1], stated.reduced[1]], rel=0.15)
+
+
+def test_many_scatterings_remember_of_a_phase_function_only_its_first_moments() -> None:
+    """A fit takes their derivatives from a few images; were these wrong, errors and steps would be."""
+    scene = replace(TANK, camera=Camera("orthographic", (20, 30), 8.0))
+    family = free()
+    liquid = Medium(5e-4, 0.01, phase=family.phase(as_free(ReynoldsMcCormick(0.7, 0.9))))
+    models = models_of(scene, "tank", None, family)
+    model = tank_model(scene, 6, 0)
+    length_mm = max(scene.tank.size_mm)
+    whole = liquid_slopes_of(image_of(model), length_mm, family)(liquid)
+    quick = models.slopes_of(model, length_mm)(liquid)
+    sizes, off = (np.linalg.norm(one.reshape(len(one), -1), axis=1) for one in (whole, quick - whole))
+    assert (off[:2] == 0.0).all()
+    assert np.median(off / sizes) < 0.04
+    assert np.linalg.norm(off) < 0.03 * np.linalg.norm(sizes)
 
 
 @pytest.mark.parametrize(
