@@ -31,6 +31,9 @@ class Bench:
     projector
         As calibrated: then each of its pixels lights what it does behind the wall, whatever `wall` says, on which
         patterns are still drawn.
+    polarisation
+        Largest degree of the light's linear polarisation, 0 … 1; None where nobody has measured it. Models take light
+        for unpolarised: `tankrig validate` counts what this may change.
 
     Examples
     --------
@@ -50,8 +53,11 @@ class Bench:
     camera: Camera
     light_position_mm: Vector | None = None
     projector: Projector | None = None
+    polarisation: float | None = None
 
     def __post_init__(self) -> None:
+        if self.polarisation is not None and not 0.0 <= self.polarisation <= 1.0:
+            raise SceneError(f"polarisation = {self.polarisation} is outside 0 … 1; give a degree, 0 for none")
         if self.light == "pinhole" and (self.light_position_mm is None or self.light_position_mm[0] >= 0.0):
             raise SceneError("light_position_mm is missing; a pinhole needs [x, y, z] in mm with x < 0")
         if self.light == "calibrated" and (self.projector is None or self.projector.matrix is None):

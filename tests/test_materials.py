@@ -20,7 +20,7 @@ from tankrig.materials.coefficients import Optics, optics
 from tankrig.materials.dosing import planned
 from tankrig.materials.library import material, materials
 from tankrig.materials.scalar_light import band_change, polarised, second_order
-from tankrig.materials.validation import validated
+from tankrig.report.beside_reference import validated
 from tankrig.scene import Medium
 from tankrig.scene.mie import Mie
 from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture

@@ -1,8 +1,9 @@
 """What another photograph is expected to tell, before it is taken.
 
-The ink's σa, σs per ml and g, the water's σa, the logarithm of the common gain and one error per dose are known with
-the covariance that photographs give together (`tankrig.estimation.uncertainty`); another photograph adds its
-information. That is what a fit of all of them would state, to first order.
+The ink's σa, σs per ml and g (or the coordinates of a family of phase functions), the water's σa, the logarithm of the
+common gain and one error per dose are known with the covariance that photographs give together
+(`tankrig.estimation.uncertainty`); another photograph adds its information. That is what a fit of all of them would
+state, to first order.
 """
 
 import math
@@ -12,16 +13,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.forward import values_of
 from tankrig.estimation.parameters import NAMES, WIDEST, Scaling, in_tank
+from tankrig.estimation.phase_families import Family
+from tankrig.estimation.phase_result import Scattering, scattering_of
 from tankrig.estimation.uncertainty import Information, Response, SmoothError, total
 from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
 Answer = Callable[[Scene, Medium], tuple[Array, Array]]
-"""Image of a scene with a medium, and (3, rows, columns) derivatives by σa, σs, g."""
-
-OWN = 5
-"""Coefficients before those of the doses: ink σa, σs, g, water σa, log gain."""
+"""Image of a scene with a medium, and (k, rows, columns) derivatives by `Known.values`."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,8 @@ class Known:
         From the (rows, columns) mean of a frame to its variance.
     model_error
         Relative L2 error of the model that will be fitted.
+    family
+        Of the phase functions that will be fitted, and of the ink's; None: Henyey–Greenstein.
     """
 
     ink: Medium
@@ -76,6 +79,22 @@ class Known:
     offset_free: bool
     noise: Callable[[Array], Array]
     model_error: float
+    family: Family | None = None
+
+    @property
+    def values(self) -> Array:
+        """(k,) what is fitted of the ink: σa, σs per ml and g, or σa, σs and the coordinates of the family."""
+        return values_of(self.ink, self.family)
+
+    @property
+    def widest(self) -> Array:
+        """(k,) standard deviations of these before anything was seen."""
+        family, coefficients = self.family, np.full(2, WIDEST * (self.ink.sigma_a + self.ink.sigma_s))
+        if family is None:
+            return np.append(coefficients, 1.0)
+        return np.append(
+            coefficients, np.where(family.expected, 1.0, family.usual) if family.expected.size else family.usual
+        )
 
     def liquid(self, dose_ml: float) -> Medium:
         """In the tank at a dose."""
@@ -92,10 +111,13 @@ class Expected:
         (3, 3) of the ink's σa, σs per ml and g.
     relative_sd
         By name; of g it is absolute.
+    scattering
+        How the ink scatters, with what will be known of its phase function; None where that is Henyey–Greenstein's.
     """
 
     covariance: Array
     relative_sd: dict[str, float]
+    scattering: Scattering | None = None
 
     def bits_to(self, better: "Expected", name: str | None = None) -> float:
         """Information that turns this into `better`, in bits: about one coefficient, or all three (½ log₂ of the
@@ -120,12 +142,15 @@ def expected(known: Known, shots: Sequence[Shot], answer: Answer) -> Expected:
     """
     doses = sorted({shot.dose_ml for shot in shots})
     found = total(_about_ink(known, shot, doses, answer) for shot in _averaged(shots))
-    ink, densest = known.ink, known.liquid(doses[-1]).sigma_t
-    widest = [WIDEST * (ink.sigma_a + ink.sigma_s)] * 2 + [1.0, WIDEST * densest, WIDEST]
-    covariance = found.covariance(np.array([*widest, *np.ones(len(doses))]))[:3, :3]
+    ink, densest, count = known.ink, known.liquid(doses[-1]).sigma_t, known.values.size
+    widest = np.array([*known.widest, WIDEST * densest, WIDEST, *np.ones(len(doses))])
+    covariance, scattering = found.covariance(widest)[:count, :count], None
+    if known.family is not None:
+        scattering = scattering_of(known.values[:2], known.values[2:], covariance, known.family)
+        covariance = scattering.covariance
     sd = np.sqrt(np.diag(covariance))
     scale = (ink.sigma_a, ink.sigma_s, 1.0)
-    return Expected(covariance, {name: float(sd[k] / scale[k]) for k, name in enumerate(NAMES)})
+    return Expected(covariance, {name: float(sd[k] / scale[k]) for k, name in enumerate(NAMES)}, scattering)
 
 
 def _averaged(shots: Sequence[Shot]) -> list[Shot]:
@@ -140,16 +165,17 @@ def _averaged(shots: Sequence[Shot]) -> list[Shot]:
 
 def _about_ink(known: Known, shot: Shot, doses: Sequence[float], answer: Answer) -> Information:
     """A shot's information about ink, water, gain and doses."""
-    number, ink, dose = doses.index(shot.dose_ml), known.ink, shot.dose_ml
-    chain = np.zeros((OWN + len(doses), 4))
-    chain[0, 0] = chain[1, 1] = dose
-    chain[2, 2] = chain[3, 0] = chain[4, 3] = 1.0
-    chain[OWN + number, :2] = shot.dose_sd_ml * ink.sigma_a, shot.dose_sd_ml * ink.sigma_s
+    number, ink, count = doses.index(shot.dose_ml), known.ink, known.values.size
+    # Of the ink's values, the water's σa, the logarithm of the gain and the doses by the liquid's values and that gain.
+    chain = np.zeros((count + 2 + len(doses), count + 1))
+    chain[:count, :count] = np.diag([shot.dose_ml, shot.dose_ml, *np.ones(count - 2)])
+    chain[count, 0] = chain[count + 1, count] = 1.0
+    chain[count + 2 + number, :2] = shot.dose_sd_ml * ink.sigma_a, shot.dose_sd_ml * ink.sigma_s
     return _about_liquid(known, shot, answer).of(chain)
 
 
 def _about_liquid(known: Known, shot: Shot, answer: Answer) -> Information:
-    """A shot's information about the liquid's σa, σs and g, and log gain."""
+    """A shot's information about the liquid's values, and log gain."""
     radiance, slopes = answer(shot.scene, known.liquid(shot.dose_ml))
     image = known.gain * radiance
     noise = np.sqrt(known.noise(image) / shot.frames)

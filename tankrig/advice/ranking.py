@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Literal
 
 import numpy as np
 
 from tankrig.advice.expected import Answer, Array, Expected, Known, Shot, expected
+from tankrig.estimation.forward import Models, models_of
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
 from tankrig.scene import Medium, Scene
@@ -119,6 +120,21 @@ def _spread(after: Expected, name: str | None) -> float:
     relative = np.array(list(after.relative_sd.values()))
     scale = np.outer(relative / sd, relative / sd)
     return float(np.linalg.slogdet(after.covariance * scale)[1]) / 2.0 / float(np.log(2.0))
+
+
+def answer_by_paths(known: Known) -> Answer:
+    """The tank's model with the phase functions of a family: light paths are followed for each liquid anew."""
+
+    @cache
+    def models(scene: Scene) -> Models:
+        return models_of(scene, "tank", None, known.family)
+
+    def answer(scene: Scene, medium: Medium) -> tuple[Array, Array]:
+        _, quiet = models(scene).refined(medium)  # noise of derivatives would pass for information
+        slopes = models(scene).slopes_of(quiet, max(scene.tank.size_mm))(medium)
+        return np.asarray(quiet(medium).image), np.asarray(slopes)
+
+    return answer
 
 
 def prepared_answer(

@@ -6,11 +6,14 @@ import numpy as np
 
 from tankrig.advice.expected import Array, Known, Shot
 from tankrig.errors import ImageError
+from tankrig.estimation.phase_answer import asked_for
+from tankrig.estimation.phase_families import Family, as_free
 from tankrig.live.exposures import Photograph, exposures_of
 from tankrig.live.results import DoseFit, SeriesFit, diluted
 from tankrig.report.results import recorded
 from tankrig.run.reading import Run
-from tankrig.scene import Medium
+from tankrig.scene import Medium, Scene
+from tankrig.scene.phase_table import PhaseFunction
 
 MODEL_ERROR = 0.001
 """Of the models that runs are fitted with, where a run's fits don't tell: their usual error (decision 63)."""
@@ -45,7 +48,21 @@ def from_run(run: Run) -> tuple[Known, list[Shot], list[str]]:
     error = float(np.median(errors)) if errors else MODEL_ERROR
     free = photographs[0].offset == "free"
     patterns = [exposures.plan.patterns[key].name for key in exposures.plan.scenes]
-    return Known(ink, water, gain, free, _noise_of(photographs), error), shots, patterns
+    family = _family(ink.phase, exposures.plan.phase, photographs[0].scene)
+    if family is not None:
+        ink = Medium(ink.sigma_a, ink.sigma_s, phase=family.phase(family.coordinates(_member(ink, family))))
+    return Known(ink, water, gain, free, _noise_of(photographs), error, family), shots, patterns
+
+
+def _family(found: PhaseFunction | None, asked: str | PhaseFunction, scene: Scene) -> Family | None:
+    """What a run's fits search; None where they have found Henyey–Greenstein."""
+    return None if found is None else asked_for(found if asked == "hg" else asked, scene).family
+
+
+def _member(ink: Medium, family: Family) -> PhaseFunction:
+    """The ink's phase function, or the free one that is most like it."""
+    phase = ink.phase_function
+    return family.phase(as_free(phase)) if family.name == "free" and phase.kind != "free" else phase
 
 
 def from_guess(ink: Medium, gain: float, noise: float) -> Known:

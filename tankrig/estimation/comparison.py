@@ -140,7 +140,8 @@ def compare_models(
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # what a model leaves out is in its verdict
-                found = estimate(image, scene, gain, offset, noise, mask, one.model, one.max_order, phase=one.phase)
+                phase = one.phase or (None if scene.medium.phase else "hg")  # a model that is not taken for another
+                found = estimate(image, scene, gain, offset, noise, mask, one.model, one.max_order, phase=phase)
         except TankrigError as error:
             errors.append(error)
             refusal = str(error)

@@ -14,8 +14,8 @@ from tankrig.estimation.forward import Models, error_map, models_of, smooth_erro
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
-from tankrig.estimation.parameters import MediumBlock, Range, Scaling
-from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, phase_instead
+from tankrig.estimation.parameters import Range, Scaling
+from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, liquid_blocks, phase_instead
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import (
     PHASE,
@@ -38,12 +38,14 @@ from tankrig.estimation.uncertainty import (
     stretches,
 )
 from tankrig.estimation.verdict import (
+    what_did_not_hold,
     what_is_determined,
     what_is_left,
     what_is_misaligned,
     what_is_unseen,
     what_was_left_out,
 )
+from tankrig.light.rays import shift_invariant
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -106,7 +108,9 @@ def estimate(
         How one scattering turns light: "hg" (Henyey–Greenstein), "two-term", "reynolds-mccormick", "fournier-forand",
         "free" (any smooth one), or "any": all but Fournier and Forand's, weighed by their evidence. A `Mie` is what a
         label says, fitted within its accuracy; any other phase function is taken as it is. "mie" and "table" mean the
-        scene's. None: the scene's, to begin from; "hg" where it has none.
+        scene's. None: the scene's, to begin from. Where it has none, "hg", and "any" where that leaves structure that
+        another phase function explains better than anything else; with slanting light or sight, where that takes many
+        minutes, the verdict says so instead.
     nuisance
         What may be off in the set-up, each with its standard deviation, and is fitted along: "z_mm", "y_mm" (light
         moved up, and along y), "tilt_mrad" (light turned about the vertical, towards +y), "scale" (share by which a
@@ -128,6 +132,8 @@ def estimate(
     if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):
         raise SceneError(f"{scene.source or 'the scene'}: no beam has any irradiance; give the light that was on")
     scaling, asked = Scaling.given(gain, offset), asked_for(phase, scene)
+    if phase is None and asked.family is None and model == "tank" and max_order is None and shift_invariant(scene):
+        asked = replace(asked, further=asked_for("any", scene))
     misalignment = Misalignment(scene, nuisance, 1 if model == "single" else max_order) if nuisance else None
     observation = observe(image, scene.camera.shape, noise, mask)
     models = models_of(scene, model, max_order, asked.family, checked=True)
@@ -160,18 +166,24 @@ def fit_models(
     asked
         Which phase functions are.
     """
-    block = MediumBlock(models.range or Range.of_tank(max(scene.tank.size_mm)))
+    blocks_of = liquid_blocks(models.range or Range.of_tank(max(scene.tank.size_mm)))
     shot = Shot(observation, scene, models)
     if asked.family is None:
-        fit = fitted([shot], (block,), scaling, progress, sharper=True)
+        fit = fitted([shot], blocks_of(None), scaling, progress, sharper=True)
     else:
-        fit = fit_phase(shot, asked, block, scaling, progress)
+        fit = fit_phase([shot], asked, blocks_of, scaling, progress, sharper=True)
     if misalignment is not None:
         progress("aligning")
         fit = _aligned(fit, misalignment)
     fit = without_outliers(fit)
     progress("finding the errors")
-    return _built(fit, scene, models, asked)
+    found, explained = _built(fit, scene, models, asked)
+    if explained == 0.0 or asked.further is None:
+        return found
+    progress("weighing other phase functions")
+    other = replace(models, family=asked.further.family)
+    weighed = fit_models(observation, scene, scaling, other, progress, misalignment, asked.further)
+    return replace(weighed, verdict=f"{what_did_not_hold(explained)} {weighed.verdict}")
 
 
 def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
@@ -259,8 +271,9 @@ def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
     return gain, offsets, found
 
 
-def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
-    """The estimate at an optimum: its errors, what the residual says, and the verdict."""
+def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, float]:
+    """The estimate at an optimum: its errors, what the residual says, and the verdict; and the share of what is left
+    that another phase function explains, where that is more than anything else does, else 0."""
     best = fit.optimum
     gain, (offset,), (left,) = left_over(fit)
     observation, prediction = best.problem.views[0].observation, left.prediction
@@ -298,12 +311,13 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
         what_is_unseen(medium, moved_by_halos(best, [left])[:own], spread, known),
         what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
     ]
-    return Estimate(
+    found = Estimate(
         medium=medium, covariance=spread, identifiable=known, gain=gain, offset=offset, image=left.image,
         residual=left.residual, rmse=left.rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model,
         noise=rms(left.noise[used]), model_error=left.counted, nuisance=off, structure=structure_map(whitened, used),
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
+    return found, instead.share if instead is not None and misled else 0.0
 
 
 def _error_of(prediction: Prediction, gain: float, beyond: float, scene: Scene) -> ModelError:

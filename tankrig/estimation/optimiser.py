@@ -436,7 +436,7 @@ def fitted(
     """
     if starts is not None:
         problem = _rough(shots, blocks, scaling)
-        found = search(problem.of(few), starts, progress)
+        found = search(problem.of(few), starts, progress, enough=COARSE_ENOUGH if len(few) == 1 else SEVERAL_ENOUGH)
     elif start is None:
         problem, found = _searched(shots, blocks, scaling, progress, few)
     else:
@@ -494,19 +494,25 @@ def _searched(
     return problem, search(seen, [one.coordinates for one in valleys], progress)
 
 
-def guessed(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told) -> Medium:
-    """About what the first image's liquid is, by the cheap models alone."""
-    problem = _rough(shots, blocks, scaling).of((0,))
+def guessed(
+    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told, few: Sequence[int] = (0,)
+) -> Medium:
+    """About what the liquid of the last of a few images is, by the cheap models alone."""
+    if len(few) > 1:
+        problem, found = _searched(shots, blocks, scaling, progress, few)
+        return problem.of(few).at(found[0]).media[-1]
+    problem = _rough(shots, blocks, scaling).of(few)
     progress("looking at a few media")
     first, _ = first_guess(problem, shots[0].length_mm)
     return problem.at(search(problem, [look.coordinates for look in first], progress)[0]).media[0]
 
 
 def promising(
-    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, ladder: Sequence[Vector]
-) -> list[Vector]:
-    """Places on a ladder that explain the first image better than their neighbours on it, best first."""
-    problem = _rough(shots, blocks, scaling).of((0,))
+    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, ladder: Sequence[Vector],
+    few: Sequence[int] = (0,),
+) -> list[Vector]:  # fmt: skip
+    """Places on a ladder that explain a few images better than their neighbours on it, best first."""
+    problem = _rough(shots, blocks, scaling).of(few)
     costs = [problem.at(np.clip(one, *problem.box)).cost for one in ladder]
     around = [math.inf, *costs, math.inf]
     found = [k for k, cost in enumerate(costs) if cost <= min(around[k], around[k + 2])]

@@ -7,7 +7,7 @@ liquid of a view, or to its image besides; problem, optimiser, uncertainty and v
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -355,7 +355,7 @@ class InkBlock(Block):
 
 def in_tank(ink: Medium, water_sigma_a: float, dose_ml: float) -> Medium:
     """The liquid of so much ink, given per mm and ml, in water that absorbs."""
-    return Medium(water_sigma_a + ink.sigma_a * dose_ml, ink.sigma_s * dose_ml, ink.g)
+    return replace(ink, sigma_a=water_sigma_a + ink.sigma_a * dose_ml, sigma_s=ink.sigma_s * dose_ml)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
-"""How a fit of one image goes about phase functions: which are asked for, how they are fitted, and what comes of it."""
+"""How a fit goes about phase functions: which are asked for, how they are fitted, and what comes of it."""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,9 +9,9 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.forward import COARSE, Models, image_of, models_of
 from tankrig.estimation.optimiser import COARSE_ENOUGH, Fit, Shot, Told, fitted, guessed, promising, solve
-from tankrig.estimation.parameters import MediumBlock, Scaling
+from tankrig.estimation.parameters import Block, Doses, DosesBlock, InkBlock, MediumBlock, Range, Scaling
 from tankrig.estimation.phase_average import averaged
-from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
+from tankrig.estimation.phase_block import CoefficientsBlock, InkCoefficientsBlock, PhaseBlock, WaterBlock
 from tankrig.estimation.phase_families import FAMILIES, Family, family_of, fixed, free, henyey_greenstein
 from tankrig.estimation.phase_result import Scattering, scattering_of
 from tankrig.estimation.problem import Evaluation, Problem
@@ -38,11 +39,14 @@ class Asked:
         Whether families are weighed by evidence; `family` is the free one then.
     begin
         Phase function to begin from; None: the one that is most like Henyey–Greenstein.
+    further
+        What is asked next where these leave what another phase function explains; None: nothing.
     """
 
     family: Family | None = None
     averaged: bool = False
     begin: PhaseFunction | None = None
+    further: "Asked | None" = None
 
 
 def asked_for(phase: str | PhaseFunction | None, scene: Scene) -> Asked:
@@ -67,26 +71,74 @@ def asked_for(phase: str | PhaseFunction | None, scene: Scene) -> Asked:
     )
 
 
-def fit_phase(shot: Shot, asked: Asked, block: MediumBlock, scaling: Scaling, progress: Told) -> Fit:
-    """Fit coefficients and a family's phase function to an image.
+BlocksOf = Callable[[Family | None], tuple[Block, ...]]
+"""Blocks of a liquid, or of ink in water, by the family of phase functions that is searched; None: Henyey–Greenstein.
+
+With a family those of σa and σs come first, and that of the phase function next.
+"""
+
+
+def liquid_blocks(within: Range) -> BlocksOf:
+    """Of one liquid in all images."""
+    return lambda family: (MediumBlock(within),) if family is None else (CoefficientsBlock(within), PhaseBlock(family))
+
+
+def ink_blocks(doses: Doses, length_mm: float) -> BlocksOf:
+    """Of ink in water that absorbs."""
+    errors = DosesBlock(doses)
+    return lambda family: (
+        (InkBlock(doses, length_mm), errors)
+        if family is None
+        else (InkCoefficientsBlock(doses, length_mm), PhaseBlock(family), WaterBlock(length_mm), errors)
+    )
+
+
+def fit_phase(
+    shots: Sequence[Shot],
+    asked: Asked,
+    blocks_of: BlocksOf,
+    scaling: Scaling,
+    progress: Told,
+    few: Sequence[int] = (0,),
+    densest: Medium | None = None,
+    sharper: bool = False,
+) -> Fit:
+    """Fit coefficients and a family's phase function to images.
 
     Coefficients are looked for with Henyey–Greenstein first, whose three numbers are found from anywhere, or with the
     phase function to begin from where there is one.
+
+    Parameters
+    ----------
+    shots
+        The images, and their models.
+    asked
+        Which phase functions are searched.
+    blocks_of
+        What else is.
+    scaling, progress, few, sharper
+        As for `fitted`; the last of the few is densest.
+    densest
+        About what that is; None to look for it.
     """
     family = asked.family or henyey_greenstein()
-    blocks = (CoefficientsBlock(block.range), PhaseBlock(family))
-    if asked.begin is None:
-        medium = guessed([replace(shot, models=replace(shot.models, family=None))], (block,), scaling, progress)
-    else:
-        only = fixed(asked.begin)
-        known = (blocks[0], PhaseBlock(only))
-        medium = guessed([replace(shot, models=replace(shot.models, family=only))], known, scaling, progress)
-    start = np.concatenate([one.start(medium) for one in blocks])
-    starts = [start, *(np.concatenate([start[:2], other]) for other in family.others(start[2:]))]
-    if family.ladder.size:
-        rungs = [np.concatenate([start[:2], [rung], start[3:]]) for rung in family.ladder]
-        starts += promising([shot], blocks, scaling, rungs)[:MOST_RUNGS]
-    return fitted([shot], blocks, scaling, progress, sharper=True, starts=starts)
+    blocks = blocks_of(family)
+    at = densest
+    if at is None:
+        only = None if asked.begin is None else fixed(asked.begin)
+        plain = [replace(shot, models=replace(shot.models, family=only)) for shot in shots]
+        at = guessed(plain, blocks_of(only), scaling, progress, few)
+    before, start, after = blocks[0].start(at), blocks[1].start(at), [one.start(at) for one in blocks[2:]]
+
+    def place(coordinates: Array) -> Array:
+        return np.concatenate([before, coordinates, *after])
+
+    starts = [place(start)]
+    if densest is None or densest.phase is None or densest.phase.kind != family.name:
+        starts += [place(other) for other in family.others(start)]
+        rungs = [place(np.concatenate([[rung], start[1:]])) for rung in family.ladder]
+        starts += promising(shots, blocks, scaling, rungs, few)[:MOST_RUNGS] if rungs else []
+    return fitted(shots, blocks, scaling, progress, few=few, sharper=sharper, starts=starts)
 
 
 def answer_of(best: Evaluation, spread: Array, asked: Asked, explained: bool = True) -> Scattering:
@@ -95,7 +147,7 @@ def answer_of(best: Evaluation, spread: Array, asked: Asked, explained: bool = T
     Parameters
     ----------
     best
-        The optimum.
+        The optimum: of a liquid, or of ink, which is answered per ml.
     spread
         Covariance of all its values.
     asked
@@ -105,7 +157,7 @@ def answer_of(best: Evaluation, spread: Array, asked: Asked, explained: bool = T
         not hold either, and what is left is no measure of how much worse a stiffer one is.
     """
     if asked.family is None:
-        (medium, *_), covariance = best.media, spread[:3, :3]
+        medium, covariance = Medium(*best.values[best.problem.blocks[0].name][:3]), spread[:3, :3]
         scale = np.diag([1.0, 1.0, 1.0 / ((1.0 - medium.g) * (1.0 + medium.g))])
         coordinates = np.array([math.atanh(medium.g)])
         found = scattering_of(
@@ -115,7 +167,8 @@ def answer_of(best: Evaluation, spread: Array, asked: Asked, explained: bool = T
     if asked.averaged and explained:
         return averaged(best, spread, asked.family)
     count = 2 + len(asked.family.names)
-    return scattering_of(best.values["medium"], best.values["phase"], spread[:count, :count], asked.family)
+    coefficients = best.values[best.problem.blocks[0].name]
+    return scattering_of(coefficients, best.values["phase"], spread[:count, :count], asked.family)
 
 
 @dataclass(frozen=True)

@@ -19,21 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.parameters import WIDEST
-from tankrig.estimation.phase_families import Family, henyey_greenstein, reynolds_mccormick, two_term
+from tankrig.estimation.phase_families import Family, as_free, henyey_greenstein, reynolds_mccormick, two_term
 from tankrig.estimation.phase_result import PhaseCurve, Scattering, scattering_of
 from tankrig.estimation.problem import Evaluation
 from tankrig.scene import Medium
-from tankrig.scene.free_phase import FORWARD_DEG, shapes_at
-from tankrig.scene.phase_functions import Mixture, phase_function
+from tankrig.scene.phase_functions import Mixture
 
 Array = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-3
 """Share of the answer below which a family is left out of it."""
-RIDGE = 1e-3
-"""Keeps shapes finite that a curve says nothing about."""
-PLACES_DEG = np.exp(np.linspace(math.log(FORWARD_DEG), math.log(180.0 + FORWARD_DEG), 100)) - FORWARD_DEG
-"""Angles at which curves are compared, as dense as the shapes want them."""
 STEPS = 40
 LEAST = 1e-3
 """Of the coefficients that the free fit found, below which no family's are sought."""
@@ -59,18 +54,24 @@ class Score:
 
     @classmethod
     def of(cls, best: Evaluation, spread: Array) -> "Score":
-        """Of an optimum and the covariance (k, k) of its values, whatever that counts."""
-        sensitivity = best.sensitivity
+        """Of an optimum and the covariance (k, k) of its first k values, whatever that counts.
+
+        Values beyond those (of the set-up, water, doses) follow them wherever they go.
+        """
+        sensitivity, count = best.sensitivity, len(spread)
         size, weight = sensitivity.widest, sensitivity.weight
         changes, priors = sensitivity.changes * size[:, None], sensitivity.priors * size[:, None]
         fisher = changes @ changes.T + priors @ priors.T
+        besides = np.linalg.solve((fisher + np.diag(weight))[count:, count:], fisher[count:, :count])
+        fisher = fisher[:count, :count] - fisher[:count, count:] @ besides
+        size, weight = size[:count], weight[:count]
         # Of the values in units of `widest`, of which covariance is F⁻¹ (Σ + prior) F⁻¹.
         whole = fisher + np.diag(weight)
         scatter = whole @ (spread / np.outer(size, size)) @ whole - np.diag(weight**2)
         values, vectors = np.linalg.eigh(0.5 * (scatter + scatter.T))
         root = vectors / np.sqrt(np.maximum(values, 1e-9 * values[-1]))
-        score = changes @ best.left
-        at = np.concatenate([best.values["medium"], best.values["phase"]])
+        score = changes[:count] @ best.left
+        at = np.concatenate([best.values[best.problem.blocks[0].name], best.values["phase"]])
         return cls(at, root.T @ score, root.T @ fisher / size)
 
     def misfit(self, at: Array) -> Array:
@@ -130,7 +131,7 @@ def _family(score: Score, family: Family, near: Medium) -> Weighed:
 
     def place(off: Array) -> Array:
         values = middle + scale * off
-        return np.concatenate([values[:2], _as_free(score, family, np.clip(values[2:], family.low, family.high))])
+        return np.concatenate([values[:2], as_free(family.phase(values[2:]), float(score.at[2]))])
 
     def residual(off: Array) -> Array:
         return np.concatenate([score.misfit(place(off)), off[2:]])
@@ -158,17 +159,6 @@ def _evidence(misfit: Array, pulls: float, response: Array) -> float:
     return -0.5 * float(misfit @ misfit) - 0.5 * pulls - 0.5 * float(np.linalg.slogdet(curvature)[1])
 
 
-def _as_free(score: Score, family: Family, coordinates: Array) -> Array:
-    """(k − 2,) coordinates of the free phase function that is most like a family's member, its base as it was found."""
-    cosines = np.cos(np.radians(PLACES_DEG))
-    base = math.tanh(float(score.at[2]))
-    log = np.log(np.maximum(family.phase(coordinates).at(cosines) / phase_function(cosines, base), 1e-300))
-    columns = np.vstack([shapes_at(cosines), np.ones(log.size)]).T
-    ridge = RIDGE * np.eye(columns.shape[1])
-    amplitudes = np.linalg.solve(columns.T @ columns + ridge, columns.T @ log)[:-1]
-    return np.concatenate([score.at[2:3], amplitudes])
-
-
 def mixed(answers: Sequence[Scattering], shares: Sequence[float]) -> Scattering:
     """Answers as one, with what they differ by in its errors."""
     if len(answers) == 1:
@@ -178,18 +168,23 @@ def mixed(answers: Sequence[Scattering], shares: Sequence[float]) -> Scattering:
     mean = weight @ media
     covariance = np.einsum("i,ijk->jk", weight, np.array([one.covariance for one in answers]))
     covariance = covariance + np.einsum("i,ij,ik->jk", weight, media - mean, media - mean)
-    logs = np.array([np.log(one.curve.value) for one in answers])
-    value = weight @ np.exp(logs)
-    spread = weight @ (np.array([one.curve.sd for one in answers]) ** 2 + (logs - np.log(value)) ** 2)
     first = answers[int(np.argmax(weight))]
     phase = Mixture(tuple(one.liquid.phase_function for one in answers), tuple(weight.tolist()))
     return replace(
         first, liquid=Medium(float(mean[0]), float(mean[1]), phase=phase), covariance=covariance,
-        curve=PhaseCurve(first.curve.angle_deg, value, np.sqrt(spread)),
+        curve=_mixed_curve(weight, [one.curve for one in answers]),
+        beta=_mixed_curve(weight, [one.beta for one in answers if one.beta is not None]),
         at_right_angle=_mixed(weight, [one.at_right_angle for one in answers]),
         reduced=_mixed(weight, [one.reduced for one in answers]),
         families={next(iter(one.families)): float(share) for one, share in zip(answers, weight, strict=True)},
     )  # fmt: skip
+
+
+def _mixed_curve(weight: Array, curves: Sequence[PhaseCurve]) -> PhaseCurve:
+    logs = np.array([np.log(one.value) for one in curves])
+    value = weight @ np.exp(logs)
+    spread = weight @ (np.array([one.sd for one in curves]) ** 2 + (logs - np.log(value)) ** 2)
+    return PhaseCurve(curves[0].angle_deg, value, np.sqrt(spread))
 
 
 def _mixed(weight: Array, numbers: Sequence[tuple[float, float]]) -> tuple[float, float]:

@@ -4,7 +4,7 @@ With Henyey–Greenstein `MediumBlock` holds all three, and none of these is use
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.parameters import (
     LONGEST_STEP,
+    MOST_WATER,
     NAMES,
     WIDEST,
     Block,
+    Doses,
+    InkBlock,
     Range,
     Values,
     slopes,
@@ -96,6 +99,113 @@ class CoefficientsBlock(Block):
     def _liquid(self, values: Values) -> Medium:
         sigma_a, sigma_s = values[self.name].tolist()
         return Medium(sigma_a, sigma_s, UNTURNED)
+
+
+@dataclass(frozen=True)
+class InkCoefficientsBlock(Block):
+    """σa and σs of ink per mm and ml: at d ml there is d times as much of both.
+
+    Parameters
+    ----------
+    doses
+        As measured.
+    length_mm
+        Longest side of the tank.
+    """
+
+    doses: Doses
+    length_mm: float
+    name: ClassVar[str] = InkBlock.name
+    names = NAMES[:2]
+    longest_step = LONGEST_STEP[:2]
+
+    @property
+    def _whole(self) -> InkBlock:
+        """With an asymmetry and water, of which nothing here is used."""
+        return InkBlock(self.doses, self.length_mm)
+
+    @property
+    def low(self) -> Array:
+        """What a tank can tell from clear water, at the highest dose."""
+        return self._whole.low[:2]
+
+    @property
+    def high(self) -> Array:
+        """What it can tell from chalk."""
+        return self._whole.high[:2]
+
+    def start(self, densest: Medium) -> Array:
+        """Ink of which the highest dose is that, and not where absorption is too little for its logarithm to matter."""
+        scattering, logit, *_ = self._whole.start(Medium(densest.sigma_a, densest.sigma_s, UNTURNED))
+        return np.asarray(np.clip([scattering, min(logit, CLEAREST)], self.low, self.high))
+
+    def values(self, coordinates: Array) -> Array:
+        """The ink's σa and σs."""
+        return self._whole.values(np.array([*coordinates, UNTURNED, 0.0]))[:2]
+
+    def slopes(self, coordinates: Array) -> Array:
+        """(2, 2)."""
+        return self._whole.slopes(np.array([*coordinates, UNTURNED, 0.0]))[:2, :2]
+
+    def widest(self, values: Values) -> Array:
+        """In units of the ink's σt."""
+        return np.full(2, WIDEST * float(values[self.name].sum()))
+
+    def liquid(self, values: Values, dose: int, before: Medium) -> Medium:
+        """So much ink."""
+        dose_ml = float(self.doses.moved(values["doses"])[dose])
+        sigma_a, sigma_s = (dose_ml * float(one) for one in values[self.name])
+        return Medium(sigma_a, sigma_s, UNTURNED)
+
+    def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+        """In proportion to the dose."""
+        return np.asarray(self.doses.moved(values["doses"])[dose] * by_liquid[:2])
+
+
+@dataclass(frozen=True)
+class WaterBlock(Block):
+    """σa of the water alone, in all views.
+
+    Parameters
+    ----------
+    length_mm
+        Longest side of the tank.
+    """
+
+    length_mm: float
+    name: ClassVar[str] = "water"
+    names = ("water_sigma_a",)
+    longest_step = np.array([0.3])
+
+    @property
+    def low(self) -> Array:
+        """None."""
+        return np.zeros(1)
+
+    @property
+    def high(self) -> Array:
+        """In absorption lengths along the tank."""
+        return np.array([MOST_WATER])
+
+    def values(self, coordinates: Array) -> Array:
+        """1/mm."""
+        return coordinates / self.length_mm
+
+    def slopes(self, coordinates: Array) -> Array:
+        """(1, 1)."""
+        return np.array([[1.0 / self.length_mm]])
+
+    def widest(self, values: Values) -> Array:
+        """As much as is searched."""
+        return np.array([MOST_WATER / self.length_mm])
+
+    def liquid(self, values: Values, dose: int, before: Medium) -> Medium:
+        """The same in this water."""
+        return replace(before, sigma_a=before.sigma_a + float(values[self.name][0]))
+
+    def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+        """That by σa."""
+        return by_liquid[:1]
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
-from tankrig.scene.free_phase import SHAPES, FreePhase
+from tankrig.scene.free_phase import FORWARD_DEG, SHAPES, FreePhase, shapes_at
 from tankrig.scene.mie import Mie
-from tankrig.scene.phase_functions import FournierForand, HenyeyGreenstein, ReynoldsMcCormick, TwoTerm
+from tankrig.scene.phase_functions import FournierForand, HenyeyGreenstein, ReynoldsMcCormick, TwoTerm, phase_function
 from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
@@ -26,6 +26,10 @@ USUAL_G = (0.5, 0.8, 0.93)
 DIAMETER_STEP, FURTHEST = 0.02, 2.5
 """Of the diameters that a search begins from, as a share, and standard deviations of the label's that it goes to: Mie's
 p at a right angle goes up and down within some per cent of the diameter (beads of .5 to 2 µm)."""
+PLACES_DEG = np.exp(np.linspace(math.log(FORWARD_DEG), math.log(180.0 + FORWARD_DEG), 100)) - FORWARD_DEG
+"""Angles at which phase functions are compared with free ones, as dense as the shapes want them."""
+RIDGE = 1e-3
+"""Keeps shapes finite that a curve says nothing about."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +162,32 @@ def free() -> Family:
         lambda g: np.array([math.atanh(min(max(g, -0.9), 0.98)), *[0.0] * SHAPES]),
         np.array([False, *[True] * SHAPES]),
     )  # fmt: skip
+
+
+def as_free(phase: PhaseFunction, base: float | None = None) -> Array:
+    """Coordinates of the free phase function that is most like another one.
+
+    Parameters
+    ----------
+    phase
+        Any.
+    base
+        atanh of the asymmetry that it starts from; None: that of the mean cosine.
+
+    Examples
+    --------
+    >>> found = as_free(ReynoldsMcCormick(0.7, 0.8))
+    >>> near = free().phase(found)
+    >>> bool(abs(math.log(near.at(0.0) / ReynoldsMcCormick(0.7, 0.8).at(0.0))) < 0.01)
+    True
+    """
+    start = float(free().like(phase.mean_cosine)[0]) if base is None else base
+    cosines = np.cos(np.radians(PLACES_DEG))
+    log = np.log(np.maximum(phase.at(cosines) / phase_function(cosines, math.tanh(start)), 1e-300))
+    columns = np.vstack([shapes_at(cosines), np.ones(log.size)]).T
+    ridge = RIDGE * np.eye(columns.shape[1])
+    amplitudes = np.linalg.solve(columns.T @ columns + ridge, columns.T @ log)[:-1]
+    return np.concatenate([[start], amplitudes])
 
 
 def labelled(label: Mie) -> Family:

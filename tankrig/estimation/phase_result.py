@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 
 ANGLES_DEG = np.array([0.0, 2.0, 5.0, *np.arange(10.0, 181.0, 5.0)])
 """At which the curve is given."""
+PER_M = 1000.0
+"""From 1/mm to 1/m."""
 RIGHT_ANGLE = int(np.flatnonzero(ANGLES_DEG == 90.0)[0])
 
 
@@ -65,6 +67,9 @@ class Scattering:
         What the family describes the phase function by, as name: (value, standard deviation).
     families
         How much of the answer each family has, by its name; they add up to 1.
+    beta
+        Volume scattering function σs p in 1/(m sr), with the standard deviation of its logarithm; of ink, per ml. It
+        is as absolute as σs, which comes from how light fades and spreads and needs no known gain.
     """
 
     liquid: Medium
@@ -74,6 +79,7 @@ class Scattering:
     reduced: tuple[float, float]
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     families: Mapping[str, float] = field(default_factory=dict)
+    beta: PhaseCurve | None = None
 
 
 def scattering_of(coefficients: Array, coordinates: Array, spread: Array, family: Family) -> Scattering:
@@ -99,10 +105,13 @@ def scattering_of(coefficients: Array, coordinates: Array, spread: Array, family
     seen = sigma_s * math.exp(log[RIGHT_ANGLE])
     of_seen = seen * of_curve[RIGHT_ANGLE]
     of_seen[1] += seen / sigma_s
-    sds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", of_curve, spread, of_curve), 0.0))
+    of_beta = of_curve.copy()
+    of_beta[:, 1] += 1.0 / sigma_s
+    curve = PhaseCurve(ANGLES_DEG, np.exp(log), _sds(of_curve, spread))
+    beta = PhaseCurve(ANGLES_DEG, PER_M * sigma_s * curve.value, _sds(of_beta, spread))
     return Scattering(
-        liquid, covariance, PhaseCurve(ANGLES_DEG, np.exp(log), sds), (seen, _sd(of_seen, spread)),
-        reduced_of(sigma_s, liquid.g, covariance), _parameters(family, coordinates, spread[2:, 2:]), {family.name: 1.0},
+        liquid, covariance, curve, (seen, _sd(of_seen, spread)), reduced_of(sigma_s, liquid.g, covariance),
+        _parameters(family, coordinates, spread[2:, 2:]), {family.name: 1.0}, beta,
     )  # fmt: skip
 
 
@@ -141,7 +150,7 @@ def _parameters(family: Family, coordinates: Array, spread: Array) -> dict[str, 
         return np.array([family.parameters(at)[name] for name in names])
 
     slopes = _by_coordinates(values, family, coordinates)
-    sds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, spread, slopes), 0.0))
+    sds = _sds(slopes, spread)
     return {
         name: (float(value), float(sd)) for name, value, sd in zip(names, values(coordinates), sds, strict=True)
     }  # fmt: skip
@@ -155,6 +164,11 @@ def _by_coordinates(function, family: Family, coordinates: Array) -> Array:  # t
         above, below = np.minimum(coordinates + unit, family.high), np.maximum(coordinates - unit, family.low)
         found.append((function(above) - function(below)) / max(float(above[k] - below[k]), 1e-300))
     return np.array(found).T if found else np.zeros((function(coordinates).size, 0))
+
+
+def _sds(slopes: Array, spread: Array) -> Array:
+    """(n,) standard deviations of what has slopes (n, k)."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, spread, slopes), 0.0)))
 
 
 def _sd(slope: Array, spread: Array) -> float:

@@ -163,6 +163,8 @@ class LiquidEstimate:
         Which of "sigma_a", "sigma_s", "g" the images determine.
     beyond
         Structure of the residuals beyond what the models state, relative L2.
+    scattering
+        How the liquid scatters, as in an `Estimate`.
     """
 
     medium: Medium
@@ -172,6 +174,7 @@ class LiquidEstimate:
     model_error: float
     identifiable: dict[str, bool]
     beyond: float
+    scattering: Scattering | None = None
 
 
 @dataclass(frozen=True)
@@ -213,6 +216,8 @@ class SeriesEstimate:
         By how much the ink does more (+) or less (−) than in proportion to the dose; None below three doses.
     verdict
         What is determined, whether the ink acts in proportion to its dose, and what the residuals say.
+    scattering
+        How the ink scatters, per ml, as in an `Estimate`.
     """
 
     ink: Medium
@@ -227,6 +232,7 @@ class SeriesEstimate:
     rmse: Array
     linearity: Linearity | None
     verdict: str
+    scattering: Scattering | None = None
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""

@@ -14,25 +14,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError
 from tankrig.estimation.estimate import Free, Left, determined, left_over, moved_by_halos, rms, spread_of
-from tankrig.estimation.forward import ModelOf, Models, in_water, series_models, tank_model
+from tankrig.estimation.forward import ModelOf, Models, in_water, low_orders_model, series_models, tank_model
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted
-from tankrig.estimation.parameters import (
-    BendBlock,
-    Doses,
-    DosesBlock,
-    InkBlock,
-    MediumBlock,
-    Range,
-    Scaling,
-    to_coordinates,
-)
+from tankrig.estimation.parameters import BendBlock, Doses, Range, Scaling, in_tank, to_coordinates
+from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, ink_blocks, liquid_blocks
+from tankrig.estimation.phase_families import Family
+from tankrig.estimation.phase_result import Scattering, coefficients_by
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.result import Linearity, LiquidEstimate
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
 from tankrig.estimation.uncertainty import PATTERN, ModelError
-from tankrig.estimation.verdict import series_verdict, what_is_unseen
+from tankrig.estimation.verdict import series_verdict, what_is_unseen, what_may_be_another_phase
 from tankrig.scene import Medium, Scene
+from tankrig.scene.phase_table import PhaseFunction
+
+DOUBTED = 0.02
+"""Structure beyond what the models state, as a share of an image, from which on a Henyey–Greenstein fit determines
+neither σs nor g of ink: an emulsion leaves 6 %, beads 14 %, and σs is off by a third or more."""
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -65,6 +64,7 @@ def estimate_series(
     start: InkAndWater | Medium | None = None,
     model_of: "ModelOf | None" = None,
     water_sigma_s: float = 0.0,
+    phase: str | PhaseFunction | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> SeriesEstimate:
     """What a ml of ink does, from images at known doses with one common gain.
@@ -74,7 +74,7 @@ def estimate_series(
     images
         N of them, each (rows, columns); several may share a dose, with different patterns or the same.
     scenes
-        One for all, or one per image; their media do not matter.
+        One for all, or one per image; of their media no more than the first one's phase function matters, see `phase`.
     doses_ml
         (N,) ink in the tank in all at each image: positive, never falling, two different ones at least.
     doses_sd_ml
@@ -94,6 +94,8 @@ def estimate_series(
     water_sigma_s
         What the water scatters without ink, 1/mm, evenly forwards and backwards; `PURE_WATER_SIGMA_S` where it is
         clean. At a tenth of a ml it makes half a per cent of the image, which would pass for absorption.
+    phase
+        How one scattering of the ink turns light, the same at every dose; as for `estimate`.
     progress
         Told in a few words what is being done, now and then.
 
@@ -113,10 +115,13 @@ def estimate_series(
     if len(scenes) != len(images):
         raise ImageError(f"{len(images)} images but {len(scenes)} scenes; give one scene for all or one for each image")
     doses = doses_of(doses_ml, doses_sd_ml, len(images))
+    asked = asked_for(phase, scenes[0])
     observations = observed(images, scenes, noise, masks)
+    low_of = in_water(low_orders_model, water_sigma_s) if model_of is None else None
     model_of = in_water(model_of or tank_model, water_sigma_s)
     told = progress or (lambda _: None)
-    return fit_series(observations, scenes, doses, Scaling.given(gain, offset), model_of, start, told)
+    scaling = Scaling.given(gain, offset)
+    return fit_series(observations, scenes, doses, scaling, model_of, start, told, asked, low_of)
 
 
 def fit_liquid(
@@ -126,6 +131,7 @@ def fit_liquid(
     models: Sequence[Models] | None = None,
     start: Medium | None = None,
     progress: Told = lambda _: None,
+    asked: Asked = Asked(),  # noqa: B008
 ) -> LiquidEstimate | None:
     """One liquid from several patterns with one gain.
 
@@ -141,6 +147,8 @@ def fit_liquid(
         Where to begin; searched for where None.
     progress
         Told in a few words what is being done; what it raises ends the fit.
+    asked
+        Which phase functions are searched; by the tank model only, where not Henyey–Greenstein's.
 
     Returns
     -------
@@ -151,21 +159,40 @@ def fit_liquid(
     ImageError
         When the images are dark where the scenes are bright.
     """
-    models = models or _models(scenes, tank_model)
-    block = MediumBlock(models[0].range or Range.of_tank(max(max(scene.tank.size_mm) for scene in scenes)))
+    models = models or _models(scenes, tank_model, asked.family, low_orders_model)
+    blocks_of = liquid_blocks(models[0].range or Range.of_tank(max(max(scene.tank.size_mm) for scene in scenes)))
     shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
-    begin = None if start is None else block.start(start)
-    fit = fitted(shots, (block,), scaling, progress, begin)
+    if asked.family is None:
+        blocks = blocks_of(None)
+        fit = fitted(shots, blocks, scaling, progress, None if start is None else blocks[0].start(start))
+    else:
+        fit = fit_phase(shots, asked, blocks_of, scaling, progress, densest=start)
     best = fit.optimum
     gain, _, left = left_over(fit)
     if models[0].range is not None and {"sigma_s", "g"} & set(best.at_edge):
         return None
-    spread = _spread(best, left, shots)
-    medium = best.media[0]
+    answer = _answer(best, _spread(best, left, shots), asked, left)
+    medium, spread = answer.liquid, answer.covariance
     return LiquidEstimate(
         medium, spread, gain, rms(np.array([one.rmse for one in left])), rms(np.array([one.counted for one in left])),
-        determined(medium, spread, left), rms(np.array([one.beyond for one in left])),
+        _known(medium, spread, left, asked), rms(np.array([one.beyond for one in left])), answer,
     )  # fmt: skip
+
+
+def _known(medium: Medium, spread: Array, left: Sequence[Left], asked: Asked) -> dict[str, bool]:
+    """Which of σa, σs, g images determine; of a liquid that may not be Henyey–Greenstein's, neither σs nor g."""
+    known = determined(medium, spread, left)
+    return known | {"sigma_s": False, "g": False} if _doubted(left, asked) else known
+
+
+def _doubted(left: Sequence[Left], asked: Asked) -> bool:
+    """Whether Henyey–Greenstein leaves so much that the liquid may have another phase function."""
+    return asked.family is None and max(one.beyond for one in left) > DOUBTED
+
+
+def _answer(best: Evaluation, spread: Array, asked: Asked, left: Sequence[Left]) -> Scattering:
+    """How the liquid, or the ink per ml, scatters."""
+    return answer_of(best, spread, asked, all(one.beyond == 0.0 for one in left))
 
 
 def fit_series(
@@ -176,42 +203,53 @@ def fit_series(
     model_of: ModelOf,
     start: InkAndWater | Medium | None,
     progress: Told,
+    asked: Asked = Asked(),  # noqa: B008
+    low_of: ModelOf | None = None,
 ) -> SeriesEstimate:
-    """Fit a series with any model; see `estimate_series`."""
-    ink = InkBlock(doses, max(max(scene.tank.size_mm) for scene in scenes))
-    blocks = (ink, DosesBlock(doses))
-    models = _models(scenes, model_of)
+    """Fit a series with any model, whose orders 1 and 2 may be had alone; see `estimate_series`."""
+    length_mm = max(max(scene.tank.size_mm) for scene in scenes)
+    blocks_of = ink_blocks(doses, length_mm)
+    models = _models(scenes, model_of, asked.family, low_of)
     shots = [Shot(*one) for one in zip(observations, scenes, models, doses.of_image.tolist(), strict=True)]
-    begin = None
-    if start is not None:
-        liquid, water = (start, 0.0) if isinstance(start, Medium) else (start.ink, start.water.sigma_a)
-        begin = np.concatenate([to_coordinates(liquid), [water * ink.length_mm], np.zeros(doses.ml.size)])
+    ink, water = (start, 0.0) if start is None or isinstance(start, Medium) else (start.ink, start.water.sigma_a)
     highest = doses.ml.size - 1
     few = [doses.of_image.tolist().index(dose) for dose in sorted({0, highest // 2, highest})]
-    fit = fitted(shots, blocks, scaling, progress, begin, few)
+    if asked.family is None:
+        begin = None
+        if ink is not None:
+            begin = np.concatenate([to_coordinates(ink), [water * length_mm], np.zeros(doses.ml.size)])
+        fit = fitted(shots, blocks_of(None), scaling, progress, begin, few)
+    else:
+        densest = None if ink is None else in_tank(ink, water, float(doses.ml[highest]))
+        fit = fit_phase(shots, asked, blocks_of, scaling, progress, few, densest)
     progress("finding the errors")
-    return _built(fit, blocks, shots)
+    return _built(fit, doses, shots, asked)
 
 
-def _models(scenes: Sequence[Scene], model_of: ModelOf) -> list[Models]:
+def _models(scenes: Sequence[Scene], model_of: ModelOf, family: Family | None, low_of: ModelOf | None) -> list[Models]:
     """One for each image; images of one scene share theirs, and what it has computed."""
-    by_scene = {scene: series_models(scene, model_of) for scene in dict.fromkeys(scenes)}
+    by_scene = {scene: series_models(scene, model_of, family, low_of) for scene in dict.fromkeys(scenes)}
     return [by_scene[scene] for scene in scenes]
 
 
-def _built(fit: Fit, blocks: tuple[InkBlock, DosesBlock], shots: Sequence[Shot]) -> SeriesEstimate:
+def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> SeriesEstimate:
     """The estimate at an optimum: errors, linearity, residuals, verdict."""
     best = fit.optimum
     gain, offsets, left = left_over(fit)
-    ink, doses = blocks[0], blocks[0].doses
-    spread = _spread(best, left, shots)[:4, :4]
+    blocks, whole = best.problem.blocks, _spread(best, left, shots)
     linearity = None
     if doses.ml.size > 2:
         bent = replace(best.problem, blocks=(*blocks, BendBlock(doses))).at(np.append(best.coordinates, 0.0))
         linearity = Linearity(float(bent.sensitivity.step(bent.left)[-1]), _sd_of_bend(bent, left, shots))
-    *coefficients, water = best.values[ink.name].tolist()
-    liquid = Medium(*coefficients)
-    known = determined(liquid, spread[:3, :3], left) | {"water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)}
+    answer = _answer(best, whole, asked, left)
+    if asked.family is None:
+        water, spread = float(best.values["ink"][3]), whole[:4, :4]
+    else:
+        water, spread = float(best.values["water"][0]), _with_water(best, whole, asked.family, answer)
+    liquid = answer.liquid
+    known = _known(liquid, spread[:3, :3], left, asked) | {
+        "water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)
+    }
     noise_known = all(view.observation.noise_known for view in best.problem.views)
     beyond = float(np.median([one.noisier for one in left])) if noise_known else 1.0
     shares = rms(np.array([one.unexplained for one in left])), rms(np.array([one.stated for one in left])), beyond
@@ -222,10 +260,29 @@ def _built(fit: Fit, blocks: tuple[InkBlock, DosesBlock], shots: Sequence[Shot])
         verdict=" ".join(
             filter(None, [
                 series_verdict(water, spread, known, linearity, shares),
-                what_is_unseen(liquid, moved_by_halos(best, left), spread, known),
+                what_may_be_another_phase(_doubted(left, asked)),
+                what_is_unseen(liquid, moved_by_halos(best, left)[: 3 if asked.family is None else 2], spread, known),
             ])
         ),
+        scattering=answer,
     )  # fmt: skip
+
+
+def _with_water(best: Evaluation, spread: Array, family: Family, answer: Scattering) -> Array:
+    """(4, 4) covariance of the ink's σa, σs and mean cosine, and the water's σa, which goes with them as it was fitted.
+
+    Where families were averaged, their own covariance stands, and the water's correlation with it.
+    """
+    count = 2 + len(family.names)
+    by_coordinates = np.eye(4, count + 1)
+    by_coordinates[:3, :count] = coefficients_by(family, best.values["phase"])
+    by_coordinates[3] = np.eye(count + 1)[count]
+    fitted_spread = by_coordinates @ spread[: count + 1, : count + 1] @ by_coordinates.T
+    sd = np.sqrt(np.maximum(np.diag(fitted_spread), 1e-300))
+    scale = np.append(np.sqrt(np.diag(answer.covariance)) / sd[:3], 1.0)
+    found = fitted_spread * np.outer(scale, scale)
+    found[:3, :3] = answer.covariance
+    return np.asarray(found)
 
 
 def _spread(best: Evaluation, left: Sequence[Left], shots: Sequence[Shot]) -> Array:

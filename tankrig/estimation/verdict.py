@@ -177,6 +177,30 @@ def what_is_unseen(
     )
 
 
+def what_did_not_hold(explained: float) -> str:
+    """A sentence before the verdict of a fit that weighs families because Henyey–Greenstein did not hold.
+
+    Parameters
+    ----------
+    explained
+        Share of the structure left by Henyey–Greenstein that another phase function explains.
+    """
+    return (
+        f"Another phase function explains {100.0 * explained:.0f} % of what Henyey–Greenstein leaves, so families "
+        "of them were weighed."
+    )
+
+
+def what_may_be_another_phase(doubted: bool) -> str:
+    """A sentence for a Henyey–Greenstein fit that leaves more than a bench's usual faults do; empty for others."""
+    if not doubted:
+        return ""
+    return (
+        "The ink may well have another phase function than Henyey–Greenstein's, so neither σs nor g counts as "
+        "determined: fit again with phase free, or with the material that it is."
+    )
+
+
 def _at_edges(medium: Medium, edges: Sequence[str]) -> str:
     sentences = []
     for name in edges:

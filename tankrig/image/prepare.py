@@ -73,9 +73,14 @@ class Prepared:
         Raises
         ------
         SceneError
-            When the medium is outside the box.
+            When the medium is outside the box, or its phase function is not Henyey–Greenstein's.
         """
         self.box.require(medium)
+        if medium.phase is not None:
+            raise SceneError(
+                "a prepared model knows Henyey–Greenstein only, and the medium has a phase of kind "
+                f'"{medium.phase.kind}"; use predict'
+            )
         return self.answer.image_and_derivatives(medium) if derivatives else self.answer.image(medium)
 
     def error_at(self, medium: Medium) -> float:

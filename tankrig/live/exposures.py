@@ -20,12 +20,15 @@ from tankrig.devices import CameraSettings, Delivered, Pixels
 from tankrig.errors import SceneError, StoreError
 from tankrig.estimation.observation import pixel_noise
 from tankrig.image.bins import HALF, Bins, Seen, bins_for
+from tankrig.materials.coefficients import optics
+from tankrig.materials.library import material
 from tankrig.pattern import Pattern
 from tankrig.run.conditions import JournalFollower, clamped
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run
 from tankrig.scene.description import Camera, Medium, Scene
 from tankrig.scene.outline import edge_reach_mm
+from tankrig.scene.phase_table import PhaseFunction
 from tankrig.sequence import Burst, Capture, Dose, Sequence
 from tankrig.sequence.loading import sequence_from_table
 
@@ -103,6 +106,8 @@ class PhotographPlan:
         Count from which on the camera's pixels are saturated, where that is known.
     ink
         What is expected of it, per mm and ml; None where nothing is. Only which models are prepared rests on it.
+    phase
+        Which phase functions are fitted, as in `tankrig.estimate`.
     """
 
     bench: Bench | KnownScenes
@@ -113,6 +118,7 @@ class PhotographPlan:
     more_doses: int = 0
     saturation: float | None = None
     ink: Medium | None = None
+    phase: str | PhaseFunction = "hg"
 
     @classmethod
     def of(
@@ -138,8 +144,9 @@ class PhotographPlan:
             radiometry = None
         doses = tuple(one.total_ul / 1000.0 for one in actions if isinstance(one, Dose))
         return cls(
-            bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry, ink=sequence.ink
-        )
+            bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry, ink=sequence.ink,
+            phase=phase_of(sequence),
+        )  # fmt: skip
 
     @classmethod
     def of_run(cls, run: Run) -> "PhotographPlan":
@@ -257,6 +264,22 @@ class PhotographPlan:
     def _saturated(self, pixels: Pixels, settings: CameraSettings) -> Mask:
         full = np.asarray(pixels >= (np.inf if self.saturation is None else self.saturation))
         return full if self.radiometry is None else full | self.radiometry.saturated(pixels, settings)
+
+
+def phase_of(sequence: Sequence) -> str | PhaseFunction:
+    """Which phase functions the fits of a sequence's run search: those asked for, the material's, or the ink's.
+
+    Raises
+    ------
+    SceneError
+        When the material is unknown, or nobody has published what it is at the wavelength.
+    """
+    if sequence.phase is not None:
+        return sequence.phase
+    if sequence.material and sequence.wavelength_nm is not None:
+        return optics(material(sequence.material), sequence.wavelength_nm).searched
+    ink = sequence.ink
+    return "hg" if ink is None or ink.phase is None else ink.phase
 
 
 class Exposures:

@@ -8,15 +8,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import PURE_WATER_SIGMA_S, Model, ModelOf, Models, models_of, prepared_model, tank_model
+from tankrig.estimation.forward import PURE_WATER_SIGMA_S, Model, ModelOf, Models, models_of, prepared_model
 from tankrig.estimation.parameters import Scaling
+from tankrig.estimation.phase_answer import asked_for
 from tankrig.estimation.series import InkAndWater, estimate_series, fit_liquid, observed
 from tankrig.image.prepare import Prepared
 from tankrig.live.exposures import Photograph
-from tankrig.live.results import DoseFit, SeriesFit, SingleScattering
+from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, SingleScattering
 from tankrig.live.single import fit_single
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
+from tankrig.scene.phase_table import PhaseFunction
 
 Told = Callable[[str], None]
 
@@ -25,7 +27,10 @@ NEARLY = 0.3
 
 
 def fit_dose(
-    photographs: Sequence[Photograph], start: Medium | None = None, progress: Told = lambda _: None
+    photographs: Sequence[Photograph],
+    start: Medium | None = None,
+    progress: Told = lambda _: None,
+    phase: str | PhaseFunction = "hg",
 ) -> DoseFit:
     """Fit all photographs of one dose by the tank model, and by single scattering beside it.
 
@@ -37,6 +42,8 @@ def fit_dose(
         Where to begin, where that is known.
     progress
         Told in a few words what is being done, now and then; what it raises ends the fit.
+    phase
+        Which phase functions are searched, as in `tankrig.estimate`.
 
     Raises
     ------
@@ -44,7 +51,7 @@ def fit_dose(
         When they cannot be fitted.
     """
     began = time.perf_counter()
-    fit = _fitted(photographs, None, start, progress)
+    fit = _fitted(photographs, None, start, progress, phase)
     assert fit is not None  # the tank model answers for any medium
     return replace(with_single(fit, photographs), seconds=round(time.perf_counter() - began, 3))
 
@@ -67,12 +74,14 @@ def _fitted(
     prepared: Sequence[Models] | None,
     start: Medium | None,
     progress: Told = lambda _: None,
+    phase: str | PhaseFunction = "hg",
 ) -> DoseFit | None:
     began, first = time.perf_counter(), photographs[0]
     scenes = [one.scene for one in photographs]
     noises, masks = [one.noise for one in photographs], [one.mask for one in photographs]
     observations = observed([one.image for one in photographs], scenes, noises, masks)
-    found = fit_liquid(observations, scenes, Scaling.given("free", first.offset), prepared, start, progress)
+    scaling, asked = Scaling.given("free", first.offset), asked_for(phase, scenes[0])
+    found = fit_liquid(observations, scenes, scaling, prepared, start, progress, asked)
     if found is None:
         return None
     return DoseFit(
@@ -80,7 +89,7 @@ def _fitted(
         identifiable=found.identifiable, gain=found.gain, rmse=found.rmse, structure=found.beyond or None,
         frames=sum(one.frames for one in photographs), patterns=tuple(one.pattern for one in photographs),
         model="prepared" if prepared else "tank", model_error=found.model_error if prepared else None,
-        seconds=round(time.perf_counter() - began, 4),
+        seconds=round(time.perf_counter() - began, 4), scattering=PhaseFound.of(found.scattering),
     )  # fmt: skip
 
 
@@ -94,10 +103,12 @@ def fit_all(
     start: InkAndWater | Medium | None = None,
     prepared: Sequence[Prepared] = (),
     progress: Told = lambda _: None,
+    phase: str | PhaseFunction = "hg",
 ) -> SeriesFit:
     """Fit the series: all photographs of all doses, by prepared models where there are any that hold the media.
 
-    `progress` is told in a few words what is being done; what it raises ends the fit.
+    `progress` is told in a few words what is being done; what it raises ends the fit. Of phase functions but
+    Henyey–Greenstein's there are no prepared models.
 
     Raises
     ------
@@ -114,8 +125,9 @@ def fit_all(
         noise=[one.noise for one in photographs],
         masks=[one.mask for one in photographs],
         start=start,
-        model_of=_nearly_within(prepared) if prepared else tank_model,
+        model_of=_nearly_within(prepared) if prepared else None,
         water_sigma_s=PURE_WATER_SIGMA_S,
+        phase=phase,
         progress=progress,
     )
     return SeriesFit(
@@ -123,7 +135,7 @@ def fit_all(
         sd=_deviations(found.covariance), covariance=tuple(map(tuple, found.covariance.tolist())),
         identifiable=found.identifiable, gain=found.gain, linearity=found.linearity, rmse=tuple(found.rmse.tolist()),
         patterns=tuple(one.pattern for one in photographs), verdict=found.verdict,
-        seconds=round(time.perf_counter() - began, 3),
+        seconds=round(time.perf_counter() - began, 3), scattering=PhaseFound.of(found.scattering),
     )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tankrig.live.exposures import Exposures, PhotographPlan, exposures_of, fits_that_hold, wave_names
@@ -14,6 +14,7 @@ from tankrig.live.results import DoseFit, Fit, SeriesFit, diluted, fits_in, to_f
 from tankrig.live.worker import Fitter, fit_all_there_is
 from tankrig.run.reading import Run, open_run
 from tankrig.run.writer import RunWriter
+from tankrig.scene.phase_table import PhaseFunction
 
 POLL_S = 0.2
 
@@ -79,6 +80,7 @@ def refit(
     everything: bool = False,
     model: str = "prepared",
     progress: Told = lambda *_: None,
+    phase: str | PhaseFunction | None = None,
 ) -> list[Fit]:
     """Fit what a run lacks, or everything anew, and record each fit in its journal as soon as it is made.
 
@@ -94,6 +96,8 @@ def refit(
         "prepared": as the live fit does; "tank": by following light paths at every step, which takes longer.
     progress
         Told what is being done, in this thread.
+    phase
+        Which phase functions are searched, as in `tankrig.estimate`; None: those of the run's sequence.
 
     Returns
     -------
@@ -111,7 +115,7 @@ def refit(
         return made
     with RunWriter(path) as writer:
         run = open_run(path)
-        for fit in fits_made(run, everything, model, progress):
+        for fit in fits_made(run, everything, model, progress, phase):
             writer.put("fit", **to_fields(fit))
             writer.flush()
             made.append(fit)
@@ -119,25 +123,34 @@ def refit(
 
 
 def fits_made(
-    run: Run, everything: bool = False, model: str = "prepared", progress: Told = lambda *_: None
+    run: Run,
+    everything: bool = False,
+    model: str = "prepared",
+    progress: Told = lambda *_: None,
+    phase: str | PhaseFunction | None = None,
 ) -> Iterator[Fit]:
     """The fits that a run lacks, or all of them, one after the other; see `refit`."""
     nothing = Preparation(0, 0.0)
     progress("reading the frames", nothing)
-    exposures = exposures_of(run)
+    exposures, plan = exposures_of(run), PhotographPlan.of_run(run)
+    plan = plan if phase is None else replace(plan, phase=phase)
     doses, series = ([], None) if everything else fits_in([event.fields for event in fits_that_hold(run)])
 
     def told(words: str) -> None:
         progress(words, nothing)
 
     if model == "tank":
-        yield from _by_tank_model(exposures, doses, series, told)
+        yield from _by_tank_model(exposures, plan.phase, doses, series, told)
     else:
-        yield from _as_live(run, exposures, doses, progress)
+        yield from _as_live(plan, exposures, doses, progress)
 
 
 def _by_tank_model(
-    exposures: Exposures, doses: list[DoseFit], series: SeriesFit | None, progress: Callable[[str], None]
+    exposures: Exposures,
+    phase: str | PhaseFunction,
+    doses: list[DoseFit],
+    series: SeriesFit | None,
+    progress: Callable[[str], None],
 ) -> Iterator[Fit]:
     known = {one.dose_ml: one for one in doses}
     photographs = exposures.photographs()
@@ -149,15 +162,15 @@ def _by_tank_model(
         if fit is None or fit.frames < sum(one.frames for one in here):
             start = None if near is None else diluted(near.medium, near.dose_ml, dose_ml)
             progress(f"fitting {dose_ml:g} ml")
-            fit = fit_dose(here, start, progress)
+            fit = fit_dose(here, start, progress, phase)
             yield fit
         near = fit
     if len(doses_ml) > 1 and (series is None or series.doses_ml != tuple(doses_ml)):
         progress("fitting the series")
-        yield fit_all(photographs, progress=progress)
+        yield fit_all(photographs, progress=progress, phase=phase)
 
 
-def _as_live(run: Run, exposures: Exposures, doses: list[DoseFit], progress: Told) -> Iterator[Fit]:
+def _as_live(plan: PhotographPlan, exposures: Exposures, doses: list[DoseFit], progress: Told) -> Iterator[Fit]:
     """By the live fit's own decisions, with all frames there at once."""
     news = threading.Event()
     preparing = Preparing(lambda _: news.set())
@@ -172,7 +185,6 @@ def _as_live(run: Run, exposures: Exposures, doses: list[DoseFit], progress: Tol
         return True
 
     try:
-        plan = PhotographPlan.of_run(run)
         fitter = Fitter(doses, preparing, plan, told)
         for fit in fit_all_there_is(fitter, lambda: (exposures, True), wait):
             if not (isinstance(fit, DoseFit) and (fit.passing or fit.single is None)):

@@ -1,13 +1,15 @@
 """What fits of a run find, typed, and as the `fit` lines of its journal: the only place where the two meet."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from dataclasses import fields as dataclass_fields
 from typing import Any
 
 from tankrig.estimation.parameters import NAMES, in_tank
+from tankrig.estimation.phase_result import Scattering
 from tankrig.estimation.result import Linearity
 from tankrig.scene import Medium
+from tankrig.scene.phase_fields import phase_fields, phase_from_fields
 
 Fields = dict[str, Any]
 
@@ -21,6 +23,49 @@ class SingleScattering:
 
     sigma_t: float
     rmse: float
+
+
+@dataclass(frozen=True)
+class PhaseFound:
+    """What a fit found of how the liquid scatters, beside its coefficients.
+
+    Parameters
+    ----------
+    angle_deg, value, sd
+        The phase function: p in 1/sr at scattering angles, and the standard deviation of ln p.
+    at_right_angle, reduced
+        σs p(90°) and σs (1 − mean cosine), each with its standard deviation.
+    parameters
+        What the family describes p by, as name: (value, standard deviation).
+    families
+        How much of the answer each family has.
+    """
+
+    angle_deg: tuple[float, ...]
+    value: tuple[float, ...]
+    sd: tuple[float, ...]
+    at_right_angle: tuple[float, float]
+    reduced: tuple[float, float]
+    parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    families: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, found: Scattering | None) -> "PhaseFound | None":
+        """Of an estimate; None of Henyey–Greenstein's, of which the coefficients say all."""
+        if found is None or found.liquid.phase is None:
+            return None
+        curve = found.curve
+        return cls(
+            tuple(curve.angle_deg.tolist()), tuple(curve.value.tolist()), tuple(curve.sd.tolist()),
+            found.at_right_angle, found.reduced, dict(found.parameters), dict(found.families),
+        )  # fmt: skip
+
+    @classmethod
+    def from_fields(cls, fields: Mapping[str, Any]) -> "PhaseFound":
+        """As a journal's line has it."""
+        known = {name: tuple(fields[name]) for name in ("angle_deg", "value", "sd", "at_right_angle", "reduced")}
+        parameters = {name: (value, sd) for name, (value, sd) in fields.get("parameters", {}).items()}
+        return cls(**known, parameters=parameters, families=dict(fields.get("families", {})))
 
 
 @dataclass(frozen=True)
@@ -55,6 +100,8 @@ class DoseFit:
         Whether another fit of the same frames is to come, which lacks nothing.
     structure
         Of what is left, relative L2, beyond what noise and the model's own error explain; None where there is none.
+    scattering
+        How it scatters, where another phase function than Henyey–Greenstein's was fitted.
     """
 
     dose_ml: float
@@ -75,6 +122,7 @@ class DoseFit:
     passing: bool = False
     not_seen: int = 0
     structure: float | None = None
+    scattering: PhaseFound | None = None
 
 
 @dataclass(frozen=True)
@@ -99,6 +147,8 @@ class SeriesFit:
         That it took.
     identifiable, covariance, patterns
         As in a `SeriesEstimate`; names of the patterns of the photographs.
+    scattering
+        How the ink scatters, per ml, where another phase function than Henyey–Greenstein's was fitted.
     """
 
     doses_ml: tuple[float, ...]
@@ -113,6 +163,7 @@ class SeriesFit:
     identifiable: Mapping[str, bool] = field(default_factory=dict)
     covariance: tuple[tuple[float, ...], ...] = ()
     patterns: tuple[str, ...] = ()
+    scattering: PhaseFound | None = None
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""
@@ -134,7 +185,7 @@ Fit = DoseFit | SeriesFit | FailedFit
 def diluted(liquid: Medium, from_ml: float, to_ml: float) -> Medium:
     """About what a liquid with `from_ml` of ink would be with `to_ml`."""
     grown = to_ml / from_ml
-    return Medium(liquid.sigma_a * grown, liquid.sigma_s * grown, liquid.g)
+    return replace(liquid, sigma_a=liquid.sigma_a * grown, sigma_s=liquid.sigma_s * grown)
 
 
 def to_fields(fit: Fit) -> Fields:
@@ -149,6 +200,10 @@ def to_fields(fit: Fit) -> Fields:
         of = {"fit": "series"} if fit.dose_ml is None else {"fit": "dose", "dose_ml": fit.dose_ml}
         return {**of, "error": fit.error} | ({} if fit.newest is None else {"newest": fit.newest})
     found: Fields = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(fit).items()}
+    scattering = found.pop("scattering")
+    liquid = fit.medium if isinstance(fit, DoseFit) else fit.ink
+    if liquid.phase is not None:
+        found |= {"phase": phase_fields(liquid.phase), "scattering": scattering and asdict(scattering)}
     if isinstance(fit, SeriesFit):
         found |= {"ink": _coefficients(fit.ink), "covariance": [list(row) for row in fit.covariance]}
         found |= {"water_sigma_a": found.pop("water").sigma_a, "linearity": fit.linearity and asdict(fit.linearity)}
@@ -161,7 +216,7 @@ def to_fields(fit: Fit) -> Fields:
 
 
 def _coefficients(medium: Medium) -> Fields:
-    """What earlier versions read of a liquid; fits know no other phase function than Henyey–Greenstein."""
+    """What earlier versions read of a liquid, whose g is the mean cosine; `phase` beside it says more."""
     return dict(zip(NAMES, medium.coefficients, strict=True))
 
 
@@ -177,16 +232,24 @@ def from_fields(fields: Mapping[str, Any]) -> Fit:
     if "error" in fields:
         return FailedFit(fields.get("dose_ml"), fields["error"], fields.get("newest"))
     given: Fields = {name: tuple(value) if isinstance(value, list | tuple) else value for name, value in fields.items()}
+    phase, scattering = given.get("phase"), given.get("scattering")
+    given["scattering"] = scattering and PhaseFound.from_fields(scattering)
     if of_dose:
         single = given.get("single")
-        given["medium"] = Medium(*(given[name] for name in NAMES))
+        given["medium"] = _liquid(given, phase)
         given["single"] = None if single is None else SingleScattering(**single)
         return DoseFit(**{one.name: given[one.name] for one in dataclass_fields(DoseFit) if one.name in given})
     bend = given.get("linearity")
-    given["ink"], given["water"] = Medium(**given["ink"]), Medium(given["water_sigma_a"], 0.0, 0.0)
+    given["ink"], given["water"] = _liquid(given["ink"], phase), Medium(given["water_sigma_a"], 0.0, 0.0)
     given["linearity"] = None if bend is None else Linearity(**bend)
     given["covariance"] = tuple(tuple(row) for row in given.get("covariance", ()))
     return SeriesFit(**{one.name: given[one.name] for one in dataclass_fields(SeriesFit) if one.name in given})
+
+
+def _liquid(given: Mapping[str, Any], phase: Mapping[str, Any] | None) -> Medium:
+    if phase is None:
+        return Medium(*(given[name] for name in NAMES))
+    return Medium(given["sigma_a"], given["sigma_s"], phase=phase_from_fields(phase))
 
 
 def fits_in(lines: Sequence[Mapping[str, Any]]) -> tuple[list[DoseFit], SeriesFit | None]:

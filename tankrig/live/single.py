@@ -41,7 +41,7 @@ def fit_single(photographs: Sequence[Photograph], liquid: Medium) -> tuple[float
 
     def residual(log_sigma_t: float) -> np.ndarray:
         by = math.exp(log_sigma_t) / liquid.sigma_t
-        medium = Medium(by * liquid.sigma_a, by * liquid.sigma_s, liquid.g)
+        medium = replace(liquid, sigma_a=by * liquid.sigma_a, sigma_s=by * liquid.sigma_s)
         images = [single_scattering(replace(one.scene, medium=medium)) for one in photographs]
         model = np.concatenate([image[counts] for image, counts in zip(images, used, strict=True)])
         gain, (offset,) = scaling.solve([weight * model], [weight], [weight * observed])

@@ -22,6 +22,7 @@ from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
 from tankrig.live.preparing import LOOK, LOOK_START, Preparation, Preparing, foreseen
 from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, diluted
 from tankrig.scene.description import Medium
+from tankrig.scene.phase_table import PhaseFunction
 
 NICENESS = 10
 LOCK_S = 5.0
@@ -170,7 +171,8 @@ class Fitter:
     expected to have, or from a first look at one of its photographs, by a model of nearly all media that is prepared
     before there is any ink. While models are being prepared they are waited for; where they cannot be prepared, or do
     not hold the liquid, the dose is fitted by the tank model, which takes half a minute instead of milliseconds, and on
-    a bench some minutes.
+    a bench some minutes. So it is where another phase function than Henyey–Greenstein's is asked for, of which there
+    are no prepared models.
 
     Parameters
     ----------
@@ -191,7 +193,8 @@ class Fitter:
         plan: PhotographPlan | None = None,
         progress: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._preparing, self._plan, self._progress = preparing, plan, progress
+        self._phase: str | PhaseFunction = "hg" if plan is None else plan.phase
+        self._preparing, self._plan, self._progress = preparing if self._phase == "hg" else None, plan, progress
         self._fitted: dict[float, int] = {}
         self._liquid: dict[float, Medium] = {}
         self._looked: dict[float, DoseFit | None] = {}
@@ -293,7 +296,7 @@ class Fitter:
                 return replace(quick, passing=True)
             look = self._looked.get(dose_ml)
             start = self._start(dose_ml) or (None if look is None else look.medium)
-            fit = about(fit_dose(photographs, start, self._progress))
+            fit = about(fit_dose(photographs, start, self._progress, self._phase))
         except TankrigError as error:
             return FailedFit(dose_ml, str(error))
         self._keep(fit)
@@ -384,9 +387,9 @@ class Fitter:
 
     def _all(self, photographs: list[Photograph]) -> Fit:
         models = self._preparing.all_models if self._preparing else ()
-        start = None if self._latest is None else diluted(*self._latest, 1.0)
+        start = None if self._latest is None or self._phase != "hg" else diluted(*self._latest, 1.0)
         try:
-            self._series = fit_all(photographs, self._series or start, models, self._progress)
+            self._series = fit_all(photographs, self._series or start, models, self._progress, self._phase)
         except TankrigError as error:
             return FailedFit(None, str(error))
         return self._series

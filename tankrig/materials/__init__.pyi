@@ -7,5 +7,3 @@ from .library import material as material
 from .library import materials as materials
 from .scalar_light import LeftOut as LeftOut
 from .scalar_light import left_out as left_out
-from .validation import Validation as Validation
-from .validation import validated as validated

@@ -77,6 +77,15 @@ class Optics:
         changes = {cause: [number(one) - value for one in media] for cause, media in self.varied.items()}
         return Uncertain(value, {cause: max(each, key=abs) for cause, each in changes.items()})
 
+    @property
+    def searched(self) -> str | PhaseFunction:
+        """Phase functions that a fit of it should search, as `tankrig.estimate` has them.
+
+        Beads are spheres of about the label's size. Nobody has measured the droplets of an emulsion: any smooth phase
+        function may be its own.
+        """
+        return self.medium.phase_function if self.material.beads is not None else "free"
+
     @cached_property
     def sigma_s(self) -> Uncertain:
         """Scattering coefficient, 1/mm."""

@@ -15,7 +15,7 @@ from tankrig.live.formatting import with_error
 from tankrig.materials.coefficients import Optics
 from tankrig.materials.dosing import tank_volume_ml
 from tankrig.materials.scalar_light import left_out
-from tankrig.materials.validation import AGREES, TANK_SD, WIDEST, Row, Validation, budget, validated
+from tankrig.report.beside_reference import AGREES, TANK_SD, WIDEST, Row, Validation, budget, validated
 from tankrig.report.inlined import inlined, rendered
 from tankrig.report.results import recorded
 from tankrig.run.reading import Run, open_run
@@ -34,7 +34,9 @@ def validation_of(
     stock: float = 1.0,
     polarisation: float | None = None,
 ) -> Validation:
-    """A run's recorded fits beside a reference; see `tankrig.materials.validation.validated`.
+    """A run's recorded fits beside a reference; see `tankrig.report.beside_reference.validated`.
+
+    Where nobody says how far the light is polarised, what the run's bench says counts.
 
     Raises
     ------
@@ -45,9 +47,18 @@ def validation_of(
     if series is None:
         raise ImageError(f"{run.path}: its series is not fitted, which takes two doses; run tankrig refit {run.path}")
     bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
+    polarisation = bench.polarisation if polarisation is None else polarisation
     fitted = [one for one in doses if one.dose_ml in series.doses_ml]
     volume_ml = tank_ml or tank_volume_ml(bench.tank)
     return validated(optics, series, fitted, volume_ml, tank_relative_sd, stock, polarisation)
+
+
+def fitted_as(run: Run, optics: Optics) -> bool:
+    """Whether a run's series, where it has one, was fitted with the phase functions that a material may have."""
+    _, series = recorded(run)
+    wanted = optics.searched
+    name = wanted if isinstance(wanted, str) else wanted.kind
+    return series is None or (series.scattering is not None and name in series.scattering.families)
 
 
 def write_validation(path: Path, found: Validation, out: Path | None = None) -> Path:
@@ -132,9 +143,7 @@ def _phase_words(found: Validation) -> str:
     said = "The reference's, with its uncertainty, beside the fit's."
     if found.series.ink.phase is not None:
         return said
-    return (
-        f"{said} The fit knows Henyey–Greenstein only, which no such liquid is: its σs and g explain most of the light."
-    )
+    return f"{said} The fit was of Henyey–Greenstein, which no such liquid is: its σs and g explain most of the light."
 
 
 def _left_out(found: Validation) -> list[str]:
@@ -197,12 +206,17 @@ def _phase(found: Validation) -> "Figure":
     angle = np.linspace(0.0, 180.0, 361)
     cosine = np.cos(np.radians(angle))
     known, sd = found.optics.density(cosine)
-    fitted = found.series.ink.phase_function.at(cosine)
+    fitted, curve = found.series.ink.phase_function.at(cosine), found.series.scattering
     for axes, by in ((left, np.ones_like(known)), (right, 1.0 / known)):
         low, high = (np.maximum((known + side * 1.96 * sd) * by, 1e-9) for side in (-1.0, 1.0))
         axes.fill_between(angle, low, high, color=KNOWN, alpha=0.15, linewidth=0.0)
         axes.plot(angle, known * by, color=KNOWN, linewidth=1.2, label="reference, 95 %")
         axes.plot(angle, fitted * by, color=FOUND, linewidth=1.2, label="fit")
+        if curve is not None:
+            at, middle, sd_of_log = (np.array(one) for one in (curve.angle_deg, curve.value, curve.sd))
+            scale = np.interp(at, angle, by)
+            low, high = (middle * np.exp(side * 1.96 * sd_of_log) * scale for side in (-1.0, 1.0))
+            axes.fill_between(at, low, high, color=FOUND, alpha=0.2, linewidth=0.0, label="fit, 95 %")
         axes.axvspan(80.0, 100.0, color="#e69f00", alpha=0.12, linewidth=0.0, label="seen of order 1")
         axes.set(xlabel="$\\theta$ (°)", xlim=(0.0, 180.0), xticks=range(0, 181, 30))
         axes.spines[["top", "right"]].set_visible(False)

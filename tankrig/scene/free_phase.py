@@ -3,7 +3,7 @@
     ln p(θ) = ln p_HG(θ; g) + Σ_k z_k √λ_k ψ_k(θ) + a constant that normalises it,
 
 with the eigenfunctions ψ_k and eigenvalues λ_k of a Gaussian process over u = ln(θ + 30°) whose values have a standard
-deviation of `SPREAD` and are alike over `ALIKE` in u: 4° straight on, 16° at a right angle. Amplitudes z that are
+deviation of `SPREAD` and are alike over `ALIKE` in u: 3° straight on, 12° at a right angle. Amplitudes z that are
 independently normal with standard deviation 1 are what is expected before anything was seen (Karhunen and Loève; their
 even part, which normalising takes back, is left out).
 """
@@ -21,11 +21,13 @@ from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
 
-SHAPES = 16
-"""The next ones are below .03 of ln p."""
+SHAPES = 22
+"""The next ones are below .02 of ln p."""
 SPREAD = 1.0
 """Of ln p about Henyey–Greenstein: beads of .2 to 2 µm are within a factor of 1.1 to 5 of it."""
-ALIKE = 0.13
+ALIKE = 0.1
+"""Beads of .5 µm are then described to .015 of ln p, 1 µm to .07, milk-like droplets to .003 (.13 with 16 shapes: .04,
+.17 and .005, and p(90°) of .5 µm 4 % off)."""
 FORWARD_DEG = 30.0
 _PLACES = 400
 
@@ -41,6 +43,8 @@ class FreePhase(PhaseFunction):
         zero.
     amplitudes
         z_k, at most `SHAPES` of them.
+    alike
+        Distance in u over which the shapes are alike.
 
     Examples
     --------
@@ -51,23 +55,25 @@ class FreePhase(PhaseFunction):
     __pydantic_config__ = CLOSED
     base_g: float
     amplitudes: tuple[float, ...]
+    alike: float = ALIKE
     kind: Literal["free"] = field(default="free", repr=False)
 
     def __post_init__(self) -> None:
         g, amplitudes = number(self, "base_g"), numbers(self, "amplitudes", len(self.amplitudes))
         require(-1.0 < g < 1.0, f"base_g = {g} is outside −1 < base_g < 1")
+        require(0.02 <= number(self, "alike") <= 2.0, f"alike = {self.alike} is outside 0.02 … 2")
         require(len(amplitudes) <= SHAPES, f"amplitudes has {len(amplitudes)} numbers; give {SHAPES} at most")
 
     def density(self, cosine: Array) -> Array:
         """See `PhaseFunction.density`."""
-        places, shapes = _shapes()
+        places, shapes = _shapes(self.alike)
         log = np.interp(_place(cosine), places, np.array(self.amplitudes) @ shapes[: len(self.amplitudes)])
         return np.asarray(phase_function(cosine, self.base_g) * np.exp(log))
 
 
 def shapes_at(cosine: Array) -> Array:
     """(`SHAPES`, n) √λ ψ at n cosines: what one standard deviation of each amplitude adds to ln p."""
-    places, shapes = _shapes()
+    places, shapes = _shapes(ALIKE)
     return np.array([np.interp(_place(cosine), places, shape) for shape in shapes])
 
 
@@ -76,12 +82,12 @@ def _place(cosine: Array) -> Array:
     return np.log(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) + FORWARD_DEG)
 
 
-@lru_cache(maxsize=1)
-def _shapes() -> tuple[Array, Array]:
+@lru_cache(maxsize=4)
+def _shapes(length: float) -> tuple[Array, Array]:
     """(places,) u, and (shapes, places) √λ ψ, each with a sign that makes it positive straight on."""
     low, high = _place(np.array([1.0, -1.0])).tolist()
     places = np.linspace(low, high, _PLACES)
-    alike = SPREAD**2 * np.exp(-0.5 * ((places[:, None] - places) / ALIKE) ** 2)
+    alike = SPREAD**2 * np.exp(-0.5 * ((places[:, None] - places) / length) ** 2)
     alike -= alike.mean(axis=0)
     alike -= alike.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(alike)

@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -30,6 +30,8 @@ from tankrig.sequence.steps import (
     written_out,
 )
 
+Phase = Literal["hg", "two-term", "reynolds-mccormick", "fournier-forand", "free", "any"]
+"""Families of phase functions that a fit can search without being told more."""
 _ALWAYS: dict[str, AnyKind] = {"dark": Dark(), "full": Full()}
 
 
@@ -52,7 +54,13 @@ class Sequence:
         where the rig file tells the period.
     ink
         What is expected of it, per mm and ml: models for the live fit are then prepared before the first dose. A wrong
-        expectation costs time and nothing else.
+        expectation costs time and nothing else; but a phase function that it has is what fits begin from, see `phase`.
+    material, wavelength_nm
+        A reference liquid that is dosed, as `tankrig materials` lists it, and the light's wavelength in vacuum: fits
+        take beads for what this says of them, within a label's accuracy.
+    phase
+        Which phase functions fits search, as in `tankrig.estimate`; None: the material's or the ink's, and
+        Henyey–Greenstein where neither says any.
 
     Raises
     ------
@@ -80,9 +88,14 @@ class Sequence:
     gain: Gain = 1.0
     any_exposure: str = ""
     ink: Medium | None = None
+    material: str = ""
+    wavelength_nm: float | None = None
+    phase: Phase | None = None
 
     def __post_init__(self) -> None:
         require_ranges(self, SequenceError)
+        if self.material and self.wavelength_nm is None:
+            raise SequenceError(f'material = "{self.material}" needs wavelength_nm; give that of the light, in vacuum')
         if (count := task_count(self.steps)) > MOST_TASKS:
             raise SequenceError(
                 f"steps are {count} actions when they are written out, more than the {MOST_TASKS} that a run may have; "

@@ -58,7 +58,7 @@ def advise(
 
     from drivers.rig import load_rig_file, simulated_rig
     from tankrig.advice.candidates import beginning_of, candidates_of
-    from tankrig.advice.ranking import prepared_answer, ranked
+    from tankrig.advice.ranking import answer_by_paths, prepared_answer, ranked
 
     if (run_folder is None) == (sequence_file is None):
         raise click.UsageError("give the folder of a run, or --sequence and --ink")
@@ -77,7 +77,7 @@ def advise(
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("preparing models", total=1.0)
-        answer = prepared_answer(
+        answer = answer_by_paths(known) if known.family is not None else prepared_answer(
             known, [one.scene for one in shots], [one.dose_ml for one in shots],
             lambda done: bar.update(task, completed=done),
         )  # fmt: skip

@@ -28,13 +28,15 @@ mixing_s = 0.7
 DENSEST = 0.01
 """σs that a reference liquid is dosed to, 1/mm."""
 LIGHT_MM = (58.0, 62.0)
+MATERIAL_DOSES = 3
+"""The densest of those planned: each is fitted with its own phase function, by light paths."""
 BENCH_DOSES = 3
 """Of the sequence that ships for the simulated bench."""
 
 
 @click.command(epilog="Example: tankrig demo --bench --out bench")
 @click.option("--doses", type=click.IntRange(2, len(DOSES_UL)),
-              help=f"How many doses of ink; default: {len(DOSES_UL)}, and {BENCH_DOSES} with --bench.")  # fmt: skip
+              help=f"How many doses; default: {len(DOSES_UL)}, {BENCH_DOSES} with --bench or --material.")  # fmt: skip
 @click.option("--bench", is_flag=True, help="On a bench that has to be calibrated first, from lens cap to report.")
 @click.option("--seed", type=click.IntRange(0), help="That the bench is drawn from; default: 0.")
 @click.option("--by-hand", is_flag=True, help="Only make the bench's folder, and say what to type.")
@@ -66,7 +68,7 @@ def demo(
     if seed is not None or by_hand:
         raise click.UsageError("--seed and --by-hand are for the bench; give --bench too")
     liquid = None if material is None else _planned(material, wavelength_nm)
-    return _series(doses or len(DOSES_UL), liquid, out, as_json)
+    return _series(doses or (len(DOSES_UL) if liquid is None else MATERIAL_DOSES), liquid, out, as_json)
 
 
 def _bench(doses: int | None, seed: int | None, by_hand: bool, out: Path | None, as_json: bool) -> int:
@@ -114,6 +116,9 @@ def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bo
     path = out or Path("runs") / datetime.now(UTC).strftime("demo-%Y-%m-%dT%H-%M-%S")
     totals_ul = DOSES_UL[:doses] if liquid is None else liquid.totals_ul[1:][-doses:]
     sequence = _sequence(totals_ul)
+    if liquid is not None:
+        optics = liquid.optics
+        sequence = replace(sequence, material=optics.material.name, wavelength_nm=optics.wavelength_nm)
     require_place(path, 0)
     description = _rig(path, TRUTH if liquid is None else _truth(liquid))
     runner = open_runner(sequence, path, description)

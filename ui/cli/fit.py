@@ -114,7 +114,7 @@ class Nuisance(click.ParamType[Any]):
     "--phase",
     metavar="NAME",
     help="How one scattering turns light: hg, two-term, reynolds-mccormick, fournier-forand, free, mie or table (the "
-    "scene's), any (weighed by evidence); default: the scene's, or hg.",
+    "scene's), any (weighed by evidence); default: the scene's, or hg, and any where that does not hold.",
 )
 @click.option(
     "--nuisance",
@@ -429,6 +429,10 @@ def _scattering_numbers(scattering: "Scattering") -> dict[str, Any]:
     curve = scattering.curve
     low, high = curve.band(LEVEL)
     pairs = {"sigma_s_p90": scattering.at_right_angle, "reduced_scattering": scattering.reduced}
+    per_m = {}
+    if scattering.beta is not None:
+        least, most = scattering.beta.band(LEVEL)
+        per_m = {"beta": scattering.beta.value.tolist(), "beta_low": least.tolist(), "beta_high": most.tolist()}
     return {
         "phase": {
             "families": dict(scattering.families),
@@ -437,6 +441,7 @@ def _scattering_numbers(scattering: "Scattering") -> dict[str, Any]:
             "value": curve.value.tolist(),
             "low": low.tolist(),
             "high": high.tolist(),
+            **per_m,
             "level": LEVEL,
         },
         **{name: {"value": value, "sd": sd} for name, (value, sd) in pairs.items()},

@@ -273,6 +273,8 @@ def _tell_plan(found: "DosePlan", length_mm: float | None) -> None:
         f"dose         {total_ul:g} µl in all, for σs {reached.value:.4g} ± {reached.sd:.2g}/mm ({_parts(reached)})\n"
         f"steps        total_ul = [{steps}]\n"
         "             0 is the tank before any dose: photograph it too, for water and dust scatter\n"
+        f'in it        material = "{found.optics.material.name}", wavelength_nm = {found.optics.wavelength_nm:g}, in '
+        "the sequence: fits then know it\n"
         f"to expect    σs {found.per_ml.value:.4g}/mm per ml, g {medium.g:.3f}, p(90°) {p90:.4f}/sr"
         + (
             ""

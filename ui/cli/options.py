@@ -38,3 +38,11 @@ def out_option(default: str | None, what: str) -> Callable[[Command], Command]:
         metavar="PATH",
         help=what,
     )
+
+
+phase_option = click.option(
+    "--phase",
+    type=click.Choice(["hg", "two-term", "reynolds-mccormick", "fournier-forand", "free", "any"]),
+    help="How one scattering turns light, as fits search it; default: what the sequence says by its phase, material or "
+    "ink, else hg.",
+)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ui.cli.fits import fits_of, tell_fits
-from ui.cli.options import json_option, rig_option
+from ui.cli.options import json_option, phase_option, rig_option
 from ui.cli.refit_archive import Share, Work, refit_archive
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="As the live fit does, or by following light paths at every step, which takes longer.",
 )
+@phase_option
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -48,6 +49,7 @@ def refit(
     run: Path,
     everything: bool,
     model: str,
+    phase: str | None,
     out: Path | None,
     workers: int | None,
     scheduler: str | None,
@@ -63,13 +65,16 @@ def refit(
     """Fit what RUN lacks, and record it in RUN: doses whose frames were not all fitted, and the series.
 
     Each fit is recorded as soon as it is made. Ctrl-C ends it, and the next call goes on: models that were prepared, or
-    begun, are kept on disk. --rig names the simulated rig of the run, whose truth is then told beside the fits.
+    begun, are kept on disk. With --phase everything is fitted anew. --rig names the simulated rig of the run, whose
+    truth is then told beside the fits.
 
     With --out all runs below the folder RUN are fitted anew, each once for its frames, its calibrations, the model and
     the code, and what they find goes into RESULTS; the same command goes on where it was stopped. tankrig archive shows
     what was found.
     """
     work = Work(workers, scheduler, tls, slurm, jobs, share, worker_minutes, worker_memory)
+    if out is not None and phase is not None:
+        raise click.UsageError("--phase is for one run; those of an archive are fitted with what their sequences say")
     if out is not None:
         return refit_archive(run, out, model, work, as_json)
     if any(one is not None for one in (workers, scheduler, tls, slurm, share, worker_minutes, worker_memory)):
@@ -80,7 +85,7 @@ def refit(
 
     description = None if rig is None else load_rig_file(rig)
     with progress_shown() as told:
-        made = fit_again(run, everything, model, told)
+        made = fit_again(run, everything or phase is not None, model, told, phase)
     failed = [one for one in made if isinstance(one, FailedFit)]
     found = fits_of(run, description)
     if as_json:

@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from queue import SimpleQueue
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ui.cli.fits import fits_of, tell_fits
-from ui.cli.options import json_option, out_option, rig_option
+from ui.cli.options import json_option, out_option, phase_option, rig_option
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from tankrig.run.journal import Event
     from tankrig.run.runner import Outcome, Runner
     from tankrig.sequence import DryRun, Sequence
+    from tankrig.sequence.sequence import Phase
 
 _POLL_S = 0.1
 _SHOWN = 1000
@@ -41,6 +43,7 @@ _SHOWN = 1000
     help="Ink that the tank holds in all, where a dose was interrupted and only a person can say.",
 )
 @click.option("--fit/--no-fit", default=True, show_default=True, help="Fit the model while frames arrive, and report.")
+@phase_option
 @rig_option
 @out_option(None, "Folder of the run, which must not exist; default: runs/ and the time.")
 @json_option
@@ -50,6 +53,7 @@ def run(
     resume: Path | None,
     delivered_ul: float | None,
     fit: bool,
+    phase: "Phase | None",
     rig: Path | None,
     out: Path | None,
     as_json: bool,
@@ -65,6 +69,8 @@ def run(
 
     if (sequence_file is None) == (resume is None):
         raise click.UsageError("give a sequence file, or --resume and the folder of an interrupted run")
+    if resume is not None and phase is not None:
+        raise click.UsageError("a run goes on as it was begun; give --phase to tankrig refit")
     path = resume or out or Path("runs") / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
     if dry_run and sequence_file is None:
         raise click.UsageError("--dry-run needs a sequence file; leave out --resume")
@@ -74,6 +80,8 @@ def run(
         require_resumable(path)
     else:
         sequence = load_sequence(sequence_file)
+        if phase is not None:
+            sequence = replace(sequence, phase=phase)
         plan = planned(sequence, description, path, fit)
         if dry_run:
             _tell_plan(plan, as_json)

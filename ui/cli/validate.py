@@ -11,7 +11,7 @@ from ui.cli.options import json_option, out_option
 from ui.cli.refit import progress_shown
 
 if TYPE_CHECKING:
-    from tankrig.materials.validation import Validation
+    from tankrig.report.beside_reference import Validation
 
 
 @click.command(epilog="Example: tankrig validate runs/2026-11-20T10-00-00 --material polystyrene-1.0 --wavelength 633")
@@ -28,9 +28,10 @@ if TYPE_CHECKING:
 @click.option(
     "--polarisation",
     type=click.FloatRange(0.0, 1.0),
-    help="Largest degree of the light's linear polarisation, 0 for none; default: unknown, so all is possible.",
+    help="Largest degree of the light's linear polarisation, 0 for none; default: what the run's bench says, else all "
+    "is possible.",
 )
-@click.option("--quick", is_flag=True, help="Leave out what RUN has not fitted instead of fitting it.")
+@click.option("--quick", is_flag=True, help="Compare what RUN has fitted, and fit nothing.")
 @out_option(None, "The .html file, or a folder for it; default: validation.html in RUN.")
 @json_option
 def validate(
@@ -41,16 +42,18 @@ def validate(
     """Compare RUN, a dilution series of a reference liquid, with what is known of it, and write one page.
 
     Coefficients per ml beside the reference with both uncertainties, proportion to the dose as a test that must come
-    out null, and the phase function. It passes only where what was determined agrees, and could have disagreed.
+    out null, and the phase function. It passes only where what was determined agrees, and could have disagreed. A run
+    whose fits searched other phase functions than the material may have is fitted anew: beads by their label, other
+    liquids by any smooth one.
     """
     from tankrig.live.refit import refit
-    from tankrig.report import validation_of, write_validation
+    from tankrig.report import fitted_as, validation_of, write_validation
     from tankrig.run.reading import open_run
 
     optics = optics_of(name, wavelength_nm, label, band_nm)
     if not quick:
         with progress_shown() as told:
-            refit(run, progress=told)
+            refit(run, not fitted_as(open_run(run), optics), progress=told, phase=optics.searched)
     found = validation_of(open_run(run), optics, tank_ml, tank_sd, stock or 1.0, polarisation)
     file = write_validation(run, found, out)
     if as_json:

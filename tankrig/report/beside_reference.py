@@ -140,12 +140,16 @@ def validated(
         "σs·p(90°) per ml": ("1/mm/sr", ("sigma_s", "g"), sideways, optics.sideways),
     }
     rows = []
+    told = {} if series.scattering is None else {
+        "σs(1−g) per ml": series.scattering.reduced, "σs·p(90°) per ml": series.scattering.at_right_angle
+    }  # fmt: skip
     for name, (unit, needed, number, stock_value) in numbers.items():
         parts = {cause: by * change for cause, change in stock_value.parts.items()}
         parts |= {"tank": by * stock_value.value * tank_relative_sd, "polarised light": by * stock_value.value * light}
         known = Uncertain(by * stock_value.value, parts)
         determined = all(series.identifiable.get(one, True) for one in needed)
-        rows.append(Row(name, unit, number(ink), _sd_of(number, ink, covariance), determined, known))
+        value, sd = told.get(name) or (number(ink), _sd_of(number, ink, covariance))
+        rows.append(Row(name, unit, value, sd, determined, known))
     g_sd = math.sqrt(covariance[2, 2])
     rows.append(Row("g", "", ink.g, g_sd, series.identifiable.get("g", True), optics.g))
     found = Validation(optics, series, tuple(doses), tuple(rows), tank_ml, stock, ())
