@@ -2,13 +2,16 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.double import double_scattering, table_error
+from tankrig.light.entering import entering, is_plain, through_lens
 from tankrig.light.high_orders import MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
+from tankrig.light.leaving import CameraLens
 from tankrig.light.moments.plan import moment_plan
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
@@ -35,7 +38,7 @@ def tank_image(
     budget_s: float | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> Prediction:
-    """Image of the finite tank: black walls, matched or Fresnel surface.
+    """Image of the finite tank, as its walls, its projector's and its camera's lens make it.
 
     Parameters
     ----------
@@ -69,14 +72,50 @@ def tank_image(
     >>> [round(float(image.orders[order].sum() / image.image.sum()), 2) for order in (1, 2)]
     [0.14, 0.24]
     """
+    lens = CameraLens.of(scene)
+    if lens is None:
+        return _ideal_image(scene, None, tolerance, max_order, seed, batches, budget_s, progress)
+    first = once(lens.fine)
+    found = _ideal_image(lens.wide, lens.means(first), tolerance, max_order, seed, batches, budget_s, progress)
+    orders = {
+        key: lens.of_fine(first) if key == 1 else lens.of_wide(np.asarray(one, float))
+        for key, one in found.orders.items()
+    }
+    stderr = None if found.stderr is None else np.sqrt(lens.variance_of_wide(np.square(found.stderr, dtype=float)))
+    image = np.sum(list(orders.values()), axis=0)
+    return replace(found, image=image, orders=MappingProxyType(orders), stderr=stderr)
+
+
+def once(scene: Scene) -> Array:
+    """Order 1 with all that the projector's lens does to the light."""
+    if is_plain(scene):
+        return single_scattering(scene)
+    parts = through_lens(entering(scene, fine=True), fine=True)
+    return np.asarray(sum(share * single_scattering(one) for share, one in parts))
+
+
+def twice(scene: Scene, tolerance: float) -> Array:
+    """Order 2 likewise."""
+    if is_plain(scene):
+        return double_scattering(scene, tolerance)
+    parts = through_lens(entering(scene, fine=False), fine=False)
+    return np.asarray(sum(share * double_scattering(one, tolerance) for share, one in parts))
+
+
+def _ideal_image(
+    described: Scene, first: Array | None, tolerance: float, max_order: int | None, seed: int, batches: int | None,
+    budget_s: float | None, progress: Callable[[float], object] | None,
+) -> Prediction:  # fmt: skip
+    """What an ideal camera sees; `first` is order 1 where it is known already."""
     highest = max_order or 1_000_000
     allowance = Allowance.of(budget_s, progress)
-    orders: dict[int | str, Array] = {1: single_scattering(scene)}
+    orders: dict[int | str, Array] = {1: once(described) if first is None else first}
+    scene = entering(described, fine=False)
     zero = np.zeros(scene.camera.shape)
     stderr, skipped = zero, [Skipped("light that leaves the tank through its black walls", 0.0)]
     tables = 0.0
     if highest >= 2:
-        orders[2] = double_scattering(scene, tolerance)
+        orders[2] = twice(described, tolerance)
         tables = math.hypot(table_error(tolerance), LOOKED_UP * (scene.camera.kind == "calibrated"))
     if scene.medium.sigma_t * scene.camera.pixel_mm > MOST_PARTS and scene.camera.kind != "orthographic":
         skipped.append(Skipped(f"how light of order 1 fades within pixels of more than {MOST_PARTS} free paths", 1.0))

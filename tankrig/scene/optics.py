@@ -50,6 +50,9 @@ class Blur:
         return self.sigma_mm if self.corner_mm is None else min(self.sigma_mm, self.corner_mm)
 
 
+SHARP = Blur()
+
+
 @dataclass(frozen=True)
 class Halo:
     """A share of the light that a lens spreads widely: a Gaussian on the plane where a `Blur` is one.
@@ -78,6 +81,9 @@ class Halo:
         )
 
 
+NO_HALO = Halo()
+
+
 @dataclass(frozen=True)
 class WideLens:
     """The projector's lens as a disc across the x axis: light is sharp at one distance, and blurred off it.
@@ -103,6 +109,9 @@ class WideLens:
             number(self, "focus_mm") >= 0.0,
             f"focus_mm = {self.focus_mm:g} is before the wall; give the x, 0 or more, where pictures are sharp",
         )
+
+
+PINHOLE = WideLens()
 
 
 @dataclass(frozen=True)
@@ -186,6 +195,9 @@ class Faces:
     def dark(self) -> bool:
         """Whether no light comes back from any."""
         return all(face.dark for face in self.all)
+
+
+ALL_BLACK = Faces()
 
 
 def wider_than(sigma_mm: float, widths_mm: list[float]) -> bool:

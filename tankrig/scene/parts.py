@@ -9,7 +9,7 @@ from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
 from tankrig.geometry.shading import TERMS
 from tankrig.scene.checks import CLOSED, between, finite, number, numbers, picture_shape, require
-from tankrig.scene.optics import MOST_VEIL, Blur, Faces, Halo, WideLens
+from tankrig.scene.optics import ALL_BLACK, MOST_VEIL, NO_HALO, PINHOLE, SHARP, Blur, Faces, Halo, WideLens
 from tankrig.scene.phase_functions import AnyPhase, HenyeyGreenstein
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -54,7 +54,7 @@ class Tank:
     entry: Literal["matched", "glass"] = "matched"
     wall_mm: float = 0.0
     wall_index: float = 1.52
-    faces: Faces = Faces()
+    faces: Faces = ALL_BLACK
 
     def __post_init__(self) -> None:
         require(
@@ -286,9 +286,9 @@ class Projector:
     gamma: float = 1.0
     shading: tuple[float, ...] = ()
     blur_mm: float | None = None
-    blur: Blur = Blur()
-    halo: Halo = Halo()
-    wide_lens: WideLens = WideLens()
+    blur: Blur = SHARP
+    halo: Halo = NO_HALO
+    wide_lens: WideLens = PINHOLE
     black_level: float = 0.0
 
     def __post_init__(self) -> None:
@@ -379,8 +379,8 @@ class Camera:
     rotation: Vector | None = None
     blur_mm: float | None = None
     bin: int = 0
-    blur: Blur = Blur()
-    halo: Halo = Halo()
+    blur: Blur = SHARP
+    halo: Halo = NO_HALO
     veil: float = 0.0
 
     def __post_init__(self) -> None:
