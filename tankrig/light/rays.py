@@ -39,6 +39,8 @@ class Geometry(NamedTuple):
     pane_index: float = 1.0
     reflected: bool = False
     """Whether the light is what a Fresnel surface sends back: projector and beams are then mirror images above it."""
+    first_x: float = 0.0
+    """Where the water begins: Lx for light beyond the far wall, of which the mirror image is what that sends back."""
 
 
 def geometry_of(scene: Scene) -> Geometry:
@@ -99,6 +101,7 @@ def mirror_symmetric(scene: Scene) -> bool:
     light, camera = scene.projector, scene.camera
     return (
         mirrored == set(light.beams)
+        and scene.tank.faces.left == scene.tank.faces.right
         and (light.kind == "collimated" or (light.position_mm is not None and light.position_mm[1] == 0.0))
         and (camera.kind == "orthographic" or (camera.position_mm is not None and camera.position_mm[1] == 0.0))
     )
@@ -196,7 +199,7 @@ def path_inside(
     """
     enter, leave = 0.0, 1e30
     for low, high, position, slope in (
-        (0.0, geometry.length, x, dx),
+        (geometry.first_x, geometry.length, x, dx),
         (-geometry.half_width, geometry.half_width, y, dy),
         (0.0, geometry.height, z, dz),
     ):

@@ -87,11 +87,18 @@ def tank_image(
 
 
 def once(scene: Scene) -> Array:
-    """Order 1 with all that the projector's lens does to the light."""
-    if is_plain(scene):
+    """Order 1 with all that the projector's lens and clear faces do to the light."""
+    by_walls = not scene.tank.faces.dark
+    if is_plain(scene) and not by_walls:
         return single_scattering(scene)
-    parts = through_lens(entering(scene, fine=True), fine=True)
-    return np.asarray(sum(share * single_scattering(one) for share, one in parts))
+    from tankrig.light.walls.once import once_by_walls
+
+    image = np.zeros(scene.camera.shape)
+    for share, one in through_lens(entering(scene, fine=True), fine=True):
+        image += share * single_scattering(one)
+        if by_walls:
+            image += share * once_by_walls(one)
+    return image
 
 
 def twice(scene: Scene, tolerance: float) -> Array:
@@ -120,10 +127,13 @@ def _ideal_image(
     if scene.medium.sigma_t * scene.camera.pixel_mm > MOST_PARTS and scene.camera.kind != "orthographic":
         skipped.append(Skipped(f"how light of order 1 fades within pixels of more than {MOST_PARTS} free paths", 1.0))
     known = sum(orders.values(), zero)
-    if highest >= 3 and scene.medium.sigma_s > 0.0:
-        tail = None if max_order or batches else _tail(scene, tolerance, seed)
+    reflecting = not scene.tank.faces.dark
+    if (highest >= 3 or reflecting) and scene.medium.sigma_s > 0.0:
+        tail = None if max_order or batches or reflecting else _tail(scene, tolerance, seed)
         high = high_orders(scene, known, tolerance, max_order, seed, batches, tail, allowance)
         orders |= high.by_class
+        if reflecting:
+            orders[min(highest, 2)] = orders[min(highest, 2)] + high.by_walls
         stderr = high.stderr
         if tail is not None:
             skipped.append(Skipped(f"{tail.coarse}: what paths don't mend of it is in stderr", 0.0))

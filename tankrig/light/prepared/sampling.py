@@ -119,7 +119,27 @@ class PathImages:
         beams = [beam for beam in lit.projector.beams if beam.irradiance > 0.0]
         traced = self._traced_rectangles if self.grid.shiftable else self._traced_points
         images = traced(lit, beams, seed, batches) @ self.along / batches
+        if not lit.tank.faces.dark:
+            images = images + self._by_walls(lit, seed, batches) @ self.along
         return np.asarray(0.5 * (images + images[:, ::-1]) if self.grid.symmetric else images)
+
+    def _by_walls(self, lit: Scene, seed: int, batches: int) -> Array:
+        """Mean over lattices of what walls and floor send back, in all orders but 1 by way of clear faces."""
+        from tankrig.light.walls.paths import wall_images
+
+        bins = np.concatenate([[0, 1, 2], self._bins[3:] + 3])
+        images = np.mean(
+            [
+                wall_images(
+                    lit, self.grid.rows, self.grid.columns, self.grid.cell_mm, (seed, batch), bins, HIGHEST_ORDER,
+                    FAINTEST,
+                )
+                for batch in range(batches)
+            ],
+            axis=0,
+        )  # fmt: skip
+        low = np.array(self.albedos)[:, None] ** np.arange(3)
+        return np.tensordot(np.concatenate([low, self._shares], axis=1), images[: 3 + self._shares.shape[1]], 1)
 
     def _traced_rectangles(self, lit: Scene, beams: list[Beam], seed: int, batches: int) -> Array:
         """Sum over lattices where one path stands for every start on beams of one height."""
