@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
+from tankrig.estimation.astray import ASTRAY, Astray, AstrayBlock
 from tankrig.estimation.forward import Models, error_map, models_of, stated_error
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen
 from tankrig.estimation.observation import Observation, observe, structure
@@ -103,7 +104,9 @@ def estimate(
     nuisance
         What may be off in the set-up, each with its standard deviation, and is fitted along: "z_mm", "y_mm" (light
         moved up, and along y), "tilt_mrad" (light turned about the vertical, towards +y), "scale" (share by which a
-        pixel is larger than described).
+        pixel is larger than described); and what may go astray: "halo" and "veil" (shares of the light in the camera's,
+        more than described), "blur_mm2" (variance of the camera's blur, likewise), "floor" (its diffuse reflectance),
+        "black_level" (irradiance of a dark picture, W/mm²).
     progress
         Told in a few words what is being done, now and then.
 
@@ -121,10 +124,13 @@ def estimate(
     if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):
         raise SceneError(f"{scene.source or 'the scene'}: no beam has any irradiance; give the light that was on")
     scaling, asked = Scaling.given(gain, offset), asked_for(phase, scene)
-    misalignment = Misalignment(scene, nuisance, 1 if model == "single" else max_order) if nuisance else None
+    off = {name: sd for name, sd in (nuisance or {}).items() if name not in ASTRAY}
+    misalignment = Misalignment(scene, off, 1 if model == "single" else max_order) if off else None
+    stray = {name: sd for name, sd in (nuisance or {}).items() if name in ASTRAY}
+    astray = Astray(scene, stray) if stray else None
     observation = observe(image, scene.camera.shape, noise, mask)
     models = models_of(scene, model, max_order, asked.family)
-    return fit_models(observation, scene, scaling, models, progress or _silently, misalignment, asked)
+    return fit_models(observation, scene, scaling, models, progress or _silently, misalignment, asked, astray)
 
 
 def fit_models(
@@ -135,6 +141,7 @@ def fit_models(
     progress: Told,
     misalignment: Misalignment | None = None,
     asked: Asked = Asked(),  # noqa: B008
+    astray: Astray | None = None,
 ) -> Estimate:
     """Fit one image by any forward model: a series of one.
 
@@ -152,6 +159,8 @@ def fit_models(
         What may be off in the set-up; None where nothing is. It is fitted with the accurate model only.
     asked
         Which phase functions are.
+    astray
+        What light may go astray; None where nothing is fitted of that.
     """
     block = MediumBlock(models.range or Range.of_tank(max(scene.tank.size_mm)))
     shot = Shot(observation, scene, models)
@@ -162,6 +171,9 @@ def fit_models(
     if misalignment is not None:
         progress("aligning")
         fit = _aligned(fit, misalignment)
+    if astray is not None:
+        progress("following light astray")
+        fit = _with_astray(fit, astray)
     fit = without_outliers(fit)
     progress("finding the errors")
     return _built(fit, scene, models, asked)
@@ -179,6 +191,23 @@ def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
         best = polish(replace(problem, blocks=(*liquid, replace(block, weight=weight))), at)
         at = best.coordinates
         if before - best.cost < ALIGNED:
+            break
+    return replace(fit, optimum=best)
+
+
+def _with_astray(fit: Fit, astray: Astray) -> Fit:
+    """The fit with what may go astray; patterns follow the liquid, so it is repeated."""
+    best, none = fit.optimum, np.zeros(len(astray.sd))
+    at, (view,), before = np.concatenate([best.coordinates, none]), best.problem.views, best.problem.blocks
+    for _ in range(ALIGNINGS):
+        cost, medium = best.cost, best.media[0]
+        block = AstrayBlock(astray.at(medium, view.forward(medium)), np.ones(none.size))
+        problem = replace(best.problem, blocks=(*before, block))
+        sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
+        weight = overconfidence(sensitivity, believed, [view.observation.noise], [view.error])
+        best = polish(replace(problem, blocks=(*before, replace(block, weight=weight))), at)
+        at = best.coordinates
+        if abs(cost - best.cost) < ALIGNED:
             break
     return replace(fit, optimum=best)
 
@@ -261,7 +290,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
     # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
     error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
     spread = spread_of(best, [left], [SmoothError.of(scene, error)])
-    off, answer = _misalignments(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
+    off, answer = _nuisances(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
     medium, spread = answer.liquid, answer.covariance
     whitened = np.where(used, left.residual, 0.0) / left.noise
     place = standing_out(whitened, used, error / left.noise)
@@ -331,14 +360,17 @@ def determined(medium: Medium, spread: Array, left: Sequence[Left]) -> dict[str,
     return {name: yes and not hopeless for name, yes in identifiable(medium, spread).items()}
 
 
-def _misalignments(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:
-    """Value and standard deviation of each term, in its unit."""
-    block = best.problem.blocks[-1]
-    if not isinstance(block, SetUpBlock):
-        return {}
-    off, sds = best.values[block.name], np.sqrt(np.diag(spread))[best.problem.believed(block)]
-    terms = zip(block.misalignment.sd.items(), off, sds, strict=True)
-    return {name: (float(one) * unit, float(sd) * unit) for (name, unit), one, sd in terms}
+def _nuisances(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of each term that was fitted along, in its unit."""
+    found = {}
+    for block in best.problem.blocks:
+        if not isinstance(block, SetUpBlock | AstrayBlock):
+            continue
+        units = block.misalignment.sd if isinstance(block, SetUpBlock) else block.astray.sd
+        off, sds = best.values[block.name], np.sqrt(np.diag(spread))[best.problem.believed(block)]
+        for (name, unit), one, sd in zip(units.items(), off, sds, strict=True):
+            found[name] = float(one) * unit, float(sd) * unit
+    return found
 
 
 def _stretch(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:

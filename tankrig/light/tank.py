@@ -15,6 +15,7 @@ from tankrig.light.leaving import CameraLens
 from tankrig.light.moments.plan import moment_plan
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
+from tankrig.light.paths.smoothing import FEWEST, smoothed
 from tankrig.light.single import MOST_PARTS, single_scattering
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Scene
@@ -107,6 +108,40 @@ def twice(scene: Scene, tolerance: float) -> Array:
         return double_scattering(scene, tolerance)
     parts = through_lens(entering(scene, fine=False), fine=False)
     return np.asarray(sum(share * double_scattering(one, tolerance) for share, one in parts))
+
+
+def low_orders(scene: Scene, tolerance: float, highest: int = 2) -> Array:
+    """Orders 1 and 2, or the first alone, as the camera's lens shows them; without light by diffuse faces."""
+    lens = CameraLens.of(scene)
+    if lens is None:
+        return once(scene) if highest == 1 else once(scene) + twice(scene, tolerance)
+    first = lens.of_fine(once(lens.fine))
+    return first if highest == 1 else first + lens.of_wide(twice(lens.wide, tolerance))
+
+
+def by_faces(described: Scene, seed: int, lattices: int) -> Array:
+    """What walls and floor add to the image of an ideal camera, by so many lattices of paths, smoothed."""
+    from tankrig.light.walls.once import once_by_walls
+    from tankrig.light.walls.paths import wall_images
+
+    if described.tank.faces.dark:
+        return np.zeros(described.camera.shape)
+    scene = entering(described, fine=False)
+    grid = CellGrid.of(scene)
+    bins = np.zeros(MOST_ORDERS_OF_A_PATTERN + 1, np.int64)
+    batches = np.array(
+        [
+            wall_images(
+                scene, grid.rows, grid.columns, grid.cell_mm, (seed, batch), bins, MOST_ORDERS_OF_A_PATTERN, 1e-3, 1
+            )[0]
+            for batch in range(max(lattices, FEWEST))
+        ]
+    )  # fmt: skip
+    found = smoothed(grid.folded(batches), seen=grid.seen, steady=True)
+    return once_by_walls(scene) + grid.to_pixels(grid.unfolded(found.image[None])[0])
+
+
+MOST_ORDERS_OF_A_PATTERN = 200
 
 
 def _ideal_image(

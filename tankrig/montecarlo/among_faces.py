@@ -35,7 +35,7 @@ class KernelFaces(NamedTuple):
     share: NDArray[np.float64]
     """That comes back; not of a pane."""
     thick_mm: NDArray[np.float64]
-    index: NDArray[np.float64]
+    pane_index: NDArray[np.float64]
     water: float
 
 
@@ -171,13 +171,13 @@ def _comes_back(faces: KernelFaces, face: int, normal: float) -> tuple[float, fl
         return faces.share[face], 1.0, 0.0
     if faces.kind[face] != PANE:
         return 0.0, 1.0, 0.0
-    ratio = faces.water / faces.index[face]
+    ratio = faces.water / faces.pane_index[face]
     at_inner = reflectance(normal, ratio)
     squared = 1.0 - ratio * ratio * (1.0 - normal * normal)
     if squared <= 0.0:
         return 1.0, 1.0, 0.0
     in_pane = math.sqrt(squared)
-    at_outer = reflectance(in_pane, faces.index[face])
+    at_outer = reflectance(in_pane, faces.pane_index[face])
     # To and fro in the pane: a geometric series.
     through = (1.0 - at_inner) * (1.0 - at_inner) * at_outer / (1.0 - at_inner * at_outer)
     back = at_inner + through
