@@ -17,6 +17,8 @@ BUDGET_S = 120.0
 
 MODELS = ("tank", "single", "convolution", "diffuse", "montecarlo")
 """Names that `predict` knows."""
+BLACK_WALLS = ("convolution", "diffuse")
+"""Those that know no walls that reflect."""
 MOST_SEED = 2**63 - 1
 
 
@@ -84,6 +86,11 @@ def predict(
     if not 0 <= seed <= MOST_SEED:
         raise SceneError(f"seed = {seed} is no seed; give a whole number from 0 to {MOST_SEED}")
     name = "tank" if model is None else model
+    if name in BLACK_WALLS and not scene.tank.faces.dark:
+        raise SceneError(
+            f'tank.faces reflect, which model = "{name}" cannot treat; use model = "tank" or "montecarlo", or leave '
+            "the faces out"
+        )
     if name == "tank":
         from tankrig.light.tank import tank_image
 
@@ -145,9 +152,9 @@ def _through_lenses(scene: Scene, name: str, tolerance: float, max_order: int | 
 
 
 def _single(scene: Scene) -> Prediction:
-    from tankrig.light.single import single_scattering
+    from tankrig.light.tank import once
 
-    image = single_scattering(scene)
+    image = once(scene)
     bound = float("inf") if scene.medium.sigma_s > 0.0 else 0.0
     return Prediction(image, "single", MappingProxyType({1: image}), None, (Skipped("orders above 1", bound),))
 
