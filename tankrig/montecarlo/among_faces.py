@@ -24,6 +24,7 @@ IMAGES = 5
 """Orders up to 1 by way of faces; then orders 2, 3, 4–20 and above 20, all of them."""
 LIGHT, KEPT = 0.05, 0.25
 """Weight below which a photon plays roulette, and the chance that it stays."""
+ROUNDING_MM = 1e-9
 NOTHING, PANE, MIRROR, MATT = 0, 1, 2, 3
 _KINDS = {"black": NOTHING, "glass": PANE, "clear": MIRROR, "diffuse": MATT}
 
@@ -152,7 +153,8 @@ def _flown(
                     y + (step * uy if face not in (2, 3) else 0.0),
                     z + (step * uz if face < 4 else 0.0),
                 )
-                if x < 0.0 or x > scene.length or abs(y) > scene.half_width or z < 0.0 or z > scene.height:
+                beyond = max(-x, x - scene.length, abs(y) - scene.half_width, -z, z - scene.height)
+                if beyond > ROUNDING_MM:  # into the pane's edge
                     kept = 0.0
             if face == 4:
                 uz = -uz
@@ -215,9 +217,12 @@ def _show(
             for k in range(2):
                 if k == 1 and not _mirrors(faces, 4):
                     continue
-                if directly or i != 0 or j != 0 or k != 0:
-                    at = (x, y, place[2] if k == 0 else -place[2])
-                    _show_mirrored(scene, faces, at, i, j, k, way, matt, power, image)
+                at = (x, y, place[2] if k == 0 else -place[2])
+                if i != 0 or j != 0 or k != 0:
+                    _show_mirrored(scene, faces, at, i, j, k, True, way, matt, power, image)
+                    _show_mirrored(scene, faces, at, i, j, k, False, way, matt, power, image)
+                elif directly:
+                    _show_mirrored(scene, faces, at, i, j, k, False, way, matt, power, image)
 
 
 @part
@@ -227,29 +232,31 @@ def _mirrors(faces: KernelFaces, face: int) -> bool:
 
 @kernel
 def _show_mirrored(
-    scene: KernelScene, faces: KernelFaces, at: Point, i: int, j: int, k: int, way: Point, matt: int, power: float,
-    image: Image,
+    scene: KernelScene, faces: KernelFaces, at: Point, i: int, j: int, k: int, outer: bool, way: Point, matt: int,
+    power: float, image: Image,
 ) -> None:  # fmt: skip
+    """One mirror image; by way of a pane's outer side, or of what its inner side sends back at once."""
     px, py, vx, vy, vz, path, factor = seen(scene, at[0], at[1], at[2])
-    share = 1.0
+    share, at_once, moved = 1.0, 1.0, at
     for face in ((0 if i < 0 else 1) if i != 0 else -1, (2 if j < 0 else 3) if j != 0 else -1, 4 if k == 1 else -1):
-        if face < 0 or factor == 0.0:
+        if face < 0:
             continue
         normal = vz if face == 4 else abs(vx) if face < 2 else abs(vy)
         back, inner, aside = _comes_back(faces, face, normal)
-        share *= back
-        if aside * (1.0 - inner) > 0.01:  # the pane moves what it mirrors
-            step = aside / math.sqrt(1.0 - normal * normal)
-            moved = (
-                at[0] + (step * vx if face >= 2 else 0.0),
-                at[1] + (step * vy if face not in (2, 3) else 0.0),
-                at[2] + (step * vz if face < 4 else 0.0),
-            )
-            if moved[2] > scene.height:  # it comes out above the water
-                return
-            px, py, vx, vy, vz, path, factor = seen(scene, moved[0], moved[1], moved[2])
-            path += (moved[2] - at[2]) / vz
-            at = moved
+        share, at_once = share * back, at_once * inner
+        step = aside / math.sqrt(max(1.0 - normal * normal, 1e-18))
+        moved = (
+            moved[0] + (step * vx if face >= 2 else 0.0),
+            moved[1] + (step * vy if face not in (2, 3) else 0.0),
+            moved[2] + (step * vz if face < 4 else 0.0),
+        )
+    if outer:
+        share *= 1.0 - at_once
+        if moved[2] > scene.height or share == 0.0:  # it comes out of the pane above the water
+            return
+        px, py, vx, vy, vz, path, factor = seen(scene, moved[0], moved[1], moved[2])
+    else:
+        share *= at_once
     factor *= share
     if factor == 0.0:
         return

@@ -115,7 +115,8 @@ def edge_reach_mm(scene: Scene) -> float:
     """How far from an edge of the light, on the plane z = Lz, a fit must not look; 0 where nothing says that it blurs.
 
     `REACH` standard deviations of what camera and projector blur together, the projector's as wide as it has grown at
-    the far wall. For a calibrated device of unknown blur, which models don't know either, `UNKNOWN_REACH_MM` at least; any other is as described, sharp.
+    the far wall. For a calibrated device of unknown blur, of which models have none either, `UNKNOWN_REACH_MM` at
+    least; any other is as described, sharp.
 
     Examples
     --------

@@ -41,7 +41,7 @@ def face_table(tank: Tank) -> Array:
 
 
 @kernel
-def sent_back(faces: Array, face: int, cosine: float) -> tuple[float, float]:
+def sent_back(faces: Array, face: int, cosine: float) -> tuple[float, float, float]:
     """What of the light that meets a clear face comes back, and how far along it.
 
     Parameters
@@ -59,24 +59,27 @@ def sent_back(faces: Array, face: int, cosine: float) -> tuple[float, float]:
         Of the light; 0 of a black or diffuse face.
     along_mm
         From where it meets the face to where what has been to the pane's outer side comes out again.
+    at_once
+        Part of the share that has not been there.
 
     Examples
     --------
     >>> from tankrig.scene.optics import Face, Faces
     >>> faces = face_table(Tank(faces=Faces(far=Face("glass", thickness_mm=5.0))))
     >>> [round(number, 4) for number in sent_back(faces, FAR, 1.0)], sent_back(faces, FAR, 0.6)[0]
-    ([0.0468, 0.0], 1.0)
+    ([0.0468, 0.0, 0.0949], 1.0)
     """
     kind = faces[face, 0]
     if kind == CLEAR:
-        return faces[face, 1], 0.0
+        return faces[face, 1], 0.0, 1.0
     if kind != GLASS:
-        return 0.0, 0.0
+        return 0.0, 0.0, 1.0
     glass, water = faces[face, 3], faces[face, 4]
     inner = reflectance(cosine, water / glass)
     sine = water / glass * math.sqrt(max(1.0 - cosine * cosine, 0.0))
     if sine >= 1.0:
-        return 1.0, 0.0
+        return 1.0, 0.0, 1.0
     within = math.sqrt(1.0 - sine * sine)
     outer = reflectance(within, glass)
-    return inner + (1.0 - inner) ** 2 * outer / (1.0 - inner * outer), 2.0 * faces[face, 2] * sine / within
+    share = inner + (1.0 - inner) ** 2 * outer / (1.0 - inner * outer)
+    return share, 2.0 * faces[face, 2] * sine / within, inner / share if share > 0.0 else 1.0

@@ -7,6 +7,7 @@ walls, and of the floor; what is sent back twice between opposite faces is not (
 """
 
 import math
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,10 +58,10 @@ def once_by_walls(scene: Scene) -> Array:
             ux, _, _ = light_ray(geometry, 0.5 * sum(beam.y_mm), 0.5 * sum(beam.z_mm))
             far = sent_back(faces, FAR, ux)[0]
             for from_far, kept in ((False, 1.0), (True, far)):
-                for x_wall, y_wall, floor in _ways(geometry, faces, from_far):
-                    if kept > 0.0:
+                for (x_wall, y_wall, floor), outer in product(_ways(geometry, faces, from_far), (False, True)):
+                    if kept > 0.0 and not (outer and max(x_wall, y_wall) == NONE and not floor):
                         _add_mirrored(
-                            image, geometry, faces, from_far, x_wall, y_wall, floor, scene.camera.pixel_mm,
+                            image, geometry, faces, from_far, x_wall, y_wall, floor, outer, scene.camera.pixel_mm,
                             medium.sigma_t, kept * medium.sigma_s * beam.irradiance, phase, edges, *rules,
                         )  # fmt: skip
     return image
@@ -80,7 +81,7 @@ def _ways(geometry: Geometry, faces: Array, from_far: bool) -> list[tuple[int, i
 @kernel
 def _add_mirrored(
     image: Array, geometry: Geometry, faces: Array, from_far: bool, x_wall: int, y_wall: int, floor: bool,
-    pixel_mm: float, sigma_t: float, strength: float, phase: PhaseRecord,
+    outer: bool, pixel_mm: float, sigma_t: float, strength: float, phase: PhaseRecord,
     edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule,
 ) -> None:  # fmt: skip
     """Add one beam as lines of sight by way of some faces show it."""
@@ -100,7 +101,17 @@ def _add_mirrored(
                         break
                     vx, vy, vz, _ = sight_line(geometry, x, 0.5 * (low + high))
                     share, x_move, y_move, lift = _by_way(
-                        faces, x, 0.5 * (low + high), vx, vy, vz, (length, half_width, height), x_wall, y_wall, floor
+                        faces,
+                        x,
+                        0.5 * (low + high),
+                        vx,
+                        vy,
+                        vz,
+                        (length, half_width, height),
+                        x_wall,
+                        y_wall,
+                        floor,
+                        outer,
                     )
                     if share <= 0.0:
                         continue
@@ -140,9 +151,11 @@ def _add_mirrored(
 @kernel
 def _by_way(
     faces: Array, x: float, y: float, vx: float, vy: float, vz: float, size: tuple[float, float, float],
-    x_wall: int, y_wall: int, floor: bool,
+    x_wall: int, y_wall: int, floor: bool, outer: bool,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """What comes back on a line of sight by way of faces, and how panes move its mirrored image.
+
+    `outer` is of light that has been to the outer side of a pane, the other part has not been in any.
 
     Returns
     -------
@@ -155,7 +168,7 @@ def _by_way(
     """
     length, half_width, height = size
     deep = height / vz * (2.0 if floor else 1.0)
-    share, x_move, y_move, lift = 1.0, 0.0, 0.0, 0.0
+    share, at_once, x_move, y_move, lift = 1.0, 1.0, 0.0, 0.0, 0.0
     for wall in (x_wall, y_wall):
         if wall == NONE:
             continue
@@ -164,8 +177,8 @@ def _by_way(
         outward = slope if wall in (ENTRY, LEFT) else -slope
         if outward <= 1e-9 or away / outward >= deep:
             return 0.0, 0.0, 0.0, 0.0
-        back, along = sent_back(faces, wall, outward)
-        share *= back
+        back, along, inner = sent_back(faces, wall, outward)
+        share, at_once = share * back, at_once * inner
         # What has been to the outer side comes out farther along the wall: down, and aside.
         tangent = math.sqrt(1.0 - outward * outward)
         down, aside = along * vz / tangent, -along * (vy if wall <= FAR else vx) / tangent
@@ -179,10 +192,12 @@ def _by_way(
             y_move -= by * vy
             x_move += aside + by * vx
     if floor:
-        back, along = sent_back(faces, FLOOR, vz)
+        back, along, inner = sent_back(faces, FLOOR, vz)
         tangent = math.sqrt(1.0 - vz * vz)
-        share *= back
+        share, at_once = share * back, at_once * inner
         if tangent > 1e-9:
             x_move -= along * vx / tangent
             y_move -= along * vy / tangent
-    return share, x_move, y_move, lift
+    if not outer:
+        return share * at_once, 0.0, 0.0, 0.0
+    return share * (1.0 - at_once), x_move, y_move, lift

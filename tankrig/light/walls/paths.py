@@ -30,8 +30,11 @@ STRETCHES = 12
 """Straight stretches of one flight at most; light that has met so many faces is faint."""
 FAINT = 1e-4
 """Share of a flight's light that is left when the flight ends."""
-FLIGHT_COORDINATES = 4
+FLIGHT_COORDINATES = 3
 START_COORDINATES = 3
+ROUNDING_MM = 1e-9
+SIDE_COORDINATES = 2_000_000
+"""Of the lattice, beyond its own: whether light goes to the outer side of panes."""
 SURFACE = 5
 NONE = -1
 
@@ -95,8 +98,9 @@ def _trace(
         x, weight, order, flights, met, diffuse = 0.0, 1.0, 0, 0, False, False
         while True:
             first = 2 if flights == 0 else START_COORDINATES + (flights - 1) * FLIGHT_COORDINATES + 2
+            u, v = coordinate(point, first, lattice), coordinate(point, SIDE_COORDINATES + flights, lattice)
             x, y, z, dx, dy, dz, chance, hits, face = _fly(
-                geometry, faces, sigma_t, x, y, z, dx, dy, dz, coordinate(point, first, lattice), ends, weights
+                geometry, faces, sigma_t, x, y, z, dx, dy, dz, u, v, ends, weights
             )
             flights += 1
             weight *= chance
@@ -143,9 +147,11 @@ def _start(beams: Array, u: float, v: float) -> tuple[float, float]:
 @kernel
 def _fly(
     geometry: Geometry, faces: Array, sigma_t: float, x: float, y: float, z: float, dx: float, dy: float, dz: float,
-    u: float, ends: Array, weights: Array,
+    u: float, v: float, ends: Array, weights: Array,
 ) -> tuple[float, float, float, float, float, float, float, int, int]:  # fmt: skip
     """A flight to its next event, which is a collision or a diffuse face.
+
+    The coordinate u picks the place, and v whether light goes to the outer sides of the panes that it meets.
 
     Returns
     -------
@@ -189,7 +195,8 @@ def _fly(
                 total += left
                 diffuse = face
                 break
-            back, along = sent_back(faces, face, cosine)
+            back, along, at_once = sent_back(faces, face, cosine)
+            along = along if v >= at_once else 0.0
             hits += 1
         left *= back
         if left < FAINT:
@@ -202,7 +209,7 @@ def _fly(
                 x, z = x + along * dx / tangent, z + along * dz / tangent
             else:
                 x, y = x + along * dx / tangent, y + along * dy / tangent
-            if not (0.0 <= x <= length and abs(y) <= half_width and 0.0 <= z <= height):
+            if min(x, length - x, half_width - abs(y), z, height - z) < -ROUNDING_MM:
                 break  # into the pane's edge
         if face in (SURFACE, FLOOR):
             dz = -dz
@@ -268,28 +275,28 @@ def _show(
                 px = x if across_x == 0 else -x if across_x == 1 else 2.0 * geometry.length - x
                 py = y if across_y == 0 else (-2.0 if across_y == 1 else 2.0) * geometry.half_width - y
                 pz = z if floor == 0 else -z
-                seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px, py, pz)
-                if across_x + across_y + floor > 0:
-                    share, mx, my, mz = _panes(faces, across_x, across_y, floor, sx, sy, sz)
-                    if share <= 0.0:
+                for outer in range(2):  # at the inner sides of panes, or by their outer sides
+                    seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px, py, pz)
+                    if across_x + across_y + floor > 0:
+                        share, mx, my, mz = _panes(faces, across_x, across_y, floor, sx, sy, sz, outer == 1)
+                        if share <= 0.0 or pz + mz > geometry.height:
+                            continue  # nothing, or it comes out of the pane above the water
+                        if outer == 1:  # the pane's thickness moves the mirror image
+                            seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px + mx, py + my, pz + mz)
+                        factor *= share
+                    elif outer == 1:
                         continue
-                    if pz + mz > geometry.height:
-                        continue  # it comes out of the pane above the water
-                    if mx != 0.0 or my != 0.0 or mz != 0.0:  # a pane's thickness moves the mirror image
-                        seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px + mx, py + my, pz + mz)
-                        path += mz / sz
-                    factor *= share
-                if not (0.0 <= seen_x <= geometry.length and abs(seen_y) <= geometry.half_width):
-                    continue
-                ax, ay, az = (
-                    sx if across_x == 0 else -sx, sy if across_y == 0 else -sy, sz if floor == 0 else -sz,
-                )  # fmt: skip
-                if face == NONE:
-                    lobe = phase_density(dx * ax + dy * ay + dz * az, phase)
-                else:
-                    lobe = max(_from_face(face, ax, ay, az), 0.0) / math.pi
-                value = weight * lobe * factor * exponential(-sigma_t * path)
-                _add(image, seen_x / cell_mm[0], (seen_y + geometry.half_width) / cell_mm[1], value)
+                    if not (0.0 <= seen_x <= geometry.length and abs(seen_y) <= geometry.half_width):
+                        continue
+                    ax, ay, az = (
+                        sx if across_x == 0 else -sx, sy if across_y == 0 else -sy, sz if floor == 0 else -sz,
+                    )  # fmt: skip
+                    if face == NONE:
+                        lobe = phase_density(dx * ax + dy * ay + dz * az, phase)
+                    else:
+                        lobe = max(_from_face(face, ax, ay, az), 0.0) / math.pi
+                    value = weight * lobe * factor * exponential(-sigma_t * path)
+                    _add(image, seen_x / cell_mm[0], (seen_y + geometry.half_width) / cell_mm[1], value)
 
 
 @part
@@ -311,26 +318,31 @@ def _from_face(face: int, ax: float, ay: float, az: float) -> float:
 
 @kernel
 def _panes(
-    faces: Array, across_x: int, across_y: int, floor: int, sx: float, sy: float, sz: float
+    faces: Array, across_x: int, across_y: int, floor: int, sx: float, sy: float, sz: float, outer: bool
 ) -> tuple[float, float, float, float]:
-    """What comes back on a line of sight by way of faces, and where the panes' thickness moves the mirrored point."""
-    share, mx, my, mz = 1.0, 0.0, 0.0, 0.0
+    """What comes back on a line of sight by way of faces, and where the panes' thickness moves the mirrored point.
+
+    `outer` is of light that has been to the outer side of a pane, the other part has not been in any.
+    """
+    share, at_once, mx, my, mz = 1.0, 1.0, 0.0, 0.0, 0.0
     if across_x > 0:
-        back, along = sent_back(faces, across_x - 1, abs(sx))
-        tangent = math.sqrt(max(1.0 - sx * sx, 1e-18))
-        share *= back if (sx > 0.0) == (across_x == 1) else 0.0
-        my, mz = my + along * sy / tangent, mz + along * sz / tangent
+        back, along, inner = sent_back(faces, across_x - 1, abs(sx))
+        along /= math.sqrt(max(1.0 - sx * sx, 1e-18))
+        share, at_once = share * (back if (sx > 0.0) == (across_x == 1) else 0.0), at_once * inner
+        my, mz = my + along * sy, mz + along * sz
     if across_y > 0:
-        back, along = sent_back(faces, across_y + 1, abs(sy))
-        tangent = math.sqrt(max(1.0 - sy * sy, 1e-18))
-        share *= back if (sy > 0.0) == (across_y == 1) else 0.0
-        mx, mz = mx + along * sx / tangent, mz + along * sz / tangent
+        back, along, inner = sent_back(faces, across_y + 1, abs(sy))
+        along /= math.sqrt(max(1.0 - sy * sy, 1e-18))
+        share, at_once = share * (back if (sy > 0.0) == (across_y == 1) else 0.0), at_once * inner
+        mx, mz = mx + along * sx, mz + along * sz
     if floor > 0:
-        back, along = sent_back(faces, FLOOR, sz)
-        tangent = math.sqrt(max(1.0 - sz * sz, 1e-18))
-        share *= back
-        mx, my = mx + along * sx / tangent, my + along * sy / tangent
-    return share, mx, my, mz
+        back, along, inner = sent_back(faces, FLOOR, sz)
+        along /= math.sqrt(max(1.0 - sz * sz, 1e-18))
+        share, at_once = share * back, at_once * inner
+        mx, my = mx + along * sx, my + along * sy
+    if not outer:
+        return share * at_once, 0.0, 0.0, 0.0
+    return share * (1.0 - at_once), mx, my, mz
 
 
 @part
