@@ -87,6 +87,8 @@ SIGNS: dict[str, Pattern] = {
     "counts that are not in proportion to the light": gamma,
 }
 """Causes of structure in a residual, as the verdict names them."""
+SLOW = ("light that the entry pane's outer side reflects", "light of dark parts of the projector's picture")
+"""Those that a fit of a prepared model, which takes less time, does not look for where there is no structure."""
 
 
 def causes(scene: Scene, image: Image) -> dict[str, Callable[[], list[Array]]]:

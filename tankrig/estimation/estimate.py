@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
-from tankrig.estimation.astray import ASTRAY, Astray, AstrayBlock
+from tankrig.estimation.astray import ASTRAY, PATTERNS, SIGNS, SLOW, Astray, AstrayBlock, causes, floor
 from tankrig.estimation.forward import Models, error_map, models_of, stated_error
-from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen
+from tankrig.estimation.misfit import SEEN, STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
 from tankrig.estimation.parameters import MediumBlock, Range, Scaling
@@ -32,9 +32,11 @@ from tankrig.estimation.result import Estimate as Estimate
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
 from tankrig.estimation.uncertainty import ModelError, SmoothError, identifiable, overconfidence, stretches
 from tankrig.estimation.verdict import (
+    TELLING_MOVE,
     what_is_determined,
     what_is_left,
     what_is_misaligned,
+    what_is_shown,
     what_is_unseen,
     what_was_left_out,
 )
@@ -305,6 +307,14 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
         spread = spread + instead.share * np.outer(instead.moved, instead.moved)
     if instead is not None and misled:
         cause = PHASE, instead.share
+    sign = (
+        None
+        if cause is not None or not whole
+        else astray_shown(best, left, replace(scene, medium=medium), spread, 3 if asked.family is None else 2)
+    )
+    without = spread
+    if sign is not None:
+        spread = spread + np.outer(sign.moved, sign.moved)
     edges = best.at_edge
     known = {
         name: yes and name not in edges and not (misled and name != "sigma_a")
@@ -317,7 +327,9 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
         what_is_determined(medium, spread, known, edges),
         what_is_left(left.unexplained, stated, noisier, cause, place, aside),
         what_is_misaligned(off),
-        what_is_unseen(medium, moved_by_halos(best, [left])[:own], spread, known),
+        what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], without) if sign else "",
+        what_is_unseen(medium, moved_by_halos(best, [left])[:own], spread, known) if "halo" not in off else "",
+        _unseen_floor(best, left, scene, medium, off, spread, known) if whole else "",
         what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
     ]
     return Estimate(
@@ -352,6 +364,70 @@ def moved_by_halos(best: Evaluation, left: Sequence[Left]) -> Array:
     changes = [view.whitened(halos_of(one.light)) for view, one in zip(views, left, strict=True)]
     halos = best.project_out(np.hstack(changes))[:, : best.left.size]
     return moved_unseen(best.sensitivity, halos, STRAY, [one.noise for one in left], [view.error for view in views])
+
+
+@dataclass(frozen=True)
+class Sign:
+    """A cause that a residual shows, see `astray_shown`: its name, by how many deviations, what it moves values by."""
+
+    name: str
+    deviations: float
+    moved: Array
+
+
+def astray_shown(best: Evaluation, left: Left, scene: Scene, spread: Array, own: int = 3) -> Sign | None:
+    """The cause that a residual shows most, if it moves a value by two standard deviations; None where none does.
+
+    Light astray may be no more than noise by its size, and yet move the coefficients by ten standard deviations. It is
+    looked for by its own pattern.
+
+    Parameters
+    ----------
+    best, left
+        Of the fit.
+    scene
+        With the fitted liquid.
+    spread
+        Covariance of the values.
+    own
+        How many of the values are the liquid's.
+    """
+    stray = [block for block in best.problem.blocks if isinstance(block, AstrayBlock)]
+    fitted_along = {PATTERNS[name] for block in stray for name in block.names}
+    quick = left.prediction.model == "prepared"
+    signs = {
+        name: changes()
+        for name, changes in causes(scene, left.prediction.image).items()
+        if SIGNS[name] not in fitted_along and not (quick and name in SLOW)
+    }
+    (view,) = best.problem.views
+    gain, _ = best.scale
+    faults = best.project_out(view.whitened(gain * np.array([one[0] for one in signs.values()])))[:, : best.left.size]
+    sizes, moved = shown(best.sensitivity, best.left, faults, [left.noise], [view.error])
+    telling = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1)
+    sizes = np.where(telling > TELLING_MOVE, sizes, 0.0)
+    most = int(np.argmax(np.abs(sizes)))
+    return Sign(list(signs)[most], float(sizes[most]), moved[most]) if abs(sizes[most]) > SEEN else None
+
+
+def _unseen_floor(
+    best: Evaluation, left: Left, scene: Scene, medium: Medium, off: Mapping[str, object], spread: Array,
+    known: Mapping[str, bool],
+) -> str:  # fmt: skip
+    """What a floor that nobody has described would do: a sentence, or nothing."""
+    if not scene.tank.faces.floor.dark or "floor" in off:
+        return ""
+    (view,) = best.problem.views
+    gain, _ = best.scale
+    pattern = gain * floor(replace(scene, medium=medium), left.prediction.image)
+    changes = best.project_out(view.whitened(pattern[None]))[:, : best.left.size]
+    moved = moved_unseen(best.sensitivity, changes, COMMON_FLOOR, [left.noise], [view.error])
+    what = f"the floor sent back {100.0 * COMMON_FLOOR:.0f} % of the light"
+    return what_is_unseen(medium, moved[:3], spread, known, what)
+
+
+COMMON_FLOOR = 0.04
+"""Reflectance of a floor that somebody has painted black."""
 
 
 def determined(medium: Medium, spread: Array, left: Sequence[Left]) -> dict[str, bool]:

@@ -144,9 +144,14 @@ def what_is_misaligned(found: Mapping[str, tuple[float, float]]) -> str:
     return f"The set-up is not as described, and was corrected: {', '.join(off)}." if off else ""
 
 
+HALO = f"lens or air spread {100.0 * STRAY:.2g} % of the light into a wide halo"
+"""What nobody has measured on most benches."""
+
+
 def what_is_unseen(
-    medium: Medium, moved: NDArray[np.float64], spread: NDArray[np.float64], known: Mapping[str, bool]
-) -> str:
+    medium: Medium, moved: NDArray[np.float64], spread: NDArray[np.float64], known: Mapping[str, bool],
+    what: str = HALO,
+) -> str:  # fmt: skip
     """A sentence on what nobody has measured; empty where the intervals hold what it would do.
 
     Parameters
@@ -159,6 +164,8 @@ def what_is_unseen(
         Their covariance, (3, 3) at least.
     known
         By name, whether it is determined.
+    what
+        Would be, "if …".
     """
     beyond = [
         (name, by)
@@ -167,14 +174,55 @@ def what_is_unseen(
     ]
     if not beyond:
         return ""
-    moves = [
-        f"g by {by:.2g}" if name == "g" else f"{SYMBOLS[name]} by {_percent(by / max(getattr(medium, name), 1e-300))}"
-        for name, by in beyond
+    return (
+        f"Not in the intervals, since nothing here measures it: if {what}, the residual would not show it, and "
+        f"{_moves(medium, beyond)} could be off."
+    )
+
+
+def what_is_shown(
+    medium: Medium, name: str, deviations: float, moved: NDArray[np.float64], spread: NDArray[np.float64]
+) -> str:
+    """A sentence on a cause that a residual shows, although it is no more than noise by its size.
+
+    Parameters
+    ----------
+    medium
+        That was found.
+    name
+        Of the cause.
+    deviations
+        By how many standard deviations it is seen.
+    moved
+        (3,) what it moves σa, σs and g by.
+    spread
+        Their covariance without it.
+    """
+    beyond = [
+        (which, abs(float(by)))
+        for which, by, variance in zip(NAMES, moved, np.diag(spread), strict=False)
+        if abs(by) > TELLING_MOVE * math.sqrt(float(variance))
     ]
     return (
-        f"Not in the intervals, since nothing here measures it: if lens or air spread {_percent(STRAY)} of the light "
-        f"into a wide halo, the residual would not show it, and {_listed(moves)} could be off."
+        f"The residual shows {name} by {abs(deviations):.2g} standard deviations, which the scene does not describe: "
+        f"{_moves(medium, beyond)} would be off by it, and the intervals are widened by that. Measure it, or fit it "
+        "along."
     )
+
+
+TELLING_MOVE = 2.0
+"""Standard deviations of a coefficient by which a cause moves it before it is no noise."""
+
+
+def _moves(medium: Medium, beyond: Sequence[tuple[str, float]]) -> str:
+    """ "σs by 2 % and g by .01"."""
+
+    def said(name: str, by: float) -> str:
+        if name == "g":
+            return f"g by {by:.2g}"
+        return f"{SYMBOLS[name]} by {_percent(by / max(getattr(medium, name), 1e-300))}"
+
+    return _listed([said(name, by) for name, by in beyond])
 
 
 def _at_edges(medium: Medium, edges: Sequence[str]) -> str:
