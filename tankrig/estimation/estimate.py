@@ -307,11 +307,9 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
         spread = spread + instead.share * np.outer(instead.moved, instead.moved)
     if instead is not None and misled:
         cause = PHASE, instead.share
-    sign = (
-        None
-        if cause is not None or not whole
-        else astray_shown(best, left, replace(scene, medium=medium), spread, 3 if asked.family is None else 2)
-    )
+    own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
+    looked_for = cause is None and whole
+    sign = astray_shown(best, left, replace(scene, medium=medium), spread, own) if looked_for else None
     without = spread
     if sign is not None:
         spread = spread + np.outer(sign.moved, sign.moved)
@@ -322,7 +320,6 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
     }
     aside = whole and misalignment_left_out(observation, left.image, gain, misaligned)
     noisier = left.noisier if observation.noise_known else 1.0
-    own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
     sentences = [
         what_is_determined(medium, spread, known, edges),
         what_is_left(left.unexplained, stated, noisier, cause, place, aside),
