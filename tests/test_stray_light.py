@@ -13,6 +13,8 @@ import tankrig
 from tankrig.errors import SceneError
 from tankrig.light.entering import entering, through_lens
 from tankrig.light.leaving import CameraLens
+from tankrig.light.prepared.box import Box
+from tankrig.light.tank import by_faces
 from tankrig.light.walls.faces import FAR, face_table, sent_back
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.loading import scene_from_table
@@ -202,6 +204,57 @@ def test_a_wide_lens_is_sharp_at_its_focus_alone():
     assert np.ptp(edges_at(120.0)) < 1e-6
     assert np.ptp(edges_at(0.0)) > 2.0
     assert np.ptp(edges_at(240.0)) > 2.0
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A prepared model of a plain scene, its image of a liquid, and noise of .2 % of the peak."""
+    light = Projector("collimated", (Beam((-14.0, -6.0), (54.0, 62.0)), Beam((10.0, 18.0), (54.0, 62.0))))
+    medium = Medium(0.0012, 0.0108, 0.4)
+    scene = Scene(Tank(surface="fresnel"), medium, light, Camera("orthographic", (40, 60), 4.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TANKRIG_CACHE", str(tmp_path_factory.mktemp("cache")))
+        live = tankrig.prepare(scene, tolerance=0.01, box=Box((0.006, 0.024), (0.7, 0.98), (0.1, 0.7)))
+    return scene, live, np.asarray(live.predict(medium))
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "size", "sd"),
+    [("halo", "a halo of the camera's lens", 0.02, 0.02), ("floor", "light that the floor reflects", 0.04, 0.05)],
+)
+def test_light_astray_is_named_and_fitted_along(bench, name, said, size, sd):
+    """A halo of 2 % or a floor of 4 % were called noise, and moved σs by ten of its standard deviations."""
+    scene, live, clean = bench
+    noise = 0.002 * clean.max()
+    if name == "halo":
+        lens = CameraLens.of(replace(scene, camera=replace(scene.camera, halo=Halo(size, 30.0))))
+        image = lens.of_wide(clean)
+    else:
+        shiny = replace(scene, tank=replace(scene.tank, faces=Faces(floor=Face("diffuse", size))))
+        image = clean + by_faces(shiny, seed=99, lattices=8)
+    image = image + np.random.default_rng(3).normal(0.0, noise, clean.shape)
+    known = {"model": live, "gain": 1.0, "offset": 0.0, "noise": noise}
+    unaware = tankrig.estimate(image, scene, **known)
+    assert said in unaware.verdict
+    assert "The residual is noise" not in unaware.verdict
+    along = tankrig.estimate(image, scene, nuisance={name: sd}, **known)
+    found, error = along.nuisance[name]
+    assert found == pytest.approx(size, abs=3.0 * error)
+    assert error < size / 3.0
+    off = np.abs(np.array(along.medium.coefficients) - scene.medium.coefficients)
+    assert (off < 3.0 * np.sqrt(np.diag(along.covariance))[:3]).all()
+    assert along.medium.sigma_s == pytest.approx(scene.medium.sigma_s, rel=0.005)
+
+
+def test_a_clean_image_shows_nothing_astray(bench):
+    scene, live, clean = bench
+    noise = 0.002 * clean.max()
+    quiet = 0
+    for seed in range(6):
+        image = clean + np.random.default_rng(seed).normal(0.0, noise, clean.shape)
+        found = tankrig.estimate(image, scene, model=live, gain=1.0, offset=0.0, noise=noise)
+        quiet += "The residual shows" not in found.verdict
+    assert quiet >= 5
 
 
 SCENE = """

@@ -322,7 +322,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> Estimate:
     noisier = left.noisier if observation.noise_known else 1.0
     sentences = [
         what_is_determined(medium, spread, known, edges),
-        what_is_left(left.unexplained, stated, noisier, cause, place, aside),
+        what_is_left(left.unexplained, stated, noisier, cause, place, aside, sign is not None),
         what_is_misaligned(off),
         what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], without) if sign else "",
         what_is_unseen(medium, moved_by_halos(best, [left])[:own], spread, known) if "halo" not in off else "",
@@ -401,7 +401,9 @@ def astray_shown(best: Evaluation, left: Left, scene: Scene, spread: Array, own:
     gain, _ = best.scale
     faults = best.project_out(view.whitened(gain * np.array([one[0] for one in signs.values()])))[:, : best.left.size]
     sizes, moved = shown(best.sensitivity, best.left, faults, [left.noise], [view.error])
-    telling = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1)
+    widths = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    moved = np.pad(moved[:, :own], ((0, 0), (0, widths.size - own)))
+    telling = np.abs(moved / widths).max(axis=1)
     sizes = np.where(telling > TELLING_MOVE, sizes, 0.0)
     most = int(np.argmax(np.abs(sizes)))
     return Sign(list(signs)[most], float(sizes[most]), moved[most]) if abs(sizes[most]) > SEEN else None

@@ -50,8 +50,9 @@ def what_is_left(
     cause: tuple[str, float] | None = None,
     place: tuple[float, int, int] | None = None,
     aside: bool = False,
+    shown: bool = False,
 ) -> str:
-    """What the residual says, in one or two sentences.
+    """What the residual says, in one or two sentences; nothing where it is noise but for a cause that it shows.
 
     Parameters
     ----------
@@ -67,6 +68,8 @@ def what_is_left(
         Where it stands out most: standard deviations, row and column; None where it does so nowhere.
     aside
         Whether pixels that were left out hold structure.
+    shown
+        Whether it shows a cause, see `what_is_shown`.
     """
     sentences = []
     if structure > stated:
@@ -90,6 +93,8 @@ def what_is_left(
         sentences.append(f"It looks most like {cause[0]}, which would explain {100.0 * cause[1]:.0f} % of it.")
     if noisier > 1.0:
         sentences.append(f"The noise is {noisier:.3g} times what was assumed, and counted so.")
+    if shown and not sentences:
+        return ""
     return " ".join(sentences) or (
         "The residual of the pixels that count is noise." if aside else "The residual is noise, as expected."
     )
