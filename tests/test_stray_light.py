@@ -214,7 +214,7 @@ def bench(tmp_path_factory):
     scene = Scene(Tank(surface="fresnel"), medium, light, Camera("orthographic", (40, 60), 4.0))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TANKRIG_CACHE", str(tmp_path_factory.mktemp("cache")))
-        live = tankrig.prepare(scene, tolerance=0.01, box=Box((0.006, 0.024), (0.7, 0.98), (0.1, 0.7)))
+        live = tankrig.prepare(scene, tolerance=0.005, box=Box((0.004, 0.03), (0.6, 0.995), (0.0, 0.8)))
     return scene, live, np.asarray(live.predict(medium))
 
 
