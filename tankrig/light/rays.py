@@ -39,8 +39,6 @@ class Geometry(NamedTuple):
     pane_index: float = 1.0
     reflected: bool = False
     """Whether the light is what a Fresnel surface sends back: projector and beams are then mirror images above it."""
-    first_x: float = 0.0
-    """Where the water begins: Lx for light beyond the far wall, of which the mirror image is what that sends back."""
 
 
 def geometry_of(scene: Scene) -> Geometry:
@@ -199,7 +197,7 @@ def path_inside(
     """
     enter, leave = 0.0, 1e30
     for low, high, position, slope in (
-        (geometry.first_x, geometry.length, x, dx),
+        (0.0, geometry.length, x, dx),
         (-geometry.half_width, geometry.half_width, y, dy),
         (0.0, geometry.height, z, dz),
     ):

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.compiled import kernel
+from tankrig.compiled import kernel, part
 from tankrig.light.rays import Geometry, light_ray, light_sources, sight_line, sighting_row
 from tankrig.light.single import across_sights
 from tankrig.light.surface import on_surface, to_camera
@@ -89,9 +89,9 @@ def _add_mirrored(
     corners = np.empty(4)
     length, half_width, height = geometry.length, geometry.half_width, geometry.height
     for column in range(image.shape[1]):
-        for part in range(PARTS):
+        for piece in range(PARTS):
             for i in range(nodes.size):
-                x = (column + (part + 0.5 + 0.5 * nodes[i]) / PARTS) * pixel_mm
+                x = (column + (piece + 0.5 + 0.5 * nodes[i]) / PARTS) * pixel_mm
                 if x >= length:
                     continue
                 for row in range(image.shape[0]):
@@ -133,7 +133,7 @@ def _add_mirrored(
                         geometry.refractive_index, geometry.light_pinhole, geometry.light_x, geometry.light_y,
                         height - geometry.light_z if floor else geometry.light_z, geometry.camera_pinhole,
                         camera_x, camera_y, geometry.camera_z + (height if floor else 0.0), geometry.entry_index,
-                        geometry.pane, geometry.pane_index, geometry.reflected, length if from_far else 0.0,
+                        geometry.pane, geometry.pane_index, geometry.reflected,
                     )  # fmt: skip
                     lit = (edges[0], edges[1], height - edges[3], height - edges[2]) if floor else edges
                     for k in range(4):
@@ -144,8 +144,24 @@ def _add_mirrored(
                     total = across_sights(
                         mirrored, seen_x, y_low, y_high, corners, sigma_t, phase, lit, y_rule, depth_rule
                     )
+                    if from_far:  # the light beyond the far wall alone: what is in two tanks less what is in one
+                        total -= across_sights(
+                            _as_long(mirrored, length), seen_x, y_low, y_high, corners, sigma_t, phase, lit, y_rule,
+                            depth_rule,
+                        )  # fmt: skip
                     gained = math.exp(sigma_t * lift)
                     image[row, column] += strength * share * gained * total / pixel_mm * 0.5 * weights[i] / PARTS
+
+
+@part
+def _as_long(geometry: Geometry, length: float) -> Geometry:
+    """The same with a tank of another length."""
+    return Geometry(
+        length, geometry.half_width, geometry.height, geometry.refractive_index, geometry.light_pinhole,
+        geometry.light_x, geometry.light_y, geometry.light_z, geometry.camera_pinhole, geometry.camera_x,
+        geometry.camera_y, geometry.camera_z, geometry.entry_index, geometry.pane, geometry.pane_index,
+        geometry.reflected,
+    )  # fmt: skip
 
 
 @kernel
