@@ -133,9 +133,7 @@ def test_what_the_surface_shows_is_looked_up_without_loss() -> None:
     image = to_camera(scene, slope, (pixel, pixel))
     assert np.abs(image - expected)[whole].max() < 2e-3
     assert (image[np.maximum(corners[1:, 1:, 0], corners[:-1, 1:, 0]) < 0.0] == 0.0).all()
-    assert np.nansum(to_camera(scene, even, (pixel, pixel)) * seen.areas_mm2) == pytest.approx(
-        38400.0, rel=2e-3
-    )
+    assert np.nansum(to_camera(scene, even, (pixel, pixel)) * seen.areas_mm2) == pytest.approx(38400.0, rel=2e-3)
 
 
 def test_outlines_hold_the_light_scattered_once() -> None:

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tankrig.figures.tank_image import FALSE_COLOUR, STYLE, brightness, draw, label_outer  # noqa: E402
-from tests.test_separation import measured, truth_of  # noqa: E402
+from tankrig.figures.tank_image import FALSE_COLOUR, STYLE, brightness, draw, label_outer
+from tests.test_separation import measured, truth_of
 
 INKS = ("o-thin", "o-medium", "o-thick")
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from tankrig.geometry.pose import rotation_vector
 from tankrig.pattern import Pattern
 from tankrig.scene.description import Beam, Camera, Medium, Projector, Scene, Tank
+from tankrig.scene.optics import ALL_BLACK, Face, Faces
 
 from .bench_optics import FINER, illumination, thrown
 from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
@@ -36,9 +37,11 @@ def true_scene(bench: TrueBench, pattern: Pattern, medium: Medium, binning: int 
         Side, in pixels, of the blocks that the camera's pixels are put together to.
     """
     projector = Projector("pinhole", _beams(bench, pattern), _vector(bench.projector.centre_mm))
+    faces = Faces(**{name: Face("glass") for name in bench.stray.glass}, floor=Face("diffuse", bench.stray.floor))
     tank = Tank(
-        (TANK_MM[0], TANK_MM[1], bench.level_mm), "fresnel", bench.water_index, "glass", bench.pane_mm, bench.pane_index
-    )
+        (TANK_MM[0], TANK_MM[1], bench.level_mm), "fresnel", bench.water_index, "glass", bench.pane_mm,
+        bench.pane_index, ALL_BLACK if faces.dark else faces,
+    )  # fmt: skip
     return Scene(tank, medium, projector, _camera(bench.camera).binned(binning))
 
 

@@ -4,10 +4,11 @@ Rays are followed with formulae of this module's own, not with those that calibr
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tankrig.pattern import Pattern
 
-from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
+from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics, TrueStray
 
 FINER = 2
 """Points of `thrown` along the side of a projector pixel."""
@@ -79,7 +80,61 @@ def thrown(bench: TrueBench, pattern: Pattern) -> Array:
     fine = np.repeat(np.repeat(light, FINER, axis=0), FINER, axis=1).astype(np.float32)
     # A pixel is a square, with variance 1/12; FINER points and straight lines between them have 1/12 + 1/12 FINER².
     blur_px = np.sqrt(max(bench.projector.blur_px**2 - 1.0 / (12.0 * FINER**2), 0.01))
-    return np.asarray(cv2.GaussianBlur(fine, (0, 0), FINER * blur_px))
+    sharp = np.asarray(cv2.GaussianBlur(fine, (0, 0), FINER * blur_px))
+    stray = bench.stray
+    if stray.projector_halo == 0.0:
+        return sharp
+    halo_px = stray.projector_halo_mm * bench.projector.matrix[0, 0] / -bench.projector.centre_mm[0]
+    wide = _widely(sharp, FINER * halo_px)
+    return np.asarray((1.0 - stray.projector_halo) * sharp + stray.projector_halo * wide)
+
+
+def through_camera_lens(bench: TrueBench, image: NDArray[np.floating], blur_px: float) -> Array:
+    """A picture before the camera's lens as it is behind it: blurred, with halo and veil.
+
+    Parameters
+    ----------
+    bench
+        Whose lens.
+    image
+        (rows, columns).
+    blur_px
+        Standard deviation of the blur.
+    """
+    import cv2
+
+    blurred = np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px))
+    above = bench.camera.centre_mm[2] - bench.level_mm
+    return astray(bench.stray, image, blurred, float(bench.camera.matrix[0, 0] / above))
+
+
+def astray(stray: TrueStray, sharp: NDArray[np.floating], blurred: Array, px_per_mm: float) -> Array:
+    """What a camera's halo and veil make of its picture: (rows, columns) before and behind its lens's blur."""
+    if stray.camera_halo == 0.0 and stray.veil == 0.0:
+        return blurred
+    seen = (1.0 - stray.camera_halo - stray.veil) * blurred + stray.veil * sharp.mean()
+    if stray.camera_halo > 0.0:
+        seen = seen + stray.camera_halo * _widely(sharp, stray.camera_halo_mm * px_per_mm)
+    return np.asarray(seen)
+
+
+_COARSE_PX = 4.0
+"""Standard deviation, in pixels of the picture that is blurred, from which on a halo is drawn on coarser pixels."""
+
+
+def _widely(image: NDArray[np.floating], sd_px: float) -> Array:
+    """Blurred by a wide Gaussian, dark beyond the picture."""
+    import cv2
+
+    by = max(1, int(sd_px / _COARSE_PX))
+    rows, columns = image.shape
+    reach = int(3.5 * sd_px / by) + 1
+    padded = np.pad(image, ((0, -rows % by), (0, -columns % by)))
+    coarse = padded.reshape(padded.shape[0] // by, by, padded.shape[1] // by, by).mean(axis=(1, 3))
+    wide = cv2.GaussianBlur(np.pad(coarse, reach), (0, 0), np.sqrt((sd_px / by) ** 2 - 1.0 / 12.0))
+    inner = wide[reach:-reach, reach:-reach]
+    fine = cv2.resize(inner, padded.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine[:rows, :columns])
 
 
 def vignetting(optics: TrueOptics, x: Array, y: Array) -> Array:

@@ -7,8 +7,8 @@ import numpy as np
 from tankrig.pattern import Pattern
 from tankrig.scene.description import Medium
 
-from .bench_optics import camera_rays, thrown, vignetting
-from .bench_truth import TANK_MM, Array, TrueBench, random_bench
+from .bench_optics import camera_rays, through_camera_lens, thrown, vignetting
+from .bench_truth import TANK_MM, Array, TrueBench, TrueStray, random_bench
 from .picture_store import PictureStore
 from .settings import SimulatedCameraSettings
 from .tank import Radiance, seed_of
@@ -41,7 +41,8 @@ class InkInView:
     def __init__(self, bench: TrueBench, tolerance: float, seed: int, store: PictureStore, named: str) -> None:
         self._leak, self._bench = bench.leak, replace(bench, leak=0.0)
         self._tolerance, self._seed, self._store = tolerance, seed, store
-        self._named = f"{_VERSION} {named} {tolerance} {seed}"
+        astray = "" if bench.stray == TrueStray() else f" {bench.stray}"
+        self._named = f"{_VERSION} {named} {tolerance} {seed}{astray}"
         self._seen: dict[tuple[str, Medium], Radiance] = {}
 
     @property
@@ -85,8 +86,6 @@ class InkInView:
 
     def _computed(self, pattern: Pattern, medium: Medium) -> Radiance:
         """Through the camera's lens."""
-        import cv2
-
         from .bench_multiple import scattered_more  # half a second, which boards need not wait for
         from .bench_single import looks_in, scattered_once
 
@@ -100,7 +99,7 @@ class InkInView:
         seed = seed_of(self._seed, pattern, medium)
         more, stderr = scattered_more(bench, pattern, medium, once, self._tolerance, seed)
         blur_px = np.sqrt(bench.camera.blur_px**2 + 1.0 / 12.0)  # pixels are squares, and were looked at in the middle
-        blurred = cv2.GaussianBlur(once + looks_in(bench) * more, (0, 0), blur_px)
+        blurred = through_camera_lens(bench, once + looks_in(bench) * more, float(blur_px))
         rows, columns = self.shape
         fade = vignetting(bench.camera, *np.meshgrid(np.arange(columns, dtype=float), np.arange(rows, dtype=float)))
         return Radiance(blurred * fade, stderr * fade)
@@ -128,4 +127,5 @@ def true_bench(settings: SimulatedCameraSettings) -> TrueBench | None:
     boards = settings.boards
     drawn = random_bench(boards.seed, boards.camera_shape, boards.projector_shape)
     level_mm = drawn.level_mm if boards.level_mm is None else boards.level_mm
-    return replace(drawn, level_mm=level_mm, leak=settings.truth.leak)
+    stray = TrueStray(**settings.truth.stray.model_dump())
+    return replace(drawn, level_mm=level_mm, leak=settings.truth.leak, stray=stray)

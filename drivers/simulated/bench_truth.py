@@ -46,6 +46,19 @@ class TrueOptics:
         return np.asarray(-self.rotation.T @ self.translation_mm)
 
 
+@dataclass(frozen=True)
+class TrueStray:
+    """Light that goes astray; see `drivers.simulated.settings.Stray`, whose names these are."""
+
+    camera_halo: float = 0.0
+    camera_halo_mm: float = 30.0
+    veil: float = 0.0
+    projector_halo: float = 0.0
+    projector_halo_mm: float = 20.0
+    floor: float = 0.0
+    glass: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class TrueBench:
     """Everything about a bench; lengths in mm in the tank's frame.
@@ -70,6 +83,8 @@ class TrueBench:
         Radiance of white paper in the room's light, and in the projector's on the wall; W/mm²/sr.
     leak
         Part of the light of level 255 that every pixel of the projector has besides, at level 0 too.
+    stray
+        Light that goes astray in lenses and at walls.
     """
 
     camera: TrueOptics
@@ -86,6 +101,7 @@ class TrueBench:
     room: float = 0.9e-3
     full: float = 3e-2
     leak: float = 0.0
+    stray: TrueStray = TrueStray()
 
 
 def random_bench(seed: int, camera_shape: tuple[int, int], projector_shape: tuple[int, int]) -> TrueBench:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tankrig.calibration.board import Board
 from tankrig.pattern import Pattern
 
-from .bench_optics import FINER, camera_rays, illumination, thrown, vignetting
+from .bench_optics import FINER, camera_rays, illumination, through_camera_lens, thrown, vignetting
 from .bench_poses import FILLED, Held, Place, board_pose
 from .bench_truth import Array, TrueBench
 
@@ -59,7 +59,7 @@ class BoardInView:
                     light += np.float32(part * self._bench.full) * self._beam * self._thrown(pattern)
             size = (right - left, bottom - top)
             picture[top:bottom, left:right] = cv2.resize(self._albedo * light, size, interpolation=cv2.INTER_AREA)
-        blurred = cv2.GaussianBlur(picture, (0, 0), self._bench.camera.blur_px)
+        blurred = through_camera_lens(self._bench, picture, self._bench.camera.blur_px)
         return np.asarray(blurred * self._fade, float)
 
     def _thrown(self, pattern: Pattern) -> Map:

@@ -1,7 +1,7 @@
 """What a rig file says about the simulated projector, the simulated camera, and the tank between them."""
 
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -114,6 +114,34 @@ class CameraFaults(BaseModel):
     unplugged_from: int | None = None
 
 
+class Stray(BaseModel):
+    """Light that goes astray on a simulated bench; none unless switched on.
+
+    Parameters
+    ----------
+    camera_halo, camera_halo_mm
+        Share of the light that the camera's lens spreads widely, and how widely: a standard deviation at the water.
+    veil
+        Share that it spreads evenly over the whole picture.
+    projector_halo, projector_halo_mm
+        The same as the camera's halo of the projector's lens, on the wall.
+    floor
+        Diffuse reflectance of the tank's floor.
+    glass
+        Faces that are panes with air behind them, as thick as the entry wall: "entry", "far", "left", "right".
+    """
+
+    model_config = _CLOSED
+
+    camera_halo: float = Field(default=0.0, ge=0.0, le=0.2)
+    camera_halo_mm: float = Field(default=30.0, gt=0.0)
+    veil: float = Field(default=0.0, ge=0.0, le=0.5)
+    projector_halo: float = Field(default=0.0, ge=0.0, le=0.2)
+    projector_halo_mm: float = Field(default=20.0, gt=0.0)
+    floor: float = Field(default=0.0, ge=0.0, le=1.0)
+    glass: tuple[Literal["entry", "far", "left", "right"], ...] = ()
+
+
 class Truth(BaseModel):
     """What is really between projector and camera; only simulated devices know it.
 
@@ -141,6 +169,8 @@ class Truth(BaseModel):
         By how much of its mean it falls from left to right.
     leak
         Part of the light of level 255 that every pixel has besides, at level 0 too.
+    stray
+        Light that goes astray in lenses and at walls.
     """
 
     model_config = _CLOSED
@@ -157,6 +187,7 @@ class Truth(BaseModel):
     diffuser: float = Field(default=3e-4, gt=0.0)
     diffuser_tilt: float = Field(default=0.02, ge=0.0, lt=1.0)
     leak: float = Field(default=0.0, ge=0.0, lt=0.1)
+    stray: Stray = Stray()
 
 
 class Sensor(BaseModel):

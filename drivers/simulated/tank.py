@@ -3,6 +3,7 @@
 import math
 import struct
 from collections.abc import Mapping
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -13,8 +14,11 @@ from numpy.typing import NDArray
 from drivers.emulation.truth import TrueDelivery, read_truth
 from tankrig.pattern import Pattern
 from tankrig.scene.description import Medium
+from tankrig.scene.optics import Face, Faces
 from tankrig.scene.phase_functions import Mixture
 
+from .bench_optics import astray
+from .bench_truth import TrueStray
 from .settings import Truth
 
 Image = NDArray[np.float64]
@@ -178,8 +182,12 @@ class _IdealView:
 
         scene = truth.bench.scene(pattern, medium)
         seed = seed_of(self._seed, pattern, medium)
+        stray = TrueStray(**truth.stray.model_dump())
+        faces = Faces(**{name: Face("glass") for name in stray.glass}, floor=Face("diffuse", stray.floor))
+        if not faces.dark:
+            scene = replace(scene, tank=replace(scene.tank, faces=faces))
         tally = simulate_to(scene, truth.tolerance, seed=seed, coarsen=truth.coarsen)
-        return Radiance(tally.image, tally.stderr)
+        return Radiance(astray(stray, tally.image, tally.image, 1.0 / scene.camera.pixel_mm), tally.stderr)
 
     def blob(self, inlet_mm: tuple[float, float], plume_mm: float) -> Image:
         camera, width_mm = self._truth.bench.camera, self._truth.bench.tank.size_mm[1]

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
+from tankrig.estimation.astray import ASTRAY, PATTERNS, SIGNS, SLOW, Astray, AstrayBlock, causes, floor
 from tankrig.estimation.forward import Models, error_map, models_of, smooth_error_map, stated_error
-from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen
+from tankrig.estimation.misfit import SEEN, STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
 from tankrig.estimation.parameters import Range, Scaling
@@ -38,10 +39,12 @@ from tankrig.estimation.uncertainty import (
     stretches,
 )
 from tankrig.estimation.verdict import (
+    TELLING_MOVE,
     what_did_not_hold,
     what_is_determined,
     what_is_left,
     what_is_misaligned,
+    what_is_shown,
     what_is_unseen,
     what_was_left_out,
 )
@@ -114,7 +117,9 @@ def estimate(
     nuisance
         What may be off in the set-up, each with its standard deviation, and is fitted along: "z_mm", "y_mm" (light
         moved up, and along y), "tilt_mrad" (light turned about the vertical, towards +y), "scale" (share by which a
-        pixel is larger than described).
+        pixel is larger than described); and what may go astray: "halo" and "veil" (shares of the light in the camera's,
+        more than described), "blur_mm2" (variance of the camera's blur, likewise), "floor" (its diffuse reflectance),
+        "black_level" (irradiance of a dark picture, W/mm²).
     progress
         Told in a few words what is being done, now and then.
 
@@ -134,10 +139,13 @@ def estimate(
     scaling, asked = Scaling.given(gain, offset), asked_for(phase, scene)
     if phase is None and asked.family is None and model == "tank" and max_order is None and shift_invariant(scene):
         asked = replace(asked, further=asked_for("any", scene))
-    misalignment = Misalignment(scene, nuisance, 1 if model == "single" else max_order) if nuisance else None
+    off = {name: sd for name, sd in (nuisance or {}).items() if name not in ASTRAY}
+    misalignment = Misalignment(scene, off, 1 if model == "single" else max_order) if off else None
+    stray = {name: sd for name, sd in (nuisance or {}).items() if name in ASTRAY}
+    astray = Astray(scene, stray) if stray else None
     observation = observe(image, scene.camera.shape, noise, mask)
     models = models_of(scene, model, max_order, asked.family, checked=True)
-    return fit_models(observation, scene, scaling, models, progress or _silently, misalignment, asked)
+    return fit_models(observation, scene, scaling, models, progress or _silently, misalignment, asked, astray)
 
 
 def fit_models(
@@ -148,6 +156,7 @@ def fit_models(
     progress: Told,
     misalignment: Misalignment | None = None,
     asked: Asked = Asked(),  # noqa: B008
+    astray: Astray | None = None,
 ) -> Estimate:
     """Fit one image by any forward model: a series of one.
 
@@ -165,6 +174,8 @@ def fit_models(
         What may be off in the set-up; None where nothing is. It is fitted with the accurate model only.
     asked
         Which phase functions are.
+    astray
+        What light may go astray; None where nothing is fitted of that.
     """
     blocks_of = liquid_blocks(models.range or Range.of_tank(max(scene.tank.size_mm)))
     shot = Shot(observation, scene, models)
@@ -175,6 +186,9 @@ def fit_models(
     if misalignment is not None:
         progress("aligning")
         fit = _aligned(fit, misalignment)
+    if astray is not None:
+        progress("following light astray")
+        fit = _with_astray(fit, astray)
     fit = without_outliers(fit)
     progress("finding the errors")
     found, explained = _built(fit, scene, models, asked)
@@ -182,7 +196,7 @@ def fit_models(
         return found
     progress("weighing other phase functions")
     other = replace(models, family=asked.further.family)
-    weighed = fit_models(observation, scene, scaling, other, progress, misalignment, asked.further)
+    weighed = fit_models(observation, scene, scaling, other, progress, misalignment, asked.further, astray)
     return replace(weighed, verdict=f"{what_did_not_hold(explained)} {weighed.verdict}")
 
 
@@ -198,6 +212,23 @@ def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
         best = polish(replace(problem, blocks=(*liquid, replace(block, weight=weight))), at)
         at = best.coordinates
         if before - best.cost < ALIGNED:
+            break
+    return replace(fit, optimum=best)
+
+
+def _with_astray(fit: Fit, astray: Astray) -> Fit:
+    """The fit with what may go astray; patterns follow the liquid, so it is repeated."""
+    best, none = fit.optimum, np.zeros(len(astray.sd))
+    at, (view,), before = np.concatenate([best.coordinates, none]), best.problem.views, best.problem.blocks
+    for _ in range(ALIGNINGS):
+        cost, medium = best.cost, best.media[0]
+        block = AstrayBlock(astray.at(medium, view.forward(medium)), np.ones(none.size))
+        problem = replace(best.problem, blocks=(*before, block))
+        sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
+        weight = overconfidence(sensitivity, believed, [view.observation.noise], [view.error])
+        best = polish(replace(problem, blocks=(*before, replace(block, weight=weight))), at)
+        at = best.coordinates
+        if abs(cost - best.cost) < ALIGNED:
             break
     return replace(fit, optimum=best)
 
@@ -281,7 +312,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
     error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
     spread = spread_of(best, [left], [_error_of(prediction, gain, left.beyond, scene)])
-    off, answer = _misalignments(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
+    off, answer = _nuisances(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
     medium, spread = answer.liquid, answer.covariance
     whitened = np.where(used, left.residual, 0.0) / left.noise
     place = standing_out(whitened, used, error / left.noise)
@@ -296,6 +327,12 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         spread = spread + instead.share * np.outer(instead.moved, instead.moved)
     if instead is not None and misled:
         cause = PHASE, instead.share
+    own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
+    looked_for = cause is None and whole
+    sign = astray_shown(best, left, replace(scene, medium=medium), spread, own) if looked_for else None
+    without = spread
+    if sign is not None:
+        spread = spread + np.outer(sign.moved, sign.moved)
     edges = best.at_edge
     known = {
         name: yes and name not in edges and not (misled and name != "sigma_a")
@@ -303,12 +340,13 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     }
     aside = whole and misalignment_left_out(observation, left.image, gain, misaligned)
     noisier = left.noisier if observation.noise_known else 1.0
-    own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
     sentences = [
         what_is_determined(medium, spread, known, edges),
-        what_is_left(left.unexplained, stated, noisier, cause, place, aside),
+        what_is_left(left.unexplained, stated, noisier, cause, place, aside, sign is not None),
         what_is_misaligned(off),
-        what_is_unseen(medium, moved_by_halos(best, [left])[:own], spread, known),
+        what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], without) if sign else "",
+        what_is_unseen(medium, moved_by_halos(best, [left])[:own], spread, known) if "halo" not in off else "",
+        _unseen_floor(best, left, scene, medium, off, spread, known) if whole else "",
         what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
     ]
     found = Estimate(
@@ -353,20 +391,89 @@ def moved_by_halos(best: Evaluation, left: Sequence[Left]) -> Array:
     return moved_unseen(best.sensitivity, halos, STRAY, [one.noise for one in left], [view.error for view in views])
 
 
+@dataclass(frozen=True)
+class Sign:
+    """A cause that a residual shows, see `astray_shown`: its name, by how many deviations, what it moves values by."""
+
+    name: str
+    deviations: float
+    moved: Array
+
+
+def astray_shown(best: Evaluation, left: Left, scene: Scene, spread: Array, own: int = 3) -> Sign | None:
+    """The cause that a residual shows most, if it moves a value by two standard deviations; None where none does.
+
+    Light astray may be no more than noise by its size, and yet move the coefficients by ten standard deviations. It is
+    looked for by its own pattern.
+
+    Parameters
+    ----------
+    best, left
+        Of the fit.
+    scene
+        With the fitted liquid.
+    spread
+        Covariance of the values.
+    own
+        How many of the values are the liquid's.
+    """
+    stray = [block for block in best.problem.blocks if isinstance(block, AstrayBlock)]
+    fitted_along = {PATTERNS[name] for block in stray for name in block.names}
+    quick = left.prediction.model == "prepared"
+    signs = {
+        name: changes()
+        for name, changes in causes(scene, left.prediction.image).items()
+        if SIGNS[name] not in fitted_along and not (quick and name in SLOW)
+    }
+    (view,) = best.problem.views
+    gain, _ = best.scale
+    faults = best.project_out(view.whitened(gain * np.array([one[0] for one in signs.values()])))[:, : best.left.size]
+    sizes, moved = shown(best.sensitivity, best.left, faults, [left.noise], [view.error])
+    widths = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    moved = np.pad(moved[:, :own], ((0, 0), (0, widths.size - own)))
+    telling = np.abs(moved / widths).max(axis=1)
+    sizes = np.where(telling > TELLING_MOVE, sizes, 0.0)
+    most = int(np.argmax(np.abs(sizes)))
+    return Sign(list(signs)[most], float(sizes[most]), moved[most]) if abs(sizes[most]) > SEEN else None
+
+
+def _unseen_floor(
+    best: Evaluation, left: Left, scene: Scene, medium: Medium, off: Mapping[str, object], spread: Array,
+    known: Mapping[str, bool],
+) -> str:  # fmt: skip
+    """What a floor that nobody has described would do: a sentence, or nothing."""
+    if not scene.tank.faces.floor.dark or "floor" in off:
+        return ""
+    (view,) = best.problem.views
+    gain, _ = best.scale
+    pattern = gain * floor(replace(scene, medium=medium), left.prediction.image)
+    changes = best.project_out(view.whitened(pattern[None]))[:, : best.left.size]
+    moved = moved_unseen(best.sensitivity, changes, COMMON_FLOOR, [left.noise], [view.error])
+    what = f"the floor sent back {100.0 * COMMON_FLOOR:.0f} % of the light"
+    return what_is_unseen(medium, moved[:3], spread, known, what)
+
+
+COMMON_FLOOR = 0.04
+"""Reflectance of a floor that somebody has painted black."""
+
+
 def determined(medium: Medium, spread: Array, left: Sequence[Left]) -> dict[str, bool]:
     """Which of σa, σs, g images determine: none where what is left of one is more structure than any model leaves."""
     hopeless = any(one.unexplained > max(HOPELESS, one.stated) for one in left)
     return {name: yes and not hopeless for name, yes in identifiable(medium, spread).items()}
 
 
-def _misalignments(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:
-    """Value and standard deviation of each term, in its unit."""
-    block = best.problem.blocks[-1]
-    if not isinstance(block, SetUpBlock):
-        return {}
-    off, sds = best.values[block.name], np.sqrt(np.diag(spread))[best.problem.believed(block)]
-    terms = zip(block.misalignment.sd.items(), off, sds, strict=True)
-    return {name: (float(one) * unit, float(sd) * unit) for (name, unit), one, sd in terms}
+def _nuisances(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of each term that was fitted along, in its unit."""
+    found = {}
+    for block in best.problem.blocks:
+        if not isinstance(block, SetUpBlock | AstrayBlock):
+            continue
+        units = block.misalignment.sd if isinstance(block, SetUpBlock) else block.astray.sd
+        off, sds = best.values[block.name], np.sqrt(np.diag(spread))[best.problem.believed(block)]
+        for (name, unit), one, sd in zip(units.items(), off, sds, strict=True):
+            found[name] = float(one) * unit, float(sd) * unit
+    return found
 
 
 def _stretch(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:

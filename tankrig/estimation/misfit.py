@@ -93,6 +93,21 @@ def moved_unseen(
     return np.asarray(size * np.abs(values[hidden]).max(axis=0, initial=0.0))
 
 
+def shown(
+    sensitivity: Sensitivity, residual: Array, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError]
+) -> tuple[Array, Array]:
+    """(faults,) by how many standard deviations a residual shows each fault, and (faults, k) what it moves values by.
+
+    Parameters
+    ----------
+    sensitivity, residual, faults, noise, errors
+        As for `moved_by_faults`.
+    """
+    values, sized, chance = _told(sensitivity, faults, noise, errors)
+    sizes = sized @ residual
+    return np.asarray(sizes / np.sqrt(np.maximum(chance, 1e-300))), np.asarray(sizes[:, None] * values)
+
+
 def _told(
     sensitivity: Sensitivity, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError]
 ) -> tuple[Array, Array, Array]:

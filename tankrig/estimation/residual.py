@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation import astray
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.set_up import USUAL, Misalignment
@@ -158,6 +159,7 @@ def cause_of(best: Evaluation, scene: Scene, misaligned: Callable[[], Array]) ->
         "a misaligned beam or camera": lambda: list(misaligned()),
         PHASE: lambda: [single_scattering(scene), double_scattering(scene, 0.01)],
         "beams of another brightness than described, or missing": beams,
+        **astray.causes(scene, image),
     }
     return likely_cause(best.left, project_out, causes)
 

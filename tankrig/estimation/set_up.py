@@ -109,12 +109,9 @@ class Misalignment:
         return moved(self.scene, {name: float(by) * sd for (name, sd), by in zip(self.sd.items(), off, strict=True)})
 
     def _low_orders(self, scene: Scene, medium: Medium) -> Array:
-        from tankrig.light.double import double_scattering
-        from tankrig.light.single import single_scattering
+        from tankrig.light.tank import low_orders
 
-        scene = replace(scene, medium=medium)
-        image = single_scattering(scene)
-        return image if self.max_order == 1 else image + double_scattering(scene, TOLERANCE)
+        return low_orders(replace(scene, medium=medium), TOLERANCE, 1 if self.max_order == 1 else 2)
 
     def _high_orders(self, scene: Scene, medium: Medium) -> Array:
         from tankrig.light.tank import tank_image
@@ -205,9 +202,12 @@ def moved(scene: Scene, off: Mapping[str, float]) -> Scene:
         seen_from = (seen_from[0], seen_from[1] + 0.5 * scale * width, seen_from[2])
     return replace(
         scene,
-        projector=Projector(kind, beams, position),
+        projector=Projector(
+            kind, beams, position, blur=light.blur, halo=light.halo, wide_lens=light.wide_lens,
+            black_level=light.black_level,
+        ),
         camera=replace(camera, pixel_mm=camera.pixel_mm * (1.0 + scale), position_mm=seen_from),
-    )
+    )  # fmt: skip
 
 
 def _inside(edges: tuple[float, float], by: float, low: float, high: float) -> tuple[float, float]:

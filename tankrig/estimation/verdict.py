@@ -50,8 +50,9 @@ def what_is_left(
     cause: tuple[str, float] | None = None,
     place: tuple[float, int, int] | None = None,
     aside: bool = False,
+    shown: bool = False,
 ) -> str:
-    """What the residual says, in one or two sentences.
+    """What the residual says, in one or two sentences; nothing where it is noise but for a cause that it shows.
 
     Parameters
     ----------
@@ -67,6 +68,8 @@ def what_is_left(
         Where it stands out most: standard deviations, row and column; None where it does so nowhere.
     aside
         Whether pixels that were left out hold structure.
+    shown
+        Whether it shows a cause, see `what_is_shown`.
     """
     sentences = []
     if structure > stated:
@@ -90,6 +93,8 @@ def what_is_left(
         sentences.append(f"It looks most like {cause[0]}, which would explain {100.0 * cause[1]:.0f} % of it.")
     if noisier > 1.0:
         sentences.append(f"The noise is {noisier:.3g} times what was assumed, and counted so.")
+    if shown and not sentences:
+        return ""
     return " ".join(sentences) or (
         "The residual of the pixels that count is noise." if aside else "The residual is noise, as expected."
     )
@@ -144,9 +149,14 @@ def what_is_misaligned(found: Mapping[str, tuple[float, float]]) -> str:
     return f"The set-up is not as described, and was corrected: {', '.join(off)}." if off else ""
 
 
+HALO = f"lens or air spread {100.0 * STRAY:.2g} % of the light into a wide halo"
+"""What nobody has measured on most benches."""
+
+
 def what_is_unseen(
-    medium: Medium, moved: NDArray[np.float64], spread: NDArray[np.float64], known: Mapping[str, bool]
-) -> str:
+    medium: Medium, moved: NDArray[np.float64], spread: NDArray[np.float64], known: Mapping[str, bool],
+    what: str = HALO,
+) -> str:  # fmt: skip
     """A sentence on what nobody has measured; empty where the intervals hold what it would do.
 
     Parameters
@@ -159,6 +169,8 @@ def what_is_unseen(
         Their covariance, (3, 3) at least.
     known
         By name, whether it is determined.
+    what
+        Would be, "if …".
     """
     beyond = [
         (name, by)
@@ -167,13 +179,39 @@ def what_is_unseen(
     ]
     if not beyond:
         return ""
-    moves = [
-        f"g by {by:.2g}" if name == "g" else f"{SYMBOLS[name]} by {_percent(by / max(getattr(medium, name), 1e-300))}"
-        for name, by in beyond
+    return (
+        f"Not in the intervals, since nothing here measures it: if {what}, the residual would not show it, and "
+        f"{_moves(medium, beyond)} could be off."
+    )
+
+
+def what_is_shown(
+    medium: Medium, name: str, deviations: float, moved: NDArray[np.float64], spread: NDArray[np.float64]
+) -> str:
+    """A sentence on a cause that a residual shows, although it is no more than noise by its size.
+
+    Parameters
+    ----------
+    medium
+        That was found.
+    name
+        Of the cause.
+    deviations
+        By how many standard deviations it is seen.
+    moved
+        (3,) what it moves σa, σs and g by.
+    spread
+        Their covariance without it.
+    """
+    beyond = [
+        (which, abs(float(by)))
+        for which, by, variance in zip(NAMES, moved, np.diag(spread), strict=False)
+        if abs(by) > TELLING_MOVE * math.sqrt(float(variance))
     ]
     return (
-        f"Not in the intervals, since nothing here measures it: if lens or air spread {_percent(STRAY)} of the light "
-        f"into a wide halo, the residual would not show it, and {_listed(moves)} could be off."
+        f"The residual shows {name} by {abs(deviations):.2g} standard deviations, which the scene does not describe: "
+        f"{_moves(medium, beyond)} would be off by it, and the intervals are widened by that. Measure it, or fit it "
+        "along."
     )
 
 
@@ -199,6 +237,21 @@ def what_may_be_another_phase(doubted: bool) -> str:
         "The ink may well have another phase function than Henyey–Greenstein's, so neither σs nor g counts as "
         "determined: fit again with phase free, or with the material that it is."
     )
+
+
+TELLING_MOVE = 2.0
+"""Standard deviations of a coefficient by which a cause moves it before it is no noise."""
+
+
+def _moves(medium: Medium, beyond: Sequence[tuple[str, float]]) -> str:
+    """ "σs by 2 % and g by .01"."""
+
+    def said(name: str, by: float) -> str:
+        if name == "g":
+            return f"g by {by:.2g}"
+        return f"{SYMBOLS[name]} by {_percent(by / max(getattr(medium, name), 1e-300))}"
+
+    return _listed([said(name, by) for name, by in beyond])
 
 
 def _at_edges(medium: Medium, edges: Sequence[str]) -> str:

@@ -6,9 +6,10 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
-from tankrig.prediction import Prediction, Skipped
+from tankrig.prediction import Image, Prediction, Skipped
 from tankrig.scene import Scene
 
 BUDGET_S = 120.0
@@ -16,6 +17,8 @@ BUDGET_S = 120.0
 
 MODELS = ("tank", "single", "convolution", "diffuse", "montecarlo")
 """Names that `predict` knows."""
+BLACK_WALLS = ("convolution", "diffuse")
+"""Those that know no walls that reflect."""
 MOST_SEED = 2**63 - 1
 
 
@@ -83,12 +86,17 @@ def predict(
     if not 0 <= seed <= MOST_SEED:
         raise SceneError(f"seed = {seed} is no seed; give a whole number from 0 to {MOST_SEED}")
     name = "tank" if model is None else model
+    if name in BLACK_WALLS and not scene.tank.faces.dark:
+        raise SceneError(
+            f'tank.faces reflect, which model = "{name}" cannot treat; use model = "tank" or "montecarlo", or leave '
+            "the faces out"
+        )
     if name == "tank":
         from tankrig.light.tank import tank_image
 
         prediction = tank_image(scene, tolerance, max_order, seed, budget_s=budget_s, progress=progress)
     else:
-        prediction = _by_model(scene, name, tolerance, max_order, seed)
+        prediction = _through_lenses(scene, name, tolerance, max_order, seed)
     if prediction.error > tolerance:
         why = f"it took all of budget_s = {budget_s:g}" if name == "tank" else "see Prediction.skipped"
         do = "a longer budget" if name == "tank" else "another model"
@@ -101,7 +109,9 @@ def predict(
     return prediction
 
 
-def _by_model(scene: Scene, name: str, tolerance: float, max_order: int | None, seed: int) -> Prediction:
+def _by_model(
+    scene: Scene, name: str, tolerance: float, max_order: int | None, seed: int, coarsen: int = 1
+) -> Prediction:
     if name == "single":
         return _single(scene)
     if name == "convolution":
@@ -109,14 +119,42 @@ def _by_model(scene: Scene, name: str, tolerance: float, max_order: int | None, 
     if name == "diffuse":
         return _diffuse(scene, max_order)
     if name == "montecarlo":
-        return _montecarlo(scene, tolerance, max_order, seed)
+        return _montecarlo(scene, tolerance, max_order, seed, coarsen)
     raise SceneError(f'model = "{name}" is unknown; use one of {", ".join(MODELS)}')
 
 
-def _single(scene: Scene) -> Prediction:
-    from tankrig.light.single import single_scattering
+def _through_lenses(scene: Scene, name: str, tolerance: float, max_order: int | None, seed: int) -> Prediction:
+    """By a model that knows sharp beams and an ideal camera only: the sum over what the projector's lens makes of its
+    light, seen through the camera's."""
+    from tankrig.light.entering import entering, is_plain, through_lens
+    from tankrig.light.leaving import CameraLens
 
-    image = single_scattering(scene)
+    lens = CameraLens.of(scene)
+    if lens is None and is_plain(scene):
+        return _by_model(scene, name, tolerance, max_order, seed)
+    lit = scene if lens is None else lens.fine
+    coarsen = 1 if lens is None else lens.parts
+    parts = [
+        (share, _by_model(one, name, tolerance, max_order, seed + number, coarsen))
+        for number, (share, one) in enumerate(through_lens(entering(lit, fine=True), fine=True))
+    ]
+    shares, found = np.array([share for share, _ in parts]), [one for _, one in parts]
+
+    def seen(images: list[Image], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        image = np.tensordot(weights, np.array(images, float), 1)
+        return image if lens is None else lens.of_fine(image)
+
+    orders = {key: seen([one.orders[key] for one in found], shares) for key in found[0].orders}
+    image = seen([one.image for one in found], shares)
+    noise = [one.stderr**2 for one in found if one.stderr is not None]
+    stderr = np.sqrt(np.maximum(seen(noise, shares**2), 0.0)) if noise else None
+    return replace(found[0], image=image, orders=MappingProxyType(orders), stderr=stderr)
+
+
+def _single(scene: Scene) -> Prediction:
+    from tankrig.light.tank import once
+
+    image = once(scene)
     bound = float("inf") if scene.medium.sigma_s > 0.0 else 0.0
     return Prediction(image, "single", MappingProxyType({1: image}), None, (Skipped("orders above 1", bound),))
 
@@ -140,8 +178,8 @@ def _diffuse(scene: Scene, max_order: int | None) -> Prediction:
     return Prediction(diffuse_image(scene), "diffuse", skipped=skipped)
 
 
-def _montecarlo(scene: Scene, tolerance: float, max_order: int | None, seed: int) -> Prediction:
+def _montecarlo(scene: Scene, tolerance: float, max_order: int | None, seed: int, coarsen: int) -> Prediction:
     from tankrig.montecarlo import simulate_to
 
-    tally = simulate_to(scene, tolerance, seed=seed, max_order=max_order)
+    tally = simulate_to(scene, tolerance, seed=seed, max_order=max_order, coarsen=coarsen)
     return Prediction(tally.image, "montecarlo", MappingProxyType(tally.orders), tally.stderr)

@@ -103,11 +103,14 @@ class HighOrders:
         (rows, columns) one-sigma error of their sum: noise, and what smoothing or the tail's solution is off by.
     paths
         How many were followed.
+    by_walls
+        (rows, columns) of orders up to 2, as far as faces have sent it back; `once_by_walls` left out.
     """
 
     images: Array
     stderr: Array
     paths: int
+    by_walls: Array
 
     @property
     def by_class(self) -> dict[int | str, Array]:
@@ -158,9 +161,12 @@ def high_orders(
     lattice, thinning = (SMALL, _thinning(scene)) if batches is None else (LARGE, THINNING)
     turns = TURNS if batches is not None else _turns(scene)
     bins, first = (CLASSES, 0) if tail is None else (_bins_above(tail.above), 2)
+    reflecting = not scene.tank.faces.dark
 
     def image_of(number: int) -> Array:
         images = traced(scene, grid, (seed, number), highest, FAINTEST, bins, lattice, thinning, turns)
+        if reflecting:
+            images = _with_walls(images, scene, grid, (seed, number), highest)
         return grid.folded(images)
 
     def low_image_of(number: int) -> Array:
@@ -168,8 +174,9 @@ def high_orders(
         return grid.folded(traced(scene, grid, of, tail.above if tail else 0, FAINTEST, bins, lattice, thinning))[:2]
 
     groups, low_groups, every = Groups(image_of), Groups(low_image_of), 1
-    prior, plain = _prior(tail, grid), tail is None and grid.shiftable
-    wanted = batches or (FIRST_LATTICES if grid.shiftable and tail is None else FIRST_SMOOTHED)
+    plain = tail is None and grid.shiftable and not reflecting
+    prior = _prior(tail, grid, reflecting)
+    wanted = batches or (FIRST_LATTICES if plain else FIRST_SMOOTHED)
     scale = math.sqrt(grid.seen_mm2) / scene.camera.pixel_mm
     done, steady = 0.0, batches is not None
     while True:
@@ -215,8 +222,18 @@ def high_orders(
     if tail is not None:
         classes = np.array([classes[0], classes[1] + classes[2], classes[3]])
     images = np.array([np.maximum(grid.to_pixels(one), 0.0) for one in classes])
+    by_walls = images[len(GROUPS)] if reflecting else np.zeros_like(images[0])
     allowance.progress(1.0)
-    return HighOrders(images, stderr, (groups.lattices + low_groups.lattices) * lattice.points)
+    return HighOrders(images[: len(GROUPS)], stderr, (groups.lattices + low_groups.lattices) * lattice.points, by_walls)
+
+
+def _with_walls(images: Array, scene: Scene, grid: CellGrid, seed: tuple[int, int], highest: int) -> Array:
+    """Images by class with what walls and floor send back, and one more of that in orders up to 2."""
+    from tankrig.light.walls.paths import wall_images
+
+    bins = np.where(np.arange(CLASSES.size) <= 2, len(GROUPS), CLASSES)
+    more = wall_images(scene, grid.rows, grid.columns, grid.cell_mm, seed, bins, highest, FAINTEST)
+    return np.concatenate([images + more[: len(GROUPS)], more[len(GROUPS) :]])
 
 
 def _found(batches: Array, first: int, own: float, plain: bool, grid: CellGrid, steady: bool) -> Smoothed:
@@ -250,10 +267,10 @@ def _bins_above(above: int) -> Bins:
     return np.select([orders <= 3, orders <= above, orders <= 20], [0, 1, 2], 3)
 
 
-def _prior(tail: Tail | None, grid: CellGrid) -> Array:
+def _prior(tail: Tail | None, grid: CellGrid, reflecting: bool) -> Array:
     """What paths are compared with, by class."""
     if tail is None:
-        return grid.folded(np.zeros((len(GROUPS), grid.rows, grid.columns)))
+        return grid.folded(np.zeros((len(GROUPS) + reflecting, grid.rows, grid.columns)))
     zero = np.zeros_like(tail.to_20)
     return grid.folded(np.array([zero, zero, tail.to_20, tail.beyond_20]))
 

@@ -99,6 +99,7 @@ def mirror_symmetric(scene: Scene) -> bool:
     light, camera = scene.projector, scene.camera
     return (
         mirrored == set(light.beams)
+        and scene.tank.faces.left == scene.tank.faces.right
         and (light.kind == "collimated" or (light.position_mm is not None and light.position_mm[1] == 0.0))
         and (camera.kind == "orthographic" or (camera.position_mm is not None and camera.position_mm[1] == 0.0))
     )

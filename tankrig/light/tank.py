@@ -2,16 +2,20 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.double import double_scattering, table_error
+from tankrig.light.entering import entering, is_plain, through_lens
 from tankrig.light.high_orders import MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
+from tankrig.light.leaving import CameraLens
 from tankrig.light.moments.plan import moment_plan
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
+from tankrig.light.paths.smoothing import FEWEST, smoothed
 from tankrig.light.single import MOST_PARTS, single_scattering
 from tankrig.light.surface import lookup_error
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
@@ -36,7 +40,7 @@ def tank_image(
     budget_s: float | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> Prediction:
-    """Image of the finite tank: black walls, matched or Fresnel surface.
+    """Image of the finite tank, as its walls, its projector's and its camera's lens make it.
 
     Parameters
     ----------
@@ -70,22 +74,102 @@ def tank_image(
     >>> [round(float(image.orders[order].sum() / image.image.sum()), 2) for order in (1, 2)]
     [0.14, 0.24]
     """
+    lens = CameraLens.of(scene)
+    if lens is None:
+        return _ideal_image(scene, None, tolerance, max_order, seed, batches, budget_s, progress)
+    first = once(lens.fine)
+    found = _ideal_image(lens.wide, lens.means(first), tolerance, max_order, seed, batches, budget_s, progress)
+    orders = {
+        key: lens.of_fine(first) if key == 1 else lens.of_wide(np.asarray(one, float))
+        for key, one in found.orders.items()
+    }
+    stderr = None if found.stderr is None else np.sqrt(lens.variance_of_wide(np.square(found.stderr, dtype=float)))
+    image = np.sum(list(orders.values()), axis=0)
+    return replace(found, image=image, orders=MappingProxyType(orders), stderr=stderr)
+
+
+def once(scene: Scene) -> Array:
+    """Order 1 with all that the projector's lens and clear faces do to the light."""
+    by_walls = not scene.tank.faces.dark
+    if is_plain(scene) and not by_walls:
+        return single_scattering(scene)
+    from tankrig.light.walls.once import once_by_walls
+
+    image = np.zeros(scene.camera.shape)
+    for share, one in through_lens(entering(scene, fine=True), fine=True):
+        image += share * single_scattering(one)
+        if by_walls:
+            image += share * once_by_walls(one)
+    return image
+
+
+def twice(scene: Scene, tolerance: float) -> Array:
+    """Order 2 likewise."""
+    if is_plain(scene):
+        return double_scattering(scene, tolerance)
+    parts = through_lens(entering(scene, fine=False), fine=False)
+    return np.asarray(sum(share * double_scattering(one, tolerance) for share, one in parts))
+
+
+def low_orders(scene: Scene, tolerance: float, highest: int = 2) -> Array:
+    """Orders 1 and 2, or the first alone, as the camera's lens shows them; without light by diffuse faces."""
+    lens = CameraLens.of(scene)
+    if lens is None:
+        return once(scene) if highest == 1 else once(scene) + twice(scene, tolerance)
+    first = lens.of_fine(once(lens.fine))
+    return first if highest == 1 else first + lens.of_wide(twice(lens.wide, tolerance))
+
+
+def by_faces(described: Scene, seed: int, lattices: int) -> Array:
+    """What walls and floor add to the image of an ideal camera, by so many lattices of paths, smoothed."""
+    from tankrig.light.walls.once import once_by_walls
+    from tankrig.light.walls.paths import wall_images
+
+    if described.tank.faces.dark:
+        return np.zeros(described.camera.shape)
+    scene = entering(described, fine=False)
+    grid = CellGrid.of(scene)
+    bins = np.zeros(MOST_ORDERS_OF_A_PATTERN + 1, np.int64)
+    batches = np.array(
+        [
+            wall_images(
+                scene, grid.rows, grid.columns, grid.cell_mm, (seed, batch), bins, MOST_ORDERS_OF_A_PATTERN, 1e-3, 1
+            )[0]
+            for batch in range(max(lattices, FEWEST))
+        ]
+    )  # fmt: skip
+    found = smoothed(grid.folded(batches), seen=grid.seen, steady=True)
+    return once_by_walls(scene) + grid.to_pixels(grid.unfolded(found.image[None])[0])
+
+
+MOST_ORDERS_OF_A_PATTERN = 200
+
+
+def _ideal_image(
+    described: Scene, first: Array | None, tolerance: float, max_order: int | None, seed: int, batches: int | None,
+    budget_s: float | None, progress: Callable[[float], object] | None,
+) -> Prediction:  # fmt: skip
+    """What an ideal camera sees; `first` is order 1 where it is known already."""
     highest = max_order or 1_000_000
     allowance = Allowance.of(budget_s, progress)
-    orders: dict[int | str, Array] = {1: single_scattering(scene)}
+    orders: dict[int | str, Array] = {1: once(described) if first is None else first}
+    scene = entering(described, fine=False)
     zero = np.zeros(scene.camera.shape)
     stderr, skipped = zero, [Skipped("light that leaves the tank through its black walls", 0.0)]
     tables = 0.0
     if highest >= 2:
-        orders[2] = double_scattering(scene, tolerance)
+        orders[2] = twice(described, tolerance)
         tables = math.hypot(table_error(tolerance), lookup_error(scene))
     if scene.medium.sigma_t * scene.camera.pixel_mm > MOST_PARTS and scene.camera.kind != "orthographic":
         skipped.append(Skipped(f"how light of order 1 fades within pixels of more than {MOST_PARTS} free paths", 1.0))
     known = sum(orders.values(), zero)
-    if highest >= 3 and scene.medium.sigma_s > 0.0:
-        tail = None if max_order or batches else _tail(scene, tolerance, seed)
+    reflecting = not scene.tank.faces.dark
+    if (highest >= 3 or reflecting) and scene.medium.sigma_s > 0.0:
+        tail = None if max_order or batches or reflecting else _tail(scene, tolerance, seed)
         high = high_orders(scene, known, tolerance, max_order, seed, batches, tail, allowance)
         orders |= high.by_class
+        if reflecting:
+            orders[min(highest, 2)] = orders[min(highest, 2)] + high.by_walls
         stderr = high.stderr
         if tail is not None:
             skipped.append(Skipped(f"{tail.coarse}: what paths don't mend of it is in stderr", 0.0))

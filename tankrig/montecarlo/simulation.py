@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.montecarlo.among_faces import IMAGES, KernelFaces, kernel_faces, trace_among_faces
 from tankrig.montecarlo.first_order import first_order
 from tankrig.montecarlo.kernel_scene import KernelScene, beam_table, kernel_scene, pixel_weights
 from tankrig.montecarlo.tally import CLASSES
@@ -118,8 +119,9 @@ def simulate(
         raise ValueError(f"min_order = {min_order} is neither 1 nor 2; orders from 2 on are counted together")
     per_batch = math.ceil(photons / BATCHES)
     coarse = _coarser(scene, coarsen)
-    sums, squares, energy = np.zeros((CLASSES, *coarse.camera.shape)), np.zeros(coarse.camera.shape), np.zeros(2)
-    if highest > 1 and sum(beam.power for beam in scene.projector.beams) > 0.0:
+    images = CLASSES if scene.tank.faces.dark else IMAGES
+    sums, squares, energy = np.zeros((images, *coarse.camera.shape)), np.zeros(coarse.camera.shape), np.zeros(2)
+    if (highest > 1 or images == IMAGES) and sum(beam.power for beam in scene.projector.beams) > 0.0:
         symmetric = _mirror_symmetric(coarse)
         lit = _lit(coarse)
         with ThreadPoolExecutor(threads) as pool:
@@ -132,6 +134,12 @@ def simulate(
     means = sums / BATCHES
     variance = np.maximum(squares / BATCHES - means.sum(axis=0) ** 2, 0.0) / (BATCHES - 1)
     orders: dict[int | str, Image] = {1: first_order(scene)} if min_order == 1 else {}
+    if images == IMAGES:  # the first is of order 1, by way of faces
+        if min_order == 1:
+            orders[1] = orders[1] + _enlarged(means[0], coarsen, scene)
+        else:
+            means[1] += means[0]
+        means = means[1:]
     for name, lowest, mean in zip(ORDER_CLASSES[1:], LOWEST_ORDERS[1:], means, strict=True):
         if lowest <= highest:
             orders[name] = _enlarged(mean, coarsen, scene)
@@ -178,21 +186,28 @@ class _Lit(NamedTuple):
     beams: Image
     powers: Image
     weights: Image | float
+    faces: KernelFaces | None
+    """None where all are black."""
 
 
 def _lit(scene: Scene) -> _Lit:
     beams = tuple(beam for beam in scene.projector.beams if beam.power > 0.0)
     lit = replace(scene, projector=replace(scene.projector, beams=beams))
     powers = np.cumsum([beam.power for beam in beams])
-    return _Lit(scene.camera.shape, kernel_scene(lit), beam_table(lit), powers, pixel_weights(lit))
+    faces = None if scene.tank.faces.dark else kernel_faces(scene.tank)
+    return _Lit(scene.camera.shape, kernel_scene(lit), beam_table(lit), powers, pixel_weights(lit), faces)
 
 
 def _batch(lit: _Lit, photons: int, seed: tuple[int, int], highest: int) -> Batch:
     """One independent part of a run: images by class of orders, and what became of the light."""
     numbers = np.random.default_rng(seed)
-    images = np.zeros((CLASSES, *lit.shape))
     key = np.uint64(numbers.integers(2**63))
-    fates = trace(lit.scene, lit.beams, lit.powers, photons, highest, key, numbers.random(3), images)
+    if lit.faces is None:
+        images = np.zeros((CLASSES, *lit.shape))
+        fates = trace(lit.scene, lit.beams, lit.powers, photons, highest, key, numbers.random(3), images)
+    else:
+        images = np.zeros((IMAGES, *lit.shape))
+        fates = trace_among_faces(lit.scene, lit.faces, lit.beams, lit.powers, photons, highest, key, images)
     images *= lit.weights
     return images, fates
 
@@ -205,7 +220,8 @@ def _in_order(pool: Executor, run: Callable[[int], Batch], threads: int) -> Iter
 
 def _mirror_symmetric(scene: Scene) -> bool:
     """Whether y → −y changes nothing, so that each photon may be counted on both sides."""
-    if scene.camera.kind == "calibrated":
+    faces = scene.tank.faces
+    if scene.camera.kind == "calibrated" or faces.left != faces.right:
         return False
     centred = all(
         device.kind in ("collimated", "orthographic")

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from tankrig.scene.checks import CLOSED, require
 from tankrig.scene.footprint import typical_pixel_mm
+from tankrig.scene.optics import wider_than
 from tankrig.scene.parts import Beam, Camera, Interval, Matrix, Medium, Projector, Tank, Vector
 
 if TYPE_CHECKING:
@@ -58,6 +59,18 @@ class Scene:
                     f"[{bottom:g}, {top:g}] mm; move or cut the beam",
                 )
         light, camera = self.projector, self.camera
+        widths = _lit_widths_mm(light.beams)
+        for name, blur in (("projector", light.blur), ("camera", camera.blur)):
+            require(
+                not wider_than(blur.widest_mm, widths),
+                f"{name}.blur of {blur.widest_mm:g} mm is wider than the beams, {max(widths, default=0.0):g} mm at "
+                "most; give its standard deviation in mm, or wide light as a halo",
+            )
+        require(
+            light.wide_lens.focus_mm <= self.tank.size_mm[0],
+            f"projector.wide_lens.focus_mm = {light.wide_lens.focus_mm:g} is behind the tank, which is "
+            f"{self.tank.size_mm[0]:g} mm long; give the x where pictures are sharp",
+        )
         require(len(light.beams) > 0, "projector.beams = [] lights nothing; give a beam or a picture")
         if light.kind != "collimated" and light.position_mm is not None:
             wall = self.tank.entry_bends[1]
@@ -98,3 +111,14 @@ class Scene:
             ("camera", f"{self.camera.kind}, {rows} × {columns} pixels of {self.camera.pixel_mm:.3g} mm"),
         ]
         return page("scene", [*said, *([("from", self.source)] if self.source else [])], self.plot())
+
+
+def _lit_widths_mm(beams: tuple[Beam, ...]) -> list[float]:
+    """Widths along y of what is lit, beams that touch counted as one."""
+    widths, edge, start = [], float("-inf"), 0.0
+    for low, high in sorted(beam.y_mm for beam in beams if beam.irradiance > 0.0):
+        if low > edge + 1e-9:
+            widths.append(edge - start)
+            start = low
+        edge = max(edge, high)
+    return [*widths[1:], edge - start] if widths else []

@@ -115,7 +115,8 @@ def edge_reach_mm(scene: Scene) -> float:
     """How far from an edge of the light, on the plane z = Lz, a fit must not look; 0 where nothing says that it blurs.
 
     `REACH` standard deviations of what camera and projector blur together, the projector's as wide as it has grown at
-    the far wall. For a calibrated device of unknown blur `UNKNOWN_REACH_MM` at least; any other is as described, sharp.
+    the far wall. For a calibrated device of unknown blur, of which models have none either, `UNKNOWN_REACH_MM` at
+    least; any other is as described, sharp.
 
     Examples
     --------
@@ -131,7 +132,9 @@ def edge_reach_mm(scene: Scene) -> float:
         index, wall_mm, _ = scene.tank.entry_bends
         grown += scene.tank.size_mm[0] / index / (-light.position_mm[0] - wall_mm)
     reach = REACH * math.hypot(camera.blur_mm or 0.0, (light.blur_mm or 0.0) * grown)
-    unknown = any(one.kind == "calibrated" and one.blur_mm is None for one in (light, camera))
+    unknown = any(
+        one.kind == "calibrated" and one.blur_mm is None and one.blur.sigma_mm == 0.0 for one in (light, camera)
+    )
     return max(reach, UNKNOWN_REACH_MM) if unknown else reach
 
 

@@ -9,6 +9,7 @@ from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
 from tankrig.geometry.shading import TERMS
 from tankrig.scene.checks import CLOSED, between, finite, number, numbers, picture_shape, require
+from tankrig.scene.optics import ALL_BLACK, MOST_VEIL, NO_HALO, PINHOLE, SHARP, Blur, Faces, Halo, WideLens
 from tankrig.scene.phase_functions import AnyPhase, HenyeyGreenstein
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -42,6 +43,8 @@ class Tank:
     wall_mm, wall_index
         Thickness of the wall that the light enters through, its inside at x = 0, and its refractive index; read when
         the entry is "glass".
+    faces
+        What comes back from the walls and the floor, see `tankrig.scene.optics.Face`: nothing, unless they say so.
     """
 
     __pydantic_config__ = CLOSED
@@ -51,6 +54,7 @@ class Tank:
     entry: Literal["matched", "glass"] = "matched"
     wall_mm: float = 0.0
     wall_index: float = 1.52
+    faces: Faces = ALL_BLACK
 
     def __post_init__(self) -> None:
         require(
@@ -264,6 +268,10 @@ class Projector:
         Standard deviation of what its lens makes of a point, on the wall x = 0: a Gaussian, alike along y and z. 0 is
         sharp; None where nobody has measured it. No model blurs by it: it says where beams' sides are not to be
         trusted (`tankrig.scene.outline`).
+    blur, halo, wide_lens
+        What its lens does to the light that enters, see `tankrig.scene.optics`: models have it in their images.
+    black_level
+        Irradiance of a dark picture, W/mm² as a beam's, all over the wall x = 0.
     """
 
     __pydantic_config__ = CLOSED
@@ -278,6 +286,10 @@ class Projector:
     gamma: float = 1.0
     shading: tuple[float, ...] = ()
     blur_mm: float | None = None
+    blur: Blur = SHARP
+    halo: Halo = NO_HALO
+    wide_lens: WideLens = PINHOLE
+    black_level: float = 0.0
 
     def __post_init__(self) -> None:
         require(
@@ -301,6 +313,14 @@ class Projector:
         if self.shading:
             object.__setattr__(self, "shading", numbers(self, "shading", TERMS))
         _blur(self)
+        require(
+            number(self, "black_level") >= 0.0,
+            f"black_level = {self.black_level:g} is negative; give the irradiance of a dark picture in W/mm²",
+        )
+        require(
+            self.blur.corner_mm is None,
+            f"blur.corner_mm = {self.blur.corner_mm} is for cameras; a projector's blur is one number, sigma_mm",
+        )
         if self.kind == "calibrated" and self.matrix is not None:
             _calibration(self)
             _shape(self)
@@ -340,6 +360,10 @@ class Camera:
     blur_mm
         Standard deviation of what its lens makes of a point, on the plane z = Lz, where `pixel_mm` is: a Gaussian,
         alike along x and y. 0 is sharp; None where nobody has measured it. See `Projector`.
+    blur, halo
+        What its lens does to the picture, see `tankrig.scene.optics`: models have it in their images.
+    veil
+        Share of the picture's light that is spread evenly over the whole picture.
     bin
         Pixels along the side of a block that is to be one pixel, see `binned`: `tankrig.load_scene` gives a camera of
         such pixels, and live fits take them in place of those that they would choose. 0 where left to them.
@@ -355,6 +379,9 @@ class Camera:
     rotation: Vector | None = None
     blur_mm: float | None = None
     bin: int = 0
+    blur: Blur = SHARP
+    halo: Halo = NO_HALO
+    veil: float = 0.0
 
     def __post_init__(self) -> None:
         require(
@@ -376,6 +403,11 @@ class Camera:
         if self.kind == "calibrated":
             _calibration(self)
         _blur(self)
+        require(
+            0.0 <= number(self, "veil") <= MOST_VEIL,
+            f"veil = {self.veil:g} is outside 0 … {MOST_VEIL:g}; give the share of the picture's light that is spread "
+            "evenly (0.02 is 2 %)",
+        )
         require(
             0 <= self.bin <= min(self.shape),
             f"bin = {self.bin} is no number of pixels of a picture of {list(self.shape)}; give 1 to {min(self.shape)}",

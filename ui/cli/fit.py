@@ -120,7 +120,8 @@ class Nuisance(click.ParamType[Any]):
     "--nuisance",
     type=Nuisance(),
     multiple=True,
-    help="Fit along what may be off, with its standard deviation: z_mm, y_mm, tilt_mrad, scale.",
+    help="Fit along what may be off, with its standard deviation: z_mm, y_mm, tilt_mrad, scale; halo, veil, "
+    "blur_mm2, floor, black_level.",
 )
 @click.option(
     "--rig",

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from tankrig.light.double import double_scattering
+from tankrig.light.entering import entering
+from tankrig.light.leaving import CameraLens
 from tankrig.light.paths.block import LARGE
 from tankrig.light.paths.record import image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
-from tankrig.light.single import single_scattering
-from tankrig.light.tank import CellGrid
+from tankrig.light.tank import CellGrid, once, twice
 from tankrig.scene import Beam, Medium, Scene
 
 Array = NDArray[np.float64]
@@ -46,10 +46,12 @@ def order_2_tolerance(scene: Scene, tolerance: float) -> float:
 
 def exact_images(scene: Scene, sigma_t: float, g: float, tolerance: float) -> Array:
     """Orders 1 and 2 at ϖ = 1, (2, pixels)."""
-    lit = replace(scene, medium=Medium(0.0, sigma_t, g))
-    return np.stack(
-        [single_scattering(lit).ravel(), double_scattering(lit, order_2_tolerance(scene, tolerance)).ravel()]
-    )
+    lit, lens = replace(scene, medium=Medium(0.0, sigma_t, g)), CameraLens.of(scene)
+    if lens is None:
+        return np.stack([once(lit).ravel(), twice(lit, order_2_tolerance(scene, tolerance)).ravel()])
+    first, second = once(replace(lens.fine, medium=lit.medium)), replace(lens.wide, medium=lit.medium)
+    orders = lens.of_fine(first), lens.of_wide(twice(second, order_2_tolerance(scene, tolerance)))
+    return np.stack([order.ravel() for order in orders])
 
 
 @dataclass(frozen=True)
@@ -68,9 +70,18 @@ class PathImages:
     albedos: tuple[float, ...]
 
     @cached_property
+    def _lens(self) -> CameraLens | None:
+        return CameraLens.of(self.scene)
+
+    @cached_property
+    def _lit(self) -> Scene:
+        """The scene as an ideal camera sees it, and the projector's light as beams."""
+        return entering(self.scene if self._lens is None else self._lens.wide, fine=False)
+
+    @cached_property
     def grid(self) -> CellGrid:
         """Cells that paths are recorded in."""
-        return CellGrid.of(self.scene)
+        return CellGrid.of(self._lit)
 
     @cached_property
     def along(self) -> Array:
@@ -104,11 +115,31 @@ class PathImages:
 
     def sample(self, sigma_t: float, g: float, seed: int, batches: int) -> Array:
         """Mean image of several shifted lattices of paths by albedo, in rows of cells and polynomials in x."""
-        lit = replace(self.scene, medium=Medium(0.0, sigma_t, g))
-        beams = [beam for beam in self.scene.projector.beams if beam.irradiance > 0.0]
+        lit = replace(self._lit, medium=Medium(0.0, sigma_t, g))
+        beams = [beam for beam in lit.projector.beams if beam.irradiance > 0.0]
         traced = self._traced_rectangles if self.grid.shiftable else self._traced_points
         images = traced(lit, beams, seed, batches) @ self.along / batches
+        if not lit.tank.faces.dark:
+            images = images + self._by_walls(lit, seed, batches) @ self.along
         return np.asarray(0.5 * (images + images[:, ::-1]) if self.grid.symmetric else images)
+
+    def _by_walls(self, lit: Scene, seed: int, batches: int) -> Array:
+        """Mean over lattices of what walls and floor send back, in all orders but 1 by way of clear faces."""
+        from tankrig.light.walls.paths import wall_images
+
+        bins = np.concatenate([[0, 1, 2], self._bins[3:] + 3])
+        images = np.mean(
+            [
+                wall_images(
+                    lit, self.grid.rows, self.grid.columns, self.grid.cell_mm, (seed, batch), bins, HIGHEST_ORDER,
+                    FAINTEST,
+                )
+                for batch in range(batches)
+            ],
+            axis=0,
+        )  # fmt: skip
+        low = np.array(self.albedos)[:, None] ** np.arange(3)
+        return np.tensordot(np.concatenate([low, self._shares], axis=1), images[: 3 + self._shares.shape[1]], 1)
 
     def _traced_rectangles(self, lit: Scene, beams: list[Beam], seed: int, batches: int) -> Array:
         """Sum over lattices where one path stands for every start on beams of one height."""
@@ -145,4 +176,5 @@ class PathImages:
 
     def to_pixels(self, patterns: Array) -> Array:
         """Images of cells (n, rows, degrees) as the camera's pixels, (n, pixels)."""
-        return np.array([self.grid.to_pixels(pattern @ self.along.T).ravel() for pattern in patterns])
+        images = [self.grid.to_pixels(pattern @ self.along.T) for pattern in patterns]
+        return np.array([(image if self._lens is None else self._lens.of_wide(image)).ravel() for image in images])

@@ -1,0 +1,203 @@
+"""Light that went astray: halo, veil and blur of lenses, a floor that reflects, a dark picture that is none.
+
+Each changes the image by a pattern of its own, times its size: nearly so even where the size is not small, for light
+that goes astray twice is faint. So sizes are fitted along linearly, and a cause is told by its pattern.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.errors import SceneError
+from tankrig.estimation.parameters import Block, Values
+from tankrig.scene import Beam, Medium, Scene
+from tankrig.scene.optics import Face
+
+Array = NDArray[np.float64]
+Image = NDArray[np.floating]
+Pattern = Callable[[Scene, Image], Array]
+"""What an image gains per unit of a size: of a scene with the fitted liquid, and its image."""
+
+ASTRAY = {"halo": 0.01, "veil": 0.01, "blur_mm2": 0.1, "floor": 0.05, "black_level": 0.001}
+"""What may go astray, and by how much on a common bench: shares of the light in the camera's halo and veil, variance by
+which its picture is blurred more than described, diffuse reflectance of the floor, W/mm² on the wall."""
+BLUR_PARTS = 0.5
+"""Of a pixel: width of the blur that stands for any."""
+FLOOR, PANE_LATTICES, SEED = 0.05, 2, 7
+"""Reflectance that stands for any; lattices of paths for a pattern, and their seed."""
+ROUGH, BATCHES = 0.05, 4
+"""Tolerance and lattices of the image that a dark picture's light makes."""
+
+
+def halo(scene: Scene, image: Image) -> Array:
+    """More light in the camera's halo, of the width that the scene says."""
+    return _blurred(image, scene.camera.halo.sigma_mm / scene.camera.pixel_mm) - image
+
+
+def veil(_: Scene, image: Image) -> Array:
+    """More light in its veil."""
+    return np.asarray(float(np.mean(image)) - image)
+
+
+def blur(scene: Scene, image: Image) -> Array:
+    """More blur, per mm² of variance."""
+    return np.asarray((_blurred(image, BLUR_PARTS) - image) / (BLUR_PARTS * scene.camera.pixel_mm) ** 2)
+
+
+def floor(scene: Scene, _: Image) -> Array:
+    """Light by way of a diffuse floor, per unit of its reflectance."""
+    return _by_faces(scene, "floor", Face("diffuse", FLOOR)) / FLOOR
+
+
+def panes(scene: Scene, _: Image) -> Array:
+    """Light that glass with air behind it sends back at the entry wall."""
+    return _by_faces(scene, "entry", Face("glass"))
+
+
+def black_level(scene: Scene, _: Image) -> Array:
+    """Light all over the wall, per W/mm²."""
+    from tankrig.light.tank import tank_image
+
+    width, height = scene.tank.size_mm[1:]
+    whole = Beam((-0.5 * width, 0.5 * width), (0.0, height))
+    lit = replace(scene, projector=replace(scene.projector, beams=(whole,), black_level=0.0))
+    return np.asarray(tank_image(lit, ROUGH, batches=BATCHES).image, float)
+
+
+def gamma(_: Scene, image: Image) -> Array:
+    """Levels with an exponent a little above 1, per unit of it."""
+    bright = float(np.max(image))
+    share = np.maximum(np.asarray(image, float) / bright, 1e-12) if bright > 0.0 else np.ones(np.shape(image))
+    return np.asarray(image * np.log(share))
+
+
+PATTERNS: dict[str, Pattern] = {
+    "halo": halo, "veil": veil, "blur_mm2": blur, "floor": floor, "black_level": black_level,
+}  # fmt: skip
+SIGNS: dict[str, Pattern] = {
+    "a halo of the camera's lens": halo,
+    "blur that the scene does not describe": blur,
+    "light that the floor reflects": floor,
+    "light that the entry pane's outer side reflects": panes,
+    "light of dark parts of the projector's picture": black_level,
+    "counts that are not in proportion to the light": gamma,
+}
+"""Causes of structure in a residual, as the verdict names them."""
+SLOW = ("light that the entry pane's outer side reflects", "light of dark parts of the projector's picture")
+"""Those that a fit of a prepared model, which takes less time, does not look for where there is no structure."""
+
+
+def causes(scene: Scene, image: Image) -> dict[str, Callable[[], list[Array]]]:
+    """Name of each cause and what it changes, for `tankrig.estimation.residual.likely_cause`.
+
+    Parameters
+    ----------
+    scene
+        With the fitted liquid. What it says of faces and of a dark picture is no cause any more.
+    image
+        (rows, columns) that the model gives of it.
+    """
+    known = set()
+    if not scene.tank.faces.floor.dark:
+        known.add("light that the floor reflects")
+    if not scene.tank.faces.entry.dark:
+        known.add("light that the entry pane's outer side reflects")
+
+    def changes(pattern: Pattern) -> list[Array]:
+        return [pattern(scene, image)]
+
+    return {name: partial(changes, pattern) for name, pattern in SIGNS.items() if name not in known}
+
+
+@dataclass(frozen=True)
+class Astray:
+    """What may go astray in a scene.
+
+    Parameters
+    ----------
+    scene
+        As described.
+    sd
+        Standard deviation of each size, by its name in `ASTRAY`.
+    patterns
+        (terms, rows, columns) what one standard deviation adds; None before `at`.
+    """
+
+    scene: Scene
+    sd: Mapping[str, float]
+    patterns: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name, sd in self.sd.items():
+            if not (isinstance(sd, float | int) and np.isfinite(sd) and sd > 0.0):
+                raise SceneError(f"nuisance {name} = {sd!r} is no standard deviation; give a positive number")
+
+    def at(self, medium: Medium, image: Image) -> "Astray":
+        """The same with the patterns of a liquid and its image."""
+        scene = replace(self.scene, medium=medium)
+        return replace(self, patterns=np.stack([sd * PATTERNS[name](scene, image) for name, sd in self.sd.items()]))
+
+
+@dataclass(frozen=True)
+class AstrayBlock(Block):
+    """Sizes of what goes astray, in standard deviations from what is described.
+
+    Parameters
+    ----------
+    astray
+        With patterns.
+    weight
+        (k,) as for `tankrig.estimation.set_up.SetUpBlock`.
+    """
+
+    astray: Astray
+    weight: Array
+    name: ClassVar[str] = "astray"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the sizes."""
+        return tuple(self.astray.sd)
+
+    @property
+    def prior_weight(self) -> Array:
+        """As given."""
+        return self.weight
+
+    def added(self, values: Values, liquid: Medium) -> Image:
+        """Sizes times patterns."""
+        assert self.astray.patterns is not None
+        return np.asarray(np.tensordot(values[self.name], self.astray.patterns, 1))
+
+    def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+        """The patterns."""
+        assert self.astray.patterns is not None
+        return self.astray.patterns
+
+
+def _blurred(image: Image, pixels: float) -> Array:
+    from scipy.ndimage import gaussian_filter
+
+    sharp = np.asarray(image, float)
+    if pixels >= 1.0:
+        return np.asarray(gaussian_filter(sharp, pixels, mode="constant"))
+    from scipy.ndimage import correlate1d
+
+    half = 0.5 * pixels**2  # weights with just that variance
+    for axis in (0, 1):
+        sharp = correlate1d(sharp, [half, 1.0 - 2.0 * half, half], axis=axis, mode="constant")
+    return np.asarray(sharp)
+
+
+def _by_faces(scene: Scene, name: str, face: Face) -> Array:
+    """What one face sends back, the others as described: order 1 and more."""
+    from tankrig.light.tank import by_faces
+
+    faces = replace(scene.tank.faces, **{name: face})
+    without = replace(scene.tank.faces, **{name: Face()})
+    lit, dark = (replace(scene, tank=replace(scene.tank, faces=one)) for one in (faces, without))
+    return by_faces(lit, SEED, PANE_LATTICES) - by_faces(dark, SEED, PANE_LATTICES)

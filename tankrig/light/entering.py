@@ -1,0 +1,190 @@
+"""The projector's light as it comes through the wall x = 0: soft edges, halo, black level, a lens that is wide.
+
+All of it is sums of sharp beams from pinholes, which every model knows already. Soft edges are copies of the beams,
+moved along y; along z, where the camera looks through all of a beam, they are made as much higher as keeps the
+variance of their light. A wide lens is a sum of pinholes on its disc, each with its beams moved so that all meet at the
+distance of focus.
+"""
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.scene import Beam, Scene
+from tankrig.scene.optics import NO_HALO, PINHOLE, SHARP
+
+Array = NDArray[np.float64]
+
+FEWEST_COPIES, MOST_COPIES = 12, 24
+"""Of a beam with soft edges, where edges are seen; with half as many, rows of pixels at edges were .7 % off."""
+WIDE = 1.0 / 16.0
+"""Of the wall's width: standard deviation of a halo from which on it is drawn on cells of the wall."""
+CELL = 0.8
+"""Of a wide halo's standard deviation: width of those cells."""
+MOST_LEVELS = 4
+"""Heights that a wide halo is drawn at."""
+
+
+def is_plain(scene: Scene) -> bool:
+    """Whether the light is what the beams say: sharp, and dark beside them."""
+    light = scene.projector
+    soft = light.blur.sigma_mm > 0.0 or light.halo.share > 0.0 or light.black_level > 0.0
+    return not soft and (light.wide_lens.diameter_mm == 0.0 or light.kind == "collimated")
+
+
+def entering(scene: Scene, fine: bool) -> Scene:
+    """The scene with sharp beams that together are its light, but for a wide lens, see `through_lens`.
+
+    Parameters
+    ----------
+    scene
+        Any scene; it comes back as it is where its light has no blur, halo or black level.
+    fine
+        Whether edges are seen: then they are as smooth as pixels resolve. Else two copies of each beam keep the
+        variance of its light, which is what light scattered more than once can tell.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Camera, Medium, Projector, Tank
+    >>> from tankrig.scene.optics import Halo
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),), halo=Halo(0.02, 20.0))
+    >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.0), light, Camera("orthographic", (80, 120), 2.0))
+    >>> round(sum(beam.power for beam in entering(scene, False).projector.beams), 2)  # a little falls beside the wall
+    16.0
+    """
+    light, tank = scene.projector, scene.tank
+    if light.blur.sigma_mm == 0.0 and light.halo.share == 0.0 and light.black_level == 0.0:
+        return scene
+    _, width, height = tank.size_mm
+    share = light.halo.share
+    pixel = scene.camera.pixel_mm if fine else math.inf
+    beams = _spread(light.beams, 1.0 - share, light.blur.sigma_mm, pixel, (width, height))
+    if share > 0.0:
+        sigma_mm = math.hypot(light.halo.sigma_mm, light.blur.sigma_mm)
+        if light.halo.sigma_mm < WIDE * width:
+            beams += _spread(light.beams, share, sigma_mm, pixel, (width, height))
+        else:
+            beams += _on_cells(light.beams, share, sigma_mm, (width, height))
+    if light.black_level > 0.0:
+        beams.append(Beam((-0.5 * width, 0.5 * width), (0.0, height), light.black_level))
+    return replace(scene, projector=replace(light, beams=tuple(beams), blur=SHARP, halo=NO_HALO, black_level=0.0))
+
+
+def through_lens(scene: Scene, fine: bool) -> list[tuple[float, Scene]]:
+    """Scenes with a pinhole each, and their shares: their sum is the light through the projector's wide lens.
+
+    Parameters
+    ----------
+    scene
+        Any scene; where its lens is no wider than a pinhole, the only one.
+    fine
+        As for `entering`.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Camera, Medium, Projector, Tank
+    >>> from tankrig.scene.optics import WideLens
+    >>> beams = (Beam((-2.0, 2.0), (58.0, 62.0)),)
+    >>> light = Projector("pinhole", beams, (-400.0, 0.0, 60.0), wide_lens=WideLens(16.0, 100.0))
+    >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.0), light, Camera("orthographic", (80, 120), 2.0))
+    >>> [(share, one.projector.beams[0].y_mm) for share, one in through_lens(scene, False)]
+    [(0.5, (-2.8, 1.2)), (0.5, (-1.2, 2.8))]
+    """
+    light, lens = scene.projector, scene.projector.wide_lens
+    if lens.diameter_mm == 0.0 or light.kind == "collimated" or light.position_mm is None:
+        return [(1.0, scene)]
+    index, wall_mm, wall_index = scene.tank.entry_bends
+    radius, focus = 0.5 * lens.diameter_mm, lens.focus_mm / index
+    at_wall = focus / (focus - light.position_mm[0] - wall_mm + wall_mm / wall_index)  # of a move on the lens
+    _, width, height = scene.tank.size_mm
+    found = []
+    for share, along_y, along_z in _disc(radius, radius * at_wall, scene.camera.pixel_mm if fine else math.inf):
+        place = (light.position_mm[0], light.position_mm[1] + along_y, light.position_mm[2] + along_z)
+        moved = [_moved(beam, along_y * at_wall, along_z * at_wall, (width, height)) for beam in light.beams]
+        beams = tuple(beam for beam in moved if beam is not None)
+        if beams:
+            pinhole = replace(light, position_mm=place, beams=beams, wide_lens=PINHOLE)
+            found.append((share, replace(scene, projector=pinhole)))
+    return found
+
+
+def _disc(radius: float, seen_mm: float, pixel_mm: float) -> list[tuple[float, float, float]]:
+    """Shares of an even disc, and where they are: Gauss–Chebyshev along y, and one step up or down along z by turns."""
+    count = 2 if pixel_mm == math.inf else int(np.clip(math.ceil(4.0 * seen_mm / pixel_mm), 4, 10)) // 2 * 2
+    angles = np.arange(1, count + 1) * math.pi / (count + 1)
+    shares, across = np.sin(angles) ** 2 * 2.0 / (count + 1), np.cos(angles)[::-1]
+    up = np.sqrt(1.0 - across**2) / math.sqrt(3.0) * (-1.0) ** np.arange(count) if count > 2 else np.zeros(count)
+    return [
+        (float(share), float(radius * y), float(radius * z)) for share, y, z in zip(shares, across, up, strict=True)
+    ]
+
+
+def _moved(beam: Beam, along_y: float, along_z: float, wall: tuple[float, float]) -> Beam | None:
+    """What of a moved beam still falls on the wall."""
+    y_low, y_high = np.clip(np.array(beam.y_mm) + along_y, -0.5 * wall[0], 0.5 * wall[0]).round(9).tolist()
+    z_low, z_high = np.clip(np.array(beam.z_mm) + along_z, 0.0, wall[1]).round(9).tolist()
+    return Beam((y_low, y_high), (z_low, z_high), beam.irradiance) if y_high > y_low and z_high > z_low else None
+
+
+def _spread(
+    beams: tuple[Beam, ...], share: float, sigma_mm: float, pixel_mm: float, wall: tuple[float, float]
+) -> list[Beam]:
+    """A share of beams' light, blurred: copies along y, made higher along z."""
+    count = (
+        2 if pixel_mm == math.inf else int(np.clip(math.ceil(6.0 * sigma_mm / pixel_mm), FEWEST_COPIES, MOST_COPIES))
+    )
+    moves = sigma_mm * np.array(_even_steps(count)) if sigma_mm > 0.0 else np.zeros(1)
+    found = []
+    for beam in beams:
+        low, high = beam.z_mm
+        tall = math.sqrt((high - low) ** 2 + 12.0 * sigma_mm**2)
+        middle, dimmed = 0.5 * (low + high), share * beam.irradiance * (high - low) / (tall * moves.size)
+        higher = replace(beam, z_mm=(middle - 0.5 * tall, middle + 0.5 * tall), irradiance=dimmed)
+        found += [_moved(higher, float(by), 0.0, wall) for by in moves]
+    return [beam for beam in found if beam is not None]
+
+
+@lru_cache(maxsize=32)
+def _even_steps(count: int) -> tuple[float, ...]:
+    """Middles of so many equal parts of a normal distribution, scaled to its variance."""
+    from scipy.special import ndtri
+
+    edges = ndtri(np.arange(1, count) / count)
+    density = np.concatenate([[0.0], np.exp(-0.5 * edges**2) / math.sqrt(2.0 * math.pi), [0.0]])
+    middles = -count * np.diff(density)
+    middles = 0.5 * (middles - middles[::-1])
+    return tuple((middles / math.sqrt(float(np.mean(middles**2)))).tolist())
+
+
+def _on_cells(beams: tuple[Beam, ...], share: float, sigma_mm: float, wall: tuple[float, float]) -> list[Beam]:
+    """A share of beams' light, spread so widely that even cells of the wall tell it."""
+    across = np.linspace(-0.5 * wall[0], 0.5 * wall[0], 1 + math.ceil(wall[0] / (CELL * sigma_mm)))
+    levels = np.linspace(0.0, wall[1], 1 + min(MOST_LEVELS, math.ceil(wall[1] / (CELL * sigma_mm))))
+    cells = np.zeros((levels.size - 1, across.size - 1))
+    for beam in beams:
+        by_z, by_y = _fallen(levels, beam.z_mm, sigma_mm), _fallen(across, beam.y_mm, sigma_mm)
+        cells += share * beam.irradiance * by_z[:, None] * by_y
+    return [
+        Beam(
+            (round(float(across[j]), 9), round(float(across[j + 1]), 9)),
+            (round(float(levels[i]), 9), round(float(levels[i + 1]), 9)),
+            float(f"{cells[i, j]:.9g}"),  # so that mirror images stay such
+        )
+        for i, j in np.ndindex(cells.shape)
+    ]
+
+
+def _fallen(edges: Array, lit: tuple[float, float], sigma_mm: float) -> Array:
+    """Mean over cells of even light of an interval, blurred."""
+    from scipy.special import ndtr
+
+    def area(x: Array) -> Array:
+        """∫ Φ(x/σ) dx."""
+        z = x / sigma_mm
+        return np.asarray(x * ndtr(z) + sigma_mm * np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))
+
+    total = area(edges - lit[0]) - area(edges - lit[1])
+    return np.diff(total) / np.diff(edges)

@@ -1,0 +1,219 @@
+"""Order 1 by way of clear walls: beams that the far wall sends back, and what the camera sees mirrored in a wall.
+
+Mirrored in the face that it meets, a line of sight runs straight on, and so does a beam: order 1 by way of faces is
+order 1 of a camera, or of beams, that stand elsewhere. A camera with a viewpoint sees walls at such a slant that glass
+sends all of it back. Followed are beams from the projector and from the far wall, seen directly, by way of one or two
+walls, and of the floor; what is sent back twice between opposite faces is not (0.2 % of the beams' light for glass).
+"""
+
+import math
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.compiled import kernel, part
+from tankrig.light.rays import Geometry, light_ray, light_sources, sight_line, sighting_row
+from tankrig.light.single import across_sights
+from tankrig.light.surface import on_surface, to_camera
+from tankrig.light.walls.faces import ENTRY, FAR, FLOOR, LEFT, RIGHT, face_table, sent_back
+from tankrig.scene import Scene
+from tankrig.scene.phase_table import PhaseRecord
+
+Array = NDArray[np.float64]
+Rule = tuple[Array, Array]
+
+PARTS = 6
+"""Of a pixel along x: where mirrored light ends is seen to that."""
+NONE = -1
+
+
+def once_by_walls(scene: Scene) -> Array:
+    """Light scattered once that clear faces have sent back before or after, W/mm²/sr.
+
+    Parameters
+    ----------
+    scene
+        With sharp beams from a pinhole or collimated.
+
+    Returns
+    -------
+    (rows, columns) array
+    """
+    image = np.zeros(scene.camera.shape)
+    faces = face_table(scene.tank)
+    if scene.medium.sigma_s == 0.0 or not (faces[:, 0] % 3.0).any():
+        return image
+    if scene.camera.kind == "calibrated":
+        plain = on_surface(scene)
+        return to_camera(scene, once_by_walls(plain), (plain.camera.pixel_mm, plain.camera.pixel_mm))
+    medium = scene.medium
+    phase = medium.phase_function.record
+    rules = [np.polynomial.legendre.leggauss(count) for count in (2, 3, 4)]
+    for geometry, beams in light_sources(scene):
+        for beam in beams:
+            if beam.irradiance == 0.0:
+                continue
+            edges = (*beam.y_mm, *beam.z_mm)
+            ux, _, _ = light_ray(geometry, 0.5 * sum(beam.y_mm), 0.5 * sum(beam.z_mm))
+            far = sent_back(faces, FAR, ux)[0]
+            for from_far, kept in ((False, 1.0), (True, far)):
+                for (x_wall, y_wall, floor), outer in product(_ways(geometry, faces, from_far), (False, True)):
+                    if kept > 0.0 and not (outer and max(x_wall, y_wall) == NONE and not floor):
+                        _add_mirrored(
+                            image, geometry, faces, from_far, x_wall, y_wall, floor, outer, scene.camera.pixel_mm,
+                            medium.sigma_t, kept * medium.sigma_s * beam.irradiance, phase, edges, *rules,
+                        )  # fmt: skip
+    return image
+
+
+def _ways(geometry: Geometry, faces: Array, from_far: bool) -> list[tuple[int, int, bool]]:
+    """Faces that lines of sight may meet one after the other: one across x, one across y, the floor."""
+    clear = [bool(kind % 3.0) for kind in faces[:, 0]]
+    across_x = [NONE, *([wall for wall in (ENTRY, FAR) if clear[wall]] if geometry.camera_pinhole else [])]
+    across_y = [NONE, *([wall for wall in (LEFT, RIGHT) if clear[wall]] if geometry.camera_pinhole else [])]
+    ways = [
+        (x, y, floor) for x in across_x for y in across_y for floor in ((False, True) if clear[FLOOR] else (False,))
+    ]
+    return ways if from_far else ways[1:]
+
+
+@kernel
+def _add_mirrored(
+    image: Array, geometry: Geometry, faces: Array, from_far: bool, x_wall: int, y_wall: int, floor: bool,
+    outer: bool, pixel_mm: float, sigma_t: float, strength: float, phase: PhaseRecord,
+    edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule,
+) -> None:  # fmt: skip
+    """Add one beam as lines of sight by way of some faces show it."""
+    nodes, weights = x_rule
+    corners = np.empty(4)
+    length, half_width, height = geometry.length, geometry.half_width, geometry.height
+    for column in range(image.shape[1]):
+        for piece in range(PARTS):
+            for i in range(nodes.size):
+                x = (column + (piece + 0.5 + 0.5 * nodes[i]) / PARTS) * pixel_mm
+                if x >= length:
+                    continue
+                for row in range(image.shape[0]):
+                    low = row * pixel_mm - half_width
+                    high = min(low + pixel_mm, half_width)
+                    if high <= low:
+                        break
+                    vx, vy, vz, _ = sight_line(geometry, x, 0.5 * (low + high))
+                    share, x_move, y_move, lift = _by_way(
+                        faces,
+                        x,
+                        0.5 * (low + high),
+                        vx,
+                        vy,
+                        vz,
+                        (length, half_width, height),
+                        x_wall,
+                        y_wall,
+                        floor,
+                        outer,
+                    )
+                    if share <= 0.0:
+                        continue
+                    # The faces' mirror images: first of the line and the camera, then of the light by the far wall.
+                    seen_x = x if x_wall == NONE else -x if x_wall == ENTRY else 2.0 * length - x
+                    camera_x = geometry.camera_x
+                    if x_wall != NONE:
+                        camera_x = -camera_x if x_wall == ENTRY else 2.0 * length - camera_x
+                    y_sign = 1.0 if y_wall == NONE else -1.0
+                    y_shift = 0.0 if y_wall == NONE else -2.0 * half_width if y_wall == LEFT else 2.0 * half_width
+                    y_low, y_high = y_sign * low + y_shift, y_sign * high + y_shift
+                    y_low, y_high = min(y_low, y_high) + y_move, max(y_low, y_high) + y_move
+                    seen_x, camera_x = seen_x + x_move, camera_x + x_move
+                    camera_y = y_sign * geometry.camera_y + y_shift + y_move
+                    if from_far:
+                        seen_x, camera_x = 2.0 * length - seen_x, 2.0 * length - camera_x
+                    mirrored = Geometry(
+                        2.0 * length if from_far else length, half_width, height * (2.0 if floor else 1.0),
+                        geometry.refractive_index, geometry.light_pinhole, geometry.light_x, geometry.light_y,
+                        height - geometry.light_z if floor else geometry.light_z, geometry.camera_pinhole,
+                        camera_x, camera_y, geometry.camera_z + (height if floor else 0.0), geometry.entry_index,
+                        geometry.pane, geometry.pane_index, geometry.reflected,
+                    )  # fmt: skip
+                    lit = (edges[0], edges[1], height - edges[3], height - edges[2]) if floor else edges
+                    for k in range(4):
+                        corners[k] = sighting_row(mirrored, seen_x, lit[k // 2], lit[2 + k % 2])
+                    corners.sort()
+                    if corners[3] <= y_low or corners[0] >= y_high:
+                        continue
+                    total = across_sights(
+                        mirrored, seen_x, y_low, y_high, corners, sigma_t, phase, lit, y_rule, depth_rule
+                    )
+                    if from_far:  # the light beyond the far wall alone: what is in two tanks less what is in one
+                        total -= across_sights(
+                            _as_long(mirrored, length), seen_x, y_low, y_high, corners, sigma_t, phase, lit, y_rule,
+                            depth_rule,
+                        )  # fmt: skip
+                    gained = math.exp(sigma_t * lift)
+                    image[row, column] += strength * share * gained * total / pixel_mm * 0.5 * weights[i] / PARTS
+
+
+@part
+def _as_long(geometry: Geometry, length: float) -> Geometry:
+    """The same with a tank of another length."""
+    return Geometry(
+        length, geometry.half_width, geometry.height, geometry.refractive_index, geometry.light_pinhole,
+        geometry.light_x, geometry.light_y, geometry.light_z, geometry.camera_pinhole, geometry.camera_x,
+        geometry.camera_y, geometry.camera_z, geometry.entry_index, geometry.pane, geometry.pane_index,
+        geometry.reflected,
+    )  # fmt: skip
+
+
+@kernel
+def _by_way(
+    faces: Array, x: float, y: float, vx: float, vy: float, vz: float, size: tuple[float, float, float],
+    x_wall: int, y_wall: int, floor: bool, outer: bool,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """What comes back on a line of sight by way of faces, and how panes move its mirrored image.
+
+    `outer` is of light that has been to the outer side of a pane, the other part has not been in any.
+
+    Returns
+    -------
+    share
+        0 where the line does not meet all of the faces within the water.
+    x_move, y_move
+        Of where the line, gone on straight, crosses the surface, mm.
+    lift_mm
+        By how much the way through the water is shorter than that straight line.
+    """
+    length, half_width, height = size
+    deep = height / vz * (2.0 if floor else 1.0)
+    share, at_once, x_move, y_move, lift = 1.0, 1.0, 0.0, 0.0, 0.0
+    for wall in (x_wall, y_wall):
+        if wall == NONE:
+            continue
+        slope = vx if wall <= FAR else vy
+        away = x if wall == ENTRY else length - x if wall == FAR else half_width + y if wall == LEFT else half_width - y
+        outward = slope if wall in (ENTRY, LEFT) else -slope
+        if outward <= 1e-9 or away / outward >= deep:
+            return 0.0, 0.0, 0.0, 0.0
+        back, along, inner = sent_back(faces, wall, outward)
+        share, at_once = share * back, at_once * inner
+        # What has been to the outer side comes out farther along the wall: down, and aside.
+        tangent = math.sqrt(1.0 - outward * outward)
+        down, aside = along * vz / tangent, -along * (vy if wall <= FAR else vx) / tangent
+        by = down / vz
+        lift += by
+        # Gone back up to the surface along the mirrored line.
+        if wall <= FAR:
+            x_move -= by * vx
+            y_move += aside + by * vy
+        else:
+            y_move -= by * vy
+            x_move += aside + by * vx
+    if floor:
+        back, along, inner = sent_back(faces, FLOOR, vz)
+        tangent = math.sqrt(1.0 - vz * vz)
+        share, at_once = share * back, at_once * inner
+        if tangent > 1e-9:
+            x_move -= along * vx / tangent
+            y_move -= along * vy / tangent
+    if not outer:
+        return share * at_once, 0.0, 0.0, 0.0
+    return share * (1.0 - at_once), x_move, y_move, lift

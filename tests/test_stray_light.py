@@ -1,0 +1,320 @@
+"""What lenses and walls do to light besides being ideal: a fit that does not know it is off by ten deviations."""
+
+import math
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import tankrig
+from tankrig.errors import SceneError
+from tankrig.light.entering import entering, through_lens
+from tankrig.light.leaving import CameraLens
+from tankrig.light.prepared.box import Box
+from tankrig.light.tank import by_faces
+from tankrig.light.walls.faces import FAR, face_table, sent_back
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tankrig.scene.loading import scene_from_table
+from tankrig.scene.optics import Blur, Face, Faces, Halo, WideLens
+from tankrig.scene.writing import scene_text
+
+MEDIUM = Medium(0.002, 0.018, 0.4)
+MIRROR = Face("clear", 1.0)
+
+
+def apart(image, truth):
+    return float(np.linalg.norm(image - truth) / np.linalg.norm(truth))
+
+
+def a_scene(camera=None, light=None, **tank):
+    camera = camera or Camera("orthographic", (20, 30), 8.0)
+    light = light or Projector("collimated", (Beam((-20.0, 24.0), (40.0, 80.0)),))
+    return Scene(Tank(**tank), MEDIUM, light, camera)
+
+
+def half_and_whole(camera):
+    """A tank with a perfect mirror at its left wall, and the tank of twice the width that it looks like."""
+    whole = Scene(
+        Tank((240.0, 160.0, 120.0), "fresnel"),
+        MEDIUM,
+        Projector("collimated", (Beam((16.0, 40.0), (40.0, 80.0)), Beam((-40.0, -16.0), (40.0, 80.0)))),
+        camera((20, 30), 0.0),
+    )
+    # The half's own frame has y = 0 in its middle, 40 mm from the mirror.
+    half = Scene(
+        Tank((240.0, 80.0, 120.0), "fresnel", faces=Faces(left=MIRROR)),
+        MEDIUM,
+        Projector("collimated", (Beam((-24.0, 0.0), (40.0, 80.0)),)),
+        camera((10, 30), -40.0),
+    )
+    return half, whole
+
+
+def orthographic(shape, _):
+    return Camera("orthographic", shape, 8.0)
+
+
+def pinhole(shape, moved_mm):
+    return Camera("pinhole", shape, 8.0, (120.0, 30.0 + moved_mm, 500.0))
+
+
+@pytest.mark.parametrize("camera", [orthographic, pinhole])
+@pytest.mark.parametrize("model", ["tank", "montecarlo"])
+def test_a_perfect_mirror_shows_the_other_half_of_a_tank(camera, model):
+    """All that paths, mirrored beams and mirrored sight do must be right for this."""
+    half, whole = half_and_whole(camera)
+    tolerance = 0.008 if model == "tank" else 0.01
+    seen = tankrig.predict(half, model, tolerance=tolerance)
+    truth = tankrig.predict(whole, tolerance=0.006)
+    assert apart(seen.image, truth.image[10:]) < 0.02
+    assert seen.image.sum() == pytest.approx(truth.image[10:].sum(), rel=0.006)
+
+
+@pytest.mark.parametrize("model", ["tank", "montecarlo"])
+def test_a_mirror_for_a_floor_makes_a_tank_twice_as_deep(model):
+    beam = Beam((-20.0, 20.0), (20.0, 40.0))
+    light = Projector("collimated", (beam,))
+    shallow = a_scene(light=light, size_mm=(240.0, 160.0, 60.0), faces=Faces(floor=MIRROR))
+    both = (replace(beam, z_mm=(80.0, 100.0)), replace(beam, z_mm=(20.0, 40.0)))
+    deep = a_scene(light=Projector("collimated", both), size_mm=(240.0, 160.0, 120.0))
+    seen, truth = tankrig.predict(shallow, model, tolerance=0.006), tankrig.predict(deep, tolerance=0.004)
+    assert apart(seen.image, truth.image) < 0.02
+    assert seen.image.sum() == pytest.approx(truth.image.sum(), rel=0.006)
+
+
+@pytest.mark.parametrize(
+    "faces",
+    [
+        Faces(entry=Face("glass", thickness_mm=6.0)),
+        Faces(far=Face("glass")),
+        Faces(left=Face("glass", thickness_mm=4.0), right=Face("glass", thickness_mm=4.0)),
+        Faces(floor=Face("diffuse", 0.3)),
+        Faces(*[Face("glass", thickness_mm=5.0)] * 4, floor=Face("diffuse", 0.04)),
+    ],
+)
+def test_tank_and_monte_carlo_agree_on_walls(faces):
+    """Two programs that share the scene only; the light that walls add is far more than they may differ by."""
+    camera = Camera("pinhole", (20, 30), 8.0, (110.0, 5.0, 520.0))
+    light = Projector("pinhole", (Beam((-20.0, 24.0), (40.0, 80.0)),), (-400.0, 10.0, 60.0))
+    scene = a_scene(camera, light, surface="fresnel", faces=faces)
+    tank = tankrig.predict(scene, tolerance=0.008)
+    paths = tankrig.predict(scene, "montecarlo", tolerance=0.01, seed=3)
+    assert tank.image.sum() == pytest.approx(paths.image.sum(), rel=0.005)
+    assert apart(tank.image, paths.image) < 0.02
+    black = tankrig.predict(replace(scene, tank=replace(scene.tank, faces=Faces())), tolerance=0.02)
+    assert tank.image.sum() > 1.002 * black.image.sum()
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)  # the first call compiles
+@given(cosine=st.floats(0.0, 1.0), glass=st.floats(1.33, 1.9), water=st.floats(1.3, 1.36))
+def test_a_pane_sends_everything_back_beyond_the_waters_critical_angle(cosine, glass, water):
+    faces = face_table(Tank(refractive_index=water, faces=Faces(far=Face("glass", index=glass))))
+    share, aside = sent_back(faces, FAR, cosine)
+    assert 0.0 <= share <= 1.0 + 1e-12
+    assert aside == 0.0
+    if math.sqrt(1.0 - cosine**2) > 1.001 / water:
+        assert share == pytest.approx(1.0, abs=1e-9)
+
+
+def test_dark_faces_and_ideal_lenses_change_nothing():
+    scene = a_scene()
+    idle = replace(
+        scene,
+        tank=replace(scene.tank, faces=Faces(floor=Face("diffuse", 0.0), far=Face("black", 0.5))),
+        camera=replace(scene.camera, halo=Halo(0.0, 10.0)),
+        projector=replace(scene.projector, wide_lens=WideLens(10.0, 50.0)),  # of a collimated projector, no matter
+    )
+    assert np.array_equal(tankrig.predict(scene).image, tankrig.predict(idle).image)
+
+
+@given(share=st.floats(0.0, 0.2), sigma_mm=st.floats(2.0, 60.0), veil=st.floats(0.0, 0.3))
+@settings(max_examples=20, deadline=None)
+def test_a_cameras_lens_makes_no_light(share, sigma_mm, veil):
+    camera = Camera("orthographic", (20, 30), 8.0, blur=Blur(1.5), halo=Halo(share, sigma_mm), veil=veil)
+    lens = CameraLens.of(a_scene(camera))
+    wide = np.zeros(lens.wide.camera.shape)
+    wide[10, 15] = 1.0
+    seen = lens.of_wide(wide)
+    assert seen.sum() <= 1.0 + 1e-9
+    assert (seen >= 0.0).all()
+    assert seen.sum() >= 1.0 - share - 1e-6  # all that is lost is lost from the halo, beyond the picture
+
+
+@pytest.mark.parametrize("pixel_mm", [2.0, 8.0])
+def test_blur_acts_on_light_and_not_on_pixels(pixel_mm):
+    """A beam's edge within a pixel, blurred: what the mean over many fine pixels shows."""
+    count = round(160 / pixel_mm), round(240 / pixel_mm)
+    light = Projector("collimated", (Beam((-21.3, 22.9), (40.0, 80.0)),))
+    coarse = a_scene(Camera("orthographic", count, pixel_mm, blur=Blur(1.0)), light)
+    fine = a_scene(Camera("orthographic", (320, 30), 0.5), light)
+    fine = replace(fine, camera=replace(fine.camera, shape=(320, 480)))
+    sharp = tankrig.predict(fine, "single").image
+    kernel = np.exp(-0.5 * (np.arange(-10, 11) * 0.5) ** 2)
+    profile = np.convolve(sharp[:, 200:280].mean(axis=1), kernel / kernel.sum(), "same")
+    truth = profile.reshape(count[0], -1).mean(axis=1)
+    middle = slice(round(100 / pixel_mm), round(140 / pixel_mm))
+    seen = tankrig.predict(coarse, "single").image[:, middle].mean(axis=1)
+    assert apart(seen, truth) < 0.012  # the columns differ a little
+
+
+@given(sigma_mm=st.floats(0.1, 3.0), share=st.floats(0.0, 0.2), halo_mm=st.floats(2.0, 40.0))
+@settings(max_examples=30, deadline=None)
+def test_a_projectors_lens_moves_light_and_makes_none(sigma_mm, share, halo_mm):
+    light = Projector("collimated", (Beam((-4.0, 4.0), (56.0, 64.0)),), blur=Blur(sigma_mm), halo=Halo(share, halo_mm))
+    scene = a_scene(light=light)
+    for fine in (False, True):
+        beams = entering(scene, fine).projector.beams
+        power = sum(beam.power for beam in beams)
+        assert power <= light.beams[0].power * (1.0 + 1e-9)
+        assert power >= light.beams[0].power * (1.0 - share) * (1.0 - 1e-6)
+        # Of the sharp part the variance is that of beam and blur.
+        narrow = [beam for beam in beams if share == 0.0]
+        if narrow:
+            y = np.array([0.5 * sum(beam.y_mm) for beam in narrow])
+            w = np.array([beam.power for beam in narrow])
+            assert np.average(y**2, weights=w) == pytest.approx(sigma_mm**2, rel=1e-6)
+
+
+def test_black_level_is_a_beam_all_over_the_wall():
+    scene = a_scene()
+    dim = replace(scene, projector=replace(scene.projector, black_level=0.01))
+    whole = replace(scene, projector=replace(scene.projector, beams=(Beam((-80.0, 80.0), (0.0, 120.0), 0.01),)))
+    parts = tankrig.predict(scene, "single").image + tankrig.predict(whole, "single").image
+    assert np.allclose(tankrig.predict(dim, "single").image, parts, rtol=1e-9)
+
+
+def test_a_wide_lens_is_sharp_at_its_focus_alone():
+    beams = (Beam((-4.0, 4.0), (56.0, 64.0)),)
+    light = Projector("pinhole", beams, (-400.0, 0.0, 60.0), wide_lens=WideLens(20.0, 120.0))
+    scene = a_scene(light=light)
+    parts = through_lens(scene, True)
+    assert sum(share for share, _ in parts) == pytest.approx(1.0)
+
+    def edges_at(x_mm):
+        """Where the upper edge is at a depth, seen from each point of the lens."""
+        found = []
+        for _, one in parts:
+            _, y, _ = one.projector.position_mm
+            found.append(y + (one.projector.beams[0].y_mm[1] - y) * (x_mm + 400.0) / 400.0)
+        return np.array(found)
+
+    assert np.ptp(edges_at(120.0)) < 1e-6
+    assert np.ptp(edges_at(0.0)) > 2.0
+    assert np.ptp(edges_at(240.0)) > 2.0
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A prepared model of a plain scene, its image of a liquid, and noise of .2 % of the peak."""
+    light = Projector("collimated", (Beam((-14.0, -6.0), (54.0, 62.0)), Beam((10.0, 18.0), (54.0, 62.0))))
+    medium = Medium(0.0012, 0.0108, 0.4)
+    scene = Scene(Tank(surface="fresnel"), medium, light, Camera("orthographic", (40, 60), 4.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TANKRIG_CACHE", str(tmp_path_factory.mktemp("cache")))
+        live = tankrig.prepare(scene, tolerance=0.005, box=Box((0.004, 0.03), (0.6, 0.995), (0.0, 0.8)))
+    return scene, live, np.asarray(live.predict(medium))
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "size", "sd"),
+    [("halo", "a halo of the camera's lens", 0.02, 0.02), ("floor", "light that the floor reflects", 0.04, 0.05)],
+)
+def test_light_astray_is_named_and_fitted_along(bench, name, said, size, sd):
+    """A halo of 2 % or a floor of 4 % were called noise, and moved σs by ten of its standard deviations."""
+    scene, live, clean = bench
+    noise = 0.002 * clean.max()
+    if name == "halo":
+        lens = CameraLens.of(replace(scene, camera=replace(scene.camera, halo=Halo(size, 30.0))))
+        image = lens.of_wide(clean)
+    else:
+        shiny = replace(scene, tank=replace(scene.tank, faces=Faces(floor=Face("diffuse", size))))
+        image = clean + by_faces(shiny, seed=99, lattices=8)
+    image = image + np.random.default_rng(3).normal(0.0, noise, clean.shape)
+    known = {"model": live, "gain": 1.0, "offset": 0.0, "noise": noise}
+    unaware = tankrig.estimate(image, scene, **known)
+    assert said in unaware.verdict
+    assert "The residual is noise" not in unaware.verdict
+    along = tankrig.estimate(image, scene, nuisance={name: sd}, **known)
+    found, error = along.nuisance[name]
+    assert found == pytest.approx(size, abs=3.0 * error)
+    assert error < size / 3.0
+    off = np.abs(np.array(along.medium.coefficients) - scene.medium.coefficients)
+    assert (off < 3.0 * np.sqrt(np.diag(along.covariance))[:3]).all()
+    assert along.medium.sigma_s == pytest.approx(scene.medium.sigma_s, rel=0.005)
+
+
+def test_a_clean_image_shows_nothing_astray(bench):
+    scene, live, clean = bench
+    noise = 0.002 * clean.max()
+    quiet = 0
+    for seed in range(6):
+        image = clean + np.random.default_rng(seed).normal(0.0, noise, clean.shape)
+        found = tankrig.estimate(image, scene, model=live, gain=1.0, offset=0.0, noise=noise)
+        quiet += "The residual shows" not in found.verdict
+    assert quiet >= 5
+
+
+SCENE = """
+[tank]
+size_mm = [240.0, 160.0, 120.0]
+surface = "fresnel"
+[tank.faces]
+entry = { kind = "glass", thickness_mm = 6.0 }
+floor = { kind = "diffuse", reflectance = 0.04 }
+[medium]
+sigma_a = 0.0002
+sigma_s = 0.0198
+g = 0.5
+[projector]
+kind = "pinhole"
+position_mm = [-400.0, 0.0, 60.0]
+beams = [ { y_mm = [-2.0, 2.0], z_mm = [58.0, 62.0], irradiance = 1.0 } ]
+blur = { sigma_mm = 0.3 }
+halo = { share = 0.02, sigma_mm = 20.0 }
+wide_lens = { diameter_mm = 16.0, focus_mm = 100.0 }
+black_level = 0.001
+[camera]
+kind = "orthographic"
+shape = [80, 120]
+pixel_mm = 2.0
+blur = { sigma_mm = 0.4, corner_mm = 0.6 }
+halo = { share = 0.01, sigma_mm = 25.0 }
+veil = 0.01
+"""
+
+
+def test_what_is_written_is_read_as_the_same_scene():
+    scene = scene_from_table(tomllib.loads(SCENE), "scene.toml")
+    assert scene_from_table(tomllib.loads(scene_text(scene)), "again") == scene
+
+
+@pytest.mark.parametrize(
+    ("said", "instead", "named"),
+    [
+        ("thickness_mm = 6.0", "thickness_mm = -1.0", "tank.faces.entry.thickness_mm = -1 is thinner than nothing"),
+        ("reflectance = 0.04", "reflectance = 1.2", "tank.faces.floor.reflectance = 1.2 is outside 0 … 1"),
+        ("share = 0.01", "share = 0.3", "camera.halo.share = 0.3 is outside 0 … 0.2"),
+        ("share = 0.02", "share = -0.1", "projector.halo.share = -0.1 is outside 0 … 0.2"),
+        ("sigma_mm = 0.4", "sigma_mm = 5.0", "camera.blur of 5 mm is wider than the beams, 4 mm"),
+        ("sigma_mm = 0.3", "sigma_mm = 9.0", "projector.blur of 9 mm is wider than the beams, 4 mm"),
+        ("veil = 0.01", "veil = 2.0", "camera.veil = 2 is outside 0 … 0.5"),
+        ("black_level = 0.001", "black_level = -1.0", "projector.black_level = -1 is negative"),
+        ('kind = "diffuse"', 'kind = "matt"', "tank.faces.floor.kind"),
+        ("focus_mm = 100.0", "focus_mm = 500.0", "projector.wide_lens.focus_mm = 500 is behind the tank"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_sentence(said, instead, named):
+    with pytest.raises(SceneError) as error:
+        scene_from_table(tomllib.loads(SCENE.replace(said, instead)), "scene.toml")
+    assert named in str(error.value)
+    assert str(error.value).startswith("scene.toml: ")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("model", ["convolution", "diffuse"])
+def test_models_that_know_no_walls_say_so(model):
+    with pytest.raises(SceneError, match="tank"):
+        tankrig.predict(a_scene(faces=Faces(floor=Face("diffuse", 0.04))), model)
