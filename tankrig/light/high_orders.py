@@ -203,6 +203,8 @@ def high_orders(
         image = known + grid.to_pixels(grid.unfolded(peak * found.image + prior.sum(axis=0)))
         size = float(np.linalg.norm(image / peak)) or 1.0
         bias = _bias(found, tail, grid, size / scale)
+        if batches is None:
+            found = replace(found, variance=found.variance * _student(len(means)))
         noise = math.sqrt(float(found.variance.sum())) * scale / size
         off = math.sqrt(float(bias.sum())) * scale / size
         if batches is not None or not in_time:
@@ -259,6 +261,14 @@ def _low_per_full(means: Array, above: int) -> int:
     low, high = averaged(means[:, :2].sum(axis=1)), smoothed(means[:, 2:].sum(axis=1))
     noise = math.sqrt(float(high.variance.sum()) / (float(low.variance.sum()) or 1.0))
     return int(min(max(1.0 / max(noise * math.sqrt(above / FURTHER_ORDERS), 1e-9), 1.0), FEWEST_FULL))
+
+
+def _student(batches: int) -> float:
+    """What the variance seen in so many batches is multiplied by: error over stated error is then 1 in its square mean.
+
+    That ratio is Student's t with one degree of freedom less than there are batches; its variance is (n − 1)/(n − 3).
+    """
+    return (batches - 1.0) / (batches - 3.0) if batches > 3 else 1.0
 
 
 def _bins_above(above: int) -> Bins:
