@@ -203,8 +203,6 @@ def high_orders(
         image = known + grid.to_pixels(grid.unfolded(peak * found.image + prior.sum(axis=0)))
         size = float(np.linalg.norm(image / peak)) or 1.0
         bias = _bias(found, tail, grid, size / scale)
-        if batches is None:
-            found = replace(found, variance=found.variance * _student(len(means)))
         noise = math.sqrt(float(found.variance.sum())) * scale / size
         off = math.sqrt(float(bias.sum())) * scale / size
         if batches is not None or not in_time:
@@ -217,7 +215,8 @@ def high_orders(
         followed = groups.lattices + low_groups.lattices
         wanted = math.ceil(followed * min(max(1.1 * missed**2, 1.3), 6.0))
         done = max(done, min(followed / wanted, 0.99))
-    stderr = peak * np.sqrt(grid.variance_to_pixels(found.variance + bias))
+    stated = found.variance * (_student(len(means)) if batches is None else 1.0) + bias
+    stderr = peak * np.sqrt(grid.variance_to_pixels(stated))
     whole = peak * found.image - low.sum(axis=0)
     rest = means[:, first:].mean(axis=0) if plain else smoothed_classes(means[:, first:], whole, steady)
     classes = grid.unfolded(np.concatenate([low, rest]) + prior)
