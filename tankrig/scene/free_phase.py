@@ -3,7 +3,7 @@
     ln p(θ) = ln p_HG(θ; g) + Σ_k z_k √λ_k ψ_k(θ) + a constant that normalises it,
 
 with the eigenfunctions ψ_k and eigenvalues λ_k of a Gaussian process over u = ln(θ + 30°) whose values have a standard
-deviation of `SPREAD` and are alike over `ALIKE` in u: 3° straight on, 12° at a right angle. Amplitudes z that are
+deviation of `SPREAD` and are alike over `ALIKE` in u: 4° straight on, 16° at a right angle. Amplitudes z that are
 independently normal with standard deviation 1 are what is expected before anything was seen (Karhunen and Loève; their
 even part, which normalising takes back, is left out).
 """
@@ -21,13 +21,13 @@ from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
 
-SHAPES = 22
-"""The next ones are below .02 of ln p."""
+SHAPES = 16
+"""The next ones are below .03 of ln p."""
 SPREAD = 1.0
 """Of ln p about Henyey–Greenstein: beads of .2 to 2 µm are within a factor of 1.1 to 5 of it."""
-ALIKE = 0.1
-"""Beads of .5 µm are then described to .015 of ln p, 1 µm to .07, milk-like droplets to .003 (.13 with 16 shapes: .04,
-.17 and .005, and p(90°) of .5 µm 4 % off)."""
+ALIKE = 0.13
+"""Beads of .5 µm are then described to .04 of ln p, 1 µm to .17, milk-like droplets to .005. Finer shapes describe them
+better, and fits of images lose their way among them (decision 136)."""
 FORWARD_DEG = 30.0
 _PLACES = 400
 
