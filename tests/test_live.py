@@ -155,7 +155,7 @@ def test_a_run_that_goes_on_is_not_fitted_again_where_it_was_fitted(monkeypatch:
     """Resuming a long run would else begin with minutes of fits that stand in its journal already."""
     starts: list[tuple[float, Medium | None]] = []
 
-    def fit_dose(photographs: list[Photograph], start: Medium | None, _progress: object) -> DoseFit:
+    def fit_dose(photographs: list[Photograph], start: Medium | None, *_: object) -> DoseFit:
         starts.append((photographs[0].dose_ml, start))
         return DoseFit(photographs[0].dose_ml, INK)
 
