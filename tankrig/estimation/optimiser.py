@@ -45,7 +45,7 @@ PROFILE_ASYMMETRY = (-0.7, -0.35, 0.0, 0.3, 0.6, 0.82, 0.94)
 """At which the whole profile of one image is looked at."""
 PROFILE_FROM = 0.55
 """g of the liquids that are looked at first."""
-PROFILE_ENOUGH, PROFILE_SHARE, PROFILE_STEPS = 10.0, 0.1, 4
+PROFILE_ENOUGH, PROFILE_SHARE, PROFILE_STEPS = 10.0, 0.3, 8
 """Where a look stops, in χ²/2 or as a share of what it began with, and its steps at most."""
 VALLEYS = 3
 """Of the profile that are searched, at most."""
@@ -69,8 +69,8 @@ CORRECTIONS, SETTLED = 4, 0.1
 which that is over, see `Block.looseness`."""
 FEW_STEPS = 12
 """Steps with the accurate model, and as the models bend, at most, where a phase function's coordinates are fitted."""
-SETTLED_SHARE, SETTLED_WITHIN = 0.5, 3.0
-"""Standard deviations by which each value may have moved, where a coordinate has moved by more than that and else."""
+SETTLED_SHARE = 0.5
+"""Of its standard deviation, by which each value may have moved besides."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 CLEANINGS = 3
@@ -89,8 +89,9 @@ MOST_REFUSED = 8
 
 
 def solve(
-    problem: Problem, start: Vector, enough: float = COARSE_ENOUGH, most_steps: int = 30, damping: float = DAMPED
-) -> Evaluation:
+    problem: Problem, start: Vector, enough: float = COARSE_ENOUGH, most_steps: int = 30, damping: float = DAMPED,
+    share: float = 0.0,
+) -> Evaluation:  # fmt: skip
     """Optimum of a problem next to some coordinates, in its box.
 
     Parameters
@@ -107,6 +108,8 @@ def solve(
         Steps tried at most.
     damping
         Of the first step; 0 where the optimum is near.
+    share
+        Stop also when it promises to lower the cost by less than this share of it.
 
     Examples
     --------
@@ -131,8 +134,8 @@ def solve(
     fresh, refused, bend = True, 0, _Bend(np.zeros_like(here.coordinates), np.zeros_like(here.residual))
     for _ in range(most_steps):
         at, value = here.coordinates, here.residual
-        looks = (_step(value, jacobian, max(least, share), at, box, longest_step) for share in (0.0, DAMPED))
-        if max(_promise(value, jacobian, look) for look in looks) < enough:
+        looks = (_step(value, jacobian, max(least, by), at, box, longest_step) for by in (0.0, DAMPED))
+        if max(_promise(value, jacobian, look) for look in looks) < max(enough, share * here.cost):
             if fresh:
                 break
             jacobian, fresh = here.jacobian, True
@@ -266,8 +269,7 @@ def profiled(problem: Problem, start: Vector, seen: Told) -> list[Evaluation]:
         here = np.where(np.arange(begin.size) == ALBEDO_COORDINATE, np.minimum(begin, LEAST_ABSORBING), begin)
         ahead = held.at(np.clip(here, *held.box))
         if best is None or begin is start or ahead.cost < (1.0 - PROFILE_SHARE) * best.cost:
-            enough = max(PROFILE_ENOUGH, PROFILE_SHARE * ahead.cost)
-            end = solve(held, ahead.coordinates, enough, PROFILE_STEPS)
+            end = solve(held, ahead.coordinates, PROFILE_ENOUGH, PROFILE_STEPS, share=PROFILE_SHARE)
             found[number] = end if best is None or end.cost < best.cost else best
 
     first = int(np.argmin(np.abs(along - start[ASYMMETRY_COORDINATE])))
@@ -572,16 +574,13 @@ def _corrected(best: Evaluation, shots: Sequence[Shot], models: Sequence[Model],
 
 
 def _settled(best: Evaluation, centre: Evaluation, near: Vector) -> bool:
-    """Whether an optimum stayed where the image that it was corrected by was made, by its errors.
-
-    Where images are accurate, a tenth of a coordinate may be many standard deviations, over which derivatives err.
-    """
+    """Whether an optimum stayed where the image that it was corrected by was made, or within a share of its errors."""
+    if (np.abs(best.coordinates - centre.coordinates) < near).all():
+        return True
     views = best.problem.views
     spread = best.sensitivity.covariance([view.observation.noise for view in views], [view.error for view in views])
     pairs = [np.concatenate([one.values[block.name] for block in one.problem.blocks]) for one in (best, centre)]
-    moved = np.abs(pairs[0] - pairs[1]) / np.sqrt(np.diag(spread))
-    far = (np.abs(best.coordinates - centre.coordinates) >= near).any()
-    return bool((moved < (SETTLED_SHARE if far else SETTLED_WITHIN)).all())
+    return bool((np.abs(pairs[0] - pairs[1]) < SETTLED_SHARE * np.sqrt(np.diag(spread))).all())
 
 
 def _weighed(
