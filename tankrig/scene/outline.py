@@ -21,6 +21,8 @@ UNKNOWN_REACH_MM = 1.2
 CHANGED = 0.02
 """Share of the brightest by which blur changes the light at an edge: steps between the levels of one picture's beams
 (`tankrig.scene.projection.LEVELS`), of which blur changes half, are none."""
+MOST_CELLS_A_SIDE, MOST_CELLS = 30_000, 2**27
+"""Of a tank; one of 2 m in cells of 0.07 mm has as many."""
 CHANGED_SDS = 2.054
 """Standard deviations from a step at which blur changes the light by just that."""
 LAYER_MM = 1.0
@@ -172,7 +174,7 @@ def edges_of_light(scene: Scene, reach_mm: float | None = None) -> Mask:
     reach = edge_reach_mm(scene) if reach_mm is None else reach_mm
     if reach <= 0.0:
         return np.zeros(scene.camera.shape, bool)
-    cell, sd = reach / FINE, FINE / REACH
+    cell, sd = _not_too_fine(scene, reach / FINE), FINE / REACH
     sharp = _lit_columns(scene, cell, FINE)
     blurred = cv2.GaussianBlur(sharp, (0, 0), sd, borderType=cv2.BORDER_CONSTANT)
     changed = (np.abs(blurred - sharp) > CHANGED * sharp.max()).astype(np.uint8)
@@ -185,8 +187,14 @@ def edges_of_light(scene: Scene, reach_mm: float | None = None) -> Mask:
 
 def lit_pixels(scene: Scene) -> Mask:
     """(rows, columns) pixels on whose middle line of sight the beams light something."""
-    cell = max(*scene.camera.sides_mm, LAYER_MM) / 4.0
+    cell = _not_too_fine(scene, max(*scene.camera.sides_mm, LAYER_MM) / 4.0)
     return _seen_of(scene, (_lit_columns(scene, cell, 1) > 0.0).astype(np.uint8), cell, 1, 1)
+
+
+def _not_too_fine(scene: Scene, cell_mm: float) -> float:
+    """The side of a cell of which a tank, even one of a kilometre, has no more than OpenCV and memory take."""
+    length, width, _ = scene.tank.size_mm
+    return max(cell_mm, max(length, width) / MOST_CELLS_A_SIDE, math.sqrt(length * width / MOST_CELLS))
 
 
 def _lit_columns(scene: Scene, cell_mm: float, margin: int) -> NDArray[np.float32]:
