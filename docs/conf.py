@@ -1,0 +1,65 @@
+"""How the pages become a site: `./start docs` (Sphinx, MyST for the Markdown, numpydoc for the docstrings).
+
+The source is the whole tree, so that pages may link to files that are no pages; which files are pages is said here.
+"""
+
+import re
+from importlib.metadata import version as installed
+
+project = "tankrig"
+author = copyright = "the tankrig developers"
+release = version = installed("tankrig")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "sphinx_click"]
+root_doc = "docs/index"
+include_patterns = [
+    "CHANGELOG.md", "CONTRIBUTING.md", "docs/**.md", "firmware_notes/*.md"
+]  # fmt: skip
+exclude_patterns = [".*", "out", "runs", "build", "dist", "docs/README.md"]
+
+myst_heading_anchors = 3
+suppress_warnings = ["misc.highlighting_failure"]  # a step of a sequence is a part of a TOML file
+
+default_role = "code"  # docstrings put names between single backquotes
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_default_options = {"members": True}
+numpydoc_show_class_members = False
+
+html_theme = "furo"
+html_title = "tankrig"
+html_copy_source = False
+html_show_sphinx = False
+
+
+_ARRAY_LIKE = re.compile(r"_Buffer \| .*?_NestedSequence\[complex \| bytes \| str\]")
+
+
+def _short(app: object, what: str, name: str, thing: object, options: object, said: str, gives: str) -> tuple[str, str]:
+    """Say ArrayLike as the code does, and not what it stands for."""
+    return _ARRAY_LIKE.sub("ArrayLike", said or ""), gives
+
+
+def _stands_elsewhere(app: object, what: str, name: str, thing: object, skip: bool, options: object) -> bool | None:
+    """Leave out of a package's page what tankrig itself exports."""
+    import tankrig
+
+    if what == "module" and getattr(options, "imported_members", False):
+        package = app.env.current_document.docname  # type: ignore[attr-defined]
+        if not package.endswith("/api") and getattr(tankrig, name, None) is thing:
+            return True
+    return None
+
+
+def _with_pages_of_its_folder(app: object, page: str, source: list[str]) -> None:
+    """Give the pages of decisions and protocols their place in the site below the one that lists them."""
+    below = {"docs/decisions/README": "0*", "firmware_notes/README": "[a-z]*"}
+    if page in below:
+        source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n\n{below[page]}\n```\n"
+
+
+def setup(app: object) -> None:
+    """Called by Sphinx."""
+    app.connect("source-read", _with_pages_of_its_folder)  # type: ignore[attr-defined]
+    app.connect("autodoc-process-signature", _short)  # type: ignore[attr-defined]
+    app.connect("autodoc-skip-member", _stands_elsewhere)  # type: ignore[attr-defined]
