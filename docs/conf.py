@@ -5,6 +5,9 @@ The source is the whole tree, so that pages may link to files that are no pages;
 
 import re
 from importlib.metadata import version as installed
+from typing import Any
+
+from sphinx.application import Sphinx
 
 project = "tankrig"
 author = copyright = "the tankrig developers"
@@ -35,31 +38,31 @@ html_show_sphinx = False
 _ARRAY_LIKE = re.compile(r"_Buffer \| .*?_NestedSequence\[complex \| bytes \| str\]")
 
 
-def _short(app: object, what: str, name: str, thing: object, options: object, said: str, gives: str) -> tuple[str, str]:
+def _short(*about: Any) -> tuple[str, str]:
     """Say ArrayLike as the code does, and not what it stands for."""
+    said, gives = about[-2:]
     return _ARRAY_LIKE.sub("ArrayLike", said or ""), gives
 
 
-def _stands_elsewhere(app: object, what: str, name: str, thing: object, skip: bool, options: object) -> bool | None:
+def _stands_elsewhere(app: Sphinx, what: str, name: str, thing: object, _: bool, options: Any) -> bool | None:
     """Leave out of a package's page what tankrig itself exports."""
     import tankrig
 
-    if what == "module" and getattr(options, "imported_members", False):
-        package = app.env.current_document.docname  # type: ignore[attr-defined]
-        if not package.endswith("/api") and getattr(tankrig, name, None) is thing:
-            return True
+    of_a_package = what == "module" and getattr(options, "imported_members", False)
+    if of_a_package and app.env.current_document.docname != "docs/api" and getattr(tankrig, name, None) is thing:
+        return True
     return None
 
 
-def _with_pages_of_its_folder(app: object, page: str, source: list[str]) -> None:
+def _with_pages_of_its_folder(_: Sphinx, page: str, source: list[str]) -> None:
     """Give the pages of decisions and protocols their place in the site below the one that lists them."""
     below = {"docs/decisions/README": "0*", "firmware_notes/README": "[a-z]*"}
     if page in below:
         source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n\n{below[page]}\n```\n"
 
 
-def setup(app: object) -> None:
+def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
-    app.connect("source-read", _with_pages_of_its_folder)  # type: ignore[attr-defined]
-    app.connect("autodoc-process-signature", _short)  # type: ignore[attr-defined]
-    app.connect("autodoc-skip-member", _stands_elsewhere)  # type: ignore[attr-defined]
+    app.connect("source-read", _with_pages_of_its_folder)
+    app.connect("autodoc-process-signature", _short)
+    app.connect("autodoc-skip-member", _stands_elsewhere)

@@ -32,7 +32,7 @@ def test_the_pages_commands_lead_to_a_fitted_experiment(tmp_path: Path, monkeypa
             done = typed(split(line)[1:], tmp_path)
             assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
             said[line] = done.stdout + done.stderr
-    predicted, fitted, by_single, dry_run, run = said.values()
+    predicted, _, by_single, dry_run, run = said.values()
     assert re.search(r"orders +1: 1[34]\.\d%", predicted), "single scattering is a seventh of the light"
     found = json.loads((tmp_path / "fitted" / "scene-fit.json").read_text(encoding="utf-8"))
     assert found["medium"]["sigma_s"] == pytest.approx(0.015, rel=0.02)
