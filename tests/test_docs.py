@@ -162,6 +162,20 @@ def test_commands_in_blocks_are_known(block: Block) -> None:
         assert refused(words[1:]) is None, line
 
 
+def test_commands_that_measure_select_tests_that_are_there() -> None:
+    """A figure whose test was renamed could not be measured again by its command."""
+    commands = {code for page in PAGES for code in inline_code(page) if re.match(r"(?:\w+=\S+ )*pytest .*tests/", code)}
+    assert len(commands) > 30
+    wrong = []
+    for command in commands:
+        words = shlex.split(command)
+        files = [TREE / word for word in words if word.startswith("tests/")]
+        text = "".join(file.read_text(encoding="utf-8") for file in files)
+        asked = words[words.index("-k") + 1] if "-k" in words else ""
+        wrong += [command for word in asked.split(" or ") if not re.search(rf"(?:def test|class Test)\w*{word}", text)]
+    assert wrong == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(TREE)))
 def test_commands_in_sentences_are_known(page: Path) -> None:
     wrong = []
