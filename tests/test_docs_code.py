@@ -26,8 +26,8 @@ CALIBRATION = TREE / "tests" / "data" / "stored" / "1" / "calibration"
 SMALL = tankrig.Scene(
     tankrig.Tank(),
     tankrig.Medium(0.002, 0.018, 0.5),
-    tankrig.Projector("collimated", tuple(tankrig.Beam((y, y + 8.0), (56.0, 64.0)) for y in (-40.0, 16.0))),
-    tankrig.Camera("orthographic", (40, 60), 4.0),
+    tankrig.Projector("collimated", tuple(tankrig.Beam((y, y + 16.0), (52.0, 68.0)) for y in (-40.0, 16.0))),
+    tankrig.Camera("orthographic", (20, 30), 8.0),
 )
 """What a page calls `scene`, in few pixels."""
 
