@@ -38,10 +38,10 @@ html_show_sphinx = False
 _ARRAY_LIKE = re.compile(r"_Buffer \| .*?_NestedSequence\[complex \| bytes \| str\]")
 
 
-def _short(*about: Any) -> tuple[str, str]:
-    """Say ArrayLike as the code does, and not what it stands for."""
+def _short(*about: Any) -> tuple[str, str] | None:
+    """Say ArrayLike as the code does, and not what it stands for; a module has no signature."""
     said, gives = about[-2:]
-    return _ARRAY_LIKE.sub("ArrayLike", said or ""), gives
+    return (_ARRAY_LIKE.sub("ArrayLike", said), gives) if said else None
 
 
 def _stands_elsewhere(app: Sphinx, what: str, name: str, thing: object, _: bool, options: Any) -> bool | None:
