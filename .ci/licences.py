@@ -13,13 +13,16 @@ from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-STARTED_WITH = ("all", "dev")
+STARTED_WITH = ("all", "dev", "docs")
 """Extras that ./start installs."""
 
 KNOWN: dict[str, str] = {
     "hdf5plugin": "MIT",  # its README; the filters within are BSD, MIT, Apache and zlib: silx.org/doc/hdf5plugin
+    # Its COPYING: the GPL is that of an Emacs mode, which is in the source archive and not in what pip installs.
+    "docutils": "BSD-2-Clause AND BSD-3-Clause; public domain",
 }
-"""Licences that a package's metadata does not say, looked up by hand: name → licence, with the source in a comment."""
+"""Licences that a package's metadata does not say, or says of files that are not installed, looked up by hand: name →
+licence, with the source in a comment."""
 
 _GPL = re.compile(r"(?<![A-Za-z])(?:A?GPL|(?:GNU )?(?:Affero )?General Public Licen[cs]e)", re.IGNORECASE)
 _LESSER = re.compile(r"LGPL|Lesser General Public|Library General Public", re.IGNORECASE)
@@ -50,6 +53,8 @@ def required(name: str, extras: tuple[str, ...]) -> Iterator[Distribution]:
 def licence(found: Distribution) -> str:
     """What its metadata says: the SPDX expression, else the classifiers, else the first line of the free text."""
     facts = found.metadata
+    if known := KNOWN.get(canonicalize_name(facts["Name"])):
+        return known
     if expression := facts.get("License-Expression"):
         return str(expression)
     said = [line.rpartition(" :: ")[2] for line in facts.get_all("Classifier") or () if line.startswith("License ::")]
@@ -57,7 +62,7 @@ def licence(found: Distribution) -> str:
     free = str(facts.get("License") or "").strip()
     if free and free != "UNKNOWN":
         said.append(free.splitlines()[0][:80])
-    return "; ".join(dict.fromkeys(said)) or KNOWN.get(canonicalize_name(facts["Name"]), "")
+    return "; ".join(dict.fromkeys(said))
 
 
 def is_gpl(words: str) -> bool:

@@ -19,7 +19,7 @@ TREE = Path(__file__).parents[1]
 EXAMPLES = TREE / "docs" / "examples"
 STORED = TREE / "tests" / "data" / "stored"
 FACES = ["advice", "archive", "calibration", "dosing", "estimation", "exchange", "geometry", "image", "live"]
-FACES += ["materials", "pattern", "run", "separation", "scene", "sequence"]
+FACES += ["materials", "pattern", "report", "run", "separation", "scene", "sequence"]
 NEEDED = """
     Tank Medium Beam Projector Camera Scene load_scene lit_by
     Sequence load_sequence dry_run new_run resumed_run open_run recover refit write_report Run

@@ -32,13 +32,16 @@ class PumpDoser:
 
     ::
 
-                     set off                      nobody can tell
-        AT_REST ────────────────▶ UNDER_WAY ───────────────────────▶ UNKNOWN
-           ▲ ▲     the pump tells     │                                 │
-           │ └────────────────────────┘                                 │
-           └────────────── the pump answers again, or a person says ────┘
+                      set off                       nobody can tell
+        AT_REST ────────────────▶ UNDER_WAY ────────────────────────▶ UNKNOWN
+          ▲ ▲                         │                                  │
+          │ └── it rests and tells, ──┘                                  │
+          │     or never began                                           │
+          └──────────── it answers again and tells, or a person says ────┘
 
-    Beside it the stop is latched from `stop`, or any fault, until `clear_stop`. Only AT_REST without a stop sets off.
+    AT_REST becomes UNKNOWN too, when a pump that is looked at has lost its count, or counts less than it has told.
+    Beside it the stop is latched, in any state, from `stop`, or from any fault, until `clear_stop`. Only AT_REST
+    without a stop sets off. `dose_to` goes through UNDER_WAY once for each leg of a dose.
 
     * The bounds hold everything that is known: at rest what the pump counts; under way from what it was last heard to
       have delivered up to the target; after a fault the same, narrowed by what the pump tells when it answers again. It

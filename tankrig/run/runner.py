@@ -102,7 +102,22 @@ class Runner:
     """Carries out one sequence, once; `tankrig.run.start` makes it.
 
     `run` works in the thread that calls it; `pause`, `resume` and `abort` may be called from any other. It pauses at
-    the end of a step only, and an abort stops the doser before anything else.
+    the end of a step only, and an abort stops the doser before anything else::
+
+                run             pause              the step is done
+        READY ───────▶ RUNNING ───────▶ PAUSING ────────────────────▶ PAUSED
+                        │ ▲               │                             │
+                        │ └─── resume ────┴────────── resume ───────────┘
+                        │
+                        │ the last step is done and the fits are recorded, or something has failed, or `abort`
+                        ▼
+        stop the doser (unless all is done), go dark, close the doser, write `end`, let go of rig, writer and listeners:
+        each is tried, whatever the others raise
+                        │
+                        ▼
+                     FINISHED, with an `Outcome`: completed, aborted or failed
+
+    Between `abort` and FINISHED the state is ABORTING; `tankrig.run.state` has the table of what may follow what.
 
     Parameters
     ----------

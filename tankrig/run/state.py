@@ -43,6 +43,20 @@ _NEXT = {
 class RunStates:
     """The state machine of one run; any thread may ask for a change, and the runner's waits wake at each.
 
+    ::
+
+                run             pause              the step is done
+        READY ───────▶ RUNNING ───────▶ PAUSING ────────────────────▶ PAUSED
+                          ▲               │                             │
+                          └─── resume ────┴────────── resume ───────────┘
+
+        READY, RUNNING, PAUSING, PAUSED ── abort ──▶ ABORTING ── all is let go ──▶ FINISHED
+        READY, RUNNING, PAUSING, PAUSED ── the last step is done, or a failure; all is let go ──▶ FINISHED
+
+    A pause takes effect between two steps and nowhere else, so that no exposure, dose or wait is cut in two. An abort
+    takes effect at once: the runner stops the doser before it asks for this state, and its waits end with
+    `AbortedError`. FINISHED is reached once devices, journal and disk have been let go, and nothing follows it.
+
     Examples
     --------
     >>> states = RunStates()
