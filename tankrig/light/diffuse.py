@@ -84,7 +84,7 @@ def diffuse_image(scene: Scene, step_mm: float | None = None) -> Floats:
 
 
 def _forward_share(g: float) -> float:
-    """Share of all scatterings counted as none; g³ is best by measurement (docs/decisions/0004)."""
+    """Share of all scatterings counted as none; g³ is best by measurement (docs/decisions/0204)."""
     return max(g, 0.0) ** 3
 
 

@@ -15,7 +15,7 @@ from tankrig.live.results import diluted
 from tankrig.scene.description import Medium, Scene
 
 TOLERANCE, SLANTED_TOLERANCE = 0.02, 0.01
-"""Asked for; where light and sight run straight, in so small a box the least work gives a tenth of that (decision 63).
+"""Asked for; where light and sight run straight, in so small a box the least work gives a tenth of that (decision 216).
 Elsewhere order 2 is coarse from 5 % on, and paths are noisier: .02 gave 1.2 % on a bench; .01 gives .13 % on average,
 .32 % at most, in 22 CPU s, .005 gives .09 and .21 % in 38 (rays of a bench, σs .005, three by twelve pixels a bin)."""
 LOOK, LOOK_TOLERANCE, LOOK_START = Box((5e-4, 0.06), (0.5, 0.9999), (0.0, 0.93)), 0.1, Medium(5e-4, 0.01, 0.6)
@@ -57,7 +57,7 @@ class Preparation:
 def box_for(liquid: Medium) -> Box:
     """Media that a dose can give when `liquid` is foreseen.
 
-    One small box for each dose: a model for σt from 0.001 to 0.035 errs by ten times as much (decision 63). Edges are
+    One small box for each dose: a model for σt from 0.001 to 0.035 errs by ten times as much (decision 216). Edges are
     rounded, so that the next run with the same ink finds its models prepared.
 
     Examples

@@ -284,7 +284,7 @@ def has_checksums(array: Any) -> bool:
 
 
 def write_frame(path: Path, checksum: bool, index: int, pixels: Pixels) -> None:
-    """Write the chunk that Zarr would make of a frame, at half the cost of having it made there (decision 55)."""
+    """Write the chunk that Zarr would make of a frame, at half the cost of having it made there (decision 217)."""
     chunk = COMPRESSION.encode(np.ascontiguousarray(pixels, pixels.dtype.newbyteorder("<")))
     if checksum:
         chunk += google_crc32c.value(chunk).to_bytes(4, "little")

@@ -15,7 +15,7 @@ Mask = NDArray[np.bool_]
 Polygon = NDArray[np.float64]
 
 REACH = 2.5
-"""Standard deviations of the blur, to either side of an edge, within which a fit must not look (decision 105)."""
+"""Standard deviations of the blur, to either side of an edge, within which a fit must not look (decision 214)."""
 UNKNOWN_REACH_MM = 1.2
 """The same in mm for calibrated devices whose blur nobody has measured."""
 CHANGED = 0.02

@@ -139,7 +139,7 @@ class _Patch:
     is lost, its first moments stay, and an edge that shares cells with the dark is where it is. There are two ways to
     cut: into bands of columns that begin and end at nearly the same heights, which suits flat light, as a picture that
     is rolled by a degree has it; and into bands of rows, which suits tall light that leans. The one with fewer beams
-    is taken (decision 107).
+    is taken (decision 210).
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ PATHS_RATE = (3.0, 2.6)
 """The same of orders ≥ 3, whose noise weighs more than their polynomials' error: 7 and 6 over the whole box."""
 ALBEDO_RATE = 1.9
 ROUGH, ROUGHLY = 0.1, 0.6
-"""Tolerance from which on degrees are this share of those: 1 to 3 % off over the box of a first look, decision 108."""
+"""Tolerance from which on degrees are this share of those: 1 to 3 % off over the box of a first look, decision 216."""
 FULLNESS = 1.2
 MEDIA_PER_PRODUCT = 8
 """Media at which paths are followed, per coefficient to be found from them."""

@@ -36,7 +36,7 @@ DEGREES = 20
 
 SHARE, SLANTED_SHARE = 0.1, 0.5
 """Of the tolerance that is asked for, which order 2 is computed to. Where light or sight slant it takes most of a
-preparation, three times as long finely as coarsely, and what coarse tables err by is counted (decision 112)."""
+preparation, three times as long finely as coarsely, and what coarse tables err by is counted (decision 216)."""
 
 
 def order_2_tolerance(scene: Scene, tolerance: float) -> float:
