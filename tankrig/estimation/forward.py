@@ -184,8 +184,8 @@ class Models:
 
 def is_ideal(scene: Scene) -> bool:
     """Whether its lenses blur nothing, its light is what its beams say, and its walls send nothing back."""
-    from tankrig.light.leaving import CameraLens
     from tankrig.light.entering import is_plain
+    from tankrig.light.leaving import CameraLens
 
     return is_plain(scene) and CameraLens.of(scene) is None and scene.tank.faces.dark
 
