@@ -19,6 +19,10 @@ PER_M = 1000.0
 RIGHT_ANGLE = int(np.flatnonzero(ANGLES_DEG == 90.0)[0])
 
 
+MOST_LOGARITHM = 300.0
+"""Of a band's width: what is not known at all has one without end, and numbers do not."""
+
+
 @dataclass(frozen=True)
 class PhaseCurve:
     """A phase function with what is known of it.
@@ -43,7 +47,7 @@ class PhaseCurve:
 
         if not 0.0 < level < 1.0:
             raise ValueError(f"level = {level} is no probability; give one between 0 and 1, such as 0.95")
-        factor = np.exp(float(ndtri(0.5 + 0.5 * level)) * self.sd)
+        factor = np.exp(np.minimum(float(ndtri(0.5 + 0.5 * level)) * self.sd, MOST_LOGARITHM))
         return self.value / factor, self.value * factor
 
 

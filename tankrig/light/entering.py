@@ -90,7 +90,7 @@ def through_lens(scene: Scene, fine: bool) -> list[tuple[float, Scene]]:
     >>> beams = (Beam((-2.0, 2.0), (58.0, 62.0)),)
     >>> light = Projector("pinhole", beams, (-400.0, 0.0, 60.0), wide_lens=WideLens(16.0, 100.0))
     >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.0), light, Camera("orthographic", (80, 120), 2.0))
-    >>> [(share, one.projector.beams[0].y_mm) for share, one in through_lens(scene, False)]
+    >>> [(round(share, 9), one.projector.beams[0].y_mm) for share, one in through_lens(scene, False)]
     [(0.5, (-2.8, 1.2)), (0.5, (-1.2, 2.8))]
     """
     light, lens = scene.projector, scene.projector.wide_lens

@@ -53,7 +53,7 @@ class Told:
         """In words.
 
         >>> Told(0.2, (58.0, 62.0), order_1=(0.874, 0.002), sigma_t=(0.00094, 0.00002)).sentence
-        '0.2 ml, z = 60 mm: 87.4 ± 0.2 % of the light is order 1, σt 0.00094 ± 0.00002 /mm by its decay.'
+        '0.2 ml, z = 60 mm: 87.40 ± 0.20 % of the light is order 1, σt 0.000940 ± 0.000020 /mm by its decay.'
         """
         words = []
         if self.order_1 is not None:

@@ -66,8 +66,8 @@ def sent_back(faces: Array, face: int, cosine: float) -> tuple[float, float, flo
     --------
     >>> from tankrig.scene.optics import Face, Faces
     >>> faces = face_table(Tank(faces=Faces(far=Face("glass", thickness_mm=5.0))))
-    >>> [round(number, 4) for number in sent_back(faces, FAR, 1.0)], sent_back(faces, FAR, 0.6)[0]
-    ([0.0468, 0.0, 0.0949], 1.0)
+    >>> [round(number, 3) for number in sent_back(faces, FAR, 1.0)], sent_back(faces, FAR, 0.6)[0]
+    ([0.047, 0.0, 0.095], 1.0)
     """
     kind = faces[face, 0]
     if kind == CLEAR:
