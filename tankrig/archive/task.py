@@ -18,6 +18,7 @@ from tankrig.live.results import DoseFit, FailedFit, Fit, to_fields
 from tankrig.live.worker import Fitter, fit_all_there_is
 from tankrig.run.journal_io import JOURNAL
 from tankrig.run.reading import Run, open_run
+from tankrig.threads import one_blas_thread
 
 MADE, THERE, FAILED, TAKEN = "made", "there", "failed", "taken"
 
@@ -92,7 +93,8 @@ def refit_run(path: Path, name: str, results: Results, refitting: Refitting, wai
             key = refit_key(run, refitting)
             if results.has(name, key):
                 return Done(name, THERE)
-            found = [to_fields(fit) for fit in fits_of_archived(run, refitting)]
+            with one_blas_thread():  # sums by more threads round otherwise, and whoever fits it finds the same bytes
+                found = [to_fields(fit) for fit in fits_of_archived(run, refitting)]
         except (TankrigError, OSError, MemoryError, ArithmeticError, LookupError, TypeError, ValueError) as error:
             sentence = str(error) if isinstance(error, TankrigError) else f"{path}: {type(error).__name__}: {error}"
             results.put_failed(name, {"format": FORMAT, "failed": sentence, "made": made_now()})

@@ -77,7 +77,7 @@ def sent_back(faces: Array, face: int, cosine: float) -> tuple[float, float, flo
     glass, water = faces[face, 3], faces[face, 4]
     inner = reflectance(cosine, water / glass)
     sine = water / glass * math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    if sine >= 1.0:
+    if sine >= 1.0 or inner >= 1.0:  # all of it turns back before the pane, or along it
         return 1.0, 0.0, 1.0
     within = math.sqrt(1.0 - sine * sine)
     outer = reflectance(within, glass)
