@@ -87,9 +87,9 @@ def _tell(rows: "list[Told]") -> None:
 
     table = Table(box=None, pad_edge=False)
     periods = sorted({period_mm for row in rows for period_mm in row.follow})
-    follow = (f"follow {period_mm:g} mm, %" for period_mm in periods)
+    follow = (f"{period_mm:g} mm, %" for period_mm in periods)
     for heading in ("ink, ml", "z, mm", *follow, "order 1, %", "σt, 1/mm", "order 1 / fit"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         order_1 = None if row.order_1 is None else (100.0 * row.order_1[0], 100.0 * row.order_1[1])
         beside = None if row.over_fit is None else (row.over_fit.ratio, row.over_fit.sd)
@@ -103,6 +103,7 @@ def _tell(rows: "list[Told]") -> None:
             ),
         )
     Console(highlight=False, width=110).print(table)
+    click.echo("under each period: the part of the sheet's light that follows a wave of it")
     for row in rows:
         for doubt in row.doubts:
             click.echo(f"{row.dose_ml:.4g} ml, z = {row.height_mm:g} mm: {doubt}")
