@@ -35,7 +35,7 @@ def click(button) -> None:
 def test_the_first_page_offers_ways_to_begin_and_no_error(window):
     """It was met by a red: key "steps" is missing."""
     page = window.sequence
-    assert page.first.isVisible()
+    until(page.first.isVisible)  # pages are built after the first picture
     assert not page.tabs.isVisible()
     assert page._says.text() == ""
     assert window.banner.text == ""

@@ -21,6 +21,7 @@ from urllib.parse import urlsplit
 from tankrig.archive.refit import RunToRefit
 from tankrig.archive.task import FAILED, MADE, Done, OtherCodeError
 from tankrig.errors import StoreError, TankrigError
+from tankrig.light.prepared.cache import cache_folder
 
 if TYPE_CHECKING:
     from distributed import Client, Security
@@ -121,7 +122,9 @@ def workers_here(
             LocalCluster(
                 n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1", protocol="tls://",
                 security=Security.temporary(), dashboard_address=None, worker_dashboard_address="127.0.0.1:0",
-                memory_limit=memory or "auto", silence_logs=logging.CRITICAL, **life,
+                memory_limit=memory or "auto", silence_logs=logging.CRITICAL,
+                # What workers are forked from may be older than what the environment says now.
+                env={"TANKRIG_CACHE": str(cache_folder())}, **life,
             ) as cluster,
             Client(cluster) as client,
         ):  # fmt: skip

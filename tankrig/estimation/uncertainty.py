@@ -376,7 +376,7 @@ def reduced_scattering(medium: Medium, spread: Array) -> tuple[float, float]:
 def extinction(medium: Medium, spread: Array) -> tuple[float, float]:
     """σt = σa + σs and its standard deviation: what thin media tell even where σa and σs are lost."""
     slope = np.array([1.0, 1.0, 0.0])
-    return medium.sigma_t, math.sqrt(float(slope @ spread @ slope))
+    return medium.sigma_t, math.sqrt(max(float(slope @ spread @ slope), 0.0))  # below 0 by rounding only
 
 
 def stretches(
