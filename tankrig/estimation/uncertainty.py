@@ -370,7 +370,7 @@ def identifiable(medium: Medium, spread: Array) -> dict[str, bool]:
 def reduced_scattering(medium: Medium, spread: Array) -> tuple[float, float]:
     """σs(1 − g) and its standard deviation: what thick media tell even where σs and g are lost."""
     slope = np.array([0.0, 1.0 - medium.g, -medium.sigma_s])
-    return medium.sigma_s * (1.0 - medium.g), math.sqrt(float(slope @ spread @ slope))
+    return medium.sigma_s * (1.0 - medium.g), math.sqrt(max(float(slope @ spread @ slope), 0.0))
 
 
 def extinction(medium: Medium, spread: Array) -> tuple[float, float]:
