@@ -24,7 +24,7 @@ from tankrig.separation.waves import Array, Complex, Mask, demodulated
 LIQUID = Medium(0.0, 0.01, 0.5)
 """In which order 1 is calculated: between thin and medium."""
 LEAST = 0.15
-"""Of |T|: below it nothing is left of the wave that noise and blur's uncertainty would not drown."""
+"""Of the modulus of T: below it nothing is left of the wave that noise and blur's uncertainty would not drown."""
 LIT = 0.7
 """Of the brightest order 1 in the column of pixels: what is fainter is not all in the sheet."""
 BINS_A_PERIOD = 4
@@ -43,7 +43,7 @@ class Transfer:
     factor
         (rows, columns) complex T; 0 where order 1 of the sheet is not seen, or the wave is blurred away.
     blurred
-        By how much |T| is smaller than it would be with sharp lenses, 1 for not at all; in the middle of the sheet.
+        What the lenses leave of T's modulus, 1 for all of it; in the middle of the sheet.
     """
 
     wave: Wave
