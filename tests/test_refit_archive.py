@@ -142,7 +142,6 @@ def test_two_refits_of_one_archive_share_it(archive: Path, tmp_path: Path) -> No
     told = [json.loads(one.communicate(timeout=250)[0]) for one in both]
     assert sum(one["made"] for one in told) == 6
     assert [one["made"] + one["there"] for one in told] == [6, 6]
-    assert all(one["made"] for one in told)
 
 
 def test_a_run_that_another_program_is_at_is_left_for_the_end(archive: Path, tmp_path: Path) -> None:
