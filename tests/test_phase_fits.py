@@ -353,6 +353,7 @@ def test_a_scene_says_what_a_fit_begins_from() -> None:
     assert fixed(table).names == ()
 
 
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_henyey_greenstein_determines_nothing_of_an_emulsion() -> None:
     """σs came out 23 % too strong, "determined" to 6 %, and most like uneven ink."""
