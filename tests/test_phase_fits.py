@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 import tankrig
 from tankrig.errors import SceneError, SequenceError
+from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.estimate import Estimate, fit_models
-from tankrig.estimation.forward import Models, image_of, liquid_slopes_of, models_of, tank_model
+from tankrig.estimation.forward import Models, image_of, models_of, tank_model
 from tankrig.estimation.observation import observe
 from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.phase_answer import Asked, asked_for
