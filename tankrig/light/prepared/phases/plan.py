@@ -91,16 +91,25 @@ class PhasePlan:
         """Polynomials of the logarithm of their brightness, and of noise."""
         return Products(self.base.brightness_plane, DIRECTIONS, tilted=False)
 
+    @property
+    def _share(self) -> float:
+        return min(1.0, max(FEWEST, (USUAL_TOLERANCE / self.tolerance) ** 2))
+
+    @property
+    def _count(self) -> int:
+        return math.ceil(self.products.size * MEDIA_PER_PRODUCT * self._share)
+
+    @cached_property
+    def _phases(self) -> list[PhaseFunction]:
+        return training_phases(self.box.g, self._count + CHECKS)
+
     @cached_property
     def paths(self) -> list[PhaseSample]:
         """Media for orders ≥ 3."""
-        effort = (USUAL_TOLERANCE / self.tolerance) ** 2
-        share = min(1.0, max(FEWEST, effort))
-        count = math.ceil(self.products.size * MEDIA_PER_PRODUCT * share)
-        effort *= 0.5 * EFFORT / share
+        count, effort = self._count, 0.5 * EFFORT * (USUAL_TOLERANCE / self.tolerance) ** 2 / self._share
         even = np.cos(np.pi * ((0.5 + np.arange(count) * SPREAD[0]) % 1.0))
         samples = []
-        for index, (u, phase) in enumerate(zip(even.tolist(), training_phases(self.box.g, count), strict=True)):
+        for index, (u, phase) in enumerate(zip(even.tolist(), self._phases[:count], strict=True)):
             sigma_t = self._sigma_t(u)
             depth = sigma_t * self.length_mm
             batches = max(1, round(effort * (1.0 + depth * (0.12 + 0.3 * max(phase.mean_cosine, 0.0) ** 2))))
@@ -127,7 +136,7 @@ class PhasePlan:
     @cached_property
     def checks(self) -> list[PhaseSample]:
         """Media whose orders 1 and 2 are compared with a prediction's."""
-        phases = training_phases(self.box.g, len(self.paths) + CHECKS)[-CHECKS:]
+        phases = self._phases[self._count :]
         even = np.linspace(-0.8, 0.8, CHECKS).tolist()
         return [
             PhaseSample(k, self._sigma_t(u), phase, u, 0) for k, (u, phase) in enumerate(zip(even, phases, strict=True))

@@ -18,8 +18,8 @@ BESIDE = 0.1
 OF_PARTICLES = 0.4
 """Share of particles among those taken, where there are enough."""
 MOST_ASYMMETRY = 0.985
-STEPS = 14
-"""Of the bisection for a mean cosine."""
+STEPS = 8
+"""Of the bisection for a mean cosine, which need not be met closely."""
 
 Draw = np.random.Generator
 
