@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tankrig.estimation.parameters import NAMES
 from tankrig.estimation.phase_families import Family
 from tankrig.scene import Medium
+from tankrig.scene.phase_table import PhaseFunction
 
 Image = NDArray[np.floating]
 Forward = Callable[[Medium], Image]
@@ -149,6 +150,19 @@ def liquid_slopes_of(
                       for one, size, rest in zip(turned, sizes[2:], high(turned, sizes[2:]), strict=True)]  # fmt: skip
         last[:] = [(values, np.stack(found))]
         return last[0][1]
+
+    return slopes
+
+
+def family_slopes_of(along: Callable[[Medium, Sequence[PhaseFunction]], Image], family: Family) -> Slopes:
+    """The same as `liquid_slopes_of` of a model that knows its derivatives; see `Models.along`."""
+
+    def slopes(medium: Medium) -> Image:
+        coordinates = values_of(medium, family)[2:]
+        sizes = np.where(family.high - coordinates < family.difference, -family.difference, family.difference)
+        found = along(medium, [family.phase(coordinates + step) for step in np.diag(sizes)])
+        found[2:] /= sizes[:, None, None]
+        return found
 
     return slopes
 

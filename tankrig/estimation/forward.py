@@ -16,13 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
-from tankrig.estimation.differences import EXACT_STEP, Forward, Slopes, liquid_slopes_of, slopes_of
+from tankrig.estimation.differences import (
+    EXACT_STEP,
+    Forward,
+    Slopes,
+    family_slopes_of,
+    liquid_slopes_of,
+    slopes_of,
+)
 from tankrig.estimation.parameters import Range
 from tankrig.estimation.phase_families import Family
 from tankrig.image.predict import predict
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture
+from tankrig.scene.phase_table import PhaseFunction
 
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
@@ -149,6 +157,9 @@ class Models:
         None where it looks at single pixels.
     low
         Orders 1 and 2 alone, where they are exact and cost little beside the others; None where they are not.
+    along
+        Derivatives by σa, σs and the shares of the ways to other phase functions, of a model that has them for less
+        than images; None to take differences.
     """
 
     coarse: Model
@@ -160,9 +171,12 @@ class Models:
     family: Family | None = None
     look: tuple[int, Model] | None = None
     low: Model | None = None
+    along: "Callable[[Medium, Sequence[PhaseFunction]], Image] | None" = None
 
     def slopes_of(self, model: Model, length_mm: float) -> Slopes:
         """Derivatives: the model's own, or by differences of one of its versions."""
+        if self.family is not None and self.along is not None:
+            return family_slopes_of(self.along, self.family)
         if self.family is not None:
             low = None if self.low is None else image_of(self.low)
             return liquid_slopes_of(image_of(model), length_mm, self.family, self.central, low=low)
@@ -199,14 +213,16 @@ def models_of(
     Raises
     ------
     SceneError
-        When a prepared model is of another scene, or asked for another phase function than Henyey–Greenstein's; on the
+        When a prepared model is of another scene, or asked for a phase function that it was not prepared for; on the
         first image, when the model is unknown or cannot treat the scene.
     """
     if family is not None:
+        if not isinstance(model, str) and model.phases == "any":
+            return replace(_prepared_models(scene, model, max_order, False), family=family)
         if model == "prepared" or not isinstance(model, str):
             raise SceneError(
-                f'phase = "{family.name}" needs model = "tank": prepared models know Henyey–Greenstein '
-                'only (phase = "hg")'
+                f'phase = "{family.name}" needs model = "tank", or a model that was prepared for any phase function '
+                '(tankrig.prepare(…, phases = "any")): other prepared models know Henyey–Greenstein only'
             )
         different = _tank_models(scene, max_order) if model == "tank" else models_of(scene, model, max_order)
         return replace(different, family=family)
@@ -244,28 +260,31 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
         raise SceneError(f'max_order = {max_order} needs model = "tank": a prepared model holds all orders in one')
     box = model.box
 
-    def inside(medium: Medium) -> Medium:
-        if box.holds(medium):
-            return medium
-        sigma_t = float(np.clip(medium.sigma_t, *box.sigma_t))
-        albedo = float(np.clip(medium.albedo, *box.albedo))
-        return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, float(np.clip(medium.g, *box.g)))
+    def told(image: Image, near: Medium) -> Prediction:
+        error = Skipped("noise and polynomials of the prepared model", model.error_at(near))
+        return Prediction(image, "prepared", skipped=(error,))
 
     @remembered
     def answered(medium: Medium) -> tuple[Prediction, Image]:
-        near = inside(medium)
+        near = box.nearest(medium)
         image, slopes = model.predict(near, derivatives=True)
-        error = Skipped("noise and polynomials of the prepared model", model.error_at(near))
-        return Prediction(image, "prepared", skipped=(error,)), slopes
+        return told(image, near), slopes
 
+    @remembered
     def predicted(medium: Medium) -> Prediction:
-        return answered(medium)[0]
+        if model.phases == "hg":
+            return answered(medium)[0]
+        near = box.nearest(medium)
+        return told(model.predict(near), near)
+
+    def along(medium: Medium, others: Sequence[PhaseFunction]) -> Image:
+        return model.slopes(box.nearest(medium), others)[1]
 
     def compared(medium: Medium, times: int) -> Prediction:
         from tankrig.light.paths.block import LARGE
         from tankrig.light.tangent import tank_accurate
 
-        found = tank_accurate(replace(scene, medium=inside(medium)), times * CHECK_BATCHES * LARGE.points, 3)
+        found = tank_accurate(replace(scene, medium=box.nearest(medium)), times * CHECK_BATCHES * LARGE.points, 3)
         return replace(found, model="prepared")
 
     albedo, g = ((edges[0], min(edges[1], 1.0 - 1e-6)) for edges in (box.albedo, box.g))
@@ -274,6 +293,7 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
         predicted, lambda _: (predicted, predicted), lambda medium: answered(medium)[1],
         Range.of_media(scattering, albedo, g, sigma_t=box.sigma_t),
         exact=compared if checked and is_ideal(scene) and not shift_invariant(scene) else None,
+        along=along if model.phases == "any" else None,
     )  # fmt: skip
 
 
@@ -449,7 +469,7 @@ def prepared_model(models: "Sequence[Prepared]") -> ModelOf:
         paths = tank_model(scene, batches if not own else LATTICES, seed)
 
         def image(medium: Medium) -> Prediction:
-            holding = [one for one in own if medium.phase is None and one.box.holds(medium)]
+            holding = [one for one in own if (medium.phase is None or one.phases == "any") and one.box.holds(medium)]
             model = min(holding, key=lambda one: _off(one, medium), default=None)
             if model is None:
                 return paths(medium)

@@ -148,7 +148,7 @@ def fit_liquid(
     progress
         Told in a few words what is being done; what it raises ends the fit.
     asked
-        Which phase functions are searched; by the tank model only, where not Henyey–Greenstein's.
+        Which phase functions are searched; not Henyey–Greenstein's only by models that know any.
 
     Returns
     -------
@@ -169,10 +169,13 @@ def fit_liquid(
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, densest=start)
     best = fit.optimum
     gain, _, left = left_over(fit)
-    if models[0].range is not None and {"sigma_s", "g"} & set(best.at_edge):
+    within = models[0].range
+    if within is not None and {"sigma_s", "g"} & set(best.at_edge):
         return None
     answer = _answer(best, _spread(best, left, shots), asked, left)
     medium, spread = answer.liquid, answer.covariance
+    if within is not None and "g" in within.at_edge(medium):
+        return None
     return LiquidEstimate(
         medium, spread, gain, rms(np.array([one.rmse for one in left])), rms(np.array([one.counted for one in left])),
         _known(medium, spread, left, asked), rms(np.array([one.beyond for one in left])), answer,

@@ -56,17 +56,21 @@ def fit_dose(
     return replace(with_single(fit, photographs), seconds=round(time.perf_counter() - began, 3))
 
 
-def fit_dose_prepared(photographs: Sequence[Photograph], models: Sequence[Prepared], start: Medium) -> DoseFit | None:
+def fit_dose_prepared(
+    photographs: Sequence[Photograph], models: Sequence[Prepared], start: Medium, phase: str | PhaseFunction = "hg"
+) -> DoseFit | None:
     """The same by prepared models, one for each photograph, in milliseconds; without single scattering.
 
-    None where the photographs want a medium that the models were not prepared for.
+    Where another phase function than Henyey–Greenstein's is asked for, the models must be prepared for any. None where
+    the photographs want a medium that the models were not prepared for.
 
     Raises
     ------
     ImageError
         When they cannot be fitted.
     """
-    return _fitted(photographs, [models_of(one.scene, one, None) for one in models], start)
+    family = asked_for(phase, photographs[0].scene).family
+    return _fitted(photographs, [models_of(one.scene, one, None, family) for one in models], start, phase=phase)
 
 
 def _fitted(
@@ -108,7 +112,7 @@ def fit_all(
     """Fit the series: all photographs of all doses, by prepared models where there are any that hold the media.
 
     `progress` is told in a few words what is being done; what it raises ends the fit. Of phase functions but
-    Henyey–Greenstein's there are no prepared models.
+    Henyey–Greenstein's models must be prepared for any.
 
     Raises
     ------

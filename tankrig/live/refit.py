@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tankrig.live.exposures import Exposures, PhotographPlan, exposures_of, fits_that_hold, wave_names
 from tankrig.live.fits import fit_all, fit_dose
-from tankrig.live.preparing import Preparation, Preparing
+from tankrig.live.preparing import Preparation, Preparing, phases_prepared
 from tankrig.live.results import DoseFit, Fit, SeriesFit, diluted, fits_in, to_fields
 from tankrig.live.worker import Fitter, fit_all_there_is
 from tankrig.run.reading import Run, open_run
@@ -173,7 +173,7 @@ def _by_tank_model(
 def _as_live(plan: PhotographPlan, exposures: Exposures, doses: list[DoseFit], progress: Told) -> Iterator[Fit]:
     """By the live fit's own decisions, with all frames there at once."""
     news = threading.Event()
-    preparing = Preparing(lambda _: news.set())
+    preparing = Preparing(lambda _: news.set(), phases=phases_prepared(plan) or "hg")
 
     def told(words: str) -> None:
         progress(words, preparing.left)

@@ -19,7 +19,7 @@ from tankrig.errors import TankrigError
 from tankrig.light.prepared.box import Box
 from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
 from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
-from tankrig.live.preparing import LOOK, LOOK_START, Preparation, Preparing, foreseen
+from tankrig.live.preparing import LOOK, LOOK_START, Preparation, Preparing, foreseen, phases_prepared
 from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, diluted
 from tankrig.scene.description import Medium
 from tankrig.scene.phase_table import PhaseFunction
@@ -90,7 +90,7 @@ def _end_with_parent(memory: SharedMemory) -> None:
 
 
 def _fit(shared: Shared, memory: SharedMemory) -> None:
-    preparing = Preparing(lambda _: shared.news.set())
+    preparing = Preparing(lambda _: shared.news.set(), phases=phases_prepared(shared.plan) or "hg")
     fitter = Fitter(shared.earlier, preparing, shared.plan)
     told: list[Preparation] = []
 
@@ -171,8 +171,8 @@ class Fitter:
     expected to have, or from a first look at one of its photographs, by a model of nearly all media that is prepared
     before there is any ink. While models are being prepared they are waited for; where they cannot be prepared, or do
     not hold the liquid, the dose is fitted by the tank model, which takes half a minute instead of milliseconds, and on
-    a bench some minutes. So it is where another phase function than Henyey–Greenstein's is asked for, of which there
-    are no prepared models.
+    a bench some minutes. So it is on a bench where another phase function than Henyey–Greenstein's is asked for: models
+    of any are prepared where light and sight run straight.
 
     Parameters
     ----------
@@ -194,7 +194,8 @@ class Fitter:
         progress: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._phase: str | PhaseFunction = "hg" if plan is None else plan.phase
-        self._preparing, self._plan, self._progress = preparing if self._phase == "hg" else None, plan, progress
+        known = plan is None or phases_prepared(plan) is not None
+        self._preparing, self._plan, self._progress = preparing if known else None, plan, progress
         self._fitted: dict[float, int] = {}
         self._liquid: dict[float, Medium] = {}
         self._looked: dict[float, DoseFit | None] = {}
@@ -336,7 +337,7 @@ class Fitter:
         look = self._looked.get(dose_ml)
         if look is None:
             try:
-                look = fit_dose_prepared(photographs[:1], models, self._start(dose_ml) or LOOK_START)
+                look = fit_dose_prepared(photographs[:1], models, self._start(dose_ml) or LOOK_START, self._phase)
             except TankrigError:
                 return None
         return None if look is None else replace(look, model=FIRST_LOOK, passing=True)
@@ -351,7 +352,7 @@ class Fitter:
             if self._awaited:
                 self._preparing.want(scenes, box)
             return None
-        return fit_dose_prepared(photographs, models, start)
+        return fit_dose_prepared(photographs, models, start, self._phase)
 
     def _begin(self) -> None:
         """Have models prepared before there is anything to fit: for the ink expected, and for a first look."""
@@ -387,7 +388,8 @@ class Fitter:
 
     def _all(self, photographs: list[Photograph]) -> Fit:
         models = self._preparing.all_models if self._preparing else ()
-        start = None if self._latest is None or self._phase != "hg" else diluted(*self._latest, 1.0)
+        known = self._latest is not None and (self._phase == "hg" or bool(models))
+        start = diluted(*self._latest, 1.0) if known and self._latest is not None else None
         try:
             self._series = fit_all(photographs, self._series or start, models, self._progress, self._phase)
         except TankrigError as error:

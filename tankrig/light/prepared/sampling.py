@@ -113,9 +113,12 @@ class PathImages:
         """Of what `sample` gives: albedos, rows, degrees in x."""
         return len(self.albedos), self.grid.rows, self.along.shape[1]
 
-    def sample(self, sigma_t: float, g: float, seed: int, batches: int) -> Array:
-        """Mean image of several shifted lattices of paths by albedo, in rows of cells and polynomials in x."""
-        lit = replace(self._lit, medium=Medium(0.0, sigma_t, g))
+    def sample(self, medium: Medium, seed: int, batches: int) -> Array:
+        """Mean image of several shifted lattices of paths by albedo, in rows of cells and polynomials in x.
+
+        Of the medium σt and the phase function matter.
+        """
+        lit = replace(self._lit, medium=replace(medium, sigma_a=0.0, sigma_s=medium.sigma_t))
         beams = [beam for beam in lit.projector.beams if beam.irradiance > 0.0]
         traced = self._traced_rectangles if self.grid.shiftable else self._traced_points
         images = traced(lit, beams, seed, batches) @ self.along / batches
