@@ -14,6 +14,7 @@ from tankrig.light.single import single_scattering
 from tankrig.pattern import Sheet, Wave, draw
 from tankrig.pattern.wall import Wall
 from tankrig.run.derived import damaged_derived, read_derived, write_derived
+from tankrig.run.reading import StoredFrames
 from tankrig.scene import Camera, Medium, Tank
 from tankrig.separation import demodulated, expected_separation, order_one, transfer_of, what_changed
 from tankrig.separation.expected import agreement, extinction, sheet_scene
@@ -276,6 +277,11 @@ do = "separate"
 z_mm = [58.0, 62.0]
 y_mm = [-60.0, 60.0]
 periods_mm = [8.0, 16.0]
+
+[[steps]]
+do = "capture"
+pattern = "full"
+exposure_ms = 5.0
 """
 
 
@@ -289,7 +295,12 @@ def test_from_a_sequence_to_order_1_by_commands(
     Path("separate.toml").write_text(SEPARATED)
     assert main(["run", "separate.toml", "--out", "run", "--no-fit"]) == 0
     capsys.readouterr()
+    read, whole = [], StoredFrames.read
+    monkeypatch.setattr(
+        StoredFrames, "read", lambda self, frame, _=False: read.append(frame["index"]) or whole(self, frame)
+    )
     assert main(["separate", "run", "--json"]) == 0
+    assert len(read) == len({*read}) == 9, "each wave's frame and the dark's once, and no photograph for fits"
     (sheet,) = json.loads(capsys.readouterr().out)["sheets"]
     assert sheet["dose_ml"] == pytest.approx(0.4)
     sigma_t = 0.4 * MILK.sigma_t + PURE_WATER.sigma_t
@@ -305,7 +316,7 @@ def test_from_a_sequence_to_order_1_by_commands(
     file.write_bytes(file.read_bytes()[:-100])
     assert main(["recover", "run"]) == 0, "nothing that was recorded is lost"
     assert f"{file.name} (tankrig separate run)" in capsys.readouterr().out.replace("\n", " ")
-    assert len(open_run("run").events("frame")) == 9
+    assert len(open_run("run").events("frame")) == 10
 
 
 def test_a_run_without_waves_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
