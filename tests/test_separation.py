@@ -17,7 +17,8 @@ from tankrig.run.derived import damaged_derived, read_derived, write_derived
 from tankrig.run.reading import StoredFrames
 from tankrig.scene import Camera, Medium, Tank
 from tankrig.separation import demodulated, expected_separation, order_one, transfer_of, what_changed
-from tankrig.separation.expected import agreement, extinction, sheet_scene
+from tankrig.separation.expected import agreement, sheet_scene
+from tankrig.separation.order_one_fit import KNOWN_SLOPE_SD, fit_order_one, slope_of
 from tankrig.separation.transfer import LIQUID
 from tankrig.separation.waves import Waves, noise_of_pairs
 from tankrig.sequence import Capture, Separate, Sequence, Series, Wait
@@ -77,9 +78,10 @@ def test_order_1_is_found_without_a_model_and_its_uncertainty_holds(case: str) -
     assert agreement(found, 1.3 * truth).doubt or beside.sd > 0.07
     if "thick" not in case:
         assert beside.sd < 0.05
-        sigma_t, sd = extinction(found, scene)
-        assert abs(sigma_t - scene.medium.sigma_t) < 2.5 * sd
-        assert sd < 0.04 * sigma_t
+        known_phase = slope_of(scene.medium), KNOWN_SLOPE_SD
+        alone = fit_order_one([(found, scene)], known_phase)
+        assert abs(alone.sigma_t - scene.medium.sigma_t) < 2.5 * alone.sigma_t_sd
+        assert alone.sigma_t_sd < 0.04 * alone.sigma_t
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if "medium" in case])

@@ -11,8 +11,8 @@ from tankrig.bench import Bench
 from tankrig.checked_toml import checked
 from tankrig.errors import ImageError, StoreError
 from tankrig.image.bins import Bins
-from tankrig.live.exposures import PhotographPlan, radiometry_of_run
 from tankrig.pattern.kinds import Wave
+from tankrig.run.calibrations import radiometry_of_run
 from tankrig.run.reading import Run
 from tankrig.scene.description import Camera, Interval
 from tankrig.separation.order_one import OrderOne, order_one
@@ -222,17 +222,16 @@ def _means(run: Run, bench: Bench, steps: Sequence[Separate]) -> dict[Bins, Mean
     for step in steps:
         wanted.setdefault(bins_for_waves(bench.camera, step.periods_mm), {"dark"}).update(step.patterns)
     shown = {key: pattern.name for key, pattern in run.patterns.items()}
-    plan, radiometry = PhotographPlan.of_run(run), radiometry_of_run(run)
+    radiometry, saturation = radiometry_of_run(run), run.settings.get("saturation")
     means: dict[Bins, Means] = {bins: {} for bins in wanted}
     for event in run.events("frame"):
         name = shown.get(event["pattern_hash"])
         asking = [bins for bins, names in wanted.items() if name in names]
-        if name is None or not asking or event["index"] in run.unsure_doses:
-            continue
         then = run.conditions[event["index"]]
-        settings = then.camera or plan.settings[event["step"]]
-        pixels = run.pixels(event)
-        full = np.asarray(pixels >= (np.inf if plan.saturation is None else plan.saturation))
+        if name is None or not asking or event["index"] in run.unsure_doses or then.camera is None:
+            continue  # whoever records waves tells how the camera was set
+        settings, pixels = then.camera, run.pixels(event)
+        full = np.asarray(pixels >= (np.inf if saturation is None else saturation))
         counts: Mask | None = None
         if radiometry is not None and radiometry.knows(settings.gain):
             light, counts = radiometry.light(pixels, settings), ~radiometry.hot
