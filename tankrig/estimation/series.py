@@ -132,6 +132,7 @@ def fit_liquid(
     start: Medium | None = None,
     progress: Told = lambda _: None,
     asked: Asked = Asked(),  # noqa: B008
+    starts: Sequence[Medium] = (),
 ) -> LiquidEstimate | None:
     """One liquid from several patterns with one gain.
 
@@ -149,6 +150,8 @@ def fit_liquid(
         Told in a few words what is being done; what it raises ends the fit.
     asked
         Which phase functions are searched; not Henyey–Greenstein's only by models that know any.
+    starts
+        Without `start`: liquids that the search begins from, in place of a look around; see `OrderOneFit.media`.
 
     Returns
     -------
@@ -164,7 +167,9 @@ def fit_liquid(
     shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
     if asked.family is None:
         blocks = blocks_of(None)
-        fit = fitted(shots, blocks, scaling, progress, None if start is None else blocks[0].start(start))
+        begin = None if start is None else blocks[0].start(start)
+        places = [blocks[0].start(one) for one in starts] if start is None else []
+        fit = fitted(shots, blocks, scaling, progress, begin, starts=places or None)
     else:
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, densest=start)
     best = fit.optimum

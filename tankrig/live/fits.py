@@ -31,6 +31,7 @@ def fit_dose(
     start: Medium | None = None,
     progress: Told = lambda _: None,
     phase: str | PhaseFunction = "hg",
+    starts: Sequence[Medium] = (),
 ) -> DoseFit:
     """Fit all photographs of one dose by the tank model, and by single scattering beside it.
 
@@ -44,6 +45,8 @@ def fit_dose(
         Told in a few words what is being done, now and then; what it raises ends the fit.
     phase
         Which phase functions are searched, as in `tankrig.estimate`.
+    starts
+        Where that is not known: liquids that a search begins from, in place of looking around.
 
     Raises
     ------
@@ -51,7 +54,7 @@ def fit_dose(
         When they cannot be fitted.
     """
     began = time.perf_counter()
-    fit = _fitted(photographs, None, start, progress, phase)
+    fit = _fitted(photographs, None, start, progress, phase, starts)
     assert fit is not None  # the tank model answers for any medium
     return replace(with_single(fit, photographs), seconds=round(time.perf_counter() - began, 3))
 
@@ -79,13 +82,14 @@ def _fitted(
     start: Medium | None,
     progress: Told = lambda _: None,
     phase: str | PhaseFunction = "hg",
+    starts: Sequence[Medium] = (),
 ) -> DoseFit | None:
     began, first = time.perf_counter(), photographs[0]
     scenes = [one.scene for one in photographs]
     noises, masks = [one.noise for one in photographs], [one.mask for one in photographs]
     observations = observed([one.image for one in photographs], scenes, noises, masks)
     scaling, asked = Scaling.given("free", first.offset), asked_for(phase, scenes[0])
-    found = fit_liquid(observations, scenes, scaling, prepared, start, progress, asked)
+    found = fit_liquid(observations, scenes, scaling, prepared, start, progress, asked, starts)
     if found is None:
         return None
     return DoseFit(
