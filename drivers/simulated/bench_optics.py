@@ -101,11 +101,32 @@ def through_camera_lens(bench: TrueBench, image: NDArray[np.floating], blur_px: 
     blur_px
         Standard deviation of the blur.
     """
-    import cv2
-
-    blurred = np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px))
+    blurred = _blurred(image, blur_px, bench.stray.camera_blur_corner)
     above = bench.camera.centre_mm[2] - bench.level_mm
     return astray(bench.stray, image, blurred, float(bench.camera.matrix[0, 0] / above))
+
+
+def _blurred(image: NDArray[np.floating], blur_px: float, corner: float) -> Array:
+    """Blurred in the middle by a standard deviation, in the corners by `corner` times that."""
+    import cv2
+
+    if corner == 1.0:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px))
+    rows, columns = image.shape
+    y, x = np.ogrid[-1.0 : 1.0 : rows * 1j, -1.0 : 1.0 : columns * 1j]
+    wanted = 1.0 + (corner - 1.0) * 0.5 * (x * x + y * y)
+    place = np.clip((wanted**2 - 1.0) / (corner**2 - 1.0) * (_WIDTHS - 1), 0.0, _WIDTHS - 1.0)
+    variances = 1.0 + np.arange(_WIDTHS) / (_WIDTHS - 1) * (corner**2 - 1.0)
+    widths = np.sqrt(variances)
+    found = np.zeros(image.shape)
+    for number, width in enumerate(widths):
+        share = np.maximum(0.0, 1.0 - np.abs(place - number))
+        found += share * cv2.GaussianBlur(image, (0, 0), blur_px * float(width))
+    return found
+
+
+_WIDTHS = 6
+"""Of pictures between which a blur that changes over the picture is found."""
 
 
 def astray(stray: TrueStray, sharp: NDArray[np.floating], blurred: Array, px_per_mm: float) -> Array:

@@ -10,6 +10,7 @@ from tankrig.pattern import Pattern
 
 from .bench_optics import FINER, camera_rays, illumination, through_camera_lens, thrown, vignetting
 from .bench_poses import FILLED, Held, Place, board_pose
+from .bench_trap import TrapInView
 from .bench_truth import Array, TrueBench
 
 Map = NDArray[np.float32]
@@ -130,7 +131,7 @@ class BoardInView:
 
 
 class BoardsInView:
-    """The board wherever it is held before the camera of a bench; nowhere at first.
+    """The board, or a light trap, wherever it is held before the camera of a bench; nowhere at first.
 
     Parameters
     ----------
@@ -143,20 +144,27 @@ class BoardsInView:
     def __init__(self, bench: TrueBench, board: Board) -> None:
         self.bench = bench
         self._board = board
-        self._view: BoardInView | None = None
+        self._view: BoardInView | TrapInView | None = None
 
     @property
     def held(self) -> bool:
-        """Whether there is a board before the camera."""
+        """Whether there is something before the camera."""
         return self._view is not None
 
     def hold(self, place: Held, number: int) -> None:
-        """Put the board there, or take it away."""
-        self._view = None if place == "nothing" else BoardInView(self.bench, self._board, place, number)
+        """Put the board or the trap there, or take it away."""
+        if place == "nothing":
+            self._view = None
+        elif place in ("trap", "card"):
+            self._view = TrapInView(self.bench, number if place == "card" else None)
+        else:
+            self._view = BoardInView(self.bench, self._board, place, number)
 
     def radiance(self, shown: Mapping[Pattern, float]) -> Array:
-        """See `BoardInView`."""
-        return np.zeros(self.bench.camera.shape) if self._view is None else self._view.radiance(shown)
+        """See `BoardInView`; a trap is seen in the room's light alone."""
+        if self._view is None:
+            return np.zeros(self.bench.camera.shape)
+        return self._view.radiance() if isinstance(self._view, TrapInView) else self._view.radiance(shown)
 
 
 def _plate(board: Board) -> Map:
