@@ -101,27 +101,43 @@ def through_camera_lens(bench: TrueBench, image: NDArray[np.floating], blur_px: 
     blur_px
         Standard deviation of the blur.
     """
-    blurred = _blurred(image, blur_px, bench.stray.camera_blur_corner)
+    rows, columns = image.shape
+    blurred = blurred_part(bench, image, blur_px, (np.linspace(-1.0, 1.0, rows), np.linspace(-1.0, 1.0, columns)))
+    return behind_camera_lens(bench, image, blurred)
+
+
+def behind_camera_lens(bench: TrueBench, image: NDArray[np.floating], blurred: Array) -> Array:
+    """A picture before the camera's lens, and as its blur leaves it, with its halo and veil."""
     above = bench.camera.centre_mm[2] - bench.level_mm
     return astray(bench.stray, image, blurred, float(bench.camera.matrix[0, 0] / above))
 
 
-def _blurred(image: NDArray[np.floating], blur_px: float, corner: float) -> Array:
-    """Blurred in the middle by a standard deviation, in the corners by `corner` times that."""
+def blurred_part(bench: TrueBench, fine: NDArray[np.floating], blur_px: float, window: tuple[Array, Array]) -> Array:
+    """A part of a picture, blurred as the camera's lens blurs it there.
+
+    Parameters
+    ----------
+    bench
+        Whose lens: its blur grows to the corners by `TrueStray.camera_blur_corner`.
+    fine
+        (n, m), its pixels as large as they may be.
+    blur_px
+        Standard deviation in the middle of the picture, in those pixels.
+    window
+        Where they are in the picture, (n,) down and (m,) across, from −1 to 1.
+    """
     import cv2
 
+    corner = bench.stray.camera_blur_corner
     if corner == 1.0:
-        return np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px))
-    rows, columns = image.shape
-    y, x = np.ogrid[-1.0 : 1.0 : rows * 1j, -1.0 : 1.0 : columns * 1j]
-    wanted = 1.0 + (corner - 1.0) * 0.5 * (x * x + y * y)
+        return np.asarray(cv2.GaussianBlur(fine, (0, 0), blur_px))
+    down, across = window
+    wanted = 1.0 + (corner - 1.0) * 0.5 * (down[:, None] ** 2 + across**2)
     place = np.clip((wanted**2 - 1.0) / (corner**2 - 1.0) * (_WIDTHS - 1), 0.0, _WIDTHS - 1.0)
-    variances = 1.0 + np.arange(_WIDTHS) / (_WIDTHS - 1) * (corner**2 - 1.0)
-    widths = np.sqrt(variances)
-    found = np.zeros(image.shape)
-    for number, width in enumerate(widths):
-        share = np.maximum(0.0, 1.0 - np.abs(place - number))
-        found += share * cv2.GaussianBlur(image, (0, 0), blur_px * float(width))
+    found = np.zeros(fine.shape)
+    for number in range(_WIDTHS):
+        width = float(np.sqrt(1.0 + number / (_WIDTHS - 1) * (corner**2 - 1.0)))
+        found += np.maximum(0.0, 1.0 - np.abs(place - number)) * cv2.GaussianBlur(fine, (0, 0), blur_px * width)
     return found
 
 

@@ -182,8 +182,11 @@ def _lenses(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
         told = found["stray"].result
         halo = Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * camera.pixel_mm)
         camera = replace(camera, halo=halo, veil=float(told["veil"]))
-    if "blur_px" in found["projector"].result:
-        projector = replace(projector, **_blurs(found["projector"], projector_pixel_mm(projector, bench.tank)))
+    side_mm, told = projector_pixel_mm(projector, bench.tank), found["projector"].result
+    if "blur_px" in told:
+        projector = replace(projector, **_blurs(found["projector"], side_mm))
+    if "halo_share" in told:
+        projector = replace(projector, halo=Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * side_mm))
     return replace(bench, camera=camera, projector=projector)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.calibration.file import Calibration
 from tankrig.calibration.gray_code import Decoded
 from tankrig.geometry.shading import shading
 from tankrig.pattern import Pattern
@@ -44,6 +45,12 @@ class CameraStray:
     share: float
     sigma_px: float
     veil: float
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> "CameraStray":
+        """From its file."""
+        told = calibration.result
+        return cls(float(told["halo_share"]), float(told["halo_sigma_px"]), float(told["veil"]))
 
     def taken_off(self, seen: Light) -> Light:
         """(rows, columns) of a picture: without halo and veil, to first order and once more."""
@@ -84,9 +91,7 @@ def half_patterns(shape: tuple[int, int]) -> tuple[Pattern, Pattern]:
     return Pattern("left half", left), Pattern("right half", 255 - left)
 
 
-def seen_of_halves(
-    lights: tuple[Light, Light, Light], decoded: Decoded, stray: CameraStray, half_px: float
-) -> Array:
+def seen_of_halves(lights: tuple[Light, Light, Light], decoded: Decoded, stray: CameraStray, half_px: float) -> Array:
     """What a placing of the board tells of the halo.
 
     Parameters
@@ -165,9 +170,7 @@ def _expectation(fall_off: Array) -> _Expected:
         from scipy.ndimage import gaussian_filter, map_coordinates
 
         width = max(sigma_px / BLOCK, 0.3)
-        left, right = (
-            gaussian_filter(even * part, width, mode="constant", truncate=5.0) for part in (lit, 1.0 - lit)
-        )
+        left, right = (gaussian_filter(even * part, width, mode="constant", truncate=5.0) for part in (lit, 1.0 - lit))
         at = (places[:, ::-1].T + 0.5) / BLOCK - 0.5
         spread = [map_coordinates(one, at, order=1, mode="nearest") for one in (left, right, even)]
         other = np.where(places[:, 0] < BLOCK * half, spread[1], spread[0])
