@@ -10,7 +10,6 @@ from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QComboBox,
-    QGridLayout,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -46,6 +45,10 @@ EMPTY = (
     "Light that was scattered once, and light that has forgotten where it came from, will stand here apart, for a run "
     "with a step that separates them. It shows waves of light in thin sheets, so that no model of the liquid is needed."
 )
+LEGEND = (
+    f"Under each period: the part of the sheet's light that follows a wave of it. ± {CONFIDENCE}. Grey in a picture: "
+    "it cannot be told there."
+)
 WAITS = "The first sheet is separated when all its waves are recorded."
 
 
@@ -78,7 +81,7 @@ class SeparationPage(QWidget):
         if not here:
             return None
         heights = [one.key.height_mm for one in here]
-        wanted = self.height.chosen if self.height.chosen in heights else heights[len(heights) // 2]
+        wanted = self.heights.chosen if self.heights.chosen in heights else heights[len(heights) // 2]
         return here[heights.index(wanted)]
 
     @property
@@ -117,10 +120,10 @@ class SeparationPage(QWidget):
     def _draw_sheet(self) -> None:
         here = self._of_dose()
         heights = [one.key.height_mm for one in here]
-        self.height.set_values(heights, lambda height_mm: f"{height_mm:g} mm")
+        self.heights.set_values(heights, lambda height_mm: f"{height_mm:g} mm")
         if heights:
             wanted = heights[len(heights) // 2] if self._height_mm not in heights else self._height_mm
-            self.height.choose(wanted)
+            self.heights.choose(wanted)
         self._sections.setVisible(len(heights) > 1)
         one = self.sheet
         self._tell(one)
@@ -140,9 +143,9 @@ class SeparationPage(QWidget):
             period_mm = next(iter(one.modulated))
         images = {
             "whole sheet": one.sheet,
-            f"follows the wave of {period_mm:g} mm": one.modulated[period_mm],
+            f"follows {period_mm:g} mm": one.modulated[period_mm],
             "has forgotten it": one.even[period_mm],
-            "order 1, no model" if one.order_1 is not None else "order 1 needs two periods": one.order_1,
+            "order 1" if one.order_1 is not None else "order 1: two waves": one.order_1,
         }
 
         def show(plot: TankPlot, title: str, indices: Indices | None) -> None:
@@ -221,8 +224,8 @@ class SeparationPage(QWidget):
 
     def _moved(self) -> None:
         """A person has moved the slider of heights."""
-        self._height_mm = self.height.chosen
-        self.height.say()
+        self._height_mm = self.heights.chosen
+        self.heights.say()
         self._draw_sheet()
 
     def _chose_row(self) -> None:
@@ -252,16 +255,16 @@ class SeparationPage(QWidget):
         for box in (self._dose, self._period):
             box.setMinimumWidth(100)
             box.activated.connect(lambda _: self._draw_sheet())  # by a person only
-        self.height = AxisSlider("height", "sheets from the floor to the surface", self._moved)
-        heights = QHBoxLayout()
-        for widget in (self.height.name, self.height.slider, self.height.value):
-            heights.addWidget(widget)
+        self.heights = AxisSlider("height", "sheets from the floor to the surface", self._moved)
+        slider = QHBoxLayout()
+        for widget in (self.heights.name, self.heights.slider, self.heights.value):
+            slider.addWidget(widget)
         self._plots = tuple(TankPlot(axes=False) for _ in range(4))
-        pictures = QGridLayout()
+        pictures = QHBoxLayout()
         pictures.setSpacing(4)
-        for number, plot in enumerate(self._plots):
-            plot.widget.setMinimumHeight(96)
-            pictures.addWidget(plot.widget, number // 2, number % 2)
+        for plot in self._plots:
+            plot.widget.setMinimumHeight(120)
+            pictures.addWidget(plot.widget, 1)
         self._side = TankSection("from the side, mean over y", "x from the lit wall (mm)")
         self._end = TankSection("along the light, mean over x", "y (mm)")
         self._sections, both = QWidget(), QHBoxLayout()
@@ -282,16 +285,20 @@ class SeparationPage(QWidget):
         self._table.horizontalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self._table.setMinimumHeight(90)
         self._table.itemSelectionChanged.connect(self._chose_row)
+        legend = QLabel(LEGEND)
+        legend.setWordWrap(True)
+        legend.setProperty("role", "faint")
         self._inside = QWidget()
         inside = QVBoxLayout(self._inside)
         inside.setContentsMargins(0, 0, 0, 0)
         inside.setSpacing(4)
         inside.addLayout(Flow(with_name("at", self._dose), with_name("wave of", self._period), copy))
-        inside.addLayout(heights)
-        inside.addLayout(pictures, 5)
-        inside.addWidget(self._sections, 3)
+        inside.addLayout(slider)
+        inside.addLayout(pictures, 4)
+        inside.addWidget(self._sections, 4)
         inside.addWidget(self._says)
-        inside.addWidget(self._table, 2)
+        inside.addWidget(self._table, 3)
+        inside.addWidget(legend)
         column = QVBoxLayout(self)
         column.setContentsMargins(10, 8, 10, 8)
         column.addWidget(self._empty)
@@ -316,9 +323,8 @@ def palette() -> Indices:
 
 def heading_row(periods_mm: list[float]) -> list[str]:
     """Headings of the table, see `cells_of`."""
-    follow = [f"follows {period_mm:g} mm, %" for period_mm in periods_mm]
-    return ["ink, ml", "z, mm", *follow, *(f"{name} ± {CONFIDENCE}" for name in
-                                           ("order 1, %,", "σt, 1/mm,", "order 1 / fit"))]  # fmt: skip
+    follow = [f"{period_mm:g} mm, %" for period_mm in periods_mm]
+    return ["ink, ml", "z, mm", *follow, "order 1, %", "σt, 1/mm", "order 1 / fit"]
 
 
 def cells_of(one: Separated, periods_mm: list[float]) -> list[str]:

@@ -74,7 +74,7 @@ def words_of(step: Any) -> str:
             return f"burst of {len(patterns) if isinstance(patterns, list) else '?'} patterns × {step.get('times', 1)}"
         case "separate":
             periods = step.get("periods_mm", Separate.periods_mm)
-            named = ", ".join(map(str, periods)) if isinstance(periods, list | tuple) else periods
+            named = ", ".join(_short(one) for one in periods) if isinstance(periods, list | tuple) else periods
             return f"separate by waves of {named} mm"
         case "wait":
             return f"wait {step.get('seconds', '?')} s"
@@ -103,6 +103,10 @@ def separation_for(wall: "Wall") -> dict[str, Any]:
     middle = float(round(0.5 * sum(wall.z_mm)))
     finest = FINEST_MM * 2.0 ** max(0, math.ceil(math.log2(LEAST_PIXELS * column_mm / FINEST_MM)))
     return {"do": "separate", "z_mm": [middle - half, middle + half], "periods_mm": [finest, 2 * finest, 4 * finest]}
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
 class StepsEditor(QWidget):

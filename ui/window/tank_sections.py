@@ -34,7 +34,6 @@ class TankSection:
         take_rest(self.widget, 120)
         self.plot = self.widget.getPlotItem()
         self.plot.setTitle(title, size="9pt")
-        self.plot.setAspectLocked(True)
         self.plot.hideButtons()
         self.plot.setMenuEnabled(False)
         self.plot.setLabel("bottom", across)
@@ -51,9 +50,12 @@ class TankSection:
     def show_bands(
         self, heights_mm: Sequence[float], bands: Indices, left_mm: float, right_mm: float, tank: Tank, palette: Indices
     ) -> None:
-        """Show (heights, cells) indices into a palette, of cells between two places along the axis below."""
+        """Show (heights, cells) indices into a palette, of cells between two places along the axis below.
+
+        The palette's last colour stands where there is no sheet.
+        """
         rows = nearest_rows(heights_mm, tank.size_mm[2], ROWS)
-        self.image.show_indices(np.where(rows[:, None] >= 0, bands[rows], np.uint8(0)), palette)
+        self.image.show_indices(np.where(rows[:, None] >= 0, bands[rows], np.uint8(255)), palette)
         place = QRectF(left_mm, 0.0, right_mm - left_mm, tank.size_mm[2])
         self.image.setRect(place)
         if place != self._place:
