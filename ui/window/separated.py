@@ -14,7 +14,7 @@ from ui.window import progress
 if TYPE_CHECKING:
     from tankrig.live.results import DoseFit
     from tankrig.separation import Separation
-    from tankrig.separation.told import Told
+    from tankrig.live.separated import Told
     from tankrig.sequence.sequence import Sequence
 
 Image = NDArray[np.float32]
@@ -118,7 +118,7 @@ def separate(
     from tankrig.run.derived import write_derived
     from tankrig.run.reading import open_run
     from tankrig.separation import separations_of_run
-    from tankrig.separation.told import told_of
+    from tankrig.live.separated import told_of
 
     run = open_run(path)
     doses = fits_in([event.fields for event in fits_that_hold(run)])[0] if fits is None else fits
