@@ -299,8 +299,9 @@ def test_from_a_sequence_to_order_1_by_commands(
     capsys.readouterr()
     read, whole = [], StoredFrames.read
     monkeypatch.setattr(
-        StoredFrames, "read", lambda self, frame, _=False: read.append(frame["index"]) or whole(self, frame)
-    )
+        StoredFrames, "read", lambda self, frame, *more, **named: read.append(frame["index"])
+        or whole(self, frame, *more, **named)
+    )  # fmt: skip
     assert main(["separate", "run", "--json"]) == 0
     assert len(read) == len({*read}) == 9, "each wave's frame and the dark's once, and no photograph for fits"
     (sheet,) = json.loads(capsys.readouterr().out)["sheets"]
