@@ -303,14 +303,14 @@ def test_what_is_written_is_read_as_the_same_scene():
 @pytest.mark.parametrize(
     ("said", "instead", "named"),
     [
-        ("thickness_mm = 6.0", "thickness_mm = -1.0", "tank.faces.entry.thickness_mm = -1 is thinner than nothing"),
+        ("thickness_mm = 6.0", "thickness_mm = -1.0", "tank.faces.entry.thickness_mm = -1.0 is thinner than nothing"),
         ("reflectance = 0.04", "reflectance = 1.2", "tank.faces.floor.reflectance = 1.2 is outside 0 … 1"),
         ("share = 0.01", "share = 0.3", "camera.halo.share = 0.3 is outside 0 … 0.2"),
         ("share = 0.02", "share = -0.1", "projector.halo.share = -0.1 is outside 0 … 0.2"),
         ("sigma_mm = 0.4", "sigma_mm = 5.0", "camera.blur of 5 mm is wider than the beams, 4 mm"),
         ("sigma_mm = 0.3", "sigma_mm = 9.0", "projector.blur of 9 mm is wider than the beams, 4 mm"),
-        ("veil = 0.01", "veil = 2.0", "camera.veil = 2 is outside 0 … 0.5"),
-        ("black_level = 0.001", "black_level = -1.0", "projector.black_level = -1 is negative"),
+        ("veil = 0.01", "veil = 2.0", "camera.veil = 2.0 is outside 0 … 0.5"),
+        ("black_level = 0.001", "black_level = -1.0", "projector.black_level = -1.0 is negative"),
         ('kind = "diffuse"', 'kind = "matt"', "tank.faces.floor.kind"),
         ("focus_mm = 100.0", "focus_mm = 500.0", "projector.wide_lens.focus_mm = 500 is behind the tank"),
     ],
