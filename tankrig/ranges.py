@@ -40,7 +40,7 @@ class Within:
     below: bool = False
     beyond: str = ""
 
-    def holds(self, value: float) -> bool:
+    def holds(self, value: Any) -> bool:
         """Whether a number may be this; NaN may not.
 
         >>> [Within(0.0, 1.0, "", above=True).holds(value) for value in (0.0, 1.0, float("nan"))]
@@ -51,7 +51,7 @@ class Within:
         low = self.low < value if self.above else self.low <= value
         return low and (value < self.high if self.below else value <= self.high)
 
-    def refusal(self, value: float) -> str:
+    def refusal(self, value: Any) -> str:
         """What is wrong with a number, and what to give instead; empty where nothing is.
 
         >>> per_mm = Within(0.0, 1e6, "is negative; give 1/mm", beyond="is more than any liquid has; mend it")
