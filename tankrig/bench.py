@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tankrig.errors import SceneError
 from tankrig.pattern.pattern import Pattern
 from tankrig.pattern.wall import Wall
+from tankrig.ranges import Within, require_ranges
 from tankrig.scene.description import CLOSED, Beam, Camera, Medium, Projector, Scene, Tank, Vector
 from tankrig.scene.footprint import typical_pixel_mm
 from tankrig.scene.projection import beams_and_detail, warn_of_detail
@@ -57,11 +58,10 @@ class Bench:
     camera: Camera
     light_position_mm: Vector | None = None
     projector: Projector | None = None
-    polarisation: float | None = None
+    polarisation: Annotated[float, Within(0.0, 1.0, "is outside 0 … 1; give a degree, 0 for none")] | None = None
 
     def __post_init__(self) -> None:
-        if self.polarisation is not None and not 0.0 <= self.polarisation <= 1.0:
-            raise SceneError(f"polarisation = {self.polarisation} is outside 0 … 1; give a degree, 0 for none")
+        require_ranges(self, SceneError)
         if self.light == "pinhole" and (self.light_position_mm is None or self.light_position_mm[0] >= 0.0):
             raise SceneError("light_position_mm is missing; a pinhole needs [x, y, z] in mm with x < 0")
         if self.light == "calibrated" and (self.projector is None or self.projector.matrix is None):

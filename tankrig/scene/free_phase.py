@@ -10,12 +10,13 @@ even part, which normalising takes back, is left out).
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.scene.checks import CLOSED, number, numbers, require
+from tankrig.ranges import Within
+from tankrig.scene.checks import CLOSED, in_ranges, numbers, require
 from tankrig.scene.phase_functions import phase_function
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -53,15 +54,14 @@ class FreePhase(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    base_g: float
+    base_g: Annotated[float, Within(-1.0, 1.0, "is outside −1 < base_g < 1", above=True, below=True)]
     amplitudes: tuple[float, ...]
-    alike: float = ALIKE
+    alike: Annotated[float, Within(0.02, 2.0, "is outside 0.02 … 2")] = ALIKE
     kind: Literal["free"] = field(default="free", repr=False)
 
     def __post_init__(self) -> None:
-        g, amplitudes = number(self, "base_g"), numbers(self, "amplitudes", len(self.amplitudes))
-        require(-1.0 < g < 1.0, f"base_g = {g} is outside −1 < base_g < 1")
-        require(0.02 <= number(self, "alike") <= 2.0, f"alike = {self.alike} is outside 0.02 … 2")
+        in_ranges(self)
+        amplitudes = numbers(self, "amplitudes", len(self.amplitudes))
         require(len(amplitudes) <= SHAPES, f"amplitudes has {len(amplitudes)} numbers; give {SHAPES} at most")
 
     def density(self, cosine: Array) -> Array:

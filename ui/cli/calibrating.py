@@ -13,7 +13,7 @@ from ui.guide import Feedback, ask, confirm, emit, guided, somebody
 if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.calibration.file import Calibration
-    from tankrig.devices import Camera
+    from tankrig.devices import CameraDevice
 
 _REQUESTS = {
     "cap": "Cap the lens, so that no light gets in.",
@@ -81,7 +81,7 @@ def described(rig: Path | None) -> "RigFile":
     return load_rig_file(own if own.exists() else SIMULATED.with_name("bench.toml"), beside=Path().absolute())
 
 
-def asker(camera: "Camera", shown: Feedback) -> Callable[[str], None]:
+def asker(camera: "CameraDevice", shown: Feedback) -> Callable[[str], None]:
     """Ask a person to put something before the lens; a simulated camera does it by itself.
 
     Raises

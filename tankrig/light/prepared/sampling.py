@@ -134,8 +134,7 @@ class PathImages:
         images = np.mean(
             [
                 wall_images(
-                    lit, self.grid.rows, self.grid.columns, self.grid.cell_mm, (seed, batch), bins, HIGHEST_ORDER,
-                    FAINTEST,
+                    lit, self.grid, (seed, batch), bins, HIGHEST_ORDER, FAINTEST,
                 )
                 for batch in range(batches)
             ],
