@@ -18,7 +18,7 @@ from tankrig.pattern import Pattern
 from tankrig.pattern.wall import Wall
 from tankrig.sequence import ExposureRule
 
-KINDS = ("camera", "projector", "tank", "radiometry", "latency")
+KINDS = ("camera", "projector", "tank", "radiometry", "stray", "latency")
 """What can be calibrated, in the order of the checks."""
 STALE_DAYS = 90.0
 _CLOSE = 2.0

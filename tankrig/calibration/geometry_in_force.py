@@ -15,15 +15,17 @@ from tankrig.errors import SceneError, StoreError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose, Vector
 from tankrig.scene.description import Camera, Projector, Tank
+from tankrig.scene.optics import Blur, Halo
 
 if TYPE_CHECKING:
     from tankrig.geometry.refraction import Window
 
 GEOMETRY = ("camera", "tank", "projector")
-USED = (*GEOMETRY, "radiometry")
+USED = (*GEOMETRY, "radiometry", "stray")
 """What a fit rests on."""
 DEVICES: Mapping[str, str] = {
-    "camera": "camera", "tank": "camera", "radiometry": "camera", "projector": "projector", "latency": "projector",
+    "camera": "camera", "tank": "camera", "radiometry": "camera", "stray": "camera",
+    "projector": "projector", "latency": "projector",
 }  # fmt: skip
 """What can be calibrated, and the device that it holds for."""
 
@@ -166,16 +168,35 @@ def scene_tables(found: Mapping[str, Calibration], size_mm: Vector) -> dict[str,
     }
 
 
-def _blurs(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
-    """With the lenses' blur, in mm where the light and the picture are: on the wall, and on the water."""
+def _lenses(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
+    """With what the lenses do, in mm where the light and the picture are: on the wall, and on the water.
+
+    Models blur by what was measured; what they leave for fits not to look at is by how much that may be off: a blur of
+    σ ± δ is one of σ and one of √(2σδ) besides.
+    """
     camera, projector = bench.camera, bench.projector
     assert projector is not None
     if "blur_px" in found["camera"].result:
-        camera = replace(camera, blur_mm=float(found["camera"].result["blur_px"]) * camera.pixel_mm)
-    if "blur_px" in found["projector"].result:
-        side_mm = projector_pixel_mm(projector, bench.tank)
-        projector = replace(projector, blur_mm=float(found["projector"].result["blur_px"]) * side_mm)
+        camera = replace(camera, **_blurs(found["camera"], camera.pixel_mm))
+    if "stray" in found:
+        told = found["stray"].result
+        halo = Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * camera.pixel_mm)
+        camera = replace(camera, halo=halo, veil=float(told["veil"]))
+    side_mm, told = projector_pixel_mm(projector, bench.tank), found["projector"].result
+    if "blur_px" in told:
+        projector = replace(projector, **_blurs(found["projector"], side_mm))
+    if "halo_share" in told:
+        projector = replace(projector, halo=Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * side_mm))
     return replace(bench, camera=camera, projector=projector)
+
+
+def _blurs(calibration: Calibration, side_mm: float) -> dict[str, Any]:
+    """The keys `blur` and `blur_mm` of a camera or a projector whose pixels have such sides."""
+    told, sd = calibration.result, calibration.sd
+    middle_px, corner_px = told.get("blur_middle_px", told["blur_px"]), told.get("blur_corner_px")
+    widest_px, off_px = max(middle_px, corner_px or 0.0), float(sd["blur_px"])
+    blur = Blur(float(middle_px) * side_mm, None if corner_px is None else float(corner_px) * side_mm)
+    return {"blur": blur, "blur_mm": float(np.sqrt(2.0 * widest_px * off_px)) * side_mm}
 
 
 def projector_pixel_mm(projector: Projector, tank: Tank) -> float:
@@ -219,10 +240,10 @@ def measured(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
     radiometry = found.get("radiometry")
     tables["projector"]["gamma"] = radiometry.result["projector"]["gamma"] if radiometry else bench.wall.gamma
     name = str(found["projector"].path)
-    tank = checked(Tank, tables["tank"], name, SceneError)
+    tank = replace(checked(Tank, tables["tank"], name, SceneError), faces=bench.tank.faces)
     camera = replace(checked(Camera, tables["camera"], name, SceneError), bin=bench.camera.bin)
     projector = checked(Projector, tables["projector"], name, SceneError)
-    return _blurs(replace(bench, tank=tank, light="calibrated", camera=camera, projector=projector), found)
+    return _lenses(replace(bench, tank=tank, light="calibrated", camera=camera, projector=projector), found)
 
 
 def _device(calibration: Calibration, pose: Pose) -> dict[str, Any]:

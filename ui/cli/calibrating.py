@@ -22,6 +22,8 @@ _REQUESTS = {
     "nothing": "Take everything off the lens.",
 }
 
+_OVER_PICTURE = ("blur_middle_px", "blur_corner_px")
+
 accept_option = click.option(
     "--accept", is_flag=True, help="Use the result even if it is doubtful or much worse than the one before."
 )
@@ -116,7 +118,11 @@ def blurred(kept: "Calibration", unit: str) -> dict[str, str]:
     """What the lens spreads, in words; nothing where that was not measured."""
     if "blur_px" not in kept.result:
         return {"blurs by": "not measured; show more of the board's edges, in focus"}
-    return {"blurs by": f"{kept.result['blur_px']:.2f} ± {kept.sd['blur_px']:.2g} {unit} (standard deviation)"}
+    told = {"blurs by": f"{kept.result['blur_px']:.2f} ± {kept.sd['blur_px']:.2g} {unit} (standard deviation)"}
+    if "blur_corner_px" in kept.result:
+        middle, corner = (f"{kept.result[name]:.2f} ± {kept.sd[name]:.2g}" for name in _OVER_PICTURE)
+        told["from middle to corners"] = f"{middle} to {corner} {unit}"
+    return told
 
 
 def left_out(kept: "Calibration") -> dict[str, str]:
