@@ -50,7 +50,9 @@ def fitted(scene_file: Path, gain: str, model: str) -> dict[str, object]:
     truth = np.array(scene.medium.coefficients)
     sd = np.sqrt(np.diag(found.covariance))
     off = np.array(found.medium.coefficients) - truth
-    inside = [low <= value <= high for value, (low, high) in zip(truth, found.interval(0.95).values(), strict=True)]
+    inside = [
+        bool(low <= value <= high) for value, (low, high) in zip(truth, found.interval(0.95).values(), strict=True)
+    ]
     return {
         "name": scene_file.stem, "gain": gain, "model": model, "sigma_t": scene.medium.sigma_t,
         "albedo": scene.medium.albedo, "g": scene.medium.g, "off": off.tolist(), "sd": sd.tolist(),

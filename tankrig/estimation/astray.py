@@ -6,7 +6,7 @@ that goes astray twice is faint. So sizes are fitted along linearly, and a cause
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import ClassVar
 
 import numpy as np
@@ -26,11 +26,13 @@ ASTRAY = {"halo": 0.01, "veil": 0.01, "blur_mm2": 0.1, "floor": 0.05, "black_lev
 """What may go astray, and by how much on a common bench: shares of the light in the camera's halo and veil, variance by
 which its picture is blurred more than described, diffuse reflectance of the floor, W/mm² on the wall."""
 BLUR_PARTS = 0.5
-"""Of a pixel: width of the blur that stands for any."""
+"""Width of the blur that stands for any, in pixels."""
 FLOOR, PANE_LATTICES, SEED = 0.05, 2, 7
 """Reflectance that stands for any; lattices of paths for a pattern, and their seed."""
 ROUGH, BATCHES = 0.05, 4
 """Tolerance and lattices of the image that a dark picture's light makes."""
+KEPT = 2
+"""Patterns by light paths that are kept: up to three questions about one fit ask for the same ones."""
 
 
 def halo(scene: Scene, image: Image) -> Array:
@@ -60,6 +62,11 @@ def panes(scene: Scene, _: Image) -> Array:
 
 def black_level(scene: Scene, _: Image) -> Array:
     """Light all over the wall, per W/mm²."""
+    return _lit_all_over(scene)
+
+
+@lru_cache(maxsize=KEPT)
+def _lit_all_over(scene: Scene) -> Array:
     from tankrig.light.tank import tank_image
 
     width, height = scene.tank.size_mm[1:]
@@ -193,6 +200,7 @@ def _blurred(image: Image, pixels: float) -> Array:
     return np.asarray(sharp)
 
 
+@lru_cache(maxsize=KEPT)
 def _by_faces(scene: Scene, name: str, face: Face) -> Array:
     """What one face sends back, the others as described: order 1 and more."""
     from tankrig.light.tank import by_faces

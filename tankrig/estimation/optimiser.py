@@ -130,9 +130,13 @@ def solve(
                 break
             jacobian, fresh = here.jacobian, True
             continue
-        step = _step(value, jacobian, damping, at, box, reach)
-        step = np.clip(at + step + bend.back(step, jacobian, damping), *box) - at
+        straight = _step(value, jacobian, damping, at, box, reach)
+        step = np.clip(at + straight + bend.back(straight, jacobian, damping), *box) - at
         ahead = problem.at(at + step)
+        if problem.quick and not ahead.cost < here.cost:
+            even = problem.at(problem.evenly(at, straight))
+            if even.cost < here.cost:
+                step, ahead = even.coordinates - at, even
         if ahead.cost < here.cost:
             fresh = problem.quick or here.cost - ahead.cost < CREEPING * _promise(value, jacobian, step)
             if fresh:

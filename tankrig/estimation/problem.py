@@ -134,6 +134,12 @@ class Problem:
         """Coordinates to begin from when the densest liquid is about this."""
         return np.concatenate([one.start(densest) for one in self.blocks])
 
+    def evenly(self, coordinates: Array, step: Array) -> Array:
+        """Coordinates in the box where values have changed as a step changes them at first, see `Block.evenly`."""
+        parts = zip(self.blocks, self.split(coordinates), self.split(step), strict=True)
+        found = np.concatenate([block.evenly(at, by) for block, at, by in parts])
+        return np.clip(np.where(step == 0.0, coordinates, found), *self.box)
+
     def at(self, coordinates: Array) -> "Evaluation":
         """The problem at some coordinates."""
         return Evaluation(self, coordinates)

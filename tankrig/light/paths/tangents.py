@@ -43,7 +43,7 @@ from tankrig.light.paths.block import (
 )
 from tankrig.light.paths.lattices import THINNING
 from tankrig.light.paths.record import TallyRecord, empty_record, image_of_edges, seen_from
-from tankrig.light.paths.trace import _arrive, _cover, _look, _probed, advance, narrow, scatter
+from tankrig.light.paths.trace import advance, arrive, cover, look, narrow, probed, scatter
 from tankrig.light.rays import Geometry, geometry_of, sight_line
 from tankrig.scene import Scene
 from tankrig.scene.phase import phase_density
@@ -102,7 +102,7 @@ def trace_tangents(
             begin_at_origin(block, n, first, geometry, sampling, beams, lattice)
         else:
             begin_on_beams(block, n, first, geometry, sampling, beams, lattice)
-            _look(block, n, geometry, sigma_t)
+            look(block, n, geometry, sigma_t)
         begin(block, n, first, sampling, lattice, faintest)
         for i in range(n):
             way_mm[i], turning[i] = block.x[i] / block.dx[i], 0.0
@@ -127,7 +127,7 @@ def trace_tangents(
                     order, remaining,
                 )  # fmt: skip
                 if image.ndim == 4:
-                    _cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
+                    cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
                     _end_up(seen_way, seen_turning, probes, n, geometry, sampling)
                     _tally_rectangles(
                         image, tally, scatterings, seen_way, seen_turning, n, beams, geometry.half_width, cell_mm[1]
@@ -150,7 +150,7 @@ def trace_tangents(
             if image.ndim == 4:
                 narrow(block, n, geometry)
             else:
-                _look(block, n, geometry, sigma_t)
+                look(block, n, geometry, sigma_t)
             if scatterings < lowest:
                 continue
             for i in range(n):
@@ -158,13 +158,13 @@ def trace_tangents(
                 seen_way[i], seen_turning[i] = way_mm[at], turning[at]
             if image.ndim == 4:
                 ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
-                _cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
+                cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
                 _end_up(seen_way, seen_turning, ends, n, geometry, sampling)
                 _tally_rectangles(
                     image, tally, scatterings, seen_way, seen_turning, n, beams, geometry.half_width, cell_mm[1]
                 )
             else:
-                _arrive(tally, block, n, sampling)
+                arrive(tally, block, n, sampling)
                 for i in range(n):
                     ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
                     seen_turning[i] += by_asymmetry(ahead, sampling.phase.g)
@@ -216,7 +216,7 @@ def _probe(
     """
     shiftable, index = block.x_high[0] > block.x_low[0], geometry.refractive_index
     for i in range(n):
-        x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
+        x, y, z, dx, dy, dz, weight = probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
         across, along, up = x - block.x[i], y - block.y[i], z - block.z[i]
         straight = math.sqrt(across * across + along * along + up * up)
         reflected = index > 1.0 and dz < 0.0 and across * dx + along * dy + up * dz < straight * (1.0 - 1e-9)

@@ -116,7 +116,7 @@ def trace(
             begin_at_origin(block, n, first, geometry, sampling, beams, lattice)
         else:
             begin_on_beams(block, n, first, geometry, sampling, beams, lattice)
-            _look(block, n, geometry, sigma_t)
+            look(block, n, geometry, sigma_t)
         begin(block, n, first, sampling, lattice, faintest)
         thinning = first_thinning
         for order in range(1, max_order):
@@ -136,7 +136,7 @@ def trace(
                 draw(w, block.point, n, dimension + 5, lattice)
                 if images.ndim == 4:
                     _probe_anywhere(probes, block, u, v, w, n, geometry, sampling, order, remaining)
-                    _cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
+                    cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
                     tally_rectangles(images[image], tally, n, beams, geometry.half_width, cell_mm[1])
                 else:
                     _probe(tally, block, u, v, w, n, geometry, sampling, order, remaining)
@@ -149,20 +149,20 @@ def trace(
             if images.ndim == 4:
                 narrow(block, n, geometry)
             else:
-                _look(block, n, geometry, sigma_t)
+                look(block, n, geometry, sigma_t)
             if order == 1:
                 continue
             if images.ndim == 4:
                 ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
-                _cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
+                cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
                 tally_rectangles(images[image], tally, n, beams, geometry.half_width, cell_mm[1])
             else:
-                _arrive(tally, block, n, sampling)
+                arrive(tally, block, n, sampling)
                 tally_cells(images[image], block.seen_x, block.seen_y, tally.value, n, geometry.half_width, cell_mm)
 
 
 @kernel
-def _look(block: Block, n: int, geometry: Geometry, sigma_t: float) -> None:
+def look(block: Block, n: int, geometry: Geometry, sigma_t: float) -> None:
     """Lines of sight through the ends of paths."""
     if geometry.refractive_index == 1.0:
         for i in range(n):
@@ -190,7 +190,7 @@ def narrow(block: Block, n: int, geometry: Geometry) -> None:
 
 
 @part
-def _probed(
+def probed(
     block: Block,
     u: Array,
     v: Array,
@@ -254,14 +254,14 @@ def _probe_from(
     tally: TallyRecord, block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, index: float,
     sampling: PathSampling, order: int, remaining: float,
 ) -> None:  # fmt: skip
-    x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
+    x, y, z, dx, dy, dz, weight = probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
     tally.x[i], tally.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z, index)
     phase = phase_density(dx * sx + dy * sy + dz * sz, sampling.phase)
     tally.value[i] = weight * phase * factor * exponential(-sampling.sigma_t * path)
 
 
 @kernel
-def _arrive(tally: TallyRecord, block: Block, n: int, sampling: PathSampling) -> None:
+def arrive(tally: TallyRecord, block: Block, n: int, sampling: PathSampling) -> None:
     """What the ends of paths send to the camera."""
     for i in range(n):
         ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
@@ -288,12 +288,12 @@ def _probe_from_anywhere(
     probes: Ends, block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, index: float,
     sampling: PathSampling, order: int, remaining: float,
 ) -> None:  # fmt: skip
-    x, y, z, _, _, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
+    x, y, z, _, _, dz, weight = probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
     probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
 
 
 @kernel
-def _cover(
+def cover(
     tally: TallyRecord, ends: Ends, block: Block, n: int, geometry: Geometry, sampling: PathSampling, cell_mm: float
 ) -> None:
     """What paths send to the camera, for all their starts x', whose light goes with exp(−σt x')."""
