@@ -18,6 +18,10 @@ Array = NDArray[np.float64]
 
 SHOWN = 40
 """Phase functions whose images choose the patterns."""
+NOISY = 0.1
+"""Of the squared difference of two images of a medium: what the product of both is uncertain by, about."""
+ROUNDS = 4
+"""Of finding the error, each weighed by the last."""
 
 
 @dataclass(frozen=True)
@@ -141,22 +145,28 @@ class _Builder:
         )  # fmt: skip
 
     def _error(self, regression: Regression, one: Fit, other: Fit, even: NDArray[np.bool_]) -> Array:
-        """What models of half the media err by at the others: neither has seen what those were made from.
+        """What the model errs by at media that it was not made from.
 
-        Two images of a medium have noise of their own, so the mean product of what either differs by from a model is
-        the model's squared error, without the noise.
+        A model of half the media has not seen the others. Two images of each of these have noise of their own, so the
+        mean product of what either differs by from that model is its squared error, without the images' noise. Half of
+        its own noise, a quarter of the halves' squared difference, is not in the model of all.
         """
-        plan = self._plan
-        targets, terms = [], []
-        for index, albedo_place in enumerate(plan.base.albedo_places):
-            known = np.where(
-                even[:, None], self._fitted(regression, other, index), self._fitted(regression, one, index)
-            )
+        targets, terms, noises = [], [], []
+        for index, albedo_place in enumerate(self._plan.base.albedo_places):
+            of_even, of_odd = (self._fitted(regression, fit, index) for fit in (one, other))
+            known = np.where(even[:, None], of_odd, of_even)
             first, second = (half[:, index].reshape(len(known), -1) for half in self._images.paths)
             whole = np.linalg.norm(known, axis=1) + regression.exact[:, index]
-            targets.append(np.sum((first - known) * (second - known), axis=1) / whole**2)
+            squares = np.sum((first - known) * (second - known), axis=1)
+            targets.append((squares - 0.25 * np.sum((of_even - of_odd) ** 2, axis=1)) / whole**2)
+            noises.append(np.sum((first - second) ** 2, axis=1) / whole**2 * NOISY)
             terms.append(np.array([error_terms(float(albedo_place), z) for z in self._z]))
-        found: Array = nnls(np.concatenate(terms), np.concatenate(targets))[0]
+        target, term, noise = (np.concatenate(one) for one in (targets, terms, noises))
+        expected = np.full(target.size, float(np.median(np.abs(target))))
+        for _ in range(ROUNDS):
+            weight = 1.0 / (expected + noise)
+            found: Array = nnls(term * weight[:, None], target * weight)[0]
+            expected = term @ found
         return found
 
     def _fitted(self, regression: Regression, fit: Fit, albedo: int) -> Array:
