@@ -81,7 +81,7 @@ class _Builder:
             plan.base.coordinates, plan.traits, once, twice, rest, patterns.astype(np.float32), self._shape, np.zeros(4)
         )
         error = self._error(regression, fits[1], fits[2], even)
-        error[:2] += self._beside(found) ** 2
+        error += self._beside(found)
         return PhaseAnswer(found.coordinates, found.traits, once, twice, rest, found.patterns, self._shape, error)
 
     def _regression(self, paths: Array) -> Regression:
@@ -175,12 +175,16 @@ class _Builder:
         return np.asarray(cubes * bright * (regression.products @ fit.fields[albedo]))
 
     def _beside(self, answer: PhaseAnswer) -> float:
-        """Largest error of orders 1 and 2 together, at media beside their σt, by what a prediction computes."""
-        largest, traits = 0.0, answer.traits
+        """Squared error of orders 1 and 2 together, over 1 plus the mean square of z, by what a prediction computes.
+
+        The median over a few media beside the plan's σt: steep phase functions, whose z are large, err by more.
+        """
+        squares, traits = [], answer.traits
         for sample, truth in zip(self._plan.checks, self._images.checks, strict=True):
             numbers = traits.of(sample.phase)
             first = answer.once.at(sample.u, numbers[traits.once])[0] @ answer.patterns
             second = answer.twice.at(sample.u, numbers[traits.twice])[0] @ answer.patterns
             found, exact = (sample.sigma_t * (one + sample.sigma_t * two) for one, two in ((first, second), truth))
-            largest = max(largest, float(np.linalg.norm(found - exact) / np.linalg.norm(exact)))
-        return largest
+            unlike = float(np.mean(self._plan.excess.at(numbers[traits.moments]) ** 2))
+            squares.append(float(np.sum((found - exact) ** 2) / np.sum(exact**2)) / (1.0 + unlike))
+        return float(np.median(squares))

@@ -84,7 +84,7 @@ def _of_a_family(rng: Draw, g: float) -> PhaseFunction | None:
     if kind < 0.45:
         alpha = math.exp(rng.uniform(math.log(0.1), math.log(2.5)))
         return _with_mean_cosine(lambda base: ReynoldsMcCormick(base, alpha), 0.02, g) if g > 0.05 else None
-    amplitudes = tuple((rng.normal(size=SHAPES) * rng.uniform(0.1, 0.8)).tolist())
+    amplitudes = tuple((rng.normal(size=SHAPES) * rng.uniform(0.1, 0.6)).tolist())
     return _with_mean_cosine(lambda base: FreePhase(base, amplitudes), -MOST_ASYMMETRY, g)
 
 
