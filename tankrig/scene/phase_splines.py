@@ -82,7 +82,7 @@ class PhaseSplines:
         nodes, weights = phase_quadrature()
         splines = self.at(1.0 - 2.0 * nodes**2)
         weighted = splines * (weights * nodes)[:, None]
-        return np.linalg.solve(splines.T @ weighted, by_nodes(weighted))
+        return np.asarray(np.linalg.solve(splines.T @ weighted, by_nodes(weighted)), float)
 
     def coefficients(self, phase: PhaseFunction) -> Array:
         """(count,) of a phase function, in 1/sr."""

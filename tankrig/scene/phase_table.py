@@ -145,8 +145,8 @@ def by_nodes(values: Array) -> Array:
     step = np.repeat(np.arange(NODES - 1), 3)
     share = (nodes * (NODES - 1) - step)[:, None]
     found = np.zeros((NODES, values.shape[1]))
-    np.add.at(found, step, values * (1.0 - share))
-    np.add.at(found, step + 1, values * share)
+    found[:-1] += (values * (1.0 - share)).reshape(NODES - 1, 3, -1).sum(axis=1)
+    found[1:] += (values * share).reshape(NODES - 1, 3, -1).sum(axis=1)
     return found.T
 
 

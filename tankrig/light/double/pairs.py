@@ -60,7 +60,7 @@ class PairTables:
 
     def image(self, coefficients: Array) -> Array:
         """(rows, columns) of order 2 over σs², for a phase function's coefficients."""
-        pairs = (coefficients[:, None] * coefficients).ravel()
+        pairs = (coefficients[:, None] * coefficients).ravel().astype(np.float32)
         return np.asarray((self.rows * (self.values @ pairs)) @ self.columns, float)
 
     def along(self, patterns: Array) -> Array:

@@ -182,7 +182,7 @@ class PhaseAnswer:
         """(n, rows, columns) of (n, patterns), all of them nothing where the first is negative."""
         images = (amplitudes.astype(np.float32) @ self.patterns).astype(float)
         images[:, images[0] < 0.0] = 0.0
-        return images.reshape(-1, *self.shape)
+        return np.asarray(images.reshape(-1, *self.shape))
 
     def _amplitudes(self, medium: Medium) -> tuple[Array, Array, Array, Array]:
         """(patterns,) of the image and its derivatives by σt and ϖ, and (traits, patterns) by those of the phase."""

@@ -18,6 +18,10 @@ Array = NDArray[np.float64]
 
 SHOWN = 40
 """Phase functions whose images choose the patterns."""
+NOISY = 0.1
+"""Of the squared difference of two images of a medium: what the product of both is uncertain by, about."""
+ROUNDS = 4
+"""Of finding the error, each weighed by the last."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ class _Builder:
             plan.base.coordinates, plan.traits, once, twice, rest, patterns.astype(np.float32), self._shape, np.zeros(4)
         )
         error = self._error(regression, fits[1], fits[2], even)
-        error[:2] += self._beside(found) ** 2
+        error += self._beside(found)
         return PhaseAnswer(found.coordinates, found.traits, once, twice, rest, found.patterns, self._shape, error)
 
     def _regression(self, paths: Array) -> Regression:
@@ -141,22 +145,28 @@ class _Builder:
         )  # fmt: skip
 
     def _error(self, regression: Regression, one: Fit, other: Fit, even: NDArray[np.bool_]) -> Array:
-        """What models of half the media err by at the others: neither has seen what those were made from.
+        """What the model errs by at media that it was not made from.
 
-        Two images of a medium have noise of their own, so the mean product of what either differs by from a model is
-        the model's squared error, without the noise.
+        A model of half the media has not seen the others. Two images of each of these have noise of their own, so the
+        mean product of what either differs by from that model is its squared error, without the images' noise. Half of
+        its own noise, a quarter of the halves' squared difference, is not in the model of all.
         """
-        plan = self._plan
-        targets, terms = [], []
-        for index, albedo_place in enumerate(plan.base.albedo_places):
-            known = np.where(
-                even[:, None], self._fitted(regression, other, index), self._fitted(regression, one, index)
-            )
+        targets, terms, noises = [], [], []
+        for index, albedo_place in enumerate(self._plan.base.albedo_places):
+            of_even, of_odd = (self._fitted(regression, fit, index) for fit in (one, other))
+            known = np.where(even[:, None], of_odd, of_even)
             first, second = (half[:, index].reshape(len(known), -1) for half in self._images.paths)
             whole = np.linalg.norm(known, axis=1) + regression.exact[:, index]
-            targets.append(np.sum((first - known) * (second - known), axis=1) / whole**2)
+            squares = np.sum((first - known) * (second - known), axis=1)
+            targets.append((squares - 0.25 * np.sum((of_even - of_odd) ** 2, axis=1)) / whole**2)
+            noises.append(np.sum((first - second) ** 2, axis=1) / whole**2 * NOISY)
             terms.append(np.array([error_terms(float(albedo_place), z) for z in self._z]))
-        found: Array = nnls(np.concatenate(terms), np.concatenate(targets))[0]
+        target, term, noise = (np.concatenate(one) for one in (targets, terms, noises))
+        expected = np.full(target.size, float(np.median(np.abs(target))))
+        for _ in range(ROUNDS):
+            weight = 1.0 / (expected + noise)
+            found: Array = nnls(term * weight[:, None], target * weight)[0]
+            expected = term @ found
         return found
 
     def _fitted(self, regression: Regression, fit: Fit, albedo: int) -> Array:
@@ -165,12 +175,16 @@ class _Builder:
         return np.asarray(cubes * bright * (regression.products @ fit.fields[albedo]))
 
     def _beside(self, answer: PhaseAnswer) -> float:
-        """Largest error of orders 1 and 2 together, at media beside their σt, by what a prediction computes."""
-        largest, traits = 0.0, answer.traits
+        """Squared error of orders 1 and 2 together, over 1 plus the mean square of z, by what a prediction computes.
+
+        The median over a few media beside the plan's σt: steep phase functions, whose z are large, err by more.
+        """
+        squares, traits = [], answer.traits
         for sample, truth in zip(self._plan.checks, self._images.checks, strict=True):
             numbers = traits.of(sample.phase)
             first = answer.once.at(sample.u, numbers[traits.once])[0] @ answer.patterns
             second = answer.twice.at(sample.u, numbers[traits.twice])[0] @ answer.patterns
             found, exact = (sample.sigma_t * (one + sample.sigma_t * two) for one, two in ((first, second), truth))
-            largest = max(largest, float(np.linalg.norm(found - exact) / np.linalg.norm(exact)))
-        return largest
+            unlike = float(np.mean(self._plan.excess.at(numbers[traits.moments]) ** 2))
+            squares.append(float(np.sum((found - exact) ** 2) / np.sum(exact**2)) / (1.0 + unlike))
+        return float(np.median(squares))

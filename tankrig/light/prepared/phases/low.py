@@ -25,12 +25,12 @@ class _Spline(PhaseFunction):
     number: int
 
     @property
-    def mean_cosine(self) -> float:  # type: ignore[override]
+    def mean_cosine(self) -> float:
         """Of no meaning."""
         return 0.0
 
     @property
-    def record(self) -> PhaseRecord:  # type: ignore[override]
+    def record(self) -> PhaseRecord:
         """Its values."""
         return TableRecord(0.0, 0.5, np.ascontiguousarray(self.splines.at_nodes[:, self.number]), np.zeros(NODES))
 

@@ -17,9 +17,9 @@ from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
 
-MEDIA_PER_PRODUCT = 6
+MEDIA_PER_PRODUCT = 12
 """Media at which paths are followed, per coefficient to be found from them, each by two lattices of its own."""
-CHECKS = 4
+CHECKS = 6
 """Media beside those of orders 1 and 2, where these are computed as a prediction does."""
 
 

@@ -97,7 +97,7 @@ def _images(
         first, second = single_scattering(seen), double_scattering(seen, tolerance)
         checks.append(np.stack([first.ravel() / check.sigma_t, second.ravel() / check.sigma_t**2]))
     total, done = sum(sample.batches for sample in plan.paths), 0
-    found: dict[int, Array] = {}
+    found: dict[int, NDArray[np.floating]] = {}
     pool = ThreadPoolExecutor(threads)
     try:
         running = {pool.submit(_paths_of, sample, place, sampling): sample for sample in plan.paths}

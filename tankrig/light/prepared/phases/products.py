@@ -88,7 +88,7 @@ class Products:
     @property
     def size(self) -> int:
         """How many there are."""
-        return self.plane.size + self.directions * (3 if self.tilted else 1) + self._pairs.shape[1]
+        return self.plane.size + self.directions * (3 if self.tilted else 1) + int(self._pairs.shape[1])
 
     def values(self, u: Array, v: Array, z: Array) -> Array:
         """(n, size) at n places, z (n, directions)."""

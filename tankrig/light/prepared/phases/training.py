@@ -78,13 +78,13 @@ def _of_a_family(rng: Draw, g: float) -> PhaseFunction | None:
     if kind < 0.1:
         return HenyeyGreenstein(g)
     if kind < 0.25:
-        backward, share = -rng.uniform(0.05, 0.6), rng.uniform(0.75, 0.999)
+        backward, share = -rng.uniform(0.05, 0.5), rng.uniform(0.85, 0.999)
         forward = (g - (1.0 - share) * backward) / share
         return TwoTerm(float(forward), float(backward), float(share)) if 0.02 < forward < MOST_ASYMMETRY else None
     if kind < 0.45:
-        alpha = math.exp(rng.uniform(math.log(0.05), math.log(3.0)))
+        alpha = math.exp(rng.uniform(math.log(0.1), math.log(2.5)))
         return _with_mean_cosine(lambda base: ReynoldsMcCormick(base, alpha), 0.02, g) if g > 0.05 else None
-    amplitudes = tuple((rng.normal(size=SHAPES) * rng.uniform(0.2, 1.0)).tolist())
+    amplitudes = tuple((rng.normal(size=SHAPES) * rng.uniform(0.1, 0.6)).tolist())
     return _with_mean_cosine(lambda base: FreePhase(base, amplitudes), -MOST_ASYMMETRY, g)
 
 

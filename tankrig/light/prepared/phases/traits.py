@@ -54,7 +54,7 @@ class PhaseTraits:
     @property
     def count(self) -> int:
         """Of all numbers."""
-        return self.moments.stop
+        return int(self.moments.stop)
 
     @cached_property
     def _of_nodes(self) -> Array:
