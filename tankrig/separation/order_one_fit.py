@@ -283,4 +283,5 @@ def _first_log_extinction(views: Sequence[_View], slope: float) -> float:
         size = math.sqrt(sum(float(one @ one) for one in images))
         return sum(float(one @ view.seen) for view, one in zip(views, images, strict=True)) / max(size, 1e-300)
 
-    return float(max(np.linspace(*np.log(EXTINCTION_PER_MM), STARTS), key=explained))
+    low, high = (math.log(one) for one in EXTINCTION_PER_MM)
+    return float(max(np.linspace(low, high, STARTS), key=explained))
