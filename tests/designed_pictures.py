@@ -93,7 +93,7 @@ def worth(light: Prospect, pictures: np.ndarray, frames: float) -> float:
 
 
 class Designs:
-    """One or two pictures for a liquid that is believed, with fewer and fewer frames; what was found is gone on from."""
+    """One or two pictures for a liquid that is believed, with any number of frames; what was found is gone on from."""
 
     def __init__(self, believed: Prospect, plans: dict[str, np.ndarray]) -> None:
         self.believed, self.seconds = believed, []

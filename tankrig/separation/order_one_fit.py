@@ -97,7 +97,7 @@ class OrderOneFit:
         >>> fit = OrderOneFit(0.01, 1.0, 1.2, np.diag([0.0, 0.0, 0.01]), (-0.2, 0.2))
         >>> ratio, sd = fit.phase(np.array([80.0, 90.0, 100.0]))
         >>> ratio.round(3).tolist(), sd.round(3).tolist()
-        ([1.252, 1.0, 0.822], [0.025, 0.0, 0.013])
+        ([1.252, 1.0, 0.823], [0.025, 0.0, 0.013])
         """
         cosine = np.cos(np.radians(angle_deg))
         base = 1.0 - self.slope * cosine / 1.5
