@@ -1,5 +1,6 @@
 """Light of cells, each lit by itself: any picture made of them is a sum, and so are its derivatives."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,8 +18,10 @@ from tankrig.scene.optics import Blur
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-BATCHES = 4
-"""Lattices of light paths for each cell's light."""
+BATCHES, MOST_BATCHES = 4, 24
+"""Lattices of light paths for each cell's light, and where that leaves more noise than `QUIET`, at most."""
+QUIET = 0.012
+"""Relative noise of a cell's image: that of its derivatives is some three times as much, and passes for information."""
 SLOPE_BLUR_MM = 4.0
 """Over which derivatives of orders ≥ 3 are averaged: their noise would pass for information."""
 MOST_PIXELS = 3000
@@ -109,7 +112,7 @@ def cell_light(
     count = len(cells.z_mm) * len(cells.light[0])
     seen = replace(bench, camera=camera)
     whole = seen.scene(draw(with_parts(cells, np.ones(count)), bench.wall, "cells"), medium)
-    place = Place.of("cells", replace(whole, source=""), bench.wall, cells.y_mm, cells.z_mm, count, BATCHES)
+    place = Place.of("cells", replace(whole, source=""), bench.wall, cells.y_mm, cells.z_mm, count, BATCHES, QUIET)
     known = place.kept(place.model)
     if known is None:
         images, slopes = _computed(cells, seen, medium, count, progress)
@@ -124,8 +127,6 @@ def cell_light(
 def _computed(
     cells: Cells, bench: Bench, medium: Medium, count: int, progress: Callable[[float], object]
 ) -> tuple[Array, Array]:
-    from tankrig.light.tangent import tank_tangent
-
     images, slopes = np.zeros((count, *bench.camera.shape)), np.zeros((count, 3, *bench.camera.shape))
     across = len(cells.light[0])
     mirrored = _mirrored(bench, cells)
@@ -137,10 +138,21 @@ def _computed(
         else:
             lit = with_parts(cells, (np.arange(count) == number).astype(float))
             scene = _ideal(bench.scene(draw(lit, bench.wall, "cell"), medium))
-            found, changes = tank_tangent(scene, BATCHES, seed=number, blur_mm=SLOPE_BLUR_MM)
-            images[number], slopes[number] = found.image, changes
+            images[number], slopes[number] = _followed(scene, number)
         progress((number + 1) / count)
     return images, slopes
+
+
+def _followed(scene: Scene, seed: int) -> tuple[Array, Array]:
+    """Image and slopes of one cell's light, by as many light paths as it needs."""
+    from tankrig.light.tangent import tank_tangent
+
+    found, slopes = tank_tangent(scene, BATCHES, seed, blur_mm=SLOPE_BLUR_MM)
+    noise = 0.0 if found.stderr is None else float(np.linalg.norm(found.stderr) / np.linalg.norm(found.image))
+    if noise > QUIET:
+        batches = min(MOST_BATCHES, math.ceil(BATCHES * (noise / QUIET) ** 2))
+        found, slopes = tank_tangent(scene, batches, seed, blur_mm=SLOPE_BLUR_MM)
+    return found.image, slopes
 
 
 def _mirrored(bench: Bench, cells: Cells) -> bool:
