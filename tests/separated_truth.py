@@ -76,8 +76,8 @@ def main() -> None:
         for name in ("modulated", "even"):
             one = row[name]
             print(
-                f"{row['case']:9} {row['period_mm']:3g} mm {name:9}: within 3 sd {100 * one['within_3']:.1f} % of pixels "
-                f"(rms {one['rms_z']:.2f}), {100 * one['blocks_within_3']:.1f} % of blocks (rms "
+                f"{row['case']:9} {row['period_mm']:3g} mm {name:9}: within 3 sd {100 * one['within_3']:.1f} % of "
+                f"pixels (rms {one['rms_z']:.2f}), {100 * one['blocks_within_3']:.1f} % of blocks (rms "
                 f"{one['blocks_rms_z']:.2f}); mean {100 * one['mean_off']:+.2f} % of the sheet"
             )
 

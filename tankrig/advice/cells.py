@@ -152,7 +152,7 @@ def _followed(scene: Scene, seed: int) -> tuple[Array, Array]:
     if noise > QUIET:
         batches = min(MOST_BATCHES, math.ceil(BATCHES * (noise / QUIET) ** 2))
         found, slopes = tank_tangent(scene, batches, seed, blur_mm=SLOPE_BLUR_MM)
-    return found.image, slopes
+    return np.asarray(found.image, float), slopes
 
 
 def _mirrored(bench: Bench, cells: Cells) -> bool:

@@ -17,7 +17,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,7 +180,7 @@ class Prospect:
         widest = np.array([*coefficients, 1.0, WIDEST, *[WIDEST * brightest] * (len(fisher) - 4)])
         scale = np.outer(widest, widest)
         inverse = np.linalg.inv(fisher * scale + np.eye(len(widest))) * scale
-        return inverse @ (scatter + np.diag(widest**-2.0)) @ inverse, inverse
+        return np.asarray(inverse @ (scatter + np.diag(widest**-2.0)) @ inverse), np.asarray(inverse)
 
     @property
     def _scale(self) -> Array:
@@ -394,7 +394,7 @@ def designed(
 
     ranked = sorted(((value(np.asarray(one, float)), number) for number, one in enumerate(starts)))
     given = ranked[0][0]
-    best: list = [given, np.asarray(starts[ranked[0][1]], float)]
+    best: list[Any] = [given, np.asarray(starts[ranked[0][1]], float)]
     try:
         for _, number in ranked:
             flat = np.asarray(starts[number], float).ravel()

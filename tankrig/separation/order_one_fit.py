@@ -260,7 +260,7 @@ class _View:
         """Order 1 where A = 1."""
         g, sigma_t = asymmetry_of(slope), float(np.exp(log_sigma_t))
         side = (1.0 - g**2) / (4.0 * np.pi * (1.0 + g**2) ** 1.5)
-        return self._lit(sigma_t, g) / (sigma_t * side) / self.sd
+        return np.asarray(self._lit(sigma_t, g) / (sigma_t * side) / self.sd)
 
     def _lit(self, sigma_t: float, g: float) -> Array:
         from tankrig.light.single import single_scattering
