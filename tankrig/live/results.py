@@ -213,8 +213,8 @@ def to_fields(fit: Fit) -> Fields:
         found |= {"water_sigma_a": found.pop("water").sigma_a, "linearity": fit.linearity and asdict(fit.linearity)}
         return {"fit": "series", **found}
     found |= {**_coefficients(found.pop("medium")), "single": fit.single and asdict(fit.single)}
-    unknown = {"model_error": None, "single": None, "structure": None, "newest": None, "passing": False}
-    unknown["order_one"] = ""
+    unknown: Fields = {"model_error": None, "single": None, "structure": None, "newest": None, "passing": False}
+    unknown |= {"order_one": ""}
     return {"fit": "dose"} | {
         name: value for name, value in found.items() if name not in unknown or value != unknown[name]
     }

@@ -72,6 +72,7 @@ class Told:
     def sentence(self) -> str:
         """In words.
 
+        >>> import numpy as np
         >>> alone = OrderOneFit(0.00094, 0.1, 1.2, np.diag([0.0, 0.0213**2, 0.1]), (0.0, 0.0))
         >>> Told(0.2, (58.0, 62.0), order_1=(0.474, 0.002), alone=alone).sentence
         '0.2 ml, z = 60 mm: 47.40 ± 0.20 % of the light is order 1, σt 0.000940 ± 0.000020 /mm by its decay.'

@@ -97,7 +97,7 @@ class OrderOneFit:
         >>> fit = OrderOneFit(0.01, 1.0, 1.2, np.diag([0.0, 0.0, 0.01]), (-0.2, 0.2))
         >>> ratio, sd = fit.phase(np.array([80.0, 90.0, 100.0]))
         >>> ratio.round(3).tolist(), sd.round(3).tolist()
-        ([1.252, 1.0, 0.822], [0.025, 0.0, 0.013])
+        ([1.252, 1.0, 0.823], [0.025, 0.0, 0.013])
         """
         cosine = np.cos(np.radians(angle_deg))
         base = 1.0 - self.slope * cosine / 1.5
@@ -260,7 +260,7 @@ class _View:
         """Order 1 where A = 1."""
         g, sigma_t = asymmetry_of(slope), float(np.exp(log_sigma_t))
         side = (1.0 - g**2) / (4.0 * np.pi * (1.0 + g**2) ** 1.5)
-        return self._lit(sigma_t, g) / (sigma_t * side) / self.sd
+        return np.asarray(self._lit(sigma_t, g) / (sigma_t * side) / self.sd)
 
     def _lit(self, sigma_t: float, g: float) -> Array:
         from tankrig.light.single import single_scattering
@@ -283,4 +283,5 @@ def _first_log_extinction(views: Sequence[_View], slope: float) -> float:
         size = math.sqrt(sum(float(one @ one) for one in images))
         return sum(float(one @ view.seen) for view, one in zip(views, images, strict=True)) / max(size, 1e-300)
 
-    return float(max(np.linspace(*np.log(EXTINCTION_PER_MM), STARTS), key=explained))
+    low, high = (math.log(one) for one in EXTINCTION_PER_MM)
+    return float(max(np.linspace(low, high, STARTS), key=explained))
