@@ -176,7 +176,8 @@ def test_a_projectors_lens_moves_light_and_makes_none(sigma_mm, share, halo_mm):
         if narrow:
             y = np.array([0.5 * sum(beam.y_mm) for beam in narrow])
             w = np.array([beam.power for beam in narrow])
-            assert np.average(y**2, weights=w) == pytest.approx(sigma_mm**2, rel=1e-6)
+            own = np.array([(beam.y_mm[1] - beam.y_mm[0]) ** 2 / 12.0 for beam in narrow])
+            assert np.average(y**2 + own, weights=w) == pytest.approx(sigma_mm**2 + 8.0**2 / 12.0, rel=1e-6)
 
 
 def test_black_level_is_a_beam_all_over_the_wall():

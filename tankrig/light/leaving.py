@@ -22,6 +22,8 @@ REACH = 4.0
 """Standard deviations to which light is spread."""
 PER_SIGMA = 1.3
 """Fine pixels per standard deviation of the blur; half as wide ones change beams' edges by .2 % of their light."""
+LONG = 1.5
+"""Times as long as wide that pixels are from which on they are not parted along: bins are long where light is smooth."""
 FINEST = 8
 """Fine pixels along a pixel's side, at most."""
 MOST_FINE = 2_000_000
@@ -37,13 +39,13 @@ class CameraLens:
     scene
         As described.
     parts
-        Fine pixels along a pixel's side.
+        Fine pixels along a pixel's sides, down and across.
     beyond
         Pixels that the wider picture has before the first row and column, and after the last.
     """
 
     scene: Scene
-    parts: int
+    parts: tuple[int, int]
     beyond: tuple[tuple[int, int], tuple[int, int]]
 
     @classmethod
@@ -57,14 +59,18 @@ class CameraLens:
         >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
         >>> camera = Camera("orthographic", (80, 120), 2.0, blur=Blur(1.0))
         >>> CameraLens.of(Scene(Tank(), Medium(0.0, 0.01, 0.0), light, camera)).parts
-        3
+        (3, 3)
         """
         camera = scene.camera
         if camera.blur.widest_mm == 0.0 and camera.halo.share == 0.0 and camera.veil == 0.0:
             return None
         sigma = camera.blur.widest_mm
         finest = max(camera.blur.narrowest_mm, 0.3 * sigma)
-        parts = 1 if sigma == 0.0 else int(np.clip(math.ceil(PER_SIGMA * camera.pixel_mm / finest), 1, FINEST))
+        shortest = min(camera.sides_mm)
+        wanted = [
+            1 if sigma == 0.0 or side > LONG * shortest else math.ceil(PER_SIGMA * side / finest)
+            for side in camera.sides_mm
+        ]
         reach = max(sigma, camera.halo.sigma_mm if camera.halo.share > 0.0 else 0.0) * REACH
         if camera.kind == "calibrated":  # whose picture is taken to show all that its halo has light from
             beyond = [math.ceil(sigma * REACH / side) for side in camera.sides_mm]
@@ -77,8 +83,10 @@ class CameraLens:
             ]
             wider = ((0, unseen[0]), (0, unseen[1]))
         pixels = math.prod(n + sum(more) for n, more in zip(camera.shape, wider, strict=True))
-        parts = max(1, min(parts, int(math.sqrt(MOST_FINE / pixels))))
-        return cls(scene, parts, wider)
+        parted = sum(one > 1 for one in wanted)
+        most = min(FINEST, int((MOST_FINE / pixels) ** (1.0 / max(parted, 1))))
+        down, across = (int(np.clip(one, 1, max(most, 1))) for one in wanted)
+        return cls(scene, (down, across), wider)
 
     @property
     def wide(self) -> Scene:
@@ -97,15 +105,15 @@ class CameraLens:
     def fine(self) -> Scene:
         """The same with fine pixels."""
         wide = self.wide
-        return replace(wide, camera=_finer(wide.camera, self.parts)) if self.parts > 1 else wide
+        return replace(wide, camera=_finer(wide.camera, self.parts)) if self.parts != (1, 1) else wide
 
     def means(self, fine: Array) -> Array:
         """(…, rows, columns) wide pictures of fine ones."""
-        n = self.parts
-        if n == 1:
+        down, across = self.parts
+        if self.parts == (1, 1):
             return fine
-        rows, columns = (size // n for size in fine.shape[-2:])
-        return np.asarray(fine.reshape(*fine.shape[:-2], rows, n, columns, n).mean(axis=(-3, -1)))
+        rows, columns = fine.shape[-2] // down, fine.shape[-1] // across
+        return np.asarray(fine.reshape(*fine.shape[:-2], rows, down, columns, across).mean(axis=(-3, -1)))
 
     def of_fine(self, image: Array) -> Array:
         """(rows, columns) of the camera: its picture of an ideal fine one."""
@@ -113,7 +121,7 @@ class CameraLens:
 
     def of_wide(self, image: Array) -> Array:
         """(rows, columns) of the camera: its picture of an ideal wide one."""
-        return self._picture(self._blurred(image, 1), image)
+        return self._picture(self._blurred(image, (1, 1)), image)
 
     def variance_of_wide(self, variance: Array) -> Array:
         """What noise of an ideal wide picture is at most: as if that of neighbours were alike."""
@@ -131,12 +139,13 @@ class CameraLens:
             seen = seen + veil * float(sharp[inside].mean())
         return np.ascontiguousarray(seen[inside])
 
-    def _blurred(self, image: Array, parts: int) -> Array:
-        blur, sides = self.scene.camera.blur, self.scene.camera.sides_mm
+    def _blurred(self, image: Array, parts: tuple[int, int]) -> Array:
+        blur = self.scene.camera.blur
+        sides = [side / many for side, many in zip(self.scene.camera.sides_mm, parts, strict=True)]
         if blur.widest_mm == 0.0:
             return image
         if blur.corner_mm is None:
-            return _gaussian(image, [blur.sigma_mm * parts / side for side in sides])
+            return _gaussian(image, [blur.sigma_mm / side for side in sides])
         # Pictures blurred by three widths, even steps of the variance apart, and between them by each pixel's own.
         rows, columns = image.shape
         y, x = np.linspace(-1.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)
@@ -146,20 +155,20 @@ class CameraLens:
         return np.asarray(
             sum(
                 np.maximum(0.0, 1.0 - np.abs(place - k))
-                * _gaussian(image, [math.sqrt(variance) * parts / side for side in sides])
+                * _gaussian(image, [math.sqrt(variance) / side for side in sides])
                 for k, variance in enumerate(widths)
             )
         )
 
 
-def _finer(camera: Camera, parts: int) -> Camera:
+def _finer(camera: Camera, parts: tuple[int, int]) -> Camera:
     """The camera whose pixels are parts of this one's."""
-    matrix = camera.matrix
+    matrix, (down, across) = camera.matrix, parts
     if matrix is not None and camera.kind == "calibrated":
         (fx, _, cx), (_, fy, cy), last = matrix
-        matrix = ((fx * parts, 0.0, (cx + 0.5) * parts - 0.5), (0.0, fy * parts, (cy + 0.5) * parts - 0.5), last)
-    shape = (camera.shape[0] * parts, camera.shape[1] * parts)
-    return replace(camera, shape=shape, pixel_mm=camera.pixel_mm / parts, matrix=matrix, bin=0)
+        matrix = ((fx * across, 0.0, (cx + 0.5) * across - 0.5), (0.0, fy * down, (cy + 0.5) * down - 0.5), last)
+    shape = (camera.shape[0] * down, camera.shape[1] * across)
+    return replace(camera, shape=shape, pixel_mm=camera.pixel_mm / math.sqrt(down * across), matrix=matrix, bin=0)
 
 
 def _gaussian(image: Array, widths: list[float]) -> Array:
