@@ -2,8 +2,8 @@
 
 All of it is sums of sharp beams from pinholes, which every model knows already. Soft edges are copies of the beams,
 moved along y; along z, where the camera looks through all of a beam, and where edges are not seen along y too, they are
-made as much wider as keeps the variance of their light. A wide lens is a sum of pinholes on its disc, each with its beams moved so that all meet at the
-distance of focus.
+made as much wider as keeps the variance of their light. A wide lens is a sum of pinholes on its disc, each with its
+beams moved so that all meet at the distance of focus.
 """
 
 import math

@@ -23,7 +23,7 @@ REACH = 4.0
 PER_SIGMA = 1.3
 """Fine pixels per standard deviation of the blur; half as wide ones change beams' edges by .2 % of their light."""
 LONG = 1.5
-"""Times as long as wide that pixels are from which on they are not parted along: bins are long where light is smooth."""
+"""Times as long as wide that pixels are not parted along any more: bins are long where light is smooth."""
 FINEST = 8
 """Fine pixels along a pixel's side, at most."""
 MOST_FINE = 2_000_000
