@@ -1,15 +1,19 @@
 """A bench: what stays the same from pattern to pattern and from dose to dose, and the scenes it makes."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
 from tankrig.pattern.pattern import Pattern
 from tankrig.pattern.wall import Wall
-from tankrig.scene.description import CLOSED, Camera, Medium, Projector, Scene, Tank, Vector
+from tankrig.scene.description import CLOSED, Beam, Camera, Medium, Projector, Scene, Tank, Vector
 from tankrig.scene.footprint import typical_pixel_mm
-from tankrig.scene.projection import beams_of
+from tankrig.scene.projection import beams_and_detail, warn_of_detail
 
 
 @dataclass(frozen=True)
@@ -76,16 +80,31 @@ class Bench:
         """
         if self.light == "calibrated":
             assert self.projector is not None
-            if self.wall.response:  # measured, and truer than any power law
-                linear = replace(self.projector, gamma=1.0)
-                beams = beams_of(self.tank, linear, self.wall.fractions[pattern.pixels])
-            else:
-                beams = beams_of(self.tank, self.projector, pattern.pixels)
+            beams, coarser = _lit(self.tank, self.projector, self.wall.response, _Shown(pattern.hash, pattern.pixels))
+            warn_of_detail(coarser, stacklevel=3)
             return Scene(self.tank, medium, replace(self.projector, beams=beams), self.camera)
         beams = self.wall.beams(pattern, self.tank)
         if not beams:
             raise SceneError(f'pattern "{pattern.name}" lights nothing in the tank, so there is nothing to predict')
         return Scene(self.tank, medium, Projector(self.light, beams, self.light_position_mm), self.camera)
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """Pixels of a pattern, told apart by their hash."""
+
+    hash: str
+    pixels: NDArray[np.uint8] = field(compare=False)
+
+
+@lru_cache(maxsize=16)
+def _lit(
+    tank: Tank, projector: Projector, response: tuple[float, ...], shown: _Shown
+) -> tuple[tuple[Beam, ...], float]:
+    """Beams of a picture and their detail; checks before a run, its fit and its report ask for the same ones."""
+    if response:  # measured, and truer than any power law
+        return beams_and_detail(tank, replace(projector, gamma=1.0), np.array(response)[shown.pixels])
+    return beams_and_detail(tank, projector, shown.pixels)
 
 
 @dataclass(frozen=True)

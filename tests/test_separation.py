@@ -14,9 +14,11 @@ from tankrig.light.single import single_scattering
 from tankrig.pattern import Sheet, Wave, draw
 from tankrig.pattern.wall import Wall
 from tankrig.run.derived import damaged_derived, read_derived, write_derived
+from tankrig.run.reading import StoredFrames
 from tankrig.scene import Camera, Medium, Tank
 from tankrig.separation import demodulated, expected_separation, order_one, transfer_of, what_changed
-from tankrig.separation.expected import agreement, extinction, sheet_scene
+from tankrig.separation.expected import agreement, sheet_scene
+from tankrig.separation.order_one_fit import KNOWN_SLOPE_SD, fit_order_one, slope_of
 from tankrig.separation.transfer import LIQUID
 from tankrig.separation.waves import Waves, noise_of_pairs
 from tankrig.sequence import Capture, Separate, Sequence, Series, Wait
@@ -76,9 +78,10 @@ def test_order_1_is_found_without_a_model_and_its_uncertainty_holds(case: str) -
     assert agreement(found, 1.3 * truth).doubt or beside.sd > 0.07
     if "thick" not in case:
         assert beside.sd < 0.05
-        sigma_t, sd = extinction(found, scene)
-        assert abs(sigma_t - scene.medium.sigma_t) < 2.5 * sd
-        assert sd < 0.04 * sigma_t
+        known_phase = slope_of(scene.medium), KNOWN_SLOPE_SD
+        alone = fit_order_one([(found, scene)], known_phase)
+        assert abs(alone.sigma_t - scene.medium.sigma_t) < 2.5 * alone.sigma_t_sd
+        assert alone.sigma_t_sd < 0.04 * alone.sigma_t
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if "medium" in case])
@@ -276,6 +279,11 @@ do = "separate"
 z_mm = [58.0, 62.0]
 y_mm = [-60.0, 60.0]
 periods_mm = [8.0, 16.0]
+
+[[steps]]
+do = "capture"
+pattern = "full"
+exposure_ms = 5.0
 """
 
 
@@ -289,7 +297,12 @@ def test_from_a_sequence_to_order_1_by_commands(
     Path("separate.toml").write_text(SEPARATED)
     assert main(["run", "separate.toml", "--out", "run", "--no-fit"]) == 0
     capsys.readouterr()
+    read, whole = [], StoredFrames.read
+    monkeypatch.setattr(
+        StoredFrames, "read", lambda self, frame, _=False: read.append(frame["index"]) or whole(self, frame)
+    )
     assert main(["separate", "run", "--json"]) == 0
+    assert len(read) == len({*read}) == 9, "each wave's frame and the dark's once, and no photograph for fits"
     (sheet,) = json.loads(capsys.readouterr().out)["sheets"]
     assert sheet["dose_ml"] == pytest.approx(0.4)
     sigma_t = 0.4 * MILK.sigma_t + PURE_WATER.sigma_t
@@ -305,7 +318,7 @@ def test_from_a_sequence_to_order_1_by_commands(
     file.write_bytes(file.read_bytes()[:-100])
     assert main(["recover", "run"]) == 0, "nothing that was recorded is lost"
     assert f"{file.name} (tankrig separate run)" in capsys.readouterr().out.replace("\n", " ")
-    assert len(open_run("run").events("frame")) == 9
+    assert len(open_run("run").events("frame")) == 10
 
 
 def test_a_run_without_waves_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -92,7 +92,9 @@ def test_a_mirror_for_a_floor_makes_a_tank_twice_as_deep(model):
         Faces(far=Face("glass")),
         Faces(left=Face("glass", thickness_mm=4.0), right=Face("glass", thickness_mm=4.0)),
         Faces(floor=Face("diffuse", 0.3)),
-        Faces(*[Face("glass", thickness_mm=5.0)] * 4, floor=Face("diffuse", 0.04)),
+        pytest.param(
+            Faces(*[Face("glass", thickness_mm=5.0)] * 4, floor=Face("diffuse", 0.04)), marks=pytest.mark.long
+        ),
     ],
 )
 def test_tank_and_monte_carlo_agree_on_walls(faces):

@@ -10,8 +10,7 @@ from pathlib import Path
 from tankrig.errors import TankrigError
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
-from tankrig.light.prepared.preparation import place_of
-from tankrig.live.preparing import LOOK, Preparation, Preparing, box_for, holds, model_for, tolerance_for
+from tankrig.live.preparing import LOOK, Phases, Preparation, Preparing, box_for, file_of, holds, model_for
 from tankrig.scene.description import Medium, Scene
 
 KEPT = 24
@@ -28,10 +27,12 @@ class ModelsOnDemand(Preparing):
     ----------
     progress
         Told in a few words what is being done; what it raises ends it.
+    phases
+        Which phase functions the models are for.
     """
 
-    def __init__(self, progress: Callable[[str], None] = lambda _: None) -> None:
-        self._progress = progress
+    def __init__(self, progress: Callable[[str], None] = lambda _: None, phases: Phases = "hg") -> None:
+        self._progress, self._phases = progress, phases
         self._used: dict[tuple[Scene, Box], Prepared] = {}
         self._not_prepared: set[tuple[Scene, Box]] = set()
 
@@ -50,7 +51,7 @@ class ModelsOnDemand(Preparing):
             if (scene, box) in self._used or (scene, box) in self._not_prepared:
                 continue
             try:
-                self._used[scene, box] = shared_model(scene, box, self._progress)
+                self._used[scene, box] = shared_model(scene, box, self._progress, self._phases)
             except TankrigError as error:
                 self._progress(f"no model could be prepared: {error}")
                 self._not_prepared.add((scene, box))
@@ -75,9 +76,11 @@ class ModelsOnDemand(Preparing):
         """There is nothing to end."""
 
 
-def shared_model(scene: Scene, box: Box, progress: Callable[[str], None] = lambda _: None) -> Prepared:
+def shared_model(
+    scene: Scene, box: Box, progress: Callable[[str], None] = lambda _: None, phases: Phases = "hg"
+) -> Prepared:
     """The model of a scene for a box: from memory, from disk, or made now, by one process for all."""
-    return _in_memory(scene, box, _Listener(progress))
+    return _in_memory(scene, box, _Listener(progress), phases)
 
 
 class _Listener:
@@ -94,13 +97,13 @@ class _Listener:
 
 
 @lru_cache(maxsize=KEPT)
-def _in_memory(scene: Scene, box: Box, telling: _Listener) -> Prepared:
-    file = place_of(scene, box, tolerance_for(scene, box)).model
+def _in_memory(scene: Scene, box: Box, telling: _Listener, phases: Phases) -> Prepared:
+    file = file_of(scene, box, phases)
     if file.exists():
-        return model_for(scene, box)
+        return model_for(scene, box, phases=phases)
     telling.tell("preparing a model")
     with alone(file.with_suffix(".lock")):
-        return model_for(scene, box, lambda _: telling.tell("preparing a model"))
+        return model_for(scene, box, lambda _: telling.tell("preparing a model"), phases)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from tankrig.archive.models import ModelsOnDemand
 from tankrig.archive.results import FORMAT, Results, Row, made_now
 from tankrig.errors import ImageError, StoreError, TankrigError
 from tankrig.live.exposures import PhotographPlan, exposures_of
+from tankrig.live.preparing import phases_prepared
 from tankrig.live.refit import fits_made
 from tankrig.live.results import DoseFit, FailedFit, Fit, to_fields
 from tankrig.live.worker import Fitter, fit_all_there_is
@@ -125,7 +126,8 @@ def fits_of_archived(run: Run, refitting: Refitting, progress: Callable[[str], N
     if refitting.model == "tank":
         fits = list(fits_made(run, everything=True, model="tank"))
     else:
-        fitter = Fitter((), ModelsOnDemand(progress), PhotographPlan.of_run(run), progress)
+        plan = PhotographPlan.of_run(run)
+        fitter = Fitter((), ModelsOnDemand(progress, phases_prepared(plan) or "hg"), plan, progress)
         made = fit_all_there_is(fitter, lambda: (exposures, True), _nothing_to_wait_for)
         fits = [fit for fit in made if not (isinstance(fit, DoseFit) and fit.passing)]
     failed = [fit for fit in fits if isinstance(fit, FailedFit)]

@@ -13,18 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import (
-    COARSE,
-    Forward,
-    Model,
-    Models,
-    Slopes,
-    corrected,
-    counted_error,
-    image_of,
-    stated_error,
-    values_of,
-)
+from tankrig.estimation.differences import Forward, Slopes, values_of
+from tankrig.estimation.forward import COARSE, Model, Models, corrected, counted_error, image_of, stated_error
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import Block, Scaling
 from tankrig.estimation.phase_families import Family

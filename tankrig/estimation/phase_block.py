@@ -85,8 +85,8 @@ class CoefficientsBlock(Block):
         return np.full(2, WIDEST * float(values[self.name].sum()))
 
     def at_edge(self, values: Values) -> tuple[str, ...]:
-        """See `Range.at_edge`."""
-        return self.range.at_edge(self._liquid(values))
+        """See `Range.at_edge`; the mean cosine is the phase function's."""
+        return tuple(name for name in self.range.at_edge(self._liquid(values)) if name in self.names)
 
     def liquid(self, values: Values, dose: int, before: Medium) -> Medium:
         """The same everywhere."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from tankrig.estimation.forward import Forward, Slopes
+from tankrig.estimation.differences import Forward, Slopes
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import Block, Scaling
 from tankrig.estimation.uncertainty import ModelError, Response, Sensitivity, Whitening

@@ -132,6 +132,7 @@ def fit_liquid(
     start: Medium | None = None,
     progress: Told = lambda _: None,
     asked: Asked = Asked(),  # noqa: B008
+    starts: Sequence[Medium] = (),
 ) -> LiquidEstimate | None:
     """One liquid from several patterns with one gain.
 
@@ -148,7 +149,9 @@ def fit_liquid(
     progress
         Told in a few words what is being done; what it raises ends the fit.
     asked
-        Which phase functions are searched; by the tank model only, where not Henyey–Greenstein's.
+        Which phase functions are searched; not Henyey–Greenstein's only by models that know any.
+    starts
+        Without `start`: liquids that the search begins from, in place of a look around; see `OrderOneFit.media`.
 
     Returns
     -------
@@ -164,15 +167,20 @@ def fit_liquid(
     shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
     if asked.family is None:
         blocks = blocks_of(None)
-        fit = fitted(shots, blocks, scaling, progress, None if start is None else blocks[0].start(start))
+        begin = None if start is None else blocks[0].start(start)
+        places = [blocks[0].start(one) for one in starts] if start is None else []
+        fit = fitted(shots, blocks, scaling, progress, begin, starts=places or None)
     else:
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, densest=start)
     best = fit.optimum
     gain, _, left = left_over(fit)
-    if models[0].range is not None and {"sigma_s", "g"} & set(best.at_edge):
+    within = models[0].range
+    if within is not None and {"sigma_s", "g"} & set(best.at_edge):
         return None
     answer = _answer(best, _spread(best, left, shots), asked, left)
     medium, spread = answer.liquid, answer.covariance
+    if within is not None and "g" in within.at_edge(medium):
+        return None
     return LiquidEstimate(
         medium, spread, gain, rms(np.array([one.rmse for one in left])), rms(np.array([one.counted for one in left])),
         _known(medium, spread, left, asked), rms(np.array([one.beyond for one in left])), answer,

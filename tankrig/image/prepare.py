@@ -1,7 +1,7 @@
 """`prepare`: a model of one geometry and pattern that answers at once."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, overload
@@ -16,6 +16,8 @@ from tankrig.threads import THREADS
 if TYPE_CHECKING:
     from tankrig.light.prepared.answer import Answer
     from tankrig.light.prepared.box import Box
+    from tankrig.light.prepared.phases.answer import PhaseAnswer
+    from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
 
@@ -29,7 +31,7 @@ class Prepared:
     scene
         What it was prepared for; the medium does not matter.
     box
-        Ranges of σt, albedo and g that it answers for.
+        Ranges of σt, albedo and g that it answers for; g is the mean cosine.
     tolerance
         Relative L2 error that was asked for.
     error
@@ -40,6 +42,8 @@ class Prepared:
         The file that keeps it.
     answer
         What answers.
+    phases
+        "hg": media of Henyey–Greenstein's phase function; "any": of any.
     """
 
     scene: Scene
@@ -48,7 +52,8 @@ class Prepared:
     error: float
     largest_error: float
     path: Path
-    answer: "Answer" = field(repr=False)
+    answer: "Answer | PhaseAnswer" = field(repr=False)
+    phases: Literal["hg", "any"] = "hg"
 
     @overload
     def predict(self, medium: Medium, derivatives: Literal[False] = False) -> Array: ...
@@ -64,7 +69,7 @@ class Prepared:
         medium
             Inside the box.
         derivatives
-            Give those by σa, σs and g too.
+            Give those by σa, σs and g too, of a Henyey–Greenstein medium; see `slopes` for others.
 
         Returns
         -------
@@ -73,15 +78,48 @@ class Prepared:
         Raises
         ------
         SceneError
-            When the medium is outside the box, or its phase function is not Henyey–Greenstein's.
+            When the medium is outside the box, or its phase function is none that the model, or the derivatives, know.
         """
         self.box.require(medium)
-        if medium.phase is not None:
+        if medium.phase is not None and (self.phases == "hg" or derivatives):
             raise SceneError(
-                "a prepared model knows Henyey–Greenstein only, and the medium has a phase of kind "
-                f'"{medium.phase.kind}"; use predict'
+                "derivatives by g are Henyey–Greenstein's only, and the medium has a phase of kind "
+                f'"{medium.phase.kind}"; use slopes'
+                if self.phases == "any"
+                else "this prepared model knows Henyey–Greenstein only, and the medium has a phase of kind "
+                f'"{medium.phase.kind}"; use predict, or prepare with phases = "any"'
             )
         return self.answer.image_and_derivatives(medium) if derivatives else self.answer.image(medium)
+
+    def slopes(self, medium: Medium, others: "Sequence[PhaseFunction]") -> tuple[Array, Array]:
+        """The image of a medium with any phase function, and its derivatives.
+
+        Parameters
+        ----------
+        medium
+            Inside the box.
+        others
+            Phase functions beside the medium's.
+
+        Returns
+        -------
+        image
+            (rows, columns) in W/mm²/sr.
+        slopes
+            (2 + others, rows, columns) by σa, by σs, and by the share of the way to each of the other phase functions:
+            how the image changes, to first order, when one takes the place of the medium's.
+
+        Raises
+        ------
+        SceneError
+            When the medium is outside the box, or the model was prepared for Henyey–Greenstein.
+        """
+        from tankrig.light.prepared.answer import Answer
+
+        self.box.require(medium)
+        if isinstance(self.answer, Answer):
+            raise SceneError('this prepared model knows Henyey–Greenstein only; prepare with phases = "any"')
+        return self.answer.image_and_slopes(medium, others)
 
     def error_at(self, medium: Medium) -> float:
         """Estimated relative L2 error of one medium's image.
@@ -106,8 +144,8 @@ def require_henyey_greenstein(scene: Scene) -> None:
     if scene.medium.phase is not None:
         raise SceneError(
             f'medium.phase of kind "{scene.medium.phase.kind}" is known to predictions and to fits of one image only; '
-            "prepared models and series know Henyey–Greenstein: leave it out, and take their σs and g for those of a "
-            "Henyey–Greenstein liquid"
+            'prepared models know Henyey–Greenstein unless they are prepared for any: say phases = "any", or leave it '
+            "out, and take their σs and g for those of a Henyey–Greenstein liquid"
         )
 
 
@@ -117,6 +155,7 @@ def prepare(
     progress: Callable[[float], object] | None = None,
     box: "Box | None" = None,
     threads: int = THREADS,
+    phases: Literal["hg", "any"] = "hg",
 ) -> Prepared:
     """Prepare a model that gives the tank's image of any medium, and its derivatives, in about a millisecond.
 
@@ -136,6 +175,9 @@ def prepare(
         prepared sooner.
     threads
         That it is prepared with.
+    phases
+        Which phase functions it answers for: "hg", Henyey–Greenstein's, or "any". For any, light and sight must run
+        straight, and lenses and walls be ideal.
 
     Returns
     -------
@@ -144,7 +186,8 @@ def prepare(
     Raises
     ------
     SceneError
-        When the tolerance is out of range, the scene is dark or the camera has too many pixels.
+        When the tolerance is out of range, the scene is dark, the camera has too many pixels, or no model of any phase
+        function can be prepared for it.
     CacheError
         When there is no room for the model.
 
@@ -156,13 +199,19 @@ def prepare(
     from tankrig.light.prepared.box import Box
     from tankrig.light.prepared.preparation import prepared
 
-    require_henyey_greenstein(scene)
+    if phases not in ("hg", "any"):
+        raise SceneError(f'phases = "{phases}" is unknown; use "hg" or "any"')
+    if phases == "hg":
+        require_henyey_greenstein(scene)
     if not 0.0 < tolerance <= 1.0:
         raise SceneError(f"tolerance = {tolerance} is outside 0 … 1; give a relative error such as 0.01")
     if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):
         raise SceneError(f"{scene.source or 'the scene'}: no beam has any irradiance; give the light that is on")
     box = box or Box()
-    answer, path = prepared(scene, box, tolerance, progress or (lambda _: None), threads)
+    tell = progress or (lambda _: None)
+    if phases == "any":
+        return _for_any_phase(scene, tolerance, tell, box, threads)
+    answer, path = prepared(scene, box, tolerance, tell, threads)
     mean, largest, where = answer.error_over_box()
     if largest > tolerance:
         warnings.warn(
@@ -172,3 +221,20 @@ def prepare(
             stacklevel=2,
         )
     return Prepared(scene, box, tolerance, mean, largest, path, answer)
+
+
+def _for_any_phase(
+    scene: Scene, tolerance: float, progress: Callable[[float], object], box: "Box", threads: int
+) -> Prepared:
+    """See `prepare`."""
+    from tankrig.light.prepared.phases.preparation import prepared_for_phases
+
+    answer, path = prepared_for_phases(scene, box, tolerance, progress, threads)
+    mean, largest = answer.error_over_box()
+    if largest > tolerance:
+        warnings.warn(
+            f"the prepared model's error is {mean:.1%} on average and up to {largest:.1%} for usual phase functions, "
+            f"more than the tolerance of {tolerance:.1%}; ask for a smaller tolerance or a smaller box",
+            stacklevel=3,
+        )
+    return Prepared(scene, box, tolerance, mean, largest, path, answer, "any")

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.bench import Bench, KnownScenes
-from tankrig.calibration.file import FOLDER, usable
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked
 from tankrig.devices import CameraSettings, Delivered, Pixels
@@ -21,12 +20,14 @@ from tankrig.errors import SceneError, StoreError
 from tankrig.estimation.observation import pixel_noise
 from tankrig.image.bins import HALF, Bins, Seen, bins_for
 from tankrig.materials.coefficients import optics
+from tankrig.materials.dosing import tank_volume_ml
 from tankrig.materials.library import material
 from tankrig.pattern import Pattern
+from tankrig.run.calibrations import radiometry_of_run
 from tankrig.run.conditions import JournalFollower, clamped
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run
-from tankrig.scene.description import Camera, Medium, Scene
+from tankrig.scene.description import Camera, Medium, Scene, Tank
 from tankrig.scene.outline import edge_reach_mm
 from tankrig.scene.phase_table import PhaseFunction
 from tankrig.sequence import Burst, Capture, Dose, Sequence
@@ -144,8 +145,8 @@ class PhotographPlan:
             radiometry = None
         doses = tuple(one.total_ul / 1000.0 for one in actions if isinstance(one, Dose))
         return cls(
-            bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry, ink=sequence.ink,
-            phase=phase_of(sequence),
+            bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry,
+            ink=ink_expected(sequence, bench.tank), phase=phase_of(sequence),
         )  # fmt: skip
 
     @classmethod
@@ -286,6 +287,21 @@ def phase_of(sequence: Sequence) -> str | PhaseFunction:
         return optics(material(sequence.material), sequence.wavelength_nm).searched
     ink = sequence.ink
     return "hg" if ink is None or ink.phase is None else ink.phase
+
+
+def ink_expected(sequence: Sequence, tank: Tank) -> Medium | None:
+    """What a sequence says of its ink, per mm and ml; else what is published of its material, undiluted.
+
+    Raises
+    ------
+    SceneError
+        When the material is unknown, or nobody has published what it is at the wavelength.
+    """
+    if sequence.ink is not None or not sequence.material or sequence.wavelength_nm is None:
+        return sequence.ink
+    stock = optics(material(sequence.material), sequence.wavelength_nm).medium
+    tank_ml = tank_volume_ml(tank)
+    return Medium(stock.sigma_a / tank_ml, stock.sigma_s / tank_ml, stock.g)
 
 
 class Exposures:
@@ -510,20 +526,6 @@ def wave_names(run: Run) -> frozenset[str]:
     if "sequence" not in run.settings:
         return frozenset()
     return frozenset(sequence_from_table(dict(run.settings["sequence"]), str(run.path)).waves)
-
-
-def radiometry_of_run(run: Run) -> Radiometry | None:
-    """The radiometric calibration that was in force when a run was recorded; its file is in the run's folder.
-
-    Raises
-    ------
-    StoreError
-        When there was one, and its file is gone or changed.
-    """
-    named = run.settings.get("calibrations", {})
-    if "radiometry" not in named:
-        return None
-    return Radiometry.of(usable(run.path / FOLDER, {"radiometry": named["radiometry"]})["radiometry"])
 
 
 def fits_that_hold(run: Run) -> tuple[Event, ...]:

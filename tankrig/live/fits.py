@@ -31,6 +31,7 @@ def fit_dose(
     start: Medium | None = None,
     progress: Told = lambda _: None,
     phase: str | PhaseFunction = "hg",
+    starts: Sequence[Medium] = (),
 ) -> DoseFit:
     """Fit all photographs of one dose by the tank model, and by single scattering beside it.
 
@@ -44,6 +45,8 @@ def fit_dose(
         Told in a few words what is being done, now and then; what it raises ends the fit.
     phase
         Which phase functions are searched, as in `tankrig.estimate`.
+    starts
+        Where that is not known: liquids that a search begins from, in place of looking around.
 
     Raises
     ------
@@ -51,22 +54,26 @@ def fit_dose(
         When they cannot be fitted.
     """
     began = time.perf_counter()
-    fit = _fitted(photographs, None, start, progress, phase)
+    fit = _fitted(photographs, None, start, progress, phase, starts)
     assert fit is not None  # the tank model answers for any medium
     return replace(with_single(fit, photographs), seconds=round(time.perf_counter() - began, 3))
 
 
-def fit_dose_prepared(photographs: Sequence[Photograph], models: Sequence[Prepared], start: Medium) -> DoseFit | None:
+def fit_dose_prepared(
+    photographs: Sequence[Photograph], models: Sequence[Prepared], start: Medium, phase: str | PhaseFunction = "hg"
+) -> DoseFit | None:
     """The same by prepared models, one for each photograph, in milliseconds; without single scattering.
 
-    None where the photographs want a medium that the models were not prepared for.
+    Where another phase function than Henyey–Greenstein's is asked for, the models must be prepared for any. None where
+    the photographs want a medium that the models were not prepared for.
 
     Raises
     ------
     ImageError
         When they cannot be fitted.
     """
-    return _fitted(photographs, [models_of(one.scene, one, None) for one in models], start)
+    family = asked_for(phase, photographs[0].scene).family
+    return _fitted(photographs, [models_of(one.scene, one, None, family) for one in models], start, phase=phase)
 
 
 def _fitted(
@@ -75,13 +82,14 @@ def _fitted(
     start: Medium | None,
     progress: Told = lambda _: None,
     phase: str | PhaseFunction = "hg",
+    starts: Sequence[Medium] = (),
 ) -> DoseFit | None:
     began, first = time.perf_counter(), photographs[0]
     scenes = [one.scene for one in photographs]
     noises, masks = [one.noise for one in photographs], [one.mask for one in photographs]
     observations = observed([one.image for one in photographs], scenes, noises, masks)
     scaling, asked = Scaling.given("free", first.offset), asked_for(phase, scenes[0])
-    found = fit_liquid(observations, scenes, scaling, prepared, start, progress, asked)
+    found = fit_liquid(observations, scenes, scaling, prepared, start, progress, asked, starts)
     if found is None:
         return None
     return DoseFit(
@@ -108,7 +116,7 @@ def fit_all(
     """Fit the series: all photographs of all doses, by prepared models where there are any that hold the media.
 
     `progress` is told in a few words what is being done; what it raises ends the fit. Of phase functions but
-    Henyey–Greenstein's there are no prepared models.
+    Henyey–Greenstein's models must be prepared for any.
 
     Raises
     ------

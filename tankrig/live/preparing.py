@@ -6,11 +6,14 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import fmean
+from typing import Literal
 
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
 from tankrig.light.rays import shift_invariant
+from tankrig.live.exposures import PhotographPlan
 from tankrig.live.results import diluted
 from tankrig.scene.description import Medium, Scene
 
@@ -36,6 +39,8 @@ KEPT_S = 1.0
 """A model that took no longer was kept on disk, and tells nothing of what others take."""
 
 Told = Callable[[str], object]
+Phases = Literal["hg", "any"]
+"""Phase functions that a model answers for: Henyey–Greenstein's, or any."""
 
 
 @dataclass(frozen=True)
@@ -110,11 +115,30 @@ def foreseen(
     return [*((scenes, box) for box in boxes), (scenes[:1], LOOK)]
 
 
-def is_kept(scene: Scene, box: Box) -> bool:
-    """Whether the cache holds the model of a scene for a box, so that a run need not wait for it."""
-    from tankrig.light.prepared.preparation import place_of
+def phases_prepared(plan: PhotographPlan) -> Phases | None:
+    """Which phase functions a run's models are prepared for; None where it is fitted by light paths.
 
-    return place_of(scene, box, tolerance_for(scene, box)).model.exists()
+    Those of any phase function want light and sight that run straight.
+    """
+    if plan.phase == "hg":
+        return "hg"
+    from tankrig.light.prepared.phases.preparation import can_be_prepared
+
+    return "any" if all(can_be_prepared(scene) for scene in plan.scenes.values()) else None
+
+
+def file_of(scene: Scene, box: Box, phases: Phases = "hg") -> Path:
+    """The file that keeps the model of a scene for a box, whether it is there or not."""
+    from tankrig.light.prepared import preparation
+    from tankrig.light.prepared.phases import preparation as of_any
+
+    place_of = preparation.place_of if phases == "hg" else of_any.place_of
+    return place_of(scene, box, tolerance_for(scene, box)).model
+
+
+def is_kept(scene: Scene, box: Box, phases: Phases = "hg") -> bool:
+    """Whether the cache holds the model of a scene for a box, so that a run need not wait for it."""
+    return file_of(scene, box, phases).exists()
 
 
 class _NotWantedError(Exception):
@@ -132,10 +156,14 @@ class Preparing:
         Called, in that thread, with a sentence when models are ready or cannot be prepared.
     clock
         Seconds; for the time that is left.
+    phases
+        Which phase functions the models are for.
     """
 
-    def __init__(self, told: Told = lambda _: None, clock: Callable[[], float] = time.monotonic) -> None:
-        self._told, self._clock = told, clock
+    def __init__(
+        self, told: Told = lambda _: None, clock: Callable[[], float] = time.monotonic, phases: Phases = "hg"
+    ) -> None:
+        self._told, self._clock, self._phases = told, clock, phases
         self._closing = False
         self._began_s, self._share = clock(), 0.0
         self._took_s: dict[tuple[Scene, Box], float] = {}
@@ -236,7 +264,7 @@ class Preparing:
             if self._closing or self._waiting[:1] != [(scene, box)]:
                 raise _NotWantedError
 
-        return model_for(scene, box, progress)
+        return model_for(scene, box, progress, self._phases)
 
 
 def _like(took_s: Mapping[tuple[Scene, Box], float], scene: Scene, box: Box) -> float | None:
@@ -251,7 +279,9 @@ def _like(took_s: Mapping[tuple[Scene, Box], float], scene: Scene, box: Box) -> 
     return fmean(of_pattern or alike.values()) if alike else None
 
 
-def model_for(scene: Scene, box: Box, progress: Callable[[float], object] = lambda _: None) -> Prepared:
+def model_for(
+    scene: Scene, box: Box, progress: Callable[[float], object] = lambda _: None, phases: Phases = "hg"
+) -> Prepared:
     """The model of a scene for a box as a live fit asks for it, from the cache or made now.
 
     Raises
@@ -261,7 +291,7 @@ def model_for(scene: Scene, box: Box, progress: Callable[[float], object] = lamb
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the error is counted in every covariance
-        return prepare(scene, tolerance_for(scene, box), progress, box)
+        return prepare(scene, tolerance_for(scene, box), progress, box, phases=phases)
 
 
 def tolerance_for(scene: Scene, box: Box) -> float:

@@ -3,7 +3,7 @@
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import connection, parent_process
@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from multiprocessing.synchronize import Event as Signal
 from multiprocessing.synchronize import Lock
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from tankrig.errors import TankrigError
 from tankrig.light.prepared.box import Box
 from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
 from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
-from tankrig.live.preparing import LOOK, LOOK_START, Preparation, Preparing, foreseen
+from tankrig.live.preparing import LOOK, LOOK_START, Preparation, Preparing, foreseen, phases_prepared
 from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, diluted
 from tankrig.scene.description import Medium
 from tankrig.scene.phase_table import PhaseFunction
@@ -90,7 +91,7 @@ def _end_with_parent(memory: SharedMemory) -> None:
 
 
 def _fit(shared: Shared, memory: SharedMemory) -> None:
-    preparing = Preparing(lambda _: shared.news.set())
+    preparing = Preparing(lambda _: shared.news.set(), phases=phases_prepared(shared.plan) or "hg")
     fitter = Fitter(shared.earlier, preparing, shared.plan)
     told: list[Preparation] = []
 
@@ -171,8 +172,8 @@ class Fitter:
     expected to have, or from a first look at one of its photographs, by a model of nearly all media that is prepared
     before there is any ink. While models are being prepared they are waited for; where they cannot be prepared, or do
     not hold the liquid, the dose is fitted by the tank model, which takes half a minute instead of milliseconds, and on
-    a bench some minutes. So it is where another phase function than Henyey–Greenstein's is asked for, of which there
-    are no prepared models.
+    a bench some minutes. So it is on a bench where another phase function than Henyey–Greenstein's is asked for: models
+    of any are prepared where light and sight run straight.
 
     Parameters
     ----------
@@ -184,6 +185,8 @@ class Fitter:
         Of the run; needed for preparing.
     progress
         Told in a few words what the tank model's fit, or that of the series, is doing; what it raises ends the fit.
+    by_order_one
+        Liquids that order 1 by itself tells of a dose, by ml: where nothing else is known, fits begin from them.
     """
 
     def __init__(
@@ -192,9 +195,12 @@ class Fitter:
         preparing: Preparing | None = None,
         plan: PhotographPlan | None = None,
         progress: Callable[[str], None] = lambda _: None,
+        by_order_one: Mapping[float, Sequence[Medium]] = MappingProxyType({}),
     ) -> None:
+        self._by_order_one = by_order_one
         self._phase: str | PhaseFunction = "hg" if plan is None else plan.phase
-        self._preparing, self._plan, self._progress = preparing if self._phase == "hg" else None, plan, progress
+        known = plan is None or phases_prepared(plan) is not None
+        self._preparing, self._plan, self._progress = preparing if known else None, plan, progress
         self._fitted: dict[float, int] = {}
         self._liquid: dict[float, Medium] = {}
         self._looked: dict[float, DoseFit | None] = {}
@@ -296,7 +302,8 @@ class Fitter:
                 return replace(quick, passing=True)
             look = self._looked.get(dose_ml)
             start = self._start(dose_ml) or (None if look is None else look.medium)
-            fit = about(fit_dose(photographs, start, self._progress, self._phase))
+            told = self._by_order_one.get(dose_ml, ())
+            fit = about(fit_dose(photographs, start, self._progress, self._phase, told))
         except TankrigError as error:
             return FailedFit(dose_ml, str(error))
         self._keep(fit)
@@ -314,7 +321,7 @@ class Fitter:
             if found is not None or self._awaited:
                 return found
         if dose_ml not in self._looked:
-            look = self._fit_within(LOOK, photographs[:1], LOOK_START)
+            look = self._fit_within(LOOK, photographs[:1], self._look_start(dose_ml))
             if self._awaited:
                 return None
             self._looked[dose_ml] = look
@@ -336,7 +343,8 @@ class Fitter:
         look = self._looked.get(dose_ml)
         if look is None:
             try:
-                look = fit_dose_prepared(photographs[:1], models, self._start(dose_ml) or LOOK_START)
+                start = self._start(dose_ml) or self._look_start(dose_ml)
+                look = fit_dose_prepared(photographs[:1], models, start, self._phase)
             except TankrigError:
                 return None
         return None if look is None else replace(look, model=FIRST_LOOK, passing=True)
@@ -351,7 +359,7 @@ class Fitter:
             if self._awaited:
                 self._preparing.want(scenes, box)
             return None
-        return fit_dose_prepared(photographs, models, start)
+        return fit_dose_prepared(photographs, models, start, self._phase)
 
     def _begin(self) -> None:
         """Have models prepared before there is anything to fit: for the ink expected, and for a first look."""
@@ -385,9 +393,15 @@ class Fitter:
         expected = None if self._plan is None else self._plan.ink
         return None if expected is None else diluted(expected, 1.0, dose_ml)
 
+    def _look_start(self, dose_ml: float) -> Medium:
+        """Where a first look begins: at the σt that order 1 by itself tells, or in the middle of all."""
+        told = [one for one in self._by_order_one.get(dose_ml, ()) if LOOK.holds(one)]
+        return min(told, key=lambda one: abs(one.g - LOOK_START.g), default=LOOK_START)
+
     def _all(self, photographs: list[Photograph]) -> Fit:
         models = self._preparing.all_models if self._preparing else ()
-        start = None if self._latest is None or self._phase != "hg" else diluted(*self._latest, 1.0)
+        known = self._latest is not None and (self._phase == "hg" or bool(models))
+        start = diluted(*self._latest, 1.0) if known and self._latest is not None else None
         try:
             self._series = fit_all(photographs, self._series or start, models, self._progress, self._phase)
         except TankrigError as error:

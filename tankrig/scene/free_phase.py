@@ -27,7 +27,7 @@ SPREAD = 1.0
 """Of ln p about Henyey–Greenstein: beads of .2 to 2 µm are within a factor of 1.1 to 5 of it."""
 ALIKE = 0.13
 """Beads of .5 µm are then described to .04 of ln p, 1 µm to .17, milk-like droplets to .005. Finer shapes describe them
-better, and fits of images lose their way among them (decision 136)."""
+better, and fits of images lose their way among them (decision 209)."""
 FORWARD_DEG = 30.0
 _PLACES = 400
 

@@ -68,10 +68,11 @@ class PhaseFunction:
 
     def at(self, cosine: Array | float) -> Array:
         """p(cos θ) in 1/sr, as it is used: normalised, and linear in sin(θ/2) between the nodes of its table."""
-        return np.interp(np.sqrt(np.clip(0.5 - 0.5 * np.asarray(cosine, float), 0.0, 1.0)), sines(), self._table)
+        return np.interp(np.sqrt(np.clip(0.5 - 0.5 * np.asarray(cosine, float), 0.0, 1.0)), sines(), self.table)
 
     @cached_property
-    def _table(self) -> Array:
+    def table(self) -> Array:
+        """(`NODES`,) p in 1/sr, normalised, at the nodes `sines`."""
         values = self.density(1.0 - 2.0 * sines() ** 2)
         values[0] = _straight_on(self.density, float(values[1]))
         return np.asarray(values / _light_to(values)[-1])
@@ -80,7 +81,7 @@ class PhaseFunction:
         """Share of the light that turns by less than θ, for an array of cos θ."""
         sine = np.sqrt(np.clip(0.5 - 0.5 * cosine, 0.0, 1.0))
         step = np.minimum((sine * (NODES - 1)).astype(np.intp), NODES - 2)
-        return np.asarray(_light_to(self._table)[step] + _light_in_step(self._table, step, sine))
+        return np.asarray(_light_to(self.table)[step] + _light_in_step(self.table, step, sine))
 
     @cached_property
     def mean_cosine(self) -> float:
@@ -89,14 +90,12 @@ class PhaseFunction:
 
     def moments(self, highest: int) -> Array:
         """(highest + 1,) Legendre moments ∫ p P_l dω, the factors that scattering multiplies degree l by (Eq. 11)."""
-        nodes, weights = _quadrature()
-        weighted = weights * np.interp(nodes, sines(), self._table) * 8.0 * math.pi * nodes
-        return np.asarray(np.polynomial.legendre.legvander(1.0 - 2.0 * nodes**2, highest).T @ weighted)
+        return np.asarray(moments_of_nodes(highest) @ self.table)
 
     @cached_property
     def record(self) -> PhaseRecord:
         """For kernels."""
-        table = self._table
+        table = self.table
         fallen = int(np.argmax(table < table[0] / 2.8))
         sine = float(sines()[max(fallen, 1)])
         width = sine / math.sqrt(1.0 - sine**2) if fallen else 0.5
@@ -110,11 +109,45 @@ def sines() -> Array:
 
 
 @lru_cache(maxsize=1)
-def _quadrature() -> tuple[Array, Array]:
-    """Three Gauss points in each step of sin(θ/2): exact for what is linear there, times polynomials of degree 4."""
+def phase_quadrature() -> tuple[Array, Array]:
+    """Three Gauss points and weights in each step of s = sin(θ/2): exact for what is linear there, times polynomials of
+    degree 4; ∫ f dω = ∫ 8π f s ds."""
     points, weights = np.polynomial.legendre.leggauss(3)
     steps, half = sines(), 0.5 / (NODES - 1)
     return (steps[:-1, None] + half * (1.0 + points)).ravel(), np.tile(half * weights, NODES - 1)
+
+
+@lru_cache(maxsize=8)
+def moments_of_nodes(highest: int) -> Array:
+    """(highest + 1, NODES): times a table of p, its Legendre moments."""
+    nodes, weights = phase_quadrature()
+    legendre = (
+        np.polynomial.legendre.legvander(1.0 - 2.0 * nodes**2, highest) * (8.0 * math.pi * weights * nodes)[:, None]
+    )
+    return by_nodes(legendre)
+
+
+def by_nodes(values: Array) -> Array:
+    """(k, NODES) sums over a table that is linear between nodes, of sums over the points of `phase_quadrature`.
+
+    Parameters
+    ----------
+    values
+        (points, k) what each point counts.
+
+    Examples
+    --------
+
+    >>> round(float(by_nodes(np.ones((3 * (NODES - 1), 1))).sum()))
+    12288
+    """
+    nodes, _ = phase_quadrature()
+    step = np.repeat(np.arange(NODES - 1), 3)
+    share = (nodes * (NODES - 1) - step)[:, None]
+    found = np.zeros((NODES, values.shape[1]))
+    np.add.at(found, step, values * (1.0 - share))
+    np.add.at(found, step + 1, values * share)
+    return found.T
 
 
 def _straight_on(density: Callable[[Array], Array], first: float) -> float:

@@ -110,6 +110,7 @@ def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bo
     """On the ideal rig."""
     from tankrig.run.start import require_place
     from tankrig.run.state import FinishReason
+    from tankrig.scene.description import Medium
     from ui.cli.run import carry_out, open_runner, tell
 
     began = time.perf_counter()
@@ -118,7 +119,9 @@ def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bo
     sequence = _sequence(totals_ul)
     if liquid is not None:
         optics = liquid.optics
-        sequence = replace(sequence, material=optics.material.name, wavelength_nm=optics.wavelength_nm)
+        by = 1.0 / (liquid.tank_ml * liquid.dilution)
+        ink = Medium(by * optics.medium.sigma_a, by * optics.medium.sigma_s, optics.medium.g)
+        sequence = replace(sequence, material=optics.material.name, wavelength_nm=optics.wavelength_nm, ink=ink)
     require_place(path, 0)
     description = _rig(path, TRUTH if liquid is None else _truth(liquid))
     runner = open_runner(sequence, path, description)

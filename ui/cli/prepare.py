@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ import click
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.progress import Progress, TaskID
 
 Ends = tuple[float, float]
 RANGE = (float, float)
@@ -95,28 +96,34 @@ def _for_a_run(sequence_file: Path, rig: Path, as_json: bool) -> None:
     from drivers.rig import calibrated_bench, load_rig_file
     from tankrig.live.attached import require_fittable
     from tankrig.live.exposures import PhotographPlan
-    from tankrig.live.preparing import foreseen, is_kept, model_for
+    from tankrig.live.preparing import foreseen, is_kept, model_for, phases_prepared
     from tankrig.sequence import load_sequence
 
     sequence, bench = load_sequence(sequence_file), calibrated_bench(load_rig_file(rig))
     require_fittable(sequence, bench)
     plan = PhotographPlan.of(bench, sequence, list(sequence.drawn(bench.wall).values()))
-    foreseeable = foreseen(list(plan.scenes.values()), plan.doses_ml, sequence.ink)
+    phases = phases_prepared(plan)
+    foreseeable = foreseen(list(plan.scenes.values()), plan.doses_ml, plan.ink) if phases else []
     wanted = [(scene, box) for scenes, box in foreseeable for scene in scenes]
-    kept = sum(is_kept(*one) for one in wanted)
+    kept = sum(is_kept(*one, phases or "hg") for one in wanted)
     started = time.perf_counter()
     with _progress() as bar:
         task = bar.add_task("preparing", total=float(len(wanted)))
         for done, (scene, box) in enumerate(wanted):
-            model_for(scene, box, lambda share, done=done: bar.update(task, completed=done + share))  # type: ignore[misc]
+            told = partial(_told, bar, task, done)
+            model_for(scene, box, told, phases or "hg")
     seconds = round(time.perf_counter() - started, 3)
     if as_json:
         click.echo(json.dumps({"models": len(wanted), "kept": kept, "seconds": seconds}))
         return
-    what = "the first look" if sequence.ink is None else "the first look and the doses of the ink expected"
+    what = "the first look" if plan.ink is None else "the first look and the doses of the ink expected"
     found = "was there" if kept == len(wanted) else f"is ready after {seconds:.1f} s"
-    rest = "; the run prepares the rest, once a first look has told what ink it is" if sequence.ink is None else ""
+    rest = "; the run prepares the rest, once a first look has told what ink it is" if plan.ink is None else ""
     click.echo(f"{sequence.name}: what can be prepared for {what} {found}{rest}")
+
+
+def _told(bar: "Progress", task: "TaskID", done: int, share: float) -> None:
+    bar.update(task, completed=done + share)
 
 
 @contextmanager

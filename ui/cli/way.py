@@ -139,13 +139,14 @@ def _models(description: "RigFile", sequence: "Sequence", sequence_file: Path) -
     """Those that can be foreseen before there is any ink; a run prepares them by itself, and then waits for them."""
     from drivers.rig import calibrated_bench
     from tankrig.live.exposures import PhotographPlan
-    from tankrig.live.preparing import foreseen, is_kept
+    from tankrig.live.preparing import foreseen, is_kept, phases_prepared
 
     bench = calibrated_bench(description)
     plan = PhotographPlan.of(bench, sequence, list(sequence.drawn(bench.wall).values()))
-    foreseeable = foreseen(list(plan.scenes.values()), plan.doses_ml, sequence.ink)
+    phases = phases_prepared(plan)
+    foreseeable = foreseen(list(plan.scenes.values()), plan.doses_ml, plan.ink) if phases else []
     wanted = [(scene, box) for scenes, box in foreseeable for scene in scenes]
-    kept = sum(is_kept(*one) for one in wanted)
+    kept = sum(is_kept(*one, phases or "hg") for one in wanted)
     ink = "" if sequence.ink else "; ink = { … } in the sequence says which more will be wanted"
     finding = f"{kept} of {len(wanted)} that can be foreseen are kept; the run prepares the others first{ink}"
     command = f"tankrig prepare --sequence {quote(str(sequence_file))} {RIG}"

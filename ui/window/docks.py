@@ -10,7 +10,9 @@ from PySide6.QtWidgets import QApplication, QDockWidget, QFrame, QMainWindow, QS
 from ui.window.source_frame import SourceFrame
 from ui.window.staggered_painter import StaggeredPainter
 
-TITLES = ("Sequence", "Fit", "Doser", "Projector", "Runs", "Compare", "Regions", "Calibration", "Log")
+TITLES = (
+    "Sequence", "Fit", "Separation", "Doser", "Projector", "Runs", "Compare", "Regions", "Calibration", "Log"
+)  # fmt: skip
 PART = 0.54
 """Of the window's width, at first."""
 

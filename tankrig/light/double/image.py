@@ -85,14 +85,14 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
             rows = np.zeros((camera.shape[0], table.x_mm.size))
             for beam in beams:
                 if shared:
-                    _add_beam(rows, scene, geometry, beam, table, _integral(table.z0_mm, beam.z_mm))
+                    add_beam(rows, scene, geometry, beam, table, integral(table.z0_mm, beam.z_mm))
                 elif beam.z_mm == z_mm:
-                    _add_beam(rows, scene, geometry, beam, table, z0_weights)
-            image += rows @ _columns(table.x_mm, camera.shape[1], camera.pixel_mm, geometry.length).T
+                    add_beam(rows, scene, geometry, beam, table, z0_weights)
+            image += rows @ columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, geometry.length).T
     return np.maximum(image, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
 
 
-def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, z0_weights: Array) -> None:
+def add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, z0_weights: Array) -> None:
     """Add one beam, cut into parts narrow enough where J is not shift-invariant."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     for low, high in _parts(beam.y_mm, table.inner_mm, shift_invariant(scene)):
@@ -117,7 +117,7 @@ def _parts(y_mm: Interval, inner_mm: Interval, whole: bool) -> list[Interval]:
     return parts
 
 
-def _integral(nodes: Array, interval: tuple[float, float]) -> Array:
+def integral(nodes: Array, interval: tuple[float, float]) -> Array:
     """Weights that integrate the polynomial through all `nodes` over an interval."""
     places, weights = np.polynomial.legendre.leggauss(nodes.size // 2 + 1)
     half, middle = 0.5 * (interval[1] - interval[0]), 0.5 * (interval[1] + interval[0])
@@ -126,7 +126,7 @@ def _integral(nodes: Array, interval: tuple[float, float]) -> Array:
     )
 
 
-def _columns(x: Array, columns: int, pixel_mm: float, length: float) -> Array:
+def columns_of(x: Array, columns: int, pixel_mm: float, length: float) -> Array:
     """(columns, nx) weights that average the cubic interpolant through nodes `x` over each column of pixels."""
     result = np.zeros((columns, x.size))
     edges = np.minimum(np.arange(columns + 1) * pixel_mm, length)

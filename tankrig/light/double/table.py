@@ -131,9 +131,9 @@ def pair_radiance(
                 # Unit vector from the light ray to C, perpendicular to the ray.
                 dx, dy, dz = (qx + t * px) / distance, (qy + t * py) / distance, (qz + t * pz) / distance
                 lobe = dx * ax + dy * ay + dz * az
-                count = _cuts(cuts, foot - s_max, foot - s_min, distance, phase, cos_out, lobe)
+                count = panel_cuts(cuts, foot - s_max, foot - s_min, distance, phase, cos_out, lobe)
                 if mirrored:
-                    count = _cut_at_critical_angle(cuts, count, geometry.refractive_index, uz, dz)
+                    count = cut_at_critical_angle(cuts, count, geometry.refractive_index, uz, dz)
                 used = 0
                 for k in range(count - 1):
                     middle, width = 0.5 * (cuts[k] + cuts[k + 1]), 0.5 * (cuts[k + 1] - cuts[k])
@@ -143,11 +143,11 @@ def pair_radiance(
                         used += 1
                 if mirrored:
                     for k in range(used):
-                        s, c = _circle(at[k])
+                        s, c = half_circle(at[k])
                         share[k] *= reflectance(abs(s * uz + c * dz), geometry.refractive_index)
                 inner = 0.0
                 for k in range(used):
-                    s, c = _circle(at[k])
+                    s, c = half_circle(at[k])
                     value = phase_density(s, phase) * phase_density(s * cos_out + c * lobe, phase)
                     kept = exponential(-sigma_t * distance * (1.0 - at[k]) / (1.0 + at[k]))
                     inner += share[k] * 2.0 / (1.0 + at[k] * at[k]) * value * kept
@@ -156,7 +156,7 @@ def pair_radiance(
 
 
 @part
-def _circle(half_tangent: float) -> tuple[float, float]:
+def half_circle(half_tangent: float) -> tuple[float, float]:
     """Sine and cosine of α from tan(α/2)."""
     scale = 1.0 / (1.0 + half_tangent * half_tangent)
     return 2.0 * half_tangent * scale, (1.0 - half_tangent * half_tangent) * scale
@@ -205,7 +205,7 @@ def depth_below(geometry: Geometry, x: float, y0: float, z0: float, mirrored: bo
 
 
 @kernel
-def _cuts(
+def panel_cuts(
     cuts: NDArray[np.float64],
     low: float,
     high: float,
@@ -256,7 +256,7 @@ def _insert(cuts: NDArray[np.float64], count: int, at: float) -> int:
 
 
 @kernel
-def _cut_at_critical_angle(cuts: NDArray[np.float64], count: int, index: float, uz: float, dz: float) -> int:
+def cut_at_critical_angle(cuts: NDArray[np.float64], count: int, index: float, uz: float, dz: float) -> int:
     """Add to `cuts` the T at which reflection becomes total, where R(ξ) has a kink."""
     largest = math.sqrt(uz * uz + dz * dz)
     critical = math.sqrt(1.0 - 1.0 / (index * index))
@@ -355,7 +355,7 @@ class Table:
     """Whether the light goes by way of the surface."""
 
 
-def fill_table(
+def laid_out(
     scene: Scene,
     geometry: Geometry,
     z_mm: tuple[float, float],
@@ -364,7 +364,7 @@ def fill_table(
     fineness: Fineness,
     between: bool = False,
 ) -> tuple[Table, Array]:
-    """Compute J for beams of one height, or of all within a height.
+    """Nodes of a table for beams of one height, or of all within a height, with no values yet.
 
     Parameters
     ----------
@@ -416,16 +416,31 @@ def fill_table(
         edges = [edge for beam in scene.projector.beams for edge in beam.y_mm]
         y0, inner = _y_nodes(geometry, min(edges), max(edges), 0.5 * (low + high))
     decay = min(sigma_t, STEEPEST / (geometry.length + width))
-    rule = np.polynomial.legendre.leggauss(fineness.nodes)
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
+    return Table(x, fractions, margin, y0, inner, z0, values, decay, mirrored), 0.5 * (high - low) * weights
+
+
+def fill_table(
+    scene: Scene,
+    geometry: Geometry,
+    z_mm: tuple[float, float],
+    mirrored: bool,
+    finest_mm: float,
+    fineness: Fineness,
+    between: bool = False,
+) -> tuple[Table, Array]:
+    """Compute J at the nodes of `laid_out`, which has the same parameters."""
+    table, weights = laid_out(scene, geometry, z_mm, mirrored, finest_mm, fineness, between)
+    x, fractions, y0, z0, values = table.x_mm, table.fractions, table.y0_mm, table.z0_mm, table.values
+    rule = np.polynomial.legendre.leggauss(fineness.nodes)
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     half = y0.size // 2 if mirror_symmetric(scene) else 0
     some, one_sided = y0[: y0.size - half], values[:, : y0.size - half]
     given = (
         one_sided,
         geometry,
-        decay,
-        sigma_t,
+        table.decay,
+        scene.medium.sigma_t,
         scene.medium.phase_function.record,
         x,
         fractions,
@@ -439,7 +454,7 @@ def fill_table(
         for part in parts:
             part.result()
     values[:, y0.size - half :] = values[:, :half, ::-1][:, ::-1]  # the other side is the mirror image
-    return Table(x, fractions, margin, y0, inner, z0, values, decay, mirrored), 0.5 * (high - low) * weights
+    return table, weights
 
 
 def _more_between(span: float, height: float) -> int:

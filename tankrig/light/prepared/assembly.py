@@ -91,7 +91,11 @@ def _regression(plan: PreparationPlan, sampling: PathImages, paths: Array, exact
     norms = np.stack([sigma_t**term.power * np.exp(products @ term.scale[0]) for term in exact])
     powers = np.array(plan.albedos)[:, None] ** np.array([1, 2])
     flat = paths.reshape(*paths.shape[:2], -1)
-    return Regression(plan, flat, light, per_cell * (powers @ norms).T)
+    batches = np.array([sample.batches for sample in plan.paths], float)
+    return Regression(
+        plan.paths_plane.values(*places.T), plan.brightness_plane.values(*places.T), batches,
+        sigma_t[:, None] * np.array(plan.albedos), flat, light, per_cell * (powers @ norms).T,
+    )  # fmt: skip
 
 
 def _rest_term(plan: PreparationPlan, sampling: PathImages, fit: Fit) -> Term:
@@ -121,12 +125,12 @@ def _patterns(plan: PreparationPlan, exact: list[Term], rest: list[Term]) -> Arr
         shown[1].append(parts[3] / whole)
         shown[2].append(parts[4] / whole)
     enough = LEFT_OUT * plan.tolerance
-    first = _leading(np.concatenate(shown[0]), enough)
+    first = leading(np.concatenate(shown[0]), enough)
     one, other = (half - (half @ first.T) @ first for half in (np.concatenate(shown[1]), np.concatenate(shown[2])))
-    return np.linalg.qr(np.concatenate([first, _common(one, other, enough)]).T)[0].T
+    return np.linalg.qr(np.concatenate([first, common(one, other, enough)]).T)[0].T
 
 
-def _leading(images: Array, enough: float) -> Array:
+def leading(images: Array, enough: float) -> Array:
     """The fewest patterns without which the images' root mean square is `enough`, but no more than a limit."""
     strength, mixing = np.linalg.eigh(images @ images.T / len(images))
     strength, mixing = np.maximum(strength[::-1], 0.0), mixing[:, ::-1]
@@ -135,7 +139,7 @@ def _leading(images: Array, enough: float) -> Array:
     return np.asarray(mixing[:, :kept].T @ images / np.sqrt(strength[:kept, None] * len(images)))
 
 
-def _common(one: Array, other: Array, enough: float) -> Array:
+def common(one: Array, other: Array, enough: float) -> Array:
     """The patterns that two noisy versions of the same images share.
 
     Eigenvectors of the cross-covariance ½(XᵀY + YᵀX): noise, which is not shared, has eigenvalues of either sign, so

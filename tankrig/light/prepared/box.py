@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import SceneError
 from tankrig.scene import Medium
+from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture
 
 Array = NDArray[np.float64]
 Range = tuple[float, float]
@@ -65,6 +66,8 @@ class Box:
     def nearest(self, medium: Medium) -> Medium:
         """The medium inside whose coefficients are nearest.
 
+        Another phase function than Henyey–Greenstein's is mixed with that until its mean cosine is inside.
+
         Examples
         --------
         >>> box, clear = Box(), Medium(0.0, 0.01, 0.99)
@@ -79,7 +82,12 @@ class Box:
             float(np.clip(value, low + inside * (high - low), high - inside * (high - low)))
             for value, (low, high) in ranges
         )
-        return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, g)
+        if medium.phase is None:
+            return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, g)
+        beyond = self.g[0] if medium.g > g else self.g[1]
+        share = (medium.g - g) / (medium.g - beyond) if medium.g != g else 0.0
+        mixed = Mixture((medium.phase, HenyeyGreenstein(beyond)), (1.0 - share, share)) if share else medium.phase
+        return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, phase=mixed)
 
     def require(self, medium: Medium) -> None:
         """Refuse a medium outside.

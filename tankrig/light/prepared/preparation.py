@@ -147,7 +147,8 @@ class _Work:
             return known.astype(float)
         image: NDArray[np.floating]
         if sample.batches:
-            image = self.sampling.sample(sample.sigma_t, sample.g, sample.index, sample.batches).astype(np.float32)
+            image = self.sampling.sample(Medium(0.0, sample.sigma_t, sample.g), sample.index, sample.batches)
+            image = image.astype(np.float32)
         else:
             image = exact_images(self._scene, sample.sigma_t, sample.g, self._plan.tolerance)
         self._place.keep(path, {"image": image})

@@ -5,12 +5,9 @@ coefficients that are no larger than their noise are left out by degrees.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-
-from tankrig.light.prepared.plan import PreparationPlan
 
 Array = NDArray[np.float64]
 
@@ -43,8 +40,12 @@ class Regression:
 
     Parameters
     ----------
-    plan
-        Polynomials and media.
+    products, brightness
+        (media, polynomials) of the images, and of the logarithm of their light.
+    batches
+        (media,) lattices of paths in each image.
+    scattering
+        (media, albedos) σs, 1/mm.
     images
         (media, albedos, cells).
     light
@@ -53,35 +54,21 @@ class Regression:
         (media, albedos) L2 norm of orders 1 and 2 in the same unit.
     """
 
-    plan: PreparationPlan
+    products: Array
+    brightness: Array
+    batches: Array
+    scattering: Array
     images: Array
     light: Array
     exact: Array
 
-    @cached_property
-    def _places(self) -> Array:
-        return np.array([sample.place for sample in self.plan.paths])
-
-    @cached_property
-    def _batches(self) -> Array:
-        return np.array([sample.batches for sample in self.plan.paths], float)
-
-    @cached_property
-    def _cubes(self) -> Array:
-        """σs³ at each medium and albedo."""
-        sigma_t = np.array([sample.sigma_t for sample in self.plan.paths])
-        cubes: Array = (sigma_t[:, None] * np.array(self.plan.albedos)) ** 3
-        return cubes
-
     def fit(self, used: NDArray[np.bool_]) -> Fit:
         """Fit the media that are `used`, a Boolean for each."""
-        u, v = self._places[used].T
-        brightness = self.plan.brightness_plane.values(u, v)
-        products, batches = self.plan.paths_plane.values(u, v), self._batches[used]
+        brightness, products, batches = self.brightness[used], self.products[used], self.batches[used]
         scales, fields = [], []
         for albedo in range(self.images.shape[1]):
             images = self.images[used, albedo]
-            cubes = self._cubes[used, albedo]
+            cubes = self.scattering[used, albedo] ** 3
             logarithm = np.log(np.maximum(images @ self.light, 1e-300) / cubes)
             scale = np.linalg.lstsq(brightness, logarithm, rcond=None)[0]
             bright = (cubes * np.exp(brightness @ scale))[:, None]

@@ -261,6 +261,7 @@ def _show(
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, directly: bool, face: int,
 ) -> None:  # fmt: skip
     """Show the camera what water, or a diffuse face, scatters at (x, y, z) of light with direction d."""
+    index = geometry.refractive_index
     for across_x in range(3):
         if across_x > 0 and not (geometry.camera_pinhole and _clear(faces, across_x - 1)):
             continue
@@ -276,13 +277,15 @@ def _show(
                 py = y if across_y == 0 else (-2.0 if across_y == 1 else 2.0) * geometry.half_width - y
                 pz = z if floor == 0 else -z
                 for outer in range(2):  # at the inner sides of panes, or by their outer sides
-                    seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px, py, pz)
+                    seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px, py, pz, index)
                     if across_x + across_y + floor > 0:
                         share, mx, my, mz = _panes(faces, across_x, across_y, floor, sx, sy, sz, outer == 1)
                         if share <= 0.0 or pz + mz > geometry.height:
                             continue  # nothing, or it comes out of the pane above the water
                         if outer == 1:  # the pane's thickness moves the mirror image
-                            seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px + mx, py + my, pz + mz)
+                            seen_x, seen_y, sx, sy, sz, path, factor = seen_from(
+                                geometry, px + mx, py + my, pz + mz, index
+                            )
                         factor *= share
                     elif outer == 1:
                         continue

@@ -1,0 +1,235 @@
+"""Order 2 as a bilinear form of the phase function, where light and sight run straight.
+
+    I₂ = σs² Σ_ij a_i a_j G_ij,   p(cos θ) = Σ_i a_i B_i(θ)
+
+With the splines B_i of `PhaseSplines` in place of p, the quadrature of `pair_radiance` gives each pair's share of J: a
+point of it belongs to the four splines of its first angle and the four of its second. Averaging over pixels and beams
+is linear in the table's values, and the same for all pairs.
+"""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.compiled import kernel, part
+from tankrig.geometry.optics import reflectance
+from tankrig.light.double.image import MOST_HEIGHTS, add_beam, columns_of, integral
+from tankrig.light.double.table import (
+    FINE,
+    PANEL,
+    Table,
+    cut_at_critical_angle,
+    half_circle,
+    laid_out,
+    panel_cuts,
+)
+from tankrig.light.elementary import exponential
+from tankrig.light.rays import Geometry, light_sources, path_inside, sight_line
+from tankrig.scene import Scene
+from tankrig.scene.phase_splines import PhaseSplines
+from tankrig.scene.phase_table import HenyeyGreensteinRecord
+from tankrig.threads import THREADS
+
+Array = NDArray[np.float64]
+
+STEEP = HenyeyGreensteinRecord(0.95, 0.001)
+"""About whose lobes the quadrature is graded: those of natural waters' particles, the steepest."""
+
+
+@dataclass(frozen=True)
+class PairTables:
+    """What pairs of splines make of order 2 at one σt, before it is averaged over pixels.
+
+    Parameters
+    ----------
+    values
+        (nodes, n²) of the tables of all light sources and heights.
+    rows
+        (rows, nodes) that average nodes over rows of pixels.
+    columns
+        (nodes, columns) that average them over columns.
+    """
+
+    values: NDArray[np.float32]
+    rows: NDArray[np.float32]
+    columns: NDArray[np.float32]
+
+    def image(self, coefficients: Array) -> Array:
+        """(rows, columns) of order 2 over σs², for a phase function's coefficients."""
+        pairs = (coefficients[:, None] * coefficients).ravel()
+        return np.asarray((self.rows * (self.values @ pairs)) @ self.columns, float)
+
+    def along(self, patterns: Array) -> Array:
+        """(n, n, patterns): what each pair has of orthonormal images (patterns, rows, columns)."""
+        seen = np.einsum("rn,prc,nc->pn", self.rows, patterns, self.columns, optimize=True)
+        count = math.isqrt(self.values.shape[1])
+        return np.asarray((seen.astype(np.float32) @ self.values).T.reshape(count, count, -1))
+
+
+def double_pairs(scene: Scene, splines: PhaseSplines) -> PairTables:
+    """Order 2 of a scene for any phase function.
+
+    Parameters
+    ----------
+    scene
+        With collimated light and an orthographic camera, sharp beams and dark walls; of its medium only σt matters.
+    splines
+        Of the phase functions.
+    """
+    camera, medium = scene.camera, scene.medium
+    finest = min(camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
+    found = []
+    for geometry, beams in light_sources(scene):
+        ways = (False, True) if geometry.refractive_index > 1.0 else (False,)
+        heights = sorted({beam.z_mm for beam in beams})
+        together = len(heights) > MOST_HEIGHTS
+        if together:
+            heights = [(heights[0][0], max(top for _, top in heights))]
+        for z_mm, mirrored in product(heights, ways):
+            table, z0_weights = laid_out(scene, geometry, z_mm, mirrored, finest, FINE, together)
+            nodes = table.z0_mm.size, table.fractions.size
+            rows = np.zeros((*nodes, camera.shape[0], table.x_mm.size))
+            for j, k in np.ndindex(nodes):
+                table.values[:] = 0.0
+                table.values[j, ..., k] = 1.0 / medium.sigma_s**2
+                for beam in beams:
+                    if together:
+                        add_beam(rows[j, k], scene, geometry, beam, table, integral(table.z0_mm, beam.z_mm))
+                    elif beam.z_mm == z_mm:
+                        add_beam(rows[j, k], scene, geometry, beam, table, z0_weights)
+            columns = columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, geometry.length).T
+            found.append((
+                _pair_values(scene, geometry, table, splines),
+                rows.transpose(2, 0, 3, 1).reshape(camera.shape[0], -1),
+                np.tile(np.repeat(columns, nodes[1], axis=0), (nodes[0], 1)),
+            ))  # fmt: skip
+    values, by_row, by_column = zip(*found, strict=True)
+    return PairTables(
+        np.concatenate(values), np.concatenate(by_row, axis=1).astype(np.float32),
+        np.concatenate(by_column).astype(np.float32),
+    )  # fmt: skip
+
+
+def _pair_values(scene: Scene, geometry: Geometry, table: Table, splines: PhaseSplines) -> NDArray[np.float32]:
+    """(nodes, n²) J by pairs, as `Table.values` has it: nodes in the order z₀, x, δ."""
+    z0, x, fractions = table.z0_mm, table.x_mm, table.fractions
+    values = np.zeros((z0.size * x.size * fractions.size, splines.count**2), np.float32)
+    rule = np.polynomial.legendre.leggauss(FINE.nodes)
+    given = (
+        values, splines.count, splines.places, geometry, table.decay, scene.medium.sigma_t, x, fractions, z0,
+        table.mirrored, *rule,
+    )  # fmt: skip
+    with ThreadPoolExecutor(THREADS) as pool:
+        for done in [pool.submit(_fill_pairs, *given, share, THREADS) for share in range(THREADS)]:
+            done.result()
+    return values
+
+
+@kernel
+def _fill_pairs(
+    values: NDArray[np.float32], count: int, places: Array, geometry: Geometry, decay: float, sigma_t: float, x: Array,
+    fractions: Array, z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
+) -> None:  # fmt: skip
+    """Every second x; both lines are put symmetrically about y = 0, inside the tank."""
+    pairs = np.empty(count * count)
+    for i in range(part, x.size, parts):
+        for j in range(z0.size):
+            for k in range(fractions.size):
+                pairs[:] = 0.0
+                delta = 2.0 * geometry.half_width * fractions[k]
+                scale = math.exp(decay * (x[i] + delta))
+                pair_shares(
+                    pairs, count, places, geometry, sigma_t, x[i], 0.5 * delta, -0.5 * delta, z0[j], mirrored, scale,
+                    nodes, weights,
+                )  # fmt: skip
+                node = (j * x.size + i) * fractions.size + k
+                for pair in range(pairs.size):
+                    values[node, pair] = pairs[pair]
+
+
+@kernel
+def pair_shares(
+    pairs: Array, count: int, places: Array, geometry: Geometry, sigma_t: float, x: float, y: float, y0: float,
+    z0: float, mirrored: bool, scale: float, nodes: Array, weights: Array,
+) -> None:  # fmt: skip
+    """Add `scale` times J to what each pair of splines has of it: `pair_radiance` with p left open.
+
+    Parameters
+    ----------
+    pairs
+        (count²,) added to.
+    count
+        Splines.
+    places
+        See `PhaseSplines.places`.
+    geometry, sigma_t, x, y, y0, z0, mirrored, nodes, weights
+        As for `pair_radiance`, whose light is collimated and whose camera orthographic.
+    scale
+        A factor.
+    """
+    vx, vy, vz, transmission = sight_line(geometry, x, y)
+    s_min, s_max = path_inside(geometry, 0.0, y0, z0, 1.0, 0.0, 0.0)
+    _, t_max = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
+    if s_max <= s_min or t_max <= 0.0:
+        return
+    flip = -1.0 if mirrored else 1.0
+    qy, qz = y - y0, geometry.height - z0  # from the light ray to where the line of sight leaves
+    t0 = qz * flip  # where the line is nearest to the ray: it runs straight up, across the ray
+    closest = max(abs(qy), 1e-9)
+    first, second = np.empty(4), np.empty(4)
+    cuts = np.empty(24)
+    tau_low, tau_high = math.asinh(-t0 / closest), math.asinh((t_max - t0) / closest)
+    for side in range(2):
+        start = tau_low if side == 0 else max(0.0, tau_low)
+        end = min(0.0, tau_high) if side == 0 else tau_high
+        if end <= start:
+            continue
+        panels = 1 + int((end - start) / PANEL)
+        half = 0.5 * (end - start) / panels
+        for panel in range(panels):
+            for i in range(nodes.size):
+                growth = math.exp(start + half * (2 * panel + 1.0 + nodes[i]))
+                t = t0 + closest * 0.5 * (growth - 1.0 / growth)
+                distance = closest * 0.5 * (growth + 1.0 / growth)
+                dz = (qz - flip * t) / distance
+                lobe = dz * flip
+                number = panel_cuts(cuts, x - s_max, x - s_min, distance, STEEP, 0.0, lobe)
+                if mirrored:
+                    number = cut_at_critical_angle(cuts, number, geometry.refractive_index, 0.0, dz)
+                outer = scale * transmission * half * weights[i] * math.exp(-sigma_t * (x + t))
+                for k in range(number - 1):
+                    middle, width = 0.5 * (cuts[k] + cuts[k + 1]), 0.5 * (cuts[k + 1] - cuts[k])
+                    for j in range(nodes.size):
+                        at = middle + width * nodes[j]
+                        s, c = half_circle(at)
+                        share = outer * width * weights[j] * 2.0 / (1.0 + at * at)
+                        if mirrored:
+                            share *= reflectance(abs(c * dz), geometry.refractive_index)
+                        share *= exponential(-sigma_t * distance * (1.0 - at) / (1.0 + at))
+                        one = _weigh(first, s, places, count)
+                        other = _weigh(second, c * lobe, places, count)
+                        for a in range(4):
+                            row = (one + a) * count + other
+                            for b in range(4):
+                                pairs[row + b] += share * first[a] * second[b]
+
+
+@part
+def _weigh(found: Array, cosine: float, places: Array, count: int) -> int:
+    """Fill the four splines at an angle; the number of the first of them."""
+    steps = places.size - 1
+    at = math.sqrt(max(0.5 - 0.5 * cosine, 0.0)) * steps
+    step = min(int(at), steps - 1)
+    place = places[step] + (at - step) * (places[step + 1] - places[step])
+    panel = min(int(place), count - 4)
+    share = place - panel
+    rest = 1.0 - share
+    found[0] = rest * rest * rest / 6.0
+    found[1] = (3.0 * share * share * share - 6.0 * share * share + 4.0) / 6.0
+    found[2] = (3.0 * rest * rest * rest - 6.0 * rest * rest + 4.0) / 6.0
+    found[3] = share * share * share / 6.0
+    return panel
