@@ -67,7 +67,7 @@ def _row_of_wall(geometry: Geometry, x: float, wall: float, level: float) -> flo
                 share = geometry.light_x / (geometry.light_x - at)
             height = geometry.light_z + (level - geometry.light_z) / share
         height = min(max(height, 0.0), geometry.height)
-        seen_x, seen_y, _, _, _, _, _ = seen_from(geometry, at, wall, height)
+        seen_x, seen_y, _, _, _, _, _ = seen_from(geometry, at, wall, height, geometry.refractive_index)
         row, before = seen_y, at
         aside = math.hypot(at - geometry.camera_x, wall - geometry.camera_y)
         nearer = math.hypot(seen_x - geometry.camera_x, seen_y - geometry.camera_y) / aside if aside > 1e-9 else 1.0

@@ -12,9 +12,10 @@ from tankrig.scene.description import Camera, Tank
 from ui.window import progress
 
 if TYPE_CHECKING:
+    from tankrig.separation.told import Told
+
     from tankrig.live.results import DoseFit
     from tankrig.separation import Separation
-    from tankrig.separation.told import Told
     from tankrig.sequence.sequence import Sequence
 
 Image = NDArray[np.float32]
@@ -113,12 +114,13 @@ def separate(
     ImageError, StoreError
         When the run separates nothing, no sheet is whole, or a frame cannot be read.
     """
+    from tankrig.separation.told import told_of
+
     from tankrig.live.exposures import fits_that_hold
     from tankrig.live.results import fits_in
     from tankrig.run.derived import write_derived
     from tankrig.run.reading import open_run
     from tankrig.separation import separations_of_run
-    from tankrig.separation.told import told_of
 
     run = open_run(path)
     doses = fits_in([event.fields for event in fits_that_hold(run)])[0] if fits is None else fits
