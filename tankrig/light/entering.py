@@ -22,9 +22,9 @@ FEWEST_COPIES, MOST_COPIES = 12, 24
 """Of a beam with soft edges, where edges are seen; with half as many, rows of pixels at edges were .7 % off."""
 WIDE = 1.0 / 16.0
 """Of the wall's width: standard deviation of a halo from which on it is drawn on cells of the wall."""
-CELL = 0.8
+CELL = 1.2
 """Of a wide halo's standard deviation: width of those cells."""
-MOST_LEVELS = 4
+MOST_LEVELS = 3
 """Heights that a wide halo is drawn at."""
 COARSE_CELL, MOST_COARSE_LEVELS = 2.0, 2
 """The same for light that is scattered more than once: a halo is a few per cent of it."""
