@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 GEOMETRY = ("camera", "tank", "projector")
 USED = (*GEOMETRY, "radiometry", "stray")
 """What a fit rests on."""
+LEAST_HALO = 5e-4
+"""Share of a projector's light below which its halo is left out: drawing it costs as much as a dozen beams."""
 DEVICES: Mapping[str, str] = {
     "camera": "camera", "tank": "camera", "radiometry": "camera", "stray": "camera",
     "projector": "projector", "latency": "projector",
@@ -187,7 +189,7 @@ def _lenses(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
     side_mm, told = projector_pixel_mm(projector, bench.tank), found["projector"].result
     if "blur_px" in told:
         projector = replace(projector, **_blurs(found["projector"], side_mm))
-    if "halo_share" in told:
+    if told.get("halo_share", 0.0) > max(LEAST_HALO, 2.0 * found["projector"].sd.get("halo_share", 0.0)):
         projector = replace(projector, halo=Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * side_mm))
     if "radiometry" in found:
         leak = float(found["radiometry"].result["projector"]["leak"])

@@ -126,8 +126,8 @@ def _disc(radius: float, seen_mm: float, pixel_mm: float) -> list[tuple[float, f
 
 def _moved(beam: Beam, along_y: float, along_z: float, wall: tuple[float, float]) -> Beam | None:
     """What of a moved beam still falls on the wall."""
-    y_low, y_high = np.clip(np.array(beam.y_mm) + along_y, -0.5 * wall[0], 0.5 * wall[0]).round(9).tolist()
-    z_low, z_high = np.clip(np.array(beam.z_mm) + along_z, 0.0, wall[1]).round(9).tolist()
+    y_low, y_high = np.clip((np.array(beam.y_mm) + along_y).round(9), -0.5 * wall[0], 0.5 * wall[0]).tolist()
+    z_low, z_high = np.clip((np.array(beam.z_mm) + along_z).round(9), 0.0, wall[1]).tolist()
     return Beam((y_low, y_high), (z_low, z_high), beam.irradiance) if y_high > y_low and z_high > z_low else None
 
 
@@ -174,14 +174,15 @@ def _on_cells(
     cell, most = (CELL, MOST_LEVELS) if fine else (COARSE_CELL, MOST_COARSE_LEVELS)
     across = np.linspace(-0.5 * wall[0], 0.5 * wall[0], 1 + math.ceil(wall[0] / (cell * sigma_mm)))
     levels = np.linspace(0.0, wall[1], 1 + min(most, math.ceil(wall[1] / (cell * sigma_mm))))
+    across, levels = across.round(9).clip(-0.5 * wall[0], 0.5 * wall[0]), levels.round(9).clip(0.0, wall[1])
     cells = np.zeros((levels.size - 1, across.size - 1))
     for beam in beams:
         by_z, by_y = _fallen(levels, beam.z_mm, sigma_mm), _fallen(across, beam.y_mm, sigma_mm)
         cells += share * beam.irradiance * by_z[:, None] * by_y
     return [
         Beam(
-            (round(float(across[j]), 9), round(float(across[j + 1]), 9)),
-            (round(float(levels[i]), 9), round(float(levels[i + 1]), 9)),
+            (across[j].item(), across[j + 1].item()),
+            (levels[i].item(), levels[i + 1].item()),
             float(f"{cells[i, j]:.9g}"),  # so that mirror images stay such
         )
         for i, j in np.ndindex(cells.shape)

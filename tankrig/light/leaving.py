@@ -77,6 +77,8 @@ class CameraLens:
             1 if finest == 0.0 or side > LONG * shortest else math.ceil(PER_SIGMA * side / finest)
             for side, finest in zip(camera.sides_mm, (math.hypot(own, across), own), strict=True)
         ]
+        if camera.kind != "calibrated":  # whose pixels are square
+            wanted = [max(wanted)] * 2
         reach = max(sigma, camera.halo.sigma_mm if camera.halo.share > 0.0 else 0.0) * REACH
         if camera.kind == "calibrated":  # whose picture is taken to show all that its halo has light from
             beyond = [math.ceil(sigma * REACH / side) for side in camera.sides_mm]
@@ -112,7 +114,7 @@ class CameraLens:
         """The same with fine pixels."""
         wide = self.wide
         if _narrow_mm(self.scene) > 0.0:
-            wide = replace(wide, projector=without_narrow_blur(wide.projector))
+            wide = replace(wide, projector=without_narrow_blur(wide.projector, wide.tank.size_mm[2]))
         return replace(wide, camera=_finer(wide.camera, self.parts)) if self.parts != (1, 1) else wide
 
     def means(self, fine: Array) -> Array:
@@ -193,13 +195,13 @@ def _narrow_mm(scene: Scene) -> float:
     return sigma_mm if sigma_mm <= NARROW * scene.camera.sides_mm[0] else 0.0
 
 
-def without_narrow_blur(light: Projector) -> Projector:
+def without_narrow_blur(light: Projector, height: float) -> Projector:
     """A projector whose blur pictures have along y: along z its beams are as much higher as keeps their variance."""
     sigma_mm, beams = light.blur.sigma_mm, []
     for beam in light.beams:
         (low, high), middle = beam.z_mm, 0.5 * sum(beam.z_mm)
         tall = math.sqrt((high - low) ** 2 + 12.0 * sigma_mm**2)
-        z_mm = max(middle - 0.5 * tall, 0.0), middle + 0.5 * tall
+        z_mm = max(middle - 0.5 * tall, 0.0), min(middle + 0.5 * tall, height)
         beams.append(replace(beam, z_mm=z_mm, irradiance=beam.irradiance * (high - low) / (z_mm[1] - z_mm[0])))
     return replace(light, beams=tuple(beams), blur=SHARP)
 
