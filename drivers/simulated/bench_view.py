@@ -22,7 +22,7 @@ _DIMMED = 0.05
 _NODE_PX, _SAMPLES = 12, 2
 """From node to node, and samples along each side of a pixel."""
 _SAMPLING_PX2 = 0.032
-"""Variance that sampling the print adds to edges besides pixels' own area, of which the lens's blur has that much less."""
+"""Variance that sampling the print adds to edges besides pixels' own area; the lens's blur has that much less."""
 
 
 class BoardInView:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tankrig.bench import Bench
 from tankrig.calibration.camera import INTRINSICS
@@ -14,6 +15,7 @@ from tankrig.checked_toml import checked
 from tankrig.errors import SceneError, StoreError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose, Vector
+from tankrig.geometry.shading import shading_terms
 from tankrig.scene.description import Camera, Projector, Tank
 from tankrig.scene.optics import Blur, Halo
 
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 GEOMETRY = ("camera", "tank", "projector")
 USED = (*GEOMETRY, "radiometry", "stray")
 """What a fit rests on."""
+LEAST_HALO = 5e-4
+"""Share of a projector's light below which its halo is left out: drawing it costs as much as a dozen beams."""
 DEVICES: Mapping[str, str] = {
     "camera": "camera", "tank": "camera", "radiometry": "camera", "stray": "camera",
     "projector": "projector", "latency": "projector",
@@ -185,8 +189,11 @@ def _lenses(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
     side_mm, told = projector_pixel_mm(projector, bench.tank), found["projector"].result
     if "blur_px" in told:
         projector = replace(projector, **_blurs(found["projector"], side_mm))
-    if "halo_share" in told:
+    if told.get("halo_share", 0.0) > max(LEAST_HALO, 2.0 * found["projector"].sd.get("halo_share", 0.0)):
         projector = replace(projector, halo=Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * side_mm))
+    if "radiometry" in found:
+        leak = float(found["radiometry"].result["projector"]["leak"])
+        projector = replace(projector, black_level=max(leak, 0.0) * white_on_wall(projector, bench.tank))
     return replace(bench, camera=camera, projector=projector)
 
 
@@ -201,6 +208,22 @@ def _blurs(calibration: Calibration, side_mm: float) -> dict[str, Any]:
 
 def projector_pixel_mm(projector: Projector, tank: Tank) -> float:
     """Side of a square as large as the median of the patches that pixels light on the wall x = 0 of the tank."""
+    areas, _ = _patches(projector, tank)
+    return float(np.sqrt(np.median(areas)))
+
+
+def white_on_wall(projector: Projector, tank: Tank) -> float:
+    """Mean irradiance of the wall x = 0 by a white picture, W/mm², less what glass reflects of upright light."""
+    areas, pixels = _patches(projector, tank)
+    light = np.exp(shading_terms(pixels, projector.shape or (1, 1)) @ np.array(projector.shading or np.zeros(6)))
+    index, _, glass = tank.entry_bends
+    lost = [((one - other) / (one + other)) ** 2 for one, other in ((1.0, glass), (glass, index))]
+    through = float(np.prod(1.0 - np.array(lost))) if tank.entry == "glass" else 1.0
+    return float(projector.pixel_power * light.sum() / areas.sum() * through)
+
+
+def _patches(projector: Projector, tank: Tank) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) areas in mm² that pixels light on the wall x = 0 of the tank, and (n, 2) those pixels, on a grid."""
     from tankrig.geometry.refraction import entry_wall
     from tankrig.geometry.view import rays_of
 
@@ -216,7 +239,9 @@ def projector_pixel_mm(projector: Projector, tank: Tank) -> float:
     inside = (np.abs(middle[..., 0]) < width / 2) & (middle[..., 1] > 0.0) & (middle[..., 1] < height)
     if not (inside & np.isfinite(areas)).any():
         raise SceneError("no pixel of the projector lights the tank's wall; check matrix, rotation and position_mm")
-    return float(np.sqrt(np.median(areas[inside & np.isfinite(areas)])))
+    good = inside & np.isfinite(areas)
+    middles = 0.25 * (corners[1:, 1:] + corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:])
+    return areas[good], middles[good]
 
 
 def measured(bench: Bench, found: Mapping[str, Calibration]) -> Bench:

@@ -37,7 +37,7 @@ KEPT = 2
 
 def halo(scene: Scene, image: Image) -> Array:
     """More light in the camera's halo, of the width that the scene says."""
-    return _blurred(image, scene.camera.halo.sigma_mm / scene.camera.pixel_mm) - image
+    return _blurred(scene, image, scene.camera.halo.sigma_mm) - image
 
 
 def veil(_: Scene, image: Image) -> Array:
@@ -47,7 +47,8 @@ def veil(_: Scene, image: Image) -> Array:
 
 def blur(scene: Scene, image: Image) -> Array:
     """More blur, per mm² of variance."""
-    return np.asarray((_blurred(image, BLUR_PARTS) - image) / (BLUR_PARTS * scene.camera.pixel_mm) ** 2)
+    sigma_mm = BLUR_PARTS * min(scene.camera.sides_mm)
+    return np.asarray((_blurred(scene, image, sigma_mm) - image) / sigma_mm**2)
 
 
 def floor(scene: Scene, _: Image) -> Array:
@@ -153,51 +154,73 @@ class Astray:
 class AstrayBlock(Block):
     """Sizes of what goes astray, in standard deviations from what is described.
 
+    Sizes are of lenses and tank, so they are the same in all images.
+
     Parameters
     ----------
     astray
-        With patterns.
+        Of each image, with patterns.
     weight
         (k,) as for `tankrig.estimation.set_up.SetUpBlock`.
     """
 
-    astray: Astray
+    astray: tuple[Astray, ...]
     weight: Array
     name: ClassVar[str] = "astray"
 
     @property
+    def sd(self) -> Mapping[str, float]:
+        """Standard deviation of each size before anything was seen."""
+        return self.astray[0].sd
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Of the sizes."""
-        return tuple(self.astray.sd)
+        return tuple(self.sd)
 
     @property
     def prior_weight(self) -> Array:
         """As given."""
         return self.weight
 
-    def added(self, values: Values, liquid: Medium) -> Image:
+    def added_in(self, view: int, values: Values, liquid: Medium) -> Image:
         """Sizes times patterns."""
-        assert self.astray.patterns is not None
-        return np.asarray(np.tensordot(values[self.name], self.astray.patterns, 1))
+        return np.asarray(np.tensordot(values[self.name], self._patterns(view), 1))
 
-    def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+    def changes_in(self, view: int, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
         """The patterns."""
-        assert self.astray.patterns is not None
-        return self.astray.patterns
+        return self._patterns(view)
+
+    def _patterns(self, view: int) -> Array:
+        patterns = self.astray[view].patterns
+        assert patterns is not None
+        return patterns
 
 
-def _blurred(image: Image, pixels: float) -> Array:
-    from scipy.ndimage import gaussian_filter
+def unmeasured(scene: Scene) -> dict[str, float]:
+    """What may go astray on a calibrated bench and nobody has measured, with usual standard deviations.
 
-    sharp = np.asarray(image, float)
-    if pixels >= 1.0:
-        return np.asarray(gaussian_filter(sharp, pixels, mode="constant"))
-    from scipy.ndimage import correlate1d
+    Halo and veil are known once `tankrig calibrate stray` has found any; of a camera that is only described nothing is
+    expected that its scene does not say.
+    """
+    camera = scene.camera
+    if camera.kind != "calibrated" or camera.halo.share > 0.0 or camera.veil > 0.0:
+        return {}
+    return {name: ASTRAY[name] for name in ("halo", "veil")}
 
-    half = 0.5 * pixels**2  # weights with just that variance
-    for axis in (0, 1):
-        sharp = correlate1d(sharp, [half, 1.0 - 2.0 * half, half], axis=axis, mode="constant")
-    return np.asarray(sharp)
+
+def _blurred(scene: Scene, image: Image, sigma_mm: float) -> Array:
+    from scipy.ndimage import correlate1d, gaussian_filter1d
+
+    found = np.asarray(image, float)
+    for axis, side in enumerate(scene.camera.sides_mm):
+        pixels = sigma_mm / side
+        if pixels >= 1.0:
+            found = np.asarray(gaussian_filter1d(found, pixels, axis=axis, mode="constant"))
+        else:
+            half = 0.5 * pixels**2  # weights with just that variance
+            found = np.asarray(correlate1d(found, [half, 1.0 - 2.0 * half, half], axis=axis, mode="constant"))
+    return found
 
 
 @lru_cache(maxsize=KEPT)

@@ -218,6 +218,14 @@ class Block(Protocol):
         """
         raise NotImplementedError
 
+    def added_in(self, view: int, values: Values, liquid: Medium) -> Image | float:
+        """`added` in a view of that number; the same in all."""
+        return self.added(values, liquid)
+
+    def changes_in(self, view: int, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+        """`changes` in a view of that number; the same in all."""
+        return self.changes(values, dose, liquid, by_liquid)
+
 
 @dataclass(frozen=True)
 class MediumBlock(Block):

@@ -39,6 +39,8 @@ class View:
         Of the model's image.
     dose
         Number of the dose that it was taken at.
+    number
+        Of the image.
     """
 
     observation: Observation
@@ -46,6 +48,7 @@ class View:
     slopes: Slopes
     error: ModelError
     dose: int = 0
+    number: int = 0
 
     @cached_property
     def whitening(self) -> Whitening:
@@ -226,7 +229,7 @@ class Evaluation:
             liquid = self.liquids[view.dose]
             found = view.forward(liquid)
             for block in self.problem.blocks:
-                found = found + block.added(self.values, liquid)
+                found = found + block.added_in(view.number, self.values, liquid)
             return found
 
         return self.problem.of_views(image)
@@ -278,7 +281,10 @@ class Evaluation:
         def changes(view: View) -> Array:
             liquid = self.liquids[view.dose]
             by_liquid = view.slopes(liquid)
-            found = [block.changes(self.values, view.dose, liquid, by_liquid) for block in self.problem.blocks]
+            found = [
+                block.changes_in(view.number, self.values, view.dose, liquid, by_liquid)
+                for block in self.problem.blocks
+            ]
             return view.whitened(gain * np.concatenate(found))
 
         left = self.project_out(np.hstack(self.problem.of_views(changes)))

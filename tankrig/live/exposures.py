@@ -181,7 +181,13 @@ class PhotographPlan:
     def _whole_scenes(self) -> dict[str, Scene]:
         """The same with the whole camera."""
         lit = {key: pattern for key, pattern in self.patterns.items() if pattern.pixels.any()}
-        return {key: self.bench.scene(pattern, ANY) for key, pattern in lit.items()}
+        scenes = {key: self.bench.scene(pattern, ANY) for key, pattern in lit.items()}
+        if len(lit) == len(self.patterns):
+            return scenes
+        # What the dark pattern shows is subtracted, and the light of dark parts of a picture is in it.
+        return {
+            key: replace(scene, projector=replace(scene.projector, black_level=0.0)) for key, scene in scenes.items()
+        }
 
     @cached_property
     def _seen(self) -> dict[str, Seen]:

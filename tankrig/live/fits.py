@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.astray import unmeasured
 from tankrig.estimation.forward import PURE_WATER_SIGMA_S, Model, ModelOf, Models, models_of, prepared_model
 from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.phase_answer import asked_for
@@ -89,7 +90,8 @@ def _fitted(
     noises, masks = [one.noise for one in photographs], [one.mask for one in photographs]
     observations = observed([one.image for one in photographs], scenes, noises, masks)
     scaling, asked = Scaling.given("free", first.offset), asked_for(phase, scenes[0])
-    found = fit_liquid(observations, scenes, scaling, prepared, start, progress, asked, starts)
+    along = unmeasured(scenes[0])
+    found = fit_liquid(observations, scenes, scaling, prepared, start, progress, asked, starts, along)
     if found is None:
         return None
     return DoseFit(
@@ -136,6 +138,7 @@ def fit_all(
         model_of=_nearly_within(prepared) if prepared else None,
         water_sigma_s=PURE_WATER_SIGMA_S,
         phase=phase,
+        nuisance=unmeasured(photographs[0].scene),
         progress=progress,
     )
     return SeriesFit(
