@@ -11,7 +11,7 @@ from ui.window.source_frame import SourceFrame
 from ui.window.staggered_painter import StaggeredPainter
 
 TITLES = (
-    "Sequence", "Fit", "Separation", "Doser", "Projector", "Runs", "Compare", "Regions", "Calibration", "Log"
+    "Sequence", "Fit", "Waves", "Doser", "Projector", "Runs", "Compare", "Regions", "Calibration", "Log"
 )  # fmt: skip
 PART = 0.54
 """Of the window's width, at first."""
