@@ -88,6 +88,7 @@ class ReplayBar(QWidget):
         self._live.clicked.connect(self.left)
         self._words = QLabel(NOTHING)
         self._words.setProperty("role", "faint")
+        self._words.setWordWrap(True)
         column, grid = QVBoxLayout(self), QGridLayout()
         column.setContentsMargins(0, 0, 0, 0)
         column.addLayout(Flow(self._play, self._speed, self._live))

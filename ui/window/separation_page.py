@@ -265,8 +265,8 @@ class SeparationPage(QWidget):
         for plot in self._plots:
             plot.widget.setMinimumHeight(120)
             pictures.addWidget(plot.widget, 1)
-        self._side = TankSection("from the side, mean over y", "x from the lit wall (mm)")
-        self._end = TankSection("along the light, mean over x", "y (mm)")
+        self._side = TankSection("from the side", "mean over y", "x from the lit wall (mm)")
+        self._end = TankSection("along the light", "mean over x", "y (mm)")
         self._sections, both = QWidget(), QHBoxLayout()
         both.setContentsMargins(0, 0, 0, 0)
         both.addWidget(self._side.widget, 3)
