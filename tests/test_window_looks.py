@@ -85,7 +85,7 @@ def compared(shown: Any) -> None:
     image = 900.0 * np.exp(-x / 80.0 - ((y - 80.0) / 30.0) ** 2)
     noise = np.random.default_rng(1).normal(0.0, 9.0, image.shape)
     fits = tuple(shown.by_dose)
-    photographs = tuple(SimpleNamespace(pattern=runs.PATTERN, dose_ml=one.dose_ml) for one in fits)
+    photographs = tuple(SimpleNamespace(pattern=runs.PATTERN, dose_ml=one.dose_ml, offset=0.0) for one in fits)
     shown.take_found(Found(fits, shown.series, photographs))
     rmse = {"1": 0.41, "1–3": 0.12, "1–20": 0.02, "all": 0.006, "single": 0.05}
     key = shown.chosen

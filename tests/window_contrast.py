@@ -1,6 +1,7 @@
 """What of a window's pixels can be read and seen, as WCAG 2.2 measures it: text, outlines, the keyboard's place."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
@@ -20,6 +21,7 @@ from PySide6.QtWidgets import (
     QProgressBar,
     QPushButton,
     QTabBar,
+    QTreeView,
     QWidget,
 )
 
@@ -98,6 +100,16 @@ def texts(window: QWidget) -> Iterator[tuple[str, QRect]]:
 
 def _entries(window: QWidget, view: QAbstractItemView) -> Iterator[tuple[str, QRect]]:
     model = view.model()
+    if isinstance(view, QTreeView):
+        index = model.index(0, 0)
+        while index.isValid():
+            for column in range(model.columnCount()):
+                beside = index.siblingAtColumn(column)
+                words, rect = str(beside.data() or "").strip(), view.visualRect(beside)
+                if words and rect.isValid():
+                    yield words, _seen(window, view.viewport(), rect.adjusted(1, 1, -1, -1))
+            index = view.indexBelow(index)
+        return
     columns = 1 if isinstance(view, QListView) else model.columnCount()
     for row in range(model.rowCount()):
         for column in range(columns):
@@ -152,7 +164,7 @@ def _name(widget: QWidget) -> str:
     return f"{type(widget).__name__} {widget.accessibleName() or widget.toolTip()[:40]}"
 
 
-def faint_rings(window: QWidget, page: QWidget, least: float = 3.0) -> tuple[int, list[tuple[str, float]]]:
+def faint_rings(window: Any, page: QWidget, least: float = 3.0) -> tuple[int, list[tuple[str, float]]]:
     """How many places of a page the keyboard can be at, and those whose ring stands out too little."""
     looked, found = 0, []
     wanted = QColor(theme.current().focus)

@@ -203,7 +203,8 @@ class SeparationPage(QWidget):
         """The row of the sheet that is looked at is marked."""
         self._table.blockSignals(True)
         for row in range(self._table.rowCount()):
-            if one is not None and self._table.item(row, 0).data(KEY) == one.key:
+            item = self._table.item(row, 0)
+            if one is not None and item is not None and item.data(KEY) == one.key:
                 self._table.selectRow(row)
         self._table.blockSignals(False)
 
