@@ -96,7 +96,7 @@ class FitCurves(QWidget):
         low, high = float(np.min(values - reach)), float(np.max(values + reach))
         if name == "g":
             low, high = max(-1.0, min(low, 0.0)), 1.0
-        margin = 0.05 * (high - low or 1.0)
+        margin = 0.1 * (high - low or 1.0)  # a point is as wide as a tenth of a low plot
         if name != "g":
             low = min(low, 0.0) - margin
         (left, right), (bottom, top) = plot.viewRange()
