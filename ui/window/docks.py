@@ -138,6 +138,4 @@ class Docks(QObject):
 def _appear(plots: list[pg.PlotWidget], turns: StaggeredPainter, visible: bool) -> None:
     """Paint a page's plots one after another: all at once they would hold the live picture up."""
     if visible:
-        for plot in plots:
-            plot.setUpdatesEnabled(False)
-        turns.take([partial(plot.setUpdatesEnabled, True) for plot in plots])
+        turns.hold(plots)
