@@ -56,7 +56,7 @@ def pages(
     regions = RegionsPage(live.regions, live.profile, on_screen)
     runs, separation = RunsPage(folder, on_screen, background), SeparationPage()
     yield (
-        ("separation", "Separation", separation, SourceFrame(separation)),
+        ("separation", "Waves", separation, SourceFrame(separation)),
         _of_rig("runs", "Runs", runs, "RUNS recorded with"),
         _of_rig("compare", "Compare", ComparePage(runs.catalogue, on_screen), "COMPARISON of runs, beside"),
         _of_rig("calibration", "Calibration", CalibrationPage(source)),

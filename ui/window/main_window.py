@@ -28,6 +28,7 @@ from ui.window.banner import Banner
 from ui.window.build_pages import pages
 from ui.window.docks import Docks
 from ui.window.dropped import Dropped, kind_of
+from ui.window.elided import Elided
 from ui.window.event_loop_monitor import EventLoopMonitor
 from ui.window.figure import FIGURE_KINDS, FRAME_KINDS, pixmap_of, save_figure, write_counts
 from ui.window.files import ask_for_file, ask_where_to_save
@@ -306,7 +307,7 @@ class MainWindow(QMainWindow):
     def _follow(self, status: RigStatus) -> None:
         before, self.status = self.status, status
         self.stop_keys.follow()
-        self._words.setText(status.words)
+        self._words.say(status.words)
         self._held.setText("" if status.tank is None else f"{volume(status.tank.volume_ul)} of ink in the tank")
         self.live.set_camera(self.host.camera_settings, status.state is RigState.IDLE)
         self._tell_trouble(before, status)
@@ -567,7 +568,8 @@ class MainWindow(QMainWindow):
         column.addWidget(self.live_frame, 1)
         centre.setLayout(column)
         self.setCentralWidget(centre)
-        self._words, self._held = QLabel("opening the rig"), QLabel()
+        self._words, self._held = Elided(1), QLabel()
+        self._words.say("opening the rig")
         self.statusBar().addWidget(self._words, 1)
         self.statusBar().addPermanentWidget(WorkStrip(self.background))
         self.statusBar().addPermanentWidget(self._held)

@@ -13,8 +13,8 @@ from ui.window import progress
 
 if TYPE_CHECKING:
     from tankrig.live.results import DoseFit
-    from tankrig.separation import Separation
     from tankrig.live.separated import Told
+    from tankrig.separation import Separation
     from tankrig.sequence.sequence import Sequence
 
 Image = NDArray[np.float32]
@@ -115,10 +115,10 @@ def separate(
     """
     from tankrig.live.exposures import fits_that_hold
     from tankrig.live.results import fits_in
+    from tankrig.live.separated import told_of
     from tankrig.run.derived import write_derived
     from tankrig.run.reading import open_run
     from tankrig.separation import separations_of_run
-    from tankrig.live.separated import told_of
 
     run = open_run(path)
     doses = fits_in([event.fields for event in fits_that_hold(run)])[0] if fits is None else fits

@@ -1,7 +1,7 @@
 """Light sorted by waves: what follows them, what has forgotten them, order 1, sheet by sheet through the tank."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +124,10 @@ class SeparationPage(QWidget):
         if heights:
             wanted = heights[len(heights) // 2] if self._height_mm not in heights else self._height_mm
             self.heights.choose(wanted)
-        self._sections.setVisible(len(heights) > 1)
+        deep, sections = len(heights) > 1, (self._side.widget, self._end.widget)
+        if deep and not self._sections.isVisibleTo(self):
+            self._painter.hold(sections)
+        self._sections.setVisible(deep)
         one = self.sheet
         self._tell(one)
         self._mark(one)
@@ -203,7 +206,8 @@ class SeparationPage(QWidget):
         """The row of the sheet that is looked at is marked."""
         self._table.blockSignals(True)
         for row in range(self._table.rowCount()):
-            if one is not None and self._table.item(row, 0).data(KEY) == one.key:
+            item = self._table.item(row, 0)
+            if one is not None and item is not None and item.data(KEY) == one.key:
                 self._table.selectRow(row)
         self._table.blockSignals(False)
 
@@ -265,8 +269,8 @@ class SeparationPage(QWidget):
         for plot in self._plots:
             plot.widget.setMinimumHeight(120)
             pictures.addWidget(plot.widget, 1)
-        self._side = TankSection("from the side, mean over y", "x from the lit wall (mm)")
-        self._end = TankSection("along the light, mean over x", "y (mm)")
+        self._side = TankSection("from the side", "mean over y", "x from the lit wall (mm)")
+        self._end = TankSection("along the light", "mean over x", "y (mm)")
         self._sections, both = QWidget(), QHBoxLayout()
         both.setContentsMargins(0, 0, 0, 0)
         both.addWidget(self._side.widget, 3)
@@ -309,11 +313,17 @@ class SeparationPage(QWidget):
 def toned(image: Image, peak: float) -> Indices:
     """(rows, columns) indices into `palette`: from dark to as bright as `peak`; where nothing is known, the last."""
     counts = np.clip(np.nan_to_num(image) * (TOP / peak), 0.0, 65_535.0).astype(np.uint16)
-    indices: Indices = Tone(0.0, TOP, gamma=0.5).table()[counts]
+    indices: Indices = _table()[counts]
     indices[~np.isfinite(image)] = 255
     return indices
 
 
+@lru_cache
+def _table() -> Indices:
+    return Tone(0.0, TOP, gamma=0.5).table()
+
+
+@lru_cache
 def palette() -> Indices:
     """(256, 3) the colours of pictures; the last is that of what cannot be told."""
     colours = Tone(0.0, TOP, gamma=0.5).palette().copy()

@@ -143,7 +143,7 @@ class StepsEditor(QWidget):
         self.separate = QPushButton("Separate")
         self.separate.setToolTip(
             "add a step that tells light scattered once from the rest: waves of light in a thin sheet, shifted step by "
-            "step; the Separation page shows what they tell"
+            "step; the Waves page shows what they tell"
         )
         self.separate.clicked.connect(self.add_separation)
         head.addWidget(self.separate)

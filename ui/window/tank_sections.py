@@ -24,13 +24,16 @@ class TankSection:
     Parameters
     ----------
     title
-        Above it.
+        Above it; a plot is at least as wide as its title.
+    what
+        It shows, as a tooltip.
     across
         Name of the axis below it, with its unit.
     """
 
-    def __init__(self, title: str, across: str) -> None:
+    def __init__(self, title: str, what: str, across: str) -> None:
         self.widget = pg.PlotWidget()
+        self.widget.setToolTip(f"order 1 through the tank, {what}; the line is at the sheet that is looked at")
         take_rest(self.widget, 120)
         self.plot = self.widget.getPlotItem()
         self.plot.setTitle(title, size="9pt")
