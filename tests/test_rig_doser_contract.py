@@ -22,6 +22,8 @@ class Nowhere:
 
 
 class TestRigDoser(DoserContract):
+    steps_long = 1800  # a busy computer would else come too late to interrupt a dose
+
     @pytest.fixture
     def reopen(self, tmp_path: Path) -> Iterator[ReopenDoser]:
         with Bench(tmp_path) as bench:
@@ -51,6 +53,8 @@ class TestSimulatedDoser(DoserContract):
 
 
 class TestGuardedDoser(DoserContract):
+    steps_long = 1800  # a busy computer would else come too late to interrupt a dose
+
     @pytest.fixture
     def reopen(self, tmp_path: Path) -> Iterator[ReopenDoser]:
         opened = []

@@ -37,6 +37,7 @@ from .test_calibration_in_force import CALIBRATED
 
 BENCH = SIMULATED.with_name("bench.toml")
 SEQUENCE = SIMULATED.with_name("bench_dilution.toml")
+NEW_BENCH = load_rig_file(BENCH, beside=Path("/nowhere"))
 PARTS = ("devices", "light", *CALIBRATIONS, "exposure", "rig file")
 
 
@@ -69,7 +70,7 @@ def require_typed(steps: list[Step]) -> None:
 @settings(max_examples=40, deadline=None)
 def test_the_next_step_is_the_first_that_has_to_be_done(found: dict[str, bool | None]) -> None:
     """Whoever follows the last line again and again comes to a run, and mends first what is broken."""
-    steps = way(load_rig_file(BENCH, beside=Path("/nowhere")), looked_at(found), Path("my rig.toml"))
+    steps = way(NEW_BENCH, looked_at(found), Path("my rig.toml"))
     following = next_step(steps)
     assert following is not None
     broken = [part for part in PARTS if found[part] is False]
@@ -85,9 +86,8 @@ def test_the_next_step_is_the_first_that_has_to_be_done(found: dict[str, bool | 
 
 @pytest.mark.parametrize("missing", [None, CALIBRATIONS[0]])
 def test_with_a_sequence_that_can_be_carried_out_the_run_comes_after_all_that_is_missing(missing: str | None) -> None:
-    description = load_rig_file(BENCH, beside=Path("/nowhere"))
     checks = looked_at({part: None if part == missing else True for part in PARTS})
-    steps = way(description, checks, Path("my rig.toml"), SEQUENCE)
+    steps = way(NEW_BENCH, checks, Path("my rig.toml"), SEQUENCE)
     following = next_step(steps)
     assert following is not None
     wanted = f"calibrate {missing}" if missing else f"run {SEQUENCE}"
