@@ -141,7 +141,7 @@ class Problem:
         """Coordinates in the box where values have changed as a step changes them at first, see `Block.evenly`."""
         parts = zip(self.blocks, self.split(coordinates), self.split(step), strict=True)
         found = np.concatenate([block.evenly(at, by) for block, at, by in parts])
-        return np.clip(np.where(step == 0.0, coordinates, found), *self.box)
+        return np.asarray(np.clip(np.where(step == 0.0, coordinates, found), *self.box))
 
     def at(self, coordinates: Array) -> "Evaluation":
         """The problem at some coordinates."""

@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel, part
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.harmonics import degrees, fill_harmonics
-from tankrig.light.paths.block import BLOCK, LARGE, PathSampling, alive, begin, begin_at_origin, draw, empty_block
+from tankrig.light.paths.block import (
+    BLOCK,
+    LARGE,
+    PathSampling,
+    alive,
+    begin,
+    begin_at_origin,
+    draw_flight,
+    empty_block,
+)
 from tankrig.light.paths.record import column_of, image_of_edges
 from tankrig.light.paths.trace import advance, narrow, scatter
 from tankrig.light.rays import Geometry, geometry_of
@@ -93,9 +102,7 @@ def _follow(
         begin(block, n, start, sampling, lattice, 0.0)
         for order in range(1, last):
             dimension = 1 + (order - 1) * FLIGHT_COORDINATES
-            draw(u, block.point, n, dimension, lattice)
-            draw(v, block.point, n, dimension + 1, lattice)
-            draw(w, block.point, n, dimension + 2, lattice)
+            draw_flight(u, v, w, block.point, n, dimension, lattice)
             scatter(block, u, v, n, sampling, order, 1.0)
             advance(block, w, n, geometry, sampling)
             narrow(block, n, geometry)

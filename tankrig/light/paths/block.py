@@ -364,8 +364,28 @@ def alive(block: Block, n: int, shiftable: bool) -> int:
 
 
 @kernel
-def draw(coordinates: Array, points: Array, n: int, dimension: int, lattice: Array) -> None:
-    """One coordinate of all paths."""
+def going_on(block: Block, n: int, order: int, first_thinning: int, lattice: Array, shiftable: bool) -> int:
+    """Thin out, spare and end paths before they are scattered once more: how many are left to follow.
+
+    At `first_thinning` and at each order twice as high half of the paths are left out.
+    """
+    times = order // first_thinning
+    if times > 0 and times * first_thinning == order and times & (times - 1) == 0:
+        thin(block, n, times)
+    spare_some(block, n, order, lattice)
+    return alive(block, n, shiftable)
+
+
+@kernel
+def draw_flight(u: Array, v: Array, w: Array, points: Array, n: int, dimension: int, lattice: Array) -> None:
+    """Three coordinates of all paths, from one on: two of a direction and one of a flight's length."""
+    _draw(u, points, n, dimension, lattice)
+    _draw(v, points, n, dimension + 1, lattice)
+    _draw(w, points, n, dimension + 2, lattice)
+
+
+@kernel
+def _draw(coordinates: Array, points: Array, n: int, dimension: int, lattice: Array) -> None:
     for i in range(n):
         coordinates[i] = coordinate(int(points[i]), dimension, lattice)
 

@@ -32,14 +32,12 @@ from tankrig.light.paths.block import (
     Ends,
     Lattice,
     PathSampling,
-    alive,
     begin,
     begin_at_origin,
     begin_on_beams,
-    draw,
+    draw_flight,
     empty_block,
-    spare_some,
-    thin,
+    going_on,
 )
 from tankrig.light.paths.lattices import THINNING
 from tankrig.light.paths.record import TallyRecord, empty_record, image_of_edges, seen_from
@@ -106,22 +104,15 @@ def trace_tangents(
         begin(block, n, first, sampling, lattice, faintest)
         for i in range(n):
             way_mm[i], turning[i] = block.x[i] / block.dx[i], 0.0
-        thinning = first_thinning
         for order in range(1, max_order):
-            if order == thinning:
-                thinning *= 2
-                thin(block, n, order // first_thinning)
-            spare_some(block, n, order, lattice)
-            n = alive(block, n, image.ndim == 4)
+            n = going_on(block, n, order, first_thinning, lattice, image.ndim == 4)
             if n == 0:
                 break
             remaining = 1.0 - sampling.per_turn * min(order - 1, TURNS) if sampling.guided else 1.0
             dimension = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
             scatterings = order + 1.0
             if sampling.guided and order >= 2:
-                draw(u, block.point, n, dimension + 3, lattice)
-                draw(v, block.point, n, dimension + 4, lattice)
-                draw(w, block.point, n, dimension + 5, lattice)
+                draw_flight(u, v, w, block.point, n, dimension + 3, lattice)
                 _probe(
                     probes, seen_way, seen_turning, block, way_mm, turning, first, u, v, w, n, geometry, sampling,
                     order, remaining,
@@ -137,9 +128,7 @@ def trace_tangents(
                         image, probes.x, probes.y, probes.weight, scatterings, seen_way, seen_turning, n,
                         geometry.half_width, cell_mm,
                     )  # fmt: skip
-            draw(u, block.point, n, dimension, lattice)
-            draw(v, block.point, n, dimension + 1, lattice)
-            draw(w, block.point, n, dimension + 2, lattice)
+            draw_flight(u, v, w, block.point, n, dimension, lattice)
             for i in range(n):
                 before[0, i], before[1, i], before[2, i] = block.dx[i], block.dy[i], block.dz[i]
                 before[3, i], before[4, i], before[5, i] = block.x[i], block.y[i], block.z[i]

@@ -32,16 +32,14 @@ from tankrig.light.paths.block import (
     Ends,
     PathSampling,
     across,
-    alive,
     begin,
     begin_at_origin,
     begin_on_beams,
-    draw,
+    draw_flight,
     empty_block,
     fly,
+    going_on,
     scattered,
-    spare_some,
-    thin,
     turns_at,
 )
 from tankrig.light.paths.record import (
@@ -118,22 +116,15 @@ def trace(
             begin_on_beams(block, n, first, geometry, sampling, beams, lattice)
             look(block, n, geometry, sigma_t)
         begin(block, n, first, sampling, lattice, faintest)
-        thinning = first_thinning
         for order in range(1, max_order):
-            if order == thinning:
-                thinning *= 2
-                thin(block, n, order // first_thinning)
-            spare_some(block, n, order, lattice)
-            n = alive(block, n, images.ndim == 4)
+            n = going_on(block, n, order, first_thinning, lattice, images.ndim == 4)
             if n == 0:
                 break
             remaining = 1.0 - sampling.per_turn * min(order - 1, turns) if sampling.guided else 1.0
             dimension = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
             image = bins[min(order + 1, bins.size - 1)]
             if sampling.guided and order >= 2:
-                draw(u, block.point, n, dimension + 3, lattice)
-                draw(v, block.point, n, dimension + 4, lattice)
-                draw(w, block.point, n, dimension + 5, lattice)
+                draw_flight(u, v, w, block.point, n, dimension + 3, lattice)
                 if images.ndim == 4:
                     _probe_anywhere(probes, block, u, v, w, n, geometry, sampling, order, remaining)
                     cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
@@ -141,9 +132,7 @@ def trace(
                 else:
                     _probe(tally, block, u, v, w, n, geometry, sampling, order, remaining)
                     tally_cells(images[image], tally.x, tally.y, tally.value, n, geometry.half_width, cell_mm)
-            draw(u, block.point, n, dimension, lattice)
-            draw(v, block.point, n, dimension + 1, lattice)
-            draw(w, block.point, n, dimension + 2, lattice)
+            draw_flight(u, v, w, block.point, n, dimension, lattice)
             scatter(block, u, v, n, sampling, order, remaining)
             advance(block, w, n, geometry, sampling)
             if images.ndim == 4:
