@@ -12,13 +12,13 @@ from drivers.rig import RigFile, require_of_bench
 from tankrig.calibration.file import Calibration, all_in, passed_over, usable
 from tankrig.calibration.geometry_in_force import DEVICES
 from tankrig.calibration.witness import bright_exposure_ms, mean_of
-from tankrig.devices import Camera, Projector
+from tankrig.devices import CameraDevice, Projector
 from tankrig.errors import StoreError, TankrigError
 from tankrig.pattern import Pattern
 from tankrig.pattern.wall import Wall
 from tankrig.sequence import ExposureRule
 
-KINDS = ("camera", "projector", "tank", "radiometry", "latency")
+KINDS = ("camera", "projector", "tank", "radiometry", "stray", "latency")
 """What can be calibrated, in the order of the checks."""
 STALE_DAYS = 90.0
 _CLOSE = 2.0
@@ -129,7 +129,7 @@ def _fits(one: Calibration, device: Any, found: Mapping[str, Calibration], folde
     return Check(what, True, f"{named}: {well}{doubts}")
 
 
-def level_check(projector: Projector, camera: Camera, wall: Wall, rule: ExposureRule = _ANY) -> Check:
+def level_check(projector: Projector, camera: CameraDevice, wall: Wall, rule: ExposureRule = _ANY) -> Check:
     """Whether the projector's levels make the light that they are taken to make; three flashes."""
     what = "projector's levels make the light they are taken to make"
 

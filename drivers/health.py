@@ -17,7 +17,7 @@ from drivers.check import Check, failed
 from drivers.registry import blamed, loaded, open_device, unusable_drivers
 from drivers.rig import RigFile, calibrated_bench
 from tankrig.bench import Bench
-from tankrig.devices import Camera, CameraSettings, Doser, Projector
+from tankrig.devices import CameraDevice, CameraSettings, Doser, Projector
 from tankrig.errors import DeviceError, TankrigError
 from tankrig.sequence import ExposureRule
 
@@ -158,7 +158,7 @@ def _doser(doser: Doser, rig: RigFile) -> Iterator[Check]:
     )  # fmt: skip
 
 
-def _camera(camera: Camera) -> Check:
+def _camera(camera: CameraDevice) -> Check:
     from time import monotonic_ns
 
     what = "camera gives frames that began when asked"
@@ -194,7 +194,7 @@ def _exposures(rule: ExposureRule, devices: Mapping[str, Any]) -> Iterator[Check
         yield _camera_keeps(what, rule, devices["camera"])
 
 
-def _camera_keeps(what: str, rule: ExposureRule, camera: Camera) -> Check:
+def _camera_keeps(what: str, rule: ExposureRule, camera: CameraDevice) -> Check:
     if not rule.period_ms:
         return Check(what, True, "the rig file says that its light is steady, so any will do")
     try:
@@ -211,7 +211,7 @@ def _camera_keeps(what: str, rule: ExposureRule, camera: Camera) -> Check:
     )  # fmt: skip
 
 
-def _seen(projector: Projector, camera: Camera, rule: ExposureRule) -> Check:
+def _seen(projector: Projector, camera: CameraDevice, rule: ExposureRule) -> Check:
     from tankrig.calibration.witness import witness
 
     what = "the camera sees what the projector is told to show"
@@ -225,7 +225,7 @@ def _seen(projector: Projector, camera: Camera, rule: ExposureRule) -> Check:
     )  # fmt: skip
 
 
-def _latency(projector: Projector, camera: Camera, assumed_ms: float | None) -> Check:
+def _latency(projector: Projector, camera: CameraDevice, assumed_ms: float | None) -> Check:
     from tankrig.calibration.latency import measure_latency
 
     what = "light follows a swap within the latency of the rig file"

@@ -15,7 +15,7 @@ from tankrig.calibration.geometry_in_force import DEVICES, USED, measured, requi
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.calibration.tolerances import Tolerances
 from tankrig.checked_toml import checked, read_toml
-from tankrig.devices import Camera, Projector
+from tankrig.devices import CameraDevice, Projector
 from tankrig.dosing import DoseLimits, TankLedger
 from tankrig.errors import DeviceError, SceneError, SettingsError
 from tankrig.run.rig import Rig, RigLock
@@ -236,7 +236,7 @@ def tank_ledger(description: RigFile) -> Iterator[TankLedger | None]:
 
 
 @contextmanager
-def open_light(description: RigFile) -> Iterator[tuple[Projector, Camera]]:
+def open_light(description: RigFile) -> Iterator[tuple[Projector, CameraDevice]]:
     """Take the rig for this program and open its projector and its camera, to calibrate them; the doser is let be.
 
     Raises

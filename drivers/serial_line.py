@@ -150,7 +150,9 @@ class SerialLine:
                         raise NotSentError(f"{self.name}: a stop is latched; clear it first")
                     self._port.write(request)
                 deadline = self._clock.monotonic() + REPLY_S
-                while self._clock.monotonic() < deadline:
+                late = False
+                while not late:
+                    late = self._clock.monotonic() >= deadline  # then what has come meanwhile is still looked at
                     for frame in self._hear():
                         if (answer := accept(frame)) is not None:
                             self._silent_since = None

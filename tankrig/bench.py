@@ -1,15 +1,20 @@
 """A bench: what stays the same from pattern to pattern and from dose to dose, and the scenes it makes."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
 from tankrig.pattern.pattern import Pattern
 from tankrig.pattern.wall import Wall
-from tankrig.scene.description import CLOSED, Camera, Medium, Projector, Scene, Tank, Vector
+from tankrig.ranges import Within, require_ranges
+from tankrig.scene.description import CLOSED, Beam, Camera, Medium, Projector, Scene, Tank, Vector
 from tankrig.scene.footprint import typical_pixel_mm
-from tankrig.scene.projection import beams_of
+from tankrig.scene.projection import beams_and_detail, warn_of_detail
 
 
 @dataclass(frozen=True)
@@ -53,11 +58,10 @@ class Bench:
     camera: Camera
     light_position_mm: Vector | None = None
     projector: Projector | None = None
-    polarisation: float | None = None
+    polarisation: Annotated[float, Within(0.0, 1.0, "is outside 0 … 1; give a degree, 0 for none")] | None = None
 
     def __post_init__(self) -> None:
-        if self.polarisation is not None and not 0.0 <= self.polarisation <= 1.0:
-            raise SceneError(f"polarisation = {self.polarisation} is outside 0 … 1; give a degree, 0 for none")
+        require_ranges(self, SceneError)
         if self.light == "pinhole" and (self.light_position_mm is None or self.light_position_mm[0] >= 0.0):
             raise SceneError("light_position_mm is missing; a pinhole needs [x, y, z] in mm with x < 0")
         if self.light == "calibrated" and (self.projector is None or self.projector.matrix is None):
@@ -76,16 +80,31 @@ class Bench:
         """
         if self.light == "calibrated":
             assert self.projector is not None
-            if self.wall.response:  # measured, and truer than any power law
-                linear = replace(self.projector, gamma=1.0)
-                beams = beams_of(self.tank, linear, self.wall.fractions[pattern.pixels])
-            else:
-                beams = beams_of(self.tank, self.projector, pattern.pixels)
+            beams, coarser = _lit(self.tank, self.projector, self.wall.response, _Shown(pattern.hash, pattern.pixels))
+            warn_of_detail(coarser, stacklevel=3)
             return Scene(self.tank, medium, replace(self.projector, beams=beams), self.camera)
         beams = self.wall.beams(pattern, self.tank)
         if not beams:
             raise SceneError(f'pattern "{pattern.name}" lights nothing in the tank, so there is nothing to predict')
         return Scene(self.tank, medium, Projector(self.light, beams, self.light_position_mm), self.camera)
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """Pixels of a pattern, told apart by their hash."""
+
+    hash: str
+    pixels: NDArray[np.uint8] = field(compare=False)
+
+
+@lru_cache(maxsize=16)
+def _lit(
+    tank: Tank, projector: Projector, response: tuple[float, ...], shown: _Shown
+) -> tuple[tuple[Beam, ...], float]:
+    """Beams of a picture and their detail; checks before a run, its fit and its report ask for the same ones."""
+    if response:  # measured, and truer than any power law
+        return beams_and_detail(tank, replace(projector, gamma=1.0), np.array(response)[shown.pixels])
+    return beams_and_detail(tank, projector, shown.pixels)
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,10 @@ Times are nanoseconds of the monotonic clock (`time.monotonic_ns`). Every call t
 `DeviceError` that names the device; `close` may be called any number of times.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,8 +128,11 @@ class Frame:
 
 
 @runtime_checkable
-class Camera(Protocol):
-    """Looks down on the tank. One owner at a time."""
+class CameraDevice(Protocol):
+    """A camera that can be configured and takes frames; looks down on the tank. One owner at a time.
+
+    What a scene knows of a camera is `tankrig.Camera`.
+    """
 
     @property
     def name(self) -> str:
@@ -219,3 +223,13 @@ class Doser(Protocol):
 
     def close(self) -> None:
         """Stop and let go of the port."""
+
+
+def __getattr__(name: str) -> Any:
+    """`Camera`, as `CameraDevice` was called when a scene's camera had the same name; works for one release more."""
+    if name != "Camera":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    warnings.warn(
+        f"{__name__}.Camera goes with the next release; use {__name__}.CameraDevice", DeprecationWarning, stacklevel=2
+    )
+    return CameraDevice

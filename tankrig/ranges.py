@@ -9,6 +9,7 @@ import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from numbers import Real
 from typing import Annotated, Any
 
 from tankrig.errors import TankrigError
@@ -28,6 +29,8 @@ class Within:
         Whether `low` itself is refused.
     below
         Whether `high` itself is refused.
+    beyond
+        What is wrong with larger ones, where `advice` does not say it.
     """
 
     low: float
@@ -35,15 +38,29 @@ class Within:
     advice: str
     above: bool = False
     below: bool = False
+    beyond: str = ""
 
-    def holds(self, value: float) -> bool:
+    def holds(self, value: Any) -> bool:
         """Whether a number may be this; NaN may not.
 
         >>> [Within(0.0, 1.0, "", above=True).holds(value) for value in (0.0, 1.0, float("nan"))]
         [False, True, False]
         """
+        if not isinstance(value, Real):
+            return False
         low = self.low < value if self.above else self.low <= value
         return low and (value < self.high if self.below else value <= self.high)
+
+    def refusal(self, value: Any) -> str:
+        """What is wrong with a number, and what to give instead; empty where nothing is.
+
+        >>> per_mm = Within(0.0, 1e6, "is negative; give 1/mm", beyond="is more than any liquid has; mend it")
+        >>> [per_mm.refusal(value) for value in (-1.0, 0.5, 1e7)]
+        ['is negative; give 1/mm', '', 'is more than any liquid has; mend it']
+        """
+        if self.holds(value):
+            return ""
+        return self.beyond if self.beyond and isinstance(value, Real) and value > self.low else self.advice
 
 
 def ranges_of(kind: type) -> Mapping[str, Within]:
@@ -78,7 +95,14 @@ def _declared(hint: Any) -> Within | None:
 
 
 def require_ranges(owner: Any, error: type[TankrigError]) -> None:
-    """Refuse the first field whose number is outside of its range; what is None is not looked at.
+    """Refuse the first field whose number, or one of whose numbers, is outside of its range; None is not looked at.
+
+    Parameters
+    ----------
+    owner
+        A dataclass that declares ranges.
+    error
+        What to raise.
 
     Raises
     ------
@@ -87,5 +111,7 @@ def require_ranges(owner: Any, error: type[TankrigError]) -> None:
     """
     for name, within in ranges_of(type(owner)).items():
         value = getattr(owner, name)
-        if value is not None and not within.holds(value):
-            raise error(f"{name} = {value} {within.advice}")
+        several = isinstance(value, tuple)
+        for one in value if several else [value]:
+            if one is not None and (refusal := within.refusal(one)):
+                raise error(f"{name} = {list(value) if several else value} {refusal}")

@@ -1,6 +1,7 @@
 """A simulated bench taken through all procedures, and how far off positions in the water are afterwards."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -68,6 +69,7 @@ class Calibrated:
     projector: ProjectorFound
 
 
+@cache  # tests of its places and of its intervals look at the same one
 def calibrated(
     seed: int, shapes: tuple[tuple[int, int], tuple[int, int]] = SMALL, views: tuple[int, int, int] = (15, 4, 8)
 ) -> Calibrated:

@@ -1,6 +1,6 @@
 """Fits of random scenes with independent truths: pooled z, coverage, the worst, and CPU time; goes on where it stopped.
 
-    python tests/fits_wide.py FOLDER RESULTS.jsonl [--gain known|free|both] [--model tank|prepared] [--limit N]
+    python tests/fits_wide.py FOLDER RESULTS.jsonl [--gain known|free|both] [--model tank|prepared] [--only NAME]
 
 FOLDER holds NAME.toml and NAME.npz with `total` and `stderr`, and perhaps `total_2` and `stderr_2`, as those of
 `tankrig benchmark --wide` do. RESULTS gets a line for each fit. Truths' own noise is given to the fit as the camera's.
@@ -50,7 +50,9 @@ def fitted(scene_file: Path, gain: str, model: str) -> dict[str, object]:
     truth = np.array(scene.medium.coefficients)
     sd = np.sqrt(np.diag(found.covariance))
     off = np.array(found.medium.coefficients) - truth
-    inside = [low <= value <= high for value, (low, high) in zip(truth, found.interval(0.95).values(), strict=True)]
+    inside = [
+        bool(low <= value <= high) for value, (low, high) in zip(truth, found.interval(0.95).values(), strict=True)
+    ]
     return {
         "name": scene_file.stem, "gain": gain, "model": model, "sigma_t": scene.medium.sigma_t,
         "albedo": scene.medium.albedo, "g": scene.medium.g, "off": off.tolist(), "sd": sd.tolist(),
@@ -80,13 +82,14 @@ def main() -> None:
     given.add_argument("results", type=Path)
     given.add_argument("--gain", choices=("known", "free", "both"), default="both")
     given.add_argument("--model", choices=("tank", "prepared"), default="tank")
+    given.add_argument("--only", default="", help="what names of scenes must contain")
     given.add_argument("--limit", type=int, default=1_000_000, help="fits to add at most")
     options = given.parse_args()
     known = options.results.read_text().splitlines() if options.results.exists() else []
     lines = [json.loads(line) for line in known]
     done = {(one["name"], one["gain"], one["model"]) for one in lines}
     gains = ("known", "free") if options.gain == "both" else (options.gain,)
-    for scene_file in sorted(options.folder.glob("*.toml")):
+    for scene_file in sorted(options.folder.glob(f"*{options.only}*.toml")):
         for gain in gains:
             wanted = scene_file.stem, gain, options.model
             if wanted in done or not scene_file.with_suffix(".npz").exists() or options.limit <= 0:

@@ -139,20 +139,6 @@ def test_the_twin_bends_light_as_geometry_does() -> None:
     assert np.abs(pixels_of(*_believed(bench.projector), points, empty) - through_glass).max() < 1e-6
 
 
-def test_positions_in_the_water_are_known_at_any_depth() -> None:
-    """With a camera of 480 × 360 and a projector of 256 × 192 pixels; the one-plane shortcut errs by ten times more."""
-    found = calibrated(3, views=(9, 2, 6))
-    assert found.camera.rms_px < 0.1
-    assert found.tank.rms_px < 0.1
-    assert found.projector.rms_px < 0.1
-    assert abs(found.tank.level_mm - found.bench.level_mm) < 3.0 * found.tank.sd["level_mm"]
-    errors = position_errors_mm(found)
-    assert all(np.quantile(one, 0.95) < 0.8 for one in errors.values()), errors
-    assert np.quantile(shortcut_errors_mm(found.bench, 50.0), 0.95) > 5.0
-    assert found.camera.doubts + found.tank.doubts + found.projector.doubts == ()
-    assert np.sqrt(np.mean(light_errors(found) ** 2)) < 0.005  # of light that falls off by a third
-
-
 @pytest.mark.long
 def test_twenty_benches(capsys: pytest.CaptureFixture[str]) -> None:
     """The figures of docs/calibration.md: a camera of 960 × 540, a projector of 512 × 384 pixels."""

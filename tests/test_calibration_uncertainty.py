@@ -23,7 +23,7 @@ def view(random: np.random.Generator) -> BoardView:
 
 
 @given(st.integers(0, 10**6), st.floats(-0.2, 0.2))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=4, deadline=None)
 def test_noise_of_neighbours_is_found_behind_what_the_fit_explains(seed: int, correlation: float) -> None:
     """Taken for independent, corners that err against each other make a lens look less certain than it is."""
     random = np.random.default_rng(seed)

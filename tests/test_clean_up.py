@@ -60,7 +60,7 @@ class Failing:
     st.fixed_dictionaries(dict.fromkeys(CLEAN_UP, ERROR)),
     st.fixed_dictionaries({"camera.capture": ERROR, "listener": ERROR, "before_end": ERROR}),
 )
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_whatever_a_step_of_the_clean_up_or_a_callback_raises_the_others_still_happen(
     tmp_path_factory: pytest.TempPathFactory, cleaning: dict, before: dict
 ) -> None:

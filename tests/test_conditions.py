@@ -79,7 +79,7 @@ class Told:
 
 
 @given(HISTORY)
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=300, deadline=None)
 def test_frames_of_earlier_versions_are_labelled_by_the_lines_before_them(history: list[tuple[str, object]]) -> None:
     """Runs of years ago must not be fitted at a dose that another run put in, or with an exposure only asked for."""
     told = Told(labelled=False).of(history)
@@ -88,7 +88,7 @@ def test_frames_of_earlier_versions_are_labelled_by_the_lines_before_them(histor
 
 
 @given(HISTORY, st.randoms(use_true_random=False))
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=300, deadline=None)
 def test_a_frame_keeps_its_dose_and_exposure_whatever_other_lines_are_lost(history, lost) -> None:
     """A dose line that is damaged, or an event that never arrived, must not move frames to another dose."""
     told = Told(labelled=True).of(history)
@@ -100,7 +100,7 @@ def test_a_frame_keeps_its_dose_and_exposure_whatever_other_lines_are_lost(histo
 
 
 @given(HELD, HELD, st.floats(0.0, 1.0))
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=300, deadline=None)
 def test_bounds_hold_for_a_frame_that_was_exposed_while_ink_moved(before, after, when) -> None:
     """Ink that goes in during an exposure was between what the tank held before and after."""
     held = spanning(before, after)
@@ -201,7 +201,7 @@ def test_a_camera_that_clamps_is_told_of_once_and_its_exposure_is_the_one_it_had
 
 
 @given(SET, st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=300, deadline=None)
 def test_what_counts_as_clamped_is_more_than_a_hundredth_of_either(asked, longer, louder) -> None:
     """Cameras round to their lines and steps; a line for each would be read by nobody."""
     actual = CameraSettings(asked.exposure_ms * (1.0 + longer), asked.gain * (1.0 + louder))

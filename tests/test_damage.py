@@ -103,7 +103,7 @@ def check_flip(data: bytes, bit: int) -> Lost:
 
 
 @given(st.data())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_any_flipped_bit_of_a_journal_is_named_and_costs_its_line_only(recorded, data):
     whole = journal_of(recorded)
     check_flip(whole, data.draw(st.integers(0, 8 * len(whole) - 1)))
@@ -229,7 +229,7 @@ def damaged(data: bytes, what: list[tuple[str, float, int, bytes]]) -> bytes:
 
 
 @given(damages())
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_whatever_happens_to_a_journal_its_whole_lines_count_and_the_others_are_named(recorded, what):
     whole = journal_of(recorded)
     true = {event.seq: event for event in read_lines(whole, checked=True).events}
@@ -283,7 +283,7 @@ def test_a_reopened_run_never_writes_over_a_frame(recorded, tmp_path_factory, wh
 
 
 @given(st.data())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_an_old_journal_keeps_every_line_that_a_flipped_bit_has_not_touched(data):
     whole = journal_of(OLD_RUN)
     true = read_lines(whole, checked=False)

@@ -108,6 +108,7 @@ NEEDS: dict[tuple[str, int], tuple[Callable[[], Names], bool]] = {
 ELSEWHERE = {
     ("README.md", 0): "below",
     ("docs/archive.md", 2): "needs Tiled, which tankrig does not bring; its names are looked up in test_docs.py",
+    ("docs/separation.md", 1): "test_separation.py fits order 1 of a run's sheets",
     ("docs/separation.md", 0): "test_separation.py has the command do the same to a run with waves",
     **{("docs/write_a_driver.md", number): "test_other_peoples_drivers.py" for number in range(3)},
 }

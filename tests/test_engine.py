@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import Models, image_of, slopes_of
+from tankrig.estimation.differences import slopes_of
+from tankrig.estimation.forward import Models, image_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.optimiser import Fit, Shot, fitted, solve
 from tankrig.estimation.parameters import Block, MediumBlock, Range, Scaling, Values, to_coordinates

@@ -11,7 +11,17 @@ from .bench_by_hand import commands_of_the_page, found_by, make_small, typed
 SET_ASIDE = 3
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long), pytest.param(3, marks=pytest.mark.long)])
+def test_the_page_begins_with_a_bench_whose_doctor_names_the_next_command_of_the_page(tmp_path: Path) -> None:
+    """What follows takes minutes and is walked by CI; each of its commands has quick tests of its own."""
+    made, asked, first = commands_of_the_page()[:3]
+    assert typed(made, tmp_path).returncode == 0
+    told = typed(asked, tmp_path)
+    assert told.returncode == 0, told.stderr
+    assert told.stdout.splitlines()[-1] == f"next: tankrig {' '.join(first)}"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.timeout(1800)
 def test_the_pages_commands_lead_from_lens_cap_to_report(seed: int, tmp_path: Path) -> None:
     commands = commands_of_the_page()

@@ -13,7 +13,7 @@ import pytest
 
 from drivers.registry import open_device
 from drivers.rig import load_rig_file
-from tankrig.devices import Camera, Doser, Projector
+from tankrig.devices import CameraDevice, Doser, Projector
 from tankrig.testing import CameraContract, DoserContract
 from tankrig.testing.projector import ProjectorContract
 
@@ -50,7 +50,7 @@ class TestCameraOfTheRig(CameraContract):
     device = "camera"
 
     @pytest.fixture
-    def camera(self, reopen: Callable[[], Camera]) -> Camera:
+    def camera(self, reopen: Callable[[], CameraDevice]) -> CameraDevice:
         return reopen()
 
 

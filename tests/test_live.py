@@ -393,7 +393,7 @@ def test_a_first_look_tells_which_models_the_first_dose_needs(monkeypatch: pytes
     looked, liquid = Medium(0.0003, 0.009, 0.5), Medium(0.0004, 0.008, 0.6)
     asked: list[Box] = []
 
-    def fit(photographs: list[Photograph], models: list[Box], _start: Medium, _phase: object) -> DoseFit:
+    def fit(photographs: list[Photograph], models: list[Box], _start: Medium, *_: object) -> DoseFit:
         asked.append(models[0])
         return DoseFit(photographs[0].dose_ml, looked if models[0] == LOOK else liquid, model="prepared")
 
@@ -432,7 +432,7 @@ def test_the_thinnest_dose_is_looked_at_first_where_nothing_is_known(monkeypatch
     looked = Medium(0.0003, 0.009, 0.5)
     seen: list[float] = []
 
-    def fit(photographs: list[Photograph], _models: list[Box], _start: Medium, _phase: object) -> DoseFit:
+    def fit(photographs: list[Photograph], _models: list[Box], _start: Medium, *_: object) -> DoseFit:
         seen.append(photographs[0].dose_ml)
         return DoseFit(photographs[0].dose_ml, looked, model="prepared")
 
@@ -454,7 +454,7 @@ def test_models_of_the_ink_expected_come_first_and_a_look_corrects_a_wrong_word(
     stated, true = Medium(0.004, 0.1, 0.6), Medium(0.0004, 0.02, 0.6)
     found_in: list[Box] = []
 
-    def fit(photographs: list[Photograph], models: list[Box], _start: Medium, _phase: object) -> DoseFit | None:
+    def fit(photographs: list[Photograph], models: list[Box], _start: Medium, *_: object) -> DoseFit | None:
         found_in.append(models[0])
         right = models[0].sigma_t[0] < true.sigma_t < models[0].sigma_t[1]
         return DoseFit(photographs[0].dose_ml, true, model="prepared") if right else None

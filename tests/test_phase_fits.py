@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 import tankrig
 from tankrig.errors import SceneError, SequenceError
+from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.estimate import Estimate, fit_models
-from tankrig.estimation.forward import Models, image_of, liquid_slopes_of, models_of, tank_model
+from tankrig.estimation.forward import Models, image_of, models_of, tank_model
 from tankrig.estimation.observation import observe
 from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.phase_answer import Asked, asked_for
@@ -353,6 +354,7 @@ def test_a_scene_says_what_a_fit_begins_from() -> None:
     assert fixed(table).names == ()
 
 
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_henyey_greenstein_determines_nothing_of_an_emulsion() -> None:
     """σs came out 23 % too strong, "determined" to 6 %, and most like uneven ink."""

@@ -12,10 +12,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tankrig.errors import SequenceError
+from tankrig.bench import Bench
+from tankrig.calibration.tolerances import Tolerances
+from tankrig.dosing import DoseLimits
+from tankrig.errors import SequenceError, TankrigError
 from tankrig.pattern.kinds import KINDS
+from tankrig.pattern.wall import Wall
 from tankrig.ranges import Within, ranges_of
-from tankrig.sequence import Burst, Capture, Dose, Mix, Repeat, Wait
+from tankrig.scene import Beam, Camera, Medium, Projector, Tank
+from tankrig.scene.free_phase import FreePhase
+from tankrig.scene.mie import Mie
+from tankrig.scene.optics import Blur, Face, Halo, WideLens
+from tankrig.scene.phase_functions import FournierForand, HenyeyGreenstein, ReynoldsMcCormick, TwoTerm
+from tankrig.sequence import Burst, Capture, Dose, Mix, Pace, Repeat, Wait
 from tankrig.sequence.loading import sequence_from_table
 
 NEEDED: dict[str, Any] = {
@@ -26,6 +35,16 @@ NEEDED: dict[str, Any] = {
 """Values of fields that have to be given."""
 KINDS_OF_STEPS = (Dose, Mix, Capture, Burst, Wait, Repeat)
 DECLARED = [(kind, name) for kind in (*KINDS_OF_STEPS, *KINDS) for name in ranges_of(kind)]
+
+WALL, PLAIN = Wall((12, 16), (-80.0, 80.0), (0.0, 120.0)), Camera("orthographic", (20, 30), 8.0)
+PARTS = (
+    Tank(), Medium(0.001, 0.01, 0.5), Beam((-2.0, 2.0), (58.0, 62.0)), PLAIN, Blur(), Halo(), WideLens(), Face(), WALL,
+    Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),)), HenyeyGreenstein(0.5), TwoTerm(0.9, -0.3, 0.9),
+    ReynoldsMcCormick(0.6, 1.0), FournierForand(1.1, 3.6), Mie(0.5, 1.58, 1.33, 2000.0), FreePhase(0.8, ()),
+    Bench(Tank(), WALL, "collimated", PLAIN), DoseLimits(10.0, 20.0, 30.0), Pace(), Tolerances(),
+)  # fmt: skip
+"""Of scenes and rig files."""
+OF_PARTS = [(part, name) for part in PARTS for name in ranges_of(type(part))]
 
 
 def whole(kind: type, name: str) -> bool:
@@ -87,7 +106,31 @@ def test_a_form_takes_what_a_file_takes(kind: type, name: str) -> None:
         assert (not field.wrong) == within.holds(value), field.wrong
 
 
+@pytest.mark.parametrize(
+    ("part", "name"), OF_PARTS, ids=lambda one: one if isinstance(one, str) else type(one).__name__
+)
+@given(data=st.data())
+@settings(max_examples=15, deadline=None)
+def test_parts_of_scenes_and_rig_files_refuse_what_is_outside_in_the_declared_words_and_nothing_else(
+    part: Any, name: str, data: st.DataObject
+) -> None:
+    within = ranges_of(type(part))[name]
+    value = data.draw(numbers(within, False))
+    several = isinstance(getattr(part, name), tuple)
+    said = ""
+    try:
+        dataclasses.replace(part, **{name: (value, *getattr(part, name)[1:]) if several else value})
+    except TankrigError as refusal:
+        said = str(refusal)
+    if not within.holds(value):
+        assert said.startswith(f"{name} = ")
+        assert said.endswith(within.refusal(value))
+    else:
+        assert said == "" or name == "pixel_mm"  # of which a plain camera may have less than any does
+
+
 def test_nothing_is_declared_in_vain() -> None:
     """A type that is changed must not lose its range."""
     assert len(DECLARED) >= 25
+    assert len(OF_PARTS) >= 45
     assert {name for _, name in DECLARED} >= {"total_ul", "exposure_ms", "gain", "frames", "times", "seconds", "level"}

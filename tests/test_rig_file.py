@@ -104,7 +104,7 @@ def test_a_device_that_is_not_the_calibrated_one_is_refused(tmp_path, opened):
         (("dose_ul = 1000.0", "dosis_ul = 1.0"), 'key "limits.dosis_ul" is unknown; did you mean "dose_ul"?'),
         (("pixel_mm = 2.0", "pixel = 2.0"), 'key "bench.camera.pixel" is unknown; did you mean "pixel_mm"?'),
         (('"collimated"', '"laser"'), 'bench.light = "laser" is unknown; use "collimated", "pinhole" or "calibrated"'),
-        (("gamma = 1.0", "gamma = 0.0"), "gamma = 0.0 has a value that is not positive"),
+        (("gamma = 1.0", "gamma = 0.0"), "gamma = 0.0 is not positive"),
         (("mixing_s = 10.0", "mixing = 10.0"), 'key "pace.mixing" is unknown; did you mean "mixing_s"?'),
         (('light = "collimated"', 'light = "pinhole"'), "light_position_mm is missing; a pinhole needs [x, y, z]"),
         (('name = "simulated rig"', ""), 'key "name" is missing'),

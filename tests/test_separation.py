@@ -1,6 +1,7 @@
 """Waves of light tell order 1 from the rest: against an independent program's images, and by what must hold anyway."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,17 @@ from hypothesis import strategies as st
 from tankrig import ImageError, SequenceError, open_run
 from tankrig.bench import Bench
 from tankrig.light.single import single_scattering
+from tankrig.live.results import DoseFit, SeriesFit, from_fields, to_fields
+from tankrig.live.separated import Separated, told_of
 from tankrig.pattern import Sheet, Wave, draw
 from tankrig.pattern.wall import Wall
 from tankrig.run.derived import damaged_derived, read_derived, write_derived
+from tankrig.run.reading import StoredFrames
 from tankrig.scene import Camera, Medium, Tank
 from tankrig.separation import demodulated, expected_separation, order_one, transfer_of, what_changed
-from tankrig.separation.expected import agreement, extinction, sheet_scene
+from tankrig.separation.expected import agreement, sheet_scene
+from tankrig.separation.order_one import OrderOne
+from tankrig.separation.order_one_fit import KNOWN_SLOPE_SD, asymmetry_of, fit_order_one, slope_of
 from tankrig.separation.transfer import LIQUID
 from tankrig.separation.waves import Waves, noise_of_pairs
 from tankrig.sequence import Capture, Separate, Sequence, Series, Wait
@@ -76,9 +82,14 @@ def test_order_1_is_found_without_a_model_and_its_uncertainty_holds(case: str) -
     assert agreement(found, 1.3 * truth).doubt or beside.sd > 0.07
     if "thick" not in case:
         assert beside.sd < 0.05
-        sigma_t, sd = extinction(found, scene)
-        assert abs(sigma_t - scene.medium.sigma_t) < 2.5 * sd
-        assert sd < 0.04 * sigma_t
+        known_phase = slope_of(scene.medium), KNOWN_SLOPE_SD
+        alone = fit_order_one([(found, scene)], known_phase)
+        assert abs(alone.sigma_t - scene.medium.sigma_t) < 2.5 * alone.sigma_t_sd
+        assert alone.sigma_t_sd < 0.04 * alone.sigma_t
+        side = scene.medium.sigma_s * float(scene.medium.phase_function.at(0.0))
+        assert abs(alone.at_right_angle - side) < 2.5 * alone.at_right_angle_sd
+        (start,) = alone.media(gain=1.0)
+        assert abs(start.g - scene.medium.g) < 0.03, "with an absolute gain the height of order 1 tells g"
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if "medium" in case])
@@ -114,6 +125,34 @@ def test_the_model_says_what_the_waves_show_order_by_order(case: str) -> None:
                 whole = waves[period].sheet[lit].reshape(24, 4, 20).sum(axis=(0, 2))
                 truth = data[f"follow_{period:g}"][index]
                 assert np.all(np.abs(follow / whole - truth) < 0.01), (period, orders)
+
+
+@given(st.floats(0.002, 0.02), st.floats(0.0, 0.85), st.floats(0.1, 1e4), st.integers(0, 2**32 - 1))
+@settings(max_examples=8, deadline=None)
+def test_sheets_at_several_heights_tell_the_phase_function_about_90_degrees(
+    sigma_t: float, g: float, gain: float, seed: int
+) -> None:
+    """In perspective; one sheet alone can hardly tell a steep phase function from extinction."""
+    chance = np.random.default_rng(seed)
+    bench, liquid = bench_of("p"), Medium(0.05 * sigma_t, 0.95 * sigma_t, g)
+    sheets = []
+    for middle in (20.0, 60.0, 100.0):
+        scene = sheet_scene(Wave(8.0, (middle - 2.0, middle + 2.0), 0.0, Y_MM), bench, bench.camera, liquid)
+        truth = gain * single_scattering(scene)
+        noise = np.full(truth.shape, 0.01 * float(truth.max()))
+        seen = np.where(truth > 0.0, truth + noise * chance.standard_normal(truth.shape), np.nan)
+        sheets.append((OrderOne(seen, noise, np.zeros(truth.shape), 1.0, (0.0,)), scene))
+    one, all_three = fit_order_one(sheets[1:2]), fit_order_one(sheets)
+    for name, true in (("sigma_t", sigma_t), ("slope", slope_of(liquid))):
+        assert abs(getattr(all_three, name) - true) < 4.5 * getattr(all_three, f"{name}_sd"), name
+    assert all_three.slope_sd < 0.6 * one.slope_sd
+    assert all_three.sigma_t_sd < 0.6 * one.sigma_t_sd
+    assert all_three.cosines[0] < -0.1
+    assert all_three.cosines[1] > 0.1
+    ratio, sd = all_three.phase(np.array([80.0, 90.0, 100.0]))
+    p = np.asarray(liquid.phase_function.at(np.cos(np.radians([80.0, 90.0, 100.0]))))
+    assert np.all(np.abs(ratio - p / p[1]) <= 4.5 * sd + 1e-3)
+    assert asymmetry_of(slope_of(liquid)) == pytest.approx(g, abs=0.01)
 
 
 @given(st.integers(1, 4), st.floats(0.0, 1.0), st.floats(0.0, 6.0), st.integers(0, 2**32 - 1))
@@ -217,8 +256,6 @@ def test_a_wave_finer_than_the_projector_or_blurred_away_is_refused() -> None:
     fine = Sequence("fine", (Separate(Z_MM, (3.0, 8.0)),))
     with pytest.raises(SequenceError, match="finer than 4 of the projector's pixels"):
         fine.drawn(WALL)
-    from dataclasses import replace
-
     bench = bench_of("o")
     soft = replace(bench.camera, blur_mm=4.0)
     with pytest.raises(ImageError, match="so fine"):
@@ -229,8 +266,6 @@ def test_a_wave_finer_than_the_projector_or_blurred_away_is_refused() -> None:
 
 def test_blur_of_both_lenses_is_divided_out() -> None:
     """A wave that lenses have blurred is followed less; order 1 must not come out fainter for that."""
-    from dataclasses import replace
-
     bench = bench_of("o")
     sharp = [transfer_of(Wave(period, Z_MM, 0.0, Y_MM), bench, bench.camera) for period in PERIODS]
     blurred_camera = replace(bench.camera, blur_mm=0.8)
@@ -276,6 +311,11 @@ do = "separate"
 z_mm = [58.0, 62.0]
 y_mm = [-60.0, 60.0]
 periods_mm = [8.0, 16.0]
+
+[[steps]]
+do = "capture"
+pattern = "full"
+exposure_ms = 5.0
 """
 
 
@@ -289,7 +329,13 @@ def test_from_a_sequence_to_order_1_by_commands(
     Path("separate.toml").write_text(SEPARATED)
     assert main(["run", "separate.toml", "--out", "run", "--no-fit"]) == 0
     capsys.readouterr()
+    read, whole = [], StoredFrames.read
+    monkeypatch.setattr(
+        StoredFrames, "read", lambda self, frame, *more, **named: read.append(frame["index"])
+        or whole(self, frame, *more, **named)
+    )  # fmt: skip
     assert main(["separate", "run", "--json"]) == 0
+    assert len(read) == len({*read}) == 9, "each wave's frame and the dark's once, and no photograph for fits"
     (sheet,) = json.loads(capsys.readouterr().out)["sheets"]
     assert sheet["dose_ml"] == pytest.approx(0.4)
     sigma_t = 0.4 * MILK.sigma_t + PURE_WATER.sigma_t
@@ -300,12 +346,42 @@ def test_from_a_sequence_to_order_1_by_commands(
     arrays, about = read_derived(file)
     assert {"sheet", "modulated_8mm", "even_16mm", "order_1", "order_1_noise"} <= arrays.keys()
     assert about["frames"]
+    _order_1_speaks_for_the_right_liquid_and_against_another(0.4)
     assert main(["recover", "run"]) == 0
     assert "calculated anew" not in capsys.readouterr().out
     file.write_bytes(file.read_bytes()[:-100])
     assert main(["recover", "run"]) == 0, "nothing that was recorded is lost"
     assert f"{file.name} (tankrig separate run)" in capsys.readouterr().out.replace("\n", " ")
-    assert len(open_run("run").events("frame")) == 9
+    assert len(open_run("run").events("frame")) == 10
+
+
+def _order_1_speaks_for_the_right_liquid_and_against_another(dose_ml: float) -> None:
+    from drivers.simulated.settings import MILK, PURE_WATER
+    from drivers.simulated.tank import mixture
+
+    liquid = mixture(PURE_WATER, MILK, dose_ml)
+    liquid = Medium(*liquid.coefficients)
+    separated = Separated.of_run(open_run("run"))
+    (starts,) = separated.media.values()
+    assert {one.g for one in starts} == {0.0, 0.5, 0.85}, "parallel light tells nothing of g"
+    (one,) = separated.sheets
+    seen = told_of(one).alone
+    assert seen is not None
+    assert all(
+        abs(start.sigma_t - liquid.sigma_t) < max(3.0 * seen.sigma_t_sd, 0.02 * liquid.sigma_t) for start in starts
+    )
+    gain = seen.at_right_angle / (liquid.sigma_s * float(liquid.phase_function.at(0.0)))
+    right = DoseFit(dose_ml, liquid, (1e-6, 1e-5, 0.002), gain=gain)
+    assert separated.beside(right).order_one == ""
+    denser = Medium(1.5 * liquid.sigma_a, 1.5 * liquid.sigma_s, liquid.g)
+    doubted = separated.beside(replace(right, medium=denser, gain=gain / 1.5))
+    assert "by its decay order 1 has σt" in doubted.order_one
+    assert "the fit has the wrong liquid" in doubted.order_one
+    assert from_fields(to_fields(doubted)) == doubted, "the journal keeps it"
+    assert "order_one" not in to_fields(right)
+    series = SeriesFit((dose_ml, 2.0), Medium(*(c / dose_ml for c in denser.coefficients[:2]), denser.g),
+                       Medium(0.0, 0.0, 0.0), (1e-6, 1e-5, 0.002, 1e-6), gain / 1.5, verdict="It fits.")  # fmt: skip
+    assert separated.beside_series(series).verdict.startswith("It fits. At 0.4 ml ")
 
 
 def test_a_run_without_waves_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

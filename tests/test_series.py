@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 import tankrig
-from tankrig.errors import ImageError
+from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.forward import in_water
 from tankrig.estimation.observation import observe
 from tankrig.estimation.parameters import Doses, Scaling
 from tankrig.estimation.series import SeriesEstimate, fit_series
+from tankrig.light.leaving import CameraLens
 from tankrig.prediction import Prediction
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tankrig.scene.optics import Halo
 from tankrig.scene.phase_functions import phase_function
 
 SCENE = Scene(
@@ -160,3 +162,45 @@ def test_what_cannot_be_a_series_is_refused_in_one_sentence(change: dict[str, ob
     given = {"images": images, "scenes": SCENE, "doses_ml": [0.1, 0.2]} | change
     with pytest.raises(ImageError, match=message):
         tankrig.estimate_series(**given)
+
+
+def astray(image: np.ndarray, share: float, veil: float) -> np.ndarray:
+    """As a lens with a halo and a veil shows it."""
+    lens = CameraLens.of(replace(SCENE, camera=replace(SCENE.camera, halo=Halo(share, 30.0), veil=veil)))
+    assert lens is not None
+    return lens.of_wide(image)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_halo_and_a_veil_that_nobody_measured_are_fitted_along(seed: int) -> None:
+    """Of one size in all images: without them σs of the ink was off by many of its standard deviations."""
+    rng, share, veil = np.random.default_rng(seed), 0.015, 0.008
+    clean = [1e6 * astray(tank_like(liquid(dose)).image, share, veil) for dose in DOSES_ML]
+    noises = [0.002 * float(image.max()) for image in clean]
+    images = [image + rng.normal(0.0, sd, image.shape) for image, sd in zip(clean, noises, strict=True)]
+    observations = [observe(image, (40, 60), noise) for image, noise in zip(images, noises, strict=True)]
+    doses = Doses(DOSES_ML, np.zeros(DOSES_ML.size), np.arange(DOSES_ML.size))
+
+    def found_with(nuisance: dict[str, float] | None) -> SeriesEstimate:
+        return fit_series(
+            observations, [SCENE] * DOSES_ML.size, doses, Scaling(None, 0.0), lambda *_: tank_like, None,
+            lambda _: None, nuisance=nuisance,
+        )  # fmt: skip
+
+    along, unaware = found_with({"halo": 0.01, "veil": 0.01}), found_with(None)
+    for name, size in (("halo", share), ("veil", veil)):
+        value, sd = along.nuisance[name]
+        assert abs(value - size) < 4.0 * sd + 0.05 * size
+    off, off_unaware = (abs(one.ink.sigma_s / INK.sigma_s - 1.0) for one in (along, unaware))
+    assert off < max(0.005, 3.0 * float(np.sqrt(along.covariance[1, 1])) / INK.sigma_s)
+    assert off < 0.3 * off_unaware
+    assert along.covariance.shape == (4, 4)
+    assert "halo = +" in along.verdict
+
+
+def test_what_cannot_go_astray_in_a_series_is_refused() -> None:
+    with pytest.raises(SceneError, match="none of a series"):
+        tankrig.estimate_series(
+            [np.ones((40, 60))] * 2, SCENE, [0.1, 0.2], nuisance={"z_mm": 1.0}, noise=1.0,
+            model_of=lambda *_: tank_like,
+        )  # fmt: skip

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from drivers.registry import open_device
-from tankrig.devices import Camera, Projector
+from tankrig.devices import CameraDevice, Projector
 from tankrig.testing import CameraContract, ReopenCamera
 from tankrig.testing.projector import ProjectorContract, ReopenProjector
 
@@ -32,9 +32,9 @@ class TestSimulatedProjector(ProjectorContract):
 class TestSimulatedCamera(CameraContract):
     @pytest.fixture
     def reopen(self, tmp_path: Path) -> Iterator[ReopenCamera]:
-        opened: list[Camera] = []
+        opened: list[CameraDevice] = []
 
-        def open_again() -> Camera:
+        def open_again() -> CameraDevice:
             opened.append(open_device("simulated-camera", {"folder": tmp_path}))
             return opened[-1]
 
@@ -43,5 +43,5 @@ class TestSimulatedCamera(CameraContract):
             camera.close()
 
     @pytest.fixture
-    def camera(self, reopen: ReopenCamera) -> Camera:
+    def camera(self, reopen: ReopenCamera) -> CameraDevice:
         return reopen()

@@ -29,7 +29,7 @@ from tankrig.run.reading import open_run
 from tankrig.run.start import new_run
 from tankrig.scene import Camera, Tank
 from tankrig.sequence import Capture, ExposureRule, Sequence, load_sequence
-from ui.calibration_way import CALIBRATIONS
+from ui.calibration_way import CALIBRATIONS, Step
 from ui.cli import main
 from ui.cli.way import next_step, way
 
@@ -52,28 +52,47 @@ def rig(tmp_path: Path) -> Path:
 # -- the way -----------------------------------------------------------------------------------------------------------
 
 
+def looked_at(found: dict[str, bool | None]) -> list[Check]:
+    return [
+        Check(f"{part} looked at", passed, "as found", "mend it --rig FILE", part) for part, passed in found.items()
+    ]
+
+
+def require_typed(steps: list[Step]) -> None:
+    """What is to be typed names this rig, and stands where something is left to do."""
+    assert not any(step.command for step in steps if step.done)
+    assert all(step.command for step in steps if not step.done and step.wanted)
+    assert not any("FILE" in step.command for step in steps)
+
+
 @given(st.fixed_dictionaries({part: st.sampled_from([True, None, False]) for part in PARTS}))
 @settings(max_examples=40, deadline=None)
 def test_the_next_step_is_the_first_that_has_to_be_done(found: dict[str, bool | None]) -> None:
     """Whoever follows the last line again and again comes to a run, and mends first what is broken."""
-    description = load_rig_file(BENCH, beside=Path("/nowhere"))
-    checks = [
-        Check(f"{part} looked at", passed, "as found", "mend it --rig FILE", part) for part, passed in found.items()
-    ]
-    steps = way(description, checks, Path("my rig.toml"), SEQUENCE)
+    steps = way(load_rig_file(BENCH, beside=Path("/nowhere")), looked_at(found), Path("my rig.toml"))
     following = next_step(steps)
     assert following is not None
     broken = [part for part in PARTS if found[part] is False]
     missing = [kind for kind in CALIBRATIONS if found[kind] is None]
     if not broken and not missing:
-        assert following.command == f"tankrig run {SEQUENCE} --rig 'my rig.toml'"
-    elif broken or missing:
+        assert following.command == "tankrig run SEQUENCE --rig 'my rig.toml' --dry-run"
+    else:
         first = broken[0] if broken else missing[0]
         wanted = f"tankrig calibrate {first}" if first in CALIBRATIONS else "mend it"
         assert following.command == f"{wanted} --rig 'my rig.toml'"
-    assert not any(step.command for step in steps if step.done)
-    assert all(step.command for step in steps if not step.done and step.wanted)
-    assert not any("FILE" in step.command for step in steps)
+    require_typed(steps)
+
+
+@pytest.mark.parametrize("missing", [None, CALIBRATIONS[0]])
+def test_with_a_sequence_that_can_be_carried_out_the_run_comes_after_all_that_is_missing(missing: str | None) -> None:
+    description = load_rig_file(BENCH, beside=Path("/nowhere"))
+    checks = looked_at({part: None if part == missing else True for part in PARTS})
+    steps = way(description, checks, Path("my rig.toml"), SEQUENCE)
+    following = next_step(steps)
+    assert following is not None
+    wanted = f"calibrate {missing}" if missing else f"run {SEQUENCE}"
+    assert following.command == f"tankrig {wanted} --rig 'my rig.toml'"
+    require_typed(steps)
 
 
 def test_a_new_bench_is_told_to_begin_with_the_lens_cap(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -193,7 +212,7 @@ def test_patterns_beside_the_picture_are_refused_and_all_others_taken(rows: int,
 
 
 def test_a_calibrated_projector_that_lights_beside_the_tank_is_refused_and_what_is_meant_dark_is_not() -> None:
-    low = Sheet((-75.0, 75.0), (0.0, 9.0))
+    low = Sheet((-18.0, 18.0), (0.0, 3.0))
     patterns = {"low": low, "black": Dark(), "code": GrayCode(0)}
     beside = replace(CALIBRATED, projector=replace(CALIBRATED.projector, position_mm=(-300.0, 0.0, 400.0)))
     require_light_seen(Sequence("one", (Capture("low"), Capture("black"), Capture("code")), patterns), CALIBRATED)

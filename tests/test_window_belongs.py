@@ -314,7 +314,7 @@ def test_every_page_says_whose_it_is(window):
     """A person looks at one page; what it shows must not need another to be understood."""
     show(window, "a")
     titles = [frame.title.text() for frame in (window.live_frame, *window._frames, window.runs.frame)]
-    assert titles.count("REPLAY of run-a") == 4  # the picture, the fit, the regions and the replay
+    assert titles.count("REPLAY of run-a") == 5  # the picture, the fit, the waves, the regions and the replay
     assert titles.count("LIVE: test rig") == 3  # doser, projector and calibration stay the rig's own
     assert all(titles)
     assert window.sequence.run_frame.title.text() == "REPLAY of run-a"

@@ -162,3 +162,30 @@ def test_any_region_can_be_added_and_taken_away_by_keyboard(window):
     QTest.keyClicks(window._palette.field, "remove region")
     QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
     until(lambda: not window.live.regions.drawn)
+
+
+@pytest.mark.usefixtures("opened")
+def test_outlines_lie_on_the_light_in_a_calibrated_cameras_picture():
+    """They lay beside it by a fifth of the tank: told in the picture's own millimetres, drawn in the water's."""
+    import cv2
+
+    from tankrig.light.single import single_scattering
+    from tankrig.scene import Medium
+    from tests.bent_scenes import small
+    from ui.window.frame_renderer import _outlines
+    from ui.window.tank_plot import TankPlot
+    from ui.window.tone import Tone
+
+    scene = small(Medium(0.0, 1e-4, 0.0))
+    light = single_scattering(scene)
+    plot, mask = TankPlot(), np.zeros(light.shape, np.uint8)
+    plot.show_indices(mask, Tone().palette())
+    plot.place(scene.tank, scene.camera)
+    lines = _outlines(type("Bench", (), {"scene": lambda *_: scene})(), object())
+    assert np.isnan(lines[5::6]).all()
+    for outline in np.split(lines, len(lines) // 6):
+        corners = [plot.pixel_at(x, y)[::-1] for x, y in outline[:4].tolist()]
+        cv2.fillConvexPoly(mask, np.round(np.array(corners) - 0.5).astype(np.int32), 1)
+    near = cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0
+    assert light[near].sum() > 0.9 * light.sum()
+    assert near.mean() < 0.6

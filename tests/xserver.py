@@ -6,6 +6,7 @@ import itertools
 import os
 import shutil
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -128,6 +129,25 @@ class XServer:
             yield
 
     @contextmanager
+    def insisting_window(self, x: int, y: int, width: int, height: int) -> Iterator[None]:
+        """A window that comes back above all others every few milliseconds, whoever is above it meanwhile."""
+        done = threading.Event()
+
+        def insist() -> None:
+            with _Display(self.display) as display:
+                window = display.open_window(x, y, width, height, "the first of all")
+                while not done.wait(0.005):
+                    display.raise_window(window)
+
+        insisting = threading.Thread(target=insist)
+        insisting.start()
+        try:
+            yield
+        finally:
+            done.set()
+            insisting.join(10.0)
+
+    @contextmanager
     def compositor(self) -> Iterator[None]:
         """A program that has all windows drawn into memory, from which the server makes the picture."""
         with _Display(self.display) as display:
@@ -192,7 +212,7 @@ class _Display:
         self._x11.XFree(image.data)
         return raw[:, : 4 * width].reshape(height, width, 4)[..., 2::-1]
 
-    def open_window(self, x: int, y: int, width: int, height: int, title: str) -> None:
+    def open_window(self, x: int, y: int, width: int, height: int, title: str) -> ctypes.c_ulong:
         self._x11.XCreateSimpleWindow.restype = ctypes.c_ulong
         window = ctypes.c_ulong(
             self._x11.XCreateSimpleWindow(
@@ -201,6 +221,11 @@ class _Display:
         )
         self._x11.XStoreName(self._display, window, title.encode())
         self._x11.XMapRaised(self._display, window)
+        self._x11.XSync(self._display, 0)
+        return window
+
+    def raise_window(self, window: ctypes.c_ulong) -> None:
+        self._x11.XRaiseWindow(self._display, window)
         self._x11.XSync(self._display, 0)
 
     def redirect(self) -> None:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from drivers.rig import RigFile
 
 GEOMETRY = ("camera", "tank", "projector")
-CALIBRATIONS = ("radiometry", *GEOMETRY, "latency")
+CALIBRATIONS = ("radiometry", "stray", *GEOMETRY, "latency")
 """In the order in which they rest on each other."""
 _PUMP_IS_EXACT = "simulated-doser"
 
@@ -59,7 +59,8 @@ def calibration_steps(description: "RigFile", checks: Iterable[Check]) -> dict[s
 
 
 def _calibration(kind: str, by_part: dict[str, list[Check]], description: "RigFile") -> Step:
-    what, command = f"the {kind} is calibrated", f"tankrig calibrate {kind} {RIG}"
+    what = "the camera's stray light is measured" if kind == "stray" else f"the {kind} is calibrated"
+    command = f"tankrig calibrate {kind} {RIG}"
     checks = [*by_part.get("calibration", []), *by_part.get(kind, [])]
     wrong = next((check for check in checks if check.passed is False), None)
     if wrong is not None:
@@ -67,7 +68,7 @@ def _calibration(kind: str, by_part: dict[str, list[Check]], description: "RigFi
     good = next((check for check in checks if check.passed), None)
     if good is not None:
         return Step(what, True, good.finding)
-    if kind in GEOMETRY and description.bench.camera.kind == "orthographic":
+    if kind in (*GEOMETRY, "stray") and description.bench.camera.kind == "orthographic":
         return Step(what, True, "its lens is telecentric, which no board measures; the rig file is believed")
     finding = next((check.finding for check in checks), "was not looked at")
     return Step(what, None, finding, command)

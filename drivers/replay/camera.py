@@ -15,7 +15,7 @@ from .settings import ReplayCameraSettings
 
 
 class ReplayCamera:
-    """Implements `tankrig.devices.Camera`.
+    """Implements `tankrig.devices.CameraDevice`.
 
     The recording begins when it is opened: exposures "begin" at that moment plus their recorded times, or, at full
     pace, when they are asked for.

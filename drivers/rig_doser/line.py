@@ -99,9 +99,11 @@ class RigDoserLine:
 
     def _line(self, deadline: float) -> bytes | None:
         """The next line, without its end; None once `deadline` (monotonic, s) has passed."""
+        late = False
         while b"\n" not in self._received:
-            if self._clock.monotonic() >= deadline:
+            if late:
                 return None
+            late = self._clock.monotonic() >= deadline  # then what has come meanwhile is still looked at
             try:
                 self._received += self._port.read(max(1, self._port.in_waiting))
             except LOST as error:

@@ -101,11 +101,48 @@ def through_camera_lens(bench: TrueBench, image: NDArray[np.floating], blur_px: 
     blur_px
         Standard deviation of the blur.
     """
-    import cv2
+    rows, columns = image.shape
+    blurred = blurred_part(bench, image, blur_px, (np.linspace(-1.0, 1.0, rows), np.linspace(-1.0, 1.0, columns)))
+    return behind_camera_lens(bench, image, blurred)
 
-    blurred = np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px))
+
+def behind_camera_lens(bench: TrueBench, image: NDArray[np.floating], blurred: Array) -> Array:
+    """A picture before the camera's lens, and as its blur leaves it, with its halo and veil."""
     above = bench.camera.centre_mm[2] - bench.level_mm
     return astray(bench.stray, image, blurred, float(bench.camera.matrix[0, 0] / above))
+
+
+def blurred_part(bench: TrueBench, fine: NDArray[np.floating], blur_px: float, window: tuple[Array, Array]) -> Array:
+    """A part of a picture, blurred as the camera's lens blurs it there.
+
+    Parameters
+    ----------
+    bench
+        Whose lens: its blur grows to the corners by `TrueStray.camera_blur_corner`.
+    fine
+        (n, m), its pixels as large as they may be.
+    blur_px
+        Standard deviation in the middle of the picture, in those pixels.
+    window
+        Where they are in the picture, (n,) down and (m,) across, from −1 to 1.
+    """
+    import cv2
+
+    corner = bench.stray.camera_blur_corner
+    if corner == 1.0:
+        return np.asarray(cv2.GaussianBlur(fine, (0, 0), blur_px))
+    down, across = window
+    wanted = 1.0 + (corner - 1.0) * 0.5 * (down[:, None] ** 2 + across**2)
+    place = np.clip((wanted**2 - 1.0) / (corner**2 - 1.0) * (_WIDTHS - 1), 0.0, _WIDTHS - 1.0)
+    found = np.zeros(fine.shape)
+    for number in range(_WIDTHS):
+        width = float(np.sqrt(1.0 + number / (_WIDTHS - 1) * (corner**2 - 1.0)))
+        found += np.maximum(0.0, 1.0 - np.abs(place - number)) * cv2.GaussianBlur(fine, (0, 0), blur_px * width)
+    return found
+
+
+_WIDTHS = 6
+"""Of pictures between which a blur that changes over the picture is found."""
 
 
 def astray(stray: TrueStray, sharp: NDArray[np.floating], blurred: Array, px_per_mm: float) -> Array:

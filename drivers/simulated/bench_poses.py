@@ -11,8 +11,9 @@ from .bench_truth import TANK_MM, Array, TrueBench
 Place = Literal["air", "floor", "flooded", "water", "slant", "flooded slant"]
 """Held before the camera; laid into the corner of the empty tank's floor, the same with water over it; held in the
 water; held at a slant for camera and projector to see it, in the empty tank and in the water."""
-Held = Place | Literal["nothing"]
-"""What a person may be asked for: "nothing" takes the board away, and the camera sees the tank."""
+Held = Place | Literal["trap", "card", "nothing"]
+"""What a person may be asked for: a light trap in place of the board, the same with a white card on it, or "nothing",
+which takes all away, and the camera sees the tank."""
 PLACES: tuple[Place, ...] = get_args(Place)
 FILLED: tuple[Place, ...] = ("flooded", "water", "flooded slant")
 

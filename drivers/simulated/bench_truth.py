@@ -50,6 +50,7 @@ class TrueOptics:
 class TrueStray:
     """Light that goes astray; see `drivers.simulated.settings.Stray`, whose names these are."""
 
+    camera_blur_corner: float = 1.0
     camera_halo: float = 0.0
     camera_halo_mm: float = 30.0
     veil: float = 0.0

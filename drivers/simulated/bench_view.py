@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from tankrig.calibration.board import Board
 from tankrig.pattern import Pattern
 
-from .bench_optics import FINER, camera_rays, illumination, through_camera_lens, thrown, vignetting
+from .bench_optics import FINER, behind_camera_lens, blurred_part, camera_rays, illumination, thrown, vignetting
 from .bench_poses import FILLED, Held, Place, board_pose
+from .bench_trap import TrapInView
 from .bench_truth import Array, TrueBench
 
 Map = NDArray[np.float32]
@@ -20,6 +21,8 @@ _DIMMED = 0.05
 """The room's light when the projector is looked at."""
 _NODE_PX, _SAMPLES = 12, 2
 """From node to node, and samples along each side of a pixel."""
+_SAMPLING_PX2 = 0.032
+"""Variance that sampling the print adds to edges besides pixels' own area; the lens's blur has that much less."""
 
 
 class BoardInView:
@@ -58,9 +61,15 @@ class BoardInView:
                 for pattern, part in shown.items():
                     light += np.float32(part * self._bench.full) * self._beam * self._thrown(pattern)
             size = (right - left, bottom - top)
-            picture[top:bottom, left:right] = cv2.resize(self._albedo * light, size, interpolation=cv2.INTER_AREA)
-        blurred = through_camera_lens(self._bench, picture, self._bench.camera.blur_px)
-        return np.asarray(blurred * self._fade, float)
+            seen = self._albedo * light
+            blurred = picture.copy()
+            picture[top:bottom, left:right] = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
+            # Between samples, where half a pixel's blur is one: in whole pixels it would not be the Gaussian it is.
+            blur_px = _SAMPLES * np.sqrt(max(self._bench.camera.blur_px**2 - _SAMPLING_PX2, 0.01))
+            soft = blurred_part(self._bench, seen, float(blur_px), self._window)
+            blurred[top:bottom, left:right] = cv2.resize(soft.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+            return np.asarray(behind_camera_lens(self._bench, picture, blurred) * self._fade, float)
+        return np.asarray(behind_camera_lens(self._bench, picture, picture) * self._fade, float)
 
     def _thrown(self, pattern: Pattern) -> Map:
         """Light of the projector's pixels where each sample is lit from, of that of a white one."""
@@ -91,6 +100,7 @@ class BoardInView:
         if self._box is None:
             return
         top, bottom, left, right = self._box
+        rows, columns = self._bench.camera.shape
         nodes_y, nodes_x = (
             np.linspace(low - 0.5, high - 0.5, max(6, (high - low) // _NODE_PX))
             for low, high in ((top, bottom), (left, right))
@@ -99,6 +109,7 @@ class BoardInView:
             (np.arange((high - low) * _SAMPLES) + 0.5) / _SAMPLES + low - 0.5
             for low, high in ((top, bottom), (left, right))
         ]
+        self._window = fine[0] / (rows - 1) * 2.0 - 1.0, fine[1] / (columns - 1) * 2.0 - 1.0
         board, points = self._on_board(*np.meshgrid(nodes_x, nodes_y))
         u, v = (_spline(nodes_y, nodes_x, board[..., k], fine) for k in range(2))
         margin = self._board.margin_mm
@@ -130,7 +141,7 @@ class BoardInView:
 
 
 class BoardsInView:
-    """The board wherever it is held before the camera of a bench; nowhere at first.
+    """The board, or a light trap, wherever it is held before the camera of a bench; nowhere at first.
 
     Parameters
     ----------
@@ -143,20 +154,27 @@ class BoardsInView:
     def __init__(self, bench: TrueBench, board: Board) -> None:
         self.bench = bench
         self._board = board
-        self._view: BoardInView | None = None
+        self._view: BoardInView | TrapInView | None = None
 
     @property
     def held(self) -> bool:
-        """Whether there is a board before the camera."""
+        """Whether there is something before the camera."""
         return self._view is not None
 
     def hold(self, place: Held, number: int) -> None:
-        """Put the board there, or take it away."""
-        self._view = None if place == "nothing" else BoardInView(self.bench, self._board, place, number)
+        """Put the board or the trap there, or take it away."""
+        if place == "nothing":
+            self._view = None
+        elif place in ("trap", "card"):
+            self._view = TrapInView(self.bench, number if place == "card" else None)
+        else:
+            self._view = BoardInView(self.bench, self._board, place, number)
 
     def radiance(self, shown: Mapping[Pattern, float]) -> Array:
-        """See `BoardInView`."""
-        return np.zeros(self.bench.camera.shape) if self._view is None else self._view.radiance(shown)
+        """See `BoardInView`; a trap is seen in the room's light alone."""
+        if self._view is None:
+            return np.zeros(self.bench.camera.shape)
+        return self._view.radiance() if isinstance(self._view, TrapInView) else self._view.radiance(shown)
 
 
 def _plate(board: Board) -> Map:

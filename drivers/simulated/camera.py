@@ -31,7 +31,7 @@ _LOOK_S = 0.002
 
 
 class SimulatedCamera:
-    """Implements `tankrig.devices.Camera` and `TriggeredCamera`.
+    """Implements `tankrig.devices.CameraDevice` and `TriggeredCamera`.
 
     It streams all the time, like a video camera: see `Stream`. What a frame shows is worked out when the program takes
     it, from what was in the frame buffer while it was exposed; working out a picture that was not seen before takes

@@ -119,6 +119,8 @@ class Stray(BaseModel):
 
     Parameters
     ----------
+    camera_blur_corner
+        Times as wide that the camera's blur is in its picture's corners as in the middle.
     camera_halo, camera_halo_mm
         Share of the light that the camera's lens spreads widely, and how widely: a standard deviation at the water.
     veil
@@ -133,6 +135,7 @@ class Stray(BaseModel):
 
     model_config = _CLOSED
 
+    camera_blur_corner: float = Field(default=1.0, ge=0.2, le=5.0)
     camera_halo: float = Field(default=0.0, ge=0.0, le=0.2)
     camera_halo_mm: float = Field(default=30.0, gt=0.0)
     veil: float = Field(default=0.0, ge=0.0, le=0.5)

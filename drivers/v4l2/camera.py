@@ -77,7 +77,7 @@ class _Wait:
 
 
 class V4l2Camera:
-    """Implements `tankrig.devices.Camera`.
+    """Implements `tankrig.devices.CameraDevice`.
 
     A camera that was unplugged is opened again, by its path, with the next call; it must be the same model.
 

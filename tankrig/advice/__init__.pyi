@@ -1,6 +1,13 @@
+from .cells import cell_light as cell_light
+from .cells import even_cells as even_cells
+from .design import Design as Design
+from .design import Prospect as Prospect
+from .design import designed as designed
 from .expected import Expected as Expected
 from .expected import Known as Known
 from .expected import Shot as Shot
+from .next_pictures import NextPictures as NextPictures
+from .next_pictures import next_pictures as next_pictures
 from .ranking import Advice as Advice
 from .ranking import Candidate as Candidate
 from .ranking import ranked as ranked

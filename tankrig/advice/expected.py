@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import values_of
+from tankrig.estimation.differences import values_of
 from tankrig.estimation.parameters import NAMES, WIDEST, Scaling, in_tank
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import Scattering, scattering_of

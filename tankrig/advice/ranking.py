@@ -16,7 +16,7 @@ from tankrig.scene import Medium, Scene
 By = Literal["minute", "ul", "all"]
 
 TOLERANCE = 0.03
-"""Of the models that advice is computed with: derivatives to a few per cent are enough."""
+"""Tolerance of the models that advice is computed with: derivatives to a few per cent are enough."""
 ROOM, ASYMMETRY_ROOM = 1.1, 0.08
 ALBEDO = (0.3, 0.9999)
 

@@ -16,7 +16,7 @@ from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 
 MODEL_ERROR = 0.001
-"""Of the models that runs are fitted with, where a run's fits don't tell: their usual error (decision 216)."""
+"""Usual error of the models that runs are fitted with, for runs whose fits don't tell it (decision 216)."""
 
 
 def from_run(run: Run) -> tuple[Known, list[Shot], list[str]]:

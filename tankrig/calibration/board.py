@@ -1,6 +1,6 @@
 """The ChArUco board that is held in view, and how well a picture shows it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -128,6 +128,8 @@ class BoardView:
         Part of the board's pixels that are at the highest count.
     edge_px
         Standard deviation of the edges between squares, pixels' own area and all; NaN where too few are seen.
+    edges
+        (n, 3) x and y of each, and its standard deviation.
     """
 
     ids: NDArray[np.int64]
@@ -137,6 +139,7 @@ class BoardView:
     contrast: float
     saturated: float
     edge_px: float = float("nan")
+    edges: Points = field(default_factory=lambda: np.zeros((0, 3)))
 
     def points_mm(self, board: Board) -> Points:
         """(n, 3) the same corners on the board."""
@@ -206,8 +209,8 @@ def find_board(pixels: NDArray[Any], board: Board, saturation: int) -> BoardView
     found = _refined(pixels, np.asarray(corners, np.float32).reshape(-1, 1, 2), known, board)
     rows, columns = pixels.shape
     edges = square_edges_px(pixels, found[_edges(known, board)], 0.5 * (1.0 - board.marker_mm / board.square_mm))
-    edge = float(np.median(edges)) if edges.size >= LEAST_CORNERS else float("nan")
-    return BoardView(known, found, (rows, columns), *_quality(pixels, found, known, board, saturation), edge)
+    edge = float(np.median(edges[:, 2])) if len(edges) >= LEAST_CORNERS else float("nan")
+    return BoardView(known, found, (rows, columns), *_quality(pixels, found, known, board, saturation), edge, edges)
 
 
 def markers_of_any_board(pixels: NDArray[Any], saturation: int) -> tuple[int, str]:

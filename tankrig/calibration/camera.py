@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.calibration.board import Board, BoardView, Points, rms_length
-from tankrig.calibration.edge_blur import PIXEL_VARIANCE, Blur
+from tankrig.calibration.edge_blur import PIXEL_VARIANCE, Blur, BlurOverPicture
 from tankrig.calibration.file import Calibration
 from tankrig.calibration.uncertainty import Named, corner_pairs, found_covariance, noise_covariance
 from tankrig.errors import CalibrationError
@@ -50,6 +50,8 @@ class CameraFound:
         Largest angle between two views of the board.
     blur
         Of the lens; None where too few edges were seen.
+    blur_over_picture
+        The same from the middle to the corners; None likewise.
     """
 
     lens: Lens
@@ -62,6 +64,7 @@ class CameraFound:
     coverage: float
     tilt_deg: float
     blur: Blur | None = None
+    blur_over_picture: BlurOverPicture | None = None
 
     @property
     def sd(self) -> dict[str, float]:
@@ -94,6 +97,10 @@ class CameraFound:
         sd = dict(self.sd)
         if self.blur:
             result["blur_px"], sd["blur_px"] = self.blur.px, self.blur.sd_px
+        if self.blur and self.blur_over_picture and self.blur_over_picture.varies:
+            over = self.blur_over_picture
+            result |= {"blur_middle_px": over.middle_px, "blur_corner_px": over.corner_px}
+            sd |= dict(zip(("blur_middle_px", "blur_corner_px"), over.sd_px, strict=True))
         how_well = {"rms_px": self.rms_px, "coverage": self.coverage, "tilt_deg": self.tilt_deg}
         return Calibration(
             "camera",
@@ -158,6 +165,7 @@ def calibrate_camera(views: Sequence[BoardView], board: Board) -> CameraFound:
         float(coverage.mean()),
         tilt,
         Blur.of([view.edge_px**2 - PIXEL_VARIANCE for view in used]),
+        BlurOverPicture.of([view.edges for view in used], views[0].shape),
     )
 
 

@@ -96,7 +96,9 @@ def _steps(design: Array, off: Array, weight: Array) -> tuple[Array, NDArray[np.
 
 
 def square_edges_px(pixels: NDArray[Any], edges_px: Array, gap: float) -> Array:
-    """(n,) standard deviations, in pixels, of the edges between a board's squares; those of its pixels are in them.
+    """(n, 3) x and y of the edges between a board's squares, and their standard deviations, in pixels.
+
+    The pixels' own area is in them; edges that are not seen well enough are left out.
 
     Parameters
     ----------
@@ -113,15 +115,17 @@ def square_edges_px(pixels: NDArray[Any], edges_px: Array, gap: float) -> Array:
     far finer than pixels are apart (ISO 12233). In the white square a marker's black rim begins a little farther on, so
     what is fitted is a stripe.
     """
-    edges = [_about(pixels, first, last, gap) for first, last in edges_px]
-    edges = [edge for edge in edges if edge[0].size >= _LEAST_PIXELS]
+    every = [(_about(pixels, first, last, gap), 0.5 * (first + last)) for first, last in edges_px]
+    edges = [edge for edge, _ in every if edge[0].size >= _LEAST_PIXELS]
+    places = [place for edge, place in every if edge[0].size >= _LEAST_PIXELS]
     if not edges:
-        return np.zeros(0)
+        return np.zeros((0, 3))
     distance, value, weight = np.zeros((3, len(edges), max(edge[0].size for edge in edges)))
     for row, (away, seen, _) in enumerate(edges):
         distance[row, : away.size], value[row, : away.size], weight[row, : away.size] = away, seen, 1.0
     found = spreads(distance, value, weight, 0.8, np.array([edge[2] for edge in edges]))
-    return found[np.isfinite(found)]
+    good = np.isfinite(found)
+    return np.column_stack([np.array(places)[good], found[good]])
 
 
 def _about(pixels: NDArray[Any], first: Array, last: Array, gap: float) -> tuple[Array, Array, float]:
@@ -185,3 +189,80 @@ class Blur:
         mean, sd = float(found.mean()), float(found.std(ddof=1) / np.sqrt(found.size))
         width = float(np.sqrt(max(mean, 0.0)))
         return cls(width, float(np.hypot(sd / (2.0 * max(width, np.sqrt(sd), 1e-3)), method * width)))
+
+
+@dataclass(frozen=True)
+class BlurOverPicture:
+    """How a camera's blur changes from the middle of its picture to the corners, besides its pixels' own area.
+
+    Between them it goes with the square of the distance from the middle, as `tankrig.scene.optics.Blur` has it.
+
+    Parameters
+    ----------
+    middle_px, corner_px
+        Standard deviations of what the lens spreads.
+    sd_px
+        Those of both.
+    """
+
+    middle_px: float
+    corner_px: float
+    sd_px: tuple[float, float]
+
+    @property
+    def varies(self) -> bool:
+        """Whether middle and corners differ by more than chance lets them."""
+        middle, corner = self.sd_px
+        return abs(self.corner_px - self.middle_px) > _TELLING * float(np.hypot(middle, corner))
+
+    @classmethod
+    def of(cls, edges: Sequence[Array], shape: tuple[int, int]) -> "BlurOverPicture | None":
+        """From the edges of several views; None from too few.
+
+        Parameters
+        ----------
+        edges
+            (n, 3) of each view: x, y and standard deviation, pixels' own area and all.
+        shape
+            (rows, columns) of the pictures.
+
+        Notes
+        -----
+        Least squares without edges beyond three scaled median deviations; edges of one view err together, so standard
+        deviations are of views (cluster-robust sandwich; Liang and Zeger 1986).
+
+        Examples
+        --------
+        >>> y, x = (one.ravel().astype(float) for one in np.mgrid[0:60:6, 0:80:8])
+        >>> corner = 0.5 * (((x - 39.5) / 40.0) ** 2 + ((y - 29.5) / 30.0) ** 2)
+        >>> view = np.column_stack([x, y, np.sqrt((0.5 + 0.2 * corner) ** 2 + 1.0 / 12.0)])
+        >>> found = BlurOverPicture.of([view] * 3, (60, 80))
+        >>> round(found.middle_px, 3), round(found.corner_px, 3)
+        (0.5, 0.7)
+        """
+        used = [one for one in edges if len(one)]
+        if len(used) < _LEAST_MEASURED:
+            return None
+        rows, columns = shape
+        views = np.repeat(np.arange(len(used)), [len(one) for one in used])
+        x, y, seen = np.concatenate(used).T
+        outward = 0.5 * (((2.0 * x + 1.0) / columns - 1.0) ** 2 + ((2.0 * y + 1.0) / rows - 1.0) ** 2)
+        width = np.sqrt(np.maximum(seen**2 - PIXEL_VARIANCE, 0.0))
+        design, good = np.column_stack([1.0 - outward, outward]), np.ones(width.size, bool)
+        for _ in range(3):
+            values = np.linalg.lstsq(design[good], width[good], rcond=None)[0]
+            off = width - design @ values
+            good = np.abs(off - np.median(off)) < 3.0 * 1.4826 * max(float(np.median(np.abs(off))), 1e-9) + 1e-9
+        if good.sum() < _ENOUGH_EDGES or np.ptp(outward[good]) < _LEAST_OUTWARD:
+            return None
+        scores = np.array([design[(views == k) & good].T @ off[(views == k) & good] for k in range(len(used))])
+        inverse = np.linalg.inv(design[good].T @ design[good])
+        spread = inverse @ (scores.T @ scores) @ inverse * len(used) / (len(used) - 1)
+        sd = np.hypot(np.sqrt(np.diag(spread)), OF_SQUARES * values)
+        middle, corner = (float(max(value, 0.0)) for value in values)
+        return cls(middle, corner, (float(sd[0]), float(sd[1])))
+
+
+_TELLING, _ENOUGH_EDGES, _LEAST_OUTWARD = 2.0, 40, 0.3
+"""Standard deviations by which a blur has to change; edges that tell of it, and how far apart they have to lie, as
+parts of the way from the middle to a corner."""

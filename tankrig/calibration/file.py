@@ -34,7 +34,7 @@ class Calibration:
     Parameters
     ----------
     kind
-        "camera", "projector", "tank", "radiometry", "latency".
+        "camera", "projector", "tank", "radiometry", "stray", "latency".
     device
         Name of the device that it holds for, as the device gives it.
     shape

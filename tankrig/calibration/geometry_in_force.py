@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tankrig.bench import Bench
 from tankrig.calibration.camera import INTRINSICS
@@ -14,16 +15,21 @@ from tankrig.checked_toml import checked
 from tankrig.errors import SceneError, StoreError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose, Vector
+from tankrig.geometry.shading import shading_terms
 from tankrig.scene.description import Camera, Projector, Tank
+from tankrig.scene.optics import Blur, Halo
 
 if TYPE_CHECKING:
     from tankrig.geometry.refraction import Window
 
 GEOMETRY = ("camera", "tank", "projector")
-USED = (*GEOMETRY, "radiometry")
+USED = (*GEOMETRY, "radiometry", "stray")
 """What a fit rests on."""
+LEAST_HALO = 5e-4
+"""Share of a projector's light below which its halo is left out: drawing it costs as much as a dozen beams."""
 DEVICES: Mapping[str, str] = {
-    "camera": "camera", "tank": "camera", "radiometry": "camera", "projector": "projector", "latency": "projector",
+    "camera": "camera", "tank": "camera", "radiometry": "camera", "stray": "camera",
+    "projector": "projector", "latency": "projector",
 }  # fmt: skip
 """What can be calibrated, and the device that it holds for."""
 
@@ -166,20 +172,58 @@ def scene_tables(found: Mapping[str, Calibration], size_mm: Vector) -> dict[str,
     }
 
 
-def _blurs(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
-    """With the lenses' blur, in mm where the light and the picture are: on the wall, and on the water."""
+def _lenses(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
+    """With what the lenses do, in mm where the light and the picture are: on the wall, and on the water.
+
+    Models blur by what was measured; what they leave for fits not to look at is by how much that may be off: a blur of
+    σ ± δ is one of σ and one of √(2σδ) besides.
+    """
     camera, projector = bench.camera, bench.projector
     assert projector is not None
     if "blur_px" in found["camera"].result:
-        camera = replace(camera, blur_mm=float(found["camera"].result["blur_px"]) * camera.pixel_mm)
-    if "blur_px" in found["projector"].result:
-        side_mm = projector_pixel_mm(projector, bench.tank)
-        projector = replace(projector, blur_mm=float(found["projector"].result["blur_px"]) * side_mm)
+        camera = replace(camera, **_blurs(found["camera"], camera.pixel_mm))
+    if "stray" in found:
+        told = found["stray"].result
+        halo = Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * camera.pixel_mm)
+        camera = replace(camera, halo=halo, veil=float(told["veil"]))
+    side_mm, told = projector_pixel_mm(projector, bench.tank), found["projector"].result
+    if "blur_px" in told:
+        projector = replace(projector, **_blurs(found["projector"], side_mm))
+    if told.get("halo_share", 0.0) > max(LEAST_HALO, 2.0 * found["projector"].sd.get("halo_share", 0.0)):
+        projector = replace(projector, halo=Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * side_mm))
+    if "radiometry" in found:
+        leak = float(found["radiometry"].result["projector"]["leak"])
+        projector = replace(projector, black_level=max(leak, 0.0) * white_on_wall(projector, bench.tank))
     return replace(bench, camera=camera, projector=projector)
+
+
+def _blurs(calibration: Calibration, side_mm: float) -> dict[str, Any]:
+    """The keys `blur` and `blur_mm` of a camera or a projector whose pixels have such sides."""
+    told, sd = calibration.result, calibration.sd
+    middle_px, corner_px = told.get("blur_middle_px", told["blur_px"]), told.get("blur_corner_px")
+    widest_px, off_px = max(middle_px, corner_px or 0.0), float(sd["blur_px"])
+    blur = Blur(float(middle_px) * side_mm, None if corner_px is None else float(corner_px) * side_mm)
+    return {"blur": blur, "blur_mm": float(np.sqrt(2.0 * widest_px * off_px)) * side_mm}
 
 
 def projector_pixel_mm(projector: Projector, tank: Tank) -> float:
     """Side of a square as large as the median of the patches that pixels light on the wall x = 0 of the tank."""
+    areas, _ = _patches(projector, tank)
+    return float(np.sqrt(np.median(areas)))
+
+
+def white_on_wall(projector: Projector, tank: Tank) -> float:
+    """Mean irradiance of the wall x = 0 by a white picture, W/mm², less what glass reflects of upright light."""
+    areas, pixels = _patches(projector, tank)
+    light = np.exp(shading_terms(pixels, projector.shape or (1, 1)) @ np.array(projector.shading or np.zeros(6)))
+    index, _, glass = tank.entry_bends
+    lost = [((one - other) / (one + other)) ** 2 for one, other in ((1.0, glass), (glass, index))]
+    through = float(np.prod(1.0 - np.array(lost))) if tank.entry == "glass" else 1.0
+    return float(projector.pixel_power * light.sum() / areas.sum() * through)
+
+
+def _patches(projector: Projector, tank: Tank) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) areas in mm² that pixels light on the wall x = 0 of the tank, and (n, 2) those pixels, on a grid."""
     from tankrig.geometry.refraction import entry_wall
     from tankrig.geometry.view import rays_of
 
@@ -195,7 +239,9 @@ def projector_pixel_mm(projector: Projector, tank: Tank) -> float:
     inside = (np.abs(middle[..., 0]) < width / 2) & (middle[..., 1] > 0.0) & (middle[..., 1] < height)
     if not (inside & np.isfinite(areas)).any():
         raise SceneError("no pixel of the projector lights the tank's wall; check matrix, rotation and position_mm")
-    return float(np.sqrt(np.median(areas[inside & np.isfinite(areas)])))
+    good = inside & np.isfinite(areas)
+    middles = 0.25 * (corners[1:, 1:] + corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:])
+    return areas[good], middles[good]
 
 
 def measured(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
@@ -219,10 +265,10 @@ def measured(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
     radiometry = found.get("radiometry")
     tables["projector"]["gamma"] = radiometry.result["projector"]["gamma"] if radiometry else bench.wall.gamma
     name = str(found["projector"].path)
-    tank = checked(Tank, tables["tank"], name, SceneError)
+    tank = replace(checked(Tank, tables["tank"], name, SceneError), faces=bench.tank.faces)
     camera = replace(checked(Camera, tables["camera"], name, SceneError), bin=bench.camera.bin)
     projector = checked(Projector, tables["projector"], name, SceneError)
-    return _blurs(replace(bench, tank=tank, light="calibrated", camera=camera, projector=projector), found)
+    return _lenses(replace(bench, tank=tank, light="calibrated", camera=camera, projector=projector), found)
 
 
 def _device(calibration: Calibration, pose: Pose) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.calibration.file import Calibration
-from tankrig.devices import Camera, CameraSettings, Flip, Projector
+from tankrig.devices import CameraDevice, CameraSettings, Flip, Projector
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
@@ -52,7 +52,7 @@ class Latency:
 
 def measure_latency(
     projector: Projector,
-    camera: Camera,
+    camera: CameraDevice,
     flips: int = 50,
     exposure_ms: float | None = None,
     seed: int = 0,
@@ -144,7 +144,7 @@ def latency_calibration(
     )
 
 
-def _without_pause(camera: Camera) -> float:
+def _without_pause(camera: CameraDevice) -> float:
     """An exposure that fills the time from frame to frame."""
     exposure_ms = camera.configure(CameraSettings(_FIRST_MS)).exposure_ms
     for _ in range(3):
@@ -162,7 +162,7 @@ def _without_pause(camera: Camera) -> float:
 
 
 def _black_and_white(
-    projector: Projector, camera: Camera
+    projector: Projector, camera: CameraDevice
 ) -> tuple[Pattern, Pattern, NDArray[np.bool_], tuple[float, float]]:
     """Patterns that differ, the pixels that see it without being saturated, and their mean with either."""
     black, dark = _settled(projector, camera, 0)
@@ -186,7 +186,7 @@ def _black_and_white(
     )
 
 
-def _settled(projector: Projector, camera: Camera, level: int) -> tuple[Pattern, NDArray[np.float64]]:
+def _settled(projector: Projector, camera: CameraDevice, level: int) -> tuple[Pattern, NDArray[np.float64]]:
     pattern = Pattern(f"level {level}", np.full(projector.shape, level, np.uint8))
     flip = projector.show(pattern)
     later_ns = flip.settled_ns + round(_LONGEST_S * 1e9 / 2)
@@ -194,7 +194,7 @@ def _settled(projector: Projector, camera: Camera, level: int) -> tuple[Pattern,
 
 
 def _changed_ns(
-    camera: Camera, flip: Flip, exposure_ns: int, lit: NDArray[np.bool_], means: tuple[float, float]
+    camera: CameraDevice, flip: Flip, exposure_ns: int, lit: NDArray[np.bool_], means: tuple[float, float]
 ) -> float:
     """When the camera saw the mean of the `lit` pixels go from one to the other of `means`."""
     old, new = means

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tankrig.devices import Camera, CameraSettings, Pixels, Projector
+from tankrig.devices import CameraDevice, CameraSettings, Pixels, Projector
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
@@ -49,7 +49,7 @@ class LitCamera:
         Called after each frame; what it raises ends the calibration.
     """
 
-    def __init__(self, projector: Projector, camera: Camera, tell: Callable[[Look], object]) -> None:
+    def __init__(self, projector: Projector, camera: CameraDevice, tell: Callable[[Look], object]) -> None:
         self.camera, self._projector, self._tell = camera, projector, tell
         self._level: int | None = None
         self._after_ns = 0

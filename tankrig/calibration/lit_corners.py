@@ -1,6 +1,6 @@
 """At which projector pixel each corner of a board lies, from what camera pixels about it decode to."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +39,9 @@ class LitBoard:
     light
         (camera rows, camera columns) the projector's white less its black, in proportion to radiance; None where the
         camera's radiometry is not known.
+    halves
+        (n, 3) what comes where one half of the projector's picture is dark, see
+        `tankrig.calibration.projector_halo.seen_of_halves`; none where the camera's stray light is not known.
     """
 
     view: BoardView
@@ -48,6 +51,7 @@ class LitBoard:
     slopes: Points
     stripes: tuple[StripeBlur, ...] = ()
     light: NDArray[np.float32] | None = None
+    halves: Points = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def fault(self) -> str | None:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tankrig.devices import Camera, CameraSettings, Confirming, Pixels, Projector
+from tankrig.devices import CameraDevice, CameraSettings, Confirming, Pixels, Projector
 from tankrig.pattern import Pattern
 
 _FILLED = 0.75
@@ -30,7 +30,7 @@ class Pictures:
         Of the next picture, as read back.
     """
 
-    def __init__(self, camera: Camera, exposure_ms: float | None = None) -> None:
+    def __init__(self, camera: CameraDevice, exposure_ms: float | None = None) -> None:
         self.camera, self._fixed = camera, exposure_ms is not None
         self.settings = camera.configure(CameraSettings(exposure_ms or 20.0))
 

@@ -69,12 +69,19 @@ def _geometry(found: Mapping[str, Calibration]) -> Iterator[Measured]:
         ("camera", "camera's focal lengths", ("fx", "fy"), "px"),
         ("camera", "camera's principal point", ("cx", "cy"), "px"),
         ("camera", "camera's lens blurs by", "blur_px", "px"),
+        ("camera", "from the middle to the corners by", ("blur_middle_px", "blur_corner_px"), "px"),
+        ("stray", "camera's halo", "halo_share", "of the light"),
+        ("stray", "its standard deviation", "halo_sigma_px", "px"),
+        ("stray", "camera's veil", "veil", "of the light"),
         ("projector", "projector stands at", "position_mm", "mm"),
         ("projector", "projector's focal lengths", ("fx", "fy"), "px"),
         ("projector", "projector's principal point", ("cx", "cy"), "px"),
         ("projector", "projector's lens blurs by", "blur_px", "px"),
+        ("projector", "projector's halo", "halo_share", "of the light"),
     ):
-        one = found[kind]
+        one = found.get(kind)
+        if one is None:
+            continue
         names = (name,) if isinstance(name, str) else name
         if all(each in one.result for each in names):
             values = _numbers([one.result[each] for each in names])
@@ -107,6 +114,11 @@ def believed(bench: Bench, found: Mapping[str, Calibration]) -> list[str]:
         )
     elif not missing and not found["projector"].result.get("shading"):
         said.append("the projector's light is taken to be even, since its calibration came before the radiometry's")
+    if not missing and "stray" not in found:
+        said.append(
+            "halo and veil of the camera's lens are not known, since there is no calibration of the stray light; fits "
+            "find them along"
+        )
     said += [
         f"blur of the {kind}'s lens is not known, since its calibration is older"
         for kind in ("camera", "projector")

@@ -13,6 +13,7 @@ from tankrig.calibration.edge_blur import OF_STRIPES, Blur
 from tankrig.calibration.evenness import Evenness, measure_evenness
 from tankrig.calibration.file import Calibration
 from tankrig.calibration.lit_corners import LitBoard
+from tankrig.calibration.projector_halo import ProjectorHalo, find_halo
 from tankrig.calibration.tank import FOUND as TANK_FOUND
 from tankrig.calibration.tank import levelled, pose_of
 from tankrig.calibration.tolerances import USUAL, WITHIN, Tolerances
@@ -83,6 +84,8 @@ class ProjectorFound:
         Of its light; None where that was not measured.
     blur
         Of the lens; None where too little was seen of its stripes.
+    halo
+        Of the lens; None where halves of its picture were not thrown.
     sd_without
         Kinds of calibration whose errors the covariance leaves out, since those files know none.
     """
@@ -98,6 +101,7 @@ class ProjectorFound:
     coverage: float
     evenness: Evenness | None = None
     blur: Blur | None = None
+    halo: ProjectorHalo | None = None
     sd_without: tuple[str, ...] = ()
 
     @property
@@ -158,6 +162,9 @@ class ProjectorFound:
             how_well["light_scatter_percent"] = 100.0 * self.evenness.scatter
         if self.blur:
             result["blur_px"], sd["blur_px"] = self.blur.px, self.blur.sd_px
+        if self.halo:
+            result |= {"halo_share": self.halo.share, "halo_sigma_px": self.halo.sigma_px}
+            sd |= dict(zip(("halo_share", "halo_sigma_px"), self.halo.sd, strict=True))
         arrays = {"corners_px": self.corners_px, "residuals_px": self.residuals_px, **self.known.array()}
         return Calibration(
             "projector", device, self.shape, result, sd, how_well, self.doubts, rests_on=rests_on, arrays=arrays
@@ -245,9 +252,9 @@ def calibrate_projector(
     )
     if any(one.light is None for one in views):
         return projector
-    return replace(
-        projector, evenness=measure_evenness(views, board, (lens, camera, surface), (found, pose, wall), shape)
-    )
+    evenness = measure_evenness(views, board, (lens, camera, surface), (found, pose, wall), shape)
+    halo = find_halo([one.halves for one in views], shape, evenness.coefficients)
+    return replace(projector, evenness=evenness, halo=halo)
 
 
 def _held(

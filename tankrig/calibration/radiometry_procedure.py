@@ -13,7 +13,7 @@ from tankrig.calibration.lit_camera import LitCamera, Look
 from tankrig.calibration.photon_transfer import PhotonTransfer, photon_transfer
 from tankrig.calibration.radiometry_plan import CHECKED_LEVELS, REFERENCE_EVERY, RadiometryPlan
 from tankrig.calibration.response import LEVELS, Response, fit_response
-from tankrig.devices import Camera, Pixels, Projector
+from tankrig.devices import CameraDevice, Pixels, Projector
 from tankrig.errors import DeviceError
 
 CAP, DIFFUSER, TURNED, NOTHING = "cap", "diffuser", "diffuser turned", "nothing"
@@ -92,7 +92,7 @@ class _Light:
 
 def measure_radiometry(
     projector: Projector,
-    camera: Camera,
+    camera: CameraDevice,
     plan: RadiometryPlan,
     ask: Callable[[str], object],
     tell: Callable[[Look], object] = lambda _: None,

@@ -1,14 +1,19 @@
 """By how much what is not measured may be off."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from tankrig.checked_toml import MOST
 from tankrig.errors import CalibrationError
+from tankrig.ranges import Within, require_ranges
 from tankrig.scene.checks import CLOSED
 
 WITHIN = 1.0 / np.sqrt(3.0)
 """Standard deviation of what lies anywhere within ± 1 (rectangular distribution; GUM 4.3.7)."""
+
+Tolerance = Annotated[float, Within(0.0, MOST, "is no tolerance; give a number from 0 up")]
 
 
 @dataclass(frozen=True)
@@ -28,18 +33,15 @@ class Tolerances:
     """
 
     __pydantic_config__ = CLOSED
-    water_index: float = 0.0005
-    wall_index: float = 0.003
-    wall_mm: float = 0.05
-    laid_mm: float = 0.1
-    laid_deg: float = 0.05
-    surface_deg: float = 0.05
+    water_index: Tolerance = 0.0005
+    wall_index: Tolerance = 0.003
+    wall_mm: Tolerance = 0.05
+    laid_mm: Tolerance = 0.1
+    laid_deg: Tolerance = 0.05
+    surface_deg: Tolerance = 0.05
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise CalibrationError(f"tolerances.{field.name} = {value} is none; give a number from 0 up")
+        require_ranges(self, CalibrationError)
 
 
 USUAL = Tolerances()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.calibration.board import LEAST_MARKERS, markers_of_any_board
-from tankrig.devices import Camera, CameraSettings, Projector
+from tankrig.devices import CameraDevice, CameraSettings, Projector
 from tankrig.errors import DeviceError, ImageError
 from tankrig.pattern import Pattern
 from tankrig.sequence.exposure import ExposureRule
@@ -47,7 +47,7 @@ class WitnessReport:
     finding: str
 
 
-def witness(projector: Projector, camera: Camera, rule: ExposureRule) -> WitnessReport:
+def witness(projector: Projector, camera: CameraDevice, rule: ExposureRule) -> WitnessReport:
     """Show dark, full and three patterns of bands, and ask the camera; takes some seconds.
 
     Parameters
@@ -122,7 +122,7 @@ def _brightest(light: Image) -> float:
     return float(np.quantile(light, 0.999))
 
 
-def require_seen(projector: Projector, camera: Camera, rule: ExposureRule) -> None:
+def require_seen(projector: Projector, camera: CameraDevice, rule: ExposureRule) -> None:
     """Raise a DeviceError unless the camera sees that the light follows the patterns."""
     testimony = witness(projector, camera, rule)
     if not testimony.follows:
@@ -132,7 +132,7 @@ def require_seen(projector: Projector, camera: Camera, rule: ExposureRule) -> No
         )
 
 
-def require_no_board(projector: Projector, camera: Camera, rule: ExposureRule) -> None:
+def require_no_board(projector: Projector, camera: CameraDevice, rule: ExposureRule) -> None:
     """Refuse a bench whose camera sees a calibration's board, by a white flash and by no light of the projector's.
 
     Raises
@@ -151,7 +151,9 @@ def require_no_board(projector: Projector, camera: Camera, rule: ExposureRule) -
             )
 
 
-def bright_exposure_ms(projector: Projector, camera: Camera, rule: ExposureRule, longest_ms: float = 1000.0) -> float:
+def bright_exposure_ms(
+    projector: Projector, camera: CameraDevice, rule: ExposureRule, longest_ms: float = 1000.0
+) -> float:
     """One with which level 255 is bright and not saturated, in whole periods of the projector's light."""
     period_ms = rule.period_ms or 0.0
 
@@ -169,7 +171,7 @@ def bright_exposure_ms(projector: Projector, camera: Camera, rule: ExposureRule,
     return exposure_ms
 
 
-def mean_of(projector: Projector, camera: Camera, pattern: Pattern, exposure_ms: float) -> Image:
+def mean_of(projector: Projector, camera: CameraDevice, pattern: Pattern, exposure_ms: float) -> Image:
     """(rows, columns) of two frames."""
     after_ns = projector.show(pattern).bound_ns
     first = camera.capture(after_ns, 2e-3 * exposure_ms + 5.0)

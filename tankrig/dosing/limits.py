@@ -1,12 +1,17 @@
 """How much ink may go into a tank."""
 
-import math
 from dataclasses import dataclass
+from typing import Annotated
 
+from tankrig.checked_toml import MOST
 from tankrig.devices import Delivered
 from tankrig.errors import SequenceError
+from tankrig.ranges import Within, require_ranges
 
 _ROUNDING_UL = 1e-6
+
+Budget = Annotated[float, Within(0.0, MOST, "is no budget; give a positive number of µl", above=True)]
+"""Of ink, µl."""
 
 
 @dataclass(frozen=True)
@@ -60,14 +65,12 @@ class DoseLimits:
     'the tank may have 3000 µl at most, and would hold up to 3010; fill it anew and start a new ledger'
     """
 
-    dose_ul: float
-    run_ul: float
-    tank_ul: float
+    dose_ul: Budget
+    run_ul: Budget
+    tank_ul: Budget
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
-                raise SequenceError(f"limits: {name} = {value!r} is no budget; give a positive number of µl")
+        require_ranges(self, SequenceError)
 
     def refusal(self, total_ul: float, tank: Delivered, run_used_ul: float) -> str | None:
         """Why dosing until the tank holds `total_ul` is refused, or None; `tank` is what it holds before."""

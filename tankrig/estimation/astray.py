@@ -6,7 +6,7 @@ that goes astray twice is faint. So sizes are fitted along linearly, and a cause
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import ClassVar
 
 import numpy as np
@@ -26,16 +26,18 @@ ASTRAY = {"halo": 0.01, "veil": 0.01, "blur_mm2": 0.1, "floor": 0.05, "black_lev
 """What may go astray, and by how much on a common bench: shares of the light in the camera's halo and veil, variance by
 which its picture is blurred more than described, diffuse reflectance of the floor, W/mm² on the wall."""
 BLUR_PARTS = 0.5
-"""Of a pixel: width of the blur that stands for any."""
+"""Width of the blur that stands for any, in pixels."""
 FLOOR, PANE_LATTICES, SEED = 0.05, 2, 7
 """Reflectance that stands for any; lattices of paths for a pattern, and their seed."""
 ROUGH, BATCHES = 0.05, 4
 """Tolerance and lattices of the image that a dark picture's light makes."""
+KEPT = 2
+"""Patterns by light paths that are kept: up to three questions about one fit ask for the same ones."""
 
 
 def halo(scene: Scene, image: Image) -> Array:
     """More light in the camera's halo, of the width that the scene says."""
-    return _blurred(image, scene.camera.halo.sigma_mm / scene.camera.pixel_mm) - image
+    return _blurred(scene, image, scene.camera.halo.sigma_mm) - image
 
 
 def veil(_: Scene, image: Image) -> Array:
@@ -45,7 +47,8 @@ def veil(_: Scene, image: Image) -> Array:
 
 def blur(scene: Scene, image: Image) -> Array:
     """More blur, per mm² of variance."""
-    return np.asarray((_blurred(image, BLUR_PARTS) - image) / (BLUR_PARTS * scene.camera.pixel_mm) ** 2)
+    sigma_mm = BLUR_PARTS * min(scene.camera.sides_mm)
+    return np.asarray((_blurred(scene, image, sigma_mm) - image) / sigma_mm**2)
 
 
 def floor(scene: Scene, _: Image) -> Array:
@@ -60,6 +63,11 @@ def panes(scene: Scene, _: Image) -> Array:
 
 def black_level(scene: Scene, _: Image) -> Array:
     """Light all over the wall, per W/mm²."""
+    return _lit_all_over(scene)
+
+
+@lru_cache(maxsize=KEPT)
+def _lit_all_over(scene: Scene) -> Array:
     from tankrig.light.tank import tank_image
 
     width, height = scene.tank.size_mm[1:]
@@ -146,53 +154,76 @@ class Astray:
 class AstrayBlock(Block):
     """Sizes of what goes astray, in standard deviations from what is described.
 
+    Sizes are of lenses and tank, so they are the same in all images.
+
     Parameters
     ----------
     astray
-        With patterns.
+        Of each image, with patterns.
     weight
         (k,) as for `tankrig.estimation.set_up.SetUpBlock`.
     """
 
-    astray: Astray
+    astray: tuple[Astray, ...]
     weight: Array
     name: ClassVar[str] = "astray"
 
     @property
+    def sd(self) -> Mapping[str, float]:
+        """Standard deviation of each size before anything was seen."""
+        return self.astray[0].sd
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Of the sizes."""
-        return tuple(self.astray.sd)
+        return tuple(self.sd)
 
     @property
     def prior_weight(self) -> Array:
         """As given."""
         return self.weight
 
-    def added(self, values: Values, liquid: Medium) -> Image:
+    def added_in(self, view: int, values: Values, liquid: Medium) -> Image:
         """Sizes times patterns."""
-        assert self.astray.patterns is not None
-        return np.asarray(np.tensordot(values[self.name], self.astray.patterns, 1))
+        return np.asarray(np.tensordot(values[self.name], self._patterns(view), 1))
 
-    def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+    def changes_in(self, view: int, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
         """The patterns."""
-        assert self.astray.patterns is not None
-        return self.astray.patterns
+        return self._patterns(view)
+
+    def _patterns(self, view: int) -> Array:
+        patterns = self.astray[view].patterns
+        assert patterns is not None
+        return patterns
 
 
-def _blurred(image: Image, pixels: float) -> Array:
-    from scipy.ndimage import gaussian_filter
+def unmeasured(scene: Scene) -> dict[str, float]:
+    """What may go astray on a calibrated bench and nobody has measured, with usual standard deviations.
 
-    sharp = np.asarray(image, float)
-    if pixels >= 1.0:
-        return np.asarray(gaussian_filter(sharp, pixels, mode="constant"))
-    from scipy.ndimage import correlate1d
-
-    half = 0.5 * pixels**2  # weights with just that variance
-    for axis in (0, 1):
-        sharp = correlate1d(sharp, [half, 1.0 - 2.0 * half, half], axis=axis, mode="constant")
-    return np.asarray(sharp)
+    Halo and veil are known once `tankrig calibrate stray` has found any; of a camera that is only described nothing is
+    expected that its scene does not say.
+    """
+    camera = scene.camera
+    if camera.kind != "calibrated" or camera.halo.share > 0.0 or camera.veil > 0.0:
+        return {}
+    return {name: ASTRAY[name] for name in ("halo", "veil")}
 
 
+def _blurred(scene: Scene, image: Image, sigma_mm: float) -> Array:
+    from scipy.ndimage import correlate1d, gaussian_filter1d
+
+    found = np.asarray(image, float)
+    for axis, side in enumerate(scene.camera.sides_mm):
+        pixels = sigma_mm / side
+        if pixels >= 1.0:
+            found = np.asarray(gaussian_filter1d(found, pixels, axis=axis, mode="constant"))
+        else:
+            half = 0.5 * pixels**2  # weights with just that variance
+            found = np.asarray(correlate1d(found, [half, 1.0 - 2.0 * half, half], axis=axis, mode="constant"))
+    return found
+
+
+@lru_cache(maxsize=KEPT)
 def _by_faces(scene: Scene, name: str, face: Face) -> Array:
     """What one face sends back, the others as described: order 1 and more."""
     from tankrig.light.tank import by_faces

@@ -188,7 +188,7 @@ def fit_models(
         fit = _aligned(fit, misalignment)
     if astray is not None:
         progress("following light astray")
-        fit = _with_astray(fit, astray)
+        fit = with_astray(fit, [astray])
     fit = without_outliers(fit)
     progress("finding the errors")
     found, explained = _built(fit, scene, models, asked)
@@ -216,16 +216,20 @@ def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
     return replace(fit, optimum=best)
 
 
-def _with_astray(fit: Fit, astray: Astray) -> Fit:
-    """The fit with what may go astray; patterns follow the liquid, so it is repeated."""
-    best, none = fit.optimum, np.zeros(len(astray.sd))
-    at, (view,), before = np.concatenate([best.coordinates, none]), best.problem.views, best.problem.blocks
+def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
+    """The fit with what may go astray in each image; patterns follow the liquid, so it is repeated."""
+    best, none = fit.optimum, np.zeros(len(astray[0].sd))
+    views = tuple(replace(view, number=number) for number, view in enumerate(best.problem.views))
+    at, before = np.concatenate([best.coordinates, none]), best.problem.blocks
     for _ in range(ALIGNINGS):
-        cost, medium = best.cost, best.media[0]
-        block = AstrayBlock(astray.at(medium, view.forward(medium)), np.ones(none.size))
-        problem = replace(best.problem, blocks=(*before, block))
+        cost, media = best.cost, best.media
+        parts = zip(astray, media, views, strict=True)
+        patterns = tuple(one.at(medium, view.forward(medium)) for one, medium, view in parts)
+        block = AstrayBlock(patterns, np.ones(none.size))
+        problem = replace(best.problem, views=views, blocks=(*before, block))
         sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
-        weight = overconfidence(sensitivity, believed, [view.observation.noise], [view.error])
+        noise, errors = [view.observation.noise for view in views], [view.error for view in views]
+        weight = overconfidence(sensitivity, believed, noise, errors)
         best = polish(replace(problem, blocks=(*before, replace(block, weight=weight))), at)
         at = best.coordinates
         if abs(cost - best.cost) < ALIGNED:
@@ -312,7 +316,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
     error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
     spread = spread_of(best, [left], [_error_of(prediction, gain, left.beyond, scene)])
-    off, answer = _nuisances(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
+    off, answer = nuisances_of(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
     medium, spread = answer.liquid, answer.covariance
     whitened = np.where(used, left.residual, 0.0) / left.noise
     place = standing_out(whitened, used, error / left.noise)
@@ -463,13 +467,13 @@ def determined(medium: Medium, spread: Array, left: Sequence[Left]) -> dict[str,
     return {name: yes and not hopeless for name, yes in identifiable(medium, spread).items()}
 
 
-def _nuisances(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:
+def nuisances_of(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:
     """Value and standard deviation of each term that was fitted along, in its unit."""
     found = {}
     for block in best.problem.blocks:
         if not isinstance(block, SetUpBlock | AstrayBlock):
             continue
-        units = block.misalignment.sd if isinstance(block, SetUpBlock) else block.astray.sd
+        units = block.misalignment.sd if isinstance(block, SetUpBlock) else block.sd
         off, sds = best.values[block.name], np.sqrt(np.diag(spread))[best.problem.believed(block)]
         for (name, unit), one, sd in zip(units.items(), off, sds, strict=True):
             found[name] = float(one) * unit, float(sd) * unit

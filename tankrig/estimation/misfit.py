@@ -111,8 +111,8 @@ def shown(
 def _told(
     sensitivity: Sensitivity, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError]
 ) -> tuple[Array, Array, Array]:
-    """Of each fault: (k,) what one unit moves the values by; (n,) what times the residual is its size; the variance
-    that noise and the model's own error give to that."""
+    """For each fault (k,) what one unit of it moves the values by, (n,) what times the residual is its size, and the
+    variance that noise and the model's own error give to that size."""
     values = np.array([sensitivity.step(fault) for fault in faults])
     left = faults - values @ sensitivity.changes
     sized = left / np.maximum(np.sum(left**2, axis=1, keepdims=True), 1e-300)

@@ -13,18 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import (
-    COARSE,
-    Forward,
-    Model,
-    Models,
-    Slopes,
-    corrected,
-    counted_error,
-    image_of,
-    stated_error,
-    values_of,
-)
+from tankrig.estimation.differences import Forward, Slopes, values_of
+from tankrig.estimation.forward import COARSE, Model, Models, corrected, counted_error, image_of, stated_error
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import Block, Scaling
 from tankrig.estimation.phase_families import Family
@@ -140,9 +130,13 @@ def solve(
                 break
             jacobian, fresh = here.jacobian, True
             continue
-        step = _step(value, jacobian, damping, at, box, reach)
-        step = np.clip(at + step + bend.back(step, jacobian, damping), *box) - at
+        straight = _step(value, jacobian, damping, at, box, reach)
+        step = np.clip(at + straight + bend.back(straight, jacobian, damping), *box) - at
         ahead = problem.at(at + step)
+        if problem.quick and not ahead.cost < here.cost:
+            even = problem.at(problem.evenly(at, straight))
+            if even.cost < here.cost:
+                step, ahead = even.coordinates - at, even
         if ahead.cost < here.cost:
             fresh = problem.quick or here.cost - ahead.cost < CREEPING * _promise(value, jacobian, step)
             if fresh:

@@ -33,6 +33,8 @@ NEAR_EDGE = np.array([0.01, 0.1, 0.001])
 """Distance from the edge of the range, in log σs, logit ϖ and atanh g, that counts as at it."""
 LONGEST_STEP = np.array([1.0, 2.0, 0.5])
 """In log σs, logit ϖ and atanh g; further than this no linearisation is trusted."""
+LEAST_LEFT = 0.3
+"""Share of its σs that a liquid keeps at least in one step."""
 WIDEST = 10.0
 """Standard deviation that σa and σs are known to before, in units of σt; g is known to 1."""
 MOST_WATER = 5.0
@@ -137,7 +139,7 @@ class Block(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its values, in their order."""
+        """Names of its values, in their order."""
         raise NotImplementedError
 
     @property
@@ -168,6 +170,10 @@ class Block(Protocol):
     def start(self, densest: Medium) -> Array:
         """(k,) coordinates to begin from when the densest liquid is about this; in the middle."""
         return np.zeros(len(self.names))
+
+    def evenly(self, coordinates: Array, step: Array) -> Array:
+        """(k,) coordinates at which values have changed as a step changes them at first; those that it leads to."""
+        return np.asarray(coordinates + step)
 
     def values(self, coordinates: Array) -> Array:
         """(k,) values at coordinates; the same numbers."""
@@ -212,6 +218,14 @@ class Block(Protocol):
         """
         raise NotImplementedError
 
+    def added_in(self, view: int, values: Values, liquid: Medium) -> Image | float:
+        """`added` in a view of that number; the same in all."""
+        return self.added(values, liquid)
+
+    def changes_in(self, view: int, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+        """`changes` in a view of that number; the same in all."""
+        return self.changes(values, dose, liquid, by_liquid)
+
 
 @dataclass(frozen=True)
 class MediumBlock(Block):
@@ -245,6 +259,15 @@ class MediumBlock(Block):
     def values(self, coordinates: Array) -> Array:
         """σa, σs, g."""
         return np.array(_coefficients(coordinates))
+
+    def evenly(self, coordinates: Array, step: Array) -> Array:
+        """In proportion to σa, σs and g: where light is hardly absorbed its logarithm may go anywhere."""
+        sigma_a, sigma_s, g = self.values(coordinates)
+        scattered = sigma_s * max(1.0 + step[0], LEAST_LEFT)
+        absorbed = max(sigma_a * (1.0 + step[0] - step[1]), scattered * math.exp(-float(self.high[1])))
+        turned = g + (1.0 - g) * (1.0 + g) * step[2]
+        low, high = math.tanh(float(self.low[2])), math.tanh(float(self.high[2]))
+        return np.array([math.log(scattered), math.log(scattered / absorbed), math.atanh(min(max(turned, low), high))])
 
     def slopes(self, coordinates: Array) -> Array:
         """See `slopes`."""
@@ -331,7 +354,7 @@ class InkBlock(Block):
         return np.array([*_coefficients(coordinates[:3]), coordinates[3] / self.length_mm])
 
     def slopes(self, coordinates: Array) -> Array:
-        """Of the ink, and of the water."""
+        """(4, 4): of the ink's values, and of the water's."""
         found = np.diag([0.0, 0.0, 0.0, 1.0 / self.length_mm])
         found[:3, :3] = slopes(to_medium(coordinates[:3]))
         return found
@@ -376,7 +399,7 @@ class DosesBlock(Block):
         return np.ones(self.doses.ml.size)
 
     def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
-        """Of the view's own dose."""
+        """What the view's own dose changes."""
         found = np.zeros((self.doses.ml.size, *by_liquid.shape[1:]))
         found[dose] = self.doses.sd_ml[dose] * np.tensordot(values["ink"][:2], by_liquid[:2], 1)
         return found

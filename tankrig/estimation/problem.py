@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from tankrig.estimation.forward import Forward, Slopes
+from tankrig.estimation.differences import Forward, Slopes
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import Block, Scaling
 from tankrig.estimation.uncertainty import ModelError, Response, Sensitivity, Whitening
@@ -39,6 +39,8 @@ class View:
         Of the model's image.
     dose
         Number of the dose that it was taken at.
+    number
+        Of the image.
     """
 
     observation: Observation
@@ -46,6 +48,7 @@ class View:
     slopes: Slopes
     error: ModelError
     dose: int = 0
+    number: int = 0
 
     @cached_property
     def whitening(self) -> Whitening:
@@ -134,6 +137,12 @@ class Problem:
         """Coordinates to begin from when the densest liquid is about this."""
         return np.concatenate([one.start(densest) for one in self.blocks])
 
+    def evenly(self, coordinates: Array, step: Array) -> Array:
+        """Coordinates in the box where values have changed as a step changes them at first, see `Block.evenly`."""
+        parts = zip(self.blocks, self.split(coordinates), self.split(step), strict=True)
+        found = np.concatenate([block.evenly(at, by) for block, at, by in parts])
+        return np.clip(np.where(step == 0.0, coordinates, found), *self.box)
+
     def at(self, coordinates: Array) -> "Evaluation":
         """The problem at some coordinates."""
         return Evaluation(self, coordinates)
@@ -220,7 +229,7 @@ class Evaluation:
             liquid = self.liquids[view.dose]
             found = view.forward(liquid)
             for block in self.problem.blocks:
-                found = found + block.added(self.values, liquid)
+                found = found + block.added_in(view.number, self.values, liquid)
             return found
 
         return self.problem.of_views(image)
@@ -272,7 +281,10 @@ class Evaluation:
         def changes(view: View) -> Array:
             liquid = self.liquids[view.dose]
             by_liquid = view.slopes(liquid)
-            found = [block.changes(self.values, view.dose, liquid, by_liquid) for block in self.problem.blocks]
+            found = [
+                block.changes_in(view.number, self.values, view.dose, liquid, by_liquid)
+                for block in self.problem.blocks
+            ]
             return view.whitened(gain * np.concatenate(found))
 
         left = self.project_out(np.hstack(self.problem.of_views(changes)))

@@ -218,6 +218,8 @@ class SeriesEstimate:
         What is determined, whether the ink acts in proportion to its dose, and what the residuals say.
     scattering
         How the ink scatters, per ml, as in an `Estimate`.
+    nuisance
+        Value and standard deviation of each that was fitted along, the same in all images.
     """
 
     ink: Medium
@@ -233,6 +235,7 @@ class SeriesEstimate:
     linearity: Linearity | None
     verdict: str
     scattering: Scattering | None = None
+    nuisance: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""

@@ -5,15 +5,26 @@ gain stays and the ink grows by a known factor. Several images of one dose, with
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tankrig.errors import ImageError
-from tankrig.estimation.estimate import Free, Left, determined, left_over, moved_by_halos, rms, spread_of
+from tankrig.errors import ImageError, SceneError
+from tankrig.estimation.astray import ASTRAY, Astray
+from tankrig.estimation.estimate import (
+    Free,
+    Left,
+    determined,
+    left_over,
+    moved_by_halos,
+    nuisances_of,
+    rms,
+    spread_of,
+    with_astray,
+)
 from tankrig.estimation.forward import ModelOf, Models, in_water, low_orders_model, series_models, tank_model
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import Fit, Shot, Told, fitted
@@ -25,7 +36,7 @@ from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.result import Linearity, LiquidEstimate
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
 from tankrig.estimation.uncertainty import PATTERN, ModelError
-from tankrig.estimation.verdict import series_verdict, what_is_unseen, what_may_be_another_phase
+from tankrig.estimation.verdict import series_verdict, what_is_misaligned, what_is_unseen, what_may_be_another_phase
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -65,6 +76,7 @@ def estimate_series(
     model_of: "ModelOf | None" = None,
     water_sigma_s: float = 0.0,
     phase: str | PhaseFunction | None = None,
+    nuisance: Mapping[str, float] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> SeriesEstimate:
     """What a ml of ink does, from images at known doses with one common gain.
@@ -96,6 +108,9 @@ def estimate_series(
         clean. At a tenth of a ml it makes half a per cent of the image, which would pass for absorption.
     phase
         How one scattering of the ink turns light, the same at every dose; as for `estimate`.
+    nuisance
+        What may go astray and is fitted along, the same in all images, with its standard deviation: "halo", "veil",
+        "blur_mm2", "floor", "black_level"; as for `estimate`.
     progress
         Told in a few words what is being done, now and then.
 
@@ -114,6 +129,8 @@ def estimate_series(
     scenes = [scenes] * len(images) if isinstance(scenes, Scene) else list(scenes)
     if len(scenes) != len(images):
         raise ImageError(f"{len(images)} images but {len(scenes)} scenes; give one scene for all or one for each image")
+    if unknown := (nuisance or {}).keys() - ASTRAY.keys():
+        raise SceneError(f"nuisance {min(unknown)!r} is none of a series; give some of {', '.join(ASTRAY)}")
     doses = doses_of(doses_ml, doses_sd_ml, len(images))
     asked = asked_for(phase, scenes[0])
     observations = observed(images, scenes, noise, masks)
@@ -121,7 +138,7 @@ def estimate_series(
     model_of = in_water(model_of or tank_model, water_sigma_s)
     told = progress or (lambda _: None)
     scaling = Scaling.given(gain, offset)
-    return fit_series(observations, scenes, doses, scaling, model_of, start, told, asked, low_of)
+    return fit_series(observations, scenes, doses, scaling, model_of, start, told, asked, low_of, nuisance)
 
 
 def fit_liquid(
@@ -132,6 +149,8 @@ def fit_liquid(
     start: Medium | None = None,
     progress: Told = lambda _: None,
     asked: Asked = Asked(),  # noqa: B008
+    starts: Sequence[Medium] = (),
+    nuisance: Mapping[str, float] | None = None,
 ) -> LiquidEstimate | None:
     """One liquid from several patterns with one gain.
 
@@ -149,6 +168,10 @@ def fit_liquid(
         Told in a few words what is being done; what it raises ends the fit.
     asked
         Which phase functions are searched; not Henyey–Greenstein's only by models that know any.
+    starts
+        Without `start`: liquids that the search begins from, in place of a look around; see `OrderOneFit.media`.
+    nuisance
+        As for `estimate_series`.
 
     Returns
     -------
@@ -164,16 +187,19 @@ def fit_liquid(
     shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
     if asked.family is None:
         blocks = blocks_of(None)
-        fit = fitted(shots, blocks, scaling, progress, None if start is None else blocks[0].start(start))
+        begin = None if start is None else blocks[0].start(start)
+        places = [blocks[0].start(one) for one in starts] if start is None else []
+        fit = fitted(shots, blocks, scaling, progress, begin, starts=places or None)
     else:
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, densest=start)
+    fit = _with_nuisance(fit, scenes, nuisance)
     best = fit.optimum
     gain, _, left = left_over(fit)
     within = models[0].range
     if within is not None and {"sigma_s", "g"} & set(best.at_edge):
         return None
     answer = _answer(best, _spread(best, left, shots), asked, left)
-    medium, spread = answer.liquid, answer.covariance
+    medium, spread = answer.liquid, answer.covariance[:3, :3]
     if within is not None and "g" in within.at_edge(medium):
         return None
     return LiquidEstimate(
@@ -208,6 +234,7 @@ def fit_series(
     progress: Told,
     asked: Asked = Asked(),  # noqa: B008
     low_of: ModelOf | None = None,
+    nuisance: Mapping[str, float] | None = None,
 ) -> SeriesEstimate:
     """Fit a series with any model, whose orders 1 and 2 may be had alone; see `estimate_series`."""
     length_mm = max(max(scene.tank.size_mm) for scene in scenes)
@@ -225,8 +252,14 @@ def fit_series(
     else:
         densest = None if ink is None else in_tank(ink, water, float(doses.ml[highest]))
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, few, densest)
+    fit = _with_nuisance(fit, scenes, nuisance)
     progress("finding the errors")
     return _built(fit, doses, shots, asked)
+
+
+def _with_nuisance(fit: Fit, scenes: Sequence[Scene], nuisance: Mapping[str, float] | None) -> Fit:
+    """With what may go astray, in all images alike."""
+    return with_astray(fit, [Astray(scene, nuisance) for scene in scenes]) if nuisance else fit
 
 
 def _models(scenes: Sequence[Scene], model_of: ModelOf, family: Family | None, low_of: ModelOf | None) -> list[Models]:
@@ -256,6 +289,8 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
     noise_known = all(view.observation.noise_known for view in best.problem.views)
     beyond = float(np.median([one.noisier for one in left])) if noise_known else 1.0
     shares = rms(np.array([one.unexplained for one in left])), rms(np.array([one.stated for one in left])), beyond
+    off = nuisances_of(best, whole)
+    unseen = np.zeros(3) if "halo" in off else moved_by_halos(best, left)
     return SeriesEstimate(
         ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=known, gain=gain,
         offsets=tuple(offsets), doses_ml=doses.moved(best.values["doses"]), images=tuple(one.image for one in left),
@@ -264,10 +299,11 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
             filter(None, [
                 series_verdict(water, spread, known, linearity, shares),
                 what_may_be_another_phase(_doubted(left, asked)),
-                what_is_unseen(liquid, moved_by_halos(best, left)[: 3 if asked.family is None else 2], spread, known),
+                what_is_misaligned(off),
+                what_is_unseen(liquid, unseen[: 3 if asked.family is None else 2], spread, known),
             ])
         ),
-        scattering=answer,
+        scattering=answer, nuisance=off,
     )  # fmt: skip
 
 

@@ -25,11 +25,11 @@ FAR_MM = 1e7
 """Distance of the pinhole that stands for collimated light from another direction."""
 TOLERANCE = 0.01
 STEP = 0.25
-"""Of derivatives of orders 1 and 2, in standard deviations."""
+"""Step by which orders 1 and 2 are differenced, in standard deviations."""
 BATCHES = 4
 """Shifted lattices of light paths for the derivatives of orders ≥ 3."""
 SMOOTH_STEP = {"z_mm": 0.5, "y_mm": 0.5, "scale": 0.01}
-"""Of those derivatives, in each term's unit."""
+"""Step by which orders ≥ 3 are differenced, in each term's unit."""
 FURTHEST_OFF, LONGEST_MOVE = 6.0, 2.0
 """Standard deviations by which anything may be misaligned, at most and in one step."""
 

@@ -133,7 +133,7 @@ def _through_lenses(scene: Scene, name: str, tolerance: float, max_order: int | 
     if lens is None and is_plain(scene):
         return _by_model(scene, name, tolerance, max_order, seed)
     lit = scene if lens is None else lens.fine
-    coarsen = 1 if lens is None else lens.parts
+    coarsen = 1 if lens is None else min(lens.parts)
     parts = [
         (share, _by_model(one, name, tolerance, max_order, seed + number, coarsen))
         for number, (share, one) in enumerate(through_lens(entering(lit, fine=True), fine=True))

@@ -1,9 +1,9 @@
 """The projector's light as it comes through the wall x = 0: soft edges, halo, black level, a lens that is wide.
 
 All of it is sums of sharp beams from pinholes, which every model knows already. Soft edges are copies of the beams,
-moved along y; along z, where the camera looks through all of a beam, they are made as much higher as keeps the
-variance of their light. A wide lens is a sum of pinholes on its disc, each with its beams moved so that all meet at the
-distance of focus.
+moved along y; along z, where the camera looks through all of a beam, and where edges are not seen along y too, they are
+made as much wider as keeps the variance of their light. A wide lens is a sum of pinholes on its disc, each with its
+beams moved so that all meet at the distance of focus.
 """
 
 import math
@@ -22,10 +22,12 @@ FEWEST_COPIES, MOST_COPIES = 12, 24
 """Of a beam with soft edges, where edges are seen; with half as many, rows of pixels at edges were .7 % off."""
 WIDE = 1.0 / 16.0
 """Of the wall's width: standard deviation of a halo from which on it is drawn on cells of the wall."""
-CELL = 0.8
+CELL = 1.2
 """Of a wide halo's standard deviation: width of those cells."""
-MOST_LEVELS = 4
+MOST_LEVELS = 3
 """Heights that a wide halo is drawn at."""
+COARSE_CELL, MOST_COARSE_LEVELS = 2.0, 2
+"""The same for light that is scattered more than once: a halo is a few per cent of it."""
 
 
 def is_plain(scene: Scene) -> bool:
@@ -43,8 +45,8 @@ def entering(scene: Scene, fine: bool) -> Scene:
     scene
         Any scene; it comes back as it is where its light has no blur, halo or black level.
     fine
-        Whether edges are seen: then they are as smooth as pixels resolve. Else two copies of each beam keep the
-        variance of its light, which is what light scattered more than once can tell.
+        Whether edges are seen: then they are as smooth as pixels resolve. Else beams as much wider keep the variance of
+        their light, and a wide halo is drawn on coarse cells: light scattered more than once can tell no more.
 
     Examples
     --------
@@ -60,14 +62,14 @@ def entering(scene: Scene, fine: bool) -> Scene:
         return scene
     _, width, height = tank.size_mm
     share = light.halo.share
-    pixel = scene.camera.pixel_mm if fine else math.inf
+    pixel = scene.camera.sides_mm[0] if fine else math.inf
     beams = _spread(light.beams, 1.0 - share, light.blur.sigma_mm, pixel, (width, height))
     if share > 0.0:
         sigma_mm = math.hypot(light.halo.sigma_mm, light.blur.sigma_mm)
         if light.halo.sigma_mm < WIDE * width:
             beams += _spread(light.beams, share, sigma_mm, pixel, (width, height))
         else:
-            beams += _on_cells(light.beams, share, sigma_mm, (width, height))
+            beams += _on_cells(light.beams, share, sigma_mm, (width, height), fine)
     if light.black_level > 0.0:
         beams.append(Beam((-0.5 * width, 0.5 * width), (0.0, height), light.black_level))
     return replace(scene, projector=replace(light, beams=tuple(beams), blur=SHARP, halo=NO_HALO, black_level=0.0))
@@ -101,7 +103,7 @@ def through_lens(scene: Scene, fine: bool) -> list[tuple[float, Scene]]:
     at_wall = focus / (focus - light.position_mm[0] - wall_mm + wall_mm / wall_index)  # of a move on the lens
     _, width, height = scene.tank.size_mm
     found = []
-    for share, along_y, along_z in _disc(radius, radius * at_wall, scene.camera.pixel_mm if fine else math.inf):
+    for share, along_y, along_z in _disc(radius, radius * at_wall, scene.camera.sides_mm[0] if fine else math.inf):
         place = (light.position_mm[0], light.position_mm[1] + along_y, light.position_mm[2] + along_z)
         moved = [_moved(beam, along_y * at_wall, along_z * at_wall, (width, height)) for beam in light.beams]
         beams = tuple(beam for beam in moved if beam is not None)
@@ -124,27 +126,33 @@ def _disc(radius: float, seen_mm: float, pixel_mm: float) -> list[tuple[float, f
 
 def _moved(beam: Beam, along_y: float, along_z: float, wall: tuple[float, float]) -> Beam | None:
     """What of a moved beam still falls on the wall."""
-    y_low, y_high = np.clip(np.array(beam.y_mm) + along_y, -0.5 * wall[0], 0.5 * wall[0]).round(9).tolist()
-    z_low, z_high = np.clip(np.array(beam.z_mm) + along_z, 0.0, wall[1]).round(9).tolist()
+    y_low, y_high = np.clip((np.array(beam.y_mm) + along_y).round(9), -0.5 * wall[0], 0.5 * wall[0]).tolist()
+    z_low, z_high = np.clip((np.array(beam.z_mm) + along_z).round(9), 0.0, wall[1]).tolist()
     return Beam((y_low, y_high), (z_low, z_high), beam.irradiance) if y_high > y_low and z_high > z_low else None
 
 
 def _spread(
     beams: tuple[Beam, ...], share: float, sigma_mm: float, pixel_mm: float, wall: tuple[float, float]
 ) -> list[Beam]:
-    """A share of beams' light, blurred: copies along y, made higher along z."""
-    count = (
-        2 if pixel_mm == math.inf else int(np.clip(math.ceil(6.0 * sigma_mm / pixel_mm), FEWEST_COPIES, MOST_COPIES))
-    )
-    moves = sigma_mm * np.array(_even_steps(count)) if sigma_mm > 0.0 else np.zeros(1)
+    """A share of beams' light, blurred: copies along y, made higher along z; made wider where edges are not seen."""
+    seen = pixel_mm < math.inf and sigma_mm > 0.0
+    count = int(np.clip(math.ceil(6.0 * sigma_mm / pixel_mm), FEWEST_COPIES, MOST_COPIES)) if seen else 1
+    moves = sigma_mm * np.array(_even_steps(count)) if seen else np.zeros(1)
     found = []
     for beam in beams:
-        low, high = beam.z_mm
-        tall = math.sqrt((high - low) ** 2 + 12.0 * sigma_mm**2)
-        middle, dimmed = 0.5 * (low + high), share * beam.irradiance * (high - low) / (tall * moves.size)
-        higher = replace(beam, z_mm=(middle - 0.5 * tall, middle + 0.5 * tall), irradiance=dimmed)
-        found += [_moved(higher, float(by), 0.0, wall) for by in moves]
+        higher, taller = _widened(beam.z_mm, sigma_mm)
+        wider, longer = (beam.y_mm, 1.0) if seen else _widened(beam.y_mm, sigma_mm)
+        dimmed = share * beam.irradiance / (taller * longer * count)
+        soft = replace(beam, y_mm=wider, z_mm=higher, irradiance=dimmed)
+        found += [_moved(soft, float(by), 0.0, wall) for by in moves]
     return [beam for beam in found if beam is not None]
+
+
+def _widened(lit: tuple[float, float], sigma_mm: float) -> tuple[tuple[float, float], float]:
+    """An interval whose even light has the variance of another's that is blurred, and how many times as wide it is."""
+    width, middle = lit[1] - lit[0], 0.5 * (lit[0] + lit[1])
+    wider = math.sqrt(width**2 + 12.0 * sigma_mm**2)
+    return (middle - 0.5 * wider, middle + 0.5 * wider), wider / width
 
 
 @lru_cache(maxsize=32)
@@ -159,18 +167,22 @@ def _even_steps(count: int) -> tuple[float, ...]:
     return tuple((middles / math.sqrt(float(np.mean(middles**2)))).tolist())
 
 
-def _on_cells(beams: tuple[Beam, ...], share: float, sigma_mm: float, wall: tuple[float, float]) -> list[Beam]:
+def _on_cells(
+    beams: tuple[Beam, ...], share: float, sigma_mm: float, wall: tuple[float, float], fine: bool
+) -> list[Beam]:
     """A share of beams' light, spread so widely that even cells of the wall tell it."""
-    across = np.linspace(-0.5 * wall[0], 0.5 * wall[0], 1 + math.ceil(wall[0] / (CELL * sigma_mm)))
-    levels = np.linspace(0.0, wall[1], 1 + min(MOST_LEVELS, math.ceil(wall[1] / (CELL * sigma_mm))))
+    cell, most = (CELL, MOST_LEVELS) if fine else (COARSE_CELL, MOST_COARSE_LEVELS)
+    across = np.linspace(-0.5 * wall[0], 0.5 * wall[0], 1 + math.ceil(wall[0] / (cell * sigma_mm)))
+    levels = np.linspace(0.0, wall[1], 1 + min(most, math.ceil(wall[1] / (cell * sigma_mm))))
+    across, levels = across.round(9).clip(-0.5 * wall[0], 0.5 * wall[0]), levels.round(9).clip(0.0, wall[1])
     cells = np.zeros((levels.size - 1, across.size - 1))
     for beam in beams:
         by_z, by_y = _fallen(levels, beam.z_mm, sigma_mm), _fallen(across, beam.y_mm, sigma_mm)
         cells += share * beam.irradiance * by_z[:, None] * by_y
     return [
         Beam(
-            (round(float(across[j]), 9), round(float(across[j + 1]), 9)),
-            (round(float(levels[i]), 9), round(float(levels[i + 1]), 9)),
+            (across[j].item(), across[j + 1].item()),
+            (levels[i].item(), levels[i + 1].item()),
             float(f"{cells[i, j]:.9g}"),  # so that mirror images stay such
         )
         for i, j in np.ndindex(cells.shape)

@@ -6,8 +6,9 @@ along the line of sight, averaged over the pixel; d₁ is the path from the wall
 distance of a pinhole projector from the wall and c the x-component of its ray (the factor is 1 for collimated light),
 T = (1 − F)/n² at a Fresnel surface. The paper's equation has no integral along the line of sight.
 
-The integrand is smooth between the lines where a line of sight crosses an edge of a beam, so each pixel is cut along
-those lines and every piece is integrated by Gauss–Legendre: the error is that of smooth functions, whatever the edges.
+The integrand is smooth between the lines where a line of sight crosses an edge of a beam, or meets a side wall there,
+so each pixel is cut along those lines and every piece is integrated by Gauss–Legendre: the error is that of smooth
+functions, whatever the edges.
 
 A calibrated camera's pixels are quadrangles of the plane z = Lz. Each is cut along x at its corners; at every node in x
 the integral along y runs between its edges, exactly as that over a square pixel does.
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.bent_light import along_sight_in_bent_light
+from tankrig.light.cuts import CUTS, rows_of_ends
 from tankrig.light.rays import (
     Geometry,
     bent,
@@ -31,7 +33,6 @@ from tankrig.light.rays import (
     sight_line,
     sighting_row,
 )
-from tankrig.light.sorting import put_in_order
 from tankrig.scene import Scene
 from tankrig.scene.footprint import footprints
 from tankrig.scene.phase import phase_density
@@ -55,14 +56,14 @@ FAINT = 60.0
 
 @kernel
 def across_sights(
-    geometry: Geometry, x: float, low: float, high: float, corners: NDArray[np.float64], sigma_t: float,
+    geometry: Geometry, x: float, low: float, high: float, ends: NDArray[np.float64], sigma_t: float,
     phase: PhaseRecord, edges: tuple[float, float, float, float], y_rule: Rule, depth_rule: Rule,
 ) -> float:  # fmt: skip
-    """∫ dy of what is seen along the lines through (x, low … high, Lz), cut at the rows of the beam's corners."""
+    """∫ dy of what is seen along the lines through (x, low … high, Lz), cut at rows where light ends, in order."""
     nodes, weights = y_rule
     total, start = 0.0, low
-    for k in range(5):
-        end = min(max(corners[k], low), high) if k < 4 else high
+    for k in range(ends.size + 1):
+        end = min(max(ends[k], low), high) if k < ends.size else high
         half = 0.5 * (end - start)
         if half > 0.0:
             for j in range(nodes.size):
@@ -229,7 +230,7 @@ def _add_beam(
     x_nodes, x_weights = x_rule
     rows, columns = image.shape
     y_first = -geometry.half_width
-    corners = np.empty(4)
+    ends = np.empty(CUTS)
     for column in range(columns):
         x_left = column * pixel_mm
         if x_left >= geometry.length:
@@ -242,15 +243,13 @@ def _add_beam(
                 x = x_left + reach * (part + 0.5 + 0.5 * x_nodes[i]) / parts
                 if x >= geometry.length:
                     continue
-                for k in range(4):
-                    corners[k] = sighting_row(geometry, x, edges[k // 2], edges[2 + k % 2])
-                put_in_order(corners)
-                top = min(max((corners[0] - y_first) / pixel_mm, 0.0), float(rows))
-                bottom = min(max((corners[3] - y_first) / pixel_mm, -1.0), rows - 1.0)
+                rows_of_ends(geometry, x, edges, ends)
+                top = min(max((ends[0] - y_first) / pixel_mm, 0.0), float(rows))
+                bottom = min(max((ends[-1] - y_first) / pixel_mm, -1.0), rows - 1.0)
                 for row in range(math.floor(top), math.floor(bottom) + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
-                    total = across_sights(geometry, x, low, high, corners, sigma_t, phase, edges, y_rule, depth_rule)
+                    total = across_sights(geometry, x, low, high, ends, sigma_t, phase, edges, y_rule, depth_rule)
                     image[row, column] += strength * total / pixel_mm * 0.5 * x_weights[i] / parts * reach / pixel_mm
 
 
@@ -260,11 +259,12 @@ def _parts_along_x(
 ) -> int:
     """How many parts of a column of pixels to integrate separately along x: more where there are kinks, or dense."""
     parts = min(1 + int(sigma_t * pixel_mm), MOST_PARTS)
-    for k in range(4):
-        left = sighting_row(geometry, x_left, edges[k // 2], edges[2 + k % 2])
-        right = sighting_row(geometry, x_left + pixel_mm, edges[k // 2], edges[2 + k % 2])
-        shift = geometry.half_width / pixel_mm
-        if math.floor(left / pixel_mm + shift) != math.floor(right / pixel_mm + shift):
+    left, right = np.empty(CUTS), np.empty(CUTS)
+    rows_of_ends(geometry, x_left, edges, left)
+    rows_of_ends(geometry, x_left + pixel_mm, edges, right)
+    shift = geometry.half_width / pixel_mm
+    for k in range(CUTS):
+        if math.floor(left[k] / pixel_mm + shift) != math.floor(right[k] / pixel_mm + shift):
             parts = max(parts, SLANTED_PARTS)
     return max(parts, KINKED_PARTS) if kinked(geometry, x_left, pixel_mm, edges) else parts
 
@@ -302,7 +302,7 @@ def _add_beam_in_quadrangles(
     part: int, parts: int,
 ) -> None:  # fmt: skip
     """Add one beam's order 1, integrated over each pixel's area, to one of so many parts of the rows."""
-    xs, ys, corners = np.empty(4), np.empty(4), np.empty(4)
+    xs, ys, ends_y = np.empty(4), np.empty(4), np.empty(CUTS)
     first, last = _rows_seen(geometry, edges)
     per_mm = first.size / geometry.length
     for row in range(part, image.shape[0], parts):
@@ -328,7 +328,7 @@ def _add_beam_in_quadrangles(
                         ys,
                         ends[k],
                         ends[k + 1],
-                        corners,
+                        ends_y,
                         sigma_t,
                         phase,
                         edges,
@@ -356,7 +356,7 @@ def _rows_seen(
 @kernel
 def _slice(
     geometry: Geometry, xs: NDArray[np.float64], ys: NDArray[np.float64], left: float, right: float,
-    corners: NDArray[np.float64], sigma_t: float, phase: PhaseRecord, edges: tuple[float, float, float, float],
+    ends: NDArray[np.float64], sigma_t: float, phase: PhaseRecord, edges: tuple[float, float, float, float],
     x_rule: Rule, y_rule: Rule, depth_rule: Rule,
 ) -> float:  # fmt: skip
     """Integral over the part of a pixel between two x, with no corner of it between them."""
@@ -383,12 +383,10 @@ def _slice(
             low, high = _span(geometry, xs, ys, x)
             if high <= low:
                 continue
-            for k in range(4):
-                corners[k] = sighting_row(geometry, x, edges[k // 2], edges[2 + k % 2])
-            put_in_order(corners)
-            if corners[3] <= low or corners[0] >= high:
+            rows_of_ends(geometry, x, edges, ends)
+            if ends[-1] <= low or ends[0] >= high:
                 continue
-            along = across_sights(geometry, x, low, high, corners, sigma_t, phase, edges, y_rule, depth_rule)
+            along = across_sights(geometry, x, low, high, ends, sigma_t, phase, edges, y_rule, depth_rule)
             total += 0.5 * width / parts * weights[i] * along
     return total
 

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.bench import Bench, KnownScenes
-from tankrig.calibration.file import FOLDER, usable
 from tankrig.calibration.radiometry import Radiometry
 from tankrig.checked_toml import checked
 from tankrig.devices import CameraSettings, Delivered, Pixels
@@ -24,6 +23,7 @@ from tankrig.materials.coefficients import optics
 from tankrig.materials.dosing import tank_volume_ml
 from tankrig.materials.library import material
 from tankrig.pattern import Pattern
+from tankrig.run.calibrations import radiometry_of_run
 from tankrig.run.conditions import JournalFollower, clamped
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run
@@ -181,7 +181,13 @@ class PhotographPlan:
     def _whole_scenes(self) -> dict[str, Scene]:
         """The same with the whole camera."""
         lit = {key: pattern for key, pattern in self.patterns.items() if pattern.pixels.any()}
-        return {key: self.bench.scene(pattern, ANY) for key, pattern in lit.items()}
+        scenes = {key: self.bench.scene(pattern, ANY) for key, pattern in lit.items()}
+        if len(lit) == len(self.patterns):
+            return scenes
+        # What the dark pattern shows is subtracted, and the light of dark parts of a picture is in it.
+        return {
+            key: replace(scene, projector=replace(scene.projector, black_level=0.0)) for key, scene in scenes.items()
+        }
 
     @cached_property
     def _seen(self) -> dict[str, Seen]:
@@ -520,20 +526,6 @@ def wave_names(run: Run) -> frozenset[str]:
     if "sequence" not in run.settings:
         return frozenset()
     return frozenset(sequence_from_table(dict(run.settings["sequence"]), str(run.path)).waves)
-
-
-def radiometry_of_run(run: Run) -> Radiometry | None:
-    """The radiometric calibration that was in force when a run was recorded; its file is in the run's folder.
-
-    Raises
-    ------
-    StoreError
-        When there was one, and its file is gone or changed.
-    """
-    named = run.settings.get("calibrations", {})
-    if "radiometry" not in named:
-        return None
-    return Radiometry.of(usable(run.path / FOLDER, {"radiometry": named["radiometry"]})["radiometry"])
 
 
 def fits_that_hold(run: Run) -> tuple[Event, ...]:

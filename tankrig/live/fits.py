@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.astray import unmeasured
 from tankrig.estimation.forward import PURE_WATER_SIGMA_S, Model, ModelOf, Models, models_of, prepared_model
 from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.phase_answer import asked_for
@@ -31,6 +32,7 @@ def fit_dose(
     start: Medium | None = None,
     progress: Told = lambda _: None,
     phase: str | PhaseFunction = "hg",
+    starts: Sequence[Medium] = (),
 ) -> DoseFit:
     """Fit all photographs of one dose by the tank model, and by single scattering beside it.
 
@@ -44,6 +46,8 @@ def fit_dose(
         Told in a few words what is being done, now and then; what it raises ends the fit.
     phase
         Which phase functions are searched, as in `tankrig.estimate`.
+    starts
+        Where that is not known: liquids that a search begins from, in place of looking around.
 
     Raises
     ------
@@ -51,7 +55,7 @@ def fit_dose(
         When they cannot be fitted.
     """
     began = time.perf_counter()
-    fit = _fitted(photographs, None, start, progress, phase)
+    fit = _fitted(photographs, None, start, progress, phase, starts)
     assert fit is not None  # the tank model answers for any medium
     return replace(with_single(fit, photographs), seconds=round(time.perf_counter() - began, 3))
 
@@ -79,13 +83,15 @@ def _fitted(
     start: Medium | None,
     progress: Told = lambda _: None,
     phase: str | PhaseFunction = "hg",
+    starts: Sequence[Medium] = (),
 ) -> DoseFit | None:
     began, first = time.perf_counter(), photographs[0]
     scenes = [one.scene for one in photographs]
     noises, masks = [one.noise for one in photographs], [one.mask for one in photographs]
     observations = observed([one.image for one in photographs], scenes, noises, masks)
     scaling, asked = Scaling.given("free", first.offset), asked_for(phase, scenes[0])
-    found = fit_liquid(observations, scenes, scaling, prepared, start, progress, asked)
+    along = unmeasured(scenes[0])
+    found = fit_liquid(observations, scenes, scaling, prepared, start, progress, asked, starts, along)
     if found is None:
         return None
     return DoseFit(
@@ -132,6 +138,7 @@ def fit_all(
         model_of=_nearly_within(prepared) if prepared else None,
         water_sigma_s=PURE_WATER_SIGMA_S,
         phase=phase,
+        nuisance=unmeasured(photographs[0].scene),
         progress=progress,
     )
     return SeriesFit(

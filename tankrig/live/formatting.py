@@ -61,6 +61,8 @@ def doubts(fit: DoseFit | SeriesFit) -> str:
         said += "; a first look at one pattern, the fit is to come"
     if isinstance(fit, DoseFit) and fit.structure:
         said += f"; {100.0 * fit.structure:.2g} % of the light is not as the model has it, and counted in the errors"
+    if isinstance(fit, DoseFit) and fit.order_one:
+        said += f"; {fit.order_one.rstrip('.')}"
     return said
 
 

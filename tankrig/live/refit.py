@@ -11,6 +11,7 @@ from tankrig.live.exposures import Exposures, PhotographPlan, exposures_of, fits
 from tankrig.live.fits import fit_all, fit_dose
 from tankrig.live.preparing import Preparation, Preparing, phases_prepared
 from tankrig.live.results import DoseFit, Fit, SeriesFit, diluted, fits_in, to_fields
+from tankrig.live.separated import Separated
 from tankrig.live.worker import Fitter, fit_all_there_is
 from tankrig.run.reading import Run, open_run
 from tankrig.run.writer import RunWriter
@@ -129,10 +130,14 @@ def fits_made(
     progress: Told = lambda *_: None,
     phase: str | PhaseFunction | None = None,
 ) -> Iterator[Fit]:
-    """The fits that a run lacks, or all of them, one after the other; see `refit`."""
+    """The fits that a run lacks, or all of them, one after the other; see `refit`.
+
+    Where the run separated orders of scattering, a search begins from what order 1 says by itself, and each fit tells
+    where order 1 disagrees with it. The waves are no photographs: no fit sees them.
+    """
     nothing = Preparation(0, 0.0)
     progress("reading the frames", nothing)
-    exposures, plan = exposures_of(run), PhotographPlan.of_run(run)
+    exposures, plan, separated = exposures_of(run), PhotographPlan.of_run(run), Separated.of_run(run)
     plan = plan if phase is None else replace(plan, phase=phase)
     doses, series = ([], None) if everything else fits_in([event.fields for event in fits_that_hold(run)])
 
@@ -140,9 +145,14 @@ def fits_made(
         progress(words, nothing)
 
     if model == "tank":
-        yield from _by_tank_model(exposures, plan.phase, doses, series, told)
+        fits = _by_tank_model(exposures, plan.phase, doses, series, separated, told)
     else:
-        yield from _as_live(plan, exposures, doses, progress)
+        fits = _as_live(plan, exposures, doses, separated, progress)
+    for fit in fits:
+        if isinstance(fit, DoseFit):
+            yield separated.beside(fit)
+        else:
+            yield separated.beside_series(fit) if isinstance(fit, SeriesFit) else fit
 
 
 def _by_tank_model(
@@ -150,6 +160,7 @@ def _by_tank_model(
     phase: str | PhaseFunction,
     doses: list[DoseFit],
     series: SeriesFit | None,
+    separated: Separated,
     progress: Callable[[str], None],
 ) -> Iterator[Fit]:
     known = {one.dose_ml: one for one in doses}
@@ -162,7 +173,7 @@ def _by_tank_model(
         if fit is None or fit.frames < sum(one.frames for one in here):
             start = None if near is None else diluted(near.medium, near.dose_ml, dose_ml)
             progress(f"fitting {dose_ml:g} ml")
-            fit = fit_dose(here, start, progress, phase)
+            fit = fit_dose(here, start, progress, phase, separated.media.get(dose_ml, ()))
             yield fit
         near = fit
     if len(doses_ml) > 1 and (series is None or series.doses_ml != tuple(doses_ml)):
@@ -170,7 +181,9 @@ def _by_tank_model(
         yield fit_all(photographs, progress=progress, phase=phase)
 
 
-def _as_live(plan: PhotographPlan, exposures: Exposures, doses: list[DoseFit], progress: Told) -> Iterator[Fit]:
+def _as_live(
+    plan: PhotographPlan, exposures: Exposures, doses: list[DoseFit], separated: Separated, progress: Told
+) -> Iterator[Fit]:
     """By the live fit's own decisions, with all frames there at once."""
     news = threading.Event()
     preparing = Preparing(lambda _: news.set(), phases=phases_prepared(plan) or "hg")
@@ -185,7 +198,7 @@ def _as_live(plan: PhotographPlan, exposures: Exposures, doses: list[DoseFit], p
         return True
 
     try:
-        fitter = Fitter(doses, preparing, plan, told)
+        fitter = Fitter(doses, preparing, plan, told, separated.media)
         for fit in fit_all_there_is(fitter, lambda: (exposures, True), wait):
             if not (isinstance(fit, DoseFit) and (fit.passing or fit.single is None)):
                 yield fit  # nobody waits for what lacks single scattering

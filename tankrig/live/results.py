@@ -102,6 +102,9 @@ class DoseFit:
         Of what is left, relative L2, beyond what noise and the model's own error explain; None where there is none.
     scattering
         How it scatters, where another phase function than Henyey–Greenstein's was fitted.
+    order_one
+        A sentence where order 1, separated without a model, disagrees with the fit; empty where it agrees, or where the
+        dose was not separated.
     """
 
     dose_ml: float
@@ -123,6 +126,7 @@ class DoseFit:
     not_seen: int = 0
     structure: float | None = None
     scattering: PhaseFound | None = None
+    order_one: str = ""
 
 
 @dataclass(frozen=True)
@@ -209,7 +213,8 @@ def to_fields(fit: Fit) -> Fields:
         found |= {"water_sigma_a": found.pop("water").sigma_a, "linearity": fit.linearity and asdict(fit.linearity)}
         return {"fit": "series", **found}
     found |= {**_coefficients(found.pop("medium")), "single": fit.single and asdict(fit.single)}
-    unknown = {"model_error": None, "single": None, "structure": None, "newest": None, "passing": False}
+    unknown: Fields = {"model_error": None, "single": None, "structure": None, "newest": None, "passing": False}
+    unknown |= {"order_one": ""}
     return {"fit": "dose"} | {
         name: value for name, value in found.items() if name not in unknown or value != unknown[name]
     }

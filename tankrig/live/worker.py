@@ -3,7 +3,7 @@
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import connection, parent_process
@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from multiprocessing.synchronize import Event as Signal
 from multiprocessing.synchronize import Lock
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -184,6 +185,8 @@ class Fitter:
         Of the run; needed for preparing.
     progress
         Told in a few words what the tank model's fit, or that of the series, is doing; what it raises ends the fit.
+    by_order_one
+        Liquids that order 1 by itself tells of a dose, by ml: where nothing else is known, fits begin from them.
     """
 
     def __init__(
@@ -192,7 +195,9 @@ class Fitter:
         preparing: Preparing | None = None,
         plan: PhotographPlan | None = None,
         progress: Callable[[str], None] = lambda _: None,
+        by_order_one: Mapping[float, Sequence[Medium]] = MappingProxyType({}),
     ) -> None:
+        self._by_order_one = by_order_one
         self._phase: str | PhaseFunction = "hg" if plan is None else plan.phase
         known = plan is None or phases_prepared(plan) is not None
         self._preparing, self._plan, self._progress = preparing if known else None, plan, progress
@@ -297,7 +302,8 @@ class Fitter:
                 return replace(quick, passing=True)
             look = self._looked.get(dose_ml)
             start = self._start(dose_ml) or (None if look is None else look.medium)
-            fit = about(fit_dose(photographs, start, self._progress, self._phase))
+            told = self._by_order_one.get(dose_ml, ())
+            fit = about(fit_dose(photographs, start, self._progress, self._phase, told))
         except TankrigError as error:
             return FailedFit(dose_ml, str(error))
         self._keep(fit)
@@ -315,7 +321,7 @@ class Fitter:
             if found is not None or self._awaited:
                 return found
         if dose_ml not in self._looked:
-            look = self._fit_within(LOOK, photographs[:1], LOOK_START)
+            look = self._fit_within(LOOK, photographs[:1], self._look_start(dose_ml))
             if self._awaited:
                 return None
             self._looked[dose_ml] = look
@@ -337,7 +343,8 @@ class Fitter:
         look = self._looked.get(dose_ml)
         if look is None:
             try:
-                look = fit_dose_prepared(photographs[:1], models, self._start(dose_ml) or LOOK_START, self._phase)
+                start = self._start(dose_ml) or self._look_start(dose_ml)
+                look = fit_dose_prepared(photographs[:1], models, start, self._phase)
             except TankrigError:
                 return None
         return None if look is None else replace(look, model=FIRST_LOOK, passing=True)
@@ -385,6 +392,11 @@ class Fitter:
             return diluted(*self._latest, dose_ml)
         expected = None if self._plan is None else self._plan.ink
         return None if expected is None else diluted(expected, 1.0, dose_ml)
+
+    def _look_start(self, dose_ml: float) -> Medium:
+        """Where a first look begins: at the σt that order 1 by itself tells, or in the middle of all."""
+        told = [one for one in self._by_order_one.get(dose_ml, ()) if LOOK.holds(one)]
+        return min(told, key=lambda one: abs(one.g - LOOK_START.g), default=LOOK_START)
 
     def _all(self, photographs: list[Photograph]) -> Fit:
         models = self._preparing.all_models if self._preparing else ()

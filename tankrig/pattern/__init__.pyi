@@ -1,3 +1,4 @@
+from .kinds import Cells as Cells
 from .kinds import Checker as Checker
 from .kinds import Dark as Dark
 from .kinds import Full as Full

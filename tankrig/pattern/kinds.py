@@ -223,6 +223,72 @@ class Wave(_Kind):
 
 
 @dataclass(frozen=True)
+class Cells(_Kind):
+    """Cells side by side along y, in sheets at some heights, each with light of its own: what `tankrig advise` designs.
+
+    Levels are chosen by what they were measured to give, so that each cell has the part of the light that it is said to
+    have.
+
+    Parameters
+    ----------
+    y_mm
+        (low, high) of all cells.
+    z_mm
+        (low, high) of each sheet; they do not overlap.
+    light
+        Of each sheet, its cells' parts of the light of `level`, 0 … 1, in the order of rising y; as many in each.
+    """
+
+    y_mm: Interval
+    z_mm: tuple[Interval, ...]
+    light: tuple[tuple[float, ...], ...]
+    kind: Literal["cells"] = "cells"
+    level: Level = 255
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        counts = {len(one) for one in self.light}
+        _require(
+            len(self.light) == len(self.z_mm) and len(counts) == 1 and min(counts) > 0,
+            f"light has {[len(one) for one in self.light]} cells in {len(self.z_mm)} sheets; give each sheet of z_mm "
+            "as many",
+        )
+        _require(
+            all(0.0 <= part <= 1.0 for one in self.light for part in one),
+            "light has a part outside 0…1; give each cell's part of the light",
+        )
+        _require(
+            self.y_mm[0] < self.y_mm[1], f"y_mm = {list(self.y_mm)} is no width; give the lower and the upper edge"
+        )
+        edges = [edge for one in sorted(self.z_mm) for edge in one]
+        _require(
+            all(low < high for low, high in self.z_mm) and edges == sorted(edges),
+            f"z_mm = {[list(one) for one in self.z_mm]} has a sheet without height, or two that overlap; part them",
+        )
+
+    @property
+    def cell_mm(self) -> float:
+        """Width of a cell."""
+        return (self.y_mm[1] - self.y_mm[0]) / len(self.light[0])
+
+    def draw(self, wall: Wall) -> NDArray[np.uint8]:
+        """See `PatternKind`."""
+        _require(
+            self.cell_mm >= wall.pixel_mm[1],
+            f"cells of {self.cell_mm:.3g} mm are finer than the projector's pixels, {wall.pixel_mm[1]:.3g} mm; give "
+            "fewer",
+        )
+        across = _inside(wall, "y", *self.y_mm)
+        cell = np.clip((wall.y_centres_mm - self.y_mm[0]) // self.cell_mm, 0, len(self.light[0]) - 1).astype(int)
+        known = wall.fractions[: self.level + 1]
+        picture = np.zeros(wall.shape, np.uint8)
+        for z_mm, light in zip(self.z_mm, self.light, strict=True):
+            levels = np.abs(known - known[-1] * np.array(light)[:, None]).argmin(axis=1)
+            picture[_inside(wall, "z", *z_mm)] = np.where(across, levels[cell], 0)
+        return picture
+
+
+@dataclass(frozen=True)
 class GrayCode(_Kind):
     """One bit of the binary-reflected Gray code of the column's or the row's number; bit 0 is the coarsest."""
 
@@ -325,10 +391,10 @@ class ImageFile(_Kind):
         return np.asarray(picture, np.uint8)
 
 
-KINDS = (Dark, Full, Sheet, Rays, Stripes, Wave, GrayCode, PhaseShift, Checker, Hadamard, ImageFile)
+KINDS = (Dark, Full, Sheet, Rays, Stripes, Wave, Cells, GrayCode, PhaseShift, Checker, Hadamard, ImageFile)
 """All kinds, in the order in which a person meets them."""
 
-AnyKind = Dark | Full | Sheet | Rays | Stripes | Wave | GrayCode | PhaseShift | Checker | Hadamard | ImageFile
+AnyKind = Dark | Full | Sheet | Rays | Stripes | Wave | Cells | GrayCode | PhaseShift | Checker | Hadamard | ImageFile
 
 
 def gray_code_bits(count: int) -> int:

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from tankrig.errors import SceneError, SequenceError
 from tankrig.pattern.pattern import Pattern
+from tankrig.ranges import require_ranges
 from tankrig.scene.checks import picture_shape
 from tankrig.scene.description import CLOSED, Beam, Interval, Tank
-from tankrig.scene.parts import MOST_MM
+from tankrig.scene.parts import MOST_MM, Measured
 
 ROUNDING = 1e-9
 """By which a fraction may lie outside 0 … 1: a curve that was computed and written down ends at 1.0000000000000004."""
@@ -75,8 +76,8 @@ class Wall:
     shape: tuple[int, int]
     y_mm: Interval
     z_mm: Interval
-    irradiance: float = 1.0
-    gamma: float = 1.0
+    irradiance: Measured = 1.0
+    gamma: Measured = 1.0
     response: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -90,10 +91,7 @@ class Wall:
             raise SequenceError(
                 f"y_mm = {list(self.y_mm)}, z_mm = {list(self.z_mm)} is no area; give the edges of the picture in mm"
             )
-        if not (self.irradiance > 0.0 and self.gamma > 0.0):
-            raise SequenceError(
-                f"irradiance = {self.irradiance}, gamma = {self.gamma} has a value that is not positive; measure both"
-            )
+        require_ranges(self, SequenceError)
         if self.response:
             object.__setattr__(self, "response", tuple(fractions_of_white(self.response).tolist()))
 

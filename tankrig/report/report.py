@@ -123,7 +123,7 @@ def _headline(results: Results) -> list[dict[str, str]]:
 def _separated(run: Run, results: Results, progress: Callable[[str], None]) -> list[dict[str, Any]]:
     """One picture for each sheet that the run separated, and what it tells beside the fits."""
     from tankrig.figures.separation_figure import separation_figure
-    from tankrig.separation.told import told_of
+    from tankrig.live.separated import told_of
 
     if not wave_names(run):
         return []

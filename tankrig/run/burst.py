@@ -7,7 +7,7 @@ patterns, none lost on the way, and each in its time.
 import time
 from collections.abc import Sequence
 
-from tankrig.devices import BurstProjector, BurstTiming, Camera, Frame, Projector, TriggeredCamera
+from tankrig.devices import BurstProjector, BurstTiming, CameraDevice, Frame, Projector, TriggeredCamera
 from tankrig.errors import DeviceError
 from tankrig.pattern import Pattern
 
@@ -23,13 +23,13 @@ class IncompleteBurstError(DeviceError):
     """Frames of a burst are missing, or are too many; the burst can be taken again."""
 
 
-def can_burst(projector: Projector, camera: Camera) -> bool:
+def can_burst(projector: Projector, camera: CameraDevice) -> bool:
     """Whether the projector triggers and the camera can be triggered."""
     return isinstance(projector, BurstProjector) and isinstance(camera, TriggeredCamera)
 
 
 def take_burst(
-    projector: Projector, camera: Camera, patterns: Sequence[Pattern], exposure_ms: float
+    projector: Projector, camera: CameraDevice, patterns: Sequence[Pattern], exposure_ms: float
 ) -> tuple[list[Frame], BurstTiming]:
     """Take one frame of each pattern, in one burst.
 
@@ -86,7 +86,7 @@ def _collected(camera: TriggeredCamera, number: int, timing: BurstTiming, exposu
     return frames
 
 
-def _require_whole(frames: list[Frame], number: int, timing: BurstTiming, played_ns: int, camera: Camera) -> None:
+def _require_whole(frames: list[Frame], number: int, timing: BurstTiming, played_ns: int, camera: CameraDevice) -> None:
     if len(frames) != number:
         more = "more" if len(frames) > number else "only"
         told = f"{number} patterns and {more} {min(len(frames), number)} frames"

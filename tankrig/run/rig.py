@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tankrig.bench import Bench
 from tankrig.calibration.file import Calibration
-from tankrig.devices import Camera, Doser, Projector
+from tankrig.devices import CameraDevice, Doser, Projector
 from tankrig.dosing import DoseLimits
 from tankrig.errors import StoreError
 from tankrig.sequence import ExposureRule, Pace
@@ -87,7 +87,7 @@ class Rig:
 
     name: str
     projector: Projector
-    camera: Camera
+    camera: CameraDevice
     doser: Doser
     bench: Bench
     limits: DoseLimits

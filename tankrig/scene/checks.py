@@ -5,6 +5,7 @@ from typing import SupportsFloat
 
 from tankrig.checked_toml import MOST
 from tankrig.errors import SceneError
+from tankrig.ranges import ranges_of, require_ranges
 
 CLOSED = {"extra": "forbid", "strict": True}
 """Read by the scene file's validation: an unknown key is refused, and a number in quotes is not a number."""
@@ -29,6 +30,17 @@ def number(owner: object, name: str) -> float:
     value = finite(name, getattr(owner, name))
     object.__setattr__(owner, name, value)  # the only way to set a field of a frozen dataclass
     return value
+
+
+def in_ranges(owner: object) -> None:
+    """Make the fields that declare a range finite floats, in place, and refuse what is outside of it."""
+    for name in ranges_of(type(owner)):
+        given = getattr(owner, name)
+        if isinstance(given, tuple | list):
+            numbers(owner, name, len(given))
+        elif given is not None:
+            number(owner, name)
+    require_ranges(owner, SceneError)
 
 
 def between(owner: object, name: str, least: float, most: float, unit: str) -> None:

@@ -10,12 +10,13 @@ even part, which normalising takes back, is left out).
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.scene.checks import CLOSED, number, numbers, require
+from tankrig.ranges import Within
+from tankrig.scene.checks import CLOSED, in_ranges, numbers, require
 from tankrig.scene.phase_functions import phase_function
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -27,7 +28,7 @@ SPREAD = 1.0
 """Of ln p about Henyey–Greenstein: beads of .2 to 2 µm are within a factor of 1.1 to 5 of it."""
 ALIKE = 0.13
 """Beads of .5 µm are then described to .04 of ln p, 1 µm to .17, milk-like droplets to .005. Finer shapes describe them
-better, and fits of images lose their way among them (decision 136)."""
+better, and fits of images lose their way among them (decision 209)."""
 FORWARD_DEG = 30.0
 _PLACES = 400
 
@@ -53,15 +54,14 @@ class FreePhase(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    base_g: float
+    base_g: Annotated[float, Within(-1.0, 1.0, "is outside −1 < base_g < 1", above=True, below=True)]
     amplitudes: tuple[float, ...]
-    alike: float = ALIKE
+    alike: Annotated[float, Within(0.02, 2.0, "is outside 0.02 … 2")] = ALIKE
     kind: Literal["free"] = field(default="free", repr=False)
 
     def __post_init__(self) -> None:
-        g, amplitudes = number(self, "base_g"), numbers(self, "amplitudes", len(self.amplitudes))
-        require(-1.0 < g < 1.0, f"base_g = {g} is outside −1 < base_g < 1")
-        require(0.02 <= number(self, "alike") <= 2.0, f"alike = {self.alike} is outside 0.02 … 2")
+        in_ranges(self)
+        amplitudes = numbers(self, "amplitudes", len(self.amplitudes))
         require(len(amplitudes) <= SHAPES, f"amplitudes has {len(amplitudes)} numbers; give {SHAPES} at most")
 
     def density(self, cosine: Array) -> Array:

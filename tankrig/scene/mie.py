@@ -3,12 +3,13 @@
 import math
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.scene.checks import CLOSED, number, require
+from tankrig.ranges import Within
+from tankrig.scene.checks import CLOSED, in_ranges, require
 from tankrig.scene.phase_table import NODES, PhaseFunction, sines
 
 Array = NDArray[np.float64]
@@ -38,24 +39,21 @@ class Mie(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    diameter_um: float
-    particle_index: float
-    water_index: float
-    wavelength_nm: float
-    spread: float = 0.0
-    band_nm: float = 0.0
+    diameter_um: Annotated[float, Within(0.001, 50.0, "is outside 0.001 … 50")]
+    particle_index: Annotated[float, Within(1.0, 4.0, "is outside 1 … 4")]
+    water_index: Annotated[float, Within(1.0, 2.0, "is outside 1 … 2")]
+    wavelength_nm: Annotated[float, Within(200.0, 2000.0, "is outside 200 … 2000")]
+    spread: Annotated[float, Within(0.0, 0.6, "is outside 0 … 0.6; give a share of the diameter")] = 0.0
+    band_nm: Annotated[float, Within(0.0, 2000.0, "is negative or as wide as the wavelength", below=True)] = 0.0
     kind: Literal["mie"] = field(default="mie", repr=False)
 
     def __post_init__(self) -> None:
-        names = ("diameter_um", "particle_index", "water_index", "wavelength_nm", "spread", "band_nm")
-        diameter, particle, water, wavelength, spread, band = (number(self, name) for name in names)
-        require(0.001 <= diameter <= 50.0, f"diameter_um = {diameter} is outside 0.001 … 50")
-        require(1.0 <= particle <= 4.0, f"particle_index = {particle} is outside 1 … 4")
-        require(1.0 <= water <= 2.0, f"water_index = {water} is outside 1 … 2")
-        require(particle != water, "particle_index equals water_index: such spheres scatter nothing")
-        require(200.0 <= wavelength <= 2000.0, f"wavelength_nm = {wavelength} is outside 200 … 2000")
-        require(0.0 <= spread <= 0.6, f"spread = {spread} is outside 0 … 0.6; give a share of the diameter")
-        require(0.0 <= band < wavelength, f"band_nm = {band} is negative or as wide as the wavelength")
+        in_ranges(self)
+        require(
+            self.particle_index != self.water_index,
+            "particle_index equals water_index: such spheres scatter nothing",
+        )
+        require(self.band_nm < self.wavelength_nm, f"band_nm = {self.band_nm} is negative or as wide as the wavelength")
 
     def density(self, cosine: Array) -> Array:
         """See `PhaseFunction.density`."""

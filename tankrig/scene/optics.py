@@ -5,13 +5,26 @@ Each part says nothing by default. What has a part pays for it; a scene without 
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
-from tankrig.scene.checks import CLOSED, number, require
+from tankrig.checked_toml import MOST
+from tankrig.ranges import Within
+from tankrig.scene.checks import CLOSED, in_ranges, require
 
 MOST_HALO = 0.2
 """Share of the light; a lens that loses more is broken, or the number is a percentage."""
 MOST_VEIL = 0.5
+
+BlurSigma = Annotated[
+    float,
+    Within(0.0, MOST, "is negative; give the standard deviation of the blur in mm"),
+]
+Share = Annotated[
+    float,
+    Within(
+        0.0, MOST_HALO, f"is outside 0 … {MOST_HALO:g}; give the share of light that goes into the halo (0.02 is 2 %)"
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -28,16 +41,11 @@ class Blur:
     """
 
     __pydantic_config__ = CLOSED
-    sigma_mm: float = 0.0
-    corner_mm: float | None = None
+    sigma_mm: BlurSigma = 0.0
+    corner_mm: BlurSigma | None = None
 
     def __post_init__(self) -> None:
-        for name in ("sigma_mm", "corner_mm"):
-            if getattr(self, name) is not None:
-                require(
-                    number(self, name) >= 0.0,
-                    f"{name} = {getattr(self, name)} is negative; give the standard deviation of the blur in mm",
-                )
+        in_ranges(self)
 
     @property
     def widest_mm(self) -> float:
@@ -66,19 +74,13 @@ class Halo:
     """
 
     __pydantic_config__ = CLOSED
-    share: float = 0.0
-    sigma_mm: float = 30.0
+    share: Share = 0.0
+    sigma_mm: Annotated[
+        float, Within(0.0, MOST, "is not positive; give the halo's standard deviation in mm", above=True)
+    ] = 30.0
 
     def __post_init__(self) -> None:
-        require(
-            0.0 <= number(self, "share") <= MOST_HALO,
-            f"share = {self.share:g} is outside 0 … {MOST_HALO:g}; give the share of the light that goes into the halo "
-            "(0.02 is 2 %)",
-        )
-        require(
-            number(self, "sigma_mm") > 0.0,
-            f"sigma_mm = {self.sigma_mm:g} is not positive; give the halo's standard deviation in mm",
-        )
+        in_ranges(self)
 
 
 NO_HALO = Halo()
@@ -97,18 +99,13 @@ class WideLens:
     """
 
     __pydantic_config__ = CLOSED
-    diameter_mm: float = 0.0
-    focus_mm: float = 0.0
+    diameter_mm: Annotated[float, Within(0.0, MOST, "is negative; give the lens's width in mm, 0 for a pinhole")] = 0.0
+    focus_mm: Annotated[
+        float, Within(0.0, MOST, "is before the wall; give the x, 0 or more, where pictures are sharp")
+    ] = 0.0
 
     def __post_init__(self) -> None:
-        require(
-            number(self, "diameter_mm") >= 0.0,
-            f"diameter_mm = {self.diameter_mm:g} is negative; give the lens's width in mm, 0 for a pinhole",
-        )
-        require(
-            number(self, "focus_mm") >= 0.0,
-            f"focus_mm = {self.focus_mm:g} is before the wall; give the x, 0 or more, where pictures are sharp",
-        )
+        in_ranges(self)
 
 
 PINHOLE = WideLens()
@@ -132,29 +129,20 @@ class Face:
 
     __pydantic_config__ = CLOSED
     kind: Literal["black", "glass", "clear", "diffuse"] = "black"
-    reflectance: float = 0.0
-    thickness_mm: float | None = None
-    index: float | None = None
+    reflectance: Annotated[float, Within(0.0, 1.0, "is outside 0 … 1; give the share of the light that comes back")] = (
+        0.0
+    )
+    thickness_mm: (
+        Annotated[float, Within(0.0, MOST, "is thinner than nothing; give the pane's thickness in mm")] | None
+    ) = None
+    index: Annotated[float, Within(1.0, 3.0, "is outside 1 … 3; glass has 1.52, acrylic 1.49")] | None = None
 
     def __post_init__(self) -> None:
         require(
             self.kind in ("black", "glass", "clear", "diffuse"),
             f'kind = "{self.kind}" is unknown; use "black", "glass", "clear" or "diffuse"',
         )
-        require(
-            0.0 <= number(self, "reflectance") <= 1.0,
-            f"reflectance = {self.reflectance:g} is outside 0 … 1; give the share of the light that comes back",
-        )
-        if self.thickness_mm is not None:
-            require(
-                number(self, "thickness_mm") >= 0.0,
-                f"thickness_mm = {self.thickness_mm:g} is thinner than nothing; give the pane's thickness in mm",
-            )
-        if self.index is not None:
-            require(
-                1.0 <= number(self, "index") <= 3.0,
-                f"index = {self.index:g} is outside 1 … 3; glass has 1.52, acrylic 1.49",
-            )
+        in_ranges(self)
 
     @property
     def dark(self) -> bool:

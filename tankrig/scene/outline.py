@@ -65,6 +65,33 @@ def beam_outlines(scene: Scene) -> list[Polygon]:
     return outlines
 
 
+def in_picture(scene: Scene, points_mm: Array) -> Array:
+    """Where the camera's picture shows places in the water.
+
+    Parameters
+    ----------
+    scene
+        Its medium and its projector do not matter.
+    points_mm
+        (…, 3) x, y and z.
+
+    Returns
+    -------
+    (…, 2) float64
+        x and y in mm on the plane z = Lz, for a calibrated camera as `beam_outlines` says.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Tank
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (18.0, 22.0)),))
+    >>> camera = Camera("pinhole", (80, 120), 2.0, position_mm=(120.0, 0.0, 620.0))
+    >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.0), light, camera)
+    >>> in_picture(scene, np.array([240.0, 60.0, 20.0])).tolist()
+    [220.0, 50.0]
+    """
+    return _in_picture(scene, _on_surface(scene, points_mm))
+
+
 def _rays(scene: Scene, y_mm: Array, z_mm: Array) -> Array:
     """(n, ALONG, 3) points from where rays through (0, y, z) enter to where they leave."""
     start = np.stack([np.zeros(y_mm.size), y_mm, z_mm], axis=1)

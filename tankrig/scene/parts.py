@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
+from tankrig.checked_toml import MOST
 from tankrig.errors import SceneError
 from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose
 from tankrig.geometry.shading import TERMS
-from tankrig.scene.checks import CLOSED, between, finite, number, numbers, picture_shape, require
+from tankrig.ranges import Within
+from tankrig.scene.checks import CLOSED, between, finite, in_ranges, number, numbers, picture_shape, require
 from tankrig.scene.optics import ALL_BLACK, MOST_VEIL, NO_HALO, PINHOLE, SHARP, Blur, Faces, Halo, WideLens
 from tankrig.scene.phase_functions import AnyPhase, HenyeyGreenstein
 from tankrig.scene.phase_table import PhaseFunction
@@ -23,6 +25,45 @@ LEAST_PIXEL_MM = 1e-6
 """Less than any wavelength of light."""
 MOST_PER_MM = 1e6
 """Of a coefficient: a free path of a nanometre."""
+
+Side = Annotated[
+    Vector,
+    Within(
+        LEAST_SIDE_MM,
+        MOST_MM,
+        f"has a side that is not positive, or below {LEAST_SIDE_MM:g}; give lengths in mm",
+        beyond=f"has a side above {MOST_MM:g} mm; mend it",
+    ),
+]
+"""Of a box, mm."""
+PerMm = Annotated[
+    float,
+    Within(
+        0.0,
+        MOST_PER_MM,
+        "is negative; give a coefficient in 1/mm that is zero or more",
+        beyond=f"is above {MOST_PER_MM:g} per mm, as no liquid is; mend it",
+    ),
+]
+Thickness = Annotated[
+    float,
+    Within(0.0, MOST_MM, "is negative; give the wall's thickness in mm", beyond="is thicker than any wall; mend it"),
+]
+Irradiance = Annotated[
+    float, Within(0.0, MOST, "is negative; give W/mm², zero or more", beyond="is brighter than any light; mend it")
+]
+BlurWidth = Annotated[
+    float,
+    Within(
+        0.0,
+        MOST_MM,
+        "is negative; give the standard deviation in mm, or leave it out",
+        beyond="is wider than any tank; mend it",
+    ),
+]
+Measured = Annotated[
+    float, Within(0.0, MOST, "is not positive; measure it", above=True, beyond="is more than any has; measure it")
+]
 
 
 @dataclass(frozen=True)
@@ -48,38 +89,21 @@ class Tank:
     """
 
     __pydantic_config__ = CLOSED
-    size_mm: Vector = (240.0, 160.0, 120.0)
+    size_mm: Side = (240.0, 160.0, 120.0)
     surface: Literal["matched", "fresnel"] = "matched"
-    refractive_index: float = 1.33
+    refractive_index: Annotated[float, Within(1.0, 3.0, "is outside 1…3; water has 1.33")] = 1.33
     entry: Literal["matched", "glass"] = "matched"
-    wall_mm: float = 0.0
-    wall_index: float = 1.52
+    wall_mm: Thickness = 0.0
+    wall_index: Annotated[float, Within(1.0, 3.0, "is outside 1…3; glass has 1.52, acrylic 1.49")] = 1.52
     faces: Faces = ALL_BLACK
 
     def __post_init__(self) -> None:
-        require(
-            min(numbers(self, "size_mm", 3)) > 0.0,
-            f"size_mm = {list(self.size_mm)} has a side that is not positive; give three lengths in mm",
-        )
-        require(
-            min(self.size_mm) >= LEAST_SIDE_MM and max(self.size_mm) <= MOST_MM,
-            f"size_mm = {list(self.size_mm)} has a side outside {LEAST_SIDE_MM:g} … {MOST_MM:g} mm; mend it",
-        )
-        require(
-            1.0 <= number(self, "refractive_index") <= 3.0,
-            f"refractive_index = {self.refractive_index} is outside 1…3; water has 1.33",
-        )
+        numbers(self, "size_mm", 3)
+        in_ranges(self)
         require(
             self.surface in ("matched", "fresnel"), f'surface = "{self.surface}" is unknown; use "matched" or "fresnel"'
         )
         require(self.entry in ("matched", "glass"), f'entry = "{self.entry}" is unknown; use "matched" or "glass"')
-        require(
-            number(self, "wall_mm") >= 0.0, f"wall_mm = {self.wall_mm} is negative; give the wall's thickness in mm"
-        )
-        require(
-            1.0 <= number(self, "wall_index") <= 3.0,
-            f"wall_index = {self.wall_index} is outside 1…3; glass has 1.52, acrylic 1.49",
-        )
 
     @property
     def surface_index(self) -> float:
@@ -120,25 +144,19 @@ class Medium:
     """
 
     __pydantic_config__ = CLOSED
-    sigma_a: float
-    sigma_s: float
-    g: float = _LEFT_OUT
+    sigma_a: PerMm
+    sigma_s: PerMm
+    g: Annotated[
+        float,
+        Within(-1.0, 1.0, "is outside −1 < g < 1; give the mean cosine of one scattering", above=True, below=True),
+    ] = _LEFT_OUT
     phase: AnyPhase | None = None
 
     def __post_init__(self) -> None:
-        for name in ("sigma_a", "sigma_s"):
-            value = number(self, name)
-            require(value >= 0.0, f"{name} = {value} is negative; give a coefficient in 1/mm that is zero or more")
-            require(
-                value <= MOST_PER_MM, f"{name} = {value:g} is above {MOST_PER_MM:g} per mm, as no liquid is; mend it"
-            )
         if self.phase is not None:
             self._take_mean_cosine(self.phase)
         require(self.g is not _LEFT_OUT, "g is missing; give the mean cosine of one scattering, or a phase")
-        require(
-            -1.0 < number(self, "g") < 1.0,
-            f"g = {self.g} is outside −1 < g < 1; give the mean cosine of one scattering",
-        )
+        in_ranges(self)
 
     def _take_mean_cosine(self, phase: PhaseFunction) -> None:
         mean = phase.mean_cosine
@@ -190,15 +208,13 @@ class Beam:
     __pydantic_config__ = CLOSED
     y_mm: Interval
     z_mm: Interval
-    irradiance: float = 1.0
+    irradiance: Irradiance = 1.0
 
     def __post_init__(self) -> None:
         for name in ("y_mm", "z_mm"):
             low, high = numbers(self, name, 2)
             require(low < high, f"{name} = [{low}, {high}] has no width; give [low, high] with low < high")
-        require(
-            number(self, "irradiance") >= 0.0, f"irradiance = {self.irradiance} is negative; give W/mm², zero or more"
-        )
+        in_ranges(self)
 
     @property
     def power(self) -> float:
@@ -229,14 +245,6 @@ def _shape(owner: "Projector | Camera") -> None:
     shape = tuple(owner.shape or ())
     object.__setattr__(owner, "shape", shape)
     picture_shape(shape)
-
-
-def _blur(owner: "Projector | Camera") -> None:
-    if owner.blur_mm is not None:
-        require(
-            number(owner, "blur_mm") >= 0.0,
-            f"blur_mm = {owner.blur_mm} is negative; give the standard deviation in mm, or leave it out",
-        )
 
 
 @dataclass(frozen=True)
@@ -282,14 +290,14 @@ class Projector:
     distortion: tuple[float, ...] = ()
     rotation: Vector | None = None
     shape: tuple[int, int] | None = None
-    pixel_power: float = 1.0
-    gamma: float = 1.0
+    pixel_power: Measured = 1.0
+    gamma: Measured = 1.0
     shading: tuple[float, ...] = ()
-    blur_mm: float | None = None
+    blur_mm: BlurWidth | None = None
     blur: Blur = SHARP
     halo: Halo = NO_HALO
     wide_lens: WideLens = PINHOLE
-    black_level: float = 0.0
+    black_level: Irradiance = 0.0
 
     def __post_init__(self) -> None:
         require(
@@ -308,15 +316,9 @@ class Projector:
                 position[0] < 0.0,
                 f"position_mm = {list(position)} is not outside the wall x = 0; give x < 0",
             )
-        for name in ("pixel_power", "gamma"):
-            require(number(self, name) > 0.0, f"{name} = {getattr(self, name)} is not positive; measure it")
+        in_ranges(self)
         if self.shading:
             object.__setattr__(self, "shading", numbers(self, "shading", TERMS))
-        _blur(self)
-        require(
-            number(self, "black_level") >= 0.0,
-            f"black_level = {self.black_level:g} is negative; give the irradiance of a dark picture in W/mm²",
-        )
         require(
             self.blur.corner_mm is None,
             f"blur.corner_mm = {self.blur.corner_mm} is for cameras; a projector's blur is one number, sigma_mm",
@@ -377,11 +379,18 @@ class Camera:
     matrix: Matrix | None = None
     distortion: tuple[float, ...] = ()
     rotation: Vector | None = None
-    blur_mm: float | None = None
+    blur_mm: BlurWidth | None = None
     bin: int = 0
     blur: Blur = SHARP
     halo: Halo = NO_HALO
-    veil: float = 0.0
+    veil: Annotated[
+        float,
+        Within(
+            0.0,
+            MOST_VEIL,
+            f"is outside 0 … {MOST_VEIL:g}; give the share of the picture's light that is spread evenly (0.02 is 2 %)",
+        ),
+    ] = 0.0
 
     def __post_init__(self) -> None:
         require(
@@ -402,12 +411,7 @@ class Camera:
             numbers(self, "position_mm", 3)
         if self.kind == "calibrated":
             _calibration(self)
-        _blur(self)
-        require(
-            0.0 <= number(self, "veil") <= MOST_VEIL,
-            f"veil = {self.veil:g} is outside 0 … {MOST_VEIL:g}; give the share of the picture's light that is spread "
-            "evenly (0.02 is 2 %)",
-        )
+        in_ranges(self)
         require(
             0 <= self.bin <= min(self.shape),
             f"bin = {self.bin} is no number of pixels of a picture of {list(self.shape)}; give 1 to {min(self.shape)}",

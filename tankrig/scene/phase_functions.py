@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.scene.checks import CLOSED, number, require
+from tankrig.ranges import Within
+from tankrig.scene.checks import CLOSED, in_ranges, require
 from tankrig.scene.mie import Mie
 from tankrig.scene.phase_table import PhaseFunction, PhaseRecord, henyey_greenstein_record
 
@@ -63,12 +64,14 @@ class HenyeyGreenstein(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    g: float
+    g: Annotated[
+        float,
+        Within(-1.0, 1.0, "is outside −1 < g < 1; give the mean cosine of one scattering", above=True, below=True),
+    ]
     kind: Literal["henyey-greenstein"] = field(default="henyey-greenstein", repr=False)
 
     def __post_init__(self) -> None:
-        g = number(self, "g")
-        require(-1.0 < g < 1.0, f"g = {g} is outside −1 < g < 1; give the mean cosine of one scattering")
+        in_ranges(self)
 
     def density(self, cosine: Array) -> Array:
         """See `PhaseFunction.density`."""
@@ -111,16 +114,13 @@ class TwoTerm(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    forward: float
-    backward: float
-    share: float
+    forward: Annotated[float, Within(0.0, 1.0, "is outside 0 … 1; give the forward lobe's asymmetry", below=True)]
+    backward: Annotated[float, Within(-1.0, 0.0, "is outside −1 … 0; give the backward lobe's asymmetry", above=True)]
+    share: Annotated[float, Within(0.0, 1.0, "is outside 0 … 1; give the forward lobe's share of the light")]
     kind: Literal["two-term"] = field(default="two-term", repr=False)
 
     def __post_init__(self) -> None:
-        forward, backward, share = (number(self, name) for name in ("forward", "backward", "share"))
-        require(0.0 <= forward < 1.0, f"forward = {forward} is outside 0 … 1; give the forward lobe's asymmetry")
-        require(-1.0 < backward <= 0.0, f"backward = {backward} is outside −1 … 0; give the backward lobe's asymmetry")
-        require(0.0 <= share <= 1.0, f"share = {share} is outside 0 … 1; give the forward lobe's share of the light")
+        in_ranges(self)
 
     def density(self, cosine: Array) -> Array:
         """See `PhaseFunction.density`."""
@@ -146,14 +146,12 @@ class ReynoldsMcCormick(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    g: float
-    alpha: float
+    g: Annotated[float, Within(0.0, 1.0, "is outside 0 … 1", above=True, below=True)]
+    alpha: Annotated[float, Within(-0.5, 20.0, "is outside −0.5 … 20; Henyey–Greenstein is 0.5", above=True)]
     kind: Literal["reynolds-mccormick"] = field(default="reynolds-mccormick", repr=False)
 
     def __post_init__(self) -> None:
-        g, alpha = (number(self, name) for name in ("g", "alpha"))
-        require(0.0 < g < 1.0, f"g = {g} is outside 0 … 1")
-        require(-0.5 < alpha <= 20.0, f"alpha = {alpha} is outside −0.5 … 20; Henyey–Greenstein is 0.5")
+        in_ranges(self)
 
     def density(self, cosine: Array) -> Array:
         """See `PhaseFunction.density`."""
@@ -179,14 +177,14 @@ class FournierForand(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    index: float
-    slope: float
+    index: Annotated[float, Within(1.0, 1.35, "is outside 1 … 1.35; give particles over water", above=True)]
+    slope: Annotated[
+        float, Within(3.0, 5.0, "is outside 3 … 5; give the Junge exponent of the sizes", above=True, below=True)
+    ]
     kind: Literal["fournier-forand"] = field(default="fournier-forand", repr=False)
 
     def __post_init__(self) -> None:
-        index, slope = (number(self, name) for name in ("index", "slope"))
-        require(1.0 < index <= 1.35, f"index = {index} is outside 1 … 1.35; give particles over water")
-        require(3.0 < slope < 5.0, f"slope = {slope} is outside 3 … 5; give the Junge exponent of the sizes")
+        in_ranges(self)
 
     def density(self, cosine: Array) -> Array:
         """See `PhaseFunction.density`."""

@@ -61,6 +61,13 @@ def lit_by(scene: Scene, picture: NDArray[np.generic]) -> Scene:
 
 def beams_of(tank: Tank, projector: Projector, picture: NDArray[np.generic]) -> tuple[Beam, ...]:
     """Beams that a picture lights; see `lit_by`."""
+    beams, coarser = beams_and_detail(tank, projector, picture)
+    warn_of_detail(coarser, stacklevel=4)
+    return beams
+
+
+def beams_and_detail(tank: Tank, projector: Projector, picture: NDArray[np.generic]) -> tuple[tuple[Beam, ...], float]:
+    """Beams that a picture lights, and how many times as far from its light as beams otherwise are they had to be."""
     cells = irradiance_on_wall(tank, projector, picture)
     require(bool(cells.any()), "nothing of the picture reaches the tank; check the projector's pose, and the picture")
     _, width, height = tank.size_mm
@@ -70,13 +77,17 @@ def beams_of(tank: Tank, projector: Projector, picture: NDArray[np.generic]) -> 
         if len(beams) <= MOST_BEAMS:
             break
         coarser *= 1.5
+    return tuple(_rounded_inside(beam, width, height) for beam in beams), coarser
+
+
+def warn_of_detail(coarser: float, stacklevel: int) -> None:
+    """Warn when beams had to be farther from a picture's light than they otherwise are."""
     if coarser > 1.0:
         warnings.warn(
             f"the picture has too much detail for {MOST_BEAMS} beams; they were merged where they differ by less than "
             f"{coarser * LEVELS:.1%} of the brightest, or by {coarser * LIFTED_MM:.1g} mm in height",
-            stacklevel=3,
+            stacklevel=stacklevel,
         )
-    return tuple(_rounded_inside(beam, width, height) for beam in beams)
 
 
 def _rounded_inside(beam: Beam, width: float, height: float) -> Beam:

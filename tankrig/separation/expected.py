@@ -1,11 +1,10 @@
-"""What a model of the liquid says of separated light, order by order, and what order 1 says of the liquid."""
+"""What a model of the liquid says of separated light, order by order, and whether order 1 agrees with it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from tankrig.bench import Bench
 from tankrig.errors import ImageError
@@ -15,10 +14,8 @@ from tankrig.scene.description import Camera, Medium, Scene
 from tankrig.separation.order_one import OrderOne
 from tankrig.separation.waves import Array, Waves, demodulated
 
-EXTINCTION_PER_MM = (1e-4, 0.5)
-"""In which σt is looked for."""
-FAINT = 0.03
-"""Of the brightest column's order 1: what is fainter tells more of higher orders than of its decay."""
+BEYOND = 3.0
+"""Standard deviations from which on order 1 and a fit are said to disagree."""
 
 
 def sheet_scene(wave: Wave, bench: Bench, camera: Camera, medium: Medium) -> Scene:
@@ -78,21 +75,43 @@ class Agreement:
     ----------
     ratio, sd
         Of the two images, and its standard deviation.
+    sigma_t, of_liquid
+        σt by how order 1 decays, and the liquid's, each with its standard deviation, 1/mm; None where order 1 is lost
+        in its own uncertainty.
     """
 
     ratio: float
     sd: float
+    sigma_t: tuple[float, float] | None = None
+    of_liquid: tuple[float, float] = (0.0, 0.0)
 
     @property
     def doubt(self) -> str:
-        """A sentence where they disagree beyond three standard deviations; else empty."""
-        if abs(self.ratio - 1.0) <= 3.0 * self.sd:
-            return ""
-        more = "brighter" if self.ratio > 1.0 else "fainter"
-        return (
-            f"order 1 is {100.0 * abs(self.ratio - 1.0):.2g} % {more} than the fitted liquid has it, more than three "
-            f"times its {100.0 * self.sd:.2g} %: the fit has the wrong liquid, or light that is none of its orders"
-        )
+        """A sentence where they disagree beyond three standard deviations; else empty.
+
+        Examples
+        --------
+        >>> Agreement(1.01, 0.02, (0.0120, 0.0001), (0.0105, 0.0002)).doubt.split(";")[0]
+        'by its decay order 1 has σt 0.012 ± 0.0001 /mm and the fitted liquid 0.0105 ± 0.0002 /mm'
+        >>> Agreement(1.01, 0.02).doubt
+        ''
+        """
+        found = []
+        if abs(self.ratio - 1.0) > BEYOND * self.sd:
+            more = "brighter" if self.ratio > 1.0 else "fainter"
+            found.append(
+                f"order 1 is {100.0 * abs(self.ratio - 1.0):.2g} % {more} than the fitted liquid has it, more than "
+                f"three times its {100.0 * self.sd:.2g} %"
+            )
+        if self.sigma_t is not None:
+            (seen, sd), (fitted, fitted_sd) = self.sigma_t, self.of_liquid
+            if abs(seen - fitted) > BEYOND * float(np.hypot(sd, fitted_sd)):
+                found.append(
+                    f"by its decay order 1 has σt {seen:.3g} ± {sd:.1g} /mm and the fitted liquid {fitted:.3g} ± "
+                    f"{fitted_sd:.1g} /mm"
+                )
+        end = "; the fit has the wrong liquid, or light that is none of its orders"
+        return " and ".join(found) + end if found else ""
 
 
 def agreement(measured: OrderOne, of_liquid: Array) -> Agreement:
@@ -118,67 +137,3 @@ def agreement(measured: OrderOne, of_liquid: Array) -> Agreement:
     total = float(weight @ seen)
     by_noise = float(np.sqrt(measured.alike * np.sum((weight * noise) ** 2))) / total
     return Agreement(float(weight @ image) / total, float(np.hypot(by_noise, float(weight @ model) / total)))
-
-
-def extinction(measured: OrderOne, scene: Scene) -> tuple[float, float]:
-    """σt of the liquid from how order 1 decays along the beams, by no more than geometry.
-
-    Parameters
-    ----------
-    measured
-        Order 1, in any unit.
-    scene
-        Of its sheet; the medium does not matter but for its phase function, over the few angles that are seen.
-
-    Returns
-    -------
-    float, float
-        σt, 1/mm, and its standard deviation: by noise, and by what carrying on to a period of 0 leaves unsure, as one
-        change alike in all of the picture and as one along the beams.
-
-    Raises
-    ------
-    ImageError
-        When order 1 is not known anywhere.
-    """
-    from tankrig.light.single import single_scattering
-
-    known = measured.known
-    if not known.any():
-        raise ImageError("order 1 is not known anywhere, so its decay is not either; see its doubts")
-    along = np.where(known, measured.image, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    known = known & (along > FAINT * float(along.max()))
-    sd = measured.sd[known]
-
-    def scaled(log_sigma_t: float) -> Array:
-        medium = replace(scene.medium, sigma_a=0.0, sigma_s=float(np.exp(log_sigma_t)))
-        image = single_scattering(replace(scene, medium=medium))[known] / sd
-        return np.asarray(image / max(float(np.linalg.norm(image)), 1e-300))
-
-    def found(image: Array) -> float:
-        seen = image[known] / sd
-        low, high = np.log(EXTINCTION_PER_MM)
-        coarse = np.linspace(low, high, 25)
-        best = coarse[np.argmax([float(scaled(one) @ seen) for one in coarse])]
-        step = coarse[1] - coarse[0]
-        result = minimize_scalar(
-            lambda one: -float(scaled(one) @ seen), bounds=(best - step, best + step), method="bounded"
-        )
-        return float(result.x)
-
-    at = found(measured.image)
-    here, change = scaled(at), 1e-3
-    slope = (scaled(at + change) - here) / change
-    amount = float(here @ (measured.image[known] / sd))
-    noise = measured.noise[known] / sd
-    by_noise = float(
-        np.sqrt(measured.alike * np.sum((slope * noise) ** 2)) / (amount * max(float(slope @ slope), 1e-300))
-    )
-    moved = [abs(found(measured.image + part) - at) for part in _doubted(measured)]
-    return float(np.exp(at)), float(np.exp(at) * np.hypot(by_noise, max(moved)))
-
-
-def _doubted(measured: OrderOne) -> tuple[Array, Array]:
-    """(rows, columns) changes that `model` allows: all of it everywhere, and from less to more along the rows."""
-    columns = np.linspace(-1.0, 1.0, measured.image.shape[1])
-    return measured.model, measured.model * columns

@@ -10,9 +10,9 @@ import numpy as np
 from tankrig.bench import Bench
 from tankrig.checked_toml import checked
 from tankrig.errors import ImageError, StoreError
-from tankrig.live.exposures import PhotographPlan, radiometry_of_run, replayed
+from tankrig.image.bins import Bins
 from tankrig.pattern.kinds import Wave
-from tankrig.run.journal import Event
+from tankrig.run.calibrations import radiometry_of_run
 from tankrig.run.reading import Run
 from tankrig.scene.description import Camera, Interval
 from tankrig.separation.order_one import OrderOne, order_one
@@ -137,16 +137,16 @@ def separations_of_run(run: Run) -> list[Separation]:
             f'{run.path}: its sequence has no step that separates orders of scattering; record one with do = "separate"'
         )
     bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
-    found = [one for step in steps for one in _of_step(run, bench, step)]
+    means = _means(run, bench, steps)
+    bins = [bins_for_waves(bench.camera, step.periods_mm) for step in steps]
+    found = [one for step, its in zip(steps, bins, strict=True) for one in _of_step(bench, step, its, means[its])]
     if not found:
         raise ImageError(f"{run.path}: no sheet has all shifts of a wave and a dark frame; let the run come to its end")
     return sorted(found, key=lambda one: (one.dose_ml, one.z_mm))
 
 
-def _of_step(run: Run, bench: Bench, step: Separate) -> Iterator[Separation]:
-    bins = bins_for_waves(bench.camera, step.periods_mm)
+def _of_step(bench: Bench, step: Separate, bins: Bins, means: "Means") -> Iterator[Separation]:
     camera = bins.camera(bench.camera)
-    means = _means(run, bench, step)
     transfers: dict[Wave, Transfer | str] = {}
     for dose_ml in sorted({dose_ml for dose_ml, _ in means}):
         if (dose_ml, "dark") not in means:
@@ -197,9 +197,9 @@ def _transfer(wave: Wave, bench: Bench, camera: Camera, shifts: int) -> Transfer
 class _Mean:
     """Of the frames of one pattern at one dose, so far."""
 
-    image: Array
-    full: Mask
-    sha256: list[str]
+    image: Array = field(default_factory=lambda: np.zeros(()))
+    full: Mask = field(default_factory=lambda: np.zeros((), bool))
+    sha256: list[str] = field(default_factory=list)
 
     def add(self, image: Array, full: Mask, sha256: str) -> None:
         """Take in one more."""
@@ -209,36 +209,39 @@ class _Mean:
         self.sha256.append(sha256)
 
 
-def _means(run: Run, bench: Bench, step: Separate) -> dict[tuple[float, str], _Mean]:
-    """By dose and pattern: counts per ms of all frames that show a wave of the step, or the dark."""
-    bins = bins_for_waves(bench.camera, step.periods_mm)
-    plan = PhotographPlan.of_run(run)
-    radiometry = radiometry_of_run(run)
-    names = {key: pattern.name for key, pattern in run.patterns.items()}
-    wanted = {"dark", *step.patterns}
-    means: dict[tuple[float, str], _Mean] = {}
-    for event, pixels in replayed(run):
-        if event.kind != "frame" or pixels is None or names.get(event["pattern_hash"]) not in wanted:
-            continue
+Means = dict[tuple[float, str], _Mean]
+"""By dose in ml and name of the pattern."""
+
+
+def _means(run: Run, bench: Bench, steps: Sequence[Separate]) -> dict[Bins, Means]:
+    """Counts per ms of all frames that show a wave of the steps, or the dark, in each of the bins that steps ask for.
+
+    Other frames are not read, and none is read twice.
+    """
+    wanted: dict[Bins, set[str]] = {}
+    for step in steps:
+        wanted.setdefault(bins_for_waves(bench.camera, step.periods_mm), {"dark"}).update(step.patterns)
+    shown = {key: pattern.name for key, pattern in run.patterns.items()}
+    radiometry, saturation = radiometry_of_run(run), run.settings.get("saturation")
+    means: dict[Bins, Means] = {bins: {} for bins in wanted}
+    for event in run.events("frame"):
+        name = shown.get(event["pattern_hash"])
+        asking = [bins for bins, names in wanted.items() if name in names]
         then = run.conditions[event["index"]]
-        settings = then.camera or plan.settings[event["step"]]
-        known = radiometry is not None and radiometry.knows(settings.gain)
-        full = np.asarray(pixels >= (np.inf if plan.saturation is None else plan.saturation))
-        if radiometry is not None and known:
-            image = bins.means(radiometry.light(pixels, settings), ~radiometry.hot)
+        if name is None or not asking or event["index"] in run.unsure_doses or then.camera is None:
+            continue  # whoever records waves tells how the camera was set
+        settings, pixels = then.camera, run.pixels(event)
+        full = np.asarray(pixels >= (np.inf if saturation is None else saturation))
+        counts: Mask | None = None
+        if radiometry is not None and radiometry.knows(settings.gain):
+            light, counts = radiometry.light(pixels, settings), ~radiometry.hot
             full |= radiometry.saturated(pixels, settings)
         else:
-            image = bins.means(pixels) / (settings.exposure_ms * settings.gain)
-        key = then.tank.volume_ul / 1000.0, names[event["pattern_hash"]]
-        _add(means, key, image, ~bins.clear_of(full), event)
+            light = pixels / (settings.exposure_ms * settings.gain)
+        for bins in asking:
+            seen = means[bins].setdefault((then.tank.volume_ul / 1000.0, name), _Mean())
+            seen.add(bins.means(light, counts), ~bins.clear_of(full), event["sha256"])
     return means
-
-
-def _add(means: dict[tuple[float, str], _Mean], key: tuple[float, str], image: Array, full: Mask, event: Event) -> None:
-    if key in means:
-        means[key].add(image, full, event["sha256"])
-    else:
-        means[key] = _Mean(image, full, [event["sha256"]])
 
 
 def _digest(names: Sequence[str]) -> str:

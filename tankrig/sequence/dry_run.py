@@ -1,10 +1,12 @@
 """What a sequence will take, and whether the rig allows it, before anything moves."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from tankrig.devices import Delivered
 from tankrig.dosing.limits import DoseLimits, dosed_to
 from tankrig.errors import SequenceError
+from tankrig.ranges import Within, require_ranges
 from tankrig.scene.description import CLOSED
 from tankrig.sequence.exposure import ExposureRule, require_whole_periods
 from tankrig.sequence.sequence import Sequence
@@ -26,17 +28,14 @@ class Pace:
     """
 
     __pydantic_config__ = CLOSED
-    flip_s: float = 0.05
-    dose_ul_per_s: float = 20.0
-    mixing_s: float = 20.0
+    flip_s: Annotated[float, Within(0.0, MOST_S, "is no pace of a rig; give what it needs, in s")] = 0.05
+    dose_ul_per_s: Annotated[
+        float, Within(1.0 / MOST_S, MOST_S, "is no pace of a doser; give what it needs, in µl/s", below=True)
+    ] = 20.0
+    mixing_s: Annotated[float, Within(0.0, MOST_S, "is no pace of a rig; give what it needs, in s")] = 20.0
 
     def __post_init__(self) -> None:
-        times = (self.flip_s, self.mixing_s)
-        if not (min(times) >= 0.0 and max(times) <= MOST_S and MOST_S > self.dose_ul_per_s >= 1.0 / MOST_S):
-            raise SequenceError(
-                f"flip_s = {self.flip_s:g}, dose_ul_per_s = {self.dose_ul_per_s:g}, mixing_s = {self.mixing_s:g} has a "
-                f"value that is no pace of a rig; give what it needs, in s and µl/s"
-            )
+        require_ranges(self, SequenceError)
 
     def seconds(self, action: Action, sequence: Sequence, tank_ul: float) -> float:
         """What one action takes when the tank holds `tank_ul`."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from tankrig.devices import Camera, CameraSettings
+from tankrig.devices import CameraDevice, CameraSettings
 from tankrig.errors import SequenceError
 from tankrig.scene.description import CLOSED
 from tankrig.sequence.sequence import Sequence
@@ -96,7 +96,7 @@ def require_whole_periods(sequence: Sequence, rule: ExposureRule) -> None:
             raise SequenceError(f"{sequence.name}: {label}: {refusal}")
 
 
-def require_camera_keeps(sequence: Sequence, rule: ExposureRule, camera: Camera) -> None:
+def require_camera_keeps(sequence: Sequence, rule: ExposureRule, camera: CameraDevice) -> None:
     """Check what the camera makes of the exposures that a sequence asks for: it may round them without a word.
 
     Raises

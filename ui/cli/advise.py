@@ -1,6 +1,7 @@
 """`tankrig advise`: which dose and pattern to take next, by what they are expected to tell."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,11 @@ from ui.cli.options import json_option, rig_option
 if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.advice.expected import Expected, Known, Shot
+    from tankrig.advice.next_pictures import NextPictures
     from tankrig.advice.ranking import Advice
     from tankrig.live.exposures import PhotographPlan
+    from tankrig.pattern.kinds import Cells
+    from tankrig.sequence.until import Until
 
 SHOWN = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
 
@@ -33,6 +37,18 @@ SHOWN = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
 @click.option("--by", type=click.Choice(["minute", "ul", "all"]), default="minute", show_default=True,
               help="Rank by information per minute, per µl of ink, or in all.")  # fmt: skip
 @click.option("--limit", type=click.IntRange(min=1), default=12, show_default=True, help="Candidates to show.")
+@click.option("--design", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+              help="Design pictures for one dose, and write a sequence that shows them.")  # fmt: skip
+@click.option("--pictures", type=click.IntRange(1, 6), default=2, show_default=True, help="That are designed.")
+@click.option("--height-mm", "heights_mm", type=float, multiple=True, metavar="MM",
+              help="Middle of a sheet of their cells; up to three. Default: half the tank's height.")  # fmt: skip
+@click.option("--sheet-mm", type=click.FloatRange(0.0, min_open=True), default=4.0, show_default=True,
+              help="Thickness of their sheets.")  # fmt: skip
+@click.option("--y-mm", "y_mm", type=(float, float), metavar="LOW HIGH",
+              help="Width of their sheets. Default: three quarters of the tank's.")  # fmt: skip
+@click.option("--cells", type=click.IntRange(2, 40), default=24, show_default=True, help="Of each sheet, along y.")
+@click.option("--until", "wishes", type=(click.Choice(list(SHOWN)), str), multiple=True, metavar="NAME SIZE",
+              help='What ends their run, such as "sigma_s 1%"; may be given several times.')  # fmt: skip
 @rig_option
 @json_option
 def advise(
@@ -45,6 +61,13 @@ def advise(
     wanted: str,
     by: Any,
     limit: int,
+    design: Path | None,
+    pictures: int,
+    heights_mm: tuple[float, ...],
+    sheet_mm: float,
+    y_mm: tuple[float, float] | None,
+    cells: int,
+    wishes: tuple[tuple[str, str], ...],
     rig: Path | None,
     as_json: bool,
 ) -> None:
@@ -52,6 +75,10 @@ def advise(
 
     From what RUN has photographed and fitted so far, or from a guess of the ink. The standard deviations are those
     that a fit of everything, the candidate included, is expected to state.
+
+    With --design pictures are invented: cells in one to three sheets, lit so that a fit of their frames alone is
+    expected to learn most about the liquid at one dose (--dose-ul, or what RUN's tank holds). tankrig run FILE shows
+    them.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -72,6 +99,11 @@ def advise(
         assert ink is not None
         known, taken, plan, exposure_ms = _of_guess(sequence_file, ink, noise, description)
     most_ul = description.limits.tank_ul
+    if design is not None:
+        lit, asked = Lit(heights_mm, sheet_mm, y_mm, cells), Asked(pictures, frames, wanted, wishes)
+        held_ul = 1000.0 * max((shot.dose_ml for shot in taken), default=0.0)
+        _design(known, _dose(doses_ul, held_ul, most_ul), plan, exposure_ms, lit, asked, design, as_json)
+        return
     candidates = candidates_of(taken, plan, exposure_ms, description.pace, most_ul, doses_ul, frames)
     shots = [*taken, *(one.shot for one in candidates)]
     console = Console(stderr=True)
@@ -88,6 +120,109 @@ def advise(
         click.echo(json.dumps({"now": before and before.relative_sd, "candidates": rows}, ensure_ascii=False))
     else:
         _tell(before, found[:limit])
+
+
+@dataclass(frozen=True)
+class Lit:
+    """Where the cells of designed pictures are, as a person says it."""
+
+    heights_mm: tuple[float, ...]
+    sheet_mm: float
+    y_mm: tuple[float, float] | None
+    count: int
+
+    def cells(self, size_mm: tuple[float, float, float]) -> "Cells":
+        """In a tank."""
+        from tankrig.advice.cells import even_cells
+
+        half = 0.5 * self.sheet_mm
+        middles = sorted(self.heights_mm) or [0.5 * size_mm[2]]
+        y_mm = self.y_mm or (-0.375 * size_mm[1], 0.375 * size_mm[1])
+        return even_cells(y_mm, [(one - half, one + half) for one in middles], self.count)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Of designed pictures: how many, frames of each, what is to be known, and what ends their run."""
+
+    pictures: int
+    frames: int
+    wanted: Any
+    wishes: tuple[tuple[str, str], ...]
+
+    @property
+    def until(self) -> "Until | None":
+        """As a sequence has it."""
+        from tankrig.sequence.until import Until
+
+        if not self.wishes:
+            return None
+        try:
+            return Until(**{name: size if "%" in size else float(size) for name, size in self.wishes})
+        except ValueError as error:
+            raise click.UsageError(f'--until wants a share such as "1%" or a number, not {self.wishes}') from error
+
+
+def _dose(doses_ul: tuple[float, ...], held_ul: float, most_ul: float) -> float:
+    """The one dose that pictures are designed for."""
+    total_ul = doses_ul[0] if doses_ul else held_ul
+    if len(doses_ul) > 1 or not 0.0 < total_ul <= most_ul or total_ul < held_ul:
+        raise click.UsageError(
+            f"--design needs one dose that the tank may hold: give one --dose-ul, from {held_ul:g} to {most_ul:g} µl"
+        )
+    return total_ul
+
+
+def _design(
+    known: "Known", total_ul: float, plan: "PhotographPlan", exposure_ms: float, lit: Lit, asked: Asked, file: Path,
+    as_json: bool,
+) -> None:  # fmt: skip
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from tankrig.advice.next_pictures import as_sequence, next_pictures
+    from tankrig.bench import Bench
+    from tankrig.files import require_writable
+
+    if not isinstance(plan.bench, Bench):
+        raise click.UsageError("RUN was imported, and nobody knows which projector could show pictures for it")
+    until = asked.until
+    require_writable(file.parent)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("light of each cell", total=1.0)
+        found = next_pictures(
+            known, total_ul / 1000.0, (), plan.bench, plan.camera, lit.cells(plan.bench.tank.size_mm),
+            asked.pictures, asked.frames, asked.wanted,
+            None if plan.saturation is None else plan.saturation / exposure_ms,
+            progress=lambda done: bar.update(task, completed=done),
+        )  # fmt: skip
+    file.write_text(as_sequence(found, total_ul, exposure_ms, until), encoding="utf-8")
+    after = found.design.after.relative_sd
+    if as_json:
+        usual = {name: one.relative_sd for name, one in found.usual.items()}
+        told = {"file": str(file), "relative_sd": after, "bits": found.bits, "best": found.best, "usual": usual}
+        click.echo(json.dumps(told | {"seconds": found.design.seconds}, ensure_ascii=False))
+        return
+    _tell_design(found)
+    click.echo(f"written  {file}: show it with tankrig run {file}")
+
+
+def _tell_design(found: "NextPictures") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="bold")
+    for number, heading in enumerate((f"{found.total} frames", *(f"{symbol} ±" for symbol in SHOWN.values()))):
+        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
+    table.add_row("designed", *_errors(found.design.after), style="bold")
+    for name in list(found.usual)[:4]:
+        table.add_row(name, *_errors(found.usual[name]))
+    Console().print(table)
+    click.echo(
+        f"± standard deviations expected of a fit of these frames alone. Designed pictures tell {found.bits:.2f} bits "
+        f"more than the best usual ones ({found.best})"
+    )
 
 
 def _of_guess(

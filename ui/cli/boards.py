@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.calibration.board import Board, BoardView
     from tankrig.calibration.pictures import Pictures
-    from tankrig.devices import Camera
+    from tankrig.devices import CameraDevice
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 _TRIES = 3
@@ -102,7 +102,7 @@ class Holder:
         When there is nobody to hold it.
     """
 
-    def __init__(self, camera: "Camera", pictures: "Pictures", board: "Board") -> None:
+    def __init__(self, camera: "CameraDevice", pictures: "Pictures", board: "Board") -> None:
         self._hold = getattr(camera, "hold", None)
         if self._hold is None and not somebody():
             raise click.UsageError("somebody has to hold the board; run this on a terminal")

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-CALIBRATIONS = ("camera", "tank", "projector", "radiometry", "latency", "pump")
+CALIBRATIONS = ("camera", "stray", "tank", "projector", "radiometry", "latency", "pump")
 """`ui/cli/calibrate_NAME.py` holds the click command `NAME`."""
 
 

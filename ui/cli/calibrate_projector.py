@@ -19,6 +19,8 @@ from ui.cli.calibrating import (
 from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from tankrig.calibration.board import BoardView
     from tankrig.calibration.lit_corners import LitBoard
     from tankrig.calibration.projector import ProjectorFound
@@ -50,6 +52,9 @@ def projector(
     evenly; the wall's thickness and index are those of the rig file. The result is a dated file in the folder
     calibration/ beside the rig file, used from then on.
     """
+    from dataclasses import replace
+
+    import numpy as np
     from rich.markup import escape
 
     from tankrig.calibration.file import in_force
@@ -58,6 +63,7 @@ def projector(
     from tankrig.calibration.lit_corners import lit_corners
     from tankrig.calibration.pictures import Pictures
     from tankrig.calibration.projector import MOST_RMS_PX, calibrate_projector
+    from tankrig.calibration.projector_halo import CameraStray, half_patterns, seen_of_halves
     from tankrig.calibration.radiometry import Radiometry
     from tankrig.calibration.uncertainty import Named
     from tankrig.figures.geometry_figure import write_geometry_figure
@@ -66,15 +72,19 @@ def projector(
     held = board_of(**board)
     description = described(rig)
     require_clear_water(description, clear_water or empty)
-    force = in_force(Path(description.calibration_folder), description.calibration, ("camera", "tank", "radiometry"))
+    force = in_force(
+        Path(description.calibration_folder), description.calibration, ("camera", "tank", "radiometry", "stray")
+    )
     known = {kind: require(force, kind) for kind in ("camera", "tank")}
     radiometry = Radiometry.of(force["radiometry"]) if "radiometry" in force else None
+    stray = CameraStray.of(force["stray"]) if "stray" in force else None
     with opened(description, "projector", "camera") as (device, camera):
         known["camera"].require_for(camera.name, camera.shape)
         if radiometry:
             force["radiometry"].require_for(camera.name, camera.shape)
         patterns = gray_code_patterns(device.shape)
-        seconds = views * (len(patterns) * _SECONDS_A_PICTURE + _SECONDS_A_VIEW)
+        halves = half_patterns(device.shape) if radiometry and stray else ()
+        seconds = views * ((len(patterns) + len(halves)) * _SECONDS_A_PICTURE + _SECONDS_A_VIEW)
         click.echo(f"takes about {seconds / 60.0:.0f} minutes on the bench, handling included", err=True)
         pictures = Pictures(camera, exposure_ms)
         holder = Holder(camera, pictures, held)
@@ -82,17 +92,25 @@ def projector(
         def lit(_: "BoardView") -> "LitBoard | None":
             with holder.console.status("patterns") as status:
                 frames = pictures.of_patterns(
-                    device, patterns, lambda count: status.update(f"patterns: {count} of {len(patterns)}")
+                    device,
+                    (*patterns, *halves),
+                    lambda count: status.update(f"patterns: {count} of {len(patterns) + len(halves)}"),
                 )
             device.show(patterns[0])
             view = holder.look(frames[0], "  with the patterns")
             if view is None:
                 return None
-            light = None
+            code, of_halves = frames[: len(patterns)], frames[len(patterns) :]
+            decoded = decode(code, device.shape, camera.saturation)
+            light: NDArray[np.float32] | None = None
+            beside = np.zeros((0, 3))
             if radiometry and radiometry.knows(pictures.settings.gain):
-                white, black = (radiometry.corrected(frame, pictures.settings) for frame in frames[:2])
-                light = (white - black).astype("f4")
-            found = lit_corners(view, decode(frames, device.shape, camera.saturation), held, light)
+                linear = [radiometry.corrected(frame, pictures.settings) for frame in (*frames[:2], *of_halves)]
+                light, *beside_black = ((one - linear[1]).astype("f4") for one in (linear[0], *linear[2:]))
+                if stray and beside_black:
+                    lights = light, beside_black[0], beside_black[1]
+                    beside = seen_of_halves(lights, decoded, stray, device.shape[1] // 2 - 0.5)
+            found = replace(lit_corners(view, decoded, held, light), halves=beside)
             if found.fault:
                 holder.console.print(f"  [red]not used: {escape(found.fault)}[/red]", highlight=False)
                 return None
@@ -132,7 +150,7 @@ def projector(
     rows["corners off by"] = f"{found.rms_px:.3f} projector px rms, {len(found.view_rms_px)} views"
     rows["between corners"] = f"{found.coverage:.0%} of its picture"
     rows["light"] = _evenness(found)
-    rows |= blurred(kept, "projector px") | left_out(kept)
+    rows |= blurred(kept, "projector px") | _halo(found) | left_out(kept)
     return tell(kept, rows, as_json)
 
 
@@ -146,3 +164,15 @@ def _evenness(found: "ProjectorFound") -> str:
     return f"{map_.min() / map_.max():.0%} of its brightest pixel's in the darkest; points scatter by " + (
         f"{found.evenness.scatter:.1%}"
     )
+
+
+def _halo(found: "ProjectorFound") -> dict[str, str]:
+    """In words."""
+    if found.halo is None:
+        why = "calibrate radiometry and stray first" if not found.evenness else "calibrate stray first"
+        return {"halo": f"not measured; {why}, and it is told from the camera's"}
+    share, width = found.halo.sd
+    return {
+        "halo": f"{100 * found.halo.share:.2f} ± {100 * share:.2g} % of the light, standard deviation "
+        f"{found.halo.sigma_px:.0f} ± {width:.2g} projector px"
+    }

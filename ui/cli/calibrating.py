@@ -13,7 +13,7 @@ from ui.guide import Feedback, ask, confirm, emit, guided, somebody
 if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.calibration.file import Calibration
-    from tankrig.devices import Camera
+    from tankrig.devices import CameraDevice
 
 _REQUESTS = {
     "cap": "Cap the lens, so that no light gets in.",
@@ -21,6 +21,8 @@ _REQUESTS = {
     "diffuser turned": "Turn the diffuser by half a turn, in its own plane.",
     "nothing": "Take everything off the lens.",
 }
+
+_OVER_PICTURE = ("blur_middle_px", "blur_corner_px")
 
 accept_option = click.option(
     "--accept", is_flag=True, help="Use the result even if it is doubtful or much worse than the one before."
@@ -79,7 +81,7 @@ def described(rig: Path | None) -> "RigFile":
     return load_rig_file(own if own.exists() else SIMULATED.with_name("bench.toml"), beside=Path().absolute())
 
 
-def asker(camera: "Camera", shown: Feedback) -> Callable[[str], None]:
+def asker(camera: "CameraDevice", shown: Feedback) -> Callable[[str], None]:
     """Ask a person to put something before the lens; a simulated camera does it by itself.
 
     Raises
@@ -116,7 +118,11 @@ def blurred(kept: "Calibration", unit: str) -> dict[str, str]:
     """What the lens spreads, in words; nothing where that was not measured."""
     if "blur_px" not in kept.result:
         return {"blurs by": "not measured; show more of the board's edges, in focus"}
-    return {"blurs by": f"{kept.result['blur_px']:.2f} ± {kept.sd['blur_px']:.2g} {unit} (standard deviation)"}
+    told = {"blurs by": f"{kept.result['blur_px']:.2f} ± {kept.sd['blur_px']:.2g} {unit} (standard deviation)"}
+    if "blur_corner_px" in kept.result:
+        middle, corner = (f"{kept.result[name]:.2f} ± {kept.sd[name]:.2g}" for name in _OVER_PICTURE)
+        told["from middle to corners"] = f"{middle} to {corner} {unit}"
+    return told
 
 
 def left_out(kept: "Calibration") -> dict[str, str]:

@@ -62,7 +62,8 @@ def make(folder: Path, seed: int, doses: int) -> None:
     for device in ("projector", "camera"):
         rig[device]["time_scale"] = TIME_SCALE
     rig["camera"]["boards"]["seed"] = seed
-    rig["camera"].setdefault("truth", tomlkit.table()).update({"mixing_s": MIXING_S, "ink": _ink(seed)})
+    truth = {"mixing_s": MIXING_S, "ink": _ink(seed), **_optics(seed)}
+    rig["camera"].setdefault("truth", tomlkit.table()).update(truth)
     rig["doser"]["rate"] = STEPS_PER_S
     rig.setdefault("exposure", tomlkit.table()).setdefault("period_ms", 0.0)
     sequence: Any = tomlkit.parse(SIMULATED.with_name(SEQUENCE).read_text(encoding="utf-8"))
@@ -84,6 +85,21 @@ def _ink(seed: int) -> dict[str, float]:
         "g": random.uniform(0.5, 0.85),
     }
     return {name: round(value, 6) for name, value in drawn.items()}
+
+
+def _optics(seed: int) -> dict[str, Any]:
+    """What lenses do besides being ideal, as on a usual bench, and by how much a dark picture is none."""
+    import numpy as np
+
+    random = np.random.default_rng((seed, 19))
+    stray = {
+        "camera_blur_corner": random.uniform(1.0, 1.5),
+        "camera_halo": random.uniform(0.005, 0.025),
+        "camera_halo_mm": random.uniform(20.0, 40.0),
+        "veil": random.uniform(0.0, 0.02),
+    }
+    leak = round(random.uniform(5e-4, 2e-3), 6)
+    return {"leak": leak, "stray": {name: round(value, 6) for name, value in stray.items()}}
 
 
 def is_there(folder: Path) -> bool:
@@ -239,10 +255,13 @@ def measured_beside_true(description: "RigFile") -> list[dict[str, Any]]:
     if truth is None:
         return []
     found = usable(Path(description.calibration_folder), description.calibration)
+    astray = description.camera.get("truth", {}).get("stray", {})
     wanted: list[tuple[str, str, tuple[str | int, ...], float, str]] = [
         ("camera's focal length", "camera", ("fx",), truth.camera.matrix[0, 0], "px"),
         ("projector's focal length", "projector", ("fx",), truth.projector.matrix[0, 0], "px"),
         ("water level", "tank", ("level_mm",), truth.level_mm, "mm"),
+        ("camera's halo", "stray", ("halo_share",), astray.get("camera_halo", 0.0), "of the light"),
+        ("camera's veil", "stray", ("veil",), astray.get("veil", 0.0), "of the light"),
     ]
     for axis, name in enumerate("xyz"):
         camera_mm, projector_mm = truth.camera.centre_mm[axis], truth.projector.centre_mm[axis]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tankrig.estimation.phase_result import Scattering
     from tankrig.estimation.result import Reconstruction
     from tankrig.live.one_picture import Picture
-    from tankrig.scene import Camera, Medium
+    from tankrig.scene import Camera, Medium, Scene
 
 LEVEL = 0.95
 """Of the intervals that are printed."""
@@ -140,6 +140,12 @@ class Nuisance(click.ParamType[Any]):
     help="Gain that the camera was set to.",
 )
 @click.option("--dark", type=click.Path(path_type=Path), metavar="FILE", help="Raw frame without light, subtracted.")
+@click.option(
+    "--dark-pattern",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Raw frame of the projector's dark picture, subtracted: its black level and the room's light go with it.",
+)
 @click.option("--mask", type=click.Path(path_type=Path), metavar="FILE", help="Image; where it is not 0 is left out.")
 @click.option(
     "--edges",
@@ -174,6 +180,7 @@ def fit(
     exposure_ms: float | None,
     gain_setting: float,
     dark: Path | None,
+    dark_pattern: Path | None,
     mask: Path | None,
     edges: float | None,
     max_order: int | None,
@@ -183,8 +190,9 @@ def fit(
     """Fit σa, σs and g to IMAGE, a picture of the lit tank.
 
     IMAGE is .npz, .npy, or a 16-bit or floating-point .png or .tif whose pixels are those of the scene's camera. With
-    --exposure-ms it is a raw frame, counts of 8 or 16 bits, and becomes radiance by --rig and --dark. A calibrated
-    camera's pixels are put together to bins, and what lenses blur at the sides of beams is left out.
+    --exposure-ms it is a raw frame, counts of 8 or 16 bits, and becomes radiance by --rig and --dark or
+    --dark-pattern. A calibrated camera's pixels are put together to bins, and what lenses blur at the sides of beams is
+    left out.
 
     Prints the coefficients with intervals, a verdict, and how well 1, 3, 20 and all orders of scattering rebuild the
     image; writes a picture of that beside the observation.
@@ -194,20 +202,25 @@ def fit(
     from tankrig.estimation.result import by_order
     from tankrig.files import require_writable, whole_file
 
-    for name, given in (("--dark", dark), ("--rig", rig)):
+    if dark is not None and dark_pattern is not None:
+        raise click.UsageError("--dark-pattern holds what --dark does; give one of them")
+    for name, given in (("--dark", dark), ("--dark-pattern", dark_pattern), ("--rig", rig)):
         if exposure_ms is None and given is not None:
             raise click.UsageError(f"{name} belongs to a raw frame; give its --exposure-ms too")
     measured = None if rig is None else _Measured.of(rig)
-    raw = _Raw(exposure_ms, gain_setting, dark, measured) if exposure_ms is not None else None
+    subtracted = dark_pattern or dark
+    raw = None
+    if exposure_ms is not None:
+        raw = _Raw(exposure_ms, gain_setting, subtracted, measured, dark_pattern is not None)
     try:
         picture = _picture(image_file, scene_file, array, scale, raw, edges, mask)
     except tankrig.ImageError as error:
         raise error if str(image_file) in str(error) else tankrig.ImageError(f"{image_file}: {error}") from error
-    notes = [] if raw is None else raw.notes(picture.scene.camera, scene_file)
+    notes = [] if raw is None else raw.notes(picture.scene, scene_file)
     for note in notes:
         click.echo(f"note: {note}", err=True)
     require_writable(out)
-    if raw is not None and dark is not None and offset == "free":
+    if raw is not None and subtracted is not None and offset == "free":
         offset = 0.0
     scene, image, stem = picture.scene, picture.image, out / f"{image_file.stem}-fit"
     asked: dict[str, Any] = {"gain": gain, "offset": offset, "noise": noise, "nuisance": dict(nuisance)}
@@ -305,14 +318,25 @@ class _Raw:
     gain: float
     dark: Path | None
     measured: _Measured | None
+    of_pattern: bool
+    """Whether the dark frame is of the projector's dark picture."""
 
     @property
     def radiometry(self) -> "Radiometry | None":
         """Of its camera, where that is known."""
         return None if self.measured is None else self.measured.radiometry
 
-    def notes(self, camera: "Camera", scene_file: Path) -> list[str]:
-        """What does not stop a fit and may spoil it, in a sentence each; `camera` is the scene's."""
+    def notes(self, scene: "Scene", scene_file: Path) -> list[str]:
+        """What does not stop a fit and may spoil it, in a sentence each."""
+        notes = self._about_camera(scene.camera, scene_file)
+        if scene.projector.black_level > 0.0 and self.dark is not None:
+            notes.append(
+                f"{scene_file} says what light dark parts of the projector's picture have, and the fit counts it; if "
+                f"{self.dark} was taken with the projector's dark picture, give it as --dark-pattern"
+            )
+        return notes
+
+    def _about_camera(self, camera: "Camera", scene_file: Path) -> list[str]:
         if camera.kind != "calibrated":
             return []
         if self.measured is None:
@@ -354,6 +378,8 @@ def _picture(
         require_no_board(frame, scene.camera)
         image, hot, full = radiance_of(frame, settings, raw.radiometry, dark)
         image = scale * image
+        if raw.of_pattern:
+            scene = replace(scene, projector=replace(scene.projector, black_level=0.0))
     mask = None if mask_file is None else read_mask(mask_file)
     return picture_of(image, scene, hot, full, edges, mask)
 

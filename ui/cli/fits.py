@@ -38,6 +38,7 @@ def fits_of(run: Path, description: "RigFile | None") -> dict[str, Any]:
             "sd": dict(zip(NAMES, fit.sd, strict=True)),
             "determined": dict(fit.identifiable),
             "structure": fit.structure,
+            "order_one": fit.order_one,
         }
         sigma_t = fit.medium.sigma_t
         if truth:
@@ -83,6 +84,8 @@ def tell_fits(found: dict[str, Any]) -> None:
                 "and counted in the errors",
                 highlight=False,
             )
+        if row["order_one"]:
+            console.print(f"{row['dose_ml']:.3g} ml: {row['order_one']}", highlight=False, markup=False)
     if "verdict" in found:
         console.print(f"\n{found['verdict']}", highlight=False, markup=False)
     click.echo()

@@ -10,8 +10,8 @@ from ui.cli.options import json_option, out_option
 
 if TYPE_CHECKING:
     from tankrig.live.results import DoseFit
+    from tankrig.live.separated import Told
     from tankrig.separation import Separation
-    from tankrig.separation.told import Told
 
 
 @click.command(epilog="Example: tankrig separate runs/2026-11-20T10-00-00 --orders")
@@ -34,10 +34,10 @@ def separate(run: Path, out: Path | None, orders: bool, as_json: bool) -> None:
     from tankrig.files import require_writable
     from tankrig.live.exposures import fits_that_hold
     from tankrig.live.results import fits_in
+    from tankrig.live.separated import told_of
     from tankrig.run.derived import FOLDER, write_derived
     from tankrig.run.reading import open_run
     from tankrig.separation import separations_of_run
-    from tankrig.separation.told import told_of
 
     opened = open_run(run)
     folder = out or run / FOLDER

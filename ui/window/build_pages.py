@@ -51,10 +51,12 @@ def pages(
     from ui.window.log_panel import LogPanel
     from ui.window.regions_page import RegionsPage
     from ui.window.runs_page import RunsPage
+    from ui.window.separation_page import SeparationPage
 
     regions = RegionsPage(live.regions, live.profile, on_screen)
-    runs = RunsPage(folder, on_screen, background)
+    runs, separation = RunsPage(folder, on_screen, background), SeparationPage()
     yield (
+        ("separation", "Waves", separation, SourceFrame(separation)),
         _of_rig("runs", "Runs", runs, "RUNS recorded with"),
         _of_rig("compare", "Compare", ComparePage(runs.catalogue, on_screen), "COMPARISON of runs, beside"),
         _of_rig("calibration", "Calibration", CalibrationPage(source)),

@@ -35,6 +35,7 @@ from ui.window.source_frame import SourceFrame
 from ui.window.theme import CURVES
 
 SOURCE = Qt.ItemDataRole.UserRole
+NO_RUNS = "No run has been recorded yet. Run two sequences, and compare them here."
 EMPTY = "Tick two runs or more: their curves and results will stand here side by side."
 HEADINGS = ("", "of", "σs", "σa", "g", "model and settings")
 
@@ -110,7 +111,7 @@ class ComparePage(QWidget):
         self._draw_curves([shown for shown, _ in found])
         self._draw_table([result for _, result in found])
         self._colour(ticked)
-        self._says.setText("" if len(found) > 1 else EMPTY)
+        self._says.setText("" if len(found) > 1 else EMPTY if self._sources.count() else NO_RUNS)
 
     def _draw_curves(self, all_shown: Sequence[Shown]) -> None:
         self._curves.setVisible(bool(all_shown))  # axes of nothing would measure nothing

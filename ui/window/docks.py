@@ -10,7 +10,9 @@ from PySide6.QtWidgets import QApplication, QDockWidget, QFrame, QMainWindow, QS
 from ui.window.source_frame import SourceFrame
 from ui.window.staggered_painter import StaggeredPainter
 
-TITLES = ("Sequence", "Fit", "Doser", "Projector", "Runs", "Compare", "Regions", "Calibration", "Log")
+TITLES = (
+    "Sequence", "Fit", "Waves", "Doser", "Projector", "Runs", "Compare", "Regions", "Calibration", "Log"
+)  # fmt: skip
 PART = 0.54
 """Of the window's width, at first."""
 
@@ -136,6 +138,4 @@ class Docks(QObject):
 def _appear(plots: list[pg.PlotWidget], turns: StaggeredPainter, visible: bool) -> None:
     """Paint a page's plots one after another: all at once they would hold the live picture up."""
     if visible:
-        for plot in plots:
-            plot.setUpdatesEnabled(False)
-        turns.take([partial(plot.setUpdatesEnabled, True) for plot in plots])
+        turns.hold(plots)

@@ -98,6 +98,8 @@ class DoserPage(QWidget):
         self._able()
         self._refill.setEnabled(status.state in (RigState.IDLE, RigState.FAILED) and not status.dosing)
         if self._rig is None or status.tank is None or status.remaining is None:
+            if status.state is RigState.FAILED:
+                self._know_nothing()
             return
         tank, limits = status.tank, self._rig.limits
         spread = tank.high_ul - tank.low_ul
@@ -120,6 +122,14 @@ class DoserPage(QWidget):
             if bar.property("level") != ("high" if high else ""):
                 bar.setProperty("level", "high" if high else "")
                 bar.style().polish(bar)
+
+    def _know_nothing(self) -> None:
+        """The rig cannot be used: what it said before need not be true any more."""
+        self._held.setText("What the tank holds is not known now")
+        self._concentration.setText("The rig cannot be used; the line at the top says why.")
+        for bar in (self._tank_bar, self._run_bar, self._dose_bar):
+            bar.setValue(0)
+            bar.setFormat("–")
 
     # -- what a person does --------------------------------------------------------------------------------------------
 

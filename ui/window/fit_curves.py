@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
+from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import QGraphicsItem, QHBoxLayout, QSizePolicy, QWidget
 
 from tankrig.live.results import DoseFit, SeriesFit
@@ -30,6 +31,7 @@ class FitCurves(QWidget):
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
         self._plots: dict[str, tuple[Any, Any, Any, Any]] = {}
+        self._widgets: list[QWidget] = []
         for (name, (symbol, _, unit)), colour in zip(COEFFICIENTS.items(), CURVES, strict=False):
             widget = pg.PlotWidget()
             plot = widget.getPlotItem()
@@ -49,6 +51,7 @@ class FitCurves(QWidget):
             plot.addItem(bars)
             plot.addItem(points)
             row.addWidget(widget, 1)
+            self._widgets.append(widget)
             self._plots[name] = plot, line, bars, points
             widget.setMinimumHeight(112)
             widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
@@ -79,6 +82,12 @@ class FitCurves(QWidget):
                 plot.setLabel("bottom", "ink (ml)" if against == "dose_ml" else "time (s)")
         self._painter.take(partial(self._show, name) for name in self._plots)
 
+    def showEvent(self, event: QShowEvent) -> None:  # noqa: N802 - Qt's name
+        """The plots are painted one after another, each with what it shows."""
+        super().showEvent(event)
+        self._painter.hold(self._widgets)
+        self._painter.take(partial(self._show, name) for name in self._plots)
+
     def _show(self, name: str) -> None:
         plot, line, bars, points = self._plots[name]
         at = np.array([place for place, _ in self._fits])
@@ -89,6 +98,7 @@ class FitCurves(QWidget):
         if len(at):
             self._frame(plot, at, values, errors, name)
         line.setData(*self._line(name, at, self._series) if self._against == "dose_ml" and len(at) else ([], []))
+        plot.getViewWidget().setUpdatesEnabled(True)
 
     def _frame(self, plot: Any, at: Any, values: Any, errors: Any, name: str) -> None:
         """A view in which a few very long error bars do not hide the rest."""
@@ -96,7 +106,7 @@ class FitCurves(QWidget):
         low, high = float(np.min(values - reach)), float(np.max(values + reach))
         if name == "g":
             low, high = max(-1.0, min(low, 0.0)), 1.0
-        margin = 0.05 * (high - low or 1.0)
+        margin = 0.1 * (high - low or 1.0)  # a point is as wide as a tenth of a low plot
         if name != "g":
             low = min(low, 0.0) - margin
         (left, right), (bottom, top) = plot.viewRange()

@@ -154,7 +154,7 @@ class FitPage(QWidget):
         else:
             part = np.clip(residual / (peak * reach), -1.0, 1.0)
             left, colours = (127.5 * (1.0 + part)).astype(np.uint8), residual_palette()
-            same = f"residual, ±{100.0 * reach:.2g} % of peak"
+            same = f"residual, ±{100.0 * reach:.2g} %"
 
         def show(plot: TankPlot, name: str, indices: Indices, colours: Indices) -> None:
             plot.show_indices(indices, colours)
@@ -173,7 +173,7 @@ class FitPage(QWidget):
         head, single, whole = f"{one.pattern} at {one.dose_ml:.4g} ml", one.rmse.get("single"), one.rmse["all"]
         by = single / whole if single is not None and whole > 0.0 else 1.0
         rest = "" if single is None else f": single scattering leaves {by:.1f} times as much as all orders"
-        self._says.setText(f"{head}{rest}.")
+        self._says.setText(f"{head}{rest}. Percentages are of the brightest pixel observed.")
 
     def _lay_out(self) -> None:
         self.card, self._bars, self._curves = ResultCard(), OrderBars(), FitCurves()

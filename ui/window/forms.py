@@ -20,7 +20,13 @@ RANGES: dict[str, tuple[float, float]] = {
 }  # fmt: skip
 """Of fields that do not declare theirs, because the projector decides."""
 WIDE = (-1e6, 1e6)
-HINTS = {"until": "capture no more once the live fit knows it so well; a share such as 1 %, or a number in its unit"}
+HINTS = {
+    "until": "capture no more once the live fit knows it so well; a share such as 1 %, or a number in its unit",
+    "periods_mm": "from crest to crest of each wave; the finest two tell order 1, the third what still follows it",
+    "shifts": "in which each wave is shown: 4, 8, …; waves half a period apart add up to the sheet",
+    "heights_mm": "middles of sheets as thick as z, one after the other; empty: the sheet at z alone",
+}
+"""What fields mean that do not say it by their names."""
 PICTURES = "Pictures (*.png *.tif *.tiff *.bmp *.pgm)"
 
 
@@ -90,6 +96,7 @@ class Form(QWidget):
             widget = self._widget(field.name, hints[field.name], values.get(field.name), default, choices, within)
             self.rows[field.name] = widget
             label = QLabel(label_of(field.name))
+            label.setToolTip(HINTS.get(field.name, ""))
             label.setBuddy(widget)
             layout.addRow(label, widget)
 
@@ -113,7 +120,7 @@ class Form(QWidget):
                 unit_of(name),
                 within.low,
                 within.high,
-                label_of(name),
+                _hinted(name, label_of(name)),
                 optional,
                 hint is int,
                 within.above,
@@ -188,7 +195,12 @@ def _numbers_field(name: str, hint: Any, optional: bool) -> CheckedField:
             return None, f"give {wanted} in {unit_of(name)}, with blanks between them"
         return [value for value in values if value is not None], ""
 
-    return CheckedField(read, unit_of(name), f"{label_of(name)}: {wanted} with blanks between them")
+    return CheckedField(read, unit_of(name), _hinted(name, f"{label_of(name)}: {wanted} with blanks between them"))
+
+
+def _hinted(name: str, words: str) -> str:
+    """Words about a field, and what it means where its name does not say that."""
+    return f"{words} ({HINTS[name]})" if name in HINTS else words
 
 
 def _without_none(hint: Any) -> Any:

@@ -20,6 +20,7 @@ from ui.window.tone import Tone, automatic, how_often
 if TYPE_CHECKING:
     from tankrig.bench import Bench, KnownScenes
     from tankrig.pattern import Pattern
+    from tankrig.scene import Scene
 
 SLOW_S = 0.2
 """Statistics of frames follow them at this pace."""
@@ -222,12 +223,23 @@ def _outlines(bench: "Bench | KnownScenes | None", pattern: "Pattern | None") ->
 
     water = Medium(0.0, 0.01, 0.0)  # any will do
     try:
-        outlines = beam_outlines(bench.scene(pattern, water)) if bench and pattern else []
+        scene = bench.scene(pattern, water) if bench and pattern else None
+        outlines = [] if scene is None else [_on_water(one, scene) for one in beam_outlines(scene)]
     except (SceneError, SequenceError):
         outlines = []  # a dark pattern has no beams
     apart = np.full((1, 2), np.nan)
     lines = [np.vstack([one, one[:1], apart]) for one in outlines if len(outlines) <= MOST_OUTLINES]
     return np.vstack(lines) if lines else np.empty((0, 2))
+
+
+def _on_water(outline: NDArray[np.float64], scene: "Scene") -> NDArray[np.float64]:
+    """From a calibrated camera's own picture, in which outlines are told, to x and y of the water, on which it lies."""
+    from ui.window.tank_plot import pixels_to_mm
+
+    tall, wide = scene.camera.sides_mm
+    to_mm = pixels_to_mm(scene.camera, scene.tank)
+    pixels = (outline + np.array([0.0, 0.5 * scene.tank.size_mm[1]])) / np.array([wide, tall])
+    return np.array([to_mm.map(column, row) for column, row in pixels.tolist()])
 
 
 def _middle(shape: tuple[int, ...]) -> tuple[slice, slice]:

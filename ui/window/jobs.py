@@ -67,7 +67,7 @@ class Reading:
     labels
         Of its steps, all of them; a run that was imported followed none.
     patterns
-        Names of those that light anything.
+        Names of those that light anything and can be fitted.
     bench
         Where it was recorded.
     without_fits
@@ -76,6 +76,8 @@ class Reading:
         In regions of its frames, where some are saved with it.
     doubts
         What lies beside the run and cannot be read, in sentences.
+    separates
+        Whether it has steps that separate orders of scattering.
     """
 
     run: "Run"
@@ -85,6 +87,7 @@ class Reading:
     without_fits: bool = False
     counted: tuple[Counted, ...] = ()
     doubts: tuple[str, ...] = ()
+    separates: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,14 +153,15 @@ def read(path: Path) -> Reading:
     StoreError
         When it cannot be read.
     """
-    from tankrig.live.exposures import PhotographPlan, fits_that_hold
+    from tankrig.live.exposures import PhotographPlan, fits_that_hold, wave_names
     from tankrig.run.reading import open_run
     from tankrig.sequence.loading import sequence_from_table
 
     run = open_run(path)
     table = run.settings.get("sequence")
     labels = () if table is None else tuple(task.label for task in sequence_from_table(dict(table), str(path)).tasks)
-    lit = tuple(pattern.name for pattern in run.patterns.values() if pattern.pixels.any())
+    waves = wave_names(run)
+    lit = tuple(one.name for one in run.patterns.values() if one.pixels.any() and one.name not in waves)
     bench = PhotographPlan.of_run(run).bench
     _ = run.conditions  # found here and not where it would keep the window waiting
     wrong = bool(run.fits) and not fits_that_hold(run)
@@ -167,7 +171,7 @@ def read(path: Path) -> Reading:
         counted = read_regions(path)
     except StoreError as error:
         doubts = (str(error),)
-    return Reading(run, labels, lit, bench, wrong, counted, doubts)
+    return Reading(run, labels, lit, bench, wrong, counted, doubts, bool(waves))
 
 
 def count_regions(path: Path, regions: tuple[Region, ...]) -> tuple[Counted, ...]:

@@ -33,6 +33,7 @@ KEYS = (
     Key("page-7", ("Ctrl+7",), "log"),
     Key("page-8", ("Ctrl+8",), "Compare page"),
     Key("page-9", ("Ctrl+9",), "Regions page"),
+    Key("page-10", ("Ctrl+Shift+O",), "Waves page: light sorted by orders of scattering"),
     Key("palette", ("Ctrl+Shift+P",), "all actions by their names"),
     Key("screenshot", ("Ctrl+Shift+S",), "save a picture of the window"),
     Key("layout-align", ("Ctrl+F1",), "pages for aligning: a large picture, and the projector"),

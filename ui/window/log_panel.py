@@ -7,12 +7,22 @@ from pathlib import Path
 
 from PySide6.QtCore import QEvent, QObject, Qt, Signal
 from PySide6.QtGui import QColor
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QListWidget,
+    QListWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from ui.window import theme
 
 MOST_LINES = 5000
 PARTS = ("tankrig", "drivers", "ui")
+EMPTY = "What happens to the rig and to runs will be listed here, with its time, and is kept on disk."
 KEPT, KEPT_BYTES = "window.log", 700_000
 LEVELS = {"everything": logging.INFO, "warnings and errors": logging.WARNING, "errors": logging.ERROR}
 
@@ -77,6 +87,10 @@ class LogPanel(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(6, 4, 6, 4)
         column.addLayout(head)
+        self._empty = QLabel(EMPTY)
+        self._empty.setWordWrap(True)
+        self._empty.setProperty("role", "faint")
+        column.addWidget(self._empty)
         column.addWidget(self._lines, 1)
         self._handler = _Handler()
         self._handler.logged.connect(self._add, Qt.ConnectionType.QueuedConnection)
@@ -103,6 +117,7 @@ class LogPanel(QWidget):
         item.setData(Qt.ItemDataRole.UserRole, level)
         _colour(item)
         self._lines.addItem(item)
+        self._empty.hide()
         item.setHidden(not self._passes(item))
         if self._lines.count() > MOST_LINES:
             self._lines.takeItem(0)

@@ -28,6 +28,7 @@ from ui.window.banner import Banner
 from ui.window.build_pages import pages
 from ui.window.docks import Docks
 from ui.window.dropped import Dropped, kind_of
+from ui.window.elided import Elided
 from ui.window.event_loop_monitor import EventLoopMonitor
 from ui.window.figure import FIGURE_KINDS, FRAME_KINDS, pixmap_of, save_figure, write_counts
 from ui.window.files import ask_for_file, ask_where_to_save
@@ -64,13 +65,14 @@ if TYPE_CHECKING:
     from ui.window.regions_page import RegionsPage
     from ui.window.replay import Replay
     from ui.window.runs_page import RunsPage
+    from ui.window.separation_page import SeparationPage
     from ui.window.sequence_page import SequencePage
     from ui.window.shown import Shown
     from ui.window.source import Source
 
 _log = logging.getLogger(__name__)
 
-LAYOUT = 4
+LAYOUT = 5
 """Raised when docks are added, so that an old layout is not restored."""
 PICTURE_MS = 3000
 """The pages are made once the first picture is on screen, or after this."""
@@ -99,6 +101,7 @@ class MainWindow(QMainWindow):
 
     sequence: "SequencePage"
     fit: "FitPage"
+    separation: "SeparationPage"
     compare: "ComparePage"
     doser: "DoserPage"
     projector: "ProjectorPage"
@@ -198,6 +201,7 @@ class MainWindow(QMainWindow):
         self.calibration.wizard.lend_asked.connect(host.lend)
         self.sequence.run_asked.connect(self.run)
         self.compare.next.step_asked.connect(self.sequence.append)
+        self.separation.step_asked.connect(self.separate)
         self.sequence.rig_asked.connect(self.ask_for_rig)
         self.sequence.opened.connect(self.remember)
         self.sequence.recent_asked.connect(self.open_path)
@@ -220,7 +224,7 @@ class MainWindow(QMainWindow):
         self.live.regions_asked.connect(self.show_regions)
         undo, pages = self.sequence.document.undo, (
             self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log,
-            self.compare, self.regions,
+            self.compare, self.regions, self.separation,
         )  # fmt: skip
         self.make_keys({
             "palette": self.show_palette, "screenshot": self.save_screenshot,
@@ -286,7 +290,8 @@ class MainWindow(QMainWindow):
         if new:
             for page in (self.sequence.document, self.doser, self.projector):
                 page.set_rig(rig)
-            self.sequence.patterns.set_wall(rig.bench.wall)
+            for editor in (self.sequence.patterns, self.sequence.steps):
+                editor.set_wall(rig.bench.wall)
         if not self._offered:
             self._offered = True
             self._offer_resume(rig.name)
@@ -302,7 +307,7 @@ class MainWindow(QMainWindow):
     def _follow(self, status: RigStatus) -> None:
         before, self.status = self.status, status
         self.stop_keys.follow()
-        self._words.setText(status.words)
+        self._words.say(status.words)
         self._held.setText("" if status.tank is None else f"{volume(status.tank.volume_ul)} of ink in the tank")
         self.live.set_camera(self.host.camera_settings, status.state is RigState.IDLE)
         self._tell_trouble(before, status)
@@ -382,8 +387,10 @@ class MainWindow(QMainWindow):
 
     def began(self, path: Path, sequence: "Sequence", before: "tuple[Event, ...]") -> None:
         """A run has begun, or goes on with what its journal holds already."""
+        from ui.window.separated import ends_of_sheets
+
         self.banner.withdraw("stop", "trouble", "interrupted", "ended", "resume")
-        self.on_screen.begin(path, [task.label for task in sequence.tasks], before)
+        self.on_screen.begin(path, [task.label for task in sequence.tasks], before, ends_of_sheets(sequence))
         self.sequence.show_run()
         self.show_page(self.sequence)
         _log.info("the run is recorded in %s", path)
@@ -419,7 +426,7 @@ class MainWindow(QMainWindow):
             replay.close()
         self.runs.bar.set_replay(None)
         self.host.look_away(shown.source.recorded is not None)
-        for page in (self.live, self.fit, self.sequence, self.compare, self.regions):
+        for page in (self.live, self.fit, self.separation, self.sequence, self.compare, self.regions):
             page.show_source(shown)
         for frame in (self.live_frame, *self._frames):
             frame.show_source(shown.source)
@@ -474,6 +481,11 @@ class MainWindow(QMainWindow):
         self.show_page(self.regions)
         if not self.live.regions.drawn:
             self.regions.add()
+
+    def separate(self) -> None:
+        """Append a step that separates orders of scattering, and show its form."""
+        self.show_page(self.sequence)
+        self.sequence.append_separation()
 
     def set_theme(self, name: str) -> None:
         """Dark or light."""
@@ -556,7 +568,8 @@ class MainWindow(QMainWindow):
         column.addWidget(self.live_frame, 1)
         centre.setLayout(column)
         self.setCentralWidget(centre)
-        self._words, self._held = QLabel("opening the rig"), QLabel()
+        self._words, self._held = Elided(1), QLabel()
+        self._words.say("opening the rig")
         self.statusBar().addWidget(self._words, 1)
         self.statusBar().addPermanentWidget(WorkStrip(self.background))
         self.statusBar().addPermanentWidget(self._held)

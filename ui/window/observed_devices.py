@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 
 from PySide6.QtCore import QObject, Signal
 
-from tankrig.devices import Camera, CameraSettings, Flip, Frame, Pixels, Projector
+from tankrig.devices import CameraDevice, CameraSettings, Flip, Frame, Pixels, Projector
 from tankrig.pattern import Pattern
 
 T = TypeVar("T")
@@ -100,9 +100,9 @@ class ObservedProjector:
 
 
 class ObservedCamera:
-    """A camera that passes on each frame it hands out; implements `tankrig.devices.Camera`."""
+    """A camera that passes on each frame it hands out; implements `tankrig.devices.CameraDevice`."""
 
-    def __init__(self, camera: Camera, projector: ObservedProjector, seen: Callable[[SeenFrame], object]) -> None:
+    def __init__(self, camera: CameraDevice, projector: ObservedProjector, seen: Callable[[SeenFrame], object]) -> None:
         self._camera, self._projector, self._seen = camera, projector, seen
         self._settings = CameraSettings(0.0)
         self._began_s: float | None = None

@@ -1,7 +1,7 @@
 """The one source that the window looks at, and the objects that hold what is known of each source."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -12,6 +12,7 @@ from tankrig.run.journal import Event
 from tankrig.run.regions import Region
 from ui.window import jobs
 from ui.window.jobs import Found, Reading
+from ui.window.separated import separate
 from ui.window.shown import Shown
 from ui.window.source import LIVE, Kind, RefitSettings, Source
 
@@ -77,6 +78,8 @@ class OnScreen(QObject):
         self._awaited: set[Shown] = set()
         self._pace: tuple[Pace, float] | None = None
         self._comparing: Shown | None = None
+        self._separating: dict[Shown, bool] = {}
+        """Whose sheets are being separated, and whether there has come more since."""
         self._listen(self._live)
 
     @property
@@ -110,13 +113,21 @@ class OnScreen(QObject):
         """Back to the camera, and to the last run that was recorded here."""
         self._show(self._live)
 
-    def begin(self, run: Path, labels: Sequence[str], before: Sequence[Event] = ()) -> None:
-        """A run begins, or goes on: `before` is what its journal holds already."""
+    def begin(
+        self, run: Path, labels: Sequence[str], before: Sequence[Event] = (), sheet_ends: Collection[int] = ()
+    ) -> None:
+        """A run begins, or goes on: `before` is what its journal holds already.
+
+        After the steps `sheet_ends` all waves of a sheet are recorded.
+        """
         self._forget_refits(run)
-        self._live = Shown(Source(Kind.LIVE, run), labels)
+        self._live = live = Shown(Source(Kind.LIVE, run), labels, sheet_ends)
         for event in before:
-            self._live.take(event)
-        self._show(self._live)
+            live.take(event)
+        live.separable.connect(partial(self.separate, live))
+        self._show(live)
+        if live.separates:
+            self.separate(live)
 
     def take(self, run: Path, event: Event, photographs: Sequence[Any] = ()) -> None:
         """A line of the journal of the run that goes on."""
@@ -176,6 +187,36 @@ class OnScreen(QObject):
             jobs.compare, photograph, fit, then=then, failed=failed,
             name=f"the model's picture of {key.pattern} at {key.dose_ml:.4g} ml",
         )  # fmt: skip
+
+    def separate(self, shown: Shown) -> None:
+        """Have the sheets of a source's run separated, those that are known already not again."""
+        run, live = shown.source.run, shown.source.kind is Kind.LIVE
+        if run is None:
+            return
+        if shown in self._separating:
+            self._separating[shown] = True
+            return
+        self._separating[shown] = False
+        if not shown.separated:
+            shown.say_of_separation("The waves are being read and separated…")
+        known = {key: one.basis for key, one in shown.separated.items()}
+        fits = tuple(shown.by_dose) if shown.source.kind is Kind.REFIT else None
+
+        def ended() -> None:
+            if self._separating.pop(shown, False):
+                self.separate(shown)
+
+        def then(found: Any) -> None:
+            shown.take_separated(found)
+            ended()
+
+        def failed(sentence: str) -> None:
+            shown.say_of_separation(sentence)
+            ended()
+
+        self._background.run(
+            separate, run, known, fits, live, then=then, failed=failed, name=f"separating the waves of {run.name}"
+        )
 
     def look_up(self, source: Source, failed: Callable[[str], object]) -> Shown:
         """What is known of a source that need not be on screen; read from disk where nothing is."""
@@ -253,6 +294,8 @@ class OnScreen(QObject):
             for doubt in reading.doubts:
                 self.told.emit(doubt)
             then(shown)
+            if shown.separates and shown.source.kind is Kind.REPLAY:
+                self.separate(shown)
 
         def failed(sentence: str) -> None:
             shown.fail(sentence)
@@ -278,6 +321,8 @@ class OnScreen(QObject):
             self._awaited.discard(read)
             read.take_found(found)
             self._refits[read.source] = read
+            if read.separates:
+                self.separate(read)
             if on_screen and self.source.recorded == run:
                 self._show(read)
             else:

@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
 )
 
 from tankrig.errors import SequenceError
-from tankrig.pattern.kinds import KINDS, draw
+from tankrig.pattern.kinds import KINDS, Cells, draw
 from ui.window.flow import Flow
 from ui.window.forms import Form, label_of
 from ui.window.pattern_preview import PatternPreview
@@ -41,6 +41,8 @@ NEW: dict[str, dict[str, Any]] = {
     "dark": {},
 }
 """A beginning for each kind."""
+NOT_TYPED = ("kind", "light")
+"""Of patterns: `tankrig advise` designs cells' light, in rows, which a form has no field for."""
 DOUBTED = "pattern, "
 
 
@@ -128,7 +130,9 @@ class PatternsEditor(QWidget):
             empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
             self._form_area.setWidget(empty)
             return
-        form = Form(kind, chosen[1], {}, skip=("kind",), unset="the whole wall")
+        form = Form(
+            kind, chosen[1], {}, skip=(*NOT_TYPED, *(["z_mm"] if kind is Cells else [])), unset="the whole wall"
+        )
         form.edited.connect(self._edit)
         form.doubted.connect(lambda name, why: self._document.doubt(f"{DOUBTED}{label_of(name)}", why))
         self._form_area.setWidget(form)

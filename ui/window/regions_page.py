@@ -138,7 +138,7 @@ class RegionsPage(QWidget):
             self._root.addChild(row, autoIncrementName=True)
             self._rows[one] = row
             for item in row.items:
-                item.setForeground(0, QColor(one.colour))
+                item.setData(0, Qt.ItemDataRole.DecorationRole, QColor(one.colour))  # as text it would be too faint
             row.sigNameChanged.connect(partial(self._rename, one))
             row.sigRemoved.connect(lambda _, one=one: self._regions.remove(one))
             for side in SIDES:

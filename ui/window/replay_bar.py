@@ -6,6 +6,7 @@ from typing import Any
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QPushButton, QSlider, QVBoxLayout, QWidget
 
+from ui.window.elided import Elided
 from ui.window.flow import Flow
 from ui.window.replay import SPEEDS, Replay
 
@@ -86,7 +87,7 @@ class ReplayBar(QWidget):
         self._axes = (self.frame, self.pattern, self.dose, self.repeat)
         self._live = QPushButton("Back to the camera")
         self._live.clicked.connect(self.left)
-        self._words = QLabel(NOTHING)
+        self._words = Elided(2)
         self._words.setProperty("role", "faint")
         column, grid = QVBoxLayout(self), QGridLayout()
         column.setContentsMargins(0, 0, 0, 0)
@@ -112,7 +113,7 @@ class ReplayBar(QWidget):
         self.repeat.set_values([])
         self._listed = None
         self._play.setChecked(False)
-        self._words.setText(NOTHING)
+        self._words.say(NOTHING)
         if replay is not None:
             queued = Qt.ConnectionType.QueuedConnection
             replay.moved.connect(self._moved, queued)
@@ -157,7 +158,7 @@ class ReplayBar(QWidget):
         if places:
             self._replay.jump(places[min(rank, len(places) - 1)])
         else:
-            self._words.setText(f"No frame of {pattern} was taken at {dose_ml:.4g} ml.")
+            self._words.say(f"No frame of {pattern} was taken at {dose_ml:.4g} ml.")
 
     def _toggle(self, on: bool) -> None:
         self._play.setText("Halt" if on else "Play")
@@ -170,13 +171,13 @@ class ReplayBar(QWidget):
 
     def _ended(self, replay: Replay, words: str) -> None:
         if replay is self._replay:
-            self._words.setText(words)
+            self._words.say(words)
             self._play.setChecked(False)
 
     def _moved(self, replay: Replay, frame: int, words: str) -> None:
         if replay is not self._replay:
             return  # what an earlier one had still to say
         self._stand_at(frame)
-        self._words.setText(words)
+        self._words.say(words)
         if frame + 1 >= len(replay.frames) and self._play.isChecked():
             self._play.setChecked(False)

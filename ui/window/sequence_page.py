@@ -158,6 +158,13 @@ class SequencePage(QWidget):
         else:
             self.tabs.setCurrentWidget(self.steps)
 
+    def append_separation(self) -> None:
+        """Append a step that separates orders of scattering, and show its form."""
+        self._building = True
+        self._refresh()
+        self.tabs.setCurrentWidget(self.steps)
+        self.steps.add_separation()
+
     def _build(self) -> None:
         self._building = True
         self._refresh()

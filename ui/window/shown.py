@@ -5,7 +5,7 @@ that had asked for it, so that no page can show what belongs to something else.
 """
 
 from array import array
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import Enum
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from tankrig.live.exposures import Photograph
     from tankrig.run.regions import Counted
     from ui.window.jobs import Comparison, Found, Reading, Suggestion
+    from ui.window.separated import Separated, SheetKey
 
 NO_FIT = "No fit yet. Fits come by themselves while a run goes on, from the first dose of ink."
 
@@ -83,6 +84,8 @@ class Shown(QObject):
         Which it belongs to, for good.
     labels
         Of the steps of its run.
+    sheet_ends
+        Numbers of those steps after which all waves of a sheet are recorded.
     """
 
     fits_changed = Signal()
@@ -96,10 +99,14 @@ class Shown(QObject):
     """Advice, or a comparison of models, has come."""
     counted_changed = Signal()
     """What was counted in regions of its run has come."""
+    separable = Signal()
+    """More of its sheets can be separated than before, or told more of."""
+    separated_changed = Signal()
+    """Sheets that were separated, or what is said in their place."""
     read = Signal()
     """A recorded run has been read from disk, and can be played."""
 
-    def __init__(self, source: Source, labels: Sequence[str] = ()) -> None:
+    def __init__(self, source: Source, labels: Sequence[str] = (), sheet_ends: Collection[int] = ()) -> None:
         super().__init__()
         self.source = source
         self.labels = list(labels)
@@ -124,6 +131,11 @@ class Shown(QObject):
         """In regions of its run's frames, as it is saved with the run."""
         self.dark: float | None = None
         """Median count of its last dark frame."""
+        self.separated: dict[SheetKey, Separated] = {}
+        """Sheets of light told apart by waves."""
+        self.separation_says = ""
+        """What is wrong with them, or what they wait for."""
+        self._sheet_ends = frozenset(sheet_ends)
         self._compared: dict[PhotographKey, tuple[DoseFit, Comparison | None]] = {}
         self._clock, self._conditions = _Clock(), JournalFollower()
 
@@ -140,6 +152,8 @@ class Shown(QObject):
             self.ending = ""
         elif event.kind == "end":
             self.ending = str(event["reason"])
+            if self.separates:
+                self.separable.emit()  # with the fits that came later than their waves
         elif event.kind == "fit":
             self._fit(event.fields, time_s, photographs)
 
@@ -203,6 +217,17 @@ class Shown(QObject):
         self.counted = counted
         self.counted_changed.emit()
 
+    def take_separated(self, found: "Iterable[Separated]") -> None:
+        """Sheets of its run told apart by waves, in place of what was known of them."""
+        self.separated |= {one.key: one for one in found}
+        self.separation_says = ""
+        self.separated_changed.emit()
+
+    def say_of_separation(self, sentence: str) -> None:
+        """Why there is nothing more of its sheets, or not yet."""
+        self.separation_says = sentence
+        self.separated_changed.emit()
+
     def fail_comparison(self, key: PhotographKey, fit: DoseFit, sentence: str) -> None:
         """The model's picture could not be made; it is not asked for again until there is another fit."""
         self._compared[key] = fit, None
@@ -224,6 +249,18 @@ class Shown(QObject):
     def fit_of(self, key: PhotographKey) -> DoseFit | None:
         """The last fit of the dose that a photograph was taken at."""
         return next((fit for fit in self.by_dose if fit.dose_ml == key.dose_ml), None)
+
+    @property
+    def awaits_sheets(self) -> bool:
+        """Whether its run has steps that separate, of which no sheet is whole yet."""
+        return bool(self._sheet_ends) and not self.separates
+
+    @property
+    def separates(self) -> bool:
+        """Whether there are, or may be, waves of a whole sheet among its frames."""
+        if self.reading is not None:
+            return self.reading.separates
+        return any(self.steps[number] is StepState.DONE for number in self._sheet_ends)
 
     @property
     def comparison(self) -> "Comparison | None":
@@ -254,6 +291,8 @@ class Shown(QObject):
             return
         self.steps[number] = StepState.DONE if event["state"] == "done" else StepState.BEGUN
         self.step_changed.emit(number)
+        if number in self._sheet_ends and self.steps[number] is StepState.DONE:
+            self.separable.emit()
 
     def _fit(self, fields: Mapping[str, object], time_s: float, photographs: "Iterable[Photograph]") -> None:
         fit = from_fields(fields)
@@ -267,6 +306,8 @@ class Shown(QObject):
             self.fits.append(TimedFit(time_s if at_s is None else at_s, fit))
             self.says = ""
             self._photographed(photographs)
+            if any(one.over_fit is None and one.key.dose_ml == fit.dose_ml for one in self.separated.values()):
+                self.separable.emit()
         self.fits_changed.emit()
 
     def _photographed(self, photographs: "Iterable[Photograph]") -> None:

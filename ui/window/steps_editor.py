@@ -1,6 +1,7 @@
 """The sequence's steps as a tree, and a form for the one that is chosen."""
 
-from typing import Any
+import math
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QEvent, Qt, Signal
 from PySide6.QtGui import QColor
@@ -18,6 +19,7 @@ from PySide6.QtWidgets import (
 )
 
 from tankrig.errors import SequenceError
+from tankrig.pattern.kinds import LEAST_PIXELS
 from tankrig.sequence.steps import Burst, Capture, Dose, Mix, Note, Repeat, Separate, Series, Wait
 from ui.window import theme
 from ui.window.flow import Flow
@@ -25,6 +27,9 @@ from ui.window.forms import Form, label_of
 from ui.window.sequence_document import SequenceDocument
 from ui.window.sequence_tables import inline, step_table, steps_in
 from ui.window.sequence_text import Path_, at, line_of, patterns_of
+
+if TYPE_CHECKING:
+    from tankrig.pattern.wall import Wall
 
 STEPS: dict[str, type[Any]] = {
     "capture": Capture, "dose": Dose, "mix": Mix, "series": Series, "repeat": Repeat, "wait": Wait, "note": Note,
@@ -41,6 +46,8 @@ NEW: dict[str, dict[str, Any]] = {
     "burst": {"do": "burst", "patterns": ["full"]},
     "separate": {"do": "separate", "z_mm": [58.0, 62.0]},
 }
+FINEST_MM, SHEET_MM = 4.0, 4.0
+"""Period of the finest wave and thickness of its sheet, where the projector is fine enough."""
 ALWAYS = ("dark", "full")
 DOUBTED = "step, "
 PLACE = Qt.ItemDataRole.UserRole
@@ -67,7 +74,7 @@ def words_of(step: Any) -> str:
             return f"burst of {len(patterns) if isinstance(patterns, list) else '?'} patterns × {step.get('times', 1)}"
         case "separate":
             periods = step.get("periods_mm", Separate.periods_mm)
-            named = ", ".join(map(str, periods)) if isinstance(periods, list | tuple) else periods
+            named = ", ".join(_short(one) for one in periods) if isinstance(periods, list | tuple) else periods
             return f"separate by waves of {named} mm"
         case "wait":
             return f"wait {step.get('seconds', '?')} s"
@@ -82,6 +89,26 @@ def words_of(step: Any) -> str:
             return str(other or "a step of no kind")
 
 
+def separation_for(wall: "Wall") -> dict[str, Any]:
+    """A step that separates orders of scattering, as this projector can show it: half-way up, by three waves.
+
+    >>> from tankrig.pattern.wall import Wall
+    >>> separation_for(Wall((120, 160), (-80.0, 80.0), (0.0, 120.0)))
+    {'do': 'separate', 'z_mm': [58.0, 62.0], 'periods_mm': [4.0, 8.0, 16.0]}
+    >>> separation_for(Wall((30, 40), (-80.0, 80.0), (0.0, 120.0)))
+    {'do': 'separate', 'z_mm': [56.0, 64.0], 'periods_mm': [16.0, 32.0, 64.0]}
+    """
+    row_mm, column_mm = wall.pixel_mm
+    half = 0.5 * max(SHEET_MM, 2.0 * math.ceil(row_mm))
+    middle = float(round(0.5 * sum(wall.z_mm)))
+    finest = FINEST_MM * 2.0 ** max(0, math.ceil(math.log2(LEAST_PIXELS * column_mm / FINEST_MM)))
+    return {"do": "separate", "z_mm": [middle - half, middle + half], "periods_mm": [finest, 2 * finest, 4 * finest]}
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
+
+
 class StepsEditor(QWidget):
     """Shows and edits the steps of a document."""
 
@@ -91,6 +118,7 @@ class StepsEditor(QWidget):
     def __init__(self, document: SequenceDocument) -> None:
         super().__init__()
         self._document, self._own = document, False
+        self._wall: Wall | None = None
         self.tree = QTreeWidget()
         self.tree.setHeaderHidden(True)
         self.tree.setAccessibleName("steps")
@@ -112,6 +140,13 @@ class StepsEditor(QWidget):
             button.setToolTip(f"{name.lower()} a step" if name == "Add" else f"{name.lower()}: the chosen step")
             button.clicked.connect(do)
             head.addWidget(button)
+        self.separate = QPushButton("Separate")
+        self.separate.setToolTip(
+            "add a step that tells light scattered once from the rest: waves of light in a thin sheet, shifted step by "
+            "step; the Waves page shows what they tell"
+        )
+        self.separate.clicked.connect(self.add_separation)
+        head.addWidget(self.separate)
         split = QSplitter(Qt.Orientation.Horizontal)
         split.addWidget(self.tree)
         split.addWidget(self._form_area)
@@ -233,11 +268,21 @@ class StepsEditor(QWidget):
         finally:
             self._own = False
 
+    def set_wall(self, wall: "Wall") -> None:
+        """Which projector new steps are for."""
+        self._wall = wall
+
+    def add_separation(self) -> None:
+        """Add a step that separates orders of scattering behind the chosen one."""
+        self._kind.setCurrentText("separate")
+        self.add()
+
     def add(self) -> None:
         """Add a step of the chosen kind behind the chosen one."""
         place: Path_ = self.place() or ("steps", self.tree.topLevelItemCount() - 1)
         kind, number = self._kind.currentText(), int(place[-1]) + 1
-        self._change(f"add {kind}", lambda steps: steps.insert(number, step_table(NEW[kind], len(place) > 2)), place)
+        new = separation_for(self._wall) if kind == "separate" and self._wall is not None else NEW[kind]
+        self._change(f"add {kind}", lambda steps: steps.insert(number, step_table(new, len(place) > 2)), place)
         self.choose((*place[:-1], number))
 
     def remove(self) -> None:

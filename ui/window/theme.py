@@ -38,7 +38,7 @@ class Theme:
 
 DARK = Theme(
     "dark", window="#1d2126", base="#15181c", raised="#2b3138", text="#e8eaed", faint="#a4adb8", line="#434b55",
-    accent="#4c9fe8", on_accent="#081320", good="#58c08a", warning="#eab44a", bar="#2f6ea8", bad="#ff7b6e",
+    accent="#4c9fe8", on_accent="#081320", good="#58c08a", warning="#eab44a", bar="#2a659c", bad="#ff7b6e",
     live="#3f9e6e", replay="#c9822b", refit="#a77be0",
     on_source="#081320", focus="#ffd166", stop_edge="#ff8a80",
     outline="#75808c",
@@ -47,7 +47,7 @@ LIGHT = Theme(
     "light", window="#f1f3f5", base="#ffffff", raised="#e2e6ea", text="#1a1d21", faint="#566170", line="#b9c1ca",
     accent="#0b62b4", on_accent="#ffffff", good="#16703f", warning="#8f5a00", bar="#a9cdf0", bad="#b3261e",
     live="#16703f", replay="#9a5200", refit="#6a3fb0", on_source="#ffffff", focus="#8a3ffc", stop_edge="#7d0f0c",
-    outline="#7c8792",
+    outline="#6f7a86",
 )  # fmt: skip
 THEMES = {theme.name: theme for theme in (DARK, LIGHT)}
 CURVES = ("#4c9fe8", "#e8833a", "#58c08a", "#c77dd6")
@@ -143,6 +143,7 @@ def _sheet(theme: Theme) -> str:
     QTabBar::tab {{ min-height: 30px; padding: 2px 4px; background: {theme.window}; color: {theme.faint};
         border: none; border-bottom: 3px solid transparent; }}
     QTabBar::tab:selected {{ color: {theme.text}; border-bottom: 3px solid {theme.accent}; }}
+    QMainWindow > QTabBar {{ font-size: 9.5pt; }}
     QTabWidget::pane {{ border: none; border-top: 1px solid {theme.line}; }}
     QDockWidget {{ font-weight: 600; color: {theme.text}; }}
     QDockWidget::title {{ background: {theme.window}; padding: 4px 8px; border-bottom: 1px solid {theme.line}; }}

@@ -94,6 +94,7 @@ def _palette(colours: str) -> NDArray[np.uint8]:
     return np.vstack([found, np.array([SATURATED], np.uint8)])
 
 
+@lru_cache
 def residual_palette() -> NDArray[np.uint8]:
     """(256, 3) colours from blue (model too bright) over white to red (model too dark)."""
     colours: NDArray[np.uint8] = pg.colormap.get("CET-D1").getLookupTable(nPts=256)[:, :3]

@@ -135,7 +135,7 @@ def traced(
         if z_mm is not None:
             edges[:] = 0.0
         trace(
-            edges, cells if z_mm is None else cells[:, :0], bins, geometry, shiftable, grid.cell_mm,
+            cells if z_mm is None else edges, bins, geometry, grid.cell_mm,
             medium.sigma_t, medium.albedo, medium.phase_function.record, table, shifted, 0, points, max_order,
             faintest, thinning, turns,
         )  # fmt: skip

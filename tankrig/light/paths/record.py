@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @part
 def seen_from(
-    geometry: Geometry, x: float, y: float, z: float, index: float = 0.0
+    geometry: Geometry, x: float, y: float, z: float, index: float
 ) -> tuple[float, float, float, float, float, float, float]:
     """The line of sight through a point in the water.
 
@@ -30,7 +30,7 @@ def seen_from(
     x, y, z
         The point, mm.
     index
-        Of the surface; 0 for the scene's own. Where it is the constant 1, only what a matched surface needs is
+        Of the water. Where it is the constant 1, only what a matched surface needs is
         compiled, which takes a quarter of the time.
 
     Returns
@@ -46,7 +46,6 @@ def seen_from(
         steradian: transmission over the surface and over the spreading of lines of sight, 1 when they are vertical and
         the surface is matched.
     """
-    index = index if index > 0.0 else geometry.refractive_index
     depth = geometry.height - z
     if not geometry.camera_pinhole:
         return x, y, 0.0, 0.0, 1.0, depth, (1.0 - reflectance(1.0, 1.0 / index)) / (index * index)

@@ -43,7 +43,7 @@ from tankrig.light.paths.block import (
 )
 from tankrig.light.paths.lattices import THINNING
 from tankrig.light.paths.record import TallyRecord, empty_record, image_of_edges, seen_from
-from tankrig.light.paths.trace import _arrive, _cover, _look, _probed, advance, narrow, scatter
+from tankrig.light.paths.trace import advance, arrive, cover, look, narrow, probed, scatter
 from tankrig.light.rays import Geometry, geometry_of, sight_line
 from tankrig.scene import Scene
 from tankrig.scene.phase import phase_density
@@ -75,19 +75,18 @@ def by_asymmetry(cosine: float, g: float) -> float:
 
 @kernel
 def trace_tangents(
-    edges: Array, cells: Array, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float], sigma_t: float,
-    albedo: float, phase: PhaseRecord, beams: Array, lattice: Array, stop: int, max_order: int, faintest: float,
+    image: Array, geometry: Geometry, cell_mm: tuple[float, float], sigma_t: float, albedo: float,
+    phase: PhaseRecord, beams: Array, lattice: Array, stop: int, max_order: int, faintest: float,
     first_thinning: int, lowest: int,
 ) -> None:  # fmt: skip
     """Follow the paths of the lattice points below `stop` as `trace` does, with their scores, from order `lowest`.
 
     Parameters
     ----------
-    edges
-        (2, rows + 2, columns + 2, `LAYERS`), added to where `shiftable`; ℓ less the place where it is seen along x.
-    cells
-        (rows, columns, `LAYERS`), added to otherwise.
-    geometry, shiftable, cell_mm, sigma_t, albedo, phase, beams, lattice, max_order, faintest, first_thinning
+    image
+        Added to: (2, rows + 2, columns + 2, `LAYERS`) for paths that begin anywhere, ℓ less the place where it is seen
+        along x; (rows, columns, `LAYERS`) for others.
+    geometry, cell_mm, sigma_t, albedo, phase, beams, lattice, max_order, faintest, first_thinning
         As for `trace`; the phase function is Henyey–Greenstein's.
     """
     sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / TURNS)
@@ -99,11 +98,11 @@ def trace_tangents(
     seen_way, seen_turning = np.empty(BLOCK), np.empty(BLOCK)
     for first in range(0, stop, BLOCK):
         n = min(BLOCK, stop - first)
-        if shiftable:
+        if image.ndim == 4:
             begin_at_origin(block, n, first, geometry, sampling, beams, lattice)
         else:
             begin_on_beams(block, n, first, geometry, sampling, beams, lattice)
-            _look(block, n, geometry, sigma_t)
+            look(block, n, geometry, sigma_t)
         begin(block, n, first, sampling, lattice, faintest)
         for i in range(n):
             way_mm[i], turning[i] = block.x[i] / block.dx[i], 0.0
@@ -113,7 +112,7 @@ def trace_tangents(
                 thinning *= 2
                 thin(block, n, order // first_thinning)
             spare_some(block, n, order, lattice)
-            n = alive(block, n, shiftable)
+            n = alive(block, n, image.ndim == 4)
             if n == 0:
                 break
             remaining = 1.0 - sampling.per_turn * min(order - 1, TURNS) if sampling.guided else 1.0
@@ -127,15 +126,15 @@ def trace_tangents(
                     probes, seen_way, seen_turning, block, way_mm, turning, first, u, v, w, n, geometry, sampling,
                     order, remaining,
                 )  # fmt: skip
-                if shiftable:
-                    _cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
+                if image.ndim == 4:
+                    cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
                     _end_up(seen_way, seen_turning, probes, n, geometry, sampling)
                     _tally_rectangles(
-                        edges, tally, scatterings, seen_way, seen_turning, n, beams, geometry.half_width, cell_mm[1]
+                        image, tally, scatterings, seen_way, seen_turning, n, beams, geometry.half_width, cell_mm[1]
                     )
                 else:
                     _tally_cells(
-                        cells, probes.x, probes.y, probes.weight, scatterings, seen_way, seen_turning, n,
+                        image, probes.x, probes.y, probes.weight, scatterings, seen_way, seen_turning, n,
                         geometry.half_width, cell_mm,
                     )  # fmt: skip
             draw(u, block.point, n, dimension, lattice)
@@ -148,30 +147,30 @@ def trace_tangents(
             _turn(block, before, turning, first, n, sampling)
             advance(block, w, n, geometry, sampling)
             _go(block, before, way_mm, first, n, geometry)
-            if shiftable:
+            if image.ndim == 4:
                 narrow(block, n, geometry)
             else:
-                _look(block, n, geometry, sigma_t)
+                look(block, n, geometry, sigma_t)
             if scatterings < lowest:
                 continue
             for i in range(n):
                 at = int(block.point[i]) - first
                 seen_way[i], seen_turning[i] = way_mm[at], turning[at]
-            if shiftable:
+            if image.ndim == 4:
                 ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
-                _cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
+                cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
                 _end_up(seen_way, seen_turning, ends, n, geometry, sampling)
                 _tally_rectangles(
-                    edges, tally, scatterings, seen_way, seen_turning, n, beams, geometry.half_width, cell_mm[1]
+                    image, tally, scatterings, seen_way, seen_turning, n, beams, geometry.half_width, cell_mm[1]
                 )
             else:
-                _arrive(tally, block, n, sampling)
+                arrive(tally, block, n, sampling)
                 for i in range(n):
                     ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
                     seen_turning[i] += by_asymmetry(ahead, sampling.phase.g)
                     seen_way[i] += (geometry.height - block.z[i]) / block.sz[i]
                 _tally_cells(
-                    cells, block.seen_x, block.seen_y, tally.value, scatterings, seen_way, seen_turning, n,
+                    image, block.seen_x, block.seen_y, tally.value, scatterings, seen_way, seen_turning, n,
                     geometry.half_width, cell_mm,
                 )  # fmt: skip
 
@@ -215,16 +214,12 @@ def _probe(
 
     Of the latter x, y and weight are those that the camera sees.
     """
-    shiftable = block.x_high[0] > block.x_low[0]
+    shiftable, index = block.x_high[0] > block.x_low[0], geometry.refractive_index
     for i in range(n):
-        x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining)
+        x, y, z, dx, dy, dz, weight = probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
         across, along, up = x - block.x[i], y - block.y[i], z - block.z[i]
         straight = math.sqrt(across * across + along * along + up * up)
-        reflected = (
-            geometry.refractive_index > 1.0
-            and dz < 0.0
-            and across * dx + along * dy + up * dz < straight * (1.0 - 1e-9)
-        )
+        reflected = index > 1.0 and dz < 0.0 and across * dx + along * dy + up * dz < straight * (1.0 - 1e-9)
         left = -dz if reflected else dz
         cosine = dx * block.dx[i] + dy * block.dy[i] + left * block.dz[i]
         at = int(block.point[i]) - first
@@ -233,7 +228,7 @@ def _probe(
         if shiftable:
             probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
         else:
-            probes.x[i], probes.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z)
+            probes.x[i], probes.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z, index)
             ahead = dx * sx + dy * sy + dz * sz
             probes.weight[i] = weight * phase_density(ahead, sampling.phase) * factor
             probes.weight[i] *= exponential(-sampling.sigma_t * path)
@@ -342,9 +337,9 @@ def traced_tangents(
         table = np.column_stack(
             [np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams]), np.cumsum(power) / power.sum()]
         )
-        edges = np.zeros((2, grid.rows + 2, grid.columns + 2, LAYERS) if shiftable else (2, 2, 2, LAYERS))
+        edges = np.zeros((2, grid.rows + 2, grid.columns + 2, LAYERS) if shiftable else (0,) * 4)
         trace_tangents(
-            edges, cells, geometry, shiftable, grid.cell_mm, medium.sigma_t, medium.albedo,
+            edges if shiftable else cells, geometry, grid.cell_mm, medium.sigma_t, medium.albedo,
             medium.phase_function.record, table, shifted, lattice.points, max_order, faintest, thinning, lowest,
         )  # fmt: skip
         if z_mm is None:

@@ -27,7 +27,6 @@ from tankrig.light.paths.block import (
     BLOCK,
     FLIGHT_COORDINATES,
     START_COORDINATES,
-    TURNS,
     UNTURNED,
     Block,
     Ends,
@@ -68,32 +67,32 @@ Array = NDArray[np.float64]
 
 @kernel
 def trace(
-    edges: Array, cells: Array, bins: Bins, geometry: Geometry, shiftable: bool, cell_mm: tuple[float, float],
-    sigma_t: float, albedo: float, phase: PhaseRecord, beams: Array, lattice: Array, start: int, stop: int,
-    max_order: int, faintest: float, first_thinning: int, turns: int = TURNS,
+    images: Array, bins: Bins, geometry: Geometry, cell_mm: tuple[float, float], sigma_t: float, albedo: float,
+    phase: PhaseRecord, beams: Array, lattice: Array, start: int, stop: int, max_order: int, faintest: float,
+    first_thinning: int, turns: int,
 ) -> None:  # fmt: skip
     """Follow the paths of lattice points `start` … `stop` − 1 and record their orders ≥ 3.
 
+    Where light is collimated and the camera orthographic, a path may be drawn relative to its first collision and
+    stand for all that begin anywhere on the beams and stay between the walls. Which of the two is done, and compiled,
+    the number of axes of `images` says.
+
     Parameters
     ----------
-    edges
-        Filled by `tally_rectangles` where `shiftable`.
-    cells
-        Filled by `tally_cells` otherwise.
+    images
+        Added to: (images, 2, rows + 2, columns + 2) by `tally_rectangles` for paths that begin anywhere,
+        (images, rows, columns) by `tally_cells` for others.
     bins
         Index of the image that each order goes to.
     geometry
         Numbers of the scene.
-    shiftable
-        Whether light is collimated and the camera orthographic. Then a path is drawn relative to its first collision
-        and stands for all that begin anywhere on the beams and stay between the walls.
     cell_mm
         Size of the cells along x and y, mm.
     sigma_t, albedo, phase
         The medium.
     beams
         (n, 6): y low, y high, z low, z high on the plane x = 0, irradiance, and the share of the power up to and
-        including this beam. Where `shiftable` all have the same z.
+        including this beam. Of paths that begin anywhere all have the same z.
     lattice
         A shifted lattice, as `Lattice.shifted` gives it.
     start, stop
@@ -113,11 +112,11 @@ def trace(
     probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
     for first in range(start, stop, BLOCK):
         n = min(BLOCK, stop - first)
-        if shiftable:
+        if images.ndim == 4:
             begin_at_origin(block, n, first, geometry, sampling, beams, lattice)
         else:
             begin_on_beams(block, n, first, geometry, sampling, beams, lattice)
-            _look(block, n, geometry, sigma_t)
+            look(block, n, geometry, sigma_t)
         begin(block, n, first, sampling, lattice, faintest)
         thinning = first_thinning
         for order in range(1, max_order):
@@ -125,7 +124,7 @@ def trace(
                 thinning *= 2
                 thin(block, n, order // first_thinning)
             spare_some(block, n, order, lattice)
-            n = alive(block, n, shiftable)
+            n = alive(block, n, images.ndim == 4)
             if n == 0:
                 break
             remaining = 1.0 - sampling.per_turn * min(order - 1, turns) if sampling.guided else 1.0
@@ -135,35 +134,35 @@ def trace(
                 draw(u, block.point, n, dimension + 3, lattice)
                 draw(v, block.point, n, dimension + 4, lattice)
                 draw(w, block.point, n, dimension + 5, lattice)
-                if shiftable:
+                if images.ndim == 4:
                     _probe_anywhere(probes, block, u, v, w, n, geometry, sampling, order, remaining)
-                    _cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
-                    tally_rectangles(edges[image], tally, n, beams, geometry.half_width, cell_mm[1])
+                    cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
+                    tally_rectangles(images[image], tally, n, beams, geometry.half_width, cell_mm[1])
                 else:
                     _probe(tally, block, u, v, w, n, geometry, sampling, order, remaining)
-                    tally_cells(cells[image], tally.x, tally.y, tally.value, n, geometry.half_width, cell_mm)
+                    tally_cells(images[image], tally.x, tally.y, tally.value, n, geometry.half_width, cell_mm)
             draw(u, block.point, n, dimension, lattice)
             draw(v, block.point, n, dimension + 1, lattice)
             draw(w, block.point, n, dimension + 2, lattice)
             scatter(block, u, v, n, sampling, order, remaining)
             advance(block, w, n, geometry, sampling)
-            if shiftable:
+            if images.ndim == 4:
                 narrow(block, n, geometry)
             else:
-                _look(block, n, geometry, sigma_t)
+                look(block, n, geometry, sigma_t)
             if order == 1:
                 continue
-            if shiftable:
+            if images.ndim == 4:
                 ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
-                _cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
-                tally_rectangles(edges[image], tally, n, beams, geometry.half_width, cell_mm[1])
+                cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
+                tally_rectangles(images[image], tally, n, beams, geometry.half_width, cell_mm[1])
             else:
-                _arrive(tally, block, n, sampling)
-                tally_cells(cells[image], block.seen_x, block.seen_y, tally.value, n, geometry.half_width, cell_mm)
+                arrive(tally, block, n, sampling)
+                tally_cells(images[image], block.seen_x, block.seen_y, tally.value, n, geometry.half_width, cell_mm)
 
 
 @kernel
-def _look(block: Block, n: int, geometry: Geometry, sigma_t: float) -> None:
+def look(block: Block, n: int, geometry: Geometry, sigma_t: float) -> None:
     """Lines of sight through the ends of paths."""
     if geometry.refractive_index == 1.0:
         for i in range(n):
@@ -191,7 +190,7 @@ def narrow(block: Block, n: int, geometry: Geometry) -> None:
 
 
 @part
-def _probed(
+def probed(
     block: Block,
     u: Array,
     v: Array,
@@ -201,7 +200,7 @@ def _probed(
     sampling: PathSampling,
     order: int,
     remaining: float,
-    index: float = 0.0,
+    index: float,
 ) -> tuple[float, float, float, float, float, float, float]:
     """A last flight in a direction from the lobe about the line of sight: where to, direction, weight scattered there.
 
@@ -221,8 +220,8 @@ def _probed(
         _wide_lobe(ahead, sampling.phase.g) - plain
     )
     qx, qy, qz, pz, chance = fly(
-        _walls(block, i, geometry), geometry.height, index if index > 0.0 else geometry.refractive_index,
-        sampling.sigma_t, block.x[i], block.y[i], block.z[i], px, py, pz, w[i],
+        _walls(block, i, geometry), geometry.height, index, sampling.sigma_t,
+        block.x[i], block.y[i], block.z[i], px, py, pz, w[i],
     )  # fmt: skip
     return qx, qy, qz, px, py, pz, block.weight[i] * chance * sampling.albedo * plain / density
 
@@ -255,14 +254,14 @@ def _probe_from(
     tally: TallyRecord, block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, index: float,
     sampling: PathSampling, order: int, remaining: float,
 ) -> None:  # fmt: skip
-    x, y, z, dx, dy, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
+    x, y, z, dx, dy, dz, weight = probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
     tally.x[i], tally.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z, index)
     phase = phase_density(dx * sx + dy * sy + dz * sz, sampling.phase)
     tally.value[i] = weight * phase * factor * exponential(-sampling.sigma_t * path)
 
 
 @kernel
-def _arrive(tally: TallyRecord, block: Block, n: int, sampling: PathSampling) -> None:
+def arrive(tally: TallyRecord, block: Block, n: int, sampling: PathSampling) -> None:
     """What the ends of paths send to the camera."""
     for i in range(n):
         ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
@@ -289,12 +288,12 @@ def _probe_from_anywhere(
     probes: Ends, block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, index: float,
     sampling: PathSampling, order: int, remaining: float,
 ) -> None:  # fmt: skip
-    x, y, z, _, _, dz, weight = _probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
+    x, y, z, _, _, dz, weight = probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
     probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
 
 
 @kernel
-def _cover(
+def cover(
     tally: TallyRecord, ends: Ends, block: Block, n: int, geometry: Geometry, sampling: PathSampling, cell_mm: float
 ) -> None:
     """What paths send to the camera, for all their starts x', whose light goes with exp(−σt x')."""

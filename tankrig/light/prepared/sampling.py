@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tankrig.light.entering import entering
 from tankrig.light.leaving import CameraLens
-from tankrig.light.paths.block import LARGE
+from tankrig.light.paths.block import LARGE, TURNS
 from tankrig.light.paths.record import image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
@@ -134,8 +134,7 @@ class PathImages:
         images = np.mean(
             [
                 wall_images(
-                    lit, self.grid.rows, self.grid.columns, self.grid.cell_mm, (seed, batch), bins, HIGHEST_ORDER,
-                    FAINTEST,
+                    lit, self.grid, (seed, batch), bins, HIGHEST_ORDER, FAINTEST,
                 )
                 for batch in range(batches)
             ],
@@ -150,7 +149,7 @@ class PathImages:
         transmission = sight_line(geometry_of(lit), 0.0, 0.0)[3]
         for z_mm in sorted({beam.z_mm for beam in beams}):
             edges = np.zeros((len(self._firsts) - 1, 2, self.grid.rows + 2, self.grid.columns + 2))
-            self._trace(lit, [beam for beam in beams if beam.z_mm == z_mm], seed, batches, edges, total[:, :0])
+            self._trace(lit, [beam for beam in beams if beam.z_mm == z_mm], seed, batches, edges)
             by_albedo = np.tensordot(self._shares, edges, 1)  # before edges become images: they are many more
             image = image_of_edges(by_albedo, lit.medium.sigma_t, self.grid.cell_mm[0])
             total += image * (transmission * (z_mm[1] - z_mm[0]) / LARGE.points)
@@ -159,12 +158,12 @@ class PathImages:
     def _traced_points(self, lit: Scene, beams: list[Beam], seed: int, batches: int) -> Array:
         """Sum over lattices of paths that are seen where they are."""
         cells = np.zeros((len(self._firsts) - 1, self.grid.rows, self.grid.columns))
-        self._trace(lit, beams, seed, batches, np.zeros((len(cells), 2, 2, 2)), cells)
+        self._trace(lit, beams, seed, batches, cells)
         power = sum(beam.power for beam in beams)
         area = self.grid.cell_mm[0] * self.grid.cell_mm[1]
         return np.asarray(np.tensordot(self._shares, cells, 1) * (power / (LARGE.points * area)))
 
-    def _trace(self, lit: Scene, beams: list[Beam], seed: int, batches: int, edges: Array, cells: Array) -> None:
+    def _trace(self, lit: Scene, beams: list[Beam], seed: int, batches: int, light: Array) -> None:
         """Follow lattices of paths and add them to what `trace` fills."""
         medium, power = lit.medium, np.array([beam.power for beam in beams])
         corners = np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams])
@@ -172,9 +171,9 @@ class PathImages:
         thinning = next(order for depth, order in THINNING if medium.sigma_t * lit.tank.size_mm[2] < depth)
         for batch in range(batches):
             trace(
-                edges, cells, self._bins, geometry_of(lit), self.grid.shiftable, self.grid.cell_mm, medium.sigma_t, 1.0,
+                light, self._bins, geometry_of(lit), self.grid.cell_mm, medium.sigma_t, 1.0,
                 medium.phase_function.record, table, LARGE.shifted((seed, batch)), 0, LARGE.points, HIGHEST_ORDER,
-                FAINTEST, thinning,
+                FAINTEST, thinning, TURNS,
             )  # fmt: skip
 
     def to_pixels(self, patterns: Array) -> Array:

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.light.rays import Geometry, light_ray, light_sources, sight_line, sighting_row
+from tankrig.light.cuts import CUTS, rows_of_ends
+from tankrig.light.rays import Geometry, light_ray, light_sources, sight_line
 from tankrig.light.single import across_sights
 from tankrig.light.surface import on_surface, to_camera
 from tankrig.light.walls.faces import ENTRY, FAR, FLOOR, LEFT, RIGHT, face_table, sent_back
@@ -86,7 +87,7 @@ def _add_mirrored(
 ) -> None:  # fmt: skip
     """Add one beam as lines of sight by way of some faces show it."""
     nodes, weights = x_rule
-    corners = np.empty(4)
+    ends = np.empty(CUTS)
     length, half_width, height = geometry.length, geometry.half_width, geometry.height
     for column in range(image.shape[1]):
         for piece in range(PARTS):
@@ -136,17 +137,15 @@ def _add_mirrored(
                         geometry.pane, geometry.pane_index, geometry.reflected,
                     )  # fmt: skip
                     lit = (edges[0], edges[1], height - edges[3], height - edges[2]) if floor else edges
-                    for k in range(4):
-                        corners[k] = sighting_row(mirrored, seen_x, lit[k // 2], lit[2 + k % 2])
-                    corners.sort()
-                    if corners[3] <= y_low or corners[0] >= y_high:
+                    rows_of_ends(mirrored, seen_x, lit, ends)
+                    if ends[-1] <= y_low or ends[0] >= y_high:
                         continue
                     total = across_sights(
-                        mirrored, seen_x, y_low, y_high, corners, sigma_t, phase, lit, y_rule, depth_rule
+                        mirrored, seen_x, y_low, y_high, ends, sigma_t, phase, lit, y_rule, depth_rule
                     )
                     if from_far:  # the light beyond the far wall alone: what is in two tanks less what is in one
                         total -= across_sights(
-                            _as_long(mirrored, length), seen_x, y_low, y_high, corners, sigma_t, phase, lit, y_rule,
+                            _as_long(mirrored, length), seen_x, y_low, y_high, ends, sigma_t, phase, lit, y_rule,
                             depth_rule,
                         )  # fmt: skip
                     gained = math.exp(sigma_t * lift)

@@ -15,6 +15,7 @@ from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.light.elementary import exponential, log_one_minus, one_minus_exponential
 from tankrig.light.paths.block import CHANCE_COORDINATES, LARGE, SPARED, across, coordinate, scattered
+from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.record import Bins, seen_from
 from tankrig.light.rays import Geometry, geometry_of, light_ray
 from tankrig.light.walls.faces import DIFFUSE, ENTRY, FAR, FLOOR, LEFT, RIGHT, face_table, sent_back
@@ -40,8 +41,8 @@ NONE = -1
 
 
 def wall_images(
-    scene: Scene, rows: int, columns: int, cell_mm: tuple[float, float], seed: tuple[int, int], bins: Bins,
-    highest: int, faintest: float, lattices: int = LATTICES,
+    scene: Scene, grid: CellGrid, seed: tuple[int, int], bins: Bins, highest: int, faintest: float,
+    lattices: int = LATTICES,
 ) -> Array:  # fmt: skip
     """What faces add to the image, but for order 1 by way of clear ones, W/mm²/sr.
 
@@ -49,8 +50,8 @@ def wall_images(
     ----------
     scene
         With sharp beams from a pinhole or collimated, and an ideal plain camera's cells.
-    rows, columns, cell_mm
-        Of the cells over the tank's surface.
+    grid
+        Cells over the tank's surface.
     seed
         Of the lattices' shifts.
     bins
@@ -66,7 +67,7 @@ def wall_images(
     -------
     (images, rows, columns) array
     """
-    cells = np.zeros((int(bins.max()) + 1, rows, columns))
+    cells = np.zeros((int(bins.max()) + 1, grid.rows, grid.columns))
     beams = [beam for beam in scene.projector.beams if beam.irradiance > 0.0]
     power = np.array([beam.power for beam in beams])
     table = np.column_stack([np.array([(*beam.y_mm, *beam.z_mm) for beam in beams]), np.cumsum(power) / power.sum()])
@@ -74,10 +75,10 @@ def wall_images(
     for number in range(lattices):
         shifted = LARGE.shifted((seed[0] + WALLS_APART, seed[1] * lattices + number))
         _trace(
-            cells, bins, geometry_of(scene), faces, cell_mm, medium.sigma_t, medium.albedo,
+            cells, bins, geometry_of(scene), faces, grid.cell_mm, medium.sigma_t, medium.albedo,
             medium.phase_function.record, table, shifted, LARGE.points, highest, faintest,
         )  # fmt: skip
-    return cells * (float(power.sum()) / (lattices * LARGE.points * cell_mm[0] * cell_mm[1]))
+    return cells * (float(power.sum()) / (lattices * LARGE.points * grid.cell_mm[0] * grid.cell_mm[1]))
 
 
 WALLS_APART = 2**30
@@ -261,6 +262,7 @@ def _show(
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, directly: bool, face: int,
 ) -> None:  # fmt: skip
     """Show the camera what water, or a diffuse face, scatters at (x, y, z) of light with direction d."""
+    index = geometry.refractive_index
     for across_x in range(3):
         if across_x > 0 and not (geometry.camera_pinhole and _clear(faces, across_x - 1)):
             continue
@@ -276,13 +278,15 @@ def _show(
                 py = y if across_y == 0 else (-2.0 if across_y == 1 else 2.0) * geometry.half_width - y
                 pz = z if floor == 0 else -z
                 for outer in range(2):  # at the inner sides of panes, or by their outer sides
-                    seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px, py, pz)
+                    seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px, py, pz, index)
                     if across_x + across_y + floor > 0:
                         share, mx, my, mz = _panes(faces, across_x, across_y, floor, sx, sy, sz, outer == 1)
                         if share <= 0.0 or pz + mz > geometry.height:
                             continue  # nothing, or it comes out of the pane above the water
                         if outer == 1:  # the pane's thickness moves the mirror image
-                            seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px + mx, py + my, pz + mz)
+                            seen_x, seen_y, sx, sy, sz, path, factor = seen_from(
+                                geometry, px + mx, py + my, pz + mz, index
+                            )
                         factor *= share
                     elif outer == 1:
                         continue

@@ -1,0 +1,189 @@
+"""Light of cells, each lit by itself: any picture made of them is a sum, and so are its derivatives."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.bench import Bench
+from tankrig.errors import SceneError
+from tankrig.image.bins import Seen
+from tankrig.light.prepared.cache import Place
+from tankrig.pattern.kinds import Cells, draw
+from tankrig.scene import Camera, Medium, Scene
+from tankrig.scene.optics import Blur
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+BATCHES, MOST_BATCHES = 4, 24
+"""Lattices of light paths for each cell's light, and where that leaves more noise than `QUIET`, at most."""
+QUIET = 0.012
+"""Relative noise of a cell's image: that of its derivatives is some three times as much, and passes for information."""
+SLOPE_BLUR_MM = 4.0
+"""Over which derivatives of orders ≥ 3 are averaged: their noise would pass for information."""
+MOST_PIXELS = 3000
+"""Of the pictures that are designed with; the camera's are put together until there are no more."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellLight:
+    """What a camera sees of each cell that is fully lit in a liquid.
+
+    Parameters
+    ----------
+    cells
+        Where they are; all of them lit.
+    scene
+        Of all of them, with the liquid and the camera.
+    images
+        (cells, rows, columns) radiance, the first sheet's cells first.
+    slopes
+        (cells, 3, rows, columns) derivatives by σa, σs and g.
+    used
+        (rows, columns) pixels that a fit could look at, whichever cells are lit.
+    """
+
+    cells: Cells
+    scene: Scene
+    images: Array
+    slopes: Array
+    used: Mask
+
+    def picture(self, light: Array) -> tuple[Array, Array]:
+        """(rows, columns) image and (3, rows, columns) slopes of cells lit in parts, (cells,)."""
+        return np.tensordot(light, self.images, 1), np.tensordot(light, self.slopes, 1)
+
+
+def even_cells(y_mm: tuple[float, float], z_mm: Sequence[tuple[float, float]], count: int) -> Cells:
+    """So many cells in each sheet, all of them lit."""
+    return Cells(y_mm, tuple(z_mm), tuple((1.0,) * count for _ in z_mm))
+
+
+def parts_of(cells: Cells) -> Array:
+    """(cells,) parts of the light, the first sheet's cells first."""
+    return np.array(cells.light).ravel()
+
+
+def with_parts(cells: Cells, light: Array) -> Cells:
+    """The same cells with other parts of the light."""
+    rows = np.clip(light, 0.0, 1.0).reshape(len(cells.z_mm), -1).round(4)
+    return replace(cells, light=tuple(tuple(row) for row in rows.tolist()))
+
+
+def designing_camera(camera: Camera) -> tuple[Camera, int]:
+    """A camera with its pixels put together to `MOST_PIXELS` at most, and how many along a side that are."""
+    by = 1
+    while (camera.shape[0] // by) * (camera.shape[1] // by) > MOST_PIXELS:
+        by += 1
+    return (camera if by == 1 else camera.binned(by)), by
+
+
+def cell_light(
+    cells: Cells, bench: Bench, camera: Camera, medium: Medium, progress: Callable[[float], object] = lambda _: None
+) -> CellLight:
+    """Light of each cell by itself, computed once for a liquid and kept on disk.
+
+    Parameters
+    ----------
+    cells
+        Where they are; their light does not matter.
+    bench
+        Of the rig.
+    camera
+        As pictures are designed with, see `designing_camera`.
+    medium
+        The liquid.
+    progress
+        Called with the share of the work that is done, 0 … 1.
+
+    Raises
+    ------
+    SceneError
+        When the liquid's phase function is not Henyey–Greenstein's, or the cells light nothing of the tank.
+    """
+    if medium.phase is not None:
+        raise SceneError(
+            "pictures are designed for Henyey–Greenstein only, and the liquid has a phase of kind "
+            f'"{medium.phase.kind}"; rank given patterns instead: tankrig advise without --design'
+        )
+    count = len(cells.z_mm) * len(cells.light[0])
+    seen = replace(bench, camera=camera)
+    whole = seen.scene(draw(with_parts(cells, np.ones(count)), bench.wall, "cells"), medium)
+    place = Place.of("cells", replace(whole, source=""), bench.wall, cells.y_mm, cells.z_mm, count, BATCHES, QUIET)
+    known = place.kept(place.model)
+    if known is None:
+        images, slopes = _computed(cells, seen, medium, count, progress)
+        place.require_room(8 * (images.size + slopes.size))
+        place.keep(place.model, {"images": images, "slopes": slopes})
+    else:
+        images, slopes = (np.asarray(known[name], float) for name in ("images", "slopes"))
+    progress(1.0)
+    return CellLight(with_parts(cells, np.ones(count)), whole, images, slopes, _used(cells, seen, medium, count))
+
+
+def _computed(
+    cells: Cells, bench: Bench, medium: Medium, count: int, progress: Callable[[float], object]
+) -> tuple[Array, Array]:
+    images, slopes = np.zeros((count, *bench.camera.shape)), np.zeros((count, 3, *bench.camera.shape))
+    across = len(cells.light[0])
+    mirrored = _mirrored(bench, cells)
+    for number in range(count):
+        sheet, place = divmod(number, across)
+        twin = sheet * across + across - 1 - place
+        if mirrored and twin < number:
+            images[number], slopes[number] = images[twin][::-1], slopes[twin][:, ::-1]
+        else:
+            lit = with_parts(cells, (np.arange(count) == number).astype(float))
+            scene = _ideal(bench.scene(draw(lit, bench.wall, "cell"), medium))
+            images[number], slopes[number] = _followed(scene, number)
+        progress((number + 1) / count)
+    return images, slopes
+
+
+def _followed(scene: Scene, seed: int) -> tuple[Array, Array]:
+    """Image and slopes of one cell's light, by as many light paths as it needs."""
+    from tankrig.light.tangent import tank_tangent
+
+    found, slopes = tank_tangent(scene, BATCHES, seed, blur_mm=SLOPE_BLUR_MM)
+    noise = 0.0 if found.stderr is None else float(np.linalg.norm(found.stderr) / np.linalg.norm(found.image))
+    if noise > QUIET:
+        batches = min(MOST_BATCHES, math.ceil(BATCHES * (noise / QUIET) ** 2))
+        found, slopes = tank_tangent(scene, batches, seed, blur_mm=SLOPE_BLUR_MM)
+    return np.asarray(found.image, float), slopes
+
+
+def _mirrored(bench: Bench, cells: Cells) -> bool:
+    """Whether light at −y makes the mirror image of that at y."""
+    straight = bench.light == "collimated" or (
+        bench.light == "pinhole" and bench.light_position_mm is not None and bench.light_position_mm[1] == 0.0
+    )
+    camera = bench.camera
+    above = camera.kind == "orthographic" or (
+        camera.kind == "pinhole" and camera.position_mm is not None and camera.position_mm[1] == 0.0
+    )
+    rows = camera.shape[0] * camera.sides_mm[0]
+    return (
+        straight and above and bench.wall.y_mm[0] == -bench.wall.y_mm[1] and cells.y_mm[0] == -cells.y_mm[1]
+        and abs(rows - bench.tank.size_mm[1]) < 1e-9
+    )  # fmt: skip
+
+
+def _ideal(scene: Scene) -> Scene:
+    """Without blur: what it changes is beside edges, and those pixels do not count."""
+    return replace(
+        scene, camera=replace(scene.camera, blur=Blur()), projector=replace(scene.projector, blur=Blur())
+    )  # fmt: skip
+
+
+def _used(cells: Cells, bench: Bench, medium: Medium, count: int) -> Mask:
+    """Pixels that no edge between cells blurs, whichever are lit: each may differ from its neighbours."""
+    across = len(cells.light[0])
+    found = np.ones(bench.camera.shape, bool)
+    for first in (0, 1):
+        lit = (np.arange(count) + np.arange(count) // across) % 2 == first
+        if lit.any():
+            found &= Seen.of(bench.scene(draw(with_parts(cells, lit.astype(float)), bench.wall, "cells"), medium)).sharp
+    return found
