@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Ends = tuple[float, float]
 RANGE = (float, float)
+BY_PATHS = "where light or sight slants, other phase functions than Henyey–Greenstein's are fitted by light paths"
 
 
 @click.command(epilog="Example: tankrig prepare scene.toml")
@@ -115,6 +116,9 @@ def _for_a_run(sequence_file: Path, rig: Path, as_json: bool) -> None:
     seconds = round(time.perf_counter() - started, 3)
     if as_json:
         click.echo(json.dumps({"models": len(wanted), "kept": kept, "seconds": seconds}))
+        return
+    if phases is None:
+        click.echo(f"{sequence.name}: {BY_PATHS}, so there is nothing to prepare")
         return
     what = "the first look" if plan.ink is None else "the first look and the doses of the ink expected"
     found = "was there" if kept == len(wanted) else f"is ready after {seconds:.1f} s"

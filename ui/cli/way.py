@@ -140,6 +140,7 @@ def _models(description: "RigFile", sequence: "Sequence", sequence_file: Path) -
     from drivers.rig import calibrated_bench
     from tankrig.live.exposures import PhotographPlan
     from tankrig.live.preparing import foreseen, is_kept, phases_prepared
+    from ui.cli.prepare import BY_PATHS
 
     bench = calibrated_bench(description)
     plan = PhotographPlan.of(bench, sequence, list(sequence.drawn(bench.wall).values()))
@@ -147,7 +148,9 @@ def _models(description: "RigFile", sequence: "Sequence", sequence_file: Path) -
     foreseeable = foreseen(list(plan.scenes.values()), plan.doses_ml, plan.ink) if phases else []
     wanted = [(scene, box) for scenes, box in foreseeable for scene in scenes]
     kept = sum(is_kept(*one, phases or "hg") for one in wanted)
-    ink = "" if sequence.ink else "; ink = { … } in the sequence says which more will be wanted"
+    ink = "" if plan.ink else "; ink = { … } in the sequence says which more will be wanted"
+    if phases is None:
+        return Step("models for the live fit are prepared", None, BY_PATHS, "", wanted=False)
     finding = f"{kept} of {len(wanted)} that can be foreseen are kept; the run prepares the others first{ink}"
     command = f"tankrig prepare --sequence {quote(str(sequence_file))} {RIG}"
     return Step("models for the live fit are prepared", kept == len(wanted) or None, finding, command, wanted=False)

@@ -130,7 +130,7 @@ class PhaseAnswer:
 
     def image(self, medium: Medium) -> Array:
         """(rows, columns) image, W/mm²/sr; never negative."""
-        return self._images(self._amplitudes(medium)[0][None])[0]
+        return np.asarray(self._images(self._amplitudes(medium)[0][None])[0])
 
     def image_and_derivatives(self, medium: Medium) -> tuple[Array, Array]:
         """The image, and (3, rows, columns) its derivatives by σa, σs and g, of Henyey–Greenstein."""
