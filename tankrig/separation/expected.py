@@ -107,8 +107,8 @@ class Agreement:
             (seen, sd), (fitted, fitted_sd) = self.sigma_t, self.of_liquid
             if abs(seen - fitted) > BEYOND * float(np.hypot(sd, fitted_sd)):
                 found.append(
-                    f"by its decay order 1 has σt {seen:.3g} ± {sd:.1g} /mm and the fitted liquid {fitted:.3g} ± "
-                    f"{fitted_sd:.1g} /mm"
+                    f"by its decay order 1 has σt {seen:.3g} ± {sd:.2g} /mm and the fitted liquid {fitted:.3g} ± "
+                    f"{fitted_sd:.2g} /mm"
                 )
         end = "; the fit has the wrong liquid, or light that is none of its orders"
         return " and ".join(found) + end if found else ""
