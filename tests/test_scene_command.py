@@ -1,6 +1,7 @@
 """What the calibration says is what is exported, and what cannot be of this bench is refused before anything moves."""
 
 import json
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -109,8 +110,11 @@ def test_the_scene_that_is_exported_is_the_one_that_a_run_is_fitted_by(
     assert read.tank == used.tank
     assert read.camera == replace(used, camera=used.camera.binned(12)).camera
     assert whole_scene(told["path"]).camera == replace(used.camera, bin=12)
-    assert read.camera.blur_mm == pytest.approx(0.6 * used.camera.pixel_mm)
-    assert read.projector.blur_mm == pytest.approx(0.7 * 0.4, rel=0.05)  # 400 mm away, 1000 px of focal length
+    assert read.camera.blur.sigma_mm == pytest.approx(0.6 * used.camera.pixel_mm)
+    assert read.projector.blur.sigma_mm == pytest.approx(0.7 * 0.4, rel=0.05)  # 400 mm away, 1000 px of focal length
+    left_px = math.sqrt(2.0 * 0.6 * 0.01), math.sqrt(2.0 * 0.7 * 0.02)  # by so much these may be off
+    assert read.camera.blur_mm == pytest.approx(left_px[0] * used.camera.pixel_mm)
+    assert read.projector.blur_mm == pytest.approx(left_px[1] * 0.4, rel=0.05)
     ours, theirs = (
         [(*one.y_mm, *one.z_mm, one.irradiance) for one in each.projector.beams] for each in (read, used)
     )  # through a picture of 16 bits

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 GEOMETRY = ("camera", "tank", "projector")
 USED = (*GEOMETRY, "radiometry", "stray")
 """What a fit rests on."""
+UNTOLD = 0.05
+"""Share by which a blur may be off of which no file says it."""
 LEAST_HALO = 5e-4
 """Share of a projector's light below which its halo is left out: drawing it costs as much as a dozen beams."""
 DEVICES: Mapping[str, str] = {
@@ -192,7 +194,7 @@ def _lenses(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
     if told.get("halo_share", 0.0) > max(LEAST_HALO, 2.0 * found["projector"].sd.get("halo_share", 0.0)):
         projector = replace(projector, halo=Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * side_mm))
     if "radiometry" in found:
-        leak = float(found["radiometry"].result["projector"]["leak"])
+        leak = float(found["radiometry"].result["projector"].get("leak", 0.0))
         projector = replace(projector, black_level=max(leak, 0.0) * white_on_wall(projector, bench.tank))
     return replace(bench, camera=camera, projector=projector)
 
@@ -201,7 +203,8 @@ def _blurs(calibration: Calibration, side_mm: float) -> dict[str, Any]:
     """The keys `blur` and `blur_mm` of a camera or a projector whose pixels have such sides."""
     told, sd = calibration.result, calibration.sd
     middle_px, corner_px = told.get("blur_middle_px", told["blur_px"]), told.get("blur_corner_px")
-    widest_px, off_px = max(middle_px, corner_px or 0.0), float(sd["blur_px"])
+    widest_px = max(middle_px, corner_px or 0.0)
+    off_px = float(sd.get("blur_px", UNTOLD * widest_px))
     blur = Blur(float(middle_px) * side_mm, None if corner_px is None else float(corner_px) * side_mm)
     return {"blur": blur, "blur_mm": float(np.sqrt(2.0 * widest_px * off_px)) * side_mm}
 

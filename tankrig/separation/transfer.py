@@ -18,7 +18,7 @@ from tankrig.bench import Bench
 from tankrig.errors import ImageError
 from tankrig.image.bins import Bins
 from tankrig.pattern.kinds import Sheet, Wave, draw
-from tankrig.scene.description import Camera, Medium
+from tankrig.scene.description import Camera, Medium, Projector
 from tankrig.separation.waves import Array, Complex, Mask, demodulated
 
 LIQUID = Medium(0.0, 0.01, 0.5)
@@ -109,9 +109,13 @@ def transfer_of(wave: Wave, bench: Bench, camera: Camera, shifts: int = 4) -> Tr
 
 def _blur(factor: Complex, wave: Wave, bench: Bench, camera: Camera) -> Array:
     """(rows, columns) what blurs of camera and projector, both Gaussian, leave of a wave: exp(−2π²σ²f²)."""
-    projector = bench.projector.blur_mm if bench.projector is not None else None
-    on_wall = (projector or 0.0) / wave.period_mm
+    on_wall = (_of_lens_mm(bench.projector) if bench.projector is not None else 0.0) / wave.period_mm
     turn = float(np.angle(np.sum(factor[1:] * np.conj(factor[:-1]))))
     per_mm = abs(turn) / (2.0 * np.pi * camera.sides_mm[0])
-    in_picture = (camera.blur_mm or 0.0) * per_mm
+    in_picture = _of_lens_mm(camera) * per_mm
     return np.full(factor.shape, np.exp(-2.0 * np.pi**2 * (on_wall**2 + in_picture**2)))
+
+
+def _of_lens_mm(device: Camera | Projector) -> float:
+    """Standard deviation of a lens's blur: as models have it, or where they have none, as far as fits look away."""
+    return device.blur.sigma_mm or device.blur_mm or 0.0
