@@ -44,6 +44,7 @@ class FitCurves(QWidget):
                 axis.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
                 axis.setTickDensity(0.6)  # side by side, numbers have little room
             plot.getAxis("left").setWidth(AXIS_PX)
+            plot.setLabel("bottom", "ink (ml)")
             plot.showGrid(x=True, y=True, alpha=0.2)
             line = plot.plot(pen=pg.mkPen("#888888", width=1.5))
             bars = pg.ErrorBarItem(pen=pg.mkPen(colour, width=2), beam=0.0)
@@ -57,7 +58,7 @@ class FitCurves(QWidget):
             widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._fits: Sequence[tuple[float, DoseFit]] = []
         self._series: SeriesFit | None = None
-        self._against, self._painter = "", StaggeredPainter(self)
+        self._against, self._painter = "dose_ml", StaggeredPainter(self)
 
     def clear(self) -> None:
         """Show nothing, at once."""
