@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QFileDialog, QLineEdit, QWidget
+from PySide6.QtWidgets import QApplication, QFileDialog, QLineEdit, QPushButton, QWidget
 
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
@@ -72,6 +72,7 @@ def test_from_the_start_to_a_demo_that_runs(tmp_path, by):
         until(lambda: window.top.run.isEnabled(), 60.0)
         hands.press(Qt.Key.Key_F5)
         until(lambda: window.status.running and window.on_screen.source.run is not None, 60.0)
+        assert not isinstance(QApplication.focusWidget(), QPushButton), "the space bar would press something else"
         hands.press(Qt.Key.Key_2, control=True)
         until(window.fit.card.isVisible)
         window.stop()
