@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QFileDialog, QLineEdit, QWidget
+from PySide6.QtWidgets import QApplication, QFileDialog, QLineEdit, QPushButton, QWidget
 
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
@@ -51,14 +51,44 @@ class Hands:
         assert QTest.qWaitForWindowActive(self.window, 10_000)
 
 
+def try_it(hands: Hands, by: str) -> None:
+    """The first thing that a person does."""
+    button = hands.window.sequence.first.buttons["Try it"]
+    if by == "mouse":
+        hands.click(button)
+    else:
+        assert hands.window.ring.around is button, "the keyboard is not where a person begins"
+        hands.actions += 1
+        QTest.keyClick(QApplication.focusWidget(), Qt.Key.Key_Space)
+
+
+@pytest.mark.parametrize("by", ["mouse", "keyboard"])
+def test_from_the_start_to_a_demo_that_runs(tmp_path, by):
+    """Two: try it, run it. A third looks at the fits that come."""
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        until(lambda: window.status.state.value == "ready", 60.0)
+        hands = Hands(window)
+        try_it(hands, by)
+        until(lambda: window.top.run.isEnabled(), 60.0)
+        hands.press(Qt.Key.Key_F5)
+        until(lambda: window.status.running and window.on_screen.source.run is not None, 60.0)
+        assert not isinstance(QApplication.focusWidget(), QPushButton), "the space bar would press something else"
+        hands.press(Qt.Key.Key_2, control=True)
+        until(window.fit.card.isVisible)
+        window.stop()
+        until(lambda: not window.status.busy, 60.0)
+    assert hands.actions == 3
+
+
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_from_the_start_to_a_fitted_demo(tmp_path):
+@pytest.mark.parametrize("by", ["mouse", "keyboard"])
+def test_from_the_start_to_a_fitted_demo(tmp_path, by):
     """At most four: try it, run it, look at it."""
     with window_on(tmp_path, write_rig(tmp_path)) as window:
         until(lambda: window.status.state.value == "ready", 60.0)
         hands = Hands(window)
-        hands.click(window.sequence.first.buttons["Try it"])
+        try_it(hands, by)
         until(lambda: window.top.run.isEnabled(), 60.0)
         hands.press(Qt.Key.Key_F5)
         until(lambda: window.on_screen.shown.fits, 400.0)
@@ -67,7 +97,7 @@ def test_from_the_start_to_a_fitted_demo(tmp_path):
         assert window.fit.card.isVisible()
         window.stop()
         until(lambda: not window.status.busy, 60.0)
-    print(f"\nfrom the start to a fitted demo: {hands.actions} actions")
+    print(f"\nfrom the start to a fitted demo by {by}: {hands.actions} actions")
     assert hands.actions <= 4
 
 

@@ -121,10 +121,15 @@ def ring(runs: Path):
 
 
 class Ticks:
-    """Gaps of a window's event loop beside the time that a host took from this machine meanwhile."""
+    """Gaps of a window's event loop beside the time that a host took from this machine meanwhile.
+
+    And beside the time that the window's thread stood in the queue for a processor, which the kernel tells: what is
+    left of a gap without it is the window's own, however busy the machine is.
+    """
 
     def __init__(self, window: Any) -> None:
         self._gaps = window.event_loop
+        self._queue = Path(f"/proc/self/task/{threading.get_native_id()}/schedstat")
         self.reset()
         window.event_loop._timer.timeout.connect(self._look)
 
@@ -132,9 +137,20 @@ class Ticks:
         if self._gaps._recent:
             self._ms.append(self._gaps._recent[-1][1])
             self._taken_s.append(getattr(psutil.cpu_times(), "steal", 0.0))
+            queued_ms = self._queued_ms()
+            self._own_ms.append(self._ms[-1] - (queued_ms - self._before_ms))
+            self._before_ms = queued_ms
 
     def reset(self) -> None:
         self._ms, self._taken_s = array("f"), array("d")  # small, for the window's own memory is measured
+        self._own_ms, self._before_ms = array("f"), self._queued_ms()
+
+    def _queued_ms(self) -> float:
+        return int(self._queue.read_text().split()[1]) / 1e6 if self._queue.exists() else 0.0
+
+    def own_ms(self) -> Any:
+        """Gaps less the time in the queue for a processor; longest first."""
+        return np.sort(np.asarray(self._own_ms))[::-1]
 
     def undisturbed_ms(self) -> Any:
         """Gaps around which, five ticks to either side, nothing was taken; longest first."""
@@ -176,6 +192,7 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
         worst, longest, own = window.event_loop.worst_ms, window.event_loop.longest(5), ticks.undisturbed_ms()
         quiet = 100.0 * len(own) / len(ticks._ms)
         rate, taken = (window.live.displayed - displayed) / seconds, (cameras[-1].taken - taken) / seconds
+        unqueued = ticks.own_ms()
         grown = (memory.memory_info().rss - held) / 1e6
         fits = len(window.on_screen.shown.fits)
         window.stop()
@@ -185,7 +202,8 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
         f"{at_start:.0f} ms while the run began "
         f"(the longest of the last 20 s: {', '.join(f'{gap:.0f}' for gap in longest)}; "
         f"around the {quiet:.1f} % of ticks with no time taken by a host "
-        f"{', '.join(f'{gap:.0f}' for gap in own[:5])}), "
+        f"{', '.join(f'{gap:.0f}' for gap in own[:5])}; less the time in the queue for a processor "
+        f"{', '.join(f'{gap:.0f}' for gap in unqueued[:8])}, {(unqueued > 33.0).sum()} above 33), "
         f"{rate:.2f} pictures/s of the {taken:.2f} that the run takes, memory {grown:+.1f} MB"
     )
     assert ended[0].reason.value == "aborted", ended[0].error

@@ -189,3 +189,21 @@ def test_outlines_lie_on_the_light_in_a_calibrated_cameras_picture():
     near = cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0
     assert light[near].sum() > 0.9 * light.sum()
     assert near.mean() < 0.6
+
+
+@pytest.mark.usefixtures("opened")
+def test_a_wave_is_outlined_as_the_sheet_that_it_lies_in_and_not_by_its_columns():
+    """A hundred lines over a picture hide the light that they should lie around."""
+    from tankrig.bench import Bench
+    from tankrig.pattern import Wave, draw
+    from tankrig.pattern.wall import Wall
+    from tankrig.scene import Camera, Tank
+    from ui.window.frame_renderer import _outlines
+
+    wall = Wall((120, 160), (-40.0, 40.0), (0.0, 120.0))
+    bench = Bench(Tank((160.0, 80.0, 120.0)), wall, "collimated", Camera("orthographic", (40, 80), 2.0))
+    lines = _outlines(bench, draw(Wave(16.0, (58.0, 62.0), 0.5, (-40.0, 40.0)), wall, "wave"))
+    outlines = np.split(lines, len(lines) // 6)
+    assert len(outlines) == 1, "none of its columns is quite dark"
+    assert np.nanmin(lines[:, 1]) < -39.0
+    assert np.nanmax(lines[:, 1]) > 39.0

@@ -178,7 +178,7 @@ def test_waves_are_no_patterns_to_fit(tmp_path):
     from ui.window.jobs import read
 
     waves = '[[steps]]\ndo = "separate"\nz_mm = [56.0, 64.0]\nperiods_mm = [16, 32]\n'
-    (tmp_path / "waves.toml").write_text(FIRST + waves + '[[steps]]\\ndo = "capture"\\npattern = "full"\\n')
+    (tmp_path / "waves.toml").write_text(FIRST + waves + '[[steps]]\ndo = "capture"\npattern = "full"\n')
     rig = write_rig(tmp_path)
     words = ["run", str(tmp_path / "waves.toml"), "--rig", str(rig), "--out", str(tmp_path / "run"), "--no-fit"]
     assert main(words) == 0

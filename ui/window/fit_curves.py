@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import QGraphicsItem, QHBoxLayout, QSizePolicy, QWidget
 
 from tankrig.live.results import DoseFit, SeriesFit
@@ -44,6 +43,7 @@ class FitCurves(QWidget):
                 axis.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
                 axis.setTickDensity(0.6)  # side by side, numbers have little room
             plot.getAxis("left").setWidth(AXIS_PX)
+            plot.setLabel("bottom", "ink (ml)")
             plot.showGrid(x=True, y=True, alpha=0.2)
             line = plot.plot(pen=pg.mkPen("#888888", width=1.5))
             bars = pg.ErrorBarItem(pen=pg.mkPen(colour, width=2), beam=0.0)
@@ -54,15 +54,20 @@ class FitCurves(QWidget):
             self._widgets.append(widget)
             self._plots[name] = plot, line, bars, points
             widget.setMinimumHeight(112)
-            widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+            policy = QSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+            policy.setRetainSizeWhenHidden(True)  # each is laid out in its own turn, and none of the others with it
+            widget.setSizePolicy(policy)
+            widget.hide()
         self._fits: Sequence[tuple[float, DoseFit]] = []
         self._series: SeriesFit | None = None
-        self._against, self._painter = "", StaggeredPainter(self)
+        self._against, self._painter = "dose_ml", StaggeredPainter(self)
 
     def clear(self) -> None:
         """Show nothing, at once."""
         self._fits, self._series = [], None
         self._painter.take([])
+        for widget in self._widgets:
+            widget.hide()
         for _, line, bars, points in self._plots.values():
             line.setData([], [])
             points.setData([], [])
@@ -82,12 +87,6 @@ class FitCurves(QWidget):
                 plot.setLabel("bottom", "ink (ml)" if against == "dose_ml" else "time (s)")
         self._painter.take(partial(self._show, name) for name in self._plots)
 
-    def showEvent(self, event: QShowEvent) -> None:  # noqa: N802 - Qt's name
-        """The plots are painted one after another, each with what it shows."""
-        super().showEvent(event)
-        self._painter.hold(self._widgets)
-        self._painter.take(partial(self._show, name) for name in self._plots)
-
     def _show(self, name: str) -> None:
         plot, line, bars, points = self._plots[name]
         at = np.array([place for place, _ in self._fits])
@@ -98,7 +97,7 @@ class FitCurves(QWidget):
         if len(at):
             self._frame(plot, at, values, errors, name)
         line.setData(*self._line(name, at, self._series) if self._against == "dose_ml" and len(at) else ([], []))
-        plot.getViewWidget().setUpdatesEnabled(True)
+        plot.getViewWidget().setVisible(bool(len(at)))  # axes of nothing would measure nothing
 
     def _frame(self, plot: Any, at: Any, values: Any, errors: Any, name: str) -> None:
         """A view in which a few very long error bars do not hide the rest."""

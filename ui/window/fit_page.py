@@ -77,7 +77,6 @@ class FitPage(QWidget):
             fits = [(fit.dose_ml, fit) for fit in shown.by_dose]
         else:
             fits = [(one.time_s, one.fit) for one in shown.fits]
-        self._curves.setVisible(bool(fits))  # axes of nothing would measure nothing
         self._curves.show_fits(fits, against, shown.series)
 
     def _list_photographs(self, shown: Shown) -> None:

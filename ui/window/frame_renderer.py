@@ -20,11 +20,12 @@ from ui.window.tone import Tone, automatic, how_often
 if TYPE_CHECKING:
     from tankrig.bench import Bench, KnownScenes
     from tankrig.pattern import Pattern
-    from tankrig.scene import Scene
+    from tankrig.scene import Beam, Projector, Scene
 
 SLOW_S = 0.2
 """Statistics of frames follow them at this pace."""
 FOCUS_PX = 512
+TOUCHING_MM = 1e-6
 LEAST_PX = 2
 """A region with sides no longer than this has no focus."""
 MOST_OUTLINES = 200
@@ -224,12 +225,25 @@ def _outlines(bench: "Bench | KnownScenes | None", pattern: "Pattern | None") ->
     water = Medium(0.0, 0.01, 0.0)  # any will do
     try:
         scene = bench.scene(pattern, water) if bench and pattern else None
-        outlines = [] if scene is None else [_on_water(one, scene) for one in beam_outlines(scene)]
+        lit = None if scene is None else replace(scene, projector=_put_together(scene.projector))
+        outlines = [] if lit is None else [_on_water(one, lit) for one in beam_outlines(lit)]
     except (SceneError, SequenceError):
         outlines = []  # a dark pattern has no beams
     apart = np.full((1, 2), np.nan)
     lines = [np.vstack([one, one[:1], apart]) for one in outlines if len(outlines) <= MOST_OUTLINES]
     return np.vstack(lines) if lines else np.empty((0, 2))
+
+
+def _put_together(projector: "Projector") -> "Projector":
+    """The same light with one beam for those that touch side by side: of a smooth wave each column is one."""
+    beams: list[Beam] = []
+    for beam in sorted(projector.beams, key=lambda one: (one.z_mm, one.y_mm)):
+        last = beams[-1] if beams else None
+        if last is not None and last.z_mm == beam.z_mm and abs(last.y_mm[1] - beam.y_mm[0]) < TOUCHING_MM:
+            beams[-1] = replace(last, y_mm=(last.y_mm[0], beam.y_mm[1]))
+        else:
+            beams.append(beam)
+    return replace(projector, beams=tuple(beams))
 
 
 def _on_water(outline: NDArray[np.float64], scene: "Scene") -> NDArray[np.float64]:

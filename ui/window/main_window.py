@@ -249,6 +249,8 @@ class MainWindow(QMainWindow):
         draft = self._settings.value("draft")
         if draft and not self._first_sequence:  # what was typed and not saved when the window was closed
             self.sequence.document.edit_text(str(draft))
+        if self.sequence.beginning and self.focusWidget() in (None, self):
+            self.sequence.first.buttons["Try it"].setFocus()  # who has no mouse begins with the space bar
         self._opened(self._rig, afresh=True)  # last, so that an offer to go on with a run stands before other notices
         self._follow(self.status)
         theme.paint_plots(self)

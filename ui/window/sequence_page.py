@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
+    QApplication,
     QLabel,
     QMenu,
     QPushButton,
@@ -235,6 +236,9 @@ class SequencePage(QWidget):
         if not self.plan_list.waiting:
             self.plan_list.clear()
         beginning = self.beginning and self.run_list.empty
+        focus = QApplication.focusWidget()
+        if not beginning and focus is not None and self.first.isAncestorOf(focus):
+            self.window().setFocus()  # Qt would hand the keyboard to any button that comes next
         self.first.setVisible(beginning)
         self.tabs.setVisible(not beginning)
         problem = self.document.problem
