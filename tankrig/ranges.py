@@ -48,8 +48,9 @@ class Within:
         """
         if not isinstance(value, Real):
             return False
-        low = self.low < value if self.above else self.low <= value
-        return low and (value < self.high if self.below else value <= self.high)
+        number = float(value)
+        low = self.low < number if self.above else self.low <= number
+        return low and (number < self.high if self.below else number <= self.high)
 
     def refusal(self, value: Any) -> str:
         """What is wrong with a number, and what to give instead; empty where nothing is.
@@ -60,7 +61,7 @@ class Within:
         """
         if self.holds(value):
             return ""
-        return self.beyond if self.beyond and isinstance(value, Real) and value > self.low else self.advice
+        return self.beyond if self.beyond and isinstance(value, Real) and float(value) > self.low else self.advice
 
 
 def ranges_of(kind: type) -> Mapping[str, Within]:

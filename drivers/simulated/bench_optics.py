@@ -103,10 +103,12 @@ def through_camera_lens(bench: TrueBench, image: NDArray[np.floating], blur_px: 
     """
     rows, columns = image.shape
     blurred = blurred_part(bench, image, blur_px, (np.linspace(-1.0, 1.0, rows), np.linspace(-1.0, 1.0, columns)))
-    return behind_camera_lens(bench, image, blurred)
+    return np.asarray(behind_camera_lens(bench, image, blurred), np.float64)
 
 
-def behind_camera_lens(bench: TrueBench, image: NDArray[np.floating], blurred: Array) -> Array:
+def behind_camera_lens(
+    bench: TrueBench, image: NDArray[np.floating], blurred: NDArray[np.floating]
+) -> NDArray[np.floating]:
     """A picture before the camera's lens, and as its blur leaves it, with its halo and veil."""
     above = bench.camera.centre_mm[2] - bench.level_mm
     return astray(bench.stray, image, blurred, float(bench.camera.matrix[0, 0] / above))
@@ -145,7 +147,9 @@ _WIDTHS = 6
 """Of pictures between which a blur that changes over the picture is found."""
 
 
-def astray(stray: TrueStray, sharp: NDArray[np.floating], blurred: Array, px_per_mm: float) -> Array:
+def astray(
+    stray: TrueStray, sharp: NDArray[np.floating], blurred: NDArray[np.floating], px_per_mm: float
+) -> NDArray[np.floating]:
     """What a camera's halo and veil make of its picture: (rows, columns) before and behind its lens's blur."""
     if stray.camera_halo == 0.0 and stray.veil == 0.0:
         return blurred

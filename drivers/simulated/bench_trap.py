@@ -52,8 +52,8 @@ def _covered(bench: TrueBench, card: int) -> Array:
     at = start + ((bench.level_mm - start[..., 2]) / way[..., 2])[..., None] * way
     aside = at[..., :2] - middle
     along, across = (aside @ [np.cos(one), np.sin(one)] for one in (turn, turn + np.pi / 2.0))
-    fine = [(np.arange(n * _SAMPLES) + 0.5) / _SAMPLES - 0.5 for n in (rows, columns)]
+    fine_y, fine_x = ((np.arange(n * _SAMPLES) + 0.5) / _SAMPLES - 0.5 for n in (rows, columns))
     inside = np.ones((rows * _SAMPLES, columns * _SAMPLES), bool)
     for one in (along, across):
-        inside &= np.abs(RectBivariateSpline(y, x, one)(*fine)) < 0.5 * _CARD_MM
+        inside &= np.abs(RectBivariateSpline(y, x, one)(fine_y, fine_x)) < 0.5 * _CARD_MM
     return np.asarray(inside.reshape(rows, _SAMPLES, columns, _SAMPLES).mean(axis=(1, 3)))

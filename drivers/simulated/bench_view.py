@@ -62,14 +62,14 @@ class BoardInView:
                     light += np.float32(part * self._bench.full) * self._beam * self._thrown(pattern)
             size = (right - left, bottom - top)
             seen = self._albedo * light
-            blurred = picture.copy()
+            blurred: NDArray[np.floating] = picture.copy()
             picture[top:bottom, left:right] = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
             # Between samples, where half a pixel's blur is one: in whole pixels it would not be the Gaussian it is.
             blur_px = _SAMPLES * np.sqrt(max(self._bench.camera.blur_px**2 - _SAMPLING_PX2, 0.01))
             soft = blurred_part(self._bench, seen, float(blur_px), self._window)
             blurred[top:bottom, left:right] = cv2.resize(soft.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-            return np.asarray(behind_camera_lens(self._bench, picture, blurred) * self._fade, float)
-        return np.asarray(behind_camera_lens(self._bench, picture, picture) * self._fade, float)
+            return np.asarray(behind_camera_lens(self._bench, picture, blurred) * self._fade, np.float64)
+        return np.asarray(behind_camera_lens(self._bench, picture, picture) * self._fade, np.float64)
 
     def _thrown(self, pattern: Pattern) -> Map:
         """Light of the projector's pixels where each sample is lit from, of that of a white one."""
@@ -165,7 +165,7 @@ class BoardsInView:
         """Put the board or the trap there, or take it away."""
         if place == "nothing":
             self._view = None
-        elif place in ("trap", "card"):
+        elif place == "trap" or place == "card":  # of which a type checker knows what is left
             self._view = TrapInView(self.bench, number if place == "card" else None)
         else:
             self._view = BoardInView(self.bench, self._board, place, number)

@@ -187,7 +187,8 @@ class _IdealView:
         if not faces.dark:
             scene = replace(scene, tank=replace(scene.tank, faces=faces))
         tally = simulate_to(scene, truth.tolerance, seed=seed, coarsen=truth.coarsen)
-        return Radiance(astray(stray, tally.image, tally.image, 1.0 / scene.camera.pixel_mm), tally.stderr)
+        seen = astray(stray, tally.image, tally.image, 1.0 / scene.camera.pixel_mm)
+        return Radiance(np.asarray(seen, np.float64), tally.stderr)
 
     def blob(self, inlet_mm: tuple[float, float], plume_mm: float) -> Image:
         camera, width_mm = self._truth.bench.camera, self._truth.bench.tank.size_mm[1]

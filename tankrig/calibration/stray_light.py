@@ -243,7 +243,8 @@ def _fitted(placings: Sequence[_Placing], start: Array) -> tuple[Array, Array]:
 
     box = ([-0.1, np.log(1.5), -0.3], [0.4, np.log(0.6 * columns), 0.7])
     found = least_squares(misses, np.clip(start, box[0], box[1]), bounds=box, x_scale=[0.01, 0.3, 0.01])
-    curvature = found.jac.T @ found.jac
+    slopes = np.asarray(found.jac, dtype=float)
+    curvature = slopes.T @ slopes
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-30))
     inverse = np.linalg.inv(curvature / np.outer(scale, scale) + 1e-12 * np.eye(3)) / np.outer(scale, scale)
     return np.asarray(found.x), np.asarray(np.diag(inverse) * 2.0 * found.cost / (found.fun.size - 3))
@@ -260,7 +261,7 @@ def _profile(placings: Sequence[_Placing], seen: Sequence[Array], size: int) -> 
     table = np.concatenate(rows)
     whole = np.rint(table[:, 0]).astype(int)
     found = [table[whole == number].mean(axis=0) for number in np.unique(whole)]
-    return np.array(found) * np.array([size, 1.0, 1.0])
+    return np.asarray(np.array(found) * np.array([size, 1.0, 1.0]))
 
 
 def _blocks(light: Array, size: int) -> Array:

@@ -187,8 +187,12 @@ class AstrayBlock(Block):
         """Sizes times patterns."""
         return np.asarray(np.tensordot(values[self.name], self._patterns(view), 1))
 
+    def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
+        """The patterns of the first image."""
+        return self._patterns(0)
+
     def changes_in(self, view: int, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
-        """The patterns."""
+        """Those of a view."""
         return self._patterns(view)
 
     def _patterns(self, view: int) -> Array:
