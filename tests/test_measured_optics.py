@@ -202,5 +202,5 @@ def test_fits_leave_out_no_more_than_what_is_not_known_of_the_blur(blur_px: floa
     from tankrig.pattern.kinds import Rays, draw
     from tankrig.scene import Medium
 
-    scene = sharp.scene(draw(Rays((0.0,), 20.0, (40.0, 60.0)), sharp.wall), Medium(0.001, 0.01, 0.5))
+    scene = sharp.scene(draw(Rays((0.0,), (40.0, 60.0), 20.0), sharp.wall), Medium(0.001, 0.01, 0.5))
     assert edge_reach_mm(scene) == pytest.approx(2.5 * blur_px * np.sqrt(2.0 * share) * bench.camera.pixel_mm)

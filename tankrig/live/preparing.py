@@ -118,10 +118,11 @@ def foreseen(
 def phases_prepared(plan: PhotographPlan) -> Phases | None:
     """Which phase functions a run's models are prepared for; None where it is fitted by light paths.
 
-    Those of any phase function want light and sight that run straight.
+    Those of any phase function want light and sight that run straight. A free phase function is fitted by light paths
+    all the same: their stated error leaves it ten times wider than it need be (beads: σs ± 18 % instead of .7).
     """
-    if plan.phase == "hg":
-        return "hg"
+    if plan.phase in ("hg", "free", "any"):
+        return "hg" if plan.phase == "hg" else None
     from tankrig.light.prepared.phases.preparation import can_be_prepared
 
     return "any" if all(can_be_prepared(scene) for scene in plan.scenes.values()) else None
