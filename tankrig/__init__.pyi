@@ -1,3 +1,4 @@
+from .bench import Bench as Bench
 from .errors import CacheError as CacheError
 from .errors import CalibrationError as CalibrationError
 from .errors import DecisionError as DecisionError

@@ -41,7 +41,7 @@ def looked(rig: RigFile, **devices: Device) -> dict[str, Check]:
 
 def test_what_is_missing_is_named_with_the_command_that_measures_it(rig: RigFile) -> None:
     checks = looked(rig)
-    assert [check.passed for check in checks.values()] == [None] * 5
+    assert [check.passed for check in checks.values()] == [None] * 6
     assert checks["radiometry is calibrated"].remedy.startswith("tankrig calibrate radiometry")
 
 

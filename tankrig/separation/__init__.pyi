@@ -1,10 +1,12 @@
 from .expected import expected_separation as expected_separation
+from .expected import sheet_scene as sheet_scene
 from .order_one import OrderOne as OrderOne
 from .order_one import order_one as order_one
 from .order_one_fit import OrderOneFit as OrderOneFit
 from .order_one_fit import fit_order_one as fit_order_one
 from .recorded import Separation as Separation
 from .recorded import separations_of_run as separations_of_run
+from .transfer import LIQUID as LIQUID
 from .transfer import Transfer as Transfer
 from .transfer import transfer_of as transfer_of
 from .waves import Changed as Changed
