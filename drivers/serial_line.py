@@ -152,7 +152,9 @@ class SerialLine:
                 deadline = self._clock.monotonic() + REPLY_S
                 late = False
                 while not late:
-                    late = self._clock.monotonic() >= deadline  # then what has come meanwhile is still looked at
+                    late = self._clock.monotonic() >= deadline
+                    if late and not self._port.in_waiting:  # what came while the computer was busy still counts
+                        break
                     for frame in self._hear():
                         if (answer := accept(frame)) is not None:
                             self._silent_since = None

@@ -16,7 +16,7 @@ from tankrig.bench import Bench
 from tankrig.calibration.tolerances import Tolerances
 from tankrig.dosing import DoseLimits
 from tankrig.errors import SequenceError, TankrigError
-from tankrig.pattern.kinds import KINDS
+from tankrig.pattern.kinds import KINDS, Cells
 from tankrig.pattern.wall import Wall
 from tankrig.ranges import Within, ranges_of
 from tankrig.scene import Beam, Camera, Medium, Projector, Tank
@@ -30,7 +30,7 @@ from tankrig.sequence.loading import sequence_from_table
 NEEDED: dict[str, Any] = {
     "total_ul": 10.0, "pattern": "full", "patterns": ["full"], "times": 2, "seconds": 1.0, "bit": 1, "period_px": 8.0,
     "step": 1, "cell_px": 4, "index": 1, "y_mm": [-10.0, 10.0], "z_mm": [50.0, 60.0], "period_mm": 8.0, "path": "x.png",
-    "steps": [{"do": "wait", "seconds": 1.0}],
+    "steps": [{"do": "wait", "seconds": 1.0}], "light": [[1.0]],
 }  # fmt: skip
 """Values of fields that have to be given."""
 KINDS_OF_STEPS = (Dose, Mix, Capture, Burst, Wait, Repeat)
@@ -66,6 +66,8 @@ def table_of(kind: type, name: str, value: float) -> dict[str, Any]:
     """A sequence's table in which a step or a pattern has a number."""
     fields = {one.name: one for one in dataclasses.fields(kind) if one.init}
     given_here = {key: NEEDED[key] for key, one in fields.items() if one.default is dataclasses.MISSING}
+    if kind is Cells:
+        given_here["z_mm"] = [given_here["z_mm"]]  # of each sheet
     word = "do" if "do" in fields else "kind"
     one = {**given_here, word: fields[word].default, name: value}
     if name == "timeout_s" and kind is Capture:

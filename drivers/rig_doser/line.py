@@ -103,8 +103,10 @@ class RigDoserLine:
         while b"\n" not in self._received:
             if late:
                 return None
-            late = self._clock.monotonic() >= deadline  # then what has come meanwhile is still looked at
+            late = self._clock.monotonic() >= deadline
             try:
+                if late and not self._port.in_waiting:  # what came while the computer was busy still counts
+                    return None
                 self._received += self._port.read(max(1, self._port.in_waiting))
             except LOST as error:
                 raise self._line_lost() from error
