@@ -100,6 +100,7 @@ NEEDS: dict[tuple[str, int], tuple[Callable[[], Names], bool]] = {
     ("docs/devices.md", 0): (patterns_for_flash, False),
     ("docs/estimation.md", 0): (a_scene, True),
     ("docs/prepare.md", 0): (a_scene, True),
+    ("docs/advise.md", 0): (nothing, False),
     ("docs/archive.md", 0): (a_run, False),
     ("docs/archive.md", 1): (nothing, False),
     ("docs/first_hour.md", 0): (a_run, False),
@@ -108,6 +109,7 @@ NEEDS: dict[tuple[str, int], tuple[Callable[[], Names], bool]] = {
 ELSEWHERE = {
     ("README.md", 0): "below",
     ("docs/archive.md", 2): "needs Tiled, which tankrig does not bring; its names are looked up in test_docs.py",
+    ("docs/prepare.md", 1): "test_prepared_phases.py prepares, predicts and fits for any phase function",
     ("docs/separation.md", 1): "test_separation.py fits order 1 of a run's sheets",
     ("docs/separation.md", 0): "test_separation.py has the command do the same to a run with waves",
     **{("docs/write_a_driver.md", number): "test_other_peoples_drivers.py" for number in range(3)},

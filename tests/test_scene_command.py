@@ -318,12 +318,13 @@ def test_a_fit_tells_a_board_from_ink_and_a_camera_that_has_moved(
     assert main([*words, "--rig", str(rig)]) == 2
     assert "radiometry is not calibrated" in capsys.readouterr().err
     assert not Path("out").exists()
-    camera = whole_scene(scene).camera
+    there = whole_scene(scene)
+    camera = there.camera
     measured = _Measured(rig, cast(Any, None), "radiometry.toml", camera)
-    assert _Raw(10.0, 1.0, None, measured, False).notes(camera, Path(scene)) == []
+    assert _Raw(10.0, 1.0, None, measured, False).notes(there, Path(scene)) == []
     x, y, z = camera.position_mm or (0.0, 0.0, 0.0)
-    moved = replace(camera, position_mm=(x + 3.0, y, z + 4.0))
+    moved = replace(there, camera=replace(camera, position_mm=(x + 3.0, y, z + 4.0)))
     (note,) = _Raw(10.0, 1.0, None, measured, False).notes(moved, Path(scene))
     assert "stands 5 mm from where" in note
     assert "export the scene anew" in note
-    assert "radiometry is not applied" in _Raw(10.0, 1.0, None, None, False).notes(camera, Path(scene))[0]
+    assert "radiometry is not applied" in _Raw(10.0, 1.0, None, None, False).notes(there, Path(scene))[0]
