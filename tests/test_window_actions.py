@@ -1,6 +1,7 @@
 """How many things a person has to do: each press of a button, key, or line that is typed counts as one action."""
 
 import shutil
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -62,21 +63,28 @@ def try_it(hands: Hands, by: str) -> None:
         QTest.keyClick(QApplication.focusWidget(), Qt.Key.Key_Space)
 
 
-@pytest.mark.parametrize("by", ["mouse", "keyboard"])
-def test_from_the_start_to_a_demo_that_runs(tmp_path, by):
-    """Two: try it, run it. A third looks at the fits that come."""
+@contextmanager
+def a_demo_that_runs(tmp_path, by):
+    """The window, and the hands that have begun a demo."""
     with window_on(tmp_path, write_rig(tmp_path)) as window:
         until(lambda: window.status.state.value == "ready", 60.0)
         hands = Hands(window)
         try_it(hands, by)
         until(lambda: window.top.run.isEnabled(), 60.0)
         hands.press(Qt.Key.Key_F5)
+        yield window, hands
+        window.stop()
+        until(lambda: not window.status.busy, 60.0)
+
+
+@pytest.mark.parametrize("by", ["mouse", "keyboard"])
+def test_from_the_start_to_a_demo_that_runs(tmp_path, by):
+    """Two: try it, run it. A third looks at the fits that come."""
+    with a_demo_that_runs(tmp_path, by) as (window, hands):
         until(lambda: window.status.running and window.on_screen.source.run is not None, 60.0)
         assert not isinstance(QApplication.focusWidget(), QPushButton), "the space bar would press something else"
         hands.press(Qt.Key.Key_2, control=True)
         until(window.fit.card.isVisible)
-        window.stop()
-        until(lambda: not window.status.busy, 60.0)
     assert hands.actions == 3
 
 
@@ -85,18 +93,11 @@ def test_from_the_start_to_a_demo_that_runs(tmp_path, by):
 @pytest.mark.parametrize("by", ["mouse", "keyboard"])
 def test_from_the_start_to_a_fitted_demo(tmp_path, by):
     """At most four: try it, run it, look at it."""
-    with window_on(tmp_path, write_rig(tmp_path)) as window:
-        until(lambda: window.status.state.value == "ready", 60.0)
-        hands = Hands(window)
-        try_it(hands, by)
-        until(lambda: window.top.run.isEnabled(), 60.0)
-        hands.press(Qt.Key.Key_F5)
+    with a_demo_that_runs(tmp_path, by) as (window, hands):
         until(lambda: window.on_screen.shown.fits, 400.0)
         hands.press(Qt.Key.Key_2, control=True)
         until(lambda: window.fit.card.values["sigma_s"][1].text() != "–")
         assert window.fit.card.isVisible()
-        window.stop()
-        until(lambda: not window.status.busy, 60.0)
     print(f"\nfrom the start to a fitted demo by {by}: {hands.actions} actions")
     assert hands.actions <= 4
 

@@ -131,12 +131,13 @@ def test_an_export_is_of_the_run_that_was_asked_about(window, monkeypatch, tmp_p
 
 def test_what_a_filter_hides_is_not_selected(window):
     """A hidden run stayed selected, and Open opened it."""
+    before = window.on_screen.source
     window.runs.catalogue.select(path_of(window, "a"))
     window.runs._filter.setText("run-b")
     assert window.runs.catalogue.selected is None
     assert not any(button.isEnabled() for button in window.runs._buttons)
     window.runs.open_selected()
-    assert window.on_screen.source.run is None
+    assert window.on_screen.source == before
     window.runs._filter.setText("")
     assert window.runs.catalogue.selected is None
 

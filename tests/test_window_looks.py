@@ -16,7 +16,7 @@ from tankrig.scene import Camera, Tank
 from tests import recorded_runs as runs
 from tests.window_contrast import faint_rings, faint_texts, picture_of, thin_outlines
 from tests.window_rig import until, wait_ms, window_on, write_rig
-from ui.window.separated import Basis, Separated, SheetKey
+from ui.window.separated import Basis, SeparatedSheet, SheetKey
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 
@@ -48,7 +48,7 @@ heights_mm = [30.0, 60.0, 90.0]
 """
 
 
-def sheets() -> list[Separated]:
+def sheets() -> list[SeparatedSheet]:
     """Sheets at three heights, as ink of medium density would have them."""
     y, x = np.mgrid[:80, :120] * 2.0
     found = []
@@ -59,7 +59,7 @@ def sheets() -> list[Separated]:
             part = np.exp(-decay * x * 1.5)
             first = np.where(lit > 0.5, whole * part, np.nan).astype(np.float32)
             images = [one.astype(np.float32) for one in (whole, whole * part**0.8, whole * (1 - part**0.8))]
-            found.append(Separated(
+            found.append(SeparatedSheet(
                 SheetKey(dose_ml, z), Basis("x", None), images[0], {16.0: images[1], 32.0: images[1]},
                 {16.0: images[2], 32.0: images[2]}, first, first, TANK, CAMERA, {16.0: 0.533, 32.0: 0.61},
                 (0.53, 0.007), (decay, 0.02 * decay), (1.01, 0.02),

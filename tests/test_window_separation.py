@@ -20,7 +20,7 @@ from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.cli import main
 from ui.window.result import Z
-from ui.window.separated import Basis, Separated, SheetKey, ends_of_sheets
+from ui.window.separated import Basis, SeparatedSheet, SheetKey, ends_of_sheets
 from ui.window.separation_page import cells_of, palette, table_of, toned
 from ui.window.source import LIVE
 from ui.window.steps_editor import separation_for
@@ -33,11 +33,11 @@ FIRST = (
 )
 
 
-def sheet(dose_ml: float, height_mm: float, of: float = 1.0) -> Separated:
+def sheet(dose_ml: float, height_mm: float, of: float = 1.0) -> SeparatedSheet:
     """A sheet whose numbers are those of no other."""
     own = of * (dose_ml + 0.001 * height_mm)
     image = np.full((8, 12), own, np.float32)
-    return Separated(
+    return SeparatedSheet(
         SheetKey(dose_ml, height_mm), Basis(f"{own}", None), image, {8.0: 0.5 * image, 16.0: 0.6 * image},
         {8.0: 0.5 * image, 16.0: 0.4 * image}, 0.3 * image, np.full((80, 120), 0.3 * own, np.float32), TANK, CAMERA,
         {8.0: 0.5, 16.0: 0.6}, (0.3 * own, 0.01), (0.01 * own, 0.001), None, (),

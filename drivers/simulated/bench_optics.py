@@ -144,7 +144,7 @@ def blurred_part(bench: TrueBench, fine: NDArray[np.floating], blur_px: float, w
 
 
 _WIDTHS = 6
-"""Of pictures between which a blur that changes over the picture is found."""
+"""How many evenly blurred pictures a blur that changes over the picture is interpolated between."""
 
 
 def astray(

@@ -25,7 +25,7 @@ QUIET = 0.012
 SLOPE_BLUR_MM = 4.0
 """Over which derivatives of orders ≥ 3 are averaged: their noise would pass for information."""
 MOST_PIXELS = 3000
-"""Of the pictures that are designed with; the camera's are put together until there are no more."""
+"""Most pixels of the pictures that are designed with; the camera's are binned until there are no more."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,13 +37,13 @@ Wanted = Literal["all", "sum", "sigma_a", "sigma_s", "g"]
 OWN = 5
 """σa, σs, g, log gain, and the picture's offset."""
 STEPS = 60
-"""Of an ascent, at most."""
+"""Most steps of an ascent."""
 LIMIT_S = 0.9
 """After which no other start is tried."""
 FULL, FULL_WIDTH = 0.95, 0.01
 """Part of what the camera can show from which on a pixel tells nothing, and over which that sets in."""
 DARKEST = 1e-9
-"""Of the brightest pixel: what a picture without light is taken to have."""
+"""Light that a picture without any is taken to have, as a share of the brightest pixel's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +174,7 @@ class Prospect:
         return fisher, scatter + np.einsum("aij,bij->ab", pull, smoothed), smoothed
 
     def _covariance(self, fisher: Array, scatter: Array) -> tuple[Array, Array]:
-        """Of all values, and (F + P)⁻¹."""
+        """Covariance of all values, (F + P)⁻¹ (scatter + P) (F + P)⁻¹ with the prior P, and (F + P)⁻¹ itself."""
         brightest = self.gain * float(self.light.images.sum(axis=0).max())
         coefficients = [WIDEST * self.light.scene.medium.sigma_t] * 2
         widest = np.array([*coefficients, 1.0, WIDEST, *[WIDEST * brightest] * (len(fisher) - 4)])

@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 
 MOST_SHEETS, MOST_CELLS = 3, 40
 UNSURE = (0.1, 0.1, 0.05)
-"""Of σa and σs (of themselves) and of g: standard deviations from which on a design looks at both sides of a value."""
+"""Standard deviations of σa and σs (relative) and of g from which on a design looks at both sides of a value."""
 FURTHEST = (0.5, 0.3, 0.15)
-"""To which it looks at most."""
+"""The farthest from a value that it looks, in the same units."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ Light = NDArray[np.float32]
 AWAY_PX = 10.0
 """From the edge between the halves, in the projector's pixels, from where on blur does not reach."""
 BRIGHT = 0.3
-"""Of the brightest part of the board: what is darker, its black squares, shows the camera's halo more than its own."""
+"""Share of the board's brightest part: darker parts, its black squares, show the camera's halo more than their own
+light."""
 MOST_SAMPLES = 4000
 """Pixels of a placing that are kept."""
 LEAST_SAMPLES, LEAST_VIEWS = 200, 3

@@ -28,11 +28,11 @@ ACROSS = 120
 LIT, MARGIN = 0.05, 2
 """Share of the card's light from which on a block shows the card, and blocks about those that are left out, too."""
 LEAST_PART, MOST_PART = 0.02, 0.4
-"""Of the picture, that a card may take."""
+"""Shares of the picture that a card has to take, and may take."""
 MOST_MISFIT = 0.15
-"""Of the light beside the card, that may be unlike halo and veil."""
+"""Share of the light beside the card that may be unlike halo and veil."""
 MOST_DRIFT = 0.002
-"""Of the card's light, by which the trap's may change meanwhile."""
+"""Share of the card's light by which the trap's may change meanwhile."""
 METHOD = 0.006
 """Share by which all may be off besides: by blocks, and by the flat."""
 _FEWEST_SDS = 2.0

@@ -175,7 +175,7 @@ class AstrayBlock(Block):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the sizes."""
+        """Names of the sizes."""
         return tuple(self.sd)
 
     @property

@@ -27,8 +27,9 @@ NEARBY = 0.25
 """Share of a step within which derivatives by σa, σs and g are used again: within a whole one, single scattering's
 valley bends by more than where it is left."""
 MOMENTS = 5
-"""Of p that tell what orders ≥ 3 do: of their derivatives by a free phase function's coordinates (beads of .5 µm at σs
-.01, an emulsion at .03) three leave 3 and 5 % unexplained, five 1.5 and 2 %; p(90°) besides explains nothing."""
+"""How many moments of p tell what orders ≥ 3 do: of their derivatives by a free phase function's coordinates (beads of
+.5 µm at σs .01, an emulsion at .03) three leave 3 and 5 % unexplained, five 1.5 and 2 %; p(90°) besides explains
+nothing."""
 NEAR = 5.0
 """Steps within which derivatives by a phase function's coordinates are used again: it bends little."""
 

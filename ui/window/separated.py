@@ -49,7 +49,7 @@ class Basis:
 
 
 @dataclass(frozen=True, eq=False)
-class Separated:
+class SeparatedSheet:
     """One sheet at one dose: pictures in counts per ms, and the numbers of `tankrig separate`.
 
     Parameters
@@ -94,7 +94,7 @@ class Separated:
 
 def separate(
     path: Path, known: Mapping[SheetKey, Basis], fits: "tuple[DoseFit, ...] | None" = None, keep: bool = False
-) -> tuple[Separated, ...]:
+) -> tuple[SeparatedSheet, ...]:
     """Separate the sheets that a run has recorded whole, but for those that are known.
 
     Parameters
@@ -163,10 +163,10 @@ def _liquid(fit: "DoseFit | None") -> tuple[float, ...] | None:
     return None if fit is None else (fit.medium.sigma_a, fit.medium.sigma_s, fit.medium.g, fit.gain)
 
 
-def _separated(key: SheetKey, basis: Basis, one: "Separation", told: "Told") -> Separated:
+def _separated(key: SheetKey, basis: Basis, one: "Separation", told: "Told") -> SeparatedSheet:
     order_1 = one.order_one.image if one.order_one is not None else None
     finest = next(iter(one.waves.values()))
-    return Separated(
+    return SeparatedSheet(
         key, basis, one.sheet.astype(np.float32),
         {period_mm: waves.modulated.astype(np.float32) for period_mm, waves in one.waves.items()},
         {period_mm: waves.even.astype(np.float32) for period_mm, waves in one.waves.items()},

@@ -25,7 +25,7 @@ from ui.window.fields import with_name
 from ui.window.flow import Flow
 from ui.window.replay_bar import AxisSlider
 from ui.window.result import CONFIDENCE, Z
-from ui.window.separated import Separated, SheetKey, WithSd
+from ui.window.separated import SeparatedSheet, SheetKey, WithSd
 from ui.window.shown import Shown
 from ui.window.staggered_painter import StaggeredPainter
 from ui.window.tank_plot import TankPlot
@@ -75,7 +75,7 @@ class SeparationPage(QWidget):
         self._draw()
 
     @property
-    def sheet(self) -> Separated | None:
+    def sheet(self) -> SeparatedSheet | None:
         """The sheet that is looked at."""
         here = self._of_dose()
         if not here:
@@ -91,12 +91,12 @@ class SeparationPage(QWidget):
 
     # -- what is shown -------------------------------------------------------------------------------------------------
 
-    def _sheets(self) -> list[Separated]:
+    def _sheets(self) -> list[SeparatedSheet]:
         """All of the source, by dose and height."""
         found = self._shown.separated.values() if self._shown is not None else ()
         return sorted(found, key=lambda one: (one.key.dose_ml, one.key.height_mm))
 
-    def _of_dose(self) -> list[Separated]:
+    def _of_dose(self) -> list[SeparatedSheet]:
         """Those at the dose that is looked at, by height."""
         sheets, chosen = self._sheets(), self._dose.currentData()
         dose_ml = sheets[-1].key.dose_ml if chosen is None and sheets else chosen
@@ -110,7 +110,7 @@ class SeparationPage(QWidget):
         self._fill_table(sheets)
         self._draw_sheet()
 
-    def _list(self, sheets: list[Separated]) -> None:
+    def _list(self, sheets: list[SeparatedSheet]) -> None:
         """Doses, periods and heights to choose from; what was chosen stays chosen where it is still there."""
         doses = sorted({one.key.dose_ml for one in sheets})
         _offer(self._dose, [(NEWEST, None), *((f"{dose_ml:.4g} ml", dose_ml) for dose_ml in doses)])
@@ -140,7 +140,7 @@ class SeparationPage(QWidget):
             calls.append(partial(self._draw_sections, here, one, peak))
         self._painter.take(calls)
 
-    def _pictures(self, one: Separated, peak: float) -> list[Callable[[], None]]:
+    def _pictures(self, one: SeparatedSheet, peak: float) -> list[Callable[[], None]]:
         period_mm = self._period.currentData()
         if period_mm not in one.modulated:
             period_mm = next(iter(one.modulated))
@@ -164,7 +164,7 @@ class SeparationPage(QWidget):
             for plot, (title, image) in zip(self._plots, images.items(), strict=True)
         ]
 
-    def _draw_sections(self, here: list[Separated], one: Separated, peak: float) -> None:
+    def _draw_sections(self, here: list[SeparatedSheet], one: SeparatedSheet, peak: float) -> None:
         """Order 1 through the tank: means over what lies along the line of sight of each section."""
         heights, tank = [sheet.key.height_mm for sheet in here], one.tank
         half = 0.5 * tank.size_mm[1]
@@ -176,7 +176,7 @@ class SeparationPage(QWidget):
             section.show_bands(heights, toned(means, peak), left_mm, right_mm, tank, palette())
             section.mark(one.key.height_mm)
 
-    def _tell(self, one: Separated | None) -> None:
+    def _tell(self, one: SeparatedSheet | None) -> None:
         shown = self._shown
         waits = shown.separation_says if shown is not None else ""
         if one is None:
@@ -188,7 +188,7 @@ class SeparationPage(QWidget):
         self._says.setText(f"{head}: " + " ".join([*one.doubts, *([waits] if waits else [])]) if one.doubts or waits
                            else f"{head}: nothing casts doubt on it.")  # fmt: skip
 
-    def _fill_table(self, sheets: list[Separated]) -> None:
+    def _fill_table(self, sheets: list[SeparatedSheet]) -> None:
         periods = sorted({period_mm for one in sheets for period_mm in one.follow})
         headings = heading_row(periods)
         self._table.setColumnCount(len(headings))
@@ -202,7 +202,7 @@ class SeparationPage(QWidget):
                 item.setToolTip(" ".join(one.doubts) or headings[column])
                 self._table.setItem(row, column, item)
 
-    def _mark(self, one: Separated | None) -> None:
+    def _mark(self, one: SeparatedSheet | None) -> None:
         """The row of the sheet that is looked at is marked."""
         self._table.blockSignals(True)
         for row in range(self._table.rowCount()):
@@ -337,7 +337,7 @@ def heading_row(periods_mm: list[float]) -> list[str]:
     return ["ink, ml", "z, mm", *follow, "order 1, %", "σt, 1/mm", "order 1 / fit"]
 
 
-def cells_of(one: Separated, periods_mm: list[float]) -> list[str]:
+def cells_of(one: SeparatedSheet, periods_mm: list[float]) -> list[str]:
     """What a sheet tells, as `tankrig separate` does, with the window's one confidence."""
     follow = [f"{100.0 * one.follow[p]:.1f}" if p in one.follow else "–" for p in periods_mm]
     part = None if one.part is None else (100.0 * one.part[0], 100.0 * one.part[1])
@@ -345,7 +345,7 @@ def cells_of(one: Separated, periods_mm: list[float]) -> list[str]:
     return [f"{one.key.dose_ml:.4g}", f"{one.key.height_mm:g}", *follow, *numbers]
 
 
-def table_of(sheets: list[Separated]) -> str:
+def table_of(sheets: list[SeparatedSheet]) -> str:
     """All sheets as lines of cells with tabs between them: numbers as they are, with half their intervals."""
     periods = sorted({period_mm for one in sheets for period_mm in one.follow})
     names = ("order 1", "σt (1/mm)", "order 1 / fit")

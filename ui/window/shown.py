@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tankrig.live.exposures import Photograph
     from tankrig.run.regions import Counted
     from ui.window.jobs import Comparison, Found, Reading, Suggestion
-    from ui.window.separated import Separated, SheetKey
+    from ui.window.separated import SeparatedSheet, SheetKey
 
 NO_FIT = "No fit yet. Fits come by themselves while a run goes on, from the first dose of ink."
 
@@ -131,7 +131,7 @@ class Shown(QObject):
         """In regions of its run's frames, as it is saved with the run."""
         self.dark: float | None = None
         """Median count of its last dark frame."""
-        self.separated: dict[SheetKey, Separated] = {}
+        self.separated: dict[SheetKey, SeparatedSheet] = {}
         """Sheets of light told apart by waves."""
         self.separation_says = ""
         """What is wrong with them, or what they wait for."""
@@ -217,7 +217,7 @@ class Shown(QObject):
         self.counted = counted
         self.counted_changed.emit()
 
-    def take_separated(self, found: "Iterable[Separated]") -> None:
+    def take_separated(self, found: "Iterable[SeparatedSheet]") -> None:
         """Sheets of its run told apart by waves, in place of what was known of them."""
         self.separated |= {one.key: one for one in found}
         self.separation_says = ""

@@ -6,6 +6,8 @@ the integral is cut at the trapezoid's corners and at δ = 0 and graded about it
 """
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise, product
 
 import numpy as np
@@ -74,6 +76,41 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
         return image
     finest = min(camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
     fineness = COARSE if tolerance >= COARSE_FROM else FINE
+    for one in lit_heights(scene):
+        table, z0_weights = fill_table(scene, one.geometry, one.z_mm, one.mirrored, finest, fineness, one.shared)
+        rows = np.zeros((camera.shape[0], table.x_mm.size))
+        add_beams(rows, scene, one, table, z0_weights)
+        image += rows @ columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, one.geometry.length).T
+    return np.maximum(image, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
+
+
+@dataclass(frozen=True)
+class LitHeight:
+    """Beams whose order 2 one table serves.
+
+    Parameters
+    ----------
+    geometry
+        Numbers of the scene, of the source that the beams come from.
+    beams
+        Of one height; with `shared`, of many.
+    z_mm
+        (low, high) of the beams, or of all of them together.
+    mirrored
+        Whether the light goes by way of the surface between its two scatterings.
+    shared
+        Whether the beams have heights of their own within `z_mm`.
+    """
+
+    geometry: Geometry
+    beams: tuple[Beam, ...]
+    z_mm: Interval
+    mirrored: bool
+    shared: bool
+
+
+def lit_heights(scene: Scene) -> Iterator[LitHeight]:
+    """All that a scene's order 2 is the sum of: by source, by height, and by whether the surface reflects between."""
     for geometry, beams in light_sources(scene):
         ways = (False, True) if geometry.refractive_index > 1.0 else (False,)
         heights = sorted({beam.z_mm for beam in beams})
@@ -81,18 +118,18 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
         if shared:
             heights = [(heights[0][0], max(top for _, top in heights))]
         for z_mm, mirrored in product(heights, ways):
-            table, z0_weights = fill_table(scene, geometry, z_mm, mirrored, finest, fineness, shared)
-            rows = np.zeros((camera.shape[0], table.x_mm.size))
-            for beam in beams:
-                if shared:
-                    add_beam(rows, scene, geometry, beam, table, integral(table.z0_mm, beam.z_mm))
-                elif beam.z_mm == z_mm:
-                    add_beam(rows, scene, geometry, beam, table, z0_weights)
-            image += rows @ columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, geometry.length).T
-    return np.maximum(image, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
+            of_height = tuple(beam for beam in beams if shared or beam.z_mm == z_mm)
+            yield LitHeight(geometry, of_height, z_mm, mirrored, shared)
 
 
-def add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, z0_weights: Array) -> None:
+def add_beams(rows: Array, scene: Scene, lit: LitHeight, table: Table, z0_weights: Array) -> None:
+    """Add what a table says of its beams to (rows, x) the light of each row of pixels."""
+    for beam in lit.beams:
+        weights = integral(table.z0_mm, beam.z_mm) if lit.shared else z0_weights
+        _add_beam(rows, scene, lit.geometry, beam, table, weights)
+
+
+def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, z0_weights: Array) -> None:
     """Add one beam, cut into parts narrow enough where J is not shift-invariant."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     for low, high in _parts(beam.y_mm, table.inner_mm, shift_invariant(scene)):

@@ -10,14 +10,13 @@ is linear in the table's values, and the same for all pairs.
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
-from tankrig.light.double.image import MOST_HEIGHTS, add_beam, columns_of, integral
+from tankrig.light.double.image import add_beams, columns_of, lit_heights
 from tankrig.light.double.table import (
     FINE,
     PANEL,
@@ -28,7 +27,7 @@ from tankrig.light.double.table import (
     panel_cuts,
 )
 from tankrig.light.elementary import exponential
-from tankrig.light.rays import Geometry, light_sources, path_inside, sight_line
+from tankrig.light.rays import Geometry, path_inside, sight_line
 from tankrig.scene import Scene
 from tankrig.scene.phase_splines import PhaseSplines
 from tankrig.scene.phase_table import HenyeyGreensteinRecord
@@ -83,30 +82,20 @@ def double_pairs(scene: Scene, splines: PhaseSplines) -> PairTables:
     camera, medium = scene.camera, scene.medium
     finest = min(camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
     found = []
-    for geometry, beams in light_sources(scene):
-        ways = (False, True) if geometry.refractive_index > 1.0 else (False,)
-        heights = sorted({beam.z_mm for beam in beams})
-        together = len(heights) > MOST_HEIGHTS
-        if together:
-            heights = [(heights[0][0], max(top for _, top in heights))]
-        for z_mm, mirrored in product(heights, ways):
-            table, z0_weights = laid_out(scene, geometry, z_mm, mirrored, finest, FINE, together)
-            nodes = table.z0_mm.size, table.fractions.size
-            rows = np.zeros((*nodes, camera.shape[0], table.x_mm.size))
-            for j, k in np.ndindex(nodes):
-                table.values[:] = 0.0
-                table.values[j, ..., k] = 1.0 / medium.sigma_s**2
-                for beam in beams:
-                    if together:
-                        add_beam(rows[j, k], scene, geometry, beam, table, integral(table.z0_mm, beam.z_mm))
-                    elif beam.z_mm == z_mm:
-                        add_beam(rows[j, k], scene, geometry, beam, table, z0_weights)
-            columns = columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, geometry.length).T
-            found.append((
-                _pair_values(scene, geometry, table, splines),
-                rows.transpose(2, 0, 3, 1).reshape(camera.shape[0], -1),
-                np.tile(np.repeat(columns, nodes[1], axis=0), (nodes[0], 1)),
-            ))  # fmt: skip
+    for one in lit_heights(scene):
+        table, z0_weights = laid_out(scene, one.geometry, one.z_mm, one.mirrored, finest, FINE, one.shared)
+        nodes = table.z0_mm.size, table.fractions.size
+        rows = np.zeros((*nodes, camera.shape[0], table.x_mm.size))
+        for j, k in np.ndindex(nodes):
+            table.values[:] = 0.0
+            table.values[j, ..., k] = 1.0 / medium.sigma_s**2
+            add_beams(rows[j, k], scene, one, table, z0_weights)
+        columns = columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, one.geometry.length).T
+        found.append((
+            _pair_values(scene, one.geometry, table, splines),
+            rows.transpose(2, 0, 3, 1).reshape(camera.shape[0], -1),
+            np.tile(np.repeat(columns, nodes[1], axis=0), (nodes[0], 1)),
+        ))  # fmt: skip
     values, by_row, by_column = zip(*found, strict=True)
     return PairTables(
         np.concatenate(values), np.concatenate(by_row, axis=1).astype(np.float32),
