@@ -5,6 +5,7 @@ The runs are small and their numbers tell which run they are of (`tests/recorded
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -164,7 +165,7 @@ def test_opening_a_run_leaves_nothing_of_the_one_before(window):
     """Cards, pictures and bars of the run before stayed until the new one's had come, or for good."""
     shown = show(window, "a")
     assert agrees(window, path_of(window, "a"))
-    shown.photographs[PhotographKey("rays", 0.5)] = object()
+    shown.photographs[PhotographKey("rays", 0.5)] = SimpleNamespace(offset=0.0)
     shown.choose(PhotographKey("rays", 0.5))
     image, medium = np.ones((20, 30)), shown.by_dose[-1].medium
     rmse = {"1": 0.3, "1–3": 0.2, "1–20": 0.1, "all": 0.05}

@@ -32,16 +32,16 @@ def click(button) -> None:
     QTest.mouseClick(button, Qt.MouseButton.LeftButton)
 
 
-def test_the_first_page_offers_ways_to_begin_and_no_error(window):
+def test_the_first_page_offers_ways_to_begin_and_no_error(tmp_path):
     """It was met by a red: key "steps" is missing."""
-    page = window.sequence
-    until(page.first.isVisible)  # pages are built after the first picture
-    assert not page.tabs.isVisible()
-    assert page._says.text() == ""
-    assert window.banner.text == ""
-    click(page.first.buttons["Open a run"])
-    until(lambda: window.runs.isVisible())
-    window.show_page(page)
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        page = window.sequence
+        until(page.first.isVisible)  # pages are built after the first picture
+        assert not page.tabs.isVisible()
+        assert page._says.text() == ""
+        assert window.banner.text == ""
+        click(page.first.buttons["Open a run"])
+        until(lambda: window.runs.isVisible())
 
 
 def test_the_example_is_two_presses_from_a_run(window):

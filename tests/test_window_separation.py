@@ -208,7 +208,11 @@ def test_a_run_is_separated_while_it_goes_on_and_the_same_in_replay(tmp_path, ca
         window.run()
         until(lambda: window.on_screen.source.run is not None, 60.0)
         window.show_page(window.separation)
-        until(lambda: len(window.on_screen.shown.separated) == 2, 200.0, "it was not separated while the run went on")
+        sheets = window.on_screen.shown.separated
+        until(  # a sheet is shown with the waves that there are, and again with those that come after
+            lambda: [len(one.modulated) for one in sheets.values()] == [3, 3], 200.0,
+            "it was not separated while the run went on",
+        )  # fmt: skip
         assert window.status.running
         path = window.on_screen.source.run
         live = dict(window.on_screen.shown.separated)
