@@ -29,13 +29,15 @@ def test_stop_works_from_a_text_field_while_ink_flows(window):
     target = window.doser._target.edit
     until(lambda: window.doser._dose.isEnabled())
     target.setFocus()
-    QTest.keyClicks(target, "900")
+    before = window.status.tank.volume_ul
+    aim = round(before) + 900.0
+    QTest.keyClicks(target, f"{aim:g}")
     QTest.keyClick(target, Qt.Key.Key_Return)
-    until(lambda: window.status.target_ul == 900.0 and window.status.tank.volume_ul > 20.0)
+    until(lambda: window.status.target_ul == aim and window.status.tank.volume_ul > before + 20.0)
     QTest.keyClick(target, Qt.Key.Key_F12)
     until(lambda: window.status.stopped and window.status.target_ul is None)
     held = window.status.tank.volume_ul
-    assert 20.0 < held < 700.0
+    assert before + 20.0 < held < aim - 200.0
     assert not window.doser._dose.isEnabled()
     assert "stopped" in window._words.text()
     wait_ms(300)
