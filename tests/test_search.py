@@ -13,7 +13,8 @@ import tankrig
 from tankrig.estimation.forward import models_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.optimiser import ASYMMETRY_COORDINATE, Shot, _rough, fitted, solve
-from tankrig.estimation.parameters import MediumBlock, Range, Scaling, to_coordinates
+from tankrig.estimation.parameters import Block, Doses, InkBlock, MediumBlock, Range, Scaling, to_coordinates
+from tankrig.estimation.phase_block import CoefficientsBlock, InkCoefficientsBlock
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 
 Array = NDArray[np.float64]
@@ -67,6 +68,26 @@ def test_nothing_explains_an_image_better_than_the_optimum(seed: int) -> None:
     image = clean + np.random.default_rng(seed).normal(0.0, noise, clean.shape)
     found = tankrig.estimate(image, scene, 1.0, 0.0, noise, model="single")
     assert np.nansum(found.residual**2) < np.sum((image - clean) ** 2)
+
+
+TANK_RANGE, TWO_DOSES = Range.of_tank(240.0), Doses(np.array([0.1, 0.4]), np.array([0.001, 0.002]), np.arange(2))
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        MediumBlock(TANK_RANGE), CoefficientsBlock(TANK_RANGE), InkBlock(TWO_DOSES, 240.0),
+        InkCoefficientsBlock(TWO_DOSES, 240.0),
+    ],
+    ids=lambda one: type(one).__name__,
+)  # fmt: skip
+def test_a_search_begins_at_a_liquid_that_does_not_absorb(block: Block) -> None:
+    """Beads do not: a live fit of them died of a division by their absorption."""
+    for sigma_s in (1e-9, 0.01, 1e3):
+        at = block.start(Medium(0.0, sigma_s, 0.9))
+        assert np.all((block.low <= at) & (at <= block.high))
+        assert np.isfinite(block.values(at)).all()
+        assert np.isfinite(block.slopes(at)).all()
 
 
 @settings(max_examples=30, deadline=None)

@@ -44,15 +44,18 @@ FURTHEST_OFF = 5.0
 
 
 def to_coordinates(medium: Medium) -> Array:
-    """(log σs, logit ϖ, atanh g) of a medium that scatters and absorbs.
+    """(log σs, logit ϖ, atanh g) of a medium that scatters; logit ϖ of one that does not absorb is infinite.
 
     Examples
     --------
+    >>> to_coordinates(Medium(0.0, 1.0, 0.0))
+    array([ 0., inf,  0.])
     >>> medium = to_medium(to_coordinates(Medium(0.001, 0.02, -0.3)))
     >>> round(medium.sigma_a, 12), round(medium.sigma_s, 12), round(medium.g, 12)
     (0.001, 0.02, -0.3)
     """
-    return np.array([math.log(medium.sigma_s), math.log(medium.sigma_s / medium.sigma_a), math.atanh(medium.g)])
+    logit = math.log(medium.sigma_s / medium.sigma_a) if medium.sigma_a > 0.0 else math.inf
+    return np.array([math.log(medium.sigma_s), logit, math.atanh(medium.g)])
 
 
 def to_medium(coordinates: Array) -> Medium:
@@ -347,7 +350,7 @@ class InkBlock(Block):
 
     def start(self, densest: Medium) -> Array:
         """Ink of which the highest dose is that, in clear water."""
-        return np.array([*(to_coordinates(densest) - self._per_ml), 0.0])
+        return np.asarray(np.clip([*(to_coordinates(densest) - self._per_ml), 0.0], self.low, self.high))
 
     def values(self, coordinates: Array) -> Array:
         """The ink's σa, σs, g, and the water's σa."""

@@ -245,10 +245,11 @@ def fit_series(
     highest = doses.ml.size - 1
     few = [doses.of_image.tolist().index(dose) for dose in sorted({0, highest // 2, highest})]
     if asked.family is None:
-        begin = None
+        blocks, begin = blocks_of(None), None
         if ink is not None:
-            begin = np.concatenate([to_coordinates(ink), [water * length_mm], np.zeros(doses.ml.size)])
-        fit = fitted(shots, blocks_of(None), scaling, progress, begin, few)
+            own = np.append(to_coordinates(ink), water * length_mm)
+            begin = np.append(np.clip(own, blocks[0].low, blocks[0].high), np.zeros(doses.ml.size))
+        fit = fitted(shots, blocks, scaling, progress, begin, few)
     else:
         densest = None if ink is None else in_tank(ink, water, float(doses.ml[highest]))
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, few, densest)

@@ -20,7 +20,7 @@ _REMEDY = (
     "run it where there is a screen (DISPLAY or WAYLAND_DISPLAY names it; ssh -X brings one), and install what it "
     "names; on Debian or Ubuntu: sudo apt install libxcb-cursor0 libxkbcommon-x11-0 libxcb-icccm4 libxcb-keysyms1"
 )
-SWITCH_S = 0.002
+SWITCH_S = 0.0001
 """Threads hand the interpreter over this often, so that frames and fits do not hold the window up."""
 
 
