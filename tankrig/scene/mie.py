@@ -91,10 +91,12 @@ def _spheres(mie: Mie) -> tuple[float, Array, Array]:
     for (share, _, per_um), (a, b) in zip(kinds, series, strict=True):
         n = np.arange(1, len(a) + 1)
         by = (2.0 * n + 1.0) / (n * (n + 1.0))
-        across = (by * a) @ odd[: len(a)] + (by * b) @ even[: len(a)]
-        along = (by * a) @ even[: len(a)] + (by * b) @ odd[: len(a)]
-        polarised += share / (2.0 * per_um**2) * np.abs(across) ** 2
-        density += share / (2.0 * per_um**2) * (np.abs(across) ** 2 + np.abs(along) ** 2)
+        a_by, b_by = (np.stack([one.real, one.imag]) * by for one in (a, b))
+        across = a_by @ odd[: len(a)] + b_by @ even[: len(a)]
+        along = a_by @ even[: len(a)] + b_by @ odd[: len(a)]
+        squares = np.sum(across**2, axis=0)
+        polarised += share / (2.0 * per_um**2) * squares
+        density += share / (2.0 * per_um**2) * (squares + np.sum(along**2, axis=0))
         total += share * 2.0 * math.pi / per_um**2 * float((2.0 * n + 1.0) @ (np.abs(a) ** 2 + np.abs(b) ** 2))
     require(bool(np.isfinite(density).all() and 0.0 < total < math.inf), f"Mie's series fails for {mie}")
     return total, density / total, polarised / total
