@@ -101,3 +101,17 @@ def test_beads_are_fitted_by_their_label_and_pass(run: Path, capsys: pytest.Capt
     assert "Passed" in (run / "validation.html").read_text()
     assert main(command) == 0  # nothing is fitted a third time
     assert len(fits(run)) == len(first) + 4
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+def test_beads_of_which_nothing_is_known_are_fitted_rightly_dose_by_dose_and_as_a_series(run: Path) -> None:
+    """The series began anew from no phase function, and ended 9 % beside what its doses had found."""
+    assert main(["refit", str(run), "--phase", "any"]) == 0
+    doses, series = fits_in([event.fields for event in open_run(run).fits])
+    assert series is not None
+    for strength, sd, of in [
+        (series.ink.sigma_s, series.sd[1], 1.0),
+        *((one.medium.sigma_s, one.sd[1], one.dose_ml) for one in doses if one.identifiable["sigma_s"]),
+    ]:
+        assert abs(strength - of * PER_ML) < max(0.03 * of * PER_ML, 2.5 * sd)

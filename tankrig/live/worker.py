@@ -400,8 +400,7 @@ class Fitter:
 
     def _all(self, photographs: list[Photograph]) -> Fit:
         models = self._preparing.all_models if self._preparing else ()
-        known = self._latest is not None and (self._phase == "hg" or bool(models))
-        start = diluted(*self._latest, 1.0) if known and self._latest is not None else None
+        start = None if self._latest is None else diluted(*self._latest, 1.0)
         try:
             self._series = fit_all(photographs, self._series or start, models, self._progress, self._phase)
         except TankrigError as error:

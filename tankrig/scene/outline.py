@@ -29,6 +29,8 @@ LAYER_MM = 1.0
 """Height of the layers that lit volumes are drawn in."""
 ALONG = 9
 """Points of a ray that are followed into the picture, in which rays are bent."""
+BESIDE = -1e6
+"""Cell that lines of sight which do not meet the plane are taken to see."""
 FINE, FINEST = 8, 24
 """Cells that the reach is drawn in, and points looked at along a pixel at most."""
 
@@ -248,8 +250,9 @@ def _lit_columns(scene: Scene, cell_mm: float, margin: int) -> NDArray[np.float3
                 row = at.astype(int)
                 np.add.at(steps, (row, lit), sign * (row + 1 - at))
                 np.add.at(steps, (row + 1, lit), sign * (at - row))
-    canvas = np.cumsum(steps, axis=0)[:-1]
-    return np.where(canvas > 1e-6 * canvas.max(), canvas, 0.0).astype(np.float32)
+    canvas = np.cumsum(steps, axis=0, out=steps)[:-1]
+    canvas[canvas <= 1e-6 * canvas.max()] = 0.0
+    return canvas.astype(np.float32)
 
 
 def _seen_of(scene: Scene, cells: NDArray[np.uint8], cell_mm: float, margin: int, parts: int) -> Mask:
@@ -257,14 +260,17 @@ def _seen_of(scene: Scene, cells: NDArray[np.uint8], cell_mm: float, margin: int
     import cv2
 
     rows, columns = scene.camera.shape
-    corners = footprints(scene.camera, scene.tank).corners_mm - np.array([0.0, -0.5 * scene.tank.size_mm[1]])
-    down, right = ((np.arange(count * parts, dtype=np.float32) + 0.5) / parts for count in (rows, columns))
+    corner = np.array([0.0, -0.5 * scene.tank.size_mm[1]])
+    corners = (footprints(scene.camera, scene.tank).corners_mm - corner) / cell_mm + margin - 0.5
+    corners[np.isnan(corners)] = BESIDE
+    middles = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5]]) / parts
     x, y = (
-        cv2.remap(corners[..., k].astype(np.float32), *np.meshgrid(right, down), cv2.INTER_LINEAR) / cell_mm
-        + margin - 0.5
+        cv2.warpAffine(
+            corners[..., k].astype(np.float32), middles, (columns * parts, rows * parts),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        )
         for k in (0, 1)
     )  # fmt: skip
-    x, y = (np.nan_to_num(one, nan=-1e4).astype(np.float32) for one in (x, y))
     seen = cv2.remap(cells, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     return np.asarray(seen > 0)
 
