@@ -5,12 +5,14 @@ The runs are small and their numbers tell which run they are of (`tests/recorded
 
 import shutil
 from pathlib import Path
+from time import sleep
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFileDialog, QSlider
+from pyqtgraph import GraphicsView
+from PySide6.QtCore import QEvent, QObject, Qt
+from PySide6.QtWidgets import QApplication, QFileDialog, QSlider
 
 from tankrig.devices import CameraSettings
 from tankrig.live.formatting import with_error
@@ -18,7 +20,7 @@ from tankrig.live.results import fits_in
 from tankrig.run.notes import person_note
 from tankrig.run.reading import open_run
 from tests import recorded_runs as runs
-from tests.window_rig import until, window_on, write_rig
+from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window import jobs
 from ui.window.observed_devices import SeenFrame
 from ui.window.replay import UNKNOWN
@@ -199,6 +201,43 @@ def test_after_resuming_earlier_doses_and_done_steps_are_there(window):
     assert agrees(window, path), "a line of another run came through"
 
 
+class Moved(QObject):
+    """Plots whose size has changed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.plots: list[object] = []
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 - Qt's name
+        if event.type() == QEvent.Type.Resize and isinstance(watched, GraphicsView):
+            self.plots.append((type(watched.parent()).__name__, event.oldSize(), event.size()))
+        return False
+
+
+def test_nothing_moves_when_a_fit_comes_and_its_picture_is_computed(window, tmp_path):
+    """A button that came and went made the status bar grow, and each fit laid the whole window out anew, for 60 ms."""
+    path = runs.recorded(tmp_path / "run-e", 2, "")
+    reading = jobs.read(path)
+    window.on_screen.begin(path, reading.labels, reading.run.journal)
+    window.show_page(window.fit)
+    painted(window)
+    wait_ms(300)
+    moved = Moved()
+    QApplication.instance().installEventFilter(moved)
+    try:
+        for number in (2, 3):
+            for event in runs.add_dose(path, number, "d" * 64):
+                window.on_screen.take(path, event)
+            ended = []
+            window.background.run(sleep, 0.3, then=ended.append, name="the model's picture of rays")
+            until(lambda ended=ended: ended)
+            painted(window)
+            wait_ms(100)
+    finally:
+        QApplication.instance().removeEventFilter(moved)
+    assert moved.plots == []
+
+
 def test_the_exposure_shown_is_the_pictures_own(window, monkeypatch):
     """It showed 99 ms while a run took 20."""
     window.live.set_camera(CameraSettings(99.0), free=False)
@@ -263,8 +302,6 @@ def test_a_refit_with_a_free_background_has_it_in_all_orders():
 
 
 def test_refits_hand_on_photographs_as_they_were_fitted(monkeypatch, tmp_path):
-    from types import SimpleNamespace
-
     from tankrig.live.exposures import Photograph
     from tankrig.pattern.kinds import Sheet, draw
     from tankrig.scene import Medium

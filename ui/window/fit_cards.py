@@ -10,6 +10,7 @@ from PySide6.QtWidgets import (
     QLabel,
     QProgressBar,
     QPushButton,
+    QSizePolicy,
     QVBoxLayout,
     QWidget,
 )
@@ -22,7 +23,8 @@ ORDERS = {
     "single": "single scattering's best",
 }  # fmt: skip
 VERDICT_LINES = 2
-NOTHING = "not fitted yet"
+NOTHING = "not fitted yet\n\u00a0"
+LONGEST_LINE = f"± 0.00000000 ({CONFIDENCE})"
 
 
 class ResultCard(QWidget):
@@ -66,7 +68,10 @@ class ResultCard(QWidget):
             column.setContentsMargins(12, 6, 12, 6)
             column.setSpacing(0)
             for label in (title, value, note):
+                label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
                 column.addWidget(label)
+            # Whatever a fit says, nothing moves: laying the page out anew costs a picture of the live view.
+            card.setMinimumWidth(self.fontMetrics().horizontalAdvance(LONGEST_LINE) + 24)
             row.addWidget(card, 1)
             self.values[name] = title, value, note
         column = QVBoxLayout(self)
@@ -90,7 +95,7 @@ class ResultCard(QWidget):
             number, _, half = one.text.partition(" ± ")
             title.setText(f"{one.symbol} {one.unit}".strip())
             value.setText(number)
-            note.setText(f"± {half} ({CONFIDENCE})" + ("" if one.determined else ", not determined"))
+            note.setText(f"± {half} ({CONFIDENCE})\n" + ("\u00a0" if one.determined else "not determined"))
         self.belongs.say(result.belongs if result is not None else "")
         verdict = result.verdict if result is not None else ""
         self.verdict.say(f"{says} {verdict}".strip())

@@ -35,6 +35,9 @@ class WorkStrip(QWidget):
         self._words, self._cancel = QLabel(), QPushButton("Cancel")
         self._cancel.setToolTip("call off what is in work; with more in the queue, choose what")
         self._cancel.clicked.connect(self._choose)
+        room = self._cancel.sizePolicy()
+        room.setRetainSizeWhenHidden(True)  # or each beginning and end of work would lay the whole window out anew
+        self._cancel.setSizePolicy(room)
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
         row.addWidget(self._words)
