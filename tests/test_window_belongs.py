@@ -22,7 +22,8 @@ from tankrig.run.reading import open_run
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window import jobs
-from ui.window.observed_devices import SeenFrame
+from ui.window.frame_renderer import FrameRenderer, Picture
+from ui.window.observed_devices import LatestValue, SeenFrame
 from ui.window.replay import UNKNOWN
 from ui.window.runs_page import COLUMNS, PATH
 from ui.window.shown import PhotographKey, Shown
@@ -249,6 +250,33 @@ def test_the_exposure_shown_is_the_pictures_own(window, monkeypatch):
     until(lambda: window.live.frame is frame)
     assert (window.live._exposure.value, window.live._gain.value) == (20.0, 2.0)
     window.host.look_away(False)
+
+
+@pytest.mark.usefixtures("opened")
+def test_levels_and_counts_beside_a_frame_are_its_own_however_soon_it_came_after_another():
+    """A slider moved in a replay showed the frame that it ended at with the levels and counts of one passed by."""
+    frames: LatestValue[SeenFrame] = LatestValue()
+    renderer = FrameRenderer(frames)
+    shown: list[Picture] = []
+
+    def last() -> Picture | None:
+        picture = renderer.pictures.take()
+        if picture is not None:
+            shown.append(picture)
+        return shown[-1] if shown else None
+
+    try:
+        for level in (100, 3000):
+            frame = SeenFrame(np.full((20, 30), level, np.uint16), 4095, CameraSettings(20.0, 2.0), None)
+            frames.put(frame)
+            until(lambda frame=frame: last() is not None and last().frame is frame)
+        until(lambda: last().statistics is not None)
+        assert last().frame is frame
+        assert last().tone.high >= 3000.0
+        wait_ms(500)
+        assert len([one for one in shown if one.frame is frame]) <= 2, "once more, and no more"
+    finally:
+        renderer.close()
 
 
 def test_a_frame_of_another_source_is_not_shown(window):

@@ -158,16 +158,19 @@ class FrameRenderer:
 
     def _work(self, ending: threading.Event) -> None:
         tone: Tone | None = None
-        first = True
-        while self._wake.wait() and not ending.is_set():
+        first, behind = True, False
+        while not ending.is_set():
+            self._wake.wait(SLOW_S if behind else None)
             self._wake.clear()
             changed, self._view_changed = self._view_changed, False
             new = self._source.take()
             self._frame = frame = new or self._frame
-            if frame is None or not (new or changed):
+            due = changed or time.monotonic() - self._statistics_s > SLOW_S
+            if ending.is_set() or frame is None or not (new or changed or (behind and due)):
                 continue
             view, statistics = self._view, None
-            if changed or time.monotonic() - self._statistics_s > SLOW_S:
+            behind = not due  # of the last frame there are to be statistics, however soon it came after another
+            if due:
                 self._statistics_s = time.monotonic()
                 statistics = statistics_of(frame, view, focus=not first)
                 first = False
