@@ -1,6 +1,7 @@
 """The window's figures, on a machine that does nothing else: `pytest -m long -s tests/test_window_figures.py`.
 
-TANKRIG_RUN_S gives the length of the long run in seconds: 300 for its gaps, 1800 for its memory.
+TANKRIG_RUN_S gives the length of the long run in seconds: 300 for its gaps, 1800 for its memory, which
+is measured with `-p no:logging`: pytest keeps each line of the log.
 """
 
 import os

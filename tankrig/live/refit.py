@@ -178,7 +178,8 @@ def _by_tank_model(
         near = fit
     if len(doses_ml) > 1 and (series is None or series.doses_ml != tuple(doses_ml)):
         progress("fitting the series")
-        start = None  # Henyey–Greenstein's three numbers are found from anywhere, a freer phase function is not
+        # Henyey–Greenstein's three numbers are found from anywhere; other phase functions from what a dose has found.
+        start = None
         if near is not None and near.medium.phase is not None:
             start = diluted(near.medium, near.dose_ml, 1.0)
         yield fit_all(photographs, start, progress=progress, phase=phase)

@@ -91,6 +91,7 @@ def _spheres(mie: Mie) -> tuple[float, Array, Array]:
     for (share, _, per_um), (a, b) in zip(kinds, series, strict=True):
         n = np.arange(1, len(a) + 1)
         by = (2.0 * n + 1.0) / (n * (n + 1.0))
+        # Real and imaginary parts as rows: times complex numbers, the tables of π and τ would be copied as such.
         a_by, b_by = (np.stack([one.real, one.imag]) * by for one in (a, b))
         across = a_by @ odd[: len(a)] + b_by @ even[: len(a)]
         along = a_by @ even[: len(a)] + b_by @ odd[: len(a)]

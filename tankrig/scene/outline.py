@@ -30,7 +30,7 @@ LAYER_MM = 1.0
 ALONG = 9
 """Points of a ray that are followed into the picture, in which rays are bent."""
 BESIDE = -1e6
-"""Cell that lines of sight which do not meet the plane are taken to see."""
+"""Coordinate, in cells, that lines of sight get which do not meet the plane: beside any tank."""
 FINE, FINEST = 8, 24
 """Cells that the reach is drawn in, and points looked at along a pixel at most."""
 
@@ -262,8 +262,8 @@ def _seen_of(scene: Scene, cells: NDArray[np.uint8], cell_mm: float, margin: int
     rows, columns = scene.camera.shape
     corner = np.array([0.0, -0.5 * scene.tank.size_mm[1]])
     corners = (footprints(scene.camera, scene.tank).corners_mm - corner) / cell_mm + margin - 0.5
-    corners[np.isnan(corners)] = BESIDE
-    middles = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5]]) / parts
+    corners[~np.isfinite(corners)] = BESIDE
+    middles = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5]]) / parts  # of the parts, in pixels from the first corner
     x, y = (
         cv2.warpAffine(
             corners[..., k].astype(np.float32), middles, (columns * parts, rows * parts),

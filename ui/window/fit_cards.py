@@ -23,8 +23,13 @@ ORDERS = {
     "single": "single scattering's best",
 }  # fmt: skip
 VERDICT_LINES = 2
-NOTHING = "not fitted yet\n\u00a0"
+EMPTY_LINE = "\u00a0"
+"""Keeps a note's second line, so that a card is as high whatever it says."""
+NOTHING = f"not fitted yet\n{EMPTY_LINE}"
 LONGEST_LINE = f"± 0.00000000 ({CONFIDENCE})"
+"""What a card has room for."""
+BESIDE_PX = 12
+"""Room to either side of a card's text."""
 
 
 class ResultCard(QWidget):
@@ -65,13 +70,13 @@ class ResultCard(QWidget):
             for label in (note, title):
                 label.setProperty("role", "faint")
             column = QVBoxLayout(card)
-            column.setContentsMargins(12, 6, 12, 6)
+            column.setContentsMargins(BESIDE_PX, 6, BESIDE_PX, 6)
             column.setSpacing(0)
             for label in (title, value, note):
                 label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
                 column.addWidget(label)
             # Whatever a fit says, nothing moves: laying the page out anew costs a picture of the live view.
-            card.setMinimumWidth(self.fontMetrics().horizontalAdvance(LONGEST_LINE) + 24)
+            card.setMinimumWidth(self.fontMetrics().horizontalAdvance(LONGEST_LINE) + 2 * BESIDE_PX)
             row.addWidget(card, 1)
             self.values[name] = title, value, note
         column = QVBoxLayout(self)
@@ -95,7 +100,7 @@ class ResultCard(QWidget):
             number, _, half = one.text.partition(" ± ")
             title.setText(f"{one.symbol} {one.unit}".strip())
             value.setText(number)
-            note.setText(f"± {half} ({CONFIDENCE})\n" + ("\u00a0" if one.determined else "not determined"))
+            note.setText(f"± {half} ({CONFIDENCE})\n" + (EMPTY_LINE if one.determined else "not determined"))
         self.belongs.say(result.belongs if result is not None else "")
         verdict = result.verdict if result is not None else ""
         self.verdict.say(f"{says} {verdict}".strip())

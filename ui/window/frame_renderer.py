@@ -113,7 +113,7 @@ class Picture:
     tone
         Which made them.
     statistics
-        A few times a second.
+        A few times a second, and of the last frame, however soon it came after another.
     """
 
     frame: SeenFrame
@@ -169,7 +169,7 @@ class FrameRenderer:
             if ending.is_set() or frame is None or not (new or changed or (behind and due)):
                 continue
             view, statistics = self._view, None
-            behind = not due  # of the last frame there are to be statistics, however soon it came after another
+            behind = not due
             if due:
                 self._statistics_s = time.monotonic()
                 statistics = statistics_of(frame, view, focus=not first)

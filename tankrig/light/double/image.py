@@ -93,13 +93,13 @@ class LitHeight:
     geometry
         Numbers of the scene, of the source that the beams come from.
     beams
-        Of one height; with `shared`, of many.
+        Those of the height `z_mm`; where `shared`, all of the source's.
     z_mm
-        (low, high) of the beams, or of all of them together.
+        (low, high) of each beam; where `shared`, from the lowest to the highest of them.
     mirrored
         Whether the light goes by way of the surface between its two scatterings.
     shared
-        Whether the beams have heights of their own within `z_mm`.
+        Whether the beams have different heights, too many for a table each.
     """
 
     geometry: Geometry
@@ -110,7 +110,7 @@ class LitHeight:
 
 
 def lit_heights(scene: Scene) -> Iterator[LitHeight]:
-    """All that a scene's order 2 is the sum of: by source, by height, and by whether the surface reflects between."""
+    """Parts whose sum is a scene's order 2: by source, height, and whether light goes by way of the surface between."""
     for geometry, beams in light_sources(scene):
         ways = (False, True) if geometry.refractive_index > 1.0 else (False,)
         heights = sorted({beam.z_mm for beam in beams})
