@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -25,18 +26,32 @@ def commands_of_the_page() -> list[list[str]]:
 
 
 def typed(
-    words: list[str], folder: Path, timeout_s: float = 900.0, **environment: str
+    words: list[str], folder: Path, timeout_s: float = 600.0, **environment: str
 ) -> "subprocess.CompletedProcess[str]":
-    """A command in a folder, with nobody at the terminal."""
-    return subprocess.run(
-        [sys.executable, "-c", _RUN, *words],
+    """A command in a folder, with nobody at the terminal.
+
+    One that does not end in time fails with what it and the processes that it started were doing.
+    """
+    command = [sys.executable, "-c", _RUN, *words]
+    with subprocess.Popen(
+        command,
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(TREE)} | environment,
+        env=os.environ | {"PYTHONPATH": str(TREE), "PYTHONFAULTHANDLER": "1"} | environment,
         stdin=subprocess.DEVNULL,
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-        timeout=timeout_s,
-    )
+        start_new_session=True,
+    ) as process:
+        try:
+            said, wrong = process.communicate(timeout=timeout_s)
+        except BaseException as error:
+            os.killpg(process.pid, signal.SIGABRT)  # each process writes where its threads are, and ends
+            if isinstance(error, KeyboardInterrupt):
+                raise
+            said, wrong = process.communicate(timeout=60.0)
+            raise AssertionError(f"{' '.join(words)}: not done in time\n{said}{wrong}") from error
+    return subprocess.CompletedProcess(command, process.returncode, said, wrong)
 
 
 def make_small(folder: Path) -> None:

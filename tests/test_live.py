@@ -10,7 +10,10 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import psutil
@@ -201,6 +204,29 @@ def test_frames_become_coefficients_in_another_process_that_ends_and_leaves_noth
     assert last.medium.g == pytest.approx(INK.g, abs=0.1)
     assert last.single is not None
     assert not [path for path in shared if path.exists()]
+
+
+def test_a_last_frame_that_comes_while_the_fit_looks_is_looked_at_again() -> None:
+    """Else the run would wait for fits, some minutes, that nobody makes any more."""
+    news = threading.Event()
+
+    class LastFrame(threading.Event):
+        def is_set(self) -> bool:
+            before = super().is_set()
+            self.set()  # by the run, right after the fit has read it
+            news.set()
+            return before
+
+    memory = SharedMemory(create=True, size=plan().size * 8)
+    try:
+        shared: Any = SimpleNamespace(news=news, last=LastFrame(), lock=threading.Lock(), plan=plan())
+        news.set()
+        exposures, last = worker.newest(shared, memory)
+        assert exposures is not None
+        assert last or news.is_set()
+    finally:
+        memory.close()
+        memory.unlink()
 
 
 def test_a_fit_that_is_busy_neither_holds_the_run_up_nor_loses_what_happened_meanwhile() -> None:

@@ -95,11 +95,6 @@ def _fit(shared: Shared, memory: SharedMemory) -> None:
     fitter = Fitter(shared.earlier, preparing, shared.plan)
     told: list[Preparation] = []
 
-    def look() -> tuple[Exposures | None, bool]:
-        last = shared.last.is_set()
-        shared.news.clear()
-        return _copy(shared, memory), last
-
     def wait(seconds: float | None) -> bool:
         """Until there is news; meanwhile it is told how far the models are."""
         begun_s = time.monotonic()
@@ -116,7 +111,7 @@ def _fit(shared: Shared, memory: SharedMemory) -> None:
                 return False
 
     try:
-        for fit in fit_all_there_is(fitter, look, wait):
+        for fit in fit_all_there_is(fitter, lambda: newest(shared, memory), wait):
             shared.results.send(fit)
     finally:
         shared.results.close()  # the run need not wait for what is being computed
@@ -135,23 +130,33 @@ def fit_all_there_is(
     fitter
         Decides what is next.
     look
-        Gives the sums as they are now, None where they cannot be read at once, and whether no more frames will come.
+        Gives the sums as they are now, None where they could not be read in some seconds, and whether no more frames
+        will come.
     wait
         Waits for new frames or models, for so many seconds or for ever; whether there are any.
     """
     while True:
         exposures, last = look()
-        fit = None if exposures is None else fitter.next(exposures, last)
+        if exposures is None:
+            continue
+        fit = fitter.next(exposures, last)
         if fit is not None:
             yield fit
         elif fitter.unfinished and (last or not wait(QUIET_S)):
             whole = fitter.finish()
             if whole is not None:
                 yield whole
-        elif exposures is not None and last and not fitter.waiting:
+        elif last and not fitter.waiting:
             return
         elif not fitter.unfinished:
             wait(None)
+
+
+def newest(shared: Shared, memory: SharedMemory) -> tuple[Exposures | None, bool]:
+    """The sums as they are now, None where they could not be read in time, and whether no more frames will come."""
+    shared.news.clear()  # first: whatever comes after this line is news again, and looked at once more
+    last = shared.last.is_set()
+    return _copy(shared, memory), last
 
 
 def _copy(shared: Shared, memory: SharedMemory) -> Exposures | None:
