@@ -15,7 +15,7 @@ from tankrig.errors import SceneError
 from tankrig.light.entering import entering, through_lens
 from tankrig.light.leaving import CameraLens
 from tankrig.light.prepared.box import Box
-from tankrig.light.tank import by_faces
+from tankrig.light.tank import by_faces, once
 from tankrig.light.walls.faces import FAR, face_table, sent_back
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.loading import scene_from_table
@@ -356,3 +356,36 @@ def test_a_narrow_blur_is_the_same_on_the_picture_as_on_the_beams(monkeypatch):
     assert apart(on_picture, on_beams) < 0.005
     assert apart(sharp, on_beams) > 8.0 * apart(on_picture, on_beams)
     assert on_picture.sum() == pytest.approx(on_beams.sum(), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("turned", "aside_mm", "shape"),
+    [((3.157, 0.0, 0.0), 6.0, (54, 80)), ((3.1, -0.03, -0.02), -25.0, (90, 60)), ((0.04, 3.14, 0.0), 0.0, (54, 80))],
+)
+def test_a_calibrated_picture_is_fine_where_light_ends_and_nowhere_else(turned, aside_mm, shape):
+    """Fine pixels along smooth light take most of a fit's time; coarse ones at a wall lose its light to the blur."""
+    rows, columns = shape
+    fx, fy = columns / 80 * 134.0, rows / 54 * 161.0
+    camera = Camera(
+        "calibrated", shape, 4.0, (121.0, aside_mm, 620.0), rotation=turned,
+        matrix=((fx, 0.0, columns / 2 - 1.5), (0.0, fy, rows / 2 - 0.5), (0.0, 0.0, 1.0)),
+        blur=Blur(0.32, 0.38), halo=Halo(0.02, 35.0), veil=0.001,
+    )  # fmt: skip
+    beams = tuple(Beam((y_mm, y_mm + 9.0), (53.0, 57.0)) for y_mm in (-40.0, -2.0, 37.0))
+    light = Projector("pinhole", beams, (-400.0, 5.0, 50.0), blur=Blur(0.5))
+    lens = CameraLens.of(a_scene(camera, light, surface="fresnel", refractive_index=1.33))
+    asked = []
+
+    def counted(scene):
+        asked.append(math.prod(scene.camera.shape))
+        return once(scene)
+
+    ideal, seen = lens.order_one(counted)
+    everywhere = replace(lens, parts=(lens.parts[0], 16))
+    image = once(everywhere.fine)
+    assert image.max() > 0.0
+    assert apart(seen, everywhere.of_fine(image)) < 0.001
+    assert apart(ideal, everywhere.means(image)) < 0.0005
+    assert sum(asked) < 0.5 * math.prod(lens.fine.camera.shape)
+    coarse = replace(lens, parts=(lens.parts[0], 1))
+    assert apart(coarse.of_fine(once(coarse.fine)), everywhere.of_fine(image)) > 0.001

@@ -11,8 +11,10 @@ comes in from what the picture does not show: models look at a wider and, where 
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +23,16 @@ from tankrig.scene import Camera, Projector, Scene
 from tankrig.scene.optics import NO_HALO, SHARP
 
 Array = NDArray[np.float64]
+Columns = tuple[int, int]
+"""First column, and the one after the last."""
 
 REACH = 4.0
 """Standard deviations to which light is spread."""
-PER_SIGMA = 1.3
-"""Fine pixels per standard deviation of the blur; half as wide ones change beams' edges by .2 % of their light."""
+PER_SIGMA, PER_SIGMA_ACROSS = 1.3, 0.35
+"""Fine pixels per standard deviation of the blur, down and across. Down, half as wide ones change beams' edges by .2 %
+of their light; across, where only walls are edges, half as wide ones change all of order 1 by .03 to .09 %."""
 NARROW = 0.5
 """Of a pixel's side down: a projector's blur that is no wider is drawn on the picture."""
-LONG = 1.5
-"""Times as long as wide that pixels are not parted along any more: bins are long where light is smooth."""
 FINEST = 8
 """Fine pixels along a pixel's side, at most."""
 MOST_FINE = 2_000_000
@@ -72,10 +75,11 @@ class CameraLens:
             return None
         sigma = math.hypot(camera.blur.widest_mm, across)
         own = max(camera.blur.narrowest_mm, 0.3 * camera.blur.widest_mm)
-        shortest = min(camera.sides_mm)
         wanted = [
-            1 if finest == 0.0 or side > LONG * shortest else math.ceil(PER_SIGMA * side / finest)
-            for side, finest in zip(camera.sides_mm, (math.hypot(own, across), own), strict=True)
+            1 if finest == 0.0 else math.ceil(per_sigma * side / finest)
+            for side, finest, per_sigma in zip(
+                camera.sides_mm, (math.hypot(own, across), own), (PER_SIGMA, PER_SIGMA_ACROSS), strict=True
+            )
         ]
         if camera.kind != "calibrated":  # whose pixels are square
             wanted = [max(wanted)] * 2
@@ -91,7 +95,7 @@ class CameraLens:
             ]
             wider = ((0, unseen[0]), (0, unseen[1]))
         pixels = math.prod(n + sum(more) for n, more in zip(camera.shape, wider, strict=True))
-        parted = sum(one > 1 for one in wanted)
+        parted = 1 if camera.kind == "calibrated" else sum(one > 1 for one in wanted)  # across in a few columns only
         most = min(FINEST, int((MOST_FINE / pixels) ** (1.0 / max(parted, 1))))
         down, across = (int(np.clip(one, 1, max(most, 1))) for one in wanted)
         return cls(scene, (down, across), wider)
@@ -112,10 +116,56 @@ class CameraLens:
     @property
     def fine(self) -> Scene:
         """The same with fine pixels."""
+        return self._fine(self.parts)
+
+    def _fine(self, parts: tuple[int, int], columns: Columns | None = None) -> Scene:
+        """The wider picture, or some of its columns, with so many parts of each pixel."""
         wide = self.wide
         if _narrow_mm(self.scene) > 0.0:
             wide = replace(wide, projector=without_narrow_blur(wide.projector, wide.tank.size_mm[2]))
-        return replace(wide, camera=_finer(wide.camera, self.parts)) if self.parts != (1, 1) else wide
+        camera = wide.camera if columns is None else _cropped(wide.camera, columns)
+        return replace(wide, camera=_finer(camera, parts) if parts != (1, 1) else camera)
+
+    def order_one(self, once: Callable[[Scene], Array]) -> tuple[Array, Array]:
+        """Order 1 in the ideal wide picture, and as the camera sees it.
+
+        Light is smooth along its way but where it enters the tank and where it meets the far wall. A calibrated
+        camera's pixels are parted across there only; all are parted down, along which patterns have their edges.
+
+        Parameters
+        ----------
+        once
+            The (rows, columns) picture of order 1 by an ideal camera in a scene.
+        """
+        if self.scene.camera.kind != "calibrated":
+            image = once(self.fine)
+            return self.means(image), self.of_fine(image)
+        sharp, blurred = np.zeros((2, self.scene.camera.shape[0] + sum(self.beyond[0]), self._columns))
+        for (first, last), across in self._stretches:
+            margin, parts = self.beyond[1][0], (self.parts[0], across)
+            columns = max(first - margin, 0), min(last + margin, self._columns)
+            scene, lens = self._fine(parts, columns), replace(self, parts=parts)
+            image, here = once(scene), slice(first - columns[0], last - columns[0])
+            sharp[:, first:last] = lens.means(image)[:, here]
+            soft = lens._soft(image, scene)
+            blurred[:, first:last] = lens.means(lens._blurred(soft, parts, columns))[:, here]
+        return sharp, self._picture(blurred, sharp)
+
+    @property
+    def _stretches(self) -> list[tuple[Columns, int]]:
+        """Columns of a calibrated camera's wide picture that see the tank, and the parts across that each has."""
+        length, near_mm = self.scene.tank.size_mm[0], REACH * self.scene.camera.blur.widest_mm
+        (first, last), (low, high) = _columns_along(self.wide)
+        inside = (last >= -near_mm) & (first <= length + near_mm)
+        at_wall = (low <= near_mm) | (high >= length - near_mm)
+        across = np.where(inside, np.where(at_wall, self.parts[1], 1), 0)
+        ends = [0, *(np.flatnonzero(np.diff(across)) + 1).tolist(), across.size]
+        return [((first, last), int(across[first])) for first, last in pairwise(ends) if across[first]]
+
+    @property
+    def _columns(self) -> int:
+        """Of the wide picture."""
+        return self.scene.camera.shape[1] + sum(self.beyond[1])
 
     def means(self, fine: Array) -> Array:
         """(…, rows, columns) wide pictures of fine ones."""
@@ -127,7 +177,8 @@ class CameraLens:
 
     def of_fine(self, image: Array) -> Array:
         """(rows, columns) of the camera: its picture of an ideal fine one."""
-        return self._picture(self.means(self._blurred(self._soft(image), self.parts)), self.means(image))
+        soft = self._soft(image, self.fine)
+        return self._picture(self.means(self._blurred(soft, self.parts)), self.means(image))
 
     def of_wide(self, image: Array) -> Array:
         """(rows, columns) of the camera: its picture of an ideal wide one."""
@@ -149,12 +200,13 @@ class CameraLens:
             seen = seen + veil * float(sharp[inside].mean())
         return np.ascontiguousarray(seen[inside])
 
-    def _soft(self, image: Array) -> Array:
-        """A fine picture with the projector's narrow blur, along y: between three widths, even steps of variance."""
+    def _soft(self, image: Array, scene: Scene) -> Array:
+        """A scene's fine picture with the projector's narrow blur, along y: between three widths, even steps of
+        variance."""
         across = _narrow_mm(self.scene)
         if across == 0.0:
             return image
-        variance = (across * _grown(self.fine)) ** 2
+        variance = (across * _grown(scene)) ** 2
         levels = np.linspace(float(variance.min()), float(variance.max()), 3)
         if levels[2] < 1.02 * levels[0]:
             levels = levels[:1]
@@ -167,7 +219,8 @@ class CameraLens:
             )
         )
 
-    def _blurred(self, image: Array, parts: tuple[int, int]) -> Array:
+    def _blurred(self, image: Array, parts: tuple[int, int], columns: Columns | None = None) -> Array:
+        """A wide picture, or some of its columns, whose pixels have so many parts, with the blur."""
         blur = self.scene.camera.blur
         sides = [side / many for side, many in zip(self.scene.camera.sides_mm, parts, strict=True)]
         if blur.widest_mm == 0.0:
@@ -175,8 +228,9 @@ class CameraLens:
         if blur.corner_mm is None:
             return _gaussian(image, [blur.sigma_mm / side for side in sides])
         # Pictures blurred by three widths, even steps of the variance apart, and between them by each pixel's own.
-        rows, columns = image.shape
-        y, x = np.linspace(-1.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)
+        first, last = columns or (0, image.shape[1] // parts[1])
+        y, x = np.linspace(-1.0, 1.0, image.shape[0])[:, None], np.linspace(-1.0, 1.0, self._columns * parts[1])
+        x = x[first * parts[1] : last * parts[1]]
         sigma = blur.sigma_mm + (blur.corner_mm - blur.sigma_mm) * 0.5 * (x * x + y * y)
         widths = np.linspace(blur.narrowest_mm**2, blur.widest_mm**2, 3)
         place = np.clip((sigma**2 - widths[0]) / max(widths[1] - widths[0], 1e-300), 0.0, 2.0)
@@ -225,6 +279,36 @@ def _grown(scene: Scene) -> Array:
         above = camera.position_mm[2] - height
         grown *= above / (above + (height - lit_mm) / scene.tank.surface_index)
     return grown
+
+
+def _columns_along(scene: Scene) -> Array:
+    """(2, 2, columns) lowest and highest x that a calibrated camera's columns see: on the surface, and in level beams.
+
+    NaN where they look elsewhere.
+    """
+    from tankrig.scene.footprint import footprints
+
+    height, viewpoint = scene.tank.size_mm[2], scene.camera.position_mm
+    assert viewpoint is not None
+    corners = footprints(scene.camera, scene.tank).corners_mm
+    aside, above = corners - viewpoint[:2], viewpoint[2] - height
+    aside2 = np.sum(aside**2, axis=-1)
+    leaning = aside[..., 0] / np.sqrt(scene.tank.surface_index**2 * (aside2 + above**2) - aside2)  # Snell's law
+    lit = [z_mm for beam in scene.projector.beams for z_mm in beam.z_mm]
+    seen = []
+    for heights in ((height,), (min(lit, default=height), max(lit, default=height))):
+        x_mm = np.concatenate([corners[..., 0] + (height - z_mm) * leaning for z_mm in heights])
+        edges = np.fmin.reduce(x_mm), np.fmax.reduce(x_mm)
+        seen.append([np.fmin(edges[0][1:], edges[0][:-1]), np.fmax(edges[1][1:], edges[1][:-1])])
+    return np.array(seen)
+
+
+def _cropped(camera: Camera, columns: Columns) -> Camera:
+    """A calibrated camera that sees some of the columns."""
+    assert camera.matrix is not None
+    (fx, _, cx), second, last = camera.matrix
+    matrix = ((fx, 0.0, cx - columns[0]), second, last)
+    return replace(camera, shape=(camera.shape[0], columns[1] - columns[0]), matrix=matrix)
 
 
 def _finer(camera: Camera, parts: tuple[int, int]) -> Camera:

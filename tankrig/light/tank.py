@@ -77,12 +77,9 @@ def tank_image(
     lens = CameraLens.of(scene)
     if lens is None:
         return _ideal_image(scene, None, tolerance, max_order, seed, batches, budget_s, progress)
-    first = once(lens.fine)
-    found = _ideal_image(lens.wide, lens.means(first), tolerance, max_order, seed, batches, budget_s, progress)
-    orders = {
-        key: lens.of_fine(first) if key == 1 else lens.of_wide(np.asarray(one, float))
-        for key, one in found.orders.items()
-    }
+    ideal, first = lens.order_one(once)
+    found = _ideal_image(lens.wide, ideal, tolerance, max_order, seed, batches, budget_s, progress)
+    orders = {key: first if key == 1 else lens.of_wide(np.asarray(one, float)) for key, one in found.orders.items()}
     stderr = None if found.stderr is None else np.sqrt(lens.variance_of_wide(np.square(found.stderr, dtype=float)))
     image = np.sum(list(orders.values()), axis=0)
     return replace(found, image=image, orders=MappingProxyType(orders), stderr=stderr)
@@ -116,7 +113,7 @@ def low_orders(scene: Scene, tolerance: float, highest: int = 2) -> Array:
     lens = CameraLens.of(scene)
     if lens is None:
         return once(scene) if highest == 1 else once(scene) + twice(scene, tolerance)
-    first = lens.of_fine(once(lens.fine))
+    _, first = lens.order_one(once)
     return first if highest == 1 else first + lens.of_wide(twice(lens.wide, tolerance))
 
 

@@ -46,12 +46,13 @@ def order_2_tolerance(scene: Scene, tolerance: float) -> float:
 
 def exact_images(scene: Scene, sigma_t: float, g: float, tolerance: float) -> Array:
     """Orders 1 and 2 at ϖ = 1, (2, pixels)."""
-    lit, lens = replace(scene, medium=Medium(0.0, sigma_t, g)), CameraLens.of(scene)
+    lit = replace(scene, medium=Medium(0.0, sigma_t, g))
+    lens = CameraLens.of(lit)
     if lens is None:
         return np.stack([once(lit).ravel(), twice(lit, order_2_tolerance(scene, tolerance)).ravel()])
-    first, second = once(replace(lens.fine, medium=lit.medium)), replace(lens.wide, medium=lit.medium)
-    orders = lens.of_fine(first), lens.of_wide(twice(second, order_2_tolerance(scene, tolerance)))
-    return np.stack([order.ravel() for order in orders])
+    _, first = lens.order_one(once)
+    second = lens.of_wide(twice(lens.wide, order_2_tolerance(scene, tolerance)))
+    return np.stack([first.ravel(), second.ravel()])
 
 
 @dataclass(frozen=True)
