@@ -2,6 +2,7 @@
 
 import os
 import queue
+import shutil
 import signal
 import subprocess
 import sys
@@ -341,6 +342,33 @@ def test_a_frame_that_cannot_be_read_back_is_counted_and_said_and_the_others_are
     (trouble,) = troubles
     assert "the live fit goes on without frame 1:" in trouble
     assert "is missing" in trouble
+
+
+def test_frames_that_cannot_be_read_back_are_told_together(tmp_path: Path) -> None:
+    """On a slow disk it may be thirty a second: a log of thousands of lines tells a person nothing."""
+    path = tmp_path / "run"
+    create_run(path, (40, 60), "uint16", 4, {}, list(PATTERNS.values()))
+    events: list[Event] = []
+    with RunWriter(path, lambda event, _: events.append(event)) as writer:
+        for _ in range(9):
+            writer.put_frame(Frame(photographed(0.1, 0), 1, 1, 1, 1), 2, PATTERNS["sheet"].hash, **dosed(100.0).fields)
+        writer.flush()
+    shutil.rmtree(path / "frames")
+    last = event("step", step=len(plan().settings) - 1, state="done")
+    troubles: list[str] = []
+    now = [0.0]
+    with LiveFit(
+        plan(), lambda _: None, replace(open_run(path), journal=()), troubles.append, clock=lambda: now[0]
+    ) as fit:
+        for number, one in enumerate(events):
+            now[0] = 8.0 * number
+            fit._take(one, None)
+        fit._take(last, None)
+    assert [trouble.split(": ")[0] for trouble in troubles] == [
+        "the live fit goes on without frame 0",
+        "the live fit goes on without 4 more frames, the last of them frame 4",
+        "the live fit goes on without 4 more frames, the last of them frame 8",
+    ]
 
 
 class Ready:

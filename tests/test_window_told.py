@@ -10,6 +10,7 @@ from drivers.simulated.camera import SimulatedCamera
 from tankrig.calibration.file import Calibration, save
 from tankrig.devices import CameraSettings
 from tests.window_rig import until, wait_ms, window_on, write_rig
+from ui.window.banner import MOST_SHOWN, Banner
 
 SHORT = 'name = "short"\nexposure_ms = 5\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n'
 
@@ -73,3 +74,16 @@ def test_an_error_of_any_kind_in_a_run_is_told_and_the_rig_can_be_opened_again(t
         assert tankrig.open_run(path).end["reason"] == "failed"
         window.host.reopen()
         until(lambda: window.status.state.value == "ready", 40.0)
+
+
+def test_however_much_is_told_a_person_can_put_it_away_and_read_it_again(qtbot):
+    """A day's notices, each of something else, would otherwise wait to be put away one by one."""
+    banner = Banner()
+    qtbot.addWidget(banner)
+    for number in range(5 * MOST_SHOWN):
+        banner.say(f"frame {number} is missing")
+    for _ in range(MOST_SHOWN):
+        assert banner.text
+        banner.put_away()
+    assert banner.text == ""
+    assert [one.sentence for one in banner.history] == [f"frame {n} is missing" for n in range(5 * MOST_SHOWN)]

@@ -1,10 +1,12 @@
 """The live fit's side in the experiment's process: it hands frames over, and what comes back it passes on."""
 
 import logging
+import math
 import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.shared_memory import SharedMemory
@@ -29,6 +31,8 @@ _LOCK_S = 0.1
 _JOIN_S = 5.0
 _POLL_S = 0.2
 _BLAS = "OPENBLAS_NUM_THREADS"
+_TOLD_S = 30.0
+"""From one sentence on what could not be taken in to the next: on a slow disk it may be every frame."""
 
 OnResult = Callable[[Fit], object]
 
@@ -66,7 +70,10 @@ class LiveFit:
         Where frames can be read back from. What it holds already is taken in first, and what it has fitted is not
         fitted again.
     on_trouble
-        Called, in a thread of this object, with a sentence for each frame that could not be taken in.
+        Called, in a thread of this object, with a sentence on frames that could not be taken in: at once on the first,
+        then every half a minute on all since.
+    clock
+        Seconds; for that.
     """
 
     def __init__(
@@ -75,6 +82,7 @@ class LiveFit:
         on_result: OnResult,
         run: Run | None = None,
         on_trouble: Callable[[str], object] = lambda _: None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         context = multiprocessing.get_context("spawn")
         self._memory = SharedMemory(create=True, size=plan.size * 8)
@@ -86,7 +94,9 @@ class LiveFit:
         fits = tuple(from_fields(event.fields) for event in fits_that_hold(run)) if run else ()
         shared = Shared(self._memory.name, plan, self._lock, self._news, self._last, results, fits)
         self._process = context.Process(target=work, args=(shared,), name="live-fit", daemon=True)
-        self._on_result, self._on_trouble = on_result, on_trouble
+        self._on_result, self._on_trouble, self._clock = on_result, on_trouble, clock
+        self._not_told, self._told_s = "", -math.inf
+        self._without = 0
         self._path = run.path if run else None
         self._closing = threading.Event()
         self.preparation = Preparation(0, 0.0)
@@ -138,12 +148,22 @@ class LiveFit:
         finally:
             self._lock.release()
         if why:
-            self._on_trouble(f"the live fit goes on without {event.kind} {event.get('index', event.seq)}: {why}")
+            self._without += 1
+            self._not_told = f"{event.kind} {event.get('index', event.seq)}: {why}"
         last = event.kind == "step" and event["state"] == "done" and event["step"] == self._last_step
+        self._tell_trouble(at_once=last)
         if last:
             self._last.set()
         if new or last:
             self._news.set()
+
+    def _tell_trouble(self, at_once: bool) -> None:
+        """Say what could not be taken in, if there is any, and if the last sentence on it is some time ago."""
+        if not self._without or not (at_once or self._clock() - self._told_s >= _TOLD_S):
+            return
+        more = f"{self._without} more frames, the last of them " if self._without > 1 else ""
+        self._on_trouble(f"the live fit goes on without {more}{self._not_told}")
+        self._without, self._told_s = 0, self._clock()
 
     def _read_back(self, event: Event) -> tuple[Pixels | None, str]:
         """The pixels of a frame that had to be let go, or why they cannot be had."""

@@ -15,7 +15,8 @@ from ui.window.elided import Elided
 from ui.window.theme import set_role
 
 LINES = 2
-MOST_KEPT = 500
+MOST_SHOWN, MOST_KEPT = 20, 500
+"""Notices that wait to be put away, and that can be read again."""
 NOTHING = "Nothing to tell."
 
 
@@ -83,7 +84,8 @@ class Banner(QFrame):
     ) -> None:
         """Show a sentence; see `Notice`."""
         notice = Notice(sentence, level, action, do, key or sentence, time.strftime("%H:%M:%S"))
-        self._notices = [one for one in self._notices if one.key != notice.key] + [notice]
+        others = [one for one in self._notices if one.key != notice.key]
+        self._notices = [*others[-MOST_SHOWN + 1 :], notice]
         self.history = [*self.history[-MOST_KEPT + 1 :], notice]
         self._draw()
 
