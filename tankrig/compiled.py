@@ -5,10 +5,13 @@ called so: for Python with the code that unpacks its arguments, for kernels with
 by others, and records of arrays take as long to unpack as all the rest, for the compiler.
 """
 
+import fcntl
 import gc
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
+from itertools import count
+from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar
 
@@ -55,9 +58,9 @@ def _compiled(function: F, within: dict[str, Any]) -> F:
     linked = FunctionType(function.__code__, function.__globals__, None, function.__defaults__, function.__closure__)
     linked.__module__, linked.__kwdefaults__ = function.__module__, function.__kwdefaults__
     linked.__qualname__ = f"{function.__qualname__}.linked"
-    _with_readable_cache(called)
+    _with_safe_cache(called)
     called.__class__ = _called_and_linked()
-    called.linked = _with_readable_cache(numba.njit(**options, **within, no_cpython_wrapper=True)(linked))
+    called.linked = _with_safe_cache(numba.njit(**options, **within, no_cpython_wrapper=True)(linked))
     return called  # type: ignore[no-any-return]
 
 
@@ -98,11 +101,14 @@ def _not_collecting() -> Iterator[None]:
             gc.set_threshold(*thresholds)
 
 
-def _with_readable_cache(compiled: Any) -> Any:
-    """Let an index of compiled code that cannot be read count as empty.
+def _with_safe_cache(compiled: Any) -> Any:
+    """Let an index of compiled code that cannot be read count as empty, and one process at a time write into it.
 
     An index names the classes of a kernel's arguments, and numba reads it before it sees that it is out of date. After
     an update in which such a class has moved to another module, reading it fails, and the kernel with it.
+
+    Two processes that compile a kernel for arguments of different kinds may choose the same file for both, and numba
+    names a file in the index before it writes it: who reads meanwhile takes the one's code for the other's.
     """
     file = compiled._cache._cache_file
     read = file._load_index
@@ -113,5 +119,22 @@ def _with_readable_cache(compiled: Any) -> Any:
         except (ImportError, AttributeError):
             return {}
 
-    file._load_index = load_index
+    def save(key: Any, code: Any) -> None:
+        with _alone(Path(file._cache_path)):
+            index = load_index()
+            free = (file._data_name(number) for number in count(1))
+            name = index.get(key) or next(name for name in free if name not in index.values())
+            file._save_data(name, code)
+            file._save_index({**index, key: name})
+
+    file._load_index, file.save = load_index, save
     return compiled
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Whoever else asks for the same folder waits; where files cannot be locked, nobody does."""
+    with (folder / "kernels.lock").open("ab") as file:
+        with suppress(OSError):  # a file system that knows no locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
