@@ -358,12 +358,8 @@ def test_a_narrow_blur_is_the_same_on_the_picture_as_on_the_beams(monkeypatch):
     assert on_picture.sum() == pytest.approx(on_beams.sum(), rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("turned", "aside_mm", "shape"),
-    [((3.157, 0.0, 0.0), 6.0, (54, 80)), ((3.1, -0.03, -0.02), -25.0, (90, 60)), ((0.04, 3.14, 0.0), 0.0, (54, 80))],
-)
-def test_a_calibrated_picture_is_fine_where_light_ends_and_nowhere_else(turned, aside_mm, shape):
-    """Fine pixels along smooth light take most of a fit's time; coarse ones at a wall lose its light to the blur."""
+def a_calibrated_scene(turned, aside_mm, shape):
+    """Three beams of 10 mm and a camera above the tank's middle, both with lenses that blur."""
     rows, columns = shape
     fx, fy = columns / 80 * 134.0, rows / 54 * 161.0
     camera = Camera(
@@ -373,7 +369,16 @@ def test_a_calibrated_picture_is_fine_where_light_ends_and_nowhere_else(turned, 
     )  # fmt: skip
     beams = tuple(Beam((y_mm, y_mm + 9.0), (53.0, 57.0)) for y_mm in (-40.0, -2.0, 37.0))
     light = Projector("pinhole", beams, (-400.0, 5.0, 50.0), blur=Blur(0.5))
-    lens = CameraLens.of(a_scene(camera, light, surface="fresnel", refractive_index=1.33))
+    return a_scene(camera, light, surface="fresnel", refractive_index=1.33)
+
+
+@pytest.mark.parametrize(
+    ("turned", "aside_mm", "shape"),
+    [((3.157, 0.0, 0.0), 6.0, (54, 80)), ((3.1, -0.03, -0.02), -25.0, (90, 60)), ((0.04, 3.14, 0.0), 0.0, (54, 80))],
+)
+def test_a_calibrated_picture_is_fine_where_light_ends_and_nowhere_else(turned, aside_mm, shape):
+    """Fine pixels along smooth light take most of a fit's time; coarse ones at a wall lose its light to the blur."""
+    lens = CameraLens.of(a_calibrated_scene(turned, aside_mm, shape))
     asked = []
 
     def counted(scene):
@@ -389,3 +394,14 @@ def test_a_calibrated_picture_is_fine_where_light_ends_and_nowhere_else(turned, 
     assert sum(asked) < 0.5 * math.prod(lens.fine.camera.shape)
     coarse = replace(lens, parts=(lens.parts[0], 1))
     assert apart(coarse.of_fine(once(coarse.fine)), everywhere.of_fine(image)) > 0.001
+
+
+def test_a_camera_that_sees_light_run_down_its_picture_shows_the_same_tank():
+    """Edges of beams then lie along its columns, where an upright one's picture is coarse."""
+    upright = tankrig.predict(a_calibrated_scene((math.pi, 0.0, 0.0), 0.0, (60, 60)), "single").image
+    half = math.pi / math.sqrt(2.0)
+    scene = a_calibrated_scene((half, half, 0.0), 0.0, (60, 60))
+    (fx, _, cx), (_, fy, cy), last = scene.camera.matrix
+    turned = replace(scene.camera, matrix=((fy, 0.0, cy), (0.0, fx, cx), last))
+    image = tankrig.predict(replace(scene, camera=turned), "single").image
+    assert apart(image.T[::-1], upright) < 0.005

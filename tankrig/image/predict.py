@@ -124,13 +124,13 @@ def _by_model(
 
 
 def _through_lenses(scene: Scene, name: str, tolerance: float, max_order: int | None, seed: int) -> Prediction:
-    """By a model that knows sharp beams and an ideal camera only: the sum over what the projector's lens makes of its
-    light, seen through the camera's."""
+    """By a model, of which all but single scattering know sharp beams and an ideal camera only: the sum over what the
+    projector's lens makes of its light, seen through the camera's."""
     from tankrig.light.entering import entering, is_plain, through_lens
     from tankrig.light.leaving import CameraLens
 
     lens = CameraLens.of(scene)
-    if lens is None and is_plain(scene):
+    if name == "single" or (lens is None and is_plain(scene)):
         return _by_model(scene, name, tolerance, max_order, seed)
     lit = scene if lens is None else lens.fine
     coarsen = 1 if lens is None else min(lens.parts)
@@ -152,9 +152,9 @@ def _through_lenses(scene: Scene, name: str, tolerance: float, max_order: int | 
 
 
 def _single(scene: Scene) -> Prediction:
-    from tankrig.light.tank import once
+    from tankrig.light.tank import low_orders
 
-    image = once(scene)
+    image = low_orders(scene, 1.0, highest=1)
     bound = float("inf") if scene.medium.sigma_s > 0.0 else 0.0
     return Prediction(image, "single", MappingProxyType({1: image}), None, (Skipped("orders above 1", bound),))
 

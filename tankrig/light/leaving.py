@@ -19,6 +19,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.geometry.pose import directions_to_world
 from tankrig.scene import Camera, Projector, Scene
 from tankrig.scene.optics import NO_HALO, SHARP
 
@@ -31,6 +32,9 @@ REACH = 4.0
 PER_SIGMA, PER_SIGMA_ACROSS = 1.3, 0.35
 """Fine pixels per standard deviation of the blur, down and across. Down, half as wide ones change beams' edges by .2 %
 of their light; across, where only walls are edges, half as wide ones change all of order 1 by .03 to .09 %."""
+UPRIGHT = 0.95
+"""Cosine between rows and light, from which on edges of beams are taken to run along rows: blurred across as well, they
+are as much wider as if the blur were 5 % wider."""
 NARROW = 0.5
 """Of a pixel's side down: a projector's blur that is no wider is drawn on the picture."""
 FINEST = 8
@@ -75,11 +79,10 @@ class CameraLens:
             return None
         sigma = math.hypot(camera.blur.widest_mm, across)
         own = max(camera.blur.narrowest_mm, 0.3 * camera.blur.widest_mm)
+        per_sigma = PER_SIGMA, PER_SIGMA_ACROSS if _along_rows(camera) else PER_SIGMA
         wanted = [
-            1 if finest == 0.0 else math.ceil(per_sigma * side / finest)
-            for side, finest, per_sigma in zip(
-                camera.sides_mm, (math.hypot(own, across), own), (PER_SIGMA, PER_SIGMA_ACROSS), strict=True
-            )
+            1 if finest == 0.0 else math.ceil(parts * side / finest)
+            for side, finest, parts in zip(camera.sides_mm, (math.hypot(own, across), own), per_sigma, strict=True)
         ]
         if camera.kind != "calibrated":  # whose pixels are square
             wanted = [max(wanted)] * 2
@@ -95,7 +98,7 @@ class CameraLens:
             ]
             wider = ((0, unseen[0]), (0, unseen[1]))
         pixels = math.prod(n + sum(more) for n, more in zip(camera.shape, wider, strict=True))
-        parted = 1 if camera.kind == "calibrated" else sum(one > 1 for one in wanted)  # across in a few columns only
+        parted = sum(one > 1 for one in wanted)
         most = min(FINEST, int((MOST_FINE / pixels) ** (1.0 / max(parted, 1))))
         down, across = (int(np.clip(one, 1, max(most, 1))) for one in wanted)
         return cls(scene, (down, across), wider)
@@ -129,15 +132,16 @@ class CameraLens:
     def order_one(self, once: Callable[[Scene], Array]) -> tuple[Array, Array]:
         """Order 1 in the ideal wide picture, and as the camera sees it.
 
-        Light is smooth along its way but where it enters the tank and where it meets the far wall. A calibrated
-        camera's pixels are parted across there only; all are parted down, along which patterns have their edges.
+        Light is smooth along its way but where it enters the tank and where it meets the far wall. Where a calibrated
+        camera sees it run along rows, pixels are parted across there only; all are parted down, along which patterns
+        have their edges.
 
         Parameters
         ----------
         once
             The (rows, columns) picture of order 1 by an ideal camera in a scene.
         """
-        if self.scene.camera.kind != "calibrated":
+        if not _along_rows(self.scene.camera):
             image = once(self.fine)
             return self.means(image), self.of_fine(image)
         sharp, blurred = np.zeros((2, self.scene.camera.shape[0] + sum(self.beyond[0]), self._columns))
@@ -245,8 +249,9 @@ class CameraLens:
 
 def _narrow_mm(scene: Scene) -> float:
     """Standard deviation on the wall of a projector's blur that pictures are blurred by; 0 where beams are."""
-    sigma_mm = scene.projector.blur.sigma_mm
-    return sigma_mm if sigma_mm <= NARROW * scene.camera.sides_mm[0] else 0.0
+    sigma_mm, camera = scene.projector.blur.sigma_mm, scene.camera
+    turned = camera.kind == "calibrated" and not _along_rows(camera)
+    return sigma_mm if sigma_mm <= NARROW * camera.sides_mm[0] and not turned else 0.0
 
 
 def without_narrow_blur(light: Projector, height: float) -> Projector:
@@ -279,6 +284,14 @@ def _grown(scene: Scene) -> Array:
         above = camera.position_mm[2] - height
         grown *= above / (above + (height - lit_mm) / scene.tank.surface_index)
     return grown
+
+
+def _along_rows(camera: Camera) -> bool:
+    """Whether a calibrated camera sees the x axis, along which light runs, about along its rows."""
+    if camera.kind != "calibrated":
+        return False
+    across = directions_to_world(camera.pose, (1.0, 0.0, 0.0))
+    return bool(abs(across[0]) > UPRIGHT)
 
 
 def _columns_along(scene: Scene) -> Array:
