@@ -22,10 +22,10 @@ MOST_PATTERNS = 32
 LEFT_OUT = 0.025
 """Share of the tolerance that leaving out patterns may cost."""
 DARK = 1e-300
-UNSEEN = 500
+UNSEEN = 120
 """Media at which the error is estimated."""
-REAL = 1.5
-"""Real error over half the difference of the halves, as the patterns are drawn from the same noise: 1.0 … 1.9."""
+REAL = 1.2
+"""Real error over half the difference of the halves: .8 … 1.5."""
 ERROR_DEGREES = (2, 1, 2)
 
 
@@ -50,8 +50,9 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     """The model that fits the images, and its error.
 
     The error of orders ≥ 3 is half the difference of two models, each fitted to every other of the media: neither has
-    seen what the other was made from. That of orders 1 and 2 is found at media beside their grid, and what tables
-    of order 2 err by is added.
+    seen what the other was made from. Their pixels are compared, before patterns are chosen: where few patterns do,
+    those hold the noise themselves, and what is left of the difference in them tells little of it. The error of orders
+    1 and 2 is found at media beside their grid, and what tables of order 2 err by is added.
     """
     exact = [_exact_term(plan, images.exact[:, order - 1], order) for order in (1, 2)]
     regression = _regression(plan, sampling, images.paths, exact)
@@ -60,13 +61,12 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     fits = [regression.fit(used) for used in (np.ones(count, bool), even, ~even)]
     rest = [_rest_term(plan, sampling, fit) for fit in fits]
     patterns = _patterns(plan, exact, rest)
-    first, second, whole, one, other = (_projected(term, patterns) for term in (*exact, *rest))
-    terms = (first, second, whole)
+    terms = tuple(_projected(term, patterns) for term in (*exact, rest[0]))
     beside = math.hypot(
         _error_of_exact_orders(plan, images.checks, terms[:2], patterns),
         table_error(order_2_tolerance(sampling.scene, plan.tolerance)),
     )
-    error = _error_of_the_rest(plan, (one, other), terms, beside)
+    error = _error_of_the_rest(plan, rest[1:], terms, beside)
     return Answer(plan.coordinates, terms, patterns.astype(np.float32), shape, error)
 
 
@@ -186,10 +186,8 @@ def _error_of_exact_orders(plan: PreparationPlan, checks: Array, terms: tuple[Te
     return largest
 
 
-def _error_of_the_rest(
-    plan: PreparationPlan, halves: tuple[Term, Term], terms: tuple[Term, ...], beside: float
-) -> Array:
-    """Logarithm of the relative error, as Chebyshev coefficients over the box."""
+def _error_of_the_rest(plan: PreparationPlan, halves: list[Term], terms: tuple[Term, ...], beside: float) -> Array:
+    """Logarithm of the relative error, as Chebyshev coefficients over the box; the halves are still in pixels."""
     places = np.random.default_rng(1).uniform(-1.0, 1.0, (UNSEEN, 3))
     logarithms = []
     for place in places:

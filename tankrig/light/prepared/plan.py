@@ -26,6 +26,8 @@ FEWEST = 0.5
 """Share of those media that is enough where the tolerance is large."""
 EFFORT = 0.6
 """Lattices of paths per medium, of those by `PreparationPlan.paths`: what the fit omits as noise needs no more."""
+SLANTED_EFFORT = 8.0
+"""Times as many lattices where light or sight slant: there a path stands for one start, not for all along a beam."""
 CHECKS, CHECKS_SHARE = 6, 1 / 3
 """Media beside the grid at most, and in media of the grid."""
 USUAL_TOLERANCE = 0.01
@@ -68,11 +70,14 @@ class PreparationPlan:
         Of the tank.
     tolerance
         Relative L2 error to aim for; the number of paths goes with its inverse square.
+    slanted
+        Whether light or sight slant.
     """
 
     box: Box
     length_mm: float
     tolerance: float
+    slanted: bool = False
 
     @cached_property
     def coordinates(self) -> Coordinates:
@@ -129,7 +134,7 @@ class PreparationPlan:
         effort = (USUAL_TOLERANCE / self.tolerance) ** 2
         share = min(1.0, max(FEWEST, effort))
         count = math.ceil(self.paths_plane.size * MEDIA_PER_PRODUCT * share)
-        effort *= EFFORT / share
+        effort *= EFFORT / share * (SLANTED_EFFORT if self.slanted else 1.0)
         even = (0.5 + np.arange(count)[:, None] * SPREAD) % 1.0
         samples = []
         for index, (u, v) in enumerate(np.cos(np.pi * even)):

@@ -16,6 +16,7 @@ from tankrig.light.prepared.cache import Place
 from tankrig.light.prepared.packing import packed, unpacked
 from tankrig.light.prepared.plan import PreparationPlan, Sample
 from tankrig.light.prepared.sampling import PathImages, exact_images
+from tankrig.light.rays import shift_invariant
 from tankrig.scene import Medium, Scene
 from tankrig.threads import THREADS
 
@@ -59,7 +60,7 @@ def prepared(
             "bin them: give camera.bin, the pixels along the side of a bin"
         )
     place = place_of(scene, box, tolerance)
-    plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance)
+    plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance, not shift_invariant(scene))
     known = _kept_answer(place, plan, scene.camera.shape)
     if known is not None:
         progress(1.0)

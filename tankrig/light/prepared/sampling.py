@@ -5,6 +5,7 @@ summed for all albedos at once.
 """
 
 import math
+import zlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -80,6 +81,11 @@ class PathImages:
         return entering(self.scene if self._lens is None else self._lens.wide, fine=False)
 
     @cached_property
+    def _own(self) -> int:
+        """Added to seeds: if all scenes shared their lattices' shifts, all would be off the same way."""
+        return zlib.crc32(repr(replace(self.scene, source="")).encode())
+
+    @cached_property
     def grid(self) -> CellGrid:
         """Cells that paths are recorded in."""
         return CellGrid.of(self._lit)
@@ -119,6 +125,7 @@ class PathImages:
 
         Of the medium σt and the phase function matter.
         """
+        seed += self._own
         lit = replace(self._lit, medium=replace(medium, sigma_a=0.0, sigma_s=medium.sigma_t))
         beams = [beam for beam in lit.projector.beams if beam.irradiance > 0.0]
         traced = self._traced_rectangles if self.grid.shiftable else self._traced_points
