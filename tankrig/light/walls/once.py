@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.light.cuts import CUTS, rows_of_ends
+from tankrig.light.line_of_sight import across_sights
 from tankrig.light.rays import Geometry, light_ray, light_sources, sight_line
-from tankrig.light.single import across_sights
 from tankrig.light.surface import on_surface, to_camera
 from tankrig.light.walls.faces import ENTRY, FAR, FLOOR, LEFT, RIGHT, face_table, sent_back
 from tankrig.scene import Scene

@@ -1,0 +1,170 @@
+"""Order 1 in a calibrated camera's pixels, which are quadrangles of the plane z = Lz.
+
+Each is cut along x at its corners; at every node in x the integral along y runs between its edges, exactly as that over
+a square pixel does. Where a beam's light ends, as lines of sight through some x see it, is the same for all media and
+all pixels: it is found once for each beam, at even steps of x, and taken from between them.
+"""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.compiled import kernel
+from tankrig.light.cuts import CUTS, rows_of_ends
+from tankrig.light.line_of_sight import Rule, across_sights, kinked
+from tankrig.light.rays import Geometry, light_sources
+from tankrig.scene import Scene
+from tankrig.scene.footprint import footprints
+from tankrig.scene.phase_table import PhaseRecord
+from tankrig.threads import THREADS
+
+Array = NDArray[np.float64]
+
+KINKED_PARTS = 12
+"""Parts a pixel is cut into along x where the near or far wall cuts the lit part of its lines of sight."""
+KINKED_SHARE = 1 / 1200
+"""Of the tank's height, and wide enough for such a part: the lit part of a line is cut off within ten such widths."""
+SLANTED_PARTS = 5
+"""The same where an edge of the beam runs from one row of pixels into the next."""
+STEPS = 512
+"""Along the tank, at whose ends rows are found: between them they are within 0.01 mm of a line."""
+SLIVER = 0.05
+"""Share of a pixel's width below which one line in the middle of a slice does: most are cut off by a slight turn."""
+MARGIN_MM = 0.5
+"""More than a beam's edges bulge between its corners."""
+
+
+def single_scattering_in_quadrangles(scene: Scene) -> Array:
+    """`single_scattering` for a calibrated camera: (rows, columns), W/mm²/sr; 0 where a pixel looks elsewhere."""
+    medium, seen = scene.medium, footprints(scene.camera, scene.tank)
+    phase = medium.phase_function.record
+    image = np.zeros(scene.camera.shape)
+    x_rule, y_rule, depth_rule = (np.polynomial.legendre.leggauss(count) for count in (2, 3, 4))
+    lit = [
+        (geometry, beam.irradiance, (*beam.y_mm, *beam.z_mm))
+        for geometry, beams in light_sources(scene)
+        for beam in beams
+        if beam.irradiance > 0.0
+    ]
+    ends = [_ends_along(geometry, edges) for geometry, _, edges in lit]
+
+    def add_rows(part: int) -> None:
+        for (geometry, irradiance, edges), along in zip(lit, ends, strict=True):
+            _add_beam(
+                image, geometry, seen.corners_mm, along, medium.sigma_t, medium.sigma_s * irradiance, phase, edges,
+                x_rule, y_rule, depth_rule, part, THREADS,
+            )  # fmt: skip
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(add_rows, range(THREADS)))
+    return np.where(seen.areas_mm2 > 0.0, image / seen.areas_mm2, 0.0)
+
+
+@lru_cache(maxsize=128)
+def _ends_along(geometry: Geometry, edges: tuple[float, float, float, float]) -> Array:
+    """(`STEPS` + 1, `CUTS`) rows where a beam's light ends, in order, mm, at even steps of x along the tank."""
+    ends = np.empty((STEPS + 1, CUTS))
+    _fill_ends(geometry, edges, ends)
+    ends.setflags(write=False)
+    return ends
+
+
+@kernel
+def _fill_ends(geometry: Geometry, edges: tuple[float, float, float, float], ends: Array) -> None:
+    for step in range(ends.shape[0]):
+        rows_of_ends(geometry, step * geometry.length / (ends.shape[0] - 1), edges, ends[step])
+
+
+@kernel
+def _ends_at(along: Array, x: float, length: float, ends: Array) -> None:
+    """Write to (`CUTS`,) rows where light ends at some x of the tank."""
+    steps = along.shape[0] - 1
+    place = min(max(x / length * steps, 0.0), float(steps))
+    step = min(int(place), steps - 1)
+    share = place - step
+    for k in range(ends.size):
+        ends[k] = along[step, k] + share * (along[step + 1, k] - along[step, k])
+
+
+@kernel
+def _add_beam(
+    image: Array, geometry: Geometry, grid: Array, along: Array, sigma_t: float, strength: float, phase: PhaseRecord,
+    edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule, part: int, parts: int,
+) -> None:  # fmt: skip
+    """Add one beam's order 1, integrated over each pixel's area, to one of so many parts of the rows."""
+    xs, ys, ends = np.empty(4), np.empty(4), np.empty((2, CUTS))
+    for row in range(part, image.shape[0], parts):
+        for column in range(image.shape[1]):
+            for k in range(4):  # in turn around the pixel
+                i, j = row + k // 2, column + (k == 1 or k == 2)
+                xs[k], ys[k] = grid[i, j, 0], grid[i, j, 1]
+            if not (xs.max() > 0.0 and xs.min() < geometry.length):
+                continue  # beside the tank, or NaN
+            if not (ys.max() > -geometry.half_width and ys.min() < geometry.half_width):
+                continue
+            slices = np.sort(np.minimum(np.maximum(xs, 0.0), geometry.length))
+            _ends_at(along, slices[0], geometry.length, ends[0])
+            _ends_at(along, slices[3], geometry.length, ends[1])
+            if ys.max() < min(ends[0, 0], ends[1, 0]) - MARGIN_MM or ys.min() > ends[:, -1].max() + MARGIN_MM:
+                continue
+            total = 0.0
+            for k in range(3):
+                if slices[k + 1] > slices[k]:
+                    total += _slice(
+                        geometry, xs, ys, slices[k], slices[k + 1], along, ends, sigma_t, phase, edges, x_rule, y_rule,
+                        depth_rule,
+                    )  # fmt: skip
+            image[row, column] += strength * total
+
+
+@kernel
+def _slice(
+    geometry: Geometry, xs: Array, ys: Array, left: float, right: float, along: Array, ends: Array, sigma_t: float,
+    phase: PhaseRecord, edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule,
+) -> float:  # fmt: skip
+    """Integral over the part of a pixel between two x, with no corner of it between them."""
+    width = right - left
+    low_left, high_left = _span(geometry, xs, ys, left + 1e-9 * width)
+    low_right, high_right = _span(geometry, xs, ys, right - 1e-9 * width)
+    _ends_at(along, left, geometry.length, ends[0])
+    _ends_at(along, right, geometry.length, ends[1])
+    if ends[:, -1].max() < min(low_left, low_right) or ends[:, 0].min() > max(high_left, high_right):
+        return 0.0
+    parts = 1 + int(sigma_t * width)
+    whole = xs.max() - xs.min()  # a narrow slice needs fewer parts
+    for k in range(CUTS):
+        if (ends[0, k] < low_left) != (ends[1, k] < low_right) or (ends[0, k] < high_left) != (ends[1, k] < high_right):
+            parts = max(parts, math.ceil(SLANTED_PARTS * width / whole))
+    if kinked(geometry, left, width, edges):
+        enough = math.ceil(width / (KINKED_SHARE * geometry.height))
+        parts = max(parts, min(math.ceil(KINKED_PARTS * width / whole), enough))
+    nodes, weights = x_rule
+    sliver = width < SLIVER * whole
+    total, cuts = 0.0, ends[0]
+    for part in range(parts):
+        for i in range(1 if sliver else nodes.size):
+            x = left + width * (part + 0.5 + (0.0 if sliver else 0.5 * nodes[i])) / parts
+            low, high = _span(geometry, xs, ys, x)
+            if high <= low:
+                continue
+            _ends_at(along, x, geometry.length, cuts)
+            if cuts[-1] <= low or cuts[0] >= high:
+                continue
+            here = across_sights(geometry, x, low, high, cuts, sigma_t, phase, edges, y_rule, depth_rule)
+            total += 0.5 * width / parts * (2.0 if sliver else weights[i]) * here
+    return total
+
+
+@kernel
+def _span(geometry: Geometry, xs: Array, ys: Array, x: float) -> tuple[float, float]:
+    """The y between which a pixel, within the tank, has an x."""
+    low, high = 1e30, -1e30
+    for k in range(4):
+        other = (k + 1) % 4
+        if (xs[k] - x) * (xs[other] - x) <= 0.0 and xs[k] != xs[other]:
+            y = ys[k] + (x - xs[k]) / (xs[other] - xs[k]) * (ys[other] - ys[k])
+            low, high = min(low, y), max(high, y)
+    return max(low, -geometry.half_width), min(high, geometry.half_width)
