@@ -17,6 +17,7 @@ import tankrig
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared import cache, preparation
 from tankrig.light.prepared.box import Box
+from tankrig.light.prepared.regression import Regression
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.light.tank import tank_image
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
@@ -256,3 +257,24 @@ def test_a_dark_scene_and_a_camera_too_fine_are_refused() -> None:
         prepare(dark)
     with pytest.raises(tankrig.SceneError, match="bin them"):
         prepare(replace(SCENE, camera=Camera("orthographic", (1024, 1280), 0.1875)))
+
+
+def test_what_noise_hides_is_not_left_out() -> None:
+    """Coefficients as small as their noise were drawn to 0, in both halves alike: inks came out up to 2 % too thick."""
+    rng, media, cells = np.random.default_rng(3), 48, 30
+    places = rng.uniform(-1.0, 1.0, (media, 2))
+    products = np.stack([np.polynomial.chebyshev.chebvander2d(*places.T, (2, 2))[:, k] for k in (0, 1, 2, 3, 4, 6)], 1)
+    field = np.concatenate([np.ones((1, cells)), 0.03 * np.resize([1.0, -1.0], (5, cells))])  # as much light everywhere
+    assert products.shape == (media, 6)
+    noise, fits = 0.1, []
+    for _ in range(200):
+        images = (products @ field + noise * rng.normal(size=(media, cells)))[:, None]
+        regression = Regression(
+            products, np.ones((media, 1)), np.ones(media), np.ones((media, 1)), images,
+            np.full(cells, 1.0 / cells), np.zeros((media, 1)),
+        )  # fmt: skip
+        fit = regression.fit(np.ones(media, bool))
+        fits.append(np.exp(fit.scale[0, 0]) * fit.fields[0])
+    mean, error = np.mean(fits, axis=0), np.std(fits, axis=0) / np.sqrt(len(fits))
+    kept = float(np.sum(mean[1:] * field[1:]) / np.sum(field[1:] ** 2))
+    assert kept == pytest.approx(1.0, abs=4.0 * float(np.mean(error[1:])) / 0.03 / np.sqrt(5 * cells) + 0.01)

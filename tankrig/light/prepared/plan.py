@@ -25,7 +25,7 @@ MEDIA_PER_PRODUCT = 8
 FEWEST = 0.5
 """Share of those media that is enough where the tolerance is large."""
 EFFORT = 0.6
-"""Lattices of paths per medium, of those by `PreparationPlan.paths`: what the fit omits as noise needs no more."""
+"""Lattices of paths per medium, of those by `PreparationPlan.paths`: eight media for each coefficient need no more."""
 SLANTED_EFFORT = 8.0
 """Times as many lattices where light or sight slant: there a path stands for one start, not for all along a beam."""
 CHECKS, CHECKS_SHARE = 6, 1 / 3

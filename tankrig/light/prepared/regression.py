@@ -1,7 +1,8 @@
 """Orders ≥ 3 as polynomials of the medium, fitted to noisy images at many media.
 
-Every image has noise of its own, so a fit with a tenth as many coefficients as images has a third of their noise; and
-coefficients that are no larger than their noise are left out by degrees.
+Every image has noise of its own, so a fit with a tenth as many coefficients as images has a third of their noise.
+Coefficients are not drawn towards 0 where noise explains them: what that leaves out is light, in all fits alike, which
+no comparison of two halves of the images can tell (decision 211).
 """
 
 from dataclasses import dataclass
@@ -13,8 +14,6 @@ Array = NDArray[np.float64]
 
 POLYNOMIAL_ERROR = 0.002
 """Of the total: no image counts for more than one with this error, or thin media would bend the fit of dense ones."""
-LEAST_SIGNAL = 0.02
-"""Variance that a polynomial's coefficient is granted at least, in that of its noise."""
 ROUNDS = 2
 
 
@@ -81,22 +80,5 @@ class Regression:
                 smooth = brightness @ np.linalg.lstsq(brightness, np.log(variance + 1e-12 * total**2), rcond=None)[0]
                 weight = 1.0 / np.sqrt(np.exp(smooth) / batches + (POLYNOMIAL_ERROR * total) ** 2)
             scales.append(scale)
-            fields.append(_shrunk(products * weight[:, None], relative * weight[:, None]))
+            fields.append(np.linalg.lstsq(products * weight[:, None], relative * weight[:, None], rcond=None)[0])
         return Fit(np.array(scales), np.array(fields))
-
-
-def _shrunk(products: Array, images: Array) -> Array:
-    """Least squares, each coefficient drawn towards 0 by the share of it that noise explains (empirical Bayes).
-
-    Parameters
-    ----------
-    products
-        (media, polynomials).
-    images
-        (media, cells); both weighted such that an image's noise has variance 1, summed over its cells.
-    """
-    gram, light = products.T @ products, products.T @ images
-    noise = np.linalg.inv(gram).diagonal()
-    signal = np.sum(np.linalg.solve(gram, light) ** 2, axis=1) - noise
-    signal = np.maximum(signal, LEAST_SIGNAL * noise)
-    return np.asarray(np.linalg.solve(gram + np.diag(1.0 / signal), light))
