@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tankrig.bench import Bench
@@ -277,6 +277,8 @@ HAPPENING = st.one_of(
 )
 
 
+@example([step for volume in (50.0, 150.0, 100.0, 200.0) for step in (("sheet", False), ("dose", volume))]
+         + [("sheet", False)], False)  # fmt: skip
 @given(st.lists(HAPPENING, min_size=1, max_size=40), st.booleans())
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_however_slow_the_fit_every_event_is_taken_in_in_order_and_each_frame_at_its_dose(
@@ -319,8 +321,9 @@ def test_however_slow_the_fit_every_event_is_taken_in_in_order_and_each_frame_at
             np.testing.assert_array_equal(fit._exposures._sums, prompt._sums)
             np.testing.assert_array_equal(fit._exposures._counts, prompt._counts)
             np.testing.assert_array_equal(fit._exposures._doses, prompt._doses)
-            assert fit._exposures.not_seen == 0
-    assert troubles == []
+            # There is room for four doses: frames at a fifth are counted as not seen, taken in late or not.
+            assert fit._exposures.not_seen == prompt.not_seen
+    assert prompt.not_seen > 0 or troubles == []
 
 
 def test_a_frame_that_cannot_be_read_back_is_counted_and_said_and_the_others_are_fitted(tmp_path: Path) -> None:
