@@ -1,7 +1,7 @@
 """Rig files: from TOML to three open devices."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -275,7 +275,11 @@ def _require_kind(kind: str, device: object, driver: str) -> None:
         )
 
 
-def open_rig(description: RigFile, looking: bool = False) -> Rig:
+def open_rig(
+    description: RigFile,
+    looking: bool = False,
+    meanwhile: Callable[[Projector, CameraDevice, Callable[[], bool]], object] | None = None,
+) -> Rig:
     """Take the rig for this program and open its devices.
 
     Parameters
@@ -285,6 +289,9 @@ def open_rig(description: RigFile, looking: bool = False) -> Rig:
     looking
         Only to look and to dose by hand: what a run would have to ask about its calibrations is left open, and the
         newest ones that can be used are.
+    meanwhile
+        Called with projector and camera once they are open, and with what says whether the doser still boots, which
+        takes seconds; comes back when it does no longer.
 
     Raises
     ------
@@ -312,17 +319,10 @@ def open_rig(description: RigFile, looking: bool = False) -> Rig:
         with ThreadPoolExecutor(1, "open-doser") as beside:
             doser = beside.submit(opened, "doser")  # it boots while the others are opened
             devices = {kind: opened(kind) for kind in ("projector", "camera")}
+            _require_as_calibrated(description.name, devices, bench, calibrations)
+            if meanwhile is not None:
+                meanwhile(devices["projector"], devices["camera"], lambda: not doser.done())
             devices["doser"] = doser.result()
-        for kind in USED:
-            if kind in calibrations:
-                device = devices[DEVICES[kind]]
-                calibrations[kind].require_for(device.name, device.shape)
-        for kind, shape in (("projector", bench.wall.shape), ("camera", bench.camera.shape)):
-            if tuple(devices[kind].shape) != tuple(shape):
-                raise DeviceError(
-                    f"{devices[kind].name}: has {list(devices[kind].shape)} pixels (rows, columns) and rig "
-                    f"{description.name} was calibrated with {list(shape)}; calibrate it anew"
-                )
         rig = Rig(
             name=description.name,
             bench=bench,
@@ -337,3 +337,19 @@ def open_rig(description: RigFile, looking: bool = False) -> Rig:
         )
         undo.pop_all()
         return rig
+
+
+def _require_as_calibrated(
+    rig: str, devices: Mapping[str, Any], bench: Bench, calibrations: Mapping[str, Calibration]
+) -> None:
+    """Projector and camera are those that were calibrated, with as many pixels."""
+    for kind in USED:
+        if kind in calibrations:
+            device = devices[DEVICES[kind]]
+            calibrations[kind].require_for(device.name, device.shape)
+    for kind, shape in (("projector", bench.wall.shape), ("camera", bench.camera.shape)):
+        if tuple(devices[kind].shape) != tuple(shape):
+            raise DeviceError(
+                f"{devices[kind].name}: has {list(devices[kind].shape)} pixels (rows, columns) and rig {rig} was "
+                f"calibrated with {list(shape)}; calibrate it anew"
+            )

@@ -3,17 +3,21 @@
 import os
 import subprocess
 import sys
+import threading
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QFileDialog
 
-from tankrig.errors import SceneError
+import drivers.rig
+from tankrig.errors import DeviceError, SceneError
 from tests.window_rig import LONG_DOSE, until, window_on, write_rig
 from ui.window.rig_file import RigSource
+from ui.window.status import RigState
 
 
 def test_it_opens_on_the_simulated_rig_and_says_so(tmp_path):
@@ -22,6 +26,42 @@ def test_it_opens_on_the_simulated_rig_and_says_so(tmp_path):
         until(lambda: window.live.displayed)
         assert "SIMULATED" in window.top.badge.text()
         assert window.top.stop.isVisible()
+
+
+def test_the_picture_comes_while_the_doser_still_boots(tmp_path, monkeypatch):
+    """A pump takes up to four seconds to answer; somebody who waits for a window starts a second one."""
+    booted, open_device = threading.Event(), drivers.rig.open_device
+
+    def opened(name: str, settings: dict[str, Any]) -> Any:
+        if name == "simulated-doser":
+            assert booted.wait(30.0)
+        return open_device(name, settings)
+
+    monkeypatch.setattr(drivers.rig, "open_device", opened)
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        until(lambda: window.live.displayed > 3)
+        assert window.status.state is RigState.OPENING
+        assert not window.top.run.isEnabled()
+        booted.set()
+        until(lambda: window.status.state is RigState.IDLE)
+
+
+def test_a_doser_that_does_not_answer_is_told_though_the_camera_saw(tmp_path, monkeypatch):
+    """Pictures must not hide that no ink can be dosed."""
+    seen, open_device = threading.Event(), drivers.rig.open_device
+
+    def opened(name: str, settings: dict[str, Any]) -> Any:
+        if name == "simulated-doser":
+            assert seen.wait(30.0)
+            raise DeviceError("doser: no reply; check the cable")
+        return open_device(name, settings)
+
+    monkeypatch.setattr(drivers.rig, "open_device", opened)
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        until(lambda: window.live.displayed)
+        seen.set()
+        until(lambda: window.status.state is RigState.FAILED)
+        assert "no reply; check the cable" in window.banner.text
 
 
 def test_theme_and_docks_are_remembered(tmp_path):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject, Signal
 
 from tankrig.calibration.file import passed_over
-from tankrig.devices import CameraSettings
+from tankrig.devices import CameraDevice, CameraSettings, Projector
 from tankrig.dosing import GuardedDoser, TankLedger
 from tankrig.errors import DeviceError, TankrigError, UndecidedError
 from tankrig.pattern import Pattern
@@ -261,7 +261,7 @@ class RigHost(QObject):
             self._set(RigState.IDLE)
             while not (ending.is_set() or self._wake.is_set()):
                 self._serve(rig)
-                rig.camera.capture(time.monotonic_ns(), 5.0 + 2e-3 * self.camera_settings.exposure_ms)
+                self._preview(rig.camera)
 
     def _serve(self, rig: Rig) -> None:
         """What the window has asked for; what a device refuses is told and changes nothing else."""
@@ -292,11 +292,25 @@ class RigHost(QObject):
         from drivers.rig import open_rig
 
         description = self._description = self.source.description()
-        rig = open_rig(description, looking)
+        rig = open_rig(description, looking, self._look_meanwhile if looking else None)
         opened.callback(rig.close)
-        projector = ObservedProjector(rig.projector, self._shown)
-        self._camera = camera = ObservedCamera(rig.camera, projector, self._see)
+        projector, camera = self._observed(rig.projector, rig.camera)
         return description, replace(rig, projector=projector, camera=camera)
+
+    def _observed(self, projector: Projector, camera: CameraDevice) -> tuple[ObservedProjector, ObservedCamera]:
+        seen_projector = ObservedProjector(projector, self._shown)
+        self._camera = ObservedCamera(camera, seen_projector, self._see)
+        return seen_projector, self._camera
+
+    def _look_meanwhile(self, projector: Projector, camera: CameraDevice, booting: Callable[[], bool]) -> None:
+        """Preview while the doser boots: a pump takes seconds, and who opens the window waits for its picture."""
+        _, camera = self._observed(projector, camera)
+        camera.configure(self.camera_settings)
+        while booting():
+            self._preview(camera)
+
+    def _preview(self, camera: CameraDevice) -> None:
+        camera.capture(time.monotonic_ns(), 5.0 + 2e-3 * self.camera_settings.exposure_ms)
 
     def _try_run(self, order: RunOrder) -> None:
         """What cannot be run is told, and the rig stays as it is."""
