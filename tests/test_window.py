@@ -14,7 +14,7 @@ def window(tmp_path_factory):
     """On the small rig, with its first picture shown; its tests leave ink, and no stop, behind."""
     folder = tmp_path_factory.mktemp("window")
     with window_on(folder, write_rig(folder)) as made:
-        until(lambda: made.live.displayed and made.status.tank is not None)
+        until(lambda: made.live.displayed and made.status.state.value == "ready")
         yield made
 
 

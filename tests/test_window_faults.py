@@ -94,7 +94,7 @@ def test_a_run_whose_fit_cannot_begin_is_ended_and_can_be_resumed(tmp_path, monk
 def test_an_unplugged_camera_ends_the_run_and_is_named(tmp_path):
     """A person must know which cable to look at, and what was recorded."""
     with window_on(tmp_path, write_rig(tmp_path, camera="faults = { unplugged_from = 60 }")) as window:
-        until(lambda: window.live.displayed)
+        until(lambda: window.status.state.value == "ready")
         began(window, tmp_path, FRAMES)
         until(lambda: "camera" in window.banner.text and "is gone" in window.banner.text, 40.0)
         assert "Resume it" in window.banner.action

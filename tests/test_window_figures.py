@@ -11,7 +11,6 @@ import subprocess
 import sys
 import threading
 import time
-from array import array
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +27,7 @@ import drivers.rig
 from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
 from tests.window_rig import until, wait_ms, window_on, write_rig
+from ui.window.event_loop_monitor import TICK_MS
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(2400)]
 
@@ -135,30 +135,30 @@ class Ticks:
         window.event_loop._timer.timeout.connect(self._look)
 
     def _look(self) -> None:
-        if self._gaps._recent:
-            self._ms.append(self._gaps._recent[-1][1])
-            self._taken_s.append(getattr(psutil.cpu_times(), "steal", 0.0))
-            queued_ms = self._queued_ms()
-            self._own_ms.append(self._ms[-1] - (queued_ms - self._before_ms))
-            self._before_ms = queued_ms
+        if self._gaps._recent and self._count < len(self._told):
+            gap_ms, queued_ms = self._gaps._recent[-1][1], self._queued_ms()
+            taken_s = getattr(psutil.cpu_times(), "steal", 0.0)
+            self._told[self._count] = gap_ms, taken_s, gap_ms - (queued_ms - self._before_ms)
+            self._count, self._before_ms = self._count + 1, queued_ms
 
     def reset(self) -> None:
-        self._ms, self._taken_s = array("f"), array("d")  # small, for the window's own memory is measured
-        self._own_ms, self._before_ms = array("f"), self._queued_ms()
+        # All of it before the window's memory is measured; ones, for pages of zeros take none until they are written.
+        self._told = np.ones((int(1.1e3 * (RUN_S + 60.0) / TICK_MS), 3))
+        self._count, self._before_ms = 0, self._queued_ms()
 
     def _queued_ms(self) -> float:
         return int(self._queue.read_text().split()[1]) / 1e6 if self._queue.exists() else 0.0
 
     def own_ms(self) -> Any:
         """Gaps less the time in the queue for a processor; longest first."""
-        return np.sort(np.asarray(self._own_ms))[::-1]
+        return np.sort(self._told[: self._count, 2])[::-1]
 
     def undisturbed_ms(self) -> Any:
         """Gaps around which, five ticks to either side, nothing was taken; longest first."""
-        at = np.arange(len(self._ms))
+        ms, taken_s = self._told[: self._count, :2].T
+        at = np.arange(self._count)
         before, after = (np.clip(at + by, 0, len(at) - 1) for by in (-5, 5))
-        taken = np.asarray(self._taken_s)
-        return np.sort(np.asarray(self._ms)[taken[after] == taken[before]])[::-1]
+        return np.sort(ms[taken_s[after] == taken_s[before]])[::-1]
 
 
 def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepared):
@@ -191,7 +191,7 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
         until(lambda: ended or time.monotonic() > began + RUN_S, RUN_S + 60.0)
         seconds = time.monotonic() - began
         worst, longest, own = window.event_loop.worst_ms, window.event_loop.longest(5), ticks.undisturbed_ms()
-        quiet = 100.0 * len(own) / len(ticks._ms)
+        quiet = 100.0 * len(own) / ticks._count
         rate, taken = (window.live.displayed - displayed) / seconds, (cameras[-1].taken - taken) / seconds
         unqueued = ticks.own_ms()
         grown = (memory.memory_info().rss - held) / 1e6

@@ -82,7 +82,7 @@ def test_edits_that_were_not_saved_are_kept(tmp_path):
     (tmp_path / "long.toml").write_text(LONG_DOSE)
     (tmp_path / "other.toml").write_text(LONG_DOSE.replace("long", "other"))
     with window_on(tmp_path, rig) as first:
-        until(lambda: first.live.displayed)
+        until(lambda: first.status.state.value == "ready")
         document = first.sequence.document
         first.sequence.load(tmp_path / "long.toml")
         document.edit_text(LONG_DOSE.replace("900", "800"))
