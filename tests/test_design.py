@@ -10,15 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tankrig import SequenceError
+from tankrig import SceneError, SequenceError
 from tankrig.advice.cells import CellLight, cell_light, designing_camera, even_cells, parts_of, with_parts
 from tankrig.advice.design import Prospect, designed
 from tankrig.advice.expected import Known, Shot, _about_liquid
 from tankrig.advice.next_pictures import next_pictures, usual_pictures
+from tankrig.advice.ranking import answer_by_paths
 from tankrig.bench import Bench
+from tankrig.estimation.phase_families import Family, fixed, reynolds_mccormick
+from tankrig.estimation.phase_result import scattering_of
 from tankrig.pattern import Cells, draw
 from tankrig.pattern.wall import Wall
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tankrig.scene.phase_functions import ReynoldsMcCormick
 from tankrig.sequence.loading import sequence_from_table
 from ui.cli import main
 
@@ -29,11 +33,13 @@ SCENE = Scene(
     Camera("orthographic", SHAPE, 4.0),
 )  # fmt: skip
 BENCH = Bench(SCENE.tank, Wall((40, 48), (-24.0, 24.0), (0.0, 40.0)), "collimated", SCENE.camera)
+EMULSION = Medium(5e-4, 0.02, phase=ReynoldsMcCormick(0.7, 0.8))
+FITTED = st.sampled_from([None, reynolds_mccormick()])
 GAIN, READ, SHOT = 2.0, 0.01, 0.02
 WANTED = st.sampled_from(["all", "sum", "sigma_a", "sigma_s", "g"])
 
 
-def some_light(count: int = 5, seed: int = 0, sheets: int = 1) -> CellLight:
+def some_light(count: int = 5, seed: int = 0, sheets: int = 1, family: Family | None = None) -> CellLight:
     """Cells that glow about their rows, each liquid's values changing them otherwise."""
     chance = np.random.default_rng(seed)
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -43,23 +49,29 @@ def some_light(count: int = 5, seed: int = 0, sheets: int = 1) -> CellLight:
         glow = np.exp(-0.5 * ((rows - at) / wide) ** 2 - columns / 12.0)
         images.append(glow)
         slopes.append([-30.0 * columns * glow, 50.0 * glow * (1.0 - columns / 9.0), (rows - at) ** 2 / wide**2 * glow])
+        if family is not None:
+            slopes[-1].append(np.sqrt(columns + 1.0) * (rows - at) * glow)
+    scene = SCENE if family is None else replace(SCENE, medium=EMULSION)
     bumpy = 1.0 + 0.1 * chance.normal(size=(sheets * count, 1, *SHAPE))
     z_mm = [(8.0 + 10.0 * k, 12.0 + 10.0 * k) for k in range(sheets)]
     cells = even_cells((-18.0, 18.0), z_mm, count)
-    return CellLight(cells, SCENE, np.array(images), np.array(slopes) * bumpy, np.ones(SHAPE, bool))
+    return CellLight(cells, scene, np.array(images), np.array(slopes) * bumpy, np.ones(SHAPE, bool), family)
 
 
 def prospect(light: CellLight, error: float = 0.003, **keys: object) -> Prospect:
     return Prospect(light, GAIN, lambda image: READ**2 + SHOT**2 * image, error, **keys)
 
 
-@given(st.integers(0, 10**6), st.integers(1, 3), WANTED, st.booleans(), st.booleans(), st.floats(0.5, 50.0))
+@given(
+    st.integers(0, 10**6), st.integers(1, 3), WANTED, st.booleans(), st.booleans(), st.floats(0.5, 50.0), FITTED
+)  # fmt: skip
 @settings(max_examples=40, deadline=None)
 def test_the_way_up_is_the_way_up(
-    seed: int, pictures: int, wanted: str, offset_free: bool, full: bool, frames: float
+    seed: int, pictures: int, wanted: str, offset_free: bool, full: bool, frames: float, family: Family | None
 ) -> None:
     """A slope that is wrong would end designs anywhere, and nobody would see it."""
-    one = prospect(some_light(seed=seed), offset_free=offset_free, saturation=3.0 if full else None)
+    light = some_light(seed=seed, family=family)
+    one = prospect(light, offset_free=offset_free, saturation=3.0 if full else None)
     one = one.with_pictures(np.ones((1, 5)), 2.0)
     light = np.random.default_rng(seed).uniform(0.2, 0.9, (pictures, 5))
     _, slope = one.value_and_slope(light, frames, wanted)
@@ -71,16 +83,21 @@ def test_the_way_up_is_the_way_up(
         assert slope[place] == pytest.approx(0.5 * by_difference, rel=1e-4, abs=1e-5 * float(np.abs(slope).max()))
 
 
-@given(st.floats(1.0, 100.0), st.booleans(), st.floats(0.0, 0.01), st.integers(0, 100))
+@given(st.floats(1.0, 100.0), st.booleans(), st.floats(0.0, 0.01), st.integers(0, 100), FITTED)
 @settings(max_examples=20, deadline=None)
-def test_it_counts_what_advice_counts(frames: int, offset_free: bool, error: float, seed: int) -> None:
+def test_it_counts_what_advice_counts(
+    frames: int, offset_free: bool, error: float, seed: int, family: Family | None
+) -> None:
     """One picture tells as much as the same pattern does to `tankrig advise`, model's error and all."""
-    light, parts = some_light(seed=seed), np.array([1.0, 0.3, 0.0, 0.6, 1.0])
-    known = Known(LIQUID, 0.0, GAIN, offset_free, lambda image: READ**2 + SHOT**2 * image, error)
-    shot = Shot("cells", SCENE, 1.0, 0.0, frames)
+    light, parts = some_light(seed=seed, family=family), np.array([1.0, 0.3, 0.0, 0.6, 1.0])
+    ink = light.scene.medium
+    known = Known(ink, 0.0, GAIN, offset_free, lambda image: READ**2 + SHOT**2 * image, error, family)
+    shot = Shot("cells", light.scene, 1.0, 0.0, frames)
     told = _about_liquid(known, shot, lambda *_: light.picture(parts))
-    widest = np.array([10.0 * LIQUID.sigma_t, 10.0 * LIQUID.sigma_t, 1.0, 10.0])
-    covariance = told.covariance(widest)[:3, :3]
+    values = known.values.size
+    covariance = told.covariance(np.append(known.widest, 10.0))[:values, :values]
+    if family is not None:
+        covariance = scattering_of(known.values[:2], known.values[2:], covariance, family).covariance
     found = prospect(light, error, offset_free=offset_free).expected(parts[None], frames)
     np.testing.assert_allclose(found.covariance, covariance, rtol=1e-4, atol=1e-7 * covariance.max())
 
@@ -95,6 +112,22 @@ def test_neither_frames_nor_more_pictures_average_the_models_error_away() -> Non
     without = prospect(light, 0.0)
     few, many = (without.expected(sheet, frames).relative_sd["sigma_s"] for frames in (1.0, 100.0))
     assert few == pytest.approx(10.0 * many, rel=0.01)
+
+
+@given(st.floats(0.2, 3.0), FITTED)
+@settings(max_examples=20, deadline=None)
+def test_what_is_known_is_carried_to_another_dose(share: float, family: Family | None) -> None:
+    """Two doses of one ink tell as much in whichever order they are photographed."""
+    thin = some_light(seed=1, family=family)
+    medium = thin.scene.medium
+    dense = replace(medium, sigma_a=medium.sigma_a / share, sigma_s=medium.sigma_s / share)
+    there = replace(some_light(seed=2, family=family), scene=replace(thin.scene, medium=dense))
+    sheet, stripes = np.ones((1, 5)), np.array([[1.0, 0.0, 1.0, 0.0, 1.0]])
+    onward = prospect(thin).with_pictures(sheet, 4.0).at_dose(there, share).with_pictures(stripes, 4.0)
+    back = prospect(there).with_pictures(stripes, 4.0).at_dose(thin, 1.0 / share).with_pictures(sheet, 4.0)
+    one, other = (known.expected(np.zeros((1, 5)), 1e-9).relative_sd for known in (onward, back))
+    for name, sd in one.items():
+        assert sd == pytest.approx(other[name], rel=1e-3)
 
 
 @given(st.integers(0, 1000), WANTED)
@@ -194,6 +227,27 @@ def test_the_light_of_cells_adds_up_to_that_of_the_picture_and_is_kept(
     with pytest.raises(SequenceError, match="give fewer"):
         next_pictures(known, 1.0, (), BENCH, BENCH.camera, many)
     assert designing_camera(replace(BENCH.camera, shape=(120, 180), pixel_mm=0.4))[1] == 3
+
+
+def test_light_of_cells_of_a_liquid_whose_phase_function_is_fitted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No liquid of a lab is Henyey–Greenstein's; what a picture tells of its phase function comes with the cells."""
+    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
+    cells, family = even_cells((-18.0, 18.0), [(18.0, 22.0)], 3), reynolds_mccormick()
+    found = cell_light(cells, BENCH, BENCH.camera, EMULSION, family=family)
+    whole, slopes = answer_by_paths(family)(found.scene, EMULSION)
+    picture, changes = found.picture(np.ones(3))
+    assert np.linalg.norm(picture - whole) < 0.02 * np.linalg.norm(whole)
+    for one, other in zip(changes, slopes, strict=True):
+        assert np.linalg.norm(one - other) < 0.05 * np.linalg.norm(other)
+    told = prospect(found, 0.0).expected(np.ones((1, 3)), 1e5)
+    given_phase = cell_light(cells, BENCH, BENCH.camera, EMULSION, family=fixed(EMULSION.phase_function))
+    as_if_known = prospect(given_phase, 0.0).expected(np.ones((1, 3)), 1e5)
+    assert told.relative_sd["sigma_s"] > 1.2 * as_if_known.relative_sd["sigma_s"], "what else is fitted widens"
+    assert as_if_known.relative_sd["g"] == 0.0
+    with pytest.raises(SceneError, match="nothing says which family"):
+        cell_light(cells, BENCH, BENCH.camera, EMULSION)
 
 
 def test_from_a_guess_to_a_sequence_that_shows_them_by_commands(

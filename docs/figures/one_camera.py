@@ -124,7 +124,7 @@ def measured(told: Callable[[str], object]) -> tuple[dict[str, dict[str, Expecte
     answers: dict[str, tuple[Known, Answer]] = {}
     for name, (family, coordinates) in families().items():
         one = known(family, coordinates)
-        answers[name] = one, answer_by_paths(one)
+        answers[name] = one, answer_by_paths(one.family)
 
     def of(name: str, scenes: Mapping[str, Scene], doses_ml: Sequence[float]) -> Expected:
         told(f"{name}: {', '.join(scenes)}")

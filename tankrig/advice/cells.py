@@ -3,12 +3,17 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.advice.ranking import answer_by_paths
 from tankrig.bench import Bench
 from tankrig.errors import SceneError
+from tankrig.estimation.differences import values_of
+from tankrig.estimation.phase_families import Family
+from tankrig.estimation.phase_result import coefficients_by
 from tankrig.image.bins import Seen
 from tankrig.light.prepared.cache import Place
 from tankrig.pattern.kinds import Cells, draw
@@ -41,9 +46,11 @@ class CellLight:
     images
         (cells, rows, columns) radiance, the first sheet's cells first.
     slopes
-        (cells, 3, rows, columns) derivatives by σa, σs and g.
+        (cells, k, rows, columns) derivatives by σa, σs and g, or by σa, σs and the coordinates of `family`.
     used
         (rows, columns) pixels that a fit could look at, whichever cells are lit.
+    family
+        Of the phase functions that will be fitted, and of the liquid's; None: Henyey–Greenstein.
     """
 
     cells: Cells
@@ -51,9 +58,17 @@ class CellLight:
     images: Array
     slopes: Array
     used: Mask
+    family: Family | None = None
+
+    @cached_property
+    def of_coefficients(self) -> Array:
+        """(3, k) derivatives of σa, σs and the mean cosine by the values that `slopes` are by."""
+        if self.family is None:
+            return np.eye(3)
+        return coefficients_by(self.family, self.family.coordinates(self.scene.medium.phase_function))
 
     def picture(self, light: Array) -> tuple[Array, Array]:
-        """(rows, columns) image and (3, rows, columns) slopes of cells lit in parts, (cells,)."""
+        """(rows, columns) image and (k, rows, columns) slopes of cells lit in parts, (cells,)."""
         return np.tensordot(light, self.images, 1), np.tensordot(light, self.slopes, 1)
 
 
@@ -82,8 +97,9 @@ def designing_camera(camera: Camera) -> tuple[Camera, int]:
 
 
 def cell_light(
-    cells: Cells, bench: Bench, camera: Camera, medium: Medium, progress: Callable[[float], object] = lambda _: None
-) -> CellLight:
+    cells: Cells, bench: Bench, camera: Camera, medium: Medium, progress: Callable[[float], object] = lambda _: None,
+    family: Family | None = None,
+) -> CellLight:  # fmt: skip
     """Light of each cell by itself, computed once for a liquid and kept on disk.
 
     Parameters
@@ -98,36 +114,44 @@ def cell_light(
         The liquid.
     progress
         Called with the share of the work that is done, 0 … 1.
+    family
+        Of the phase functions that will be fitted, with the liquid's among them; None: Henyey–Greenstein.
 
     Raises
     ------
     SceneError
-        When the liquid's phase function is not Henyey–Greenstein's, or the cells light nothing of the tank.
+        When the cells light nothing of the tank, or the liquid's phase function is of no family that will be fitted.
     """
-    if medium.phase is not None:
+    if family is None and medium.phase is not None:
         raise SceneError(
-            "pictures are designed for Henyey–Greenstein only, and the liquid has a phase of kind "
-            f'"{medium.phase.kind}"; rank given patterns instead: tankrig advise without --design'
+            f'the liquid has a phase of kind "{medium.phase.kind}", and nothing says which family of phase functions '
+            "will be fitted"
         )
     count = len(cells.z_mm) * len(cells.light[0])
     seen = replace(bench, camera=camera)
     whole = seen.scene(draw(with_parts(cells, np.ones(count)), bench.wall, "cells"), medium)
-    place = Place.of("cells", replace(whole, source=""), bench.wall, cells.y_mm, cells.z_mm, count, BATCHES, QUIET)
+    fitted = () if family is None else (family.name, *values_of(medium, family).tolist())
+    place = Place.of(
+        "cells", replace(whole, source=""), bench.wall, cells.y_mm, cells.z_mm, count, BATCHES, QUIET, *fitted
+    )
     known = place.kept(place.model)
     if known is None:
-        images, slopes = _computed(cells, seen, medium, count, progress)
+        images, slopes = _computed(cells, seen, medium, count, progress, family)
         place.require_room(8 * (images.size + slopes.size))
         place.keep(place.model, {"images": images, "slopes": slopes})
     else:
         images, slopes = (np.asarray(known[name], float) for name in ("images", "slopes"))
     progress(1.0)
-    return CellLight(with_parts(cells, np.ones(count)), whole, images, slopes, _used(cells, seen, medium, count))
+    used = _used(cells, seen, medium, count)
+    return CellLight(with_parts(cells, np.ones(count)), whole, images, slopes, used, family)
 
 
 def _computed(
-    cells: Cells, bench: Bench, medium: Medium, count: int, progress: Callable[[float], object]
+    cells: Cells, bench: Bench, medium: Medium, count: int, progress: Callable[[float], object], family: Family | None
 ) -> tuple[Array, Array]:
-    images, slopes = np.zeros((count, *bench.camera.shape)), np.zeros((count, 3, *bench.camera.shape))
+    images = np.zeros((count, *bench.camera.shape))
+    slopes = np.zeros((count, values_of(medium, family).size, *bench.camera.shape))
+    by_paths = None if family is None else answer_by_paths(family)
     across = len(cells.light[0])
     mirrored = _mirrored(bench, cells)
     for number in range(count):
@@ -138,7 +162,7 @@ def _computed(
         else:
             lit = with_parts(cells, (np.arange(count) == number).astype(float))
             scene = _ideal(bench.scene(draw(lit, bench.wall, "cell"), medium))
-            images[number], slopes[number] = _followed(scene, number)
+            images[number], slopes[number] = by_paths(scene, medium) if by_paths else _followed(scene, number)
         progress((number + 1) / count)
     return images, slopes
 

@@ -8,9 +8,10 @@ error e,
     F = D Q Dᵀ,    S = D Q v Q Dᵀ + U K Uᵀ,    U = Σ D Q e,    C = (F + P)⁻¹ (S + P) (F + P)⁻¹.
 
 The sum in U is over all pictures of one liquid: light is linear in the picture, so that the model errs alike in all of
-them, and neither frames nor other pictures average that away. What is minimised is ½ ln det C of σa, σs and g (D), or
-½ ln of the sum of their squared relative errors (A), or the error of one of them. Its derivatives by w follow backwards
-through these products, at about the price of the value; L-BFGS-B keeps w in 0 … 1.
+them, and neither frames nor other pictures average that away. What is minimised is ½ ln det C of σa, σs and the mean
+cosine g (D), or ½ ln of the sum of their squared relative errors (A), or the error of one of them; whatever else has to
+be found, the coordinates of a family of phase functions included, is marginalised. Its derivatives by w follow
+backwards through these products, at about the price of the value; L-BFGS-B keeps w in 0 … 1.
 """
 
 import math
@@ -23,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.advice.cells import CellLight
-from tankrig.advice.expected import Expected
+from tankrig.advice.expected import Expected, usual_widths
 from tankrig.estimation.parameters import NAMES, WIDEST
 from tankrig.estimation.uncertainty import CORRELATION_LENGTHS, PATTERN
 from tankrig.pattern.kinds import Cells
@@ -34,8 +35,6 @@ Mask = NDArray[np.bool_]
 Wanted = Literal["all", "sum", "sigma_a", "sigma_s", "g"]
 """What is to be known: σa, σs and g together (D), the sum of their squared relative errors (A), or one of them."""
 
-OWN = 5
-"""σa, σs, g, log gain, and the picture's offset."""
 STEPS = 60
 """Most steps of an ascent."""
 LIMIT_S = 0.9
@@ -48,14 +47,14 @@ DARKEST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """What photographs of one liquid say so far about (σa, σs, g, log gain), and how the model's error pulls at it.
+    """What photographs of one liquid say so far about its n − 1 values and the log gain, and the model error's pull.
 
     Parameters
     ----------
     fisher, scatter
-        (4, 4) see `Information`; the scatter is noise alone.
+        (n, n) see `Information`; the scatter is noise alone.
     pull
-        (4, rows, columns) what a model's error of one standard deviation in a pixel pulls with.
+        (n, rows, columns) what a model's error of one standard deviation in a pixel pulls with.
     """
 
     fisher: Array
@@ -63,9 +62,10 @@ class Gathered:
     pull: Array
 
     @classmethod
-    def nothing(cls, shape: tuple[int, int]) -> "Gathered":
-        """Before the first photograph."""
-        return cls(np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, *shape)))
+    def nothing(cls, values: int, shape: tuple[int, int]) -> "Gathered":
+        """Before the first photograph, of a liquid with so many values."""
+        known = values + 1
+        return cls(np.zeros((known, known)), np.zeros((known, known)), np.zeros((known, *shape)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,12 @@ class Prospect:
     @property
     def before(self) -> Gathered:
         """What is known."""
-        return self.gathered or Gathered.nothing(self.light.used.shape)
+        return self.gathered or Gathered.nothing(self._values, self.light.used.shape)
+
+    @property
+    def _values(self) -> int:
+        """Of the liquid."""
+        return int(self.light.slopes.shape[1])
 
     def value(self, light: Array, frames: float, wanted: Wanted) -> float:
         """What is minimised, in nats: of cells lit in parts of their light, (pictures, cells), with frames of each."""
@@ -115,8 +120,9 @@ class Prospect:
         """What a fit is expected to state with these pictures."""
         seen = [self._seen(one, frames) for one in light]
         covariance, _ = self._covariance(*self._totals(seen)[:2])
-        relative = np.sqrt(np.diag(covariance))[:3] / self._scale
-        return Expected(covariance[:3, :3], dict(zip(NAMES, relative.tolist(), strict=True)))
+        own = _of_coefficients(covariance, self.light.of_coefficients)
+        relative = np.sqrt(np.diag(own)) / self._scale
+        return Expected(own, dict(zip(NAMES, relative.tolist(), strict=True)))
 
     def with_pictures(self, light: Array, frames: float) -> "Prospect":
         """After these pictures, each with an offset of its own where that is free."""
@@ -124,7 +130,7 @@ class Prospect:
         for one in light:
             seen = self._seen(one, frames)
             fisher, scatter = seen.fisher, seen.scatter
-            left = _without_offset(fisher) if self.offset_free else np.eye(4, OWN)
+            left = _without_offset(fisher) if self.offset_free else np.eye(len(fisher) - 1, len(fisher))
             before = Gathered(
                 before.fisher + left @ fisher @ left.T,
                 before.scatter + left @ scatter @ left.T,
@@ -132,11 +138,28 @@ class Prospect:
             )
         return replace(self, gathered=before)
 
+    def at_dose(self, light: CellLight, share: float) -> "Prospect":
+        """The same ink at another dose, with what is known by now; the model errs otherwise there.
+
+        Parameters
+        ----------
+        light
+            Of the same cells, in the liquid of the other dose.
+        share
+            This dose over the other: coefficients go with it.
+        """
+        fisher, scatter, _ = self._totals([])
+        by_other = np.ones(len(fisher))
+        by_other[:2] = share
+        scale = np.outer(by_other, by_other)
+        gathered = Gathered(fisher * scale, scatter * scale, np.zeros_like(self.before.pull))
+        return replace(self, light=light, gathered=gathered)
+
     def _at(self, light: Array, frames: float, wanted: Wanted, slopes: bool) -> tuple[float, Array]:
         seen = [self._seen(one, frames) for one in light]
         fisher, scatter, smoothed = self._totals(seen)
         covariance, inverse = self._covariance(fisher, scatter)
-        value, by_covariance = _wanted(covariance, self._scale, wanted)
+        value, by_covariance = _wanted(covariance, self.light.of_coefficients, self._scale, wanted)
         if not slopes:
             return value, np.zeros(0)
         # dC = M dS M − M dF C − C dF M, with M = (F + P)⁻¹.
@@ -152,17 +175,21 @@ class Prospect:
         return _Seen.of(self, np.asarray(light, float), frames)
 
     def _place(self, number: int, count: int) -> Array:
-        """(values, 5) where a picture's own values stand among σa, σs, g, log gain and `count` offsets."""
-        place = np.eye(4 + count, OWN)
-        place[:, 4] = 0.0
+        """Where a picture's own n values and log gain, and its offset, stand among these and `count` offsets.
+
+        (n + 1 + count, n + 2).
+        """
+        shared = self._values + 1
+        place = np.eye(shared + count, shared + 1)
+        place[:, shared] = 0.0
         if number >= 0 and self.offset_free:
-            place[4 + number, 4] = 1.0
+            place[shared + number, shared] = 1.0
         return place
 
     def _totals(self, seen: "Sequence[_Seen]") -> tuple[Array, Array, Array]:
         """Fisher information and scatter about all values, and the model error's pull, smoothed."""
         count, before = len(seen), self.before
-        place = self._place(-1, count)[:, :4]
+        place = self._place(-1, count)[:, :-1]
         fisher, scatter = place @ before.fisher @ place.T, place @ before.scatter @ place.T
         pull = np.tensordot(place, before.pull, 1)
         for number, one in enumerate(seen):
@@ -176,8 +203,10 @@ class Prospect:
     def _covariance(self, fisher: Array, scatter: Array) -> tuple[Array, Array]:
         """Covariance of all values, (F + P)⁻¹ (scatter + P) (F + P)⁻¹ with the prior P, and (F + P)⁻¹ itself."""
         brightest = self.gain * float(self.light.images.sum(axis=0).max())
+        offsets = len(fisher) - self._values - 1
         coefficients = [WIDEST * self.light.scene.medium.sigma_t] * 2
-        widest = np.array([*coefficients, 1.0, WIDEST, *[WIDEST * brightest] * (len(fisher) - 4)])
+        phase = usual_widths(self.light.family)
+        widest = np.array([*coefficients, *phase, WIDEST, *[WIDEST * brightest] * offsets])
         scale = np.outer(widest, widest)
         inverse = np.linalg.inv(fisher * scale + np.eye(len(widest))) * scale
         return np.asarray(inverse @ (scatter + np.diag(widest**-2.0)) @ inverse), np.asarray(inverse)
@@ -203,7 +232,7 @@ class _Seen:
     Parameters
     ----------
     changes
-        (5, n) derivatives by σa, σs, g, log gain and offset, counts.
+        (k + 2, n) derivatives by the liquid's k values, log gain and offset, counts.
     weight, variance, error
         (n,) as a fit weighs them, of the mean of the frames, and the model's standard deviation.
     by_image
@@ -240,19 +269,19 @@ class _Seen:
 
     @property
     def fisher(self) -> Array:
-        """(5, 5) D Q Dᵀ."""
+        """(k + 2, k + 2) D Q Dᵀ."""
         return np.asarray((self.changes * self.weight) @ self.changes.T)
 
     @property
     def scatter(self) -> Array:
-        """(5, 5) by noise."""
+        """(k + 2, k + 2) by noise."""
         responses = self.changes * self.weight
         return np.asarray((responses * self.variance) @ responses.T)
 
     @property
     def pull(self) -> Array:
-        """(5, rows, columns) D Q e."""
-        found = np.zeros((OWN, *self.used.shape))
+        """(k + 2, rows, columns) D Q e."""
+        found = np.zeros((len(self.changes), *self.used.shape))
         found[:, self.used] = self.changes * (self.weight * self.error * PATTERN)
         return found
 
@@ -262,9 +291,9 @@ class _Seen:
         Parameters
         ----------
         by_fisher, by_scatter
-            (5, 5) of its fisher information and its scatter by noise.
+            (k + 2, k + 2) of its fisher information and its scatter by noise.
         by_pull
-            (5, n) of the model error's pull.
+            (k + 2, n) of the model error's pull.
         """
         responses = self.changes * self.weight
         error = PATTERN * self.error
@@ -276,15 +305,15 @@ class _Seen:
         by_error = PATTERN * np.sum(by_pull * responses, axis=0)
         by_image = (
             by_weight * self.by_image[0] + by_variance * self.by_image[1] + by_error * prospect.model_error
-            + by_changes[3]
+            + by_changes[-2]
         )  # fmt: skip
         images, slopes = prospect.light.images[:, self.used], prospect.light.slopes[:, :, self.used]
-        return np.asarray(prospect.gain * (images @ by_image + np.einsum("jkn,kn->j", slopes, by_changes[:3])))
+        return np.asarray(prospect.gain * (images @ by_image + np.einsum("jkn,kn->j", slopes, by_changes[:-2])))
 
 
 def _without_offset(fisher: Array) -> Array:
-    """(4, 5) that takes the part of the offset out of what a picture tells."""
-    return np.hstack([np.eye(4), -fisher[:4, 4:] / max(float(fisher[4, 4]), 1e-300)])
+    """(n − 1, n) that takes the part of the offset, the last value, out of what a picture tells."""
+    return np.hstack([np.eye(len(fisher) - 1), -fisher[:-1, -1:] / max(float(fisher[-1, -1]), 1e-300)])
 
 
 def _smoothed(pull: Array, scene: Scene) -> Array:
@@ -301,20 +330,27 @@ def _smoothed(pull: Array, scene: Scene) -> Array:
     return found
 
 
-def _wanted(covariance: Array, scale: Array, wanted: Wanted) -> tuple[float, Array]:
+def _of_coefficients(covariance: Array, of_coefficients: Array) -> Array:
+    """(3, 3) of σa, σs and the mean cosine, from that of all values."""
+    values = of_coefficients.shape[1]
+    return np.asarray(of_coefficients @ covariance[:values, :values] @ of_coefficients.T)
+
+
+def _wanted(covariance: Array, of_coefficients: Array, scale: Array, wanted: Wanted) -> tuple[float, Array]:
     """What is minimised, in nats, and its derivatives by the covariance of all values."""
-    by = np.zeros_like(covariance)
+    own = _of_coefficients(covariance, of_coefficients)
     if wanted == "all":
-        own = covariance[:3, :3]
-        by[:3, :3] = 0.5 * np.linalg.inv(own)
-        return 0.5 * float(np.linalg.slogdet(own / np.outer(scale, scale))[1]), by
-    if wanted == "sum":
-        total = float(np.sum(np.diag(covariance)[:3] / scale**2))
-        by[range(3), range(3)] = 0.5 / (scale**2 * total)
-        return 0.5 * math.log(total), by
-    k = NAMES.index(wanted)
-    by[k, k] = 0.5 / float(covariance[k, k])
-    return 0.5 * math.log(float(covariance[k, k]) / scale[k] ** 2), by
+        value, by_own = 0.5 * float(np.linalg.slogdet(own / np.outer(scale, scale))[1]), 0.5 * np.linalg.inv(own)
+    elif wanted == "sum":
+        total = float(np.sum(np.diag(own) / scale**2))
+        value, by_own = 0.5 * math.log(total), np.diag(0.5 / (scale**2 * total))
+    else:
+        k = NAMES.index(wanted)
+        value, by_own = 0.5 * math.log(float(own[k, k]) / scale[k] ** 2), np.zeros((3, 3))
+        by_own[k, k] = 0.5 / float(own[k, k])
+    by, values = np.zeros_like(covariance), of_coefficients.shape[1]
+    by[:values, :values] = of_coefficients.T @ by_own @ of_coefficients
+    return value, by
 
 
 @dataclass(frozen=True, eq=False)

@@ -89,16 +89,19 @@ class Known:
     @property
     def widest(self) -> Array:
         """(k,) standard deviations of these before anything was seen."""
-        family, coefficients = self.family, np.full(2, WIDEST * (self.ink.sigma_a + self.ink.sigma_s))
-        if family is None:
-            return np.append(coefficients, 1.0)
-        return np.append(
-            coefficients, np.where(family.expected, 1.0, family.usual) if family.expected.size else family.usual
-        )
+        coefficients = np.full(2, WIDEST * (self.ink.sigma_a + self.ink.sigma_s))
+        return np.append(coefficients, usual_widths(self.family))
 
     def liquid(self, dose_ml: float) -> Medium:
         """In the tank at a dose."""
         return in_tank(self.ink, self.water_sigma_a, dose_ml)
+
+
+def usual_widths(family: Family | None) -> Array:
+    """(k,) standard deviations of g, or of a family's coordinates, before anything was seen."""
+    if family is None:
+        return np.ones(1)
+    return np.where(family.expected, 1.0, family.usual) if family.expected.size else family.usual
 
 
 @dataclass(frozen=True)

@@ -73,6 +73,8 @@ def usual_pictures(cells: Cells) -> dict[str, Array]:
 def thought_possible(liquid: Medium, sd: Sequence[float]) -> list[Medium]:
     """A liquid, and both sides of each of its values that is not known well.
 
+    Another phase function than Henyey–Greenstein's is taken for what it is.
+
     Parameters
     ----------
     liquid
@@ -88,12 +90,13 @@ def thought_possible(liquid: Medium, sd: Sequence[float]) -> list[Medium]:
     found = [liquid]
     values, scale = np.array([liquid.sigma_a, liquid.sigma_s, liquid.g]), (liquid.sigma_a, liquid.sigma_s, 1.0)
     for k, (one, size) in enumerate(zip(sd, scale, strict=False)):
-        if one > UNSURE[k] * size:
+        if one > UNSURE[k] * size and (k < 2 or liquid.phase is None):
             step = min(one, FURTHEST[k] * size)
             for side in (-step, step):
                 moved = values.copy()
                 moved[k] += side
-                found.append(Medium(float(moved[0]), float(moved[1]), float(np.clip(moved[2], -0.9, 0.95))))
+                sigma_a, sigma_s, g = moved[0], moved[1], np.clip(moved[2], -0.9, 0.95)
+                found.append(Medium(float(sigma_a), float(sigma_s), float(g), liquid.phase))
     return found
 
 
@@ -143,7 +146,7 @@ def next_pictures(
     Raises
     ------
     SceneError
-        When the liquid's phase function is not Henyey–Greenstein's.
+        When the cells light nothing of the tank.
     SequenceError
         With more sheets or cells than are computed.
     """
@@ -160,7 +163,7 @@ def next_pictures(
         def share(done: float, number: int = number) -> None:
             progress((number + done) / len(liquids))
 
-        lights.append(cell_light(cells, bench, smaller, liquid, share))
+        lights.append(cell_light(cells, bench, smaller, liquid, share, known.family))
     brightest = known.gain * float(lights[0].images.sum(axis=0).max())
     dark, bright = known.noise(np.array([0.0, brightest])) / by**2
 

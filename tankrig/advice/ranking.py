@@ -9,6 +9,7 @@ import numpy as np
 
 from tankrig.advice.expected import Answer, Array, Expected, Known, Shot, expected
 from tankrig.estimation.forward import Models, models_of
+from tankrig.estimation.phase_families import Family
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
 from tankrig.scene import Medium, Scene
@@ -122,12 +123,12 @@ def _spread(after: Expected, name: str | None) -> float:
     return float(np.linalg.slogdet(after.covariance * scale)[1]) / 2.0 / float(np.log(2.0))
 
 
-def answer_by_paths(known: Known) -> Answer:
+def answer_by_paths(family: Family | None) -> Answer:
     """The tank's model with the phase functions of a family: light paths are followed for each liquid anew."""
 
     @cache
     def models(scene: Scene) -> Models:
-        return models_of(scene, "tank", None, known.family)
+        return models_of(scene, "tank", None, family)
 
     def answer(scene: Scene, medium: Medium) -> tuple[Array, Array]:
         _, quiet = models(scene).refined(medium)  # noise of derivatives would pass for information

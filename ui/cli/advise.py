@@ -109,7 +109,7 @@ def advise(
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("preparing models", total=1.0)
-        answer = answer_by_paths(known) if known.family is not None else prepared_answer(
+        answer = answer_by_paths(known.family) if known.family is not None else prepared_answer(
             known, [one.scene for one in shots], [one.dose_ml for one in shots],
             lambda done: bar.update(task, completed=done),
         )  # fmt: skip
