@@ -6,11 +6,9 @@ beam by a search; its other two edges are straight enough over short stretches.
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tankrig.compiled import kernel
-from tankrig.light.rays import Geometry, bent_light, light_kept, path_inside, sight_line
+from tankrig.light.quadrature import Rule
+from tankrig.light.rays import Edges, Geometry, Ray, bent_light, light_kept, path_inside, sight_line
 from tankrig.scene.phase import phase_density
 from tankrig.scene.phase_table import PhaseRecord
 
@@ -20,9 +18,8 @@ STRETCH_MM = 20.0
 
 @kernel
 def along_sight_in_bent_light(
-    geometry: Geometry, x: float, y: float, sigma_t: float, phase: PhaseRecord,
-    edges: tuple[float, float, float, float], rule: tuple[NDArray[np.float64], NDArray[np.float64]],
-) -> float:  # fmt: skip
+    geometry: Geometry, x: float, y: float, sigma_t: float, phase: PhaseRecord, edges: Edges, rule: Rule
+) -> float:
     """∫ p exp(−σt (d₁ + d₂)) E/E₀ ds along the line of sight through (x, y, Lz), times the surface's transmission.
 
     Parameters
@@ -34,26 +31,27 @@ def along_sight_in_bent_light(
     sigma_t, phase
         Extinction in 1/mm, and the phase function.
     edges
-        y low, y high, z low, z high of the beam on the plane x = 0.
+        Of the beam.
     rule
-        Gauss–Legendre rule on [−1, 1].
+        Gauss–Legendre.
     """
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     low, high = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
     if high <= low:
         return 0.0
-    top, bottom = _entry(geometry, x, y, vx, vy, vz, low)[1], _entry(geometry, x, y, vx, vy, vz, high)[1]
+    sight = Ray(x, y, geometry.height, vx, vy, vz)
+    top, bottom = _entry(geometry, sight, low)[1], _entry(geometry, sight, high)[1]
     if top <= edges[2] or bottom >= edges[3]:
         return 0.0
-    start = low if top <= edges[3] else _depth_of(geometry, x, y, vx, vy, vz, edges[3], low, high, top, bottom)
-    end = high if bottom >= edges[2] else _depth_of(geometry, x, y, vx, vy, vz, edges[2], low, high, top, bottom)
+    start = low if top <= edges[3] else _depth_of(geometry, sight, edges[3], low, high, top, bottom)
+    end = high if bottom >= edges[2] else _depth_of(geometry, sight, edges[2], low, high, top, bottom)
     nodes, weights = rule
     stretches = 1 + int((end - start) / STRETCH_MM)
     step = (end - start) / stretches
-    after = _entry(geometry, x, y, vx, vy, vz, start)[0]
+    after = _entry(geometry, sight, start)[0]
     total = 0.0
     for stretch in range(stretches):
-        before, after = after, _entry(geometry, x, y, vx, vy, vz, start + (stretch + 1) * step)[0]
+        before, after = after, _entry(geometry, sight, start + (stretch + 1) * step)[0]
         first, last = _lit_share(before, after, edges[0], edges[1])
         if last <= first:
             continue
@@ -70,26 +68,26 @@ def along_sight_in_bent_light(
 
 
 @kernel
-def _entry(
-    geometry: Geometry, x: float, y: float, vx: float, vy: float, vz: float, depth: float
-) -> tuple[float, float]:
+def _entry(geometry: Geometry, sight: Ray, depth: float) -> tuple[float, float]:
     """The y and z at which the light at some depth of a line of sight came through x = 0."""
-    px, py, pz = max(x - vx * depth, 0.0), y - vy * depth, geometry.height - vz * depth
+    px, py, pz = max(sight.x - sight.dx * depth, 0.0), sight.y - sight.dy * depth, sight.z - sight.dz * depth
     share = bent_light(geometry, px, py, pz)[4]
     return geometry.light_y + share * (py - geometry.light_y), geometry.light_z + share * (pz - geometry.light_z)
 
 
 @kernel
 def _depth_of(
-    geometry: Geometry, x: float, y: float, vx: float, vy: float, vz: float, level: float, low: float, high: float,
-    top: float, bottom: float,
-) -> float:  # fmt: skip
-    """Depth at which the light came in at a level, between depths where it came in above and below (Illinois)."""
+    geometry: Geometry, sight: Ray, level: float, low: float, high: float, top: float, bottom: float
+) -> float:
+    """Depth t at which the light came in at a level, z₀(t) = level, between depths where it came in above and below.
+
+    Searched for by false position, the Illinois way.
+    """
     above, below = top - level, bottom - level
     side, depth = 0, 0.5 * (low + high)
     for _ in range(30):
         depth = (low * below - high * above) / (below - above)
-        miss = _entry(geometry, x, y, vx, vy, vz, depth)[1] - level
+        miss = _entry(geometry, sight, depth)[1] - level
         if abs(miss) < 1e-6:
             break
         if miss > 0.0:

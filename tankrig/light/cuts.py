@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.paths.record import seen_from
-from tankrig.light.rays import Geometry, bent, bent_light, sighting_row
+from tankrig.light.rays import Edges, Geometry, bent, bent_light, sighting_row
 from tankrig.light.sorting import put_in_order
 
 CUTS = 8
@@ -23,9 +23,7 @@ NEAREST, MOST_STEPS = 1e-9, 12
 
 
 @kernel
-def rows_of_ends(
-    geometry: Geometry, x: float, edges: tuple[float, float, float, float], rows: NDArray[np.float64]
-) -> None:
+def rows_of_ends(geometry: Geometry, x: float, edges: Edges, rows: NDArray[np.float64]) -> None:
     """Write to (`CUTS`,) rows where the light of a beam ends, in order, mm: all that is lit lies between the outer two.
 
     Parameters
@@ -35,7 +33,7 @@ def rows_of_ends(
     x
         Of the lines of sight on the surface, mm.
     edges
-        y low, y high, z low, z high of the beam on the plane x = 0.
+        Of the beam.
     rows
         Written to.
     """

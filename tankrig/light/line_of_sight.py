@@ -12,18 +12,18 @@ functions, whatever the edges.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.compiled import kernel
+from tankrig.compiled import kernel, part
 from tankrig.light.bent_light import along_sight_in_bent_light
-from tankrig.light.rays import Geometry, bent, light_kept, light_ray, path_inside, sight_line
+from tankrig.light.quadrature import PixelRules, Rule
+from tankrig.light.rays import Edges, Geometry, Ray, bent, light_kept, light_ray, path_inside, sight_line
+from tankrig.light.water import Water
 from tankrig.scene.phase import phase_density
 from tankrig.scene.phase_table import PhaseRecord
-
-Rule = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Nodes and weights of a quadrature on [−1, 1]."""
 
 FAINT = 60.0
 """Free paths after which light is fainter than any rounding."""
@@ -33,13 +33,22 @@ ROOT_THIRD = math.sqrt(1.0 / 3.0)
 """Where they lie, in halves of the width (Gauss)."""
 
 
-@kernel
+class SharpBeam(NamedTuple):
+    """A beam that begins and ends at once, and what it scatters where it enters."""
+
+    edges: Edges
+    strength: float
+    """σs E₀, W/mm³."""
+
+
+@part
 def across_sights(
-    geometry: Geometry, x: float, low: float, high: float, ends: NDArray[np.float64], sigma_t: float,
-    phase: PhaseRecord, edges: tuple[float, float, float, float], y_rule: Rule, depth_rule: Rule,
+    geometry: Geometry, water: Water, edges: Edges, rules: PixelRules, x: float, low: float, high: float,
+    ends: NDArray[np.float64],
 ) -> float:  # fmt: skip
-    """∫ dy of what is seen along the lines through (x, low … high, Lz), cut at rows where light ends, in order."""
-    nodes, weights = y_rule
+    """∫ dy I₁(x, y)/(σs E₀) from `low` to `high`, cut at rows where light ends, in order."""
+    sigma_t, phase = water.sigma_t, water.phase
+    (nodes, weights), depth_rule = rules.y, rules.depth
     total, start = 0.0, low
     for k in range(ends.size + 1):
         end = min(max(ends[k], low), high) if k < ends.size else high
@@ -57,7 +66,7 @@ def across_sights(
 
 
 @kernel
-def kinked(geometry: Geometry, x_left: float, width: float, edges: tuple[float, float, float, float]) -> bool:
+def kinked(geometry: Geometry, x_left: float, width: float, edges: Edges) -> bool:
     """Whether a wall, the surface or the floor cuts what is lit on some lines of sight between two x, not on others."""
     near, far = 1e30, -1e30
     middle = 0.5 * (edges[0] + edges[1])
@@ -78,20 +87,14 @@ def kinked(geometry: Geometry, x_left: float, width: float, edges: tuple[float, 
 
 @kernel
 def _along_sight(
-    geometry: Geometry,
-    x: float,
-    y: float,
-    sigma_t: float,
-    phase: PhaseRecord,
-    edges: tuple[float, float, float, float],
-    rule: Rule,
+    geometry: Geometry, x: float, y: float, sigma_t: float, phase: PhaseRecord, edges: Edges, rule: Rule
 ) -> float:
     """∫ p exp(−σt (d₁ + d₂)) E/E₀ ds along the line of sight through (x, y, Lz), times the surface's transmission."""
     if bent(geometry):
         return along_sight_in_bent_light(geometry, x, y, sigma_t, phase, edges, rule)
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     low, high = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
-    low, high = _clip_to_beam(geometry, x, y, vx, vy, vz, edges, low, high)
+    low, high = _clip_to_beam(geometry, Ray(x, y, geometry.height, vx, vy, vz), edges, low, high)
     along = vx  # cosine between light and sight; from a pinhole it falls with the depth
     if geometry.light_pinhole:
         ax, ay, az = x - vx * low - geometry.light_x, y - vy * low - geometry.light_y, geometry.height - vz * low
@@ -123,28 +126,22 @@ def _along_sight(
 
 
 @kernel
-def _clip_to_beam(
-    geometry: Geometry,
-    x: float,
-    y: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    edges: tuple[float, float, float, float],
-    low: float,
-    high: float,
-) -> tuple[float, float]:
-    """The part of [low, high] of a line of sight that lies between a beam's four faces."""
+def _clip_to_beam(geometry: Geometry, sight: Ray, edges: Edges, low: float, high: float) -> tuple[float, float]:
+    """The part of [low, high] of a line of sight that lies between a beam's four faces.
+
+    Its point at the depth t is C(t) = (x, y, Lz) − t v. From a pinhole at A, a face through an edge e of the plane
+    x = 0 has (C_y − A_y)(−A_x) = (e − A_y)(C_x − A_x), and so for z; both sides are linear in t.
+    """
     for k in range(4):
         side = 1.0 if k % 2 == 0 else -1.0
         if k < 2:
-            origin, slope, centre = y, -vy, geometry.light_y
+            origin, slope, centre = sight.y, -sight.dy, geometry.light_y
         else:
-            origin, slope, centre = geometry.height, -vz, geometry.light_z
+            origin, slope, centre = sight.z, -sight.dz, geometry.light_z
         if geometry.light_pinhole:  # (coordinate − apex)·(−apex_x) ≥ (edge − apex)·(x − apex_x)
             reach = -geometry.light_x
-            value = side * ((origin - centre) * reach - (edges[k] - centre) * (x + reach))
-            change = side * (slope * reach + (edges[k] - centre) * vx)
+            value = side * ((origin - centre) * reach - (edges[k] - centre) * (sight.x + reach))
+            change = side * (slope * reach + (edges[k] - centre) * sight.dx)
         else:
             value, change = side * (origin - edges[k]), side * slope
         if abs(change) < 1e-14:

@@ -8,17 +8,19 @@ all pixels: it is found once for each beam, at even steps of x, and taken from b
 import math
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.cuts import CUTS, rows_of_ends
-from tankrig.light.line_of_sight import Rule, across_sights, kinked
-from tankrig.light.rays import Geometry, light_sources
+from tankrig.light.line_of_sight import SharpBeam, across_sights, kinked
+from tankrig.light.quadrature import PixelRules, pixel_rules
+from tankrig.light.rays import Edges, Geometry, light_sources
+from tankrig.light.water import Water, water_of
 from tankrig.scene import Scene
 from tankrig.scene.footprint import footprints
-from tankrig.scene.phase_table import PhaseRecord
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
@@ -40,31 +42,38 @@ MARGIN_MM = 0.5
 def single_scattering_in_quadrangles(scene: Scene) -> Array:
     """`single_scattering` for a calibrated camera: (rows, columns), W/mm²/sr; 0 where a pixel looks elsewhere."""
     medium, seen = scene.medium, footprints(scene.camera, scene.tank)
-    phase = medium.phase_function.record
     image = np.zeros(scene.camera.shape)
-    x_rule, y_rule, depth_rule = (np.polynomial.legendre.leggauss(count) for count in (2, 3, 4))
+    water, rules = water_of(medium), pixel_rules()
     lit = [
-        (geometry, beam.irradiance, (*beam.y_mm, *beam.z_mm))
+        _of_source(geometry, SharpBeam((*beam.y_mm, *beam.z_mm), medium.sigma_s * beam.irradiance))
         for geometry, beams in light_sources(scene)
         for beam in beams
         if beam.irradiance > 0.0
     ]
-    ends = [_ends_along(geometry, edges) for geometry, _, edges in lit]
 
     def add_rows(part: int) -> None:
-        for (geometry, irradiance, edges), along in zip(lit, ends, strict=True):
-            _add_beam(
-                image, geometry, seen.corners_mm, along, medium.sigma_t, medium.sigma_s * irradiance, phase, edges,
-                x_rule, y_rule, depth_rule, part, THREADS,
-            )  # fmt: skip
+        for one in lit:
+            _add_beam(image, seen.corners_mm, one, water, rules, part, THREADS)
 
     with ThreadPoolExecutor(THREADS) as pool:
         list(pool.map(add_rows, range(THREADS)))
     return np.where(seen.areas_mm2 > 0.0, image / seen.areas_mm2, 0.0)
 
 
+class _LitBeam(NamedTuple):
+    """A beam, the numbers of the scene for its source, and where its light ends (`_ends_along`)."""
+
+    geometry: Geometry
+    beam: SharpBeam
+    along: Array
+
+
+def _of_source(geometry: Geometry, beam: SharpBeam) -> _LitBeam:
+    return _LitBeam(geometry, beam, _ends_along(geometry, beam.edges))
+
+
 @lru_cache(maxsize=128)
-def _ends_along(geometry: Geometry, edges: tuple[float, float, float, float]) -> Array:
+def _ends_along(geometry: Geometry, edges: Edges) -> Array:
     """(`STEPS` + 1, `CUTS`) rows where a beam's light ends, in order, mm, at even steps of x along the tank."""
     ends = np.empty((STEPS + 1, CUTS))
     _fill_ends(geometry, edges, ends)
@@ -73,7 +82,7 @@ def _ends_along(geometry: Geometry, edges: tuple[float, float, float, float]) ->
 
 
 @kernel
-def _fill_ends(geometry: Geometry, edges: tuple[float, float, float, float], ends: Array) -> None:
+def _fill_ends(geometry: Geometry, edges: Edges, ends: Array) -> None:
     for step in range(ends.shape[0]):
         rows_of_ends(geometry, step * geometry.length / (ends.shape[0] - 1), edges, ends[step])
 
@@ -90,11 +99,9 @@ def _ends_at(along: Array, x: float, length: float, ends: Array) -> None:
 
 
 @kernel
-def _add_beam(
-    image: Array, geometry: Geometry, grid: Array, along: Array, sigma_t: float, strength: float, phase: PhaseRecord,
-    edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule, part: int, parts: int,
-) -> None:  # fmt: skip
-    """Add one beam's order 1, integrated over each pixel's area, to one of so many parts of the rows."""
+def _add_beam(image: Array, grid: Array, lit: _LitBeam, water: Water, rules: PixelRules, part: int, parts: int) -> None:
+    """Add ∫ I₁(x, y) dx dy of one beam, over each pixel's area, to one of so many parts of the rows."""
+    geometry, along = lit.geometry, lit.along
     xs, ys, ends = np.empty(4), np.empty(4), np.empty((2, CUTS))
     for row in range(part, image.shape[0], parts):
         for column in range(image.shape[1]):
@@ -113,19 +120,16 @@ def _add_beam(
             total = 0.0
             for k in range(3):
                 if slices[k + 1] > slices[k]:
-                    total += _slice(
-                        geometry, xs, ys, slices[k], slices[k + 1], along, ends, sigma_t, phase, edges, x_rule, y_rule,
-                        depth_rule,
-                    )  # fmt: skip
-            image[row, column] += strength * total
+                    total += _slice(lit, water, rules, xs, ys, slices[k], slices[k + 1], ends)
+            image[row, column] += lit.beam.strength * total
 
 
 @kernel
 def _slice(
-    geometry: Geometry, xs: Array, ys: Array, left: float, right: float, along: Array, ends: Array, sigma_t: float,
-    phase: PhaseRecord, edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule,
-) -> float:  # fmt: skip
-    """Integral over the part of a pixel between two x, with no corner of it between them."""
+    lit: _LitBeam, water: Water, rules: PixelRules, xs: Array, ys: Array, left: float, right: float, ends: Array
+) -> float:
+    """∫ dx ∫ dy I₁/(σs E₀) over the part of a pixel between two x, with no corner of it between them."""
+    geometry, along, edges = lit.geometry, lit.along, lit.beam.edges
     width = right - left
     low_left, high_left = _span(geometry, xs, ys, left + 1e-9 * width)
     low_right, high_right = _span(geometry, xs, ys, right - 1e-9 * width)
@@ -133,7 +137,7 @@ def _slice(
     _ends_at(along, right, geometry.length, ends[1])
     if ends[:, -1].max() < min(low_left, low_right) or ends[:, 0].min() > max(high_left, high_right):
         return 0.0
-    parts = 1 + int(sigma_t * width)
+    parts = 1 + int(water.sigma_t * width)
     whole = xs.max() - xs.min()  # a narrow slice needs fewer parts
     for k in range(CUTS):
         if (ends[0, k] < low_left) != (ends[1, k] < low_right) or (ends[0, k] < high_left) != (ends[1, k] < high_right):
@@ -141,7 +145,7 @@ def _slice(
     if kinked(geometry, left, width, edges):
         enough = math.ceil(width / (KINKED_SHARE * geometry.height))
         parts = max(parts, min(math.ceil(KINKED_PARTS * width / whole), enough))
-    nodes, weights = x_rule
+    nodes, weights = rules.x
     sliver = width < SLIVER * whole
     total, cuts = 0.0, ends[0]
     for part in range(parts):
@@ -153,7 +157,7 @@ def _slice(
             _ends_at(along, x, geometry.length, cuts)
             if cuts[-1] <= low or cuts[0] >= high:
                 continue
-            here = across_sights(geometry, x, low, high, cuts, sigma_t, phase, edges, y_rule, depth_rule)
+            here = across_sights(geometry, water, edges, rules, x, low, high, cuts)
             total += 0.5 * width / parts * (2.0 if sliver else weights[i]) * here
     return total
 

@@ -12,6 +12,20 @@ from tankrig.compiled import kernel
 from tankrig.geometry.optics import crossing_offset, entry_slope, reflectance
 from tankrig.scene import Beam, Scene
 
+Edges = tuple[float, float, float, float]
+"""Of a beam on the plane x = 0: y low, y high, z low, z high, mm."""
+
+
+class Ray(NamedTuple):
+    """Light at a point of the water and the direction it travels in, a unit vector; mm."""
+
+    x: float
+    y: float
+    z: float
+    dx: float
+    dy: float
+    dz: float
+
 
 class Geometry(NamedTuple):
     """Tank, projector and camera as numbers for kernels; lengths in mm, z up, light enters at x = 0."""

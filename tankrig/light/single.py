@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.cuts import CUTS, rows_of_ends
-from tankrig.light.line_of_sight import FAINT, Rule, across_sights, kinked
+from tankrig.light.line_of_sight import FAINT, SharpBeam, across_sights, kinked
 from tankrig.light.quadrangles import KINKED_PARTS, SLANTED_PARTS, single_scattering_in_quadrangles
-from tankrig.light.rays import Geometry, light_sources
+from tankrig.light.quadrature import PixelRules, pixel_rules
+from tankrig.light.rays import Edges, Geometry, light_sources
+from tankrig.light.water import Water, water_of
 from tankrig.scene import Scene
-from tankrig.scene.phase_table import PhaseRecord
 
 MOST_PARTS = 64
 """Along x; in larger pixels, counted in free paths, order 1 is a guess."""
@@ -44,37 +45,34 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
     True
     """
     medium, camera = scene.medium, scene.camera
-    phase = medium.phase_function.record
     image = np.zeros(camera.shape)
     if medium.sigma_s == 0.0:
         return image
     if camera.kind == "calibrated":
         return single_scattering_in_quadrangles(scene)
-    rules = [np.polynomial.legendre.leggauss(count) for count in (2, 3, 4)]  # along x, along y, along the line of sight
+    water, rules = water_of(medium), pixel_rules()
     for geometry, beams in light_sources(scene):
         for beam in beams:
-            _add_beam(
-                image, geometry, camera.pixel_mm, medium.sigma_t, medium.sigma_s * beam.irradiance, phase,
-                (*beam.y_mm, *beam.z_mm), *rules,
-            )  # fmt: skip
+            lit = SharpBeam((*beam.y_mm, *beam.z_mm), medium.sigma_s * beam.irradiance)
+            _add_beam(image, camera.pixel_mm, geometry, water, lit, rules)
     return image
 
 
 @kernel
 def _add_beam(
     image: NDArray[np.float64],
-    geometry: Geometry,
     pixel_mm: float,
-    sigma_t: float,
-    strength: float,
-    phase: PhaseRecord,
-    edges: tuple[float, float, float, float],
-    x_rule: Rule,
-    y_rule: Rule,
-    depth_rule: Rule,
+    geometry: Geometry,
+    water: Water,
+    beam: SharpBeam,
+    rules: PixelRules,
 ) -> None:
-    """Add one beam's order-1 image; `edges` are (y low, y high, z low, z high) on the plane x = 0."""
-    x_nodes, x_weights = x_rule
+    """Add one beam's order-1 image.
+
+    ⟨I₁⟩ = 1/(Δx Δy) ∫ dx ∫ dy I₁(x, y)   over each pixel, I₁ as in `line_of_sight`
+    """
+    (edges, strength), sigma_t = beam, water.sigma_t
+    x_nodes, x_weights = rules.x
     rows, columns = image.shape
     y_first = -geometry.half_width
     ends = np.empty(CUTS)
@@ -96,14 +94,12 @@ def _add_beam(
                 for row in range(math.floor(top), math.floor(bottom) + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
-                    total = across_sights(geometry, x, low, high, ends, sigma_t, phase, edges, y_rule, depth_rule)
+                    total = across_sights(geometry, water, edges, rules, x, low, high, ends)
                     image[row, column] += strength * total / pixel_mm * 0.5 * x_weights[i] / parts * reach / pixel_mm
 
 
 @kernel
-def _parts_along_x(
-    geometry: Geometry, x_left: float, pixel_mm: float, edges: tuple[float, float, float, float], sigma_t: float
-) -> int:
+def _parts_along_x(geometry: Geometry, x_left: float, pixel_mm: float, edges: Edges, sigma_t: float) -> int:
     """How many parts of a column of pixels to integrate separately along x: more where there are kinks, or dense."""
     parts = min(1 + int(sigma_t * pixel_mm), MOST_PARTS)
     left, right = np.empty(CUTS), np.empty(CUTS)

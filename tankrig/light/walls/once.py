@@ -8,25 +8,39 @@ walls, and of the floor; what is sent back twice between opposite faces is not (
 
 import math
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.light.cuts import CUTS, rows_of_ends
-from tankrig.light.line_of_sight import across_sights
-from tankrig.light.rays import Geometry, light_ray, light_sources, sight_line
+from tankrig.light.line_of_sight import SharpBeam, across_sights
+from tankrig.light.quadrature import PixelRules, pixel_rules
+from tankrig.light.rays import Geometry, Ray, light_ray, light_sources, sight_line
 from tankrig.light.surface import on_surface, to_camera
 from tankrig.light.walls.faces import ENTRY, FAR, FLOOR, LEFT, RIGHT, face_table, sent_back
+from tankrig.light.water import Water, water_of
 from tankrig.scene import Scene
-from tankrig.scene.phase_table import PhaseRecord
 
 Array = NDArray[np.float64]
-Rule = tuple[Array, Array]
 
 PARTS = 6
 """Of a pixel along x: where mirrored light ends is seen to that."""
 NONE = -1
+
+
+class Way(NamedTuple):
+    """Faces that send light back, of its beam and then of a line of sight."""
+
+    from_far: bool
+    """Whether the beam comes back from the far wall."""
+    x_wall: int
+    """Across x, which the line of sight meets, or `NONE`."""
+    y_wall: int
+    floor: bool
+    outer: bool
+    """Of light that has been to the outer side of a pane; else of what has not been in any."""
 
 
 def once_by_walls(scene: Scene) -> Array:
@@ -48,9 +62,8 @@ def once_by_walls(scene: Scene) -> Array:
     if scene.camera.kind == "calibrated":
         plain = on_surface(scene)
         return to_camera(scene, once_by_walls(plain), (plain.camera.pixel_mm, plain.camera.pixel_mm))
-    medium = scene.medium
-    phase = medium.phase_function.record
-    rules = [np.polynomial.legendre.leggauss(count) for count in (2, 3, 4)]
+    medium, pixel_mm = scene.medium, scene.camera.pixel_mm
+    water, rules = water_of(medium), pixel_rules()
     for geometry, beams in light_sources(scene):
         for beam in beams:
             if beam.irradiance == 0.0:
@@ -59,34 +72,36 @@ def once_by_walls(scene: Scene) -> Array:
             ux, _, _ = light_ray(geometry, 0.5 * sum(beam.y_mm), 0.5 * sum(beam.z_mm))
             far = sent_back(faces, FAR, ux)[0]
             for from_far, kept in ((False, 1.0), (True, far)):
-                for (x_wall, y_wall, floor), outer in product(_ways(geometry, faces, from_far), (False, True)):
-                    if kept > 0.0 and not (outer and max(x_wall, y_wall) == NONE and not floor):
-                        _add_mirrored(
-                            image, geometry, faces, from_far, x_wall, y_wall, floor, outer, scene.camera.pixel_mm,
-                            medium.sigma_t, kept * medium.sigma_s * beam.irradiance, phase, edges, *rules,
-                        )  # fmt: skip
+                lit = SharpBeam(edges, kept * medium.sigma_s * beam.irradiance)
+                for way in _ways(geometry, faces, from_far) if kept > 0.0 else ():
+                    _add_mirrored(image, pixel_mm, geometry, faces, water, lit, way, rules)
     return image
 
 
-def _ways(geometry: Geometry, faces: Array, from_far: bool) -> list[tuple[int, int, bool]]:
+def _ways(geometry: Geometry, faces: Array, from_far: bool) -> list[Way]:
     """Faces that lines of sight may meet one after the other: one across x, one across y, the floor."""
     clear = [bool(kind % 3.0) for kind in faces[:, 0]]
     across_x = [NONE, *([wall for wall in (ENTRY, FAR) if clear[wall]] if geometry.camera_pinhole else [])]
     across_y = [NONE, *([wall for wall in (LEFT, RIGHT) if clear[wall]] if geometry.camera_pinhole else [])]
-    ways = [
-        (x, y, floor) for x in across_x for y in across_y for floor in ((False, True) if clear[FLOOR] else (False,))
+    met = list(product(across_x, across_y, (False, True) if clear[FLOOR] else (False,)))
+    return [
+        Way(from_far, x, y, floor, outer)
+        for x, y, floor in (met if from_far else met[1:])
+        for outer in ((False, True) if max(x, y) != NONE or floor else (False,))
     ]
-    return ways if from_far else ways[1:]
 
 
 @kernel
 def _add_mirrored(
-    image: Array, geometry: Geometry, faces: Array, from_far: bool, x_wall: int, y_wall: int, floor: bool,
-    outer: bool, pixel_mm: float, sigma_t: float, strength: float, phase: PhaseRecord,
-    edges: tuple[float, float, float, float], x_rule: Rule, y_rule: Rule, depth_rule: Rule,
+    image: Array, pixel_mm: float, geometry: Geometry, faces: Array, water: Water, beam: SharpBeam, way: Way,
+    rules: PixelRules,
 ) -> None:  # fmt: skip
-    """Add one beam as lines of sight by way of some faces show it."""
-    nodes, weights = x_rule
+    """Add one beam as lines of sight by way of some faces show it.
+
+    ⟨I₁⟩ = 1/(Δx Δy) ∫ dx R ∫ dy I₁(mirrored line of sight)   over each pixel, R what the faces send back
+    """
+    edges, (from_far, x_wall, y_wall, floor, _) = beam.edges, way
+    nodes, weights = rules.x
     ends = np.empty(CUTS)
     length, half_width, height = geometry.length, geometry.half_width, geometry.height
     for column in range(image.shape[1]):
@@ -101,19 +116,8 @@ def _add_mirrored(
                     if high <= low:
                         break
                     vx, vy, vz, _ = sight_line(geometry, x, 0.5 * (low + high))
-                    share, x_move, y_move, lift = _by_way(
-                        faces,
-                        x,
-                        0.5 * (low + high),
-                        vx,
-                        vy,
-                        vz,
-                        (length, half_width, height),
-                        x_wall,
-                        y_wall,
-                        floor,
-                        outer,
-                    )
+                    sight = Ray(x, 0.5 * (low + high), height, vx, vy, vz)
+                    share, x_move, y_move, lift = _by_way(geometry, faces, sight, way)
                     if share <= 0.0:
                         continue
                     # The faces' mirror images: first of the line and the camera, then of the light by the far wall.
@@ -140,16 +144,12 @@ def _add_mirrored(
                     rows_of_ends(mirrored, seen_x, lit, ends)
                     if ends[-1] <= y_low or ends[0] >= y_high:
                         continue
-                    total = across_sights(
-                        mirrored, seen_x, y_low, y_high, ends, sigma_t, phase, lit, y_rule, depth_rule
-                    )
+                    total = across_sights(mirrored, water, lit, rules, seen_x, y_low, y_high, ends)
                     if from_far:  # the light beyond the far wall alone: what is in two tanks less what is in one
-                        total -= across_sights(
-                            _as_long(mirrored, length), seen_x, y_low, y_high, ends, sigma_t, phase, lit, y_rule,
-                            depth_rule,
-                        )  # fmt: skip
-                    gained = math.exp(sigma_t * lift)
-                    image[row, column] += strength * share * gained * total / pixel_mm * 0.5 * weights[i] / PARTS
+                        near = _as_long(mirrored, length)
+                        total -= across_sights(near, water, lit, rules, seen_x, y_low, y_high, ends)
+                    gained = math.exp(water.sigma_t * lift)
+                    image[row, column] += beam.strength * share * gained * total / pixel_mm * 0.5 * weights[i] / PARTS
 
 
 @part
@@ -164,13 +164,8 @@ def _as_long(geometry: Geometry, length: float) -> Geometry:
 
 
 @kernel
-def _by_way(
-    faces: Array, x: float, y: float, vx: float, vy: float, vz: float, size: tuple[float, float, float],
-    x_wall: int, y_wall: int, floor: bool, outer: bool,
-) -> tuple[float, float, float, float]:  # fmt: skip
+def _by_way(geometry: Geometry, faces: Array, sight: Ray, way: Way) -> tuple[float, float, float, float]:
     """What comes back on a line of sight by way of faces, and how panes move its mirrored image.
-
-    `outer` is of light that has been to the outer side of a pane, the other part has not been in any.
 
     Returns
     -------
@@ -181,10 +176,11 @@ def _by_way(
     lift_mm
         By how much the way through the water is shorter than that straight line.
     """
-    length, half_width, height = size
+    x, y, height, vx, vy, vz = sight
+    length, half_width, floor = geometry.length, geometry.half_width, way.floor
     deep = height / vz * (2.0 if floor else 1.0)
     share, at_once, x_move, y_move, lift = 1.0, 1.0, 0.0, 0.0, 0.0
-    for wall in (x_wall, y_wall):
+    for wall in (way.x_wall, way.y_wall):
         if wall == NONE:
             continue
         slope = vx if wall <= FAR else vy
@@ -213,6 +209,6 @@ def _by_way(
         if tangent > 1e-9:
             x_move -= along * vx / tangent
             y_move -= along * vy / tangent
-    if not outer:
+    if not way.outer:
         return share * at_once, 0.0, 0.0, 0.0
     return share * (1.0 - at_once), x_move, y_move, lift

@@ -1,0 +1,34 @@
+"""Quadratures as kernels read them."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Rule = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Nodes and weights on [−1, 1]."""
+
+
+def gauss_legendre(count: int) -> Rule:
+    """The rule of so many nodes that is exact for polynomials of twice that degree, less one.
+
+    Examples
+    --------
+    >>> nodes, weights = gauss_legendre(3)
+    >>> round(float(weights @ nodes**4), 12)
+    0.4
+    """
+    return np.polynomial.legendre.leggauss(count)
+
+
+class PixelRules(NamedTuple):
+    """What order 1 is integrated with over a pixel: across its columns, along its rows, and along lines of sight."""
+
+    x: Rule
+    y: Rule
+    depth: Rule
+
+
+def pixel_rules() -> PixelRules:
+    """As many nodes as order 1 needs."""
+    return PixelRules(gauss_legendre(2), gauss_legendre(3), gauss_legendre(4))
