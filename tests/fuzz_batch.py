@@ -1,7 +1,8 @@
-"""One batch of mutated files of one format, read as a user's commands read them; run by `test_wrong_input`.
+"""Batches of mutated files, each of one format, read as a user's commands read them; run by `test_wrong_input`.
 
-python tests/fuzz_batch.py FORMAT FIRST COUNT FOLDER: mutation number n is the same on every machine. The number under
-way is kept in FOLDER/at, so that whoever started this knows which one crashed it. Prints one JSON object.
+python tests/fuzz_batch.py FOLDER FORMAT FIRST COUNT [FORMAT FIRST COUNT …]: mutation number n is the same on every
+machine. The number under way is kept in FOLDER/at, so that whoever started this knows which one crashed it. Prints one
+JSON object for each batch.
 """
 
 import io
@@ -34,7 +35,7 @@ USED_PIXELS = 20_000
 
 
 class TooSlowError(BaseException):
-    """A file took longer than the limit."""
+    """A file took more of the processor than the limit; one that waits without end is ended by whoever started this."""
 
 
 # -- mutations ---------------------------------------------------------------------------------------------------------
@@ -503,7 +504,7 @@ def main(name: str, first: int, count: int, folder: Path) -> None:
     """Read mutations number first … first + count − 1."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    place = folder / name
+    place = folder / f"{name}-{first}"
     place.mkdir(parents=True, exist_ok=True)
     format_ = FORMATS[name](place)
     for number, original in enumerate(format_.originals):  # else every mutation of it is refused for nothing
@@ -514,12 +515,12 @@ def main(name: str, first: int, count: int, folder: Path) -> None:
     def too_slow(*_: object) -> None:
         raise TooSlowError
 
-    signal.signal(signal.SIGALRM, too_slow)
+    signal.signal(signal.SIGPROF, too_slow)
     for number in range(first, first + count):
         os.pwrite(at, f"{number:12d}".encode(), 0)
         rng = random.Random(f"{name} {number}")
         data = format_.mutate(format_.originals[number % len(format_.originals)], rng)
-        signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
+        signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
         try:
             used = format_.read(data, number)
             told["accepted"] += 1
@@ -533,9 +534,12 @@ def main(name: str, first: int, count: int, folder: Path) -> None:
             said = " ".join(f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})".split())
             told["failed"].append([number, said[:300]])
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-    print(json.dumps(told))
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+    os.close(at)
+    print(json.dumps(told), flush=True)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]))
+    batches = iter(sys.argv[2:])
+    for name, first, count in zip(batches, batches, batches, strict=True):
+        main(name, int(first), int(count), Path(sys.argv[1]))

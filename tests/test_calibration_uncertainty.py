@@ -32,8 +32,8 @@ def test_noise_of_neighbours_is_found_behind_what_the_fit_explains(seed: int, co
     true = 0.04 * (same + correlation * near)
     slope = random.normal(size=(len(same), 30))
     keep = np.eye(len(same)) - slope @ np.linalg.pinv(slope)
-    root = np.linalg.cholesky(true + 1e-12 * same)
-    found = [noise_covariance(keep @ root @ random.normal(size=len(same)), slope, [(same, near)]) for _ in range(60)]
+    left_of = keep @ np.linalg.cholesky(true + 1e-12 * same)
+    found = [noise_covariance(left_of @ random.normal(size=len(same)), slope, [(same, near)]) for _ in range(60)]
     assert np.mean([one[0, 0] for one in found]) == pytest.approx(0.04, rel=0.06)
     row, column = np.argwhere(near)[0]
     assert np.mean([one[row, column] for one in found]) == pytest.approx(0.04 * correlation, abs=0.04 * 0.06)

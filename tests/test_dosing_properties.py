@@ -476,6 +476,7 @@ class NewEraDosing(Dosing):
 class CavroDosing(Dosing):
     """With what the manuals say, and each of what they leave open, at speeds from the slowest to the fastest."""
 
+    few = 60  # of each of the two models, which one driver drives
     stops_within_s, model = 1.0, "xcalibur"
     SYRINGE_UL = 250.0
     SPEEDS = (0.25, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 37.5, 50.0, 60.0, 70.0, 90.0, 120.0, 160.0, 200.0, 250.0)

@@ -2,9 +2,11 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 import tankrig
@@ -34,14 +36,21 @@ def test_a_camera_close_above_the_water_sees_a_finite_image(above_mm: float, sur
     assert relative(single_scattering(scene), truth) < 0.05
 
 
-def pinholes() -> Scene:
-    return scene_of(medium_of(1.5, 0.02, 0.6), "pinhole")
+def lit(kind: str) -> Scene:
+    return scene_of(medium_of(1.5, 0.02, 0.6), kind)
+
+
+@cache  # several tests compare with it
+def truth_of(kind: str) -> NDArray[np.float64]:
+    """Image of such a scene by many paths."""
+    image = tank_image(lit(kind), 0.002, seed=100).image
+    image.flags.writeable = False
+    return image
 
 
 def test_a_smaller_tolerance_errs_less_and_states_less() -> None:
     """At 0.3 % images were worse than at 1 %: the budget was given up at once."""
-    scene = pinholes()
-    truth = tank_image(scene, 0.002, seed=100).image
+    scene, truth = lit("pinhole"), truth_of("pinhole")
     errors = [
         np.sqrt(np.mean([relative(tank_image(scene, tolerance, seed=seed).image, truth) ** 2 for seed in range(3)]))
         for tolerance in (0.03, 0.005)
@@ -53,8 +62,7 @@ def test_a_smaller_tolerance_errs_less_and_states_less() -> None:
 @pytest.mark.parametrize("kind", ["parallel", "pinhole"])
 def test_the_stated_error_is_that_against_many_more_paths(kind: str) -> None:
     """With pinholes what smoothing loses was in no stated error."""
-    scene = scene_of(medium_of(1.5, 0.02, 0.6), kind)
-    truth = tank_image(scene, 0.002, seed=100).image
+    scene, truth = lit(kind), truth_of(kind)
     found = [tank_image(scene, 0.02, seed=seed) for seed in range(6)]
     error = np.sqrt(np.mean([relative(each.image, truth) ** 2 for each in found]))
     stated = np.sqrt(np.mean([each.error**2 for each in found]))
@@ -62,18 +70,17 @@ def test_the_stated_error_is_that_against_many_more_paths(kind: str) -> None:
 
 
 def test_work_ends_with_the_budget_and_the_best_image_so_far() -> None:
-    scene = pinholes()
+    scene = lit("pinhole")
     with pytest.warns(UserWarning, match=r"budget_s = 0.05"):
         prediction = tankrig.predict(scene, tolerance=1e-4, budget_s=0.05)
     assert prediction.missed
     assert prediction.error > 1e-4
-    truth = tank_image(scene, 0.005, seed=100).image
-    assert relative(prediction.image, truth) < 3.0 * prediction.error
+    assert relative(prediction.image, truth_of("pinhole")) < 3.0 * prediction.error
 
 
 def test_progress_rises_to_the_end_and_may_end_the_work() -> None:
     shares: list[float] = []
-    tank_image(pinholes(), 0.02, progress=shares.append)
+    tank_image(lit("pinhole"), 0.02, progress=shares.append)
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
 
@@ -84,7 +91,7 @@ def test_progress_rises_to_the_end_and_may_end_the_work() -> None:
         raise CancelledError
 
     with pytest.raises(CancelledError):
-        tank_image(pinholes(), 0.001, progress=cancel)
+        tank_image(lit("pinhole"), 0.001, progress=cancel)
 
 
 @pytest.mark.parametrize("kind", ["parallel", "pinhole"])

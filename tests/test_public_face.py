@@ -89,13 +89,14 @@ def shown(value: Any) -> str:
 
 
 def test_the_notebook_runs_and_its_results_show_themselves() -> None:
+    """With ten times the noise of the page, to which a fit follows a hundredth of the light paths."""
     cells = json.loads((EXAMPLES / "first_look.ipynb").read_text(encoding="utf-8"))["cells"]
     names: dict[str, Any] = {}
     pages = []
     for cell in cells:
         if cell["cell_type"] != "code":
             continue
-        *statements, last = ast.parse("".join(cell["source"])).body
+        *statements, last = ast.parse("".join(cell["source"]).replace("0.002 *", "0.02 *")).body
         exec(compile(ast.Module(statements, []), "first_look.ipynb", "exec"), names)
         assert isinstance(last, ast.Expr)
         value = eval(compile(ast.Expression(last.value), "first_look.ipynb", "eval"), names)

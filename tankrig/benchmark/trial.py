@@ -91,7 +91,8 @@ def run_trial(contestant: Contestant, scene: Scene, threads: int | None = None, 
             return Trial(said["seconds"], said["cpu_seconds"], said["peak_bytes"], data["image"])
 
 
-def _measure(contestant: Contestant, scene: Scene, threads: int | None) -> tuple[dict[str, object], Array]:
+def measure(contestant: Contestant, scene: Scene, threads: int | None) -> tuple[dict[str, object], Array]:
+    """What is said of a trial, and its image, made in this process; `threads` holds for all that it does later."""
     if threads is not None:
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
     warnings.simplefilter("ignore")
@@ -116,5 +117,5 @@ def _end_with_parent() -> None:
 
 if __name__ == "__main__":
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    said, image = _measure(*pickle.loads(Path(sys.argv[1]).read_bytes()))
+    said, image = measure(*pickle.loads(Path(sys.argv[1]).read_bytes()))
     np.savez(sys.argv[2], image=image, said=np.array(json.dumps(said)))
