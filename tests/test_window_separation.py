@@ -20,7 +20,7 @@ from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.cli import main
 from ui.window.result import Z
-from ui.window.separated import Basis, SeparatedSheet, SheetKey, ends_of_sheets
+from ui.window.separated import Basis, SeparatedSheet, SheetKey
 from ui.window.separation_page import cells_of, palette, table_of, toned
 from ui.window.source import LIVE
 from ui.window.steps_editor import separation_for
@@ -94,7 +94,7 @@ def test_a_sheet_ends_with_its_last_wave(heights_mm, periods_mm, times, between)
     step = Separate((58.0, 62.0), tuple(periods_mm), heights_mm=tuple(map(float, heights_mm)))
     inner = (step, Capture("dark")) if between else (step,)
     sequence = Sequence("waves", (Repeat(times, inner), Capture("full")))
-    ends = sorted(ends_of_sheets(sequence))
+    ends = sorted(sequence.sheet_ends)
     assert len(ends) == times * len(heights_mm)
     waves = [sequence.waves.get(getattr(task.action, "pattern", "")) for task in sequence.tasks]
     begin = 0

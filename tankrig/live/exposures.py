@@ -41,6 +41,8 @@ UNSETTLED = 0.01
 UNSETTLED_SIGMAS = 6.0
 BLOCKS = 16
 """Along the longer side of a frame, whose means are compared: noise is small in them, and what has not mixed is not."""
+DOSE = 5
+"""Numbers that are kept of each dose."""
 SAME_ML = 1e-6
 """Volumes that differ by no more are one dose: a nanolitre is less than any doser tells apart."""
 ANY = Medium(0.001, 0.01, 0.5)
@@ -109,6 +111,8 @@ class PhotographPlan:
         What is expected of it, per mm and ml; None where nothing is. Only which models are prepared rests on it.
     phase
         Which phase functions are fitted, as in `tankrig.estimate`.
+    sheet_ends
+        Numbers of the steps after which all waves of a sheet are recorded.
     """
 
     bench: Bench | KnownScenes
@@ -120,6 +124,7 @@ class PhotographPlan:
     saturation: float | None = None
     ink: Medium | None = None
     phase: str | PhaseFunction = "hg"
+    sheet_ends: frozenset[int] = frozenset()
 
     @classmethod
     def of(
@@ -147,6 +152,7 @@ class PhotographPlan:
         return cls(
             bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry,
             ink=ink_expected(sequence, bench.tank), phase=phase_of(sequence),
+            sheet_ends=sequence.sheet_ends,
         )  # fmt: skip
 
     @classmethod
@@ -239,7 +245,7 @@ class PhotographPlan:
     def size(self) -> int:
         """Numbers that the sums take."""
         rows, columns = self.camera.shape
-        return 3 + self.doses * 4 + self.doses * len(self.patterns) * (1 + 3 * rows * columns)
+        return 3 + self.doses * DOSE + self.doses * len(self.patterns) * (1 + 3 * rows * columns)
 
     def binned(self, pixels: Pixels, settings: CameraSettings) -> tuple[Array, Mask]:
         """A frame as the fit sees it: counts per ms at gain 1, made proportional to radiance where that is known.
@@ -319,11 +325,11 @@ class Exposures:
         self.plan = plan
         numbers = np.zeros(plan.size) if numbers is None else numbers
         shape = (plan.doses, len(plan.patterns), *plan.camera.shape)
-        cuts = np.cumsum([3, plan.doses * 4, shape[0] * shape[1], *[int(np.prod(shape))] * 2])
+        cuts = np.cumsum([3, plan.doses * DOSE, shape[0] * shape[1], *[int(np.prod(shape))] * 2])
         # The dose under way, the newest frame, and frames that could not be taken in.
         self._now, doses, counts, sums, squares, seen = np.split(numbers, cuts)
-        # Of each dose: ml, its standard deviation, frames left out, and whether the last one was.
-        self._doses, self._counts = doses.reshape(plan.doses, 4), counts.reshape(shape[:2])
+        # Of each dose: ml, its standard deviation, frames left out, whether the last one was, whole sheets of waves.
+        self._doses, self._counts = doses.reshape(plan.doses, DOSE), counts.reshape(shape[:2])
         # Of each bin: the sum over its frames that are not saturated there, that of their squares, and their number.
         self._sums, self._squares, self._seen = (one.reshape(shape) for one in (sums, squares, seen))
         self._index = {key: index for index, key in enumerate(plan.patterns)}
@@ -374,8 +380,12 @@ class Exposures:
         """Whether the newest frame of a dose still differed from those before it: what there is shows no one liquid."""
         return bool(self._doses[dose, 3])
 
+    def sheets(self, dose: int) -> int:
+        """Sheets of a dose of which all waves are recorded."""
+        return int(self._doses[dose, 4])
+
     def take(self, event: Event, pixels: Pixels | None) -> bool:
-        """Take a run's event in; whether there is something new to fit.
+        """Take a run's event in; whether there is something new to fit, or to say of a fit.
 
         Parameters
         ----------
@@ -387,6 +397,9 @@ class Exposures:
         then = self._conditions.at(event)
         if event.kind == "session" or event.kind == "dose_done":
             self._enter(then.tank)
+        elif event.kind == "step" and event["state"] == "done" and event["step"] in self.plan.sheet_ends:
+            self._doses[self.dose, 4] += 1.0
+            return True
         elif event.kind == "frame" and event["pattern_hash"] in self._index:
             lit = event["pattern_hash"] in self._lit
             if lit:
@@ -429,7 +442,8 @@ class Exposures:
         if taken[self.dose]:
             self._doses[self.dose, 1] = max(sd_ml, self._doses[self.dose, 1])
         else:
-            self._doses[self.dose] = dose_ml, sd_ml, 0.0, 0.0
+            sheets = self._doses[self.dose, 4] if abs(self.dose_ml - dose_ml) <= SAME_ML else 0.0
+            self._doses[self.dose] = dose_ml, sd_ml, 0.0, 0.0, sheets
         return True
 
     def _add(self, pattern: int, lit: bool, binned: Array, below: Mask) -> None:

@@ -92,12 +92,12 @@ class LiveFit:
         self._results, results = context.Pipe(duplex=False)
         self._lock, self._news, self._last = context.Lock(), context.Event(), context.Event()
         fits = tuple(from_fields(event.fields) for event in fits_that_hold(run)) if run else ()
-        shared = Shared(self._memory.name, plan, self._lock, self._news, self._last, results, fits)
+        self._path = run.path if run else None
+        shared = Shared(self._memory.name, plan, self._lock, self._news, self._last, results, fits, self._path)
         self._process = context.Process(target=work, args=(shared,), name="live-fit", daemon=True)
         self._on_result, self._on_trouble, self._clock = on_result, on_trouble, clock
         self._not_told, self._told_s = "", -math.inf
         self._without = 0
-        self._path = run.path if run else None
         self._closing = threading.Event()
         self.preparation = Preparation(0, 0.0)
         """How far the models are that fits wait for, as it was told last."""

@@ -11,7 +11,7 @@ from tankrig.live.exposures import Exposures, PhotographPlan, exposures_of, fits
 from tankrig.live.fits import fit_all, fit_dose
 from tankrig.live.preparing import Preparation, Preparing, phases_prepared
 from tankrig.live.results import DoseFit, Fit, SeriesFit, diluted, fits_in, to_fields
-from tankrig.live.separated import Separated
+from tankrig.live.sheets_so_far import SheetsSoFar
 from tankrig.live.worker import Fitter, fit_all_there_is
 from tankrig.run.reading import Run, open_run
 from tankrig.run.writer import RunWriter
@@ -137,7 +137,7 @@ def fits_made(
     """
     nothing = Preparation(0, 0.0)
     progress("reading the frames", nothing)
-    exposures, plan, separated = exposures_of(run), PhotographPlan.of_run(run), Separated.of_run(run)
+    exposures, plan, sheets = exposures_of(run), PhotographPlan.of_run(run), SheetsSoFar(run.path)
     plan = plan if phase is None else replace(plan, phase=phase)
     doses, series = ([], None) if everything else fits_in([event.fields for event in fits_that_hold(run)])
 
@@ -145,14 +145,8 @@ def fits_made(
         progress(words, nothing)
 
     if model == "tank":
-        fits = _by_tank_model(exposures, plan.phase, doses, series, separated, told)
-    else:
-        fits = _as_live(plan, exposures, doses, separated, progress)
-    for fit in fits:
-        if isinstance(fit, DoseFit):
-            yield separated.beside(fit)
-        else:
-            yield separated.beside_series(fit) if isinstance(fit, SeriesFit) else fit
+        return _by_tank_model(exposures, plan.phase, doses, series, sheets, told)
+    return _as_live(plan, exposures, doses, sheets, progress)
 
 
 def _by_tank_model(
@@ -160,9 +154,10 @@ def _by_tank_model(
     phase: str | PhaseFunction,
     doses: list[DoseFit],
     series: SeriesFit | None,
-    separated: Separated,
+    sheets: SheetsSoFar,
     progress: Callable[[str], None],
 ) -> Iterator[Fit]:
+    sheets.look(exposures)
     known = {one.dose_ml: one for one in doses}
     photographs = exposures.photographs()
     doses_ml = sorted({one.dose_ml for one in photographs})
@@ -173,7 +168,8 @@ def _by_tank_model(
         if fit is None or fit.frames < sum(one.frames for one in here):
             start = None if near is None else diluted(near.medium, near.dose_ml, dose_ml)
             progress(f"fitting {dose_ml:g} ml")
-            fit = fit_dose(here, start, progress, phase, separated.media.get(dose_ml, ()))
+            told = () if start is not None else sheets.media(dose_ml)
+            fit = sheets.beside(fit_dose(here, start, progress, phase, told))
             yield fit
         near = fit
     if len(doses_ml) > 1 and (series is None or series.doses_ml != tuple(doses_ml)):
@@ -182,11 +178,11 @@ def _by_tank_model(
         start = None
         if near is not None and near.medium.phase is not None:
             start = diluted(near.medium, near.dose_ml, 1.0)
-        yield fit_all(photographs, start, progress=progress, phase=phase)
+        yield sheets.beside_series(fit_all(photographs, start, progress=progress, phase=phase))
 
 
 def _as_live(
-    plan: PhotographPlan, exposures: Exposures, doses: list[DoseFit], separated: Separated, progress: Told
+    plan: PhotographPlan, exposures: Exposures, doses: list[DoseFit], sheets: SheetsSoFar, progress: Told
 ) -> Iterator[Fit]:
     """By the live fit's own decisions, with all frames there at once."""
     news = threading.Event()
@@ -202,7 +198,7 @@ def _as_live(
         return True
 
     try:
-        fitter = Fitter(doses, preparing, plan, told, separated.media)
+        fitter = Fitter(doses, preparing, plan, told, sheets)
         for fit in fit_all_there_is(fitter, lambda: (exposures, True), wait):
             if not (isinstance(fit, DoseFit) and (fit.passing or fit.single is None)):
                 yield fit  # nobody waits for what lacks single scattering

@@ -16,13 +16,11 @@ from tankrig.scene.description import Interval, Medium, Scene
 from tankrig.separation.expected import Agreement, agreement, sheet_scene
 from tankrig.separation.order_one import OrderOne
 from tankrig.separation.order_one_fit import KNOWN_SLOPE_SD, THIN, OrderOneFit, fit_order_one, slope_of
-from tankrig.separation.recorded import Separation, separations_of_run
+from tankrig.separation.recorded import SAME_ML, Separation, separations_of_run
 from tankrig.separation.transfer import LIQUID
 
 SURE = 3.0
 """Standard deviations that order 1 has to be above 0 by before its decay is looked at."""
-SAME_ML = 1e-6
-"""By which doses may differ and be one."""
 
 
 @dataclass(frozen=True)
@@ -164,19 +162,21 @@ def _change_of_side(g: float) -> float:
 
 @dataclass(frozen=True)
 class Separated:
-    """All that a run separated, for its fits.
+    """What a run separated, for its fits.
+
+    A sheet with a fault is no start of a fit and no witness against one: the fault itself is said instead.
 
     Parameters
     ----------
     sheets
-        Of all doses.
+        Of all doses, or of one.
     """
 
     sheets: Sequence[Separation] = ()
 
     @classmethod
-    def of_run(cls, run: Run) -> "Separated":
-        """Nothing where the run has no waves, or none that are complete.
+    def of_run(cls, run: Run, dose_ml: float | None = None) -> "Separated":
+        """Of all doses or of one; nothing where the run has no waves, or none that are complete.
 
         Raises
         ------
@@ -186,7 +186,7 @@ class Separated:
         if not wave_names(run):
             return cls()
         try:
-            return cls(separations_of_run(run))
+            return cls(separations_of_run(run, dose_ml))
         except ImageError:
             return cls()
 
@@ -195,7 +195,7 @@ class Separated:
         """Liquids that the fit of a dose can begin from, by dose in ml; see `OrderOneFit.media`."""
         found = {}
         for dose_ml in {one.dose_ml for one in self.sheets}:
-            told = [(one, one.order_one) for one in self.sheets if one.dose_ml == dose_ml and one.transfers]
+            told = [(one, one.order_one) for one in self.sheets if one.dose_ml == dose_ml and not one.faults]
             parts = [(one, first, _part(one, first)) for one, first in told if first is not None]
             sure = [(first, _scene(one)) for one, first, (part, sd) in parts if part > SURE * sd]
             if sure:
@@ -205,7 +205,7 @@ class Separated:
     def beside(self, fit: DoseFit) -> DoseFit:
         """A dose's fit with what order 1 has against it, in a sentence."""
         here = [one for one in self.sheets if abs(one.dose_ml - fit.dose_ml) < SAME_ML]
-        said = [_said(told) for one in here if (told := told_of(one, fit)).over_fit is not None]
+        said = [_said(one, fit) for one in here]
         return replace(fit, order_one=" ".join(filter(None, said)))
 
     def beside_series(self, series: SeriesFit) -> SeriesFit:
@@ -216,12 +216,16 @@ class Separated:
                 continue
             sd = [one.dose_ml * sigma for sigma in series.sd[:2]] + [*series.sd[2:3]]
             liquid = DoseFit(one.dose_ml, series.at(one.dose_ml), tuple(sd), gain=series.gain)
-            if words := _said(told_of(one, liquid)):
+            if words := _said(one, liquid):
                 said.append(f"At {one.dose_ml:.4g} ml {words}")
         return replace(series, verdict=" ".join(filter(None, [series.verdict, *said])))
 
 
-def _said(told: Told) -> str:
-    """What order 1 has against a fit: a sentence for a verdict, or nothing."""
+def _said(one: Separation, fit: DoseFit) -> str:
+    """What order 1 of a sheet has against a fit, or why it says nothing: a sentence for a verdict, or nothing."""
+    where = f"(sheet at z = {0.5 * sum(one.z_mm):g} mm)."
+    if one.faults:
+        return f"order 1 does not count, for {'; '.join(one.faults)} {where}"
+    told = told_of(one, fit)
     doubt = "" if told.over_fit is None else told.over_fit.doubt
-    return f"{doubt} (sheet at z = {told.height_mm:g} mm)." if doubt else ""
+    return f"{doubt} {where}" if doubt else ""

@@ -3,7 +3,7 @@
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import connection, parent_process
@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from multiprocessing.synchronize import Event as Signal
 from multiprocessing.synchronize import Lock
-from types import MappingProxyType
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
 from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
 from tankrig.live.preparing import LOOK, LOOK_START, Preparation, Preparing, foreseen, phases_prepared
 from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, diluted
+from tankrig.live.sheets_so_far import SheetsSoFar
 from tankrig.scene.description import Medium
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -53,6 +54,8 @@ class Shared:
         Where fits go, and how far the models are that they wait for.
     earlier
         What was fitted before, where a run goes on.
+    path
+        Of the run, to read its waves back from; None where it is not recorded.
     """
 
     memory: str
@@ -62,6 +65,7 @@ class Shared:
     last: Signal
     results: Connection
     earlier: tuple[Fit, ...] = ()
+    path: Path | None = None
 
 
 def work(shared: Shared) -> None:
@@ -92,7 +96,7 @@ def _end_with_parent(memory: SharedMemory) -> None:
 
 def _fit(shared: Shared, memory: SharedMemory) -> None:
     preparing = Preparing(lambda _: shared.news.set(), phases=phases_prepared(shared.plan) or "hg")
-    fitter = Fitter(shared.earlier, preparing, shared.plan)
+    fitter = Fitter(shared.earlier, preparing, shared.plan, sheets=SheetsSoFar(shared.path))
     told: list[Preparation] = []
 
     def wait(seconds: float | None) -> bool:
@@ -190,8 +194,9 @@ class Fitter:
         Of the run; needed for preparing.
     progress
         Told in a few words what the tank model's fit, or that of the series, is doing; what it raises ends the fit.
-    by_order_one
-        Liquids that order 1 by itself tells of a dose, by ml: where nothing else is known, fits begin from them.
+    sheets
+        Of waves: where nothing else is known, fits begin from what order 1 by itself tells of a dose; once frames have
+        stopped to come for a moment, they are told what order 1 has against them.
     """
 
     def __init__(
@@ -200,9 +205,10 @@ class Fitter:
         preparing: Preparing | None = None,
         plan: PhotographPlan | None = None,
         progress: Callable[[str], None] = lambda _: None,
-        by_order_one: Mapping[float, Sequence[Medium]] = MappingProxyType({}),
+        sheets: SheetsSoFar | None = None,
     ) -> None:
-        self._by_order_one = by_order_one
+        self._sheets = sheets or SheetsSoFar()
+        self._judged: dict[float, tuple[DoseFit, int]] = {}
         self._phase: str | PhaseFunction = "hg" if plan is None else plan.phase
         known = plan is None or phases_prepared(plan) is not None
         self._preparing, self._plan, self._progress = preparing if known else None, plan, progress
@@ -230,12 +236,18 @@ class Fitter:
 
         What takes longer waits for the fits of all doses whose models are being prepared.
         """
-        return bool(self._passing or (self._bare and not self.waiting))
+        return bool(self._passing or ((self._bare or self._unjudged) and not self.waiting))
+
+    @property
+    def _unjudged(self) -> list[DoseFit]:
+        """Fits that are whole, and of whose doses more waves have come since."""
+        return [fit for fit, sheets in self._judged.values() if self._sheets.count(fit.dose_ml) > sheets]
 
     def finish(self) -> Fit | None:
         """A fit to be recorded: first each dose's last one as it is, then again with single scattering beside it.
 
-        Single scattering takes seconds on a bench; whoever waits for numbers does without it.
+        Single scattering takes seconds on a bench, and order 1 a second or so; whoever waits for numbers does without
+        them. None where waves that came later have changed nothing.
         """
         if self._passing:
             dose_ml = next(iter(self._passing))
@@ -243,12 +255,23 @@ class Fitter:
             self._bare[dose_ml] = fit, photographs
             return replace(fit, passing=False)
         if self._bare:
-            return with_single(*self._bare.pop(next(iter(self._bare))))
+            return self._beside(with_single(*self._bare.pop(next(iter(self._bare)))))
+        for fit in self._unjudged:
+            judged = self._beside(fit)
+            if judged.order_one != fit.order_one:
+                return judged
         return None
+
+    def _beside(self, fit: DoseFit) -> DoseFit:
+        """A fit that is whole, with what order 1 has against it."""
+        fit = self._sheets.beside(fit)
+        self._judged[fit.dose_ml] = fit, self._sheets.count(fit.dose_ml)
+        return fit
 
     def next(self, exposures: Exposures, last: bool) -> Fit | None:
         """Fit what is newest and not fitted yet; None when there is nothing to do."""
         self.waiting = False
+        self._sheets.look(exposures)
         for dose in self._in_turn(exposures):
             photographs = exposures.photographs(dose)
             seen = sum(one.frames for one in photographs) + exposures.left_out(dose)
@@ -296,6 +319,7 @@ class Fitter:
         dose_ml = photographs[0].dose_ml
         self._passing.pop(dose_ml, None)
         self._bare.pop(dose_ml, None)
+        self._judged.pop(dose_ml, None)
         try:
             quick = self._quick(photographs)
             if self._awaited:
@@ -307,12 +331,12 @@ class Fitter:
                 return replace(quick, passing=True)
             look = self._looked.get(dose_ml)
             start = self._start(dose_ml) or (None if look is None else look.medium)
-            told = self._by_order_one.get(dose_ml, ())
+            told = () if start is not None else self._sheets.media(dose_ml)
             fit = about(fit_dose(photographs, start, self._progress, self._phase, told))
         except TankrigError as error:
             return FailedFit(dose_ml, str(error))
         self._keep(fit)
-        return fit
+        return self._beside(fit)
 
     def _quick(self, photographs: list[Photograph]) -> DoseFit | None:
         """The fit by prepared models; None where they cannot be had, or while they are `_awaited`."""
@@ -400,7 +424,7 @@ class Fitter:
 
     def _look_start(self, dose_ml: float) -> Medium:
         """Where a first look begins: at the σt that order 1 by itself tells, or in the middle of all."""
-        told = [one for one in self._by_order_one.get(dose_ml, ()) if LOOK.holds(one)]
+        told = [one for one in self._sheets.media(dose_ml) if LOOK.holds(one)]
         return min(told, key=lambda one: abs(one.g - LOOK_START.g), default=LOOK_START)
 
     def _all(self, photographs: list[Photograph]) -> Fit:
@@ -410,4 +434,4 @@ class Fitter:
             self._series = fit_all(photographs, self._series or start, models, self._progress, self._phase)
         except TankrigError as error:
             return FailedFit(None, str(error))
-        return self._series
+        return self._sheets.beside_series(self._series)

@@ -1,7 +1,7 @@
 """Separation of a run's frames, by dose and sheet, with what casts doubt on it."""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -22,6 +22,8 @@ from tankrig.sequence import Separate
 from tankrig.sequence.loading import sequence_from_table
 from tankrig.sequence.steps import separations
 
+SAME_ML = 1e-6
+"""By which doses may differ and be one."""
 FULL_SHARE = 0.001
 """Share of the sheet's pixels that may be saturated in any of its frames before it is said."""
 
@@ -63,15 +65,23 @@ class Separation:
     frames: str
     left_out: tuple[str, ...] = field(default=())
 
-    @cached_property
+    @property
     def order_one(self) -> OrderOne | None:
-        """Order 1 by itself; None with fewer than two periods that can be measured."""
+        """Order 1 by itself; None with fewer than two periods that can be measured, or where nothing is left of it."""
+        return self._first if isinstance(self._first, OrderOne) else None
+
+    @cached_property
+    def _first(self) -> OrderOne | str:
+        """Order 1, or why there is none; nothing is said of periods, which `left_out` does."""
         if len(self.transfers) < 2:
-            return None
+            return ""
         transfers = [
             Transfer(one.wave, np.where(self.saturated, 0.0, one.factor), one.blurred) for one in self.transfers
         ]
-        return order_one([self.waves[one.wave.period_mm] for one in transfers], transfers)
+        try:
+            return order_one([self.waves[one.wave.period_mm] for one in transfers], transfers)
+        except ImageError as error:
+            return str(error)
 
     @property
     def sheet(self) -> Array:
@@ -81,14 +91,20 @@ class Separation:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Sentences, each with what to do; empty where there is no reason for doubt."""
-        found = [*self.left_out]
+        return *self.left_out, *self.faults
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Those of the doubts for which its order 1 speaks neither for nor against a fit."""
+        found = []
         if self.changed:
             found.append(f"{self.changed}; wait until it has mixed, or let the lamp warm up, and separate anew")
         share = float(self.saturated[self._lit].mean())
         if share > FULL_SHARE:
-            found.append(f"{100.0 * share:.2g} % of the sheet is saturated in one of its frames; expose for less")
-        if self.order_one is not None and self.order_one.doubt:
-            found.append(self.order_one.doubt)
+            found.append(f"{100.0 * share:.3g} % of the sheet is saturated in one of its frames; expose for less")
+        first = self._first.doubt if isinstance(self._first, OrderOne) else self._first
+        if first and (share <= FULL_SHARE or isinstance(self._first, OrderOne)):
+            found.append(first)
         return tuple(found)
 
     @property
@@ -110,13 +126,15 @@ class Separation:
         return found
 
 
-def separations_of_run(run: Run) -> list[Separation]:
+def separations_of_run(run: Run, dose_ml: float | None = None) -> list[Separation]:
     """All sheets that a run separated, by dose and then by height.
 
     Parameters
     ----------
     run
         With a `separate` step in its sequence.
+    dose_ml
+        The only dose of which frames are read; None for all.
 
     Returns
     -------
@@ -131,18 +149,24 @@ def separations_of_run(run: Run) -> list[Separation]:
         When no sheet is complete.
     """
     sequence = sequence_from_table(dict(run.require_sequence()), str(run.path))
-    steps = list(separations(sequence.steps))
+    steps = _different(separations(sequence.steps))
     if not steps:
         raise StoreError(
             f'{run.path}: its sequence has no step that separates orders of scattering; record one with do = "separate"'
         )
     bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
-    means = _means(run, bench, steps)
+    means = _means(run, bench, steps, dose_ml)
     bins = [bins_for_waves(bench.camera, step.periods_mm) for step in steps]
     found = [one for step, its in zip(steps, bins, strict=True) for one in _of_step(bench, step, its, means[its])]
     if not found:
         raise ImageError(f"{run.path}: no sheet has all shifts of a wave and a dark frame; let the run come to its end")
     return sorted(found, key=lambda one: (one.dose_ml, one.z_mm))
+
+
+def _different(steps: Iterable[Separate]) -> list[Separate]:
+    """Steps of which none has all of its waves in another: what one says of a sheet is said once."""
+    waves = {frozenset(step.patterns): step for step in steps}
+    return [step for names, step in waves.items() if not any(names < other for other in waves)]
 
 
 def _of_step(bench: Bench, step: Separate, bins: Bins, means: "Means") -> Iterator[Separation]:
@@ -213,10 +237,10 @@ Means = dict[tuple[float, str], _Mean]
 """By dose in ml and name of the pattern."""
 
 
-def _means(run: Run, bench: Bench, steps: Sequence[Separate]) -> dict[Bins, Means]:
+def _means(run: Run, bench: Bench, steps: Sequence[Separate], only_ml: float | None) -> dict[Bins, Means]:
     """Counts per ms of all frames that show a wave of the steps, or the dark, in each of the bins that steps ask for.
 
-    Other frames are not read, and none is read twice.
+    Other frames are not read, nor those of other doses than `only_ml`, and none is read twice.
     """
     wanted: dict[Bins, set[str]] = {}
     for step in steps:
@@ -230,6 +254,9 @@ def _means(run: Run, bench: Bench, steps: Sequence[Separate]) -> dict[Bins, Mean
         then = run.conditions[event["index"]]
         if name is None or not asking or event["index"] in run.unsure_doses or then.camera is None:
             continue  # whoever records waves tells how the camera was set
+        dose_ml = then.tank.volume_ul / 1000.0
+        if only_ml is not None and abs(dose_ml - only_ml) > SAME_ML:
+            continue
         settings, pixels = then.camera, run.pixels(event)
         full = np.asarray(pixels >= (np.inf if saturation is None else saturation))
         counts: Mask | None = None
@@ -239,7 +266,7 @@ def _means(run: Run, bench: Bench, steps: Sequence[Separate]) -> dict[Bins, Mean
         else:
             light = pixels / (settings.exposure_ms * settings.gain)
         for bins in asking:
-            seen = means[bins].setdefault((then.tank.volume_ul / 1000.0, name), _Mean())
+            seen = means[bins].setdefault((dose_ml, name), _Mean())
             seen.add(bins.means(light, counts), ~bins.clear_of(full), event["sha256"])
     return means
 

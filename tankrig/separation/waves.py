@@ -139,10 +139,12 @@ def noise_of_pairs(pictures: Sequence[Array]) -> list[Array]:
     part = np.clip(np.searchsorted(edges, light) - 1, 0, 23)
     many = np.maximum(np.bincount(part, minlength=24), 1)
     level, spread = (np.bincount(part, one, minlength=24) / many for one in (light, seen))
-    # Each mean of squares is known to a share of itself, so faint ones count for as much as bright ones.
-    weights = np.sqrt(many) / np.maximum(spread, 1e-300)
-    slope, floor = np.polyfit(level, spread, 1, w=weights)
     least = 0.1 * float(np.average(spread, weights=many))
+    if not edges[-1] > edges[0] or least == 0.0:  # a picture that is full or dark all over tells no line
+        return [np.full(waves.shape, np.sqrt(10.0 * least)) for waves in pictures]
+    # Each mean of squares is known to a share of itself, so faint ones count for as much as bright ones.
+    weights = np.sqrt(many) / np.maximum(spread, 1e-6 * least)
+    slope, floor = np.polyfit(level, spread, 1, w=weights)
     if slope < 0.0 or floor < 0.0:  # one of the two is all there is
         alone = float(np.average(spread / np.maximum(level, 1e-12 * level.max()), weights=weights * level))
         slope, floor = (0.0, float(np.average(spread, weights=many))) if slope < 0.0 else (alone, 0.0)

@@ -134,6 +134,25 @@ class Sequence:
         """Patterns of its `Separate` steps by name: what they light is not fitted, see `tankrig.separation`."""
         return {name: wave for step in separations(self.steps) for name, wave in step.patterns.items()}
 
+    @cached_property
+    def sheet_ends(self) -> frozenset[int]:
+        """Numbers of the steps after which all waves of a sheet are recorded.
+
+        Examples
+        --------
+        >>> from tankrig.sequence import Separate
+        >>> step = Separate((58.0, 62.0), periods_mm=(4.0, 8.0), heights_mm=(30.0, 60.0))
+        >>> sorted(Sequence("two sheets", (step,)).sheet_ends)
+        [8, 16]
+        """
+        waves = [self.waves.get(getattr(task.action, "pattern", "")) for task in self.tasks]
+        heights = [getattr(one, "z_mm", None) for one in waves]
+        return frozenset(
+            number
+            for number, (here, after) in enumerate(zip(heights, [*heights[1:], None], strict=True))
+            if here is not None and here != after
+        )
+
     @property
     def frames(self) -> int:
         """How many frames it records."""

@@ -389,10 +389,8 @@ class MainWindow(QMainWindow):
 
     def began(self, path: Path, sequence: "Sequence", before: "tuple[Event, ...]") -> None:
         """A run has begun, or goes on with what its journal holds already."""
-        from ui.window.separated import ends_of_sheets
-
         self.banner.withdraw("stop", "trouble", "interrupted", "ended", "resume")
-        self.on_screen.begin(path, [task.label for task in sequence.tasks], before, ends_of_sheets(sequence))
+        self.on_screen.begin(path, [task.label for task in sequence.tasks], before, sequence.sheet_ends)
         self.sequence.show_run()
         self.show_page(self.sequence)
         _log.info("the run is recorded in %s", path)

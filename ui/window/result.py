@@ -139,7 +139,7 @@ def phase_in_words(medium: Medium) -> str:
 
 
 def in_words(fit: DoseFit) -> str:
-    """Which coefficients a dose's fit determines.
+    """Which coefficients a dose's fit determines, and what order 1 has against it.
 
     >>> known = {"sigma_a": False, "sigma_s": True, "g": True}
     >>> in_words(DoseFit(0.4, Medium(1e-4, 0.01, 0.7), identifiable=known, frames=12, patterns=("sheet",)))
@@ -148,11 +148,12 @@ def in_words(fit: DoseFit) -> str:
     known = [symbol for name, symbol in SYMBOLS.items() if fit.identifiable.get(name, True)]
     unknown = [symbol for symbol in SYMBOLS.values() if symbol not in known]
     head = f"With {fit.dose_ml:.4g} ml, from {fit.frames} frames of {', '.join(fit.patterns)}: "
+    doubt = f" {fit.order_one[:1].upper()}{fit.order_one[1:]}" if fit.order_one else ""
     if not unknown:
-        return f"{head}σs, g and σa are all determined."
+        return f"{head}σs, g and σa are all determined.{doubt}"
     are = " and ".join(known) + (" are" if len(known) > 1 else " is") + " determined, " if known else ""
     rest = " and ".join(unknown) + (" are" if len(unknown) > 1 else " is") + " not yet"
-    return f"{head}{are}{rest}; more dose or patterns tell more."
+    return f"{head}{are}{rest}; more dose or patterns tell more.{doubt}"
 
 
 def table(shown: "Shown") -> str:

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from tankrig.live.results import DoseFit
     from tankrig.live.separated import Told
     from tankrig.separation import Separation
-    from tankrig.sequence.sequence import Sequence
 
 Image = NDArray[np.float32]
 WithSd = tuple[float, float]
@@ -137,26 +136,6 @@ def separate(
             write_derived(path, name, one.arrays(), one.frames, **told.row)
         found.append(_separated(key, basis, one, told))
     return tuple(found)
-
-
-def ends_of_sheets(sequence: "Sequence") -> frozenset[int]:
-    """Numbers of the steps after which all waves of a sheet are recorded.
-
-    Examples
-    --------
-    >>> from tankrig.sequence import Separate, Sequence
-    >>> step = Separate((58.0, 62.0), periods_mm=(4.0, 8.0), heights_mm=(30.0, 60.0))
-    >>> sorted(ends_of_sheets(Sequence("two sheets", (step,))))
-    [8, 16]
-    """
-    heights = [
-        getattr(sequence.waves.get(getattr(task.action, "pattern", "")), "z_mm", None) for task in sequence.tasks
-    ]
-    return frozenset(
-        number
-        for number, (here, after) in enumerate(zip(heights, [*heights[1:], None], strict=True))
-        if here is not None and here != after
-    )
 
 
 def _liquid(fit: "DoseFit | None") -> tuple[float, ...] | None:
