@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from tankrig import predict
+from tankrig.benchmark import race as race_module
 from tankrig.benchmark.contestant import Contestant
 from tankrig.benchmark.equal import at_equal_error
 from tankrig.benchmark.mitsuba_tank import mitsuba_image
 from tankrig.benchmark.plain import plain_image
-from tankrig.benchmark import race as race_module
 from tankrig.benchmark.race import race, variations
 from tankrig.benchmark.result import Result
 from tankrig.benchmark.trial import Trial, measure, run_trial

@@ -1,7 +1,9 @@
 """Pictures that are designed: what they are expected to tell is what fits state, and no picture is better nearby."""
 
 import json
+import sys
 import tomllib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -128,6 +130,59 @@ def test_what_is_known_is_carried_to_another_dose(share: float, family: Family |
     one, other = (known.expected(np.zeros((1, 5)), 1e-9).relative_sd for known in (onward, back))
     for name, sd in one.items():
         assert sd == pytest.approx(other[name], rel=1e-3)
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=5, max_size=5), st.booleans(), st.floats(1.0, 20.0))
+@settings(max_examples=20, deadline=None)
+def test_what_was_photographed_counts_as_a_designed_picture_would(
+    parts: list[float], offset_free: bool, frames: float
+) -> None:
+    light = some_light()
+    one, shown = prospect(light, offset_free=offset_free), np.array(parts)
+    before, after = (
+        again.expected(np.ones((1, 5)), 4.0).covariance
+        for again in (
+            one.with_pictures(shown[None], frames), one.with_photograph(*light.picture(shown), light.used, frames),
+        )
+    )  # fmt: skip
+    np.testing.assert_allclose(before, after, rtol=1e-9)
+    alone = one.expected(np.ones((1, 5)), 4.0).covariance
+    assert np.linalg.slogdet(after)[1] <= np.linalg.slogdet(alone)[1] + 1e-9
+
+
+def test_a_picture_is_designed_beside_photographs_and_serves_the_next_fit_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A live fit moves a little with each frame; computing all cells anew each time would take seconds."""
+    asked: list[Medium] = []
+    sheet = np.ones(5)
+
+    def cells_light(
+        cells: Cells, _bench: Bench, _camera: Camera, medium: Medium, progress: Callable, _family: None
+    ) -> CellLight:
+        asked.append(medium)
+        progress(1.0)
+        return replace(some_light(), scene=replace(SCENE, medium=medium), cells=cells)
+
+    module = sys.modules[next_pictures.__module__]
+    monkeypatch.setattr(module, "cell_light", cells_light)
+    monkeypatch.setattr(module, "pattern_light", lambda *_: some_light().picture(sheet))
+    known = Known(LIQUID, 0.0, GAIN, False, lambda image: READ**2 + SHOT**2 * image, 0.003)
+    taken, cells = [Shot("sheet", SCENE, 1.0, 0.0, 20, np.ones(SHAPE, bool))], even_cells((-18.0, 18.0), [(18, 22)], 5)
+    told: list[float] = []
+    unsure = (0.3 * LIQUID.sigma_a, 0.001 * LIQUID.sigma_s, 0.002)
+    found = next_pictures(
+        known, 1.0, unsure, BENCH, SCENE.camera, cells, 1, 4, taken=taken, progress=told.append, limit_s=20.0
+    )
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1.0)
+    assert len(asked) == len(set(asked)) == 3, "the liquid, and one with less absorption and one with more"
+    assert found.now is not None
+    assert np.linalg.slogdet(found.design.after.covariance)[1] < np.linalg.slogdet(found.now.covariance)[1]
+    assert found.bits >= 0.0, "no worse than another usual picture beside the sheet"
+    moved = Known(Medium(1.003 * LIQUID.sigma_a, 0.997 * LIQUID.sigma_s, 0.802), 0.0, GAIN, False, known.noise, 0.003)
+    next_pictures(moved, 1.0, unsure, BENCH, SCENE.camera, cells, 1, 4, taken=taken, limit_s=20.0)
+    assert set(asked[3:]) == set(asked[:3])
+    by_itself = next_pictures(known, 1.0, unsure, BENCH, SCENE.camera, cells, 1, 4, limit_s=20.0)
+    assert by_itself.now is None
 
 
 @given(st.integers(0, 1000), WANTED)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tankrig.advice.ranking import answer_by_paths
 from tankrig.bench import Bench
-from tankrig.errors import SceneError
+from tankrig.errors import SceneError, SequenceError
 from tankrig.estimation.differences import values_of
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import coefficients_by
@@ -29,6 +29,8 @@ QUIET = 0.012
 """Relative noise of a cell's image: that of its derivatives is some three times as much, and passes for information."""
 SLOPE_BLUR_MM = 4.0
 """Over which derivatives of orders ≥ 3 are averaged: their noise would pass for information."""
+ACROSS, SHEET_MM = 24, 4.0
+"""Cells of a sheet, and its thickness, where nothing else is said."""
 MOST_PIXELS = 3000
 """Most pixels of the pictures that are designed with; the camera's are binned until there are no more."""
 
@@ -75,6 +77,50 @@ class CellLight:
 def even_cells(y_mm: tuple[float, float], z_mm: Sequence[tuple[float, float]], count: int) -> Cells:
     """So many cells in each sheet, all of them lit."""
     return Cells(y_mm, tuple(z_mm), tuple((1.0,) * count for _ in z_mm))
+
+
+def cells_in(
+    size_mm: tuple[float, float, float],
+    heights_mm: Sequence[float] = (),
+    sheet_mm: float = SHEET_MM,
+    y_mm: tuple[float, float] | None = None,
+    count: int = ACROSS,
+) -> Cells:
+    """Cells in a tank, as pictures are designed with where a person says nothing else.
+
+    Parameters
+    ----------
+    size_mm
+        Of the tank.
+    heights_mm
+        Middles of the sheets; empty: half the tank's height.
+    sheet_mm
+        Their thickness.
+    y_mm
+        (low, high) of them; None: three quarters of the tank's width.
+    count
+        Of cells in each.
+
+    Raises
+    ------
+    SequenceError
+        When sheets overlap, or reach out of the tank.
+
+    Examples
+    --------
+    >>> cells_in((240.0, 160.0, 120.0), count=6).z_mm, cells_in((240.0, 160.0, 120.0), count=6).y_mm
+    (((58.0, 62.0),), (-60.0, 60.0))
+    """
+    half = 0.5 * sheet_mm
+    middles = sorted(heights_mm) or [0.5 * size_mm[2]]
+    outside = [one for one in middles if not half <= one <= size_mm[2] - half]
+    if outside:
+        raise SequenceError(
+            f"a sheet {sheet_mm:g} mm thick at a height of {outside[0]:g} mm is not in the tank, which is "
+            f"{size_mm[2]:g} mm high; give another height"
+        )
+    across = y_mm or (-0.375 * size_mm[1], 0.375 * size_mm[1])
+    return even_cells(across, [(one - half, one + half) for one in middles], count)
 
 
 def parts_of(cells: Cells) -> Array:
@@ -130,10 +176,10 @@ def cell_light(
     count = len(cells.z_mm) * len(cells.light[0])
     seen = replace(bench, camera=camera)
     whole = seen.scene(draw(with_parts(cells, np.ones(count)), bench.wall, "cells"), medium)
-    fitted = () if family is None else (family.name, *values_of(medium, family).tolist())
     place = Place.of(
-        "cells", replace(whole, source=""), bench.wall, cells.y_mm, cells.z_mm, count, BATCHES, QUIET, *fitted
-    )
+        "cells", replace(whole, source=""), bench.wall, cells.y_mm, cells.z_mm, count, BATCHES, QUIET,
+        *_fitted(medium, family),
+    )  # fmt: skip
     known = place.kept(place.model)
     if known is None:
         images, slopes = _computed(cells, seen, medium, count, progress, family)
@@ -151,26 +197,57 @@ def _computed(
 ) -> tuple[Array, Array]:
     images = np.zeros((count, *bench.camera.shape))
     slopes = np.zeros((count, values_of(medium, family).size, *bench.camera.shape))
-    by_paths = None if family is None else answer_by_paths(family)
     across = len(cells.light[0])
     mirrored = _mirrored(bench, cells)
-    for number in range(count):
-        sheet, place = divmod(number, across)
-        twin = sheet * across + across - 1 - place
-        if mirrored and twin < number:
+    twins = [sheet * across + across - 1 - place for sheet, place in (divmod(one, across) for one in range(count))]
+    followed = [number for number, twin in enumerate(twins) if not (mirrored and twin < number)]
+    for number, twin in enumerate(twins):
+        if number not in followed:
             images[number], slopes[number] = images[twin][::-1], slopes[twin][:, ::-1]
         else:
             lit = with_parts(cells, (np.arange(count) == number).astype(float))
             scene = _ideal(bench.scene(draw(lit, bench.wall, "cell"), medium))
-            images[number], slopes[number] = by_paths(scene, medium) if by_paths else _followed(scene, number)
-        progress((number + 1) / count)
+            images[number], slopes[number] = _followed(scene, number, family)
+            progress((followed.index(number) + 1) / len(followed))
     return images, slopes
 
 
-def _followed(scene: Scene, seed: int) -> tuple[Array, Array]:
+def pattern_light(scene: Scene, camera: Camera, medium: Medium, family: Family | None = None) -> tuple[Array, Array]:
+    """What a camera sees of another picture's light in a liquid, computed once and kept on disk.
+
+    Parameters
+    ----------
+    scene
+        Of the picture; its camera and its medium mean nothing.
+    camera, medium, family
+        As those of `cell_light`.
+
+    Returns
+    -------
+    (rows, columns) image, and (k, rows, columns) its derivatives, as those of `CellLight`
+    """
+    seen = _ideal(replace(scene, camera=camera, medium=medium, source=""))
+    place = Place.of("light of a pattern", seen, BATCHES, QUIET, *_fitted(medium, family))
+    known = place.kept(place.model)
+    if known is None:
+        image, slopes = _followed(seen, 0, family)
+        place.require_room(8 * (image.size + slopes.size))
+        place.keep(place.model, {"image": image, "slopes": slopes})
+        return image, slopes
+    return np.asarray(known["image"], float), np.asarray(known["slopes"], float)
+
+
+def _fitted(medium: Medium, family: Family | None) -> tuple[object, ...]:
+    """What tells light of one family of phase functions from that of another."""
+    return () if family is None else (family.name, *values_of(medium, family).tolist())
+
+
+def _followed(scene: Scene, seed: int, family: Family | None) -> tuple[Array, Array]:
     """Image and slopes of one cell's light, by as many light paths as it needs."""
     from tankrig.light.tangent import tank_tangent
 
+    if family is not None:
+        return answer_by_paths(family)(scene, scene.medium)
     found, slopes = tank_tangent(scene, BATCHES, seed, blur_mm=SLOPE_BLUR_MM)
     noise = 0.0 if found.stderr is None else float(np.linalg.norm(found.stderr) / np.linalg.norm(found.image))
     if noise > QUIET:

@@ -126,17 +126,34 @@ class Prospect:
 
     def with_pictures(self, light: Array, frames: float) -> "Prospect":
         """After these pictures, each with an offset of its own where that is free."""
-        before = self.before
+        found = self
         for one in light:
-            seen = self._seen(one, frames)
-            fisher, scatter = seen.fisher, seen.scatter
-            left = _without_offset(fisher) if self.offset_free else np.eye(len(fisher) - 1, len(fisher))
-            before = Gathered(
-                before.fisher + left @ fisher @ left.T,
-                before.scatter + left @ scatter @ left.T,
-                before.pull + np.tensordot(left, seen.pull, 1),
-            )
-        return replace(self, gathered=before)
+            found = found._after(self._seen(one, frames))
+        return found
+
+    def with_photograph(self, radiance: Array, slopes: Array, used: Mask, frames: float) -> "Prospect":
+        """After frames of any other picture of the same liquid with this camera.
+
+        Parameters
+        ----------
+        radiance, slopes
+            (rows, columns) what is seen of it, and (3, rows, columns) its derivatives by σa, σs and g.
+        used
+            (rows, columns) pixels that a fit looks at.
+        frames
+            Of it.
+        """
+        return self._after(_Seen.of(self, radiance, slopes, used, frames))
+
+    def _after(self, seen: "_Seen") -> "Prospect":
+        before, fisher, scatter = self.before, seen.fisher, seen.scatter
+        left = _without_offset(fisher) if self.offset_free else np.eye(len(fisher) - 1, len(fisher))
+        gathered = Gathered(
+            before.fisher + left @ fisher @ left.T,
+            before.scatter + left @ scatter @ left.T,
+            before.pull + np.tensordot(left, seen.pull, 1),
+        )
+        return replace(self, gathered=gathered)
 
     def at_dose(self, light: CellLight, share: float) -> "Prospect":
         """The same ink at another dose, with what is known by now; the model errs otherwise there.
@@ -172,7 +189,7 @@ class Prospect:
         return value, np.array(found)
 
     def _seen(self, light: Array, frames: float) -> "_Seen":
-        return _Seen.of(self, np.asarray(light, float), frames)
+        return _Seen.of(self, *self.light.picture(np.asarray(light, float)), self.light.used, frames)
 
     def _place(self, number: int, count: int) -> Array:
         """Where a picture's own n values and log gain, and its offset, stand among these and `count` offsets.
@@ -249,10 +266,8 @@ class _Seen:
     used: Mask
 
     @classmethod
-    def of(cls, prospect: Prospect, light: Array, frames: float) -> "_Seen":
+    def of(cls, prospect: Prospect, radiance: Array, slopes: Array, used: Mask, frames: float) -> "_Seen":
         cells, gain = prospect.light, prospect.gain
-        radiance, slopes = cells.picture(light)
-        used = cells.used
         image = np.maximum(gain * radiance[used], 0.0) + DARKEST * gain * float(cells.images.max())
         changes = np.vstack([gain * slopes[:, used], image, np.ones(image.size)])
         variance, error = prospect.noise(image) / frames, prospect.model_error * image

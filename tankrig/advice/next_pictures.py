@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.advice.cells import cell_light, designing_camera
+from tankrig.advice.cells import CellLight, cell_light, designing_camera, parts_of, pattern_light
 from tankrig.advice.design import LIMIT_S, Design, Prospect, Wanted, designed
-from tankrig.advice.expected import Expected, Known
+from tankrig.advice.expected import Expected, Known, Shot
 from tankrig.bench import Bench
 from tankrig.errors import SequenceError
 from tankrig.extras import needing_extra
@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 MOST_SHEETS, MOST_CELLS = 3, 40
 UNSURE = (0.1, 0.1, 0.05)
 """Standard deviations of σa and σs (relative) and of g from which on a design looks at both sides of a value."""
+DENSITY_STEP, ASYMMETRY_STEP, CLEAREST = 1.1, 0.05, 1e-3
+"""Of the liquids that are designed for: factor from one σ to the next, step in g, and the least σa, as a part of σs."""
 FURTHEST = (0.5, 0.3, 0.15)
 """The farthest from a value that it looks, in the same units."""
 
@@ -38,11 +40,14 @@ class NextPictures:
     frames
         Of each.
     usual
-        What it would state with the same number of frames of usual pictures, by name.
+        What it would state with the same number of frames of usual pictures, by name: one, or a pair of them where
+        several were designed.
     bits
         Information that they add beyond the best of these.
     best
         Its name.
+    now
+        What a fit states without them; None where nothing was photographed before.
     """
 
     design: Design
@@ -50,6 +55,7 @@ class NextPictures:
     usual: Mapping[str, Expected]
     bits: float
     best: str
+    now: Expected | None = None
 
     @property
     def total(self) -> int:
@@ -100,6 +106,31 @@ def thought_possible(liquid: Medium, sd: Sequence[float]) -> list[Medium]:
     return found
 
 
+def nearby(liquid: Medium) -> Medium:
+    """A liquid of a coarse grid, as good to design for: what is kept of it serves the next fit's liquid, too.
+
+    Examples
+    --------
+    >>> nearby(Medium(0.00101, 0.0203, 0.71)) == nearby(Medium(0.00103, 0.0206, 0.69))
+    True
+    """
+    if liquid.phase is not None:
+        return liquid
+    step = math.log(DENSITY_STEP)
+
+    def rounded(value: float) -> float:
+        return round(math.exp(round(math.log(value) / step) * step), 9)
+
+    sigma_s = rounded(max(liquid.sigma_s, 1e-6))
+    g = round(round(liquid.g / ASYMMETRY_STEP) * ASYMMETRY_STEP, 6)
+    return Medium(rounded(max(liquid.sigma_a, CLEAREST * sigma_s)), sigma_s, g)
+
+
+def _sideways(liquid: Medium) -> float:
+    """σs p(90°), which is what brightness goes by."""
+    return liquid.sigma_s * float(liquid.phase_function.at(0.0))
+
+
 def next_pictures(
     known: Known,
     dose_ml: float,
@@ -113,10 +144,9 @@ def next_pictures(
     saturation: float | None = None,
     limit_s: float = LIMIT_S,
     progress: Callable[[float], object] = lambda _: None,
+    taken: Sequence[Shot] = (),
 ) -> NextPictures:
-    """Pictures from whose frames alone a fit is expected to learn most about the liquid of a dose.
-
-    What has been photographed says where the liquid is and not how well it is known: each run is fitted by itself.
+    """Pictures from whose frames a fit is expected to learn most about the liquid of a dose.
 
     Parameters
     ----------
@@ -142,6 +172,9 @@ def next_pictures(
         Seconds that the design may take, once the cells' light is there.
     progress
         Called with the share of the work on the cells' light that is done.
+    taken
+        Photographs of this liquid by `camera` that will be fitted with the pictures. None: theirs are fitted by
+        themselves, so that what was photographed before says where the liquid is, and not how well it is known.
 
     Raises
     ------
@@ -156,27 +189,39 @@ def next_pictures(
             "that pictures are designed with; give fewer"
         )
     smaller, by = designing_camera(camera)
-    liquids = thought_possible(known.liquid(dose_ml), sd)
-    lights = []
-    for number, liquid in enumerate(liquids):
+    liquid = known.liquid(dose_ml)
+    liquids = list(dict.fromkeys(nearby(one) for one in thought_possible(liquid, sd)))
+    gain = known.gain * _sideways(liquid) / _sideways(liquids[0])
+    each = 1.0 / (parts_of(cells).size + len(taken)) / len(liquids)
+    lights: list[CellLight] = []
+    photographed: list[list[tuple[Array, Array]]] = []
+    for number, one in enumerate(liquids):
 
         def share(done: float, number: int = number) -> None:
-            progress((number + done) / len(liquids))
+            progress(number / len(liquids) + done * each * parts_of(cells).size)
 
-        lights.append(cell_light(cells, bench, smaller, liquid, share, known.family))
-    brightest = known.gain * float(lights[0].images.sum(axis=0).max())
+        lights.append(cell_light(cells, bench, smaller, one, share, known.family))
+        photographed.append([])
+        for place, shot in enumerate(taken):
+            photographed[-1].append(pattern_light(shot.scene, smaller, one, known.family))
+            progress((number + 1) / len(liquids) - (len(taken) - 1 - place) * each)
+    brightest = gain * float(lights[0].images.sum(axis=0).max())
     dark, bright = known.noise(np.array([0.0, brightest])) / by**2
 
     def noise(image: Array) -> Array:
         return np.asarray(dark + (bright - dark) / brightest * image)  # a straight line in the brightness
 
     prospects = [
-        Prospect(light, known.gain, noise, known.model_error, known.offset_free, saturation=saturation)
-        for light in lights
+        Prospect(light, gain, noise, known.model_error, known.offset_free, saturation=saturation) for light in lights
     ]
+    for number, shown in enumerate(photographed):
+        for shot, (radiance, slopes) in zip(taken, shown, strict=True):
+            used = np.ones(smaller.shape, bool) if shot.used is None else _whole(shot.used, by)
+            prospects[number] = prospects[number].with_photograph(radiance, slopes, used, shot.frames)
     usual = usual_pictures(cells)
     plans = {name: one[None] for name, one in usual.items()}
-    plans |= {f"{one} + {other}": np.stack([usual[one], usual[other]]) for one, other in combinations(usual, 2)}
+    if pictures > 1:
+        plans |= {f"{one} + {other}": np.stack([usual[one], usual[other]]) for one, other in combinations(usual, 2)}
 
     def worth(light: Array) -> float:
         each = frames * pictures / len(light)
@@ -185,11 +230,24 @@ def next_pictures(
     values = {name: worth(light) for name, light in plans.items()}
     order = sorted(plans, key=lambda name: values[name])
     shape = pictures, usual["sheet"].size
-    starts = [np.resize(plans[name], shape) for name in order if len(plans[name]) <= pictures]
+    starts = [np.resize(plans[name], shape) for name in order]
     design = designed(prospects, starts, frames, wanted, limit_s)
     expected = {name: prospects[0].expected(plans[name], frames * pictures / len(plans[name])) for name in order}
     bits = (values[order[0]] - worth(design.light)) / math.log(2.0)
-    return NextPictures(design, frames, expected, bits, order[0])
+    now = prospects[0].expected(np.zeros((0, shape[1])), frames) if taken else None
+    return NextPictures(design, frames, expected, bits, order[0], now)
+
+
+def _whole(used: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
+    """Of `by` × `by` pixels that are put together, whether all are used."""
+    rows, columns = (side // by for side in used.shape)
+    return np.asarray(used[: rows * by, : columns * by].reshape(rows, by, columns, by).all(axis=(1, 3)))
+
+
+def table_of(cells: Cells) -> dict[str, object]:
+    """A picture as a pattern of a sequence file."""
+    sheets, light = [list(z_mm) for z_mm in cells.z_mm], [list(row) for row in cells.light]
+    return {"kind": "cells", "y_mm": list(cells.y_mm), "z_mm": sheets, "light": light}
 
 
 def as_sequence(found: NextPictures, total_ul: float, exposure_ms: float, until: Until | None = None) -> str:
@@ -228,9 +286,5 @@ def as_sequence(found: NextPictures, total_ul: float, exposure_ms: float, until:
         {"do": "capture", "pattern": "dark", "frames": found.frames},
         *({"do": "capture", "pattern": name, "frames": found.frames, **wish} for name in names),
     ]
-    patterns = {
-        name: {"kind": "cells", "y_mm": list(one.y_mm), "z_mm": [list(z_mm) for z_mm in one.z_mm],
-               "light": [list(row) for row in one.light]}
-        for name, one in zip(names, found.design.pictures, strict=True)
-    }  # fmt: skip
+    patterns = {name: table_of(one) for name, one in zip(names, found.design.pictures, strict=True)}
     return tomlkit.dumps({"name": "designed", "exposure_ms": exposure_ms, "patterns": patterns, "steps": steps})

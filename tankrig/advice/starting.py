@@ -1,5 +1,6 @@
 """What advice starts from: a run and its fits, or a guess of the ink."""
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -52,6 +53,24 @@ def from_run(run: Run) -> tuple[Known, list[Shot], list[str]]:
     if family is not None:
         ink = Medium(ink.sigma_a, ink.sigma_s, phase=family.phase(family.coordinates(_member(ink, family))))
     return Known(ink, water, gain, free, _noise_of(photographs), error, family), shots, patterns
+
+
+def from_fit(fit: DoseFit, photographs: Sequence[Photograph]) -> tuple[Known, list[Shot]]:
+    """What the fit of one dose says of ink and camera, and the photographs that it rests on.
+
+    Parameters
+    ----------
+    fit
+        Of a dose, of a run that may go on.
+    photographs
+        Of the same dose, as they were fitted.
+    """
+    # What the model does not explain is no noise: like its own error, more frames do not average it away.
+    error = math.hypot(MODEL_ERROR if fit.model_error is None else fit.model_error, fit.structure or 0.0)
+    free = photographs[0].offset == "free"
+    shots = [Shot(one.pattern, one.scene, one.dose_ml, one.dose_sd_ml, one.frames, one.used) for one in photographs]
+    ink = diluted(fit.medium, fit.dose_ml, 1.0)
+    return Known(ink, 0.0, fit.gain, free, _noise_of(photographs), error), shots
 
 
 def _family(found: PhaseFunction | None, asked: str | PhaseFunction, scene: Scene) -> Family | None:

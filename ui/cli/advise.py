@@ -133,12 +133,9 @@ class Lit:
 
     def cells(self, size_mm: tuple[float, float, float]) -> "Cells":
         """In a tank."""
-        from tankrig.advice.cells import even_cells
+        from tankrig.advice.cells import cells_in
 
-        half = 0.5 * self.sheet_mm
-        middles = sorted(self.heights_mm) or [0.5 * size_mm[2]]
-        y_mm = self.y_mm or (-0.375 * size_mm[1], 0.375 * size_mm[1])
-        return even_cells(y_mm, [(one - half, one + half) for one in middles], self.count)
+        return cells_in(size_mm, self.heights_mm, self.sheet_mm, self.y_mm, self.count)
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,24 @@ def number(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def numbers(
+    text: str, unit: str, count: int | None = None, optional: bool = False
+) -> tuple[list[float] | None, str]:  # fmt: skip
+    """Several numbers with commas or blanks between them, or what is wrong with the text.
+
+    >>> numbers("30 60, 90", "mm"), numbers("", "mm", optional=True)
+    (([30.0, 60.0, 90.0], ''), (None, ''))
+    >>> numbers("high", "mm")
+    (None, 'give numbers in mm, with blanks between them')
+    """
+    if optional and not text.strip():
+        return None, ""
+    values = [number(word) for word in text.replace(",", " ").replace(";", " ").split()]
+    if not values or None in values or (count and len(values) != count):
+        return None, f"give {f'{count} numbers' if count else 'numbers'} in {unit}, with blanks between them"
+    return [value for value in values if value is not None], ""
+
+
 class CheckedField(QWidget):
     """A line of text that is read as typed; `value` is None while it makes no sense.
 

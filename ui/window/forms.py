@@ -3,6 +3,7 @@
 import dataclasses
 import types
 import typing
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,7 +11,7 @@ from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QLineEdit, QPushButton, QWidget
 
 from tankrig.ranges import Within, ranges_of
-from ui.window.fields import CheckedField, NumberField, number
+from ui.window.fields import CheckedField, NumberField, numbers
 from ui.window.files import ask_for_file
 from ui.window.parts_field import PartsField
 
@@ -186,15 +187,7 @@ def _numbers_field(name: str, hint: Any, optional: bool) -> CheckedField:
     arguments = typing.get_args(hint)
     count = None if Ellipsis in arguments else len(arguments)
     wanted = f"{count} numbers" if count else "numbers"
-
-    def read(text: str) -> tuple[list[float] | None, str]:
-        if optional and not text.strip():
-            return None, ""
-        values = [number(word) for word in text.replace(",", " ").replace(";", " ").split()]
-        if not values or None in values or (count and len(values) != count):
-            return None, f"give {wanted} in {unit_of(name)}, with blanks between them"
-        return [value for value in values if value is not None], ""
-
+    read = partial(numbers, unit=unit_of(name), count=count, optional=optional)
     return CheckedField(read, unit_of(name), _hinted(name, f"{label_of(name)}: {wanted} with blanks between them"))
 
 

@@ -1,7 +1,8 @@
 """What the window has done in its background process: each a plain function of things that can be sent there."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,9 @@ from ui.window import progress
 from ui.window.source import RefitSettings
 
 if TYPE_CHECKING:
+    from tankrig.advice.design import Wanted
     from tankrig.advice.expected import Expected
+    from tankrig.advice.next_pictures import NextPictures
     from tankrig.advice.ranking import Advice
     from tankrig.bench import Bench, KnownScenes
     from tankrig.live.exposures import Photograph
@@ -246,6 +249,8 @@ class Suggestion:
         Name of the pattern, and its table in a sequence file; None where every sequence has it.
     frames
         How many.
+    more
+        What else a sequence file says of the capture: its exposure, and what ends it.
     """
 
     words: str
@@ -253,8 +258,10 @@ class Suggestion:
     pattern: str
     table: dict[str, Any] | None
     frames: int
+    more: Mapping[str, Any] = field(default_factory=dict)
 
 
+ADVISED = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
 BEST = 5
 """Suggestions that are shown."""
 
@@ -298,13 +305,100 @@ def advise(path: Path, pace: "Pace", most_ul: float) -> tuple[Suggestion, ...]:
     )
 
 
+DESIGNED = "designed"
+"""Name of a designed picture's pattern, where a sequence has none of that name."""
+DESIGNED_FRAMES = 4
+"""Of a designed picture, unless the run's own captures were to end by an `until` that is not reached."""
+
+
+def design(
+    path: Path,
+    fit: "DoseFit",
+    photographs: "tuple[Photograph, ...]",
+    wanted: "Wanted" = "all",
+    heights_mm: tuple[float, ...] = (),
+) -> Suggestion:
+    """The picture of cells that would tell most beside what a run has photographed at a dose.
+
+    Parameters
+    ----------
+    path
+        Of the run, which may go on.
+    fit
+        Of the dose.
+    photographs
+        Of the dose, as they were fitted: they will be fitted with the picture.
+    wanted
+        What is to be known.
+    heights_mm
+        Middles of its sheets; empty: half the tank's height.
+
+    Raises
+    ------
+    SceneError, SequenceError
+        When there are no pictures of such cells, or none can be designed for such a liquid.
+    """
+    from tankrig.advice.cells import cells_in
+    from tankrig.advice.next_pictures import next_pictures, table_of
+    from tankrig.advice.starting import from_fit
+    from tankrig.bench import Bench
+    from tankrig.errors import SequenceError
+    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.results import to_fields
+    from tankrig.pattern.kinds import draw
+    from tankrig.run.reading import open_run
+    from tankrig.sequence import Capture
+    from tankrig.sequence.loading import sequence_from_table
+
+    run = open_run(path)
+    plan = PhotographPlan.of_run(run)
+    if not isinstance(plan.bench, Bench):
+        raise SequenceError(f"{path}: was imported, and nobody knows which projector could show pictures for it")
+    sequence = sequence_from_table(dict(run.require_sequence()), str(path))
+    cells = cells_in(plan.bench.tank.size_mm, heights_mm)
+    draw(cells, plan.bench.wall)  # what the projector cannot show is refused before anything is computed
+    captures = [task.action for task in sequence.tasks if isinstance(task.action, Capture)]
+    like = next((one for one in reversed(captures) if one.pattern in fit.patterns), Capture("full"))
+    camera, full = sequence.camera_settings(like), plan.saturation
+    known, taken = from_fit(fit, photographs)
+    found = next_pictures(
+        known, fit.dose_ml, fit.sd, plan.bench, photographs[0].scene.camera, cells, 1, DESIGNED_FRAMES, wanted,
+        None if full is None else full / (camera.exposure_ms * camera.gain), progress=progress.done, taken=taken,
+    )  # fmt: skip
+    # As it was designed for: the sequence that it is appended to may have another exposure.
+    more: dict[str, Any] = {"exposure_ms": camera.exposure_ms} | ({"gain": camera.gain} if camera.gain != 1.0 else {})
+    until = like.until if like.until is not None and not like.until.reached(to_fields(fit)) else None
+    if until is not None:
+        more["until"] = {name: wish for name, wish in vars(until).items() if wish is not None}
+        more |= {} if like.timeout_s is None else {"timeout_s": like.timeout_s}
+    return Suggestion(
+        _words_of_design(found, fit.dose_ml), None, DESIGNED, table_of(found.design.pictures[0]),
+        DESIGNED_FRAMES if until is None else like.frames,
+        more,
+    )  # fmt: skip
+
+
+def _words_of_design(found: "NextPictures", dose_ml: float) -> str:
+    """A picture that was designed, and by how much it is expected to narrow what is known."""
+    (picture,) = found.design.pictures
+    sheets = " and ".join(f"{0.5 * sum(z_mm):g}" for z_mm in picture.z_mm)
+    told = []
+    for name, symbol in ADVISED.items():
+        after, now = found.design.after.relative_sd[name], found.now.relative_sd[name] if found.now else math.inf
+        told.append(f"{symbol} {100.0 * after / now:.0f} %")
+    return (
+        f"at {1000.0 * dose_ml:g} µl: a designed picture of {len(picture.light[0])} cells at z = {sheets} mm × "
+        f"{found.frames}; errors then, of what they are now: {', '.join(told)}; {found.bits:.2f} bits more "
+        f"than {found.best}"
+    )
+
+
 def _words(one: "Advice", before: "Expected | None", held_ul: float) -> str:
     """A suggestion, and by how much it is expected to narrow what is known."""
     shot = one.candidate.shot
     dose = f"dose to {1000.0 * shot.dose_ml:g} µl, then " if one.candidate.volume_ul > 0.0 else f"at {held_ul:g} µl: "
-    names = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
     told = []
-    for name, symbol in names.items():
+    for name, symbol in ADVISED.items():
         after, now = one.after.relative_sd[name], before.relative_sd[name] if before is not None else math.inf
         told.append(f"{symbol} {100.0 * after / now:.0f} %" if math.isfinite(now) and now > 0.0 else symbol)
     minutes = one.candidate.minutes

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
     QAbstractItemView,
+    QComboBox,
     QGridLayout,
     QLabel,
     QPushButton,
@@ -15,16 +16,20 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from ui.window.fields import CheckedField, numbers, with_name
 from ui.window.flow import Flow
 from ui.window.on_screen import OnScreen
 from ui.window.result import CONFIDENCE
 from ui.window.shown import Shown
 
 if TYPE_CHECKING:
+    from tankrig.advice.design import Wanted
     from ui.window.jobs import Suggestion
 
 HEADINGS = ("model", "left, % of peak", "σs (1/mm)", "g", "σa (1/mm)", "above the best (BIC)")
 NO_ADVICE = "Press “What next?”: the doses and patterns that would tell most will stand here, each with a button."
+WANTED: "dict[str, Wanted]" = {"σs, g and σa": "all", "σs": "sigma_s", "g": "g", "σa": "sigma_a"}
+"""What a designed picture is to tell most about."""
 NO_MODELS = "Press “Compare models”: what each model of the light leaves of the photograph on the Fit page."
 
 
@@ -57,6 +62,7 @@ class NextSteps(QWidget):
             return
         self.ask.setEnabled(shown.source.run is not None and bool(shown.fits))
         self.compare.setEnabled(shown.chosen is not None)
+        self._follow_heights()
         self._draw_advice(shown)
         models = shown.models
         self._of.setText(NO_MODELS if models is None else shown.models_of)
@@ -75,20 +81,31 @@ class NextSteps(QWidget):
             if widget is not None:
                 widget.deleteLater()
         self.buttons = []
-        if not shown.advice:
-            empty = QLabel(shown.advice_says or NO_ADVICE)
-            empty.setWordWrap(True)
-            empty.setProperty("role", "faint")
-            self._advice.addWidget(empty, 0, 0, 1, 2)
-            return
-        for row, one in enumerate(shown.advice):
+        says = [shown.design_says, "" if shown.advice else shown.advice_says]
+        if not (shown.advice or shown.designed or any(says)):
+            says = [NO_ADVICE]
+        for sentence in filter(None, says):
+            label = QLabel(sentence)
+            label.setWordWrap(True)
+            label.setProperty("role", "faint")
+            self._advice.addWidget(label, self._advice.rowCount(), 0, 1, 2)
+        for one in (*filter(None, [shown.designed]), *shown.advice):
             button, words = QPushButton("Append"), QLabel(one.words)
             button.setToolTip("append these steps to the sequence; nothing moves before it is run")
             button.clicked.connect(partial(self._append, one))
             words.setWordWrap(True)
+            row = self._advice.rowCount()
             self._advice.addWidget(button, row, 0)
             self._advice.addWidget(words, row, 1)
             self.buttons.append(button)
+
+    def _follow_heights(self) -> None:
+        """Nothing is designed from what cannot be, or for heights that are none."""
+        possible = self._shown is not None and self._shown.source.run is not None and self._shown.designable is not None
+        self.design.setEnabled(possible and not self._heights.wrong)
+
+    def _design(self) -> None:
+        self._on_screen.design(WANTED[self._wanted.currentText()], tuple(self._heights.value or ()))
 
     def _append(self, one: "Suggestion") -> None:
         self.step_asked.emit(one)
@@ -99,6 +116,19 @@ class NextSteps(QWidget):
         self.compare.setToolTip("fit the photograph that the Fit page shows by several models of the light")
         self.ask.clicked.connect(lambda: self._on_screen.advise())
         self.compare.clicked.connect(lambda: self._on_screen.compare_models())
+        self.design, self._wanted = QPushButton("Design a picture"), QComboBox()
+        self.design.setToolTip(
+            "invent the picture of cells from which most would be learned, beside what this run has photographed"
+        )
+        self.design.clicked.connect(lambda: self._design())
+        self._wanted.addItems(list(WANTED))
+        self._wanted.setAccessibleName("what the designed picture is to tell about")
+        self._heights = CheckedField(
+            partial(numbers, unit="mm", optional=True), "mm", "middles of one to three thin sheets of light"
+        )
+        self._heights.edit.setPlaceholderText("half-way up")
+        self._heights.edit.setMaximumWidth(130)
+        self._heights.changed.connect(self._follow_heights)
         inside = QWidget()
         self._advice = QGridLayout(inside)
         self._advice.setContentsMargins(0, 0, 0, 0)
@@ -116,6 +146,7 @@ class NextSteps(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(8, 8, 8, 8)
         column.addLayout(Flow(self.ask, self.compare))
+        column.addLayout(Flow(self.design, with_name("about", self._wanted), with_name("sheets at", self._heights)))
         column.addWidget(inside)
         column.addWidget(self._of)
         column.addWidget(self._table, 1)

@@ -17,9 +17,16 @@ from ui.window.shown import Shown
 from ui.window.source import LIVE, Kind, RefitSettings, Source
 
 if TYPE_CHECKING:
+    from tankrig.advice.design import Wanted
     from tankrig.sequence import Pace
 
 _log = logging.getLogger(__name__)
+
+
+DESIGNING = (
+    "A picture is being designed. For a liquid that none was designed for yet, the light of its cells is computed "
+    "first; the line at the bottom of the window tells how long that takes, and calls it off."
+)
 
 
 class Worker(Protocol):
@@ -240,6 +247,22 @@ class OnScreen(QObject):
         self._background.run(
             jobs.advise, run, *self._pace, then=shown.take_advice, failed=failed, name=f"advice for {run.name}"
         )
+
+    def design(self, wanted: "Wanted", heights_mm: tuple[float, ...] = ()) -> None:
+        """Ask for a picture that tells most of `wanted`, beside what the run on screen has photographed by now."""
+        shown = self._shown
+        run, begin = shown.source.run, shown.designable
+        if run is None or begin is None:
+            return
+        shown.take_design(None, DESIGNING)
+
+        def failed(sentence: str) -> None:
+            shown.take_design(None, sentence)
+
+        self._background.run(
+            jobs.design, run, *begin, wanted, heights_mm, then=shown.take_design, failed=failed,
+            name=f"a picture for {run.name}",
+        )  # fmt: skip
 
     def compare_models(self) -> None:
         """Fit the photograph that is chosen by several models."""

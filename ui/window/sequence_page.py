@@ -25,7 +25,7 @@ from ui.window.patterns_editor import PatternsEditor
 from ui.window.plan_list import PlanList
 from ui.window.run_list import RunList
 from ui.window.sequence_document import SequenceDocument
-from ui.window.sequence_tables import pattern_table, patterns_in, step_table, steps_in
+from ui.window.sequence_tables import free_name, inline, on_one_line, pattern_table, patterns_in, step_table, steps_in
 from ui.window.sequence_text import patterns_of
 from ui.window.shown import Shown
 from ui.window.source_frame import SourceFrame
@@ -143,14 +143,20 @@ class SequencePage(QWidget):
         """Append what is to be photographed next: the dose and its mixing where ink is needed, and the capture."""
 
         def change(document: Any) -> None:
-            if suggestion.table is not None and suggestion.pattern not in patterns_of(document):
-                patterns_in(document)[suggestion.pattern] = pattern_table(suggestion.table)
-            steps = steps_in(document, nested=False)
+            pattern = suggestion.pattern
+            if suggestion.table is not None:
+                known = patterns_of(document)
+                pattern = free_name(pattern, suggestion.table, known)
+                if pattern not in known:
+                    patterns_in(document)[pattern] = pattern_table(suggestion.table)
+            more = {name: inline(value) for name, value in suggestion.more.items()}
+            new = [{"do": "capture", "pattern": pattern, "frames": suggestion.frames} | more]
             if suggestion.total_ul is not None:
-                steps.append(step_table({"do": "dose", "total_ul": suggestion.total_ul}, nested=False))
-                steps.append(step_table({"do": "mix", "pattern": suggestion.pattern}, nested=False))
-            capture = {"do": "capture", "pattern": suggestion.pattern, "frames": suggestion.frames}
-            steps.append(step_table(capture, nested=False))
+                dose = {"do": "dose", "total_ul": suggestion.total_ul}
+                new = [dose, {"do": "mix", "pattern": pattern}, *new]
+            steps = steps_in(document, nested=False)
+            for step in new:
+                steps.append(step_table(step, on_one_line(steps)))
 
         try:
             self.document.edit("append what was advised", change)
@@ -158,6 +164,7 @@ class SequencePage(QWidget):
             self.told.emit(str(error))
         else:
             self.tabs.setCurrentWidget(self.steps)
+            self.told.emit(f"{suggestion.pattern} × {suggestion.frames} is appended to the sequence; Ctrl+Z undoes it")
 
     def append_separation(self) -> None:
         """Append a step that separates orders of scattering, and show its form."""

@@ -1,5 +1,6 @@
 """Steps and patterns as TOML that a person would have written."""
 
+from itertools import chain, count
 from typing import Any
 
 import tomlkit
@@ -42,11 +43,30 @@ def steps_in(owner: Any, nested: bool) -> Any:
     return owner["steps"]
 
 
+def on_one_line(steps: Any) -> bool:
+    """Whether each of these steps is to stand on one line: in an array, as `[[steps]]` cannot follow in one.
+
+    >>> on_one_line(tomlkit.parse('steps = [{ do = "wait", seconds = 1.0 }]')["steps"])
+    True
+    """
+    return isinstance(steps, tomlkit.items.Array)
+
+
 def pattern_table(values: dict[str, Any]) -> Any:
     """A pattern as a table."""
     table = tomlkit.table()
     table.update(values)
     return table
+
+
+def free_name(name: str, values: dict[str, Any], known: dict[str, Any]) -> str:
+    """A name for a pattern: the one it has where that is free or means the same, else the next with a number.
+
+    >>> free_name("sheet", {"kind": "full"}, {"sheet": {"kind": "dark"}, "sheet-2": {"kind": "full"}})
+    'sheet-2'
+    """
+    names = chain([name], (f"{name}-{number}" for number in count(2)))
+    return next(one for one in names if one not in known or known[one] == values)
 
 
 def patterns_in(document: Any) -> Any:

@@ -124,6 +124,9 @@ class Shown(QObject):
         self.advice: tuple[Suggestion, ...] = ()
         """What to photograph next, the best first."""
         self.advice_says = ""
+        self.designed: Suggestion | None = None
+        """A picture that was designed for it."""
+        self.design_says = ""
         self.models: tuple[tuple[str, ...], ...] | None = None
         """A row for each model of the light."""
         self.models_of = ""
@@ -207,6 +210,11 @@ class Shown(QObject):
         self.advice, self.advice_says = advice, says
         self.advised.emit()
 
+    def take_design(self, designed: "Suggestion | None", says: str = "") -> None:
+        """A picture that was designed; or, where there is none, why, or what it waits for."""
+        self.designed, self.design_says = designed, says
+        self.advised.emit()
+
     def take_models(self, rows: "tuple[tuple[str, ...], ...] | None", of: str) -> None:
         """One of its photographs fitted by several models; `of` says which, or why there is nothing."""
         self.models, self.models_of = rows, of
@@ -245,6 +253,13 @@ class Shown(QObject):
     def newest(self) -> DoseFit | None:
         """The fit of the newest frames; of several such, the one that came last."""
         return max(reversed(self.fits), key=lambda one: one.time_s).fit if self.fits else None
+
+    @property
+    def designable(self) -> "tuple[DoseFit, tuple[Photograph, ...]] | None":
+        """The fit of the newest frames and its photographs, which a picture can be designed from."""
+        fit = self.newest
+        here = tuple(one for key, one in self.photographs.items() if fit is not None and key.dose_ml == fit.dose_ml)
+        return None if fit is None or not here else (fit, here)
 
     def fit_of(self, key: PhotographKey) -> DoseFit | None:
         """The last fit of the dose that a photograph was taken at."""

@@ -25,7 +25,7 @@ from ui.window import theme
 from ui.window.flow import Flow
 from ui.window.forms import Form, label_of
 from ui.window.sequence_document import SequenceDocument
-from ui.window.sequence_tables import inline, step_table, steps_in
+from ui.window.sequence_tables import inline, on_one_line, step_table, steps_in
 from ui.window.sequence_text import Path_, at, line_of, patterns_of
 
 if TYPE_CHECKING:
@@ -282,7 +282,7 @@ class StepsEditor(QWidget):
         place: Path_ = self.place() or ("steps", self.tree.topLevelItemCount() - 1)
         kind, number = self._kind.currentText(), int(place[-1]) + 1
         new = separation_for(self._wall) if kind == "separate" and self._wall is not None else NEW[kind]
-        self._change(f"add {kind}", lambda steps: steps.insert(number, step_table(new, len(place) > 2)), place)
+        self._change(f"add {kind}", lambda steps: steps.insert(number, step_table(new, on_one_line(steps))), place)
         self.choose((*place[:-1], number))
 
     def remove(self) -> None:
