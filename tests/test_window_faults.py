@@ -18,6 +18,7 @@ from tankrig.dosing.records import JointCount
 from tankrig.run import disk
 from tankrig.run.recovery import recover
 from tests.window_rig import LONG_DOSE, until, wait_ms, window_on, write_rig
+from ui.window.status import RigState
 
 FRAMES = 'name = "frames"\nexposure_ms = 2.0\n[[steps]]\ndo = "capture"\npattern = "dark"\nframes = 400\n'
 
@@ -145,6 +146,31 @@ def test_an_unknown_tank_is_explained_and_resolved(tmp_path):
         window.doser._ask_resolve()
         until(lambda: window.status.undecided is None and window.status.tank.volume_ul == 120.0)
         assert not window.doser._unknown.isVisibleTo(window.doser)
+
+
+def test_stop_while_the_window_asks_about_the_ink_gives_the_run_up(tmp_path):
+    """A person's word on the tank went nowhere after STOP, and was taken later, when nobody thought of it."""
+    rig = write_rig(tmp_path)
+    ledger = TankLedger(load_rig_file(rig).ledger)
+    nothing = Delivered(0.0, 0.0, 0.0)
+    ledger.join(JointCount("another doser", nothing, nothing))
+    ledger.begin("some run", 500.0)
+    ledger.close()
+    with window_on(tmp_path, rig) as window:
+        until(lambda: window.status.undecided is not None and window.status.state is RigState.IDLE)
+        (tmp_path / "sequence.toml").write_text(LONG_DOSE)
+        window.sequence.load(tmp_path / "sequence.toml")
+        until(lambda: window.sequence.document.plan is not None)
+        window.run()
+        until(lambda: window.status.state is RigState.ASKING, 40.0)
+        assert not window.host.in_motion, "Esc stops nothing here"
+        window.stop()
+        until(lambda: window.status.state is RigState.IDLE, 40.0)
+        window.doser._truth.edit.setText("120")
+        window.doser._ask_resolve()
+        until(lambda: window.status.undecided is None and window.status.tank.volume_ul == 120.0)
+        assert not window.status.running
+    assert steps_of(tmp_path) == 0
 
 
 TWO_DOSES = (

@@ -1,8 +1,11 @@
 """What the window tells before a run and while it goes on, and that no error in a run ends the window's thread."""
 
+import os
+import signal
 from pathlib import Path
 
 import pytest
+from PySide6.QtCore import QMimeData, QUrl
 
 import tankrig
 from drivers.rig import load_rig_file
@@ -11,6 +14,7 @@ from tankrig.calibration.file import Calibration, save
 from tankrig.devices import CameraSettings
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window.banner import MOST_SHOWN, Banner
+from ui.window.marked_text import MarkedText
 
 SHORT = 'name = "short"\nexposure_ms = 5\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n'
 
@@ -87,3 +91,97 @@ def test_however_much_is_told_a_person_can_put_it_away_and_read_it_again(qtbot):
         banner.put_away()
     assert banner.text == ""
     assert [one.sentence for one in banner.history] == [f"frame {n} is missing" for n in range(5 * MOST_SHOWN)]
+
+
+def test_a_live_fit_whose_process_dies_is_told(tmp_path):
+    """Who sees a green "completed" believes that all was fitted."""
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        until(lambda: window.status.state.value == "ready", 60.0)
+        (tmp_path / "sequence.toml").write_text(SHORT.replace("frames = 2", "frames = 400"))
+        window.sequence.load(tmp_path / "sequence.toml")
+        until(lambda: window.top.run.isEnabled())
+        window.run()
+        until(lambda: window.host._fit is not None and window.status.running, 60.0)
+        os.kill(window.host._fit.pid, signal.SIGKILL)
+        until(lambda: "live fit's process has ended" in window.banner.text, 60.0)
+        window.stop()
+        until(lambda: not window.status.busy, 60.0)
+
+
+def test_what_the_camera_has_made_of_an_exposure_is_shown_between_runs(tmp_path, monkeypatch):
+    real = SimulatedCamera.configure
+    monkeypatch.setattr(SimulatedCamera, "configure", lambda self, asked: real(self, CameraSettings(2.0, asked.gain)))
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        until(lambda: window.status.state.value == "ready", 60.0)
+        window.host.configure(CameraSettings(30.0))
+        until(lambda: window.live._exposure.value == 2.0)
+
+
+def test_a_reason_at_the_very_first_is_in_the_log_on_disk(tmp_path):
+    """The page that lists it comes last, and the rig may have failed by then."""
+    rig = write_rig(tmp_path)
+    rig.write_text(rig.read_text().replace("tank_ul = 4000.0", 'tank_ul = "much"'))
+    with window_on(tmp_path, rig) as window:
+        until(lambda: "limits.tank_ul" in window.banner.text, 60.0)
+    assert "limits.tank_ul" in (tmp_path / "runs" / "window.log").read_text()
+
+
+def test_what_was_said_of_a_run_goes_with_it(qtbot):
+    banner = Banner()
+    qtbot.addWidget(banner)
+    banner.say("The run a was aborted.", "bad", "Resume it", key="ended", about="runs/a")
+    banner.say("Finished: REFIT of a.", "good", "Show it", key="REFIT of a", about="runs/a")
+    banner.say("The disk is nearly full.")
+    banner.withdraw("runs/a")
+    assert banner.text == "The disk is nearly full."
+    banner.put_away()
+    assert banner.text == ""
+
+
+def test_a_file_dropped_on_a_text_is_opened_and_not_written_into_it(tmp_path):
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        until(lambda: window.built)
+        files = QMimeData()
+        files.setUrls([QUrl.fromLocalFile(str(tmp_path / "a.toml"))])
+        words = QMimeData()
+        words.setText("frames = 4")
+        for text in (window.calibration._text, *window.sequence.findChildren(MarkedText)):
+            assert not text.canInsertFromMimeData(files)
+            assert text.canInsertFromMimeData(words)
+
+
+def test_a_draft_is_offered_where_the_command_names_another_sequence(tmp_path):
+    (tmp_path / "other.toml").write_text(SHORT)
+    rig = write_rig(tmp_path)
+    with window_on(tmp_path, rig) as first:
+        until(lambda: first.status.state.value == "ready", 60.0)
+        first.sequence.document.edit_text(SHORT.replace("short", "mine"))
+    with window_on(tmp_path, rig, tmp_path / "other.toml") as window:
+        until(lambda: window.built and "had not been saved" in window.banner.text, 60.0)
+        assert window.sequence.document.path == tmp_path / "other.toml"
+        window.banner.press()
+        assert 'name = "mine"' in window.sequence.document.text
+
+
+def test_a_field_that_makes_no_sense_is_not_shown_on_the_projector(tmp_path):
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        until(lambda: window.status.state.value == "ready" and window.built, 60.0)
+        page = window.projector
+        until(page._show.isEnabled)
+        page._form_area.widget().doubted.emit("y_mm", "is no number")
+        assert not page._show.isEnabled()
+        page._kind.setCurrentIndex((page._kind.currentIndex() + 1) % page._kind.count())
+        until(page._show.isEnabled)
+
+
+def test_what_was_typed_in_a_step_that_is_left_is_told(tmp_path):
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        until(lambda: window.status.state.value == "ready" and window.built, 60.0)
+        (tmp_path / "s.toml").write_text(SHORT + '[[steps]]\ndo = "note"\ntext = "x"\n')
+        window.sequence.load(tmp_path / "s.toml")
+        steps = window.sequence.steps
+        steps.tree.setCurrentItem(steps.tree.topLevelItem(0))
+        steps._form_area.widget().doubted.emit("frames", '"foo" is no whole number')
+        until(lambda: not window.top.run.isEnabled())
+        steps.tree.setCurrentItem(steps.tree.topLevelItem(1))
+        until(lambda: "the value before it stands" in window.banner.text)

@@ -68,7 +68,7 @@ def write_rig(folder: Path, projector: str = "", camera: str = "", doser: str = 
 
 
 @contextmanager
-def window_on(folder: Path, rig: Path | None) -> Iterator[Any]:
+def window_on(folder: Path, rig: Path | None, sequence: Path | None = None) -> Iterator[Any]:
     """The real window, active, with all that it remembers in `folder`; closed at the end, whatever happens."""
     from ui.window.app import application
 
@@ -80,7 +80,7 @@ def window_on(folder: Path, rig: Path | None) -> Iterator[Any]:
     settings = QSettings(str(folder / "window.ini"), QSettings.Format.IniFormat)
     if settings.value("theme") is None:
         settings.setValue("theme", "dark")
-    window = MainWindow(RigHost(RigSource(rig, folder / "simulated.rig")), folder / "runs", settings)
+    window = MainWindow(RigHost(RigSource(rig, folder / "simulated.rig")), folder / "runs", settings, sequence)
     window.build_pages()
     window.show()
     window.activateWindow()

@@ -212,6 +212,15 @@ class LiveFit:
     ) -> None:
         self.close()
 
+    def _tell_of_a_sudden_end(self) -> None:
+        """Say so where the process has died, and did not end because all is fitted or nothing more is wanted."""
+        self._process.join(_JOIN_S)
+        if self._process.exitcode and not self._closing.is_set():
+            self._on_trouble(
+                f"the live fit's process has ended (exit status {self._process.exitcode}), so that what comes now is "
+                "recorded and not fitted; fit the run again when it has ended"
+            )
+
     def _release(self) -> None:
         del self._exposures, self._numbers
         self._memory.close()
@@ -225,6 +234,7 @@ class LiveFit:
                     continue
                 found: Fit | Preparation = self._results.recv()
             except (EOFError, OSError):
+                self._tell_of_a_sudden_end()
                 return
             if isinstance(found, Preparation):
                 self.preparation = found

@@ -85,6 +85,8 @@ def run_window(rig: Path | None, runs: Path, sequence: Path | None) -> int:
     int
         Exit status.
     """
+    # Calibrations work in another folder, so that the file is named as it is from anywhere.
+    rig = rig.absolute() if rig is not None else None
     host = RigHost(RigSource(rig, runs / "simulated.rig"))  # opens the rig while all else is imported
     app = application()
     from ui.window import theme

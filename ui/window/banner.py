@@ -34,6 +34,8 @@ class Notice:
         What it is about: another notice about the same takes its place, and `withdraw` ends it.
     at
         When it was said, by the clock on the wall.
+    about
+        Folder of the run that it is about, which `withdraw` ends, too.
     """
 
     sentence: str
@@ -42,6 +44,7 @@ class Notice:
     do: Callable[[], object] | None
     key: str
     at: str
+    about: str = ""
 
 
 class Banner(QFrame):
@@ -80,10 +83,11 @@ class Banner(QFrame):
         return self._notices[-1].action if self._notices else ""
 
     def say(
-        self, sentence: str, level: str = "", action: str = "", do: Callable[[], object] | None = None, key: str = ""
-    ) -> None:
+        self, sentence: str, level: str = "", action: str = "", do: Callable[[], object] | None = None, key: str = "",
+        about: str = "",
+    ) -> None:  # fmt: skip
         """Show a sentence; see `Notice`."""
-        notice = Notice(sentence, level, action, do, key or sentence, time.strftime("%H:%M:%S"))
+        notice = Notice(sentence, level, action, do, key or sentence, time.strftime("%H:%M:%S"), about)
         others = [one for one in self._notices if one.key != notice.key]
         self._notices = [*others[-MOST_SHOWN + 1 :], notice]
         self.history = [*self.history[-MOST_KEPT + 1 :], notice]
@@ -91,8 +95,9 @@ class Banner(QFrame):
 
     def withdraw(self, *keys: str) -> None:
         """What was said about these is no longer true."""
-        if any(one.key in keys for one in self._notices):
-            self._notices = [one for one in self._notices if one.key not in keys]
+        left = [one for one in self._notices if one.key not in keys and one.about not in keys]
+        if left != self._notices:
+            self._notices = left
             self._draw()
 
     def put_away(self) -> None:

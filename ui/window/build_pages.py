@@ -61,7 +61,7 @@ def pages(
         _of_rig("compare", "Compare", ComparePage(runs.catalogue, on_screen), "COMPARISON of runs, beside"),
         _of_rig("calibration", "Calibration", CalibrationPage(source)),
         ("regions", "Regions", regions, SourceFrame(regions)),
-        _of_rig("log", "Log", LogPanel(folder), "LOG of this window, with"),
+        _of_rig("log", "Log", LogPanel(), "LOG of this window, with"),
     )
 
 

@@ -1,6 +1,7 @@
 """Runs, refits and models side by side, and what to photograph next."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,11 @@ class ComparePage(QWidget):
     def shown_of(self, source: Source) -> Shown | None:
         """What is known of one that is ticked."""
         return self._compared.get(source)
+
+    def read_anew(self, run: Path) -> None:
+        """A run has gone on or has ended, so that what was read of it is no longer all."""
+        self._compared = {source: shown for source, shown in self._compared.items() if source.run != run}
+        self._fetch()
 
     def _list(self) -> None:
         """Runs and their refits, with the ticks that there were; what is no more is taken out."""

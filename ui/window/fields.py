@@ -63,6 +63,7 @@ class CheckedField(QWidget):
         super().__init__()
         self._read, self._hint = read, hint
         self.edit = QLineEdit()
+        self.edit.setAcceptDrops(False)  # a file that is dropped is opened by the window
         self.edit.setToolTip(hint)
         self.edit.setAccessibleName(hint)
         self.setFocusProxy(self.edit)

@@ -42,6 +42,7 @@ def ask_where_to_save(
 def _asked(parent: QWidget, title: str, begin: Path, kinds: str, then: Callable[[Path], object]) -> QFileDialog:
     dialog = QFileDialog(parent, title, str(begin), kinds)
     dialog.setModal(False)
+    dialog.setOption(QFileDialog.Option.DontUseNativeDialog)  # a desktop's own gets its keys past Qt, STOP's included
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
     dialog.fileSelected.connect(lambda name: then(Path(name)))
     return dialog

@@ -2,8 +2,6 @@
 
 import logging
 from datetime import datetime
-from logging.handlers import RotatingFileHandler
-from pathlib import Path
 
 from PySide6.QtCore import QEvent, QObject, Qt, Signal
 from PySide6.QtGui import QColor
@@ -19,11 +17,10 @@ from PySide6.QtWidgets import (
 )
 
 from ui.window import theme
+from ui.window.kept_log import PARTS
 
 MOST_LINES = 5000
-PARTS = ("tankrig", "drivers", "ui")
 EMPTY = "What happens to the rig and to runs will be listed here, with its time, and is kept on disk."
-KEPT, KEPT_BYTES = "window.log", 700_000
 LEVELS = {"everything": logging.INFO, "warnings and errors": logging.WARNING, "errors": logging.ERROR}
 
 
@@ -45,29 +42,10 @@ class _Handler(QObject, logging.Handler):
         self.logged.emit(record.levelno, f"{at}  {text}")
 
 
-def _kept_in(file: Path) -> list[logging.Handler]:
-    """What keeps the log on disk; nothing where the disk cannot be written, for the window works without."""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        handler = RotatingFileHandler(file, maxBytes=KEPT_BYTES, backupCount=2, encoding="utf-8")
-    except OSError as error:
-        logging.getLogger(__name__).warning("%s: the log cannot be kept there (%s)", file, error.strerror)
-        return []
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    handler.setLevel(logging.INFO)
-    return [handler]
-
-
 class LogPanel(QWidget):
-    """Lists what tankrig's parts log, newest last, and keeps it on disk.
+    """Lists what tankrig's parts log, newest last; `KeptLog` keeps it on disk."""
 
-    Parameters
-    ----------
-    folder
-        Where it is kept, as `window.log`; the last two megabytes of it.
-    """
-
-    def __init__(self, folder: Path) -> None:
+    def __init__(self) -> None:
         super().__init__()
         self._lines = QListWidget()
         self._lines.setWordWrap(True)
@@ -94,10 +72,8 @@ class LogPanel(QWidget):
         column.addWidget(self._lines, 1)
         self._handler = _Handler()
         self._handler.logged.connect(self._add, Qt.ConnectionType.QueuedConnection)
-        self._handlers: list[logging.Handler] = [self._handler, *_kept_in(folder / KEPT)]
         for name in PARTS:
-            for handler in self._handlers:
-                logging.getLogger(name).addHandler(handler)
+            logging.getLogger(name).addHandler(self._handler)
             logging.getLogger(name).setLevel(logging.INFO)
 
     def lines(self) -> list[str]:
@@ -107,10 +83,9 @@ class LogPanel(QWidget):
 
     def close_log(self) -> None:
         """Listen no more."""
-        for handler in self._handlers:
-            for name in PARTS:
-                logging.getLogger(name).removeHandler(handler)
-            handler.close()
+        for name in PARTS:
+            logging.getLogger(name).removeHandler(self._handler)
+        self._handler.close()
 
     def _add(self, level: int, text: str) -> None:
         item = QListWidgetItem(text)

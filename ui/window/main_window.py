@@ -34,6 +34,7 @@ from ui.window.figure import FIGURE_KINDS, FRAME_KINDS, pixmap_of, save_figure, 
 from ui.window.files import ask_for_file, ask_where_to_save
 from ui.window.focus_ring import FocusRing
 from ui.window.gc_timer import GcTimer
+from ui.window.kept_log import KeptLog
 from ui.window.keys import BY_NAME, KEYS, KeyCard
 from ui.window.live_view import LiveView
 from ui.window.page_actions import actions_of
@@ -80,6 +81,8 @@ BREATH_MS = 15
 """Between two pages that are made: what was shown is painted, and keys are heard."""
 MOST_RECENT = 8
 DRAFT_MS = 700
+NOT_NOW = "not now"
+"""What was refused because the rig was at work, or was not ready: no longer true once it is ready."""
 """From the last letter typed to the draft on disk."""
 END_S = 60.0
 
@@ -117,6 +120,7 @@ class MainWindow(QMainWindow):
         self.setWindowTitle("tankrig")
         self.setAcceptDrops(True)
         self._settings, self.folder, self._first_sequence = settings, runs, sequence
+        self._kept_log = KeptLog(runs)
         self.status = RigStatus()
         self.event_loop, self.background, self.host = EventLoopMonitor(), Background(), host
         self._replay: Replay | None = None
@@ -181,7 +185,8 @@ class MainWindow(QMainWindow):
     def _connect_pages(self) -> None:
         host, queued = self.host, Qt.ConnectionType.QueuedConnection
         for signal, slot in (
-            (host.run_began, self.began), (host.run_ended, self.ended), (host.recorded, self.on_screen.take),
+            (host.run_began, self.began), (host.left_unfitted, self.offer_to_fit), (host.run_ended, self.ended),
+            (host.recorded, self.on_screen.take),
             (host.pattern_shown, self.projector.shown),
         ):  # fmt: skip
             signal.connect(slot, queued)
@@ -210,6 +215,7 @@ class MainWindow(QMainWindow):
         self.sequence.dropped.connect(self.offer_text)
         self.runs.resume_asked.connect(self.resume)
         self.runs.open_asked.connect(self.show_run)
+        self.runs.deleted.connect(lambda run: self.banner.withdraw(str(run)))
         self.runs.bar.left.connect(self.on_screen.leave)
         for teller in (
             self.sequence.told,
@@ -249,6 +255,8 @@ class MainWindow(QMainWindow):
         draft = self._settings.value("draft")
         if draft and not self._first_sequence:  # what was typed and not saved when the window was closed
             self.sequence.document.edit_text(str(draft))
+        elif draft:
+            self.offer_text(str(draft))
         if self.sequence.beginning and self.focusWidget() in (None, self):
             self.sequence.first.buttons["Try it"].setFocus()  # who has no mouse begins with the space bar
         self._opened(self._rig, afresh=True)  # last, so that an offer to go on with a run stands before other notices
@@ -304,7 +312,9 @@ class MainWindow(QMainWindow):
         if run is not None:
             why = f" ({run.message})" if run.message else ""
             words = f"The last run, {run.path.name}, was {run.ending}{why}. What it recorded is safe; it can go on."
-            self.banner.say(words, action="Resume it", do=lambda: self.resume(run.path), key="interrupted")
+            self.banner.say(
+                words, action="Resume it", do=lambda: self.resume(run.path), key="interrupted", about=str(run.path)
+            )
 
     def _follow(self, status: RigStatus) -> None:
         before, self.status = self.status, status
@@ -336,6 +346,8 @@ class MainWindow(QMainWindow):
             self.banner.withdraw("trouble")
         if before.stopped and not status.stopped:
             self.banner.withdraw("stop")
+        if status.state is RigState.IDLE and not status.busy and (before.busy or before.state is not RigState.IDLE):
+            self.banner.withdraw(NOT_NOW)
         self.live.say_over(status.over_the_picture)
         self.live.say_trouble("no picture: the rig cannot be used; the line above says why" if failed else "")
 
@@ -346,9 +358,9 @@ class MainWindow(QMainWindow):
         sequence = self.sequence.document.reading.sequence
         if sequence is None or self.sequence.document.plan is None:
             problem = self.sequence.document.problem
-            self.tell(problem.sentence if problem else "the rig is not ready; wait until it is, then run")
+            self.tell(problem.sentence if problem else "the rig is not ready; wait until it is, then run", NOT_NOW)
         elif self.status.busy:
-            self.tell("a run or a dose goes on; wait for its end or stop it, then run")
+            self.tell("a run or a dose goes on; wait for its end or stop it, then run", NOT_NOW)
         else:
             path = self.folder / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
             self.host.start_run(RunOrder(path, sequence))
@@ -357,7 +369,7 @@ class MainWindow(QMainWindow):
     def resume(self, path: Path) -> None:
         """Go on with an interrupted run."""
         if self.status.busy:
-            self.tell("a run or a dose goes on; wait for its end or stop it, then resume")
+            self.tell("a run or a dose goes on; wait for its end or stop it, then resume", NOT_NOW)
         else:
             self.host.start_run(RunOrder(path))
             self.stop_keys.follow()
@@ -389,7 +401,8 @@ class MainWindow(QMainWindow):
 
     def began(self, path: Path, sequence: "Sequence", before: "tuple[Event, ...]") -> None:
         """A run has begun, or goes on with what its journal holds already."""
-        self.banner.withdraw("stop", "trouble", "interrupted", "ended", "resume")
+        self.banner.withdraw("stop", "trouble", "interrupted", "ended", "unfitted", NOT_NOW)
+        self.compare.read_anew(path)
         self.on_screen.begin(path, [task.label for task in sequence.tasks], before, sequence.sheet_ends)
         self.sequence.show_run()
         self.show_page(self.sequence)
@@ -403,18 +416,29 @@ class MainWindow(QMainWindow):
         words = f"The run {path.name} was {outcome.reason.value}{why}"
         level = "bad" if outcome.error is not None else "good" if completed else ""
         _log.info("%s", words)
+        self.compare.read_anew(path)
         self.runs.refresh()
         if self.live.regions.drawn and self.on_screen.source.run == path:
             self.regions.count()
         if completed:
-            self.banner.say(words, level, "Write its report", lambda: self.runs.report(path), key="ended")
+            self.banner.say(words, level, "Write its report", lambda: self.runs.report(path), "ended", str(path))
         else:
-            self.banner.say(words, level, "Resume it", lambda: self.resume(path), key="ended")
+            self.banner.say(words, level, "Resume it", lambda: self.resume(path), "ended", str(path))
+
+    def offer_to_fit(self, path: Path, missing: str) -> None:
+        """A run is over that was not fitted to its end."""
+
+        def show() -> None:
+            self.show_run(path)
+            self.show_page(self.runs)
+
+        words = f"Not fitted yet of {path.name}: {missing}. Open the run and press Fit anew."
+        self.banner.say(words, "", "Open it", show, "unfitted", str(path))
 
     def show_run(self, path: Path) -> None:
         """Show a recorded run in the same views."""
         if self.status.busy:
-            self.tell("a run goes on in the live view; open another when it has ended")
+            self.tell("a run goes on in the live view; open another when it has ended", NOT_NOW)
         else:
             self.on_screen.open(path)
             self.remember(path)
@@ -451,21 +475,23 @@ class MainWindow(QMainWindow):
     def _offer_refit(self, source: "Source") -> None:
         """A refit has come while something else was on screen."""
         words = f"Finished: {source.title}."
-        self.banner.say(words, "good", "Show it", lambda: self._show_refit(source), key=source.title)
+        self.banner.say(
+            words, "good", "Show it", lambda: self._show_refit(source), key=source.title, about=str(source.run)
+        )
 
     def _show_refit(self, source: "Source") -> None:
         if self.status.busy:
-            self.tell("a run goes on in the live view; look at a refit when it has ended")
+            self.tell("a run goes on in the live view; look at a refit when it has ended", NOT_NOW)
         else:
             self.on_screen.show_refit(source)
             self.show_page(self.fit)
 
     # -- the window ----------------------------------------------------------------------------------------------------
 
-    def tell(self, sentence: str) -> None:
-        """Say something that a person has to know."""
+    def tell(self, sentence: str, key: str = "") -> None:
+        """Say something that a person has to know; see `Notice.key`."""
         _log.warning("%s", sentence)
-        self.banner.say(sentence[:1].upper() + sentence[1:])
+        self.banner.say(sentence[:1].upper() + sentence[1:], key=key)
 
     def offer_text(self, text: str) -> None:
         """A sequence was opened over edits that no file has: offer them back."""
@@ -548,6 +574,7 @@ class MainWindow(QMainWindow):
             self._keep_draft()
             self.log.close_log()
             self._gc_timer.close()
+        self._kept_log.close()
         event.accept()
 
     def _lay_out(self) -> None:
@@ -593,7 +620,7 @@ class MainWindow(QMainWindow):
     def use_rig(self, file: Path) -> None:
         """Work with another rig."""
         if self.host.in_motion:
-            self.tell("a run or a dose goes on; wait for its end or stop it, then open another rig")
+            self.tell("a run or a dose goes on; wait for its end or stop it, then open another rig", NOT_NOW)
             return
         source = RigSource(file, self.folder / "simulated.rig")
         self.host.use(source)

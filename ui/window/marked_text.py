@@ -1,6 +1,6 @@
 """A text editor that marks the line that is wrong."""
 
-from PySide6.QtCore import QEvent, QRect, QSize, Qt
+from PySide6.QtCore import QEvent, QMimeData, QRect, QSize, Qt
 from PySide6.QtGui import QColor, QFontDatabase, QPainter, QPaintEvent, QResizeEvent, QTextCursor, QTextFormat
 from PySide6.QtWidgets import QPlainTextEdit, QTextEdit, QWidget
 
@@ -37,6 +37,10 @@ class MarkedText(QPlainTextEdit):
         self.blockCountChanged.connect(lambda _: self._make_room())
         self.updateRequest.connect(self._scrolled)
         self._make_room()
+
+    def canInsertFromMimeData(self, source: QMimeData) -> bool:  # noqa: N802 - Qt's name
+        """Files that are dropped are opened by the window, and not written into the text by their names."""
+        return not source.hasUrls() and super().canInsertFromMimeData(source)
 
     def mark(self, line: int) -> None:
         """Mark a line, from 1; 0 for none."""

@@ -121,7 +121,8 @@ class PatternsEditor(QWidget):
         return (item.text(), table) if item and isinstance(table, dict) else None
 
     def _show_form(self) -> None:
-        self._document.forget_doubts(DOUBTED)
+        for sentence in self._document.forget_doubts(DOUBTED):
+            self.refused.emit(sentence)
         chosen = self._chosen()
         kind = BY_KIND.get(str(chosen[1].get("kind"))) if chosen else None
         if chosen is None or kind is None:

@@ -57,6 +57,9 @@ class ProjectorPage(QWidget):
         self._brightness.setRange(1, 100)
         self._brightness.setValue(100)
         self._brightness.setToolTip("brightness of the whole pattern, in percent of its levels")
+        self._free = False
+        self._doubts: set[str] = set()
+        """Names of fields that hold what makes no sense."""
         self._percent = QLabel("100 %")
         self._brightness.valueChanged.connect(self._brighten)
         self._show, self._dark = QPushButton("Show it"), QPushButton("Go dark")
@@ -88,8 +91,19 @@ class ProjectorPage(QWidget):
     def follow(self, status: RigStatus) -> None:
         """A person may change the output only while no run does."""
         free = status.state is RigState.IDLE
-        self._show.setEnabled(free and not self._wrong.text())
+        self._free = free
+        self._allow()
         self._dark.setEnabled(free)
+
+    def _allow(self) -> None:
+        """Show only what the form says: a field that makes no sense has left its old value behind."""
+        self._show.setEnabled(self._free and not self._wrong.text() and not self._doubts)
+
+    def _doubt(self, name: str, why: str) -> None:
+        self._doubts.discard(name)
+        if why:
+            self._doubts.add(name)
+        self._allow()
 
     def _pattern(self) -> Pattern | None:
         """What the form describes, dimmed; None, and the reason on the page, where that cannot be drawn."""
@@ -116,6 +130,9 @@ class ProjectorPage(QWidget):
         kind = self._kind.currentText()
         form = Form(BY_KIND[kind], self._values[kind], {}, skip=("kind",), unset="the whole wall")
         form.edited.connect(self._edit)
+        form.doubted.connect(self._doubt)
+        self._doubts.clear()
+        self._allow()
         self._form_area.setWidget(form)
         self._preview()
 

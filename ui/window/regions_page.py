@@ -74,6 +74,8 @@ class RegionsPage(QWidget):
         shown.counted_changed.connect(self._draw)
         shown.read.connect(self._take_saved)
         self._now.clear()
+        for row in self._rows.values():
+            row.child("now").setValue("")
         if shown.source.kind is Kind.LIVE and self._set_aside is not None:
             self._regions.draw(self._set_aside)
             self._set_aside = None

@@ -19,7 +19,7 @@ from tankrig.dosing import GuardedDoser, TankLedger
 from tankrig.errors import DeviceError, TankrigError, UndecidedError
 from tankrig.pattern import Pattern
 from tankrig.run.rig import Rig
-from tankrig.run.state import RunState
+from tankrig.run.state import FinishReason, RunState
 from ui.window.observed_devices import LatestValue, ObservedCamera, ObservedProjector, SeenFrame
 from ui.window.rig_file import RigSource
 from ui.window.rig_parts import LedgerOnly, RunOrder, import_ahead
@@ -64,6 +64,8 @@ class RigHost(QObject):
     """Path, Sequence, and the Events that its journal holds already."""
     run_ended = Signal(object)
     """Outcome."""
+    left_unfitted = Signal(object, str)
+    """Path of a run that is completed, and what of it has no fit; before `run_ended`."""
     pattern_shown = Signal(object)
     """Pattern that is on the projector's output."""
 
@@ -96,7 +98,9 @@ class RigHost(QObject):
     # -- what the window asks for; all return at once ------------------------------------------------------------------
 
     def stop(self) -> None:
-        """Stop the doser and abort the run, if one goes on."""
+        """Stop the doser and abort the run, if one goes on; one that waits for a person's word is given up."""
+        if self._question is not None:
+            self.reopen()
         self._run_order = None
         self._stopper.press()
 
@@ -127,7 +131,7 @@ class RigHost(QObject):
     def configure(self, settings: CameraSettings) -> None:
         """Set the camera, while no run goes on."""
         self.camera_settings = settings
-        self._orders.put(lambda rig: rig.camera.configure(settings))
+        self._orders.put(self._configured)
 
     def clear_stop(self) -> None:
         """Let the doser move again."""
@@ -194,7 +198,7 @@ class RigHost(QObject):
     @property
     def in_motion(self) -> bool:
         """Whether a run, a dose or a calibration goes on, so that there is something to stop."""
-        return self._dosing() or self._run_order is not None
+        return self._dosing() or (self._run_order is not None and self._question is None)
 
     def look_away(self, away: bool) -> None:
         """Whether the window looks at something else than the camera's preview."""
@@ -255,13 +259,20 @@ class RigHost(QObject):
             self._guard = GuardedDoser(rig.doser, rig.limits, ledger, LedgerOnly(), "bench")
             opened.callback(self._leave)
             self.rig_opened.emit(description)
-            rig.camera.configure(self.camera_settings)
+            self._configured(rig)
             if self._pattern is not None and self._pattern.shape == rig.projector.shape:
                 rig.projector.show(self._pattern)
             self._set(RigState.IDLE)
             while not (ending.is_set() or self._wake.is_set()):
                 self._serve(rig)
                 self._preview(rig.camera)
+
+    def _configured(self, rig: Rig) -> None:
+        """Set the camera as was asked for last, and know what it has made of that: it may be able to do less."""
+        asked = self.camera_settings
+        taken = rig.camera.configure(asked)
+        if self.camera_settings == asked:  # nobody has asked for something else meanwhile
+            self.camera_settings = taken
 
     def _serve(self, rig: Rig) -> None:
         """What the window has asked for; what a device refuses is told and changes nothing else."""
@@ -353,8 +364,8 @@ class RigHost(QObject):
                 self._fit = self._runner = self._guard = None
         self._trouble = ""
         missing = unfitted(open_run(outcome.path))
-        if missing:
-            _log.warning("%s", missing.sentence(outcome.path))
+        if missing and outcome.reason is FinishReason.COMPLETED:
+            self.left_unfitted.emit(outcome.path, str(missing))
         self.run_ended.emit(outcome)
 
     def _heard(self, path: Path, event: "Event", _: "Pixels | None") -> None:
@@ -362,7 +373,7 @@ class RigHost(QObject):
 
         fit = self._fit
         if event.kind == "note" and event.get("warning"):
-            _log.warning("%s", event["text"])
+            self._tell(event["text"])
         photographs: list[Photograph] = []
         if event.kind == "fit" and fit is not None:
             found = from_fields(event.fields)

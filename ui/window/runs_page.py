@@ -42,6 +42,8 @@ class RunsPage(QWidget):
     resume_asked = Signal(object)
     """Path of a run."""
     open_asked = Signal(object)
+    deleted = Signal(object)
+    """Folder of a run that is in the trash."""
     told = Signal(str)
 
     def __init__(self, folder: Path, on_screen: OnScreen, background: Worker) -> None:
@@ -149,6 +151,7 @@ class RunsPage(QWidget):
         else:
             self._says.setText(f"{run.name} is in the trash.")
             self.on_screen.forget(run)
+            self.deleted.emit(run)
         self.refresh()
 
     def _keep_note(self) -> None:
@@ -183,7 +186,10 @@ class RunsPage(QWidget):
 
     def _list_refits(self) -> None:
         run = self.on_screen.source.recorded
-        self.refits.list_refits(self.on_screen.refits_of(run) if run is not None else [], self.on_screen.source)
+        found = self.on_screen.refits_of(run) if run is not None else []
+        self.refits.list_refits(found, self.on_screen.source)
+        if self._says.text() in [f"In work: {one.title}" for one in found]:
+            self._says.clear()
 
     def _work(self, name: str, work: Any, *arguments: Any, then: Any) -> None:
         self._says.setText(f"In work: {name}")

@@ -181,10 +181,15 @@ class SequenceDocument(QObject):
         if self._doubts != before:
             self.checked.emit()
 
-    def forget_doubts(self, about: str) -> None:
-        """Fields whose names begin so are gone, with what was typed in them."""
-        for field in [field for field in self._doubts if field.startswith(about)]:
+    def forget_doubts(self, about: str) -> list[str]:
+        """Fields whose names begin so are gone, with what was typed in them: what was wrong with it, in sentences."""
+        gone = {field: why for field, why in self._doubts.items() if field.startswith(about)}
+        for field in gone:
             self.doubt(field, "")
+        return [
+            f"{field}: {why}; what was typed is not taken, and the value before it stands"
+            for field, why in gone.items()
+        ]
 
     def take(self, text: str) -> None:
         """Have this text from now on; for the undo stack."""

@@ -216,7 +216,8 @@ class StepsEditor(QWidget):
         return list(found)
 
     def _show_form(self) -> None:
-        self._document.forget_doubts(DOUBTED)
+        for sentence in self._document.forget_doubts(DOUBTED):
+            self.refused.emit(sentence)
         place = self.place()
         table = None
         if place is not None:
