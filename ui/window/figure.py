@@ -48,7 +48,8 @@ def save_figure(widget: QWidget, path: Path) -> None:
         raise StoreError(f"{path}: cannot be written; choose another place")
     painter.fillRect(widget.rect(), widget.palette().window())
     widget.render(painter, QPoint())
-    painter.end()
+    if not painter.end():
+        raise StoreError(f"{path}: cannot be written to its end; free some space, or choose another place")
 
 
 def write_counts(path: Path, pixels: Pixels) -> Path:

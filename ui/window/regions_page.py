@@ -90,7 +90,7 @@ class RegionsPage(QWidget):
         for one in counted:
             drawn = names.get(one.region.name)
             if drawn in self._rows:
-                self._rows[drawn].child("now").setValue(f"{one.mean:.1f} ± {one.sd:.1f} counts")
+                self._rows[drawn].child("now").setValue(f"{one.mean:.1f} counts, scatter {one.sd:.1f}")
         if self.isVisible() and not self._of_run:
             self._draw_now(now)
 
