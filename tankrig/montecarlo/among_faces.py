@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.montecarlo.draws import draw, draw_azimuth, draw_scattered, scrambled, turning
-from tankrig.montecarlo.kernel_scene import KernelScene, departure, pixel_at, seen
+from tankrig.montecarlo.kernel_scene import KernelScene, Vector, departure, pixel_at, seen
 from tankrig.scene import Tank
 
 Image = NDArray[np.float64]
-Point = tuple[float, float, float]
 
 IMAGES = 5
 """Orders up to 1 by way of faces; then orders 2, 3, 4–20 and above 20, all of them."""
@@ -52,6 +51,16 @@ def kernel_faces(tank: Tank) -> KernelFaces:
     )
 
 
+class Scattered(NamedTuple):
+    """Light that water or a diffuse face scatters."""
+
+    way: Vector
+    """Direction in which it comes."""
+    matt: int
+    """The diffuse face, or −1."""
+    power: float
+
+
 @kernel
 def trace_among_faces(
     scene: KernelScene, faces: KernelFaces, beams: Image, powers: Image, photons: int, max_order: int,
@@ -83,7 +92,8 @@ def trace_among_faces(
                 absorbed += weight * (1.0 - scene.albedo)
                 weight *= scene.albedo
             kind = 0 if order < 2 else order - 1 if order < 4 else 3 if order <= 20 else 4
-            _show(scene, faces, place, way, matt, weight * per_photon, order >= 2 or by_face, images[kind])
+            light = Scattered(way, matt, weight * per_photon)
+            _show(scene, faces, place, light, order >= 2 or by_face, images[kind])
             if order >= max_order:
                 break
             if weight < LIGHT:
@@ -101,8 +111,8 @@ def trace_among_faces(
 
 @kernel
 def _flown(
-    scene: KernelScene, faces: KernelFaces, place: Point, way: Point, free: float, state: np.uint64
-) -> tuple[Point, Point, float, bool, int, np.uint64]:
+    scene: KernelScene, faces: KernelFaces, place: Vector, way: Vector, free: float, state: np.uint64
+) -> tuple[Vector, Vector, float, bool, int, np.uint64]:
     """Where a photon is after a free path, on its way from face to face; and what share of it is left.
 
     Returns
@@ -187,7 +197,7 @@ def _comes_back(faces: KernelFaces, face: int, normal: float) -> tuple[float, fl
 
 
 @part
-def _off(face: int, state: np.uint64) -> tuple[Point, np.uint64]:
+def _off(face: int, state: np.uint64) -> tuple[Vector, np.uint64]:
     """A direction off a diffuse face."""
     u, state = draw(state)
     a, b, state = draw_azimuth(state)
@@ -202,9 +212,8 @@ def _off(face: int, state: np.uint64) -> tuple[Point, np.uint64]:
 
 @kernel
 def _show(
-    scene: KernelScene, faces: KernelFaces, place: Point, way: Point, matt: int, power: float, directly: bool,
-    image: Image,
-) -> None:  # fmt: skip
+    scene: KernelScene, faces: KernelFaces, place: Vector, light: Scattered, directly: bool, image: Image
+) -> None:
     """Add what is scattered at a place, as the camera sees it directly and mirrored."""
     for i in range(-1, 2):  # mirrored in the face at x = 0, in none, at x = Lx
         if i != 0 and not (scene.camera_pinhole and _mirrors(faces, 0 if i < 0 else 1)):
@@ -219,10 +228,10 @@ def _show(
                     continue
                 at = (x, y, place[2] if k == 0 else -place[2])
                 if i != 0 or j != 0 or k != 0:
-                    _show_mirrored(scene, faces, at, i, j, k, True, way, matt, power, image)
-                    _show_mirrored(scene, faces, at, i, j, k, False, way, matt, power, image)
+                    _show_mirrored(scene, faces, at, (i, j, k), True, light, image)
+                    _show_mirrored(scene, faces, at, (i, j, k), False, light, image)
                 elif directly:
-                    _show_mirrored(scene, faces, at, i, j, k, False, way, matt, power, image)
+                    _show_mirrored(scene, faces, at, (i, j, k), False, light, image)
 
 
 @part
@@ -232,10 +241,16 @@ def _mirrors(faces: KernelFaces, face: int) -> bool:
 
 @kernel
 def _show_mirrored(
-    scene: KernelScene, faces: KernelFaces, at: Point, i: int, j: int, k: int, outer: bool, way: Point, matt: int,
-    power: float, image: Image,
+    scene: KernelScene, faces: KernelFaces, at: Vector, mirrored: tuple[int, int, int], outer: bool, light: Scattered,
+    image: Image,
 ) -> None:  # fmt: skip
-    """One mirror image; by way of a pane's outer side, or of what its inner side sends back at once."""
+    """One mirror image; by way of a pane's outer side, or of what its inner side sends back at once.
+
+        power · R · p(cos θ) e^{−σt path} T J,   R what the faces send back (see `seen`)
+
+    Of `mirrored` each number says at which face across x, y and z, if it is not 0.
+    """
+    (i, j, k), (way, matt, power) = mirrored, light
     px, py, vx, vy, vz, path, factor = seen(scene, at[0], at[1], at[2])
     share, at_once, moved = 1.0, 1.0, at
     for face in ((0 if i < 0 else 1) if i != 0 else -1, (2 if j < 0 else 3) if j != 0 else -1, 4 if k == 1 else -1):

@@ -10,6 +10,8 @@ from tankrig.geometry.optics import reflectance
 from tankrig.montecarlo.draws import turning
 from tankrig.montecarlo.kernel_scene import (
     KernelScene,
+    Ray,
+    Vector,
     beam_table,
     departure,
     kernel_scene,
@@ -118,11 +120,13 @@ def _light_ray(
         centre_z, half_z = _cut(level, half_level, 0.0, height)
         if half_z > 0.0:
             share = scattered * half_z / half_level
-            _show_cell(scene, ux * distance, centre_y, centre_z, ux, uy, uz, half * ux, half_y, half_z, share, image)
+            ray = Ray(ux * distance, centre_y, centre_z, ux, uy, uz)
+            _show_cell(scene, ray, (half * ux, half_y, half_z), share, image)
         centre_z, half_z = _cut(2.0 * height - level, half_level, 0.0, height)
         if mirrored > 0.0 and half_z > 0.0:
             share = mirrored * scattered * half_z / half_level
-            _show_cell(scene, ux * distance, centre_y, centre_z, ux, uy, -uz, half * ux, half_y, half_z, share, image)
+            ray = Ray(ux * distance, centre_y, centre_z, ux, uy, -uz)
+            _show_cell(scene, ray, (half * ux, half_y, half_z), share, image)
 
 
 @kernel
@@ -145,21 +149,13 @@ def _cut(centre: float, half: float, low: float, high: float) -> tuple[float, fl
 
 
 @kernel
-def _show_cell(
-    scene: KernelScene,
-    x: float,
-    y: float,
-    z: float,
-    ux: float,
-    uy: float,
-    uz: float,
-    half_x: float,
-    half_y: float,
-    half_z: float,
-    scattered: float,
-    image: NDArray[np.float64],
-) -> None:
-    """Add what a lit cell scatters towards the camera."""
+def _show_cell(scene: KernelScene, ray: Ray, half: Vector, scattered: float, image: NDArray[np.float64]) -> None:
+    """Add what a lit cell of half-widths `half` about a ray's point scatters towards the camera.
+
+    It is scattered · p(cos θ) T J e^{−σt path} sinh(τ)/τ, with τ = σt Δz/2v_z for the path's mean over its height.
+    """
+    x, y, z, ux, uy, uz = ray
+    half_x, half_y, half_z = half
     px, py, vx, vy, vz, path, factor = seen(scene, x, y, z)
     if factor == 0.0:
         return

@@ -22,6 +22,32 @@ Nine = tuple[float, ...]
 NOTHING: Nine = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
+Vector = tuple[float, float, float]
+
+
+class Ray(NamedTuple):
+    """Light at a point of the water and the direction it travels in, a unit vector; mm."""
+
+    x: float
+    y: float
+    z: float
+    ux: float
+    uy: float
+    uz: float
+
+
+class Flight(NamedTuple):
+    """How far a ray goes."""
+
+    first: float
+    """Distance to the first wall, mm."""
+    reflected: float
+    """Fraction of the light that arrives there and is reflected; 0 unless it is a Fresnel surface."""
+    second: float
+    """Distance from the surface to the black wall that the reflected light meets; 0 where nothing is reflected. It
+    never meets the surface again, because it travels down."""
+
+
 class KernelScene(NamedTuple):
     """A scene without its beams: numbers only, which pass from kernel to kernel in registers. Lengths in mm."""
 
@@ -146,26 +172,14 @@ def _to_wall(position: float, direction: float, low: float, high: float) -> floa
 
 
 @part
-def flight(
-    scene: KernelScene, x: float, y: float, z: float, ux: float, uy: float, uz: float
-) -> tuple[float, float, float]:
-    """How far a ray goes: to the first wall, and on from there if that is the water surface, which reflects.
-
-    Returns
-    -------
-    first
-        Distance to the first wall, mm.
-    reflected
-        Fraction of the light that arrives there and is reflected; 0 unless it is a Fresnel surface.
-    second
-        Distance from the surface to the black wall that the reflected light meets; 0 where nothing is reflected.
-        It never meets the surface again, because it travels down.
-    """
+def flight(scene: KernelScene, ray: Ray) -> Flight:
+    """How far a ray goes: to the first wall, and on from there if that is the water surface, which reflects."""
+    x, y, z, ux, uy, uz = ray
     sideways = min(_to_wall(x, ux, 0.0, scene.length), _to_wall(y, uy, -scene.half_width, scene.half_width))
     upright = _to_wall(z, uz, 0.0, scene.height)
     if uz <= 0.0 or upright >= sideways or scene.refractive_index == 1.0:
-        return min(sideways, upright), 0.0, 0.0
-    return upright, reflectance(uz, scene.refractive_index), min(sideways - upright, scene.height / uz)
+        return Flight(min(sideways, upright), 0.0, 0.0)
+    return Flight(upright, reflectance(uz, scene.refractive_index), min(sideways - upright, scene.height / uz))
 
 
 @part

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.montecarlo.draws import turning
-from tankrig.montecarlo.kernel_scene import KernelScene, pixel_at, seen
+from tankrig.montecarlo.kernel_scene import Flight, KernelScene, Ray, pixel_at, seen
 
 CLASSES = 4
 """Orders 2, 3, 4–20 and above 20; order 1 needs no photons."""
@@ -19,43 +19,20 @@ POINTS_UPRIGHT, POINTS_PINHOLE = 32, 6
 
 @part
 def score_flight(
-    scene: KernelScene,
-    x: float,
-    y: float,
-    z: float,
-    ux: float,
-    uy: float,
-    uz: float,
-    first: float,
-    reflected: float,
-    second: float,
-    weight: float,
-    order: int,
-    u: float,
-    images: NDArray[np.float64],
+    scene: KernelScene, ray: Ray, flight: Flight, weight: float, order: int, u: float, images: NDArray[np.float64]
 ) -> None:
     """Show a flight to the camera: its stretch to the first wall and, behind a Fresnel surface, the reflected one."""
-    _show_stretch(scene, x, y, z, ux, uy, uz, first, weight, order, u, images)
+    first, reflected, second = flight
+    _show_stretch(scene, ray, first, weight, order, u, images)
     if reflected > 0.0:
         weight *= reflected * math.exp(-scene.sigma_t * first)
-        x, y = x + ux * first, y + uy * first
-        _show_stretch(scene, x, y, scene.height, ux, uy, -uz, second, weight, order, u, images)
+        below = Ray(ray.x + ray.ux * first, ray.y + ray.uy * first, scene.height, ray.ux, ray.uy, -ray.uz)
+        _show_stretch(scene, below, second, weight, order, u, images)
 
 
 @kernel
 def _show_stretch(
-    scene: KernelScene,
-    x: float,
-    y: float,
-    z: float,
-    ux: float,
-    uy: float,
-    uz: float,
-    length: float,
-    weight: float,
-    order: int,
-    u: float,
-    images: NDArray[np.float64],
+    scene: KernelScene, ray: Ray, length: float, weight: float, order: int, u: float, images: NDArray[np.float64]
 ) -> None:
     """Add the expected value of the next collision's estimate, ∫ weight σs e^{−σt s} p(cos θ) … ds, by a few points s.
 
@@ -70,7 +47,7 @@ def _show_stretch(
     weight *= scene.albedo
     shown = 0
     if not scene.camera_pinhole:
-        _show_upright(scene, x, y, z, ux, uy, uz, points, u, step, weight * scene.sigma_t * step, kind, images)
+        _show_upright(scene, ray, points, u, step, weight * scene.sigma_t * step, kind, images)
         shown = points
     for point in range(shown, points + (1 if length > near else 0)):
         distance, scattered = (point + u) * step, weight * scene.sigma_t * step
@@ -78,24 +55,15 @@ def _show_stretch(
             here, there = math.exp(-NEAR), math.exp(-scene.sigma_t * length)
             left = here - u * (here - there)
             distance, scattered = -math.log(left) / scene.sigma_t, weight * (here - there) / left
-        _show_point(scene, x, y, z, ux, uy, uz, distance, scattered, kind, images)
+        _show_point(scene, ray, distance, scattered, kind, images)
 
 
 @part
 def _show_point(
-    scene: KernelScene,
-    x: float,
-    y: float,
-    z: float,
-    ux: float,
-    uy: float,
-    uz: float,
-    distance: float,
-    scattered: float,
-    kind: int,
-    images: NDArray[np.float64],
+    scene: KernelScene, ray: Ray, distance: float, scattered: float, kind: int, images: NDArray[np.float64]
 ) -> None:
-    """Add what one point of a stretch sends to the camera; `scattered` leaves out the attenuation on the way to it."""
+    """Add what one point of a stretch sends to the camera, `scattered` p(cos θ) e^{−σt (s + path)} T J (see `seen`)."""
+    x, y, z, ux, uy, uz = ray
     px, py, vx, vy, vz, path, factor = seen(scene, x + ux * distance, y + uy * distance, z + uz * distance)
     across, along = pixel_at(scene, px, py)
     column, row = int(across), int(along)
@@ -106,21 +74,11 @@ def _show_point(
 
 @part
 def _show_upright(
-    scene: KernelScene,
-    x: float,
-    y: float,
-    z: float,
-    ux: float,
-    uy: float,
-    uz: float,
-    points: int,
-    u: float,
-    step: float,
-    scattered: float,
-    kind: int,
+    scene: KernelScene, ray: Ray, points: int, u: float, step: float, scattered: float, kind: int,
     images: NDArray[np.float64],
-) -> None:
+) -> None:  # fmt: skip
     """`_show_point` for evenly spaced points under an orthographic camera, where each is a constant times the last."""
+    x, y, z, ux, uy, uz = ray
     _, _, _, _, _, path, factor = seen(scene, x, y, z)
     slope = scene.sigma_t * (1.0 - uz) * step
     value = scattered * factor * turning(uz, scene.phase) * math.exp(-scene.sigma_t * path - u * slope)

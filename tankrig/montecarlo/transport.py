@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.montecarlo.draws import AnyTable, draw, draw_scattered, draw_turn, scrambled, turning
-from tankrig.montecarlo.kernel_scene import KernelScene, departure, flight, seen
+from tankrig.montecarlo.kernel_scene import Flight, KernelScene, Ray, Vector, departure, flight, seen
 from tankrig.montecarlo.tally import score_flight
 from tankrig.scene.phase import henyey_greenstein
 
@@ -75,13 +75,14 @@ def trace(
         weight, share, order = 1.0, 1.0, 0
         while True:
             order += 1
-            first, reflected, second = flight(scene, x, y, z, ux, uy, uz)
+            ray = Ray(x, y, z, ux, uy, uz)
+            flown = flight(scene, ray)
             if order > 1:
                 u, state = draw(state)
                 v, state = draw(state)
                 power = weight * share * radiance
-                score_flight(scene, x, y, z, ux, uy, uz, first, reflected, second, power, order, u, images)
-            before, around, collided = _chances(scene, first, reflected, second)
+                score_flight(scene, ray, flown, power, order, u, images)
+            before, around, collided = _chances(scene, flown)
             escaped += weight * (1.0 - collided)
             absorbed += weight * collided * (1.0 - scene.albedo)
             weight *= collided * scene.albedo
@@ -92,27 +93,27 @@ def trace(
                 if u * LIGHT >= weight:
                     break
                 weight = LIGHT
-            distance = _distance(scene, first, second, before, around, v * collided)
+            distance = _distance(scene, flown, before, around, v * collided)
             x, y, z = x + ux * distance, y + uy * distance, z + uz * distance
-            if distance > first:
+            if distance > flown.first:
                 z, uz = 2.0 * scene.height - z, -uz
             bias, vx, vy, vz = 0.0, 0.0, 0.0, 1.0
             if lobes:
                 _, _, vx, vy, vz, _, _ = seen(scene, x, y, z)
                 bias = TOWARD_CAMERA if weight < HEAVY else 0.0
                 wx, wy, wz, state = draw_turn(vx, vy, vz, scene.phase.g, state)
-                phase, lobe, drawn = _densities(ux, uy, uz, vx, vy, vz, wx, wy, wz, scene.phase, bias)
+                phase, lobe, drawn = _densities((ux, uy, uz), (vx, vy, vz), (wx, wy, wz), scene.phase, bias)
                 u, state = draw(state)
-                first, reflected, second = flight(scene, x, y, z, wx, wy, wz)
+                probe = Ray(x, y, z, wx, wy, wz)
                 power = weight * phase / (drawn + lobe) * radiance
-                score_flight(scene, x, y, z, wx, wy, wz, first, reflected, second, power, order + 1, u, images)
+                score_flight(scene, probe, flight(scene, probe), power, order + 1, u, images)
             u, state = draw(state)
             if u < bias:
                 wx, wy, wz, state = draw_turn(vx, vy, vz, scene.phase.g, state)
             else:
                 wx, wy, wz, state = draw_scattered(ux, uy, uz, scene.phase, state)
             if lobes:
-                phase, lobe, drawn = _densities(ux, uy, uz, vx, vy, vz, wx, wy, wz, scene.phase, bias)
+                phase, lobe, drawn = _densities((ux, uy, uz), (vx, vy, vz), (wx, wy, wz), scene.phase, bias)
                 weight *= phase / drawn
                 share = drawn / (drawn + lobe)
             ux, uy, uz = wx, wy, wz
@@ -136,8 +137,9 @@ def _start(beams: NDArray[np.float64], powers: NDArray[np.float64], a: float, b:
 
 
 @part
-def _chances(scene: KernelScene, first: float, reflected: float, second: float) -> tuple[float, float, float]:
+def _chances(scene: KernelScene, flown: Flight) -> tuple[float, float, float]:
     """Shares of a flight's light that collide before its first wall, that get round it, and that collide at all."""
+    first, reflected, second = flown
     before = 1.0 - math.exp(-scene.sigma_t * first)
     around = reflected * (1.0 - before)
     if around == 0.0:
@@ -146,29 +148,20 @@ def _chances(scene: KernelScene, first: float, reflected: float, second: float) 
 
 
 @part
-def _distance(scene: KernelScene, first: float, second: float, before: float, around: float, share: float) -> float:
+def _distance(scene: KernelScene, flown: Flight, before: float, around: float, share: float) -> float:
     """Distance by which `share` of a flight's light has collided."""
     if share < before or around == 0.0:
-        return min(-math.log(1.0 - share) / scene.sigma_t, first)
+        return min(-math.log(1.0 - share) / scene.sigma_t, flown.first)
     left = max(1.0 - (share - before) / around, 1e-17)
-    return first + min(-math.log(left) / scene.sigma_t, second)
+    return flown.first + min(-math.log(left) / scene.sigma_t, flown.second)
 
 
 @part
-def _densities(
-    ux: float,
-    uy: float,
-    uz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    wx: float,
-    wy: float,
-    wz: float,
-    table: AnyTable,
-    bias: float,
-) -> tuple[float, float, float]:
-    """Of direction w, per sr: phase function from u, lobe about the camera's v, and the mixture that a photon draws."""
-    phase = turning(ux * wx + uy * wy + uz * wz, table)
-    lobe = henyey_greenstein(vx * wx + vy * wy + vz * wz, table.g)
+def _densities(u: Vector, v: Vector, w: Vector, table: AnyTable, bias: float) -> tuple[float, float, float]:
+    """Of direction w, per sr: phase function from u, lobe about the camera's v, and the mixture that a photon draws.
+
+    p(u·w), h(v·w), and (1 − bias) p + bias h.
+    """
+    phase = turning(u[0] * w[0] + u[1] * w[1] + u[2] * w[2], table)
+    lobe = henyey_greenstein(v[0] * w[0] + v[1] * w[1] + v[2] * w[2], table.g)
     return phase, lobe, (1.0 - bias) * phase + bias * lobe
