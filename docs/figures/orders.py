@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from tankrig.light.double import double_scattering
+from tankrig.light.paths.block import PathLimits
+from tankrig.light.paths.lattices import THINNING
 from tankrig.light.single import single_scattering
 from tankrig.light.tank import CellGrid, traced
 from tankrig.scene import Medium, Scene, load_scene
@@ -38,7 +40,8 @@ def errors(scene: Scene, batches: int) -> NDArray[np.float64]:
     """Relative L2 error of the sums of orders 1 … n, n = 1 … `HIGHEST`."""
     grid = CellGrid.of(scene)
     bins = np.arange(HIGHEST + 2)  # the last holds all orders above
-    images = np.mean([traced(scene, grid, (0, batch), 1_000_000, FAINTEST, bins) for batch in range(batches)], axis=0)
+    limits = PathLimits(1_000_000, FAINTEST, THINNING)
+    images = np.mean([traced(scene, grid, (0, batch), bins, limits) for batch in range(batches)], axis=0)
     images = np.array([grid.to_pixels(image) for image in images])
     images[1], images[2] = single_scattering(scene), double_scattering(scene)
     sums = np.cumsum(images[1:], axis=0)

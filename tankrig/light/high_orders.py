@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from tankrig.light.paths.block import LARGE, SMALL, TURNS
+from tankrig.light.paths.block import LARGE, SMALL, TURNS, PathLimits
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import THINNING, Groups, traced
 from tankrig.light.paths.record import CLASSES, GROUPS, Bins
@@ -164,14 +164,14 @@ def high_orders(
     reflecting = not scene.tank.faces.dark
 
     def image_of(number: int) -> Array:
-        images = traced(scene, grid, (seed, number), highest, FAINTEST, bins, lattice, thinning, turns)
+        images = traced(scene, grid, (seed, number), bins, PathLimits(highest, FAINTEST, thinning, turns), lattice)
         if reflecting:
             images = _with_walls(images, scene, grid, (seed, number), highest)
         return grid.folded(images)
 
     def low_image_of(number: int) -> Array:
-        of = seed, LOW_ONLY + number
-        return grid.folded(traced(scene, grid, of, tail.above if tail else 0, FAINTEST, bins, lattice, thinning))[:2]
+        limits = PathLimits(tail.above if tail else 0, FAINTEST, thinning)
+        return grid.folded(traced(scene, grid, (seed, LOW_ONLY + number), bins, limits, lattice))[:2]
 
     groups, low_groups, every = Groups(image_of), Groups(low_image_of), 1
     plain = tail is None and grid.shiftable and not reflecting

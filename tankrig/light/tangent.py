@@ -11,9 +11,9 @@ from scipy.ndimage import gaussian_filter
 from tankrig.light.double import double_scattering
 from tankrig.light.double.image import table_error
 from tankrig.light.high_orders import FAINTEST, LOST_USUALLY, MOST_ORDERS
-from tankrig.light.paths.block import LARGE, SMALL, Lattice
+from tankrig.light.paths.block import LARGE, SMALL, Lattice, PathLimits
 from tankrig.light.paths.cells import CellGrid
-from tankrig.light.paths.lattices import Groups, traced
+from tankrig.light.paths.lattices import THINNING, Groups, traced
 from tankrig.light.paths.record import Bins
 from tankrig.light.paths.smoothing import FEWEST, averaged, smoothed
 from tankrig.light.paths.tangents import traced_tangents
@@ -131,7 +131,7 @@ def tank_accurate(scene: Scene, paths: int, seed: int = 0, max_order: int | None
     count = max(FEWEST_APART, math.ceil(paths / SMALL.points))
 
     def followed(number: int) -> Array:
-        found = traced(scene, grid, (seed, number), highest, FAINTEST, ONE_BIN, SMALL)
+        found = traced(scene, grid, (seed, number), ONE_BIN, PathLimits(highest, FAINTEST, THINNING), SMALL)
         return np.asarray(grid.folded(found)[0])
 
     groups = Groups(lambda number: followed(number)[None])

@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
@@ -23,6 +24,7 @@ from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.harmonics import degrees, fill_harmonics, harmonics, parities, products, sphere
+from tankrig.light.quadrature import Rule
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
@@ -195,27 +197,34 @@ def _octant(
     """
     double = 2 * degree
     radius = NEAR_CELLS * max(size_mm)
+    straight = _StraightLight(size_mm, sigma_t, index, radius)
     result = np.zeros(((double + 1) ** 2, *counts))
     with ThreadPoolExecutor(THREADS) as pool:
-        list(
-            pool.map(
-                lambda part: _fill_far(result, double, size_mm, sigma_t, index, radius, part, THREADS), range(THREADS)
-            )
-        )
+        list(pool.map(lambda part: _fill_far(result, double, straight, part, THREADS), range(THREADS)))
     directions, weights = sphere(24, octant=True)
     nodes, lengths = np.polynomial.legendre.leggauss(16)
     reach = [math.ceil(radius / side) + 2 for side in size_mm]
     near = np.zeros((len(result), *reach))
-    _fill_near(
-        near, harmonics(double, directions), directions, weights, 0.5 * radius * (nodes + 1.0), 0.5 * radius * lengths,
-        size_mm, sigma_t, index, radius,
-    )  # fmt: skip
+    along = 0.5 * radius * (nodes + 1.0), 0.5 * radius * lengths
+    _fill_near(near, harmonics(double, directions), (directions, weights), along, straight)
     for axis, signs in enumerate(parities(double), start=1):
         # What the other octants leave on a plane of symmetry.
         np.moveaxis(near, axis, 0)[0] *= 1.0 + signs[:, None, None]
     reached = tuple(slice(0, min(m, n)) for m, n in zip(near.shape[1:], counts, strict=True))
     result[(slice(None), *reached)] += near[(slice(None), *reached)]
     return result
+
+
+class _StraightLight(NamedTuple):
+    """The kernel e^{−σt r}/r² on cells, times what the surface sends back."""
+
+    size_mm: tuple[float, float, float]
+    """Sides of the cells."""
+    sigma_t: float
+    index: float
+    """Refractive index that the surface shows; 0 for light that does not meet it."""
+    radius: float
+    """Within which the kernel is integrated in spherical coordinates, mm."""
 
 
 @part
@@ -230,11 +239,9 @@ def _window(squared: float) -> float:
 
 
 @kernel
-def _fill_far(
-    result: Array, degree: int, size_mm: tuple[float, float, float], sigma_t: float, index: float, radius: float,
-    part: int, parts: int,
-) -> None:  # fmt: skip
-    """One of so many parts of the displacements along x."""
+def _fill_far(result: Array, degree: int, straight: _StraightLight, part: int, parts: int) -> None:
+    """Y_c(r̂) R e^{−σt r}/r² (1 − window) times a cell's volume, for one of so many parts of the places along x."""
+    size_mm, sigma_t, index, radius = straight
     values = np.empty(result.shape[0])
     volume = size_mm[0] * size_mm[1] * size_mm[2]
     offset = math.sqrt(1.0 / 6.0)  # in cells: a two-point rule for the displacements between two cells' points
@@ -254,11 +261,24 @@ def _fill_far(
 
 
 @kernel
-def _fill_near(
-    near: Array, table: Array, directions: Array, weights: Array, radii: Array, lengths: Array,
-    size_mm: tuple[float, float, float], sigma_t: float, index: float, radius: float,
-) -> None:  # fmt: skip
-    """Leave points of one octant on the nodes around them."""
+def _fill_near(near: Array, table: Array, around: Rule, along: Rule, straight: _StraightLight) -> None:
+    """∫ dω ∫ dr Y_c(r̂) R e^{−σt r} window over one octant, its points left on the nodes around them.
+
+    Parameters
+    ----------
+    near
+        (harmonics, nx, ny, nz), added to.
+    table
+        (directions, harmonics) their values.
+    around
+        (n, 3) directions of the octant, and their weights.
+    along
+        Radii in mm, and their weights.
+    straight
+        The kernel.
+    """
+    (directions, weights), (radii, lengths) = around, along
+    size_mm, sigma_t, index, radius = straight
     for n in range(directions.shape[0]):
         for q in range(radii.size):
             r = radii[q]

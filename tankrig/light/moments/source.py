@@ -12,18 +12,21 @@ from tankrig.light.moments.harmonics import degrees, fill_harmonics
 from tankrig.light.paths.block import (
     BLOCK,
     LARGE,
+    Block,
     PathSampling,
+    Points,
+    Step,
     alive,
     begin,
     begin_at_origin,
-    draw_flight,
+    draw_step,
     empty_block,
 )
 from tankrig.light.paths.record import column_of, image_of_edges
 from tankrig.light.paths.trace import advance, narrow, scatter
 from tankrig.light.rays import Geometry, geometry_of
+from tankrig.light.water import Water, water_of
 from tankrig.scene import Scene
-from tankrig.scene.phase_table import PhaseRecord
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
@@ -61,17 +64,14 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
     across, along, up = cells.counts
 
     def batch(number: int) -> Array:
-        shifted = LARGE.shifted((seed, number))
+        water, points = water_of(medium), Points(LARGE.shifted((seed, number)), LARGE.points)
         total = np.zeros((moments, up, along, across))
         for z_mm in sorted({beam.z_mm for beam in scene.projector.beams}):
             beams = np.array(
                 [(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in scene.projector.beams if beam.z_mm == z_mm]
             )
             edges = np.zeros((up, 2, along + 2, across + 2, moments))
-            _follow(
-                edges, geometry, cells.size_mm, medium.sigma_t, medium.albedo, medium.phase_function.record, beams,
-                shifted, LARGE.points, order, degree,
-            )  # fmt: skip
+            _follow(edges, cells.size_mm, geometry, water, beams, points, order, degree)
             averages = image_of_edges(np.moveaxis(edges, -1, 0), medium.sigma_t, cells.size_mm[0])
             total += averages * ((z_mm[1] - z_mm[0]) / LARGE.points)
         return total
@@ -85,26 +85,27 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
 
 @kernel
 def _follow(
-    edges: Array, geometry: Geometry, cell_mm: tuple[float, float, float], sigma_t: float, albedo: float,
-    phase: PhaseRecord,
-    beams: Array, lattice: Array, points: int, last: int, degree: int,
+    edges: Array, cell_mm: tuple[float, float, float], geometry: Geometry, water: Water, beams: Array,
+    points: Points, last: int, degree: int,
 ) -> None:  # fmt: skip
     """Follow paths to their scattering number `last` and record weight · Y_lm of their direction before it.
 
     `edges` is (nz, 2, ny + 2, nx + 2, moments); `beams` (n, 5): y low, y high, z low, z high, irradiance.
     """
-    sampling = PathSampling(sigma_t, albedo, phase, False, 0.0)
+    lattice, count = points
+    sampling = PathSampling(water.sigma_t, water.albedo, water.phase, False, 0.0)
     block, values = empty_block(), np.empty((degree + 1) ** 2)
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    for start in range(0, points, BLOCK):
-        n = min(BLOCK, points - start)
+    for start in range(0, count, BLOCK):
+        n = min(BLOCK, count - start)
         begin_at_origin(block, n, start, geometry, sampling, beams, lattice)
         begin(block, n, start, sampling, lattice, 0.0)
         for order in range(1, last):
             dimension = 1 + (order - 1) * FLIGHT_COORDINATES
-            draw_flight(u, v, w, block.point, n, dimension, lattice)
-            scatter(block, u, v, n, sampling, order, 1.0)
-            advance(block, w, n, geometry, sampling)
+            step = Step(order, 1.0, u, v, w)
+            draw_step(step, block.point, n, dimension, lattice)
+            scatter(block, step, n, sampling)
+            advance(block, step, n, geometry, sampling)
             narrow(block, n, geometry)
             n = alive(block, n, True)
         for i in range(n):
@@ -112,18 +113,18 @@ def _follow(
                 layer = min(max(math.floor(block.z[i] / cell_mm[2]), 0), edges.shape[0] - 1)
                 fill_harmonics(degree, block.dx[i], block.dy[i], block.dz[i], values)
                 values *= block.weight[i]
-                _record(
-                    edges[layer], values, sigma_t, block.x[i], block.y[i] + geometry.half_width, block.x_low[i],
-                    block.x_high[i], block.y_low[i], block.y_high[i], beams, cell_mm[0], cell_mm[1],
-                )  # fmt: skip
+                _record(edges[layer], values, block, i, geometry.half_width, sampling.sigma_t, beams, cell_mm)
 
 
 @part
 def _record(
-    edges: Array, values: Array, sigma_t: float, x: float, y: float, x_low: float, x_high: float, y_low: float,
-    y_high: float, beams: Array, cell_x: float, cell_y: float,
+    edges: Array, values: Array, block: Block, i: int, half_width: float, sigma_t: float, beams: Array,
+    cell_mm: tuple[float, float, float],
 ) -> None:  # fmt: skip
-    """`tally_rectangles` for all moments at once; `y` counts from the tank's side."""
+    """`tally_rectangles` for all moments of one path at once."""
+    x, y = block.x[i], block.y[i] + half_width
+    x_low, x_high, y_low, y_high = block.x_low[i], block.x_high[i], block.y_low[i], block.y_high[i]
+    cell_x, cell_y, _ = cell_mm
     for side in range(2):
         start = x_low if side == 0 else x_high
         column, here, there = column_of(start, x, sigma_t, 1.0 if side == 0 else -1.0, cell_x)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.light.elementary import circle, log_one_minus, one_minus_exponential
-from tankrig.light.rays import Geometry, light_ray
+from tankrig.light.rays import Geometry, Ray, light_ray
 from tankrig.scene.phase_table import PhaseRecord
 
 Array = NDArray[np.float64]
@@ -120,12 +120,14 @@ def scattered(
 
 @part
 def fly(
-    walls: tuple[float, float, float, float], height: float, index: float, sigma_t: float,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, u: float,
-) -> tuple[float, float, float, float, float]:  # fmt: skip
+    walls: tuple[float, float, float, float], height: float, index: float, sigma_t: float, ray: Ray, u: float
+) -> tuple[float, float, float, float, float]:
     """The next collision inside the tank.
 
-    A Fresnel surface sends light back with R(ξ); the way goes on below it.
+    It collides after the way s with the density σt e^{−σt s}; a Fresnel surface sends light back with R(ξ), and the way
+    goes on below it. With a the way to the first wall, and b the way on from the surface to the next,
+
+        chance = (1 − e^{−σt a}) + R e^{−σt a} (1 − e^{−σt b}).
 
     Parameters
     ----------
@@ -135,7 +137,7 @@ def fly(
         Of the surface: z, and the refractive index that it shows.
     sigma_t
         Extinction, 1/mm.
-    x, y, z, dx, dy, dz
+    ray
         Where the light is and its direction.
     u
         Coordinate in [0, 1) that picks the place.
@@ -145,6 +147,7 @@ def fly(
     x, y, z, dz, chance
         Where it collides, its vertical direction there, and the chance that it collides inside.
     """
+    x, y, z, dx, dy, dz = ray
     ux = dx if abs(dx) > 1e-12 else 1e-12
     uy = dy if abs(dy) > 1e-12 else 1e-12
     uz = dz if abs(dz) > 1e-12 else 1e-12
@@ -245,6 +248,38 @@ class PathSampling(NamedTuple):
     """Share of the paths that turn at one given order."""
 
 
+class Step(NamedTuple):
+    """A new direction and a flight of all paths of a block: which step it is, and what it is drawn by."""
+
+    order: int
+    remaining: float
+    """Share of the paths that have not turned before it."""
+    u: Array
+    """Coordinates in [0, 1): two of a direction, and one of a flight's length."""
+    v: Array
+    w: Array
+
+
+class PathLimits(NamedTuple):
+    """How far paths are followed, how many of them, and where they turn."""
+
+    max_order: int
+    """Highest order to follow."""
+    faintest: float
+    """Share of its starting weight below which a path ends by chance, and stands for others where it doesn't."""
+    first_thinning: int
+    """From this order on, every doubling of the order halves the paths: later orders are smoother."""
+    turns: int = TURNS
+    """Paths that turn to the camera do so at one of this many first scatterings."""
+
+
+class Points(NamedTuple):
+    """The first points of a shifted lattice, as `Lattice.shifted` gives it."""
+
+    lattice: Array
+    count: int
+
+
 @part
 def turns_at(order: int, sampling: PathSampling) -> bool:
     """Whether some paths turn at this order."""
@@ -295,7 +330,7 @@ def begin_on_beams(
         y0, z0 = block.y[i], block.z[i]
         dx, dy, dz = light_ray(geometry, y0, z0)
         block.x[i], block.y[i], block.z[i], dz, chance = fly(
-            walls, geometry.height, geometry.refractive_index, sampling.sigma_t, 0.0, y0, z0, dx, dy, dz,
+            walls, geometry.height, geometry.refractive_index, sampling.sigma_t, Ray(0.0, y0, z0, dx, dy, dz),
             coordinate(first + i, 2, lattice),
         )  # fmt: skip
         block.dx[i], block.dy[i], block.dz[i] = dx, dy, dz
@@ -377,11 +412,11 @@ def going_on(block: Block, n: int, order: int, first_thinning: int, lattice: Arr
 
 
 @kernel
-def draw_flight(u: Array, v: Array, w: Array, points: Array, n: int, dimension: int, lattice: Array) -> None:
-    """Three coordinates of all paths, from one on: two of a direction and one of a flight's length."""
-    _draw(u, points, n, dimension, lattice)
-    _draw(v, points, n, dimension + 1, lattice)
-    _draw(w, points, n, dimension + 2, lattice)
+def draw_step(step: Step, points: Array, n: int, dimension: int, lattice: Array) -> None:
+    """Three coordinates of all paths, from one on."""
+    _draw(step.u, points, n, dimension, lattice)
+    _draw(step.v, points, n, dimension + 1, lattice)
+    _draw(step.w, points, n, dimension + 2, lattice)
 
 
 @kernel

@@ -6,11 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.paths.block import LARGE, TURNS, Lattice
+from tankrig.light.paths.block import LARGE, Lattice, PathLimits, Points
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.record import Bins, image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, sight_line
+from tankrig.light.water import water_of
 from tankrig.scene import Scene
 from tankrig.threads import THREADS
 
@@ -87,9 +88,8 @@ class Groups:
 
 
 def traced(
-    scene: Scene, grid: CellGrid, seed: tuple[int, int], max_order: int, faintest: float, bins: Bins,
-    lattice: Lattice = LARGE, thinning: int = THINNING, turns: int = TURNS,
-) -> Array:  # fmt: skip
+    scene: Scene, grid: CellGrid, seed: tuple[int, int], bins: Bins, limits: PathLimits, lattice: Lattice = LARGE
+) -> Array:
     """Images of one shifted lattice of paths, W/mm²/sr.
 
     Parameters
@@ -100,18 +100,12 @@ def traced(
         Cells over the tank's surface.
     seed
         Of the lattice's shift.
-    max_order
-        Highest order to follow.
-    faintest
-        Share of its weight at which a path ends.
     bins
         Index of the image that each order goes to.
+    limits
+        How far paths are followed.
     lattice
         Of the paths.
-    thinning
-        Order from which every doubling of the order halves the paths.
-    turns
-        Paths that turn to the camera do so at one of this many first scatterings.
 
     Returns
     -------
@@ -119,7 +113,7 @@ def traced(
     """
     images = int(bins.max()) + 1
     medium, geometry = scene.medium, geometry_of(scene)
-    points, shifted = lattice.points, lattice.shifted(seed)
+    water, points = water_of(medium), Points(lattice.shifted(seed), lattice.points)
     shiftable = grid.shiftable
     edges = np.zeros((images, 2, grid.rows + 2, grid.columns + 2))
     cells = np.zeros((images, grid.rows, grid.columns))
@@ -134,15 +128,11 @@ def traced(
         )
         if z_mm is not None:
             edges[:] = 0.0
-        trace(
-            cells if z_mm is None else edges, bins, geometry, grid.cell_mm,
-            medium.sigma_t, medium.albedo, medium.phase_function.record, table, shifted, 0, points, max_order,
-            faintest, thinning, turns,
-        )  # fmt: skip
+        trace(cells if z_mm is None else edges, bins, grid.cell_mm, geometry, water, table, points, limits)
         if z_mm is None:
-            cells *= power.sum() / (points * grid.cell_mm[0] * grid.cell_mm[1])
+            cells *= power.sum() / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1])
             return cells
         transmission = sight_line(geometry, 0.0, 0.0)[3]
         image = image_of_edges(edges, medium.sigma_t, grid.cell_mm[0])
-        cells += image * (transmission * (z_mm[1] - z_mm[0]) / points)
+        cells += image * (transmission * (z_mm[1] - z_mm[0]) / lattice.points)
     return cells

@@ -14,7 +14,7 @@ ways in another medium.
 """
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,16 +26,18 @@ from tankrig.light.paths.block import (
     FLIGHT_COORDINATES,
     LARGE,
     START_COORDINATES,
-    TURNS,
     UNTURNED,
     Block,
     Ends,
     Lattice,
+    PathLimits,
     PathSampling,
+    Points,
+    Step,
     begin,
     begin_at_origin,
     begin_on_beams,
-    draw_flight,
+    draw_step,
     empty_block,
     going_on,
 )
@@ -43,9 +45,9 @@ from tankrig.light.paths.lattices import THINNING
 from tankrig.light.paths.record import TallyRecord, empty_record, image_of_edges, seen_from
 from tankrig.light.paths.trace import advance, arrive, cover, look, narrow, probed, scatter
 from tankrig.light.rays import Geometry, geometry_of, sight_line
+from tankrig.light.water import Water, water_of
 from tankrig.scene import Scene
 from tankrig.scene.phase import phase_density
-from tankrig.scene.phase_table import PhaseRecord
 
 if TYPE_CHECKING:
     from tankrig.light.paths.cells import CellGrid
@@ -54,6 +56,25 @@ Array = NDArray[np.float64]
 
 LAYERS = 4
 """Of an image: its light, and the light times n, times ℓ and times Σ ∂ ln p/∂g."""
+
+
+class Scores(NamedTuple):
+    """What the light of each path is multiplied by for the layers after the first."""
+
+    scatterings: float
+    """n."""
+    way_mm: Array
+    """ℓ."""
+    turning: Array
+    """Σ ∂ ln p/∂g."""
+
+
+class SoFar(NamedTuple):
+    """What of ℓ and Σ ∂ ln p/∂g is behind each path, by the number of its lattice point after `first`."""
+
+    first: int
+    way_mm: Array
+    turning: Array
 
 
 @part
@@ -73,21 +94,23 @@ def by_asymmetry(cosine: float, g: float) -> float:
 
 @kernel
 def trace_tangents(
-    image: Array, geometry: Geometry, cell_mm: tuple[float, float], sigma_t: float, albedo: float,
-    phase: PhaseRecord, beams: Array, lattice: Array, stop: int, max_order: int, faintest: float,
-    first_thinning: int, lowest: int,
+    image: Array, cell_mm: tuple[float, float], geometry: Geometry, water: Water, beams: Array, points: Points,
+    limits: PathLimits, lowest: int,
 ) -> None:  # fmt: skip
-    """Follow the paths of the lattice points below `stop` as `trace` does, with their scores, from order `lowest`.
+    """Follow the paths of lattice points as `trace` does, with the scores of the module's heading, from order `lowest`.
 
     Parameters
     ----------
     image
         Added to: (2, rows + 2, columns + 2, `LAYERS`) for paths that begin anywhere, ℓ less the place where it is seen
         along x; (rows, columns, `LAYERS`) for others.
-    geometry, cell_mm, sigma_t, albedo, phase, beams, lattice, max_order, faintest, first_thinning
+    cell_mm, geometry, water, beams, points, limits
         As for `trace`; the phase function is Henyey–Greenstein's.
     """
-    sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / TURNS)
+    sigma_t, albedo, phase = water
+    lattice, stop = points
+    max_order, faintest, first_thinning, turns = limits
+    sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / turns)
     block, tally = empty_block(), empty_record(BLOCK)
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
@@ -96,6 +119,7 @@ def trace_tangents(
     seen_way, seen_turning = np.empty(BLOCK), np.empty(BLOCK)
     for first in range(0, stop, BLOCK):
         n = min(BLOCK, stop - first)
+        so_far = SoFar(first, way_mm, turning)
         if image.ndim == 4:
             begin_at_origin(block, n, first, geometry, sampling, beams, lattice)
         else:
@@ -108,39 +132,31 @@ def trace_tangents(
             n = going_on(block, n, order, first_thinning, lattice, image.ndim == 4)
             if n == 0:
                 break
-            remaining = 1.0 - sampling.per_turn * min(order - 1, TURNS) if sampling.guided else 1.0
+            remaining = 1.0 - sampling.per_turn * min(order - 1, turns) if sampling.guided else 1.0
             dimension = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
-            scatterings = order + 1.0
+            step, seen = Step(order, remaining, u, v, w), Scores(order + 1.0, seen_way, seen_turning)
             if sampling.guided and order >= 2:
-                draw_flight(u, v, w, block.point, n, dimension + 3, lattice)
-                _probe(
-                    probes, seen_way, seen_turning, block, way_mm, turning, first, u, v, w, n, geometry, sampling,
-                    order, remaining,
-                )  # fmt: skip
+                draw_step(step, block.point, n, dimension + 3, lattice)
+                _probe(probes, seen, block, so_far, step, n, geometry, sampling)
                 if image.ndim == 4:
                     cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
-                    _end_up(seen_way, seen_turning, probes, n, geometry, sampling)
-                    _tally_rectangles(
-                        image, tally, scatterings, seen_way, seen_turning, n, beams, geometry.half_width, cell_mm[1]
-                    )
+                    _end_up(seen, probes, n, geometry, sampling)
+                    _tally_rectangles(image, tally, seen, n, beams, geometry.half_width, cell_mm[1])
                 else:
-                    _tally_cells(
-                        image, probes.x, probes.y, probes.weight, scatterings, seen_way, seen_turning, n,
-                        geometry.half_width, cell_mm,
-                    )  # fmt: skip
-            draw_flight(u, v, w, block.point, n, dimension, lattice)
+                    _tally_cells(image, probes.x, probes.y, probes.weight, seen, n, geometry.half_width, cell_mm)
+            draw_step(step, block.point, n, dimension, lattice)
             for i in range(n):
                 before[0, i], before[1, i], before[2, i] = block.dx[i], block.dy[i], block.dz[i]
                 before[3, i], before[4, i], before[5, i] = block.x[i], block.y[i], block.z[i]
-            scatter(block, u, v, n, sampling, order, remaining)
-            _turn(block, before, turning, first, n, sampling)
-            advance(block, w, n, geometry, sampling)
-            _go(block, before, way_mm, first, n, geometry)
+            scatter(block, step, n, sampling)
+            _turn(block, before, so_far, n, sampling)
+            advance(block, step, n, geometry, sampling)
+            _go(block, before, so_far, n, geometry)
             if image.ndim == 4:
                 narrow(block, n, geometry)
             else:
                 look(block, n, geometry, sigma_t)
-            if scatterings < lowest:
+            if order + 1 < lowest:
                 continue
             for i in range(n):
                 at = int(block.point[i]) - first
@@ -148,25 +164,21 @@ def trace_tangents(
             if image.ndim == 4:
                 ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
                 cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
-                _end_up(seen_way, seen_turning, ends, n, geometry, sampling)
-                _tally_rectangles(
-                    image, tally, scatterings, seen_way, seen_turning, n, beams, geometry.half_width, cell_mm[1]
-                )
+                _end_up(seen, ends, n, geometry, sampling)
+                _tally_rectangles(image, tally, seen, n, beams, geometry.half_width, cell_mm[1])
             else:
                 arrive(tally, block, n, sampling)
                 for i in range(n):
                     ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
                     seen_turning[i] += by_asymmetry(ahead, sampling.phase.g)
                     seen_way[i] += (geometry.height - block.z[i]) / block.sz[i]
-                _tally_cells(
-                    image, block.seen_x, block.seen_y, tally.value, scatterings, seen_way, seen_turning, n,
-                    geometry.half_width, cell_mm,
-                )  # fmt: skip
+                _tally_cells(image, block.seen_x, block.seen_y, tally.value, seen, n, geometry.half_width, cell_mm)
 
 
 @kernel
-def _turn(block: Block, before: Array, turning: Array, first: int, n: int, sampling: PathSampling) -> None:
+def _turn(block: Block, before: Array, so_far: SoFar, n: int, sampling: PathSampling) -> None:
     """Count the scattering that has just turned paths; their vertical directions are kept for the flight."""
+    first, _, turning = so_far
     for i in range(n):
         cosine = block.dx[i] * before[0, i] + block.dy[i] * before[1, i] + block.dz[i] * before[2, i]
         turning[int(block.point[i]) - first] += by_asymmetry(cosine, sampling.phase.g)
@@ -174,45 +186,52 @@ def _turn(block: Block, before: Array, turning: Array, first: int, n: int, sampl
 
 
 @kernel
-def _go(block: Block, before: Array, way_mm: Array, first: int, n: int, geometry: Geometry) -> None:
+def _go(block: Block, before: Array, so_far: SoFar, n: int, geometry: Geometry) -> None:
     """Count the flight that paths have just made."""
+    first, way_mm, _ = so_far
     for i in range(n):
         reflected = block.dz[i] != before[2, i]
         way_mm[int(block.point[i]) - first] += _length(
             block.x[i] - before[3, i], block.y[i] - before[4, i], before[5, i], block.z[i],
-            block.dx[i], block.dy[i], block.dz[i], reflected, geometry.height,
+            (block.dx[i], block.dy[i], block.dz[i]), reflected, geometry.height,
         )  # fmt: skip
 
 
 @part
 def _length(
-    across: float, along: float, low: float, high: float, dx: float, dy: float, dz: float, reflected: bool,
+    across: float, along: float, low: float, high: float, direction: tuple[float, float, float], reflected: bool,
     surface: float,
 ) -> float:  # fmt: skip
-    """Length of a flight, by way of the surface or not, from where it leads in x and y and both heights."""
+    """Length of a flight, by way of the surface or not, from where it leads in x and y and both heights.
+
+    ℓ = Δx d_x + Δy d_y + |Δz| |d_z|, with Δz = (Lz − z) + (Lz − z') by way of the surface.
+    """
+    dx, dy, dz = direction
     rise = 2.0 * surface - low - high if reflected else abs(high - low)
     return across * dx + along * dy + rise * abs(dz)
 
 
 @kernel
 def _probe(
-    probes: Ends, seen_way: Array, seen_turning: Array, block: Block, way_mm: Array, turning: Array, first: int,
-    u: Array, v: Array, w: Array, n: int, geometry: Geometry, sampling: PathSampling, order: int, remaining: float,
+    probes: Ends, seen: Scores, block: Block, so_far: SoFar, step: Step, n: int, geometry: Geometry,
+    sampling: PathSampling,
 ) -> None:  # fmt: skip
     """Probes with their scores: of paths that may begin anywhere up to the probe's end, of others as they are seen.
 
     Of the latter x, y and weight are those that the camera sees.
     """
+    _, seen_way, seen_turning = seen
+    first, way_mm, turning = so_far
     shiftable, index = block.x_high[0] > block.x_low[0], geometry.refractive_index
     for i in range(n):
-        x, y, z, dx, dy, dz, weight = probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
+        x, y, z, dx, dy, dz, weight = probed(block, step, i, geometry, sampling, index)
         across, along, up = x - block.x[i], y - block.y[i], z - block.z[i]
         straight = math.sqrt(across * across + along * along + up * up)
         reflected = index > 1.0 and dz < 0.0 and across * dx + along * dy + up * dz < straight * (1.0 - 1e-9)
         left = -dz if reflected else dz
         cosine = dx * block.dx[i] + dy * block.dy[i] + left * block.dz[i]
         at = int(block.point[i]) - first
-        seen_way[i] = way_mm[at] + _length(across, along, block.z[i], z, dx, dy, dz, reflected, geometry.height)
+        seen_way[i] = way_mm[at] + _length(across, along, block.z[i], z, (dx, dy, dz), reflected, geometry.height)
         seen_turning[i] = turning[at] + by_asymmetry(cosine, sampling.phase.g)
         if shiftable:
             probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
@@ -226,10 +245,9 @@ def _probe(
 
 
 @kernel
-def _end_up(
-    way_mm: Array, turning: Array, ends: Ends, n: int, geometry: Geometry, sampling: PathSampling
-) -> None:  # fmt: skip
+def _end_up(seen: Scores, ends: Ends, n: int, geometry: Geometry, sampling: PathSampling) -> None:
     """The last scattering, into the camera above, and the way up; less the place, which starts add."""
+    _, way_mm, turning = seen
     for i in range(n):
         way_mm[i] += geometry.height - ends.z[i] - ends.x[i]
         turning[i] += by_asymmetry(ends.dz[i], sampling.phase.g)
@@ -237,10 +255,10 @@ def _end_up(
 
 @kernel
 def _tally_rectangles(
-    edges: Array, tally: TallyRecord, scatterings: float, way_mm: Array, turning: Array, n: int, beams: Array,
-    half_width: float, cell_mm: float,
-) -> None:  # fmt: skip
+    edges: Array, tally: TallyRecord, scores: Scores, n: int, beams: Array, half_width: float, cell_mm: float
+) -> None:
     """As `tally_rectangles`, in all layers."""
+    scatterings, way_mm, turning = scores
     factors = np.empty(LAYERS)
     for i in range(n):
         if not tally.value[i] > 0.0:  # nor NaN, whose place is no index
@@ -271,10 +289,11 @@ def _tally_rectangles(
 
 @kernel
 def _tally_cells(
-    cells: Array, x: Array, y: Array, value: Array, scatterings: float, way_mm: Array, turning: Array, n: int,
-    half_width: float, cell_mm: tuple[float, float],
+    cells: Array, x: Array, y: Array, value: Array, scores: Scores, n: int, half_width: float,
+    cell_mm: tuple[float, float],
 ) -> None:  # fmt: skip
     """As `tally_cells`, in all layers."""
+    scatterings, way_mm, turning = scores
     rows, columns, _ = cells.shape
     factors = np.empty(LAYERS)
     for i in range(n):
@@ -315,7 +334,8 @@ def traced_tangents(
         σa, σs (times mm) and g.
     """
     medium, geometry = scene.medium, geometry_of(scene)
-    shifted, shiftable = lattice.shifted(seed), grid.shiftable
+    water, points, shiftable = water_of(medium), Points(lattice.shifted(seed), lattice.points), grid.shiftable
+    limits = PathLimits(max_order, faintest, thinning)
     middles = (np.arange(grid.columns) + 0.5) * grid.cell_mm[0]
     cells = np.zeros((grid.rows, grid.columns, LAYERS))
     found = np.zeros((LAYERS, grid.rows, grid.columns))
@@ -327,10 +347,8 @@ def traced_tangents(
             [np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams]), np.cumsum(power) / power.sum()]
         )
         edges = np.zeros((2, grid.rows + 2, grid.columns + 2, LAYERS) if shiftable else (0,) * 4)
-        trace_tangents(
-            edges if shiftable else cells, geometry, grid.cell_mm, medium.sigma_t, medium.albedo,
-            medium.phase_function.record, table, shifted, lattice.points, max_order, faintest, thinning, lowest,
-        )  # fmt: skip
+        light = edges if shiftable else cells
+        trace_tangents(light, grid.cell_mm, geometry, water, table, points, limits, lowest)
         if z_mm is None:
             found += np.moveaxis(cells, 2, 0) * (power.sum() / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1]))
             break

@@ -30,12 +30,15 @@ from tankrig.light.paths.block import (
     UNTURNED,
     Block,
     Ends,
+    PathLimits,
     PathSampling,
+    Points,
+    Step,
     across,
     begin,
     begin_at_origin,
     begin_on_beams,
-    draw_flight,
+    draw_step,
     empty_block,
     fly,
     going_on,
@@ -51,25 +54,28 @@ from tankrig.light.paths.record import (
     tally_cells,
     tally_rectangles,
 )
-from tankrig.light.rays import Geometry
+from tankrig.light.rays import Geometry, Ray
+from tankrig.light.water import Water
 from tankrig.scene.phase import (
     drawn_cosine,
     henyey_greenstein,
     henyey_greenstein_cosine,
     phase_density,
 )
-from tankrig.scene.phase_table import PhaseRecord
 
 Array = NDArray[np.float64]
 
 
 @kernel
 def trace(
-    images: Array, bins: Bins, geometry: Geometry, cell_mm: tuple[float, float], sigma_t: float, albedo: float,
-    phase: PhaseRecord, beams: Array, lattice: Array, start: int, stop: int, max_order: int, faintest: float,
-    first_thinning: int, turns: int,
+    images: Array, bins: Bins, cell_mm: tuple[float, float], geometry: Geometry, water: Water, beams: Array,
+    points: Points, limits: PathLimits,
 ) -> None:  # fmt: skip
-    """Follow the paths of lattice points `start` … `stop` − 1 and record their orders ≥ 3.
+    """Follow the paths of lattice points and record their orders ≥ 3.
+
+        I_n = 1/N Σ_paths w_n p(cos θ) e^{−σt s} T J / (area of a cell),   w_n = w_{n−1} ϖ (chance to collide) p/q
+
+    with s the way to the surface, T J `seen_from`'s factor, and q the density that the direction is drawn with.
 
     Where light is collimated and the camera orthographic, a path may be drawn relative to its first collision and
     stand for all that begin anywhere on the beams and stay between the walls. Which of the two is done, and compiled,
@@ -82,33 +88,26 @@ def trace(
         (images, rows, columns) by `tally_cells` for others.
     bins
         Index of the image that each order goes to.
-    geometry
-        Numbers of the scene.
     cell_mm
         Size of the cells along x and y, mm.
-    sigma_t, albedo, phase
-        The medium.
+    geometry, water
+        Numbers of the scene.
     beams
         (n, 6): y low, y high, z low, z high on the plane x = 0, irradiance, and the share of the power up to and
         including this beam. Of paths that begin anywhere all have the same z.
-    lattice
-        A shifted lattice, as `Lattice.shifted` gives it.
-    start, stop
-        Lattice points.
-    max_order
-        Highest order to follow.
-    faintest
-        Share of its starting weight below which a path ends by chance, and stands for others where it doesn't.
-    first_thinning
-        From this order on, every doubling of the order halves the paths: later orders are smoother.
-    turns
-        Paths that turn to the camera do so at one of this many first scatterings.
+    points
+        That paths are functions of.
+    limits
+        Where they end.
     """
+    sigma_t, albedo, phase = water
+    lattice, stop = points
+    max_order, faintest, first_thinning, turns = limits
     sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / turns)
     block, tally = empty_block(), empty_record(BLOCK)
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
-    for first in range(start, stop, BLOCK):
+    for first in range(0, stop, BLOCK):
         n = min(BLOCK, stop - first)
         if images.ndim == 4:
             begin_at_origin(block, n, first, geometry, sampling, beams, lattice)
@@ -123,18 +122,19 @@ def trace(
             remaining = 1.0 - sampling.per_turn * min(order - 1, turns) if sampling.guided else 1.0
             dimension = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
             image = bins[min(order + 1, bins.size - 1)]
+            step = Step(order, remaining, u, v, w)
             if sampling.guided and order >= 2:
-                draw_flight(u, v, w, block.point, n, dimension + 3, lattice)
+                draw_step(step, block.point, n, dimension + 3, lattice)
                 if images.ndim == 4:
-                    _probe_anywhere(probes, block, u, v, w, n, geometry, sampling, order, remaining)
+                    _probe_anywhere(probes, block, step, n, geometry, sampling)
                     cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
                     tally_rectangles(images[image], tally, n, beams, geometry.half_width, cell_mm[1])
                 else:
-                    _probe(tally, block, u, v, w, n, geometry, sampling, order, remaining)
+                    _probe(tally, block, step, n, geometry, sampling)
                     tally_cells(images[image], tally.x, tally.y, tally.value, n, geometry.half_width, cell_mm)
-            draw_flight(u, v, w, block.point, n, dimension, lattice)
-            scatter(block, u, v, n, sampling, order, remaining)
-            advance(block, w, n, geometry, sampling)
+            draw_step(step, block.point, n, dimension, lattice)
+            scatter(block, step, n, sampling)
+            advance(block, step, n, geometry, sampling)
             if images.ndim == 4:
                 narrow(block, n, geometry)
             else:
@@ -180,37 +180,29 @@ def narrow(block: Block, n: int, geometry: Geometry) -> None:
 
 @part
 def probed(
-    block: Block,
-    u: Array,
-    v: Array,
-    w: Array,
-    i: int,
-    geometry: Geometry,
-    sampling: PathSampling,
-    order: int,
-    remaining: float,
-    index: float,
+    block: Block, step: Step, i: int, geometry: Geometry, sampling: PathSampling, index: float
 ) -> tuple[float, float, float, float, float, float, float]:
     """A last flight in a direction from the lobe about the line of sight: where to, direction, weight scattered there.
 
-    Scattering has yet to turn the light into the camera.
+    Scattering has yet to turn the light into the camera. With h the lobe, q the wide one, and r what has remained and
+    turned, the weight grows by ϖ (chance to collide) p/(r (h + p) + (share that turns here) (q − p)).
     """
     dx, dy, dz = block.dx[i], block.dy[i], block.dz[i]
     sx, sy, sz = block.sx[i], block.sy[i], block.sz[i]
     rx, ry, rz = across(sx, sz)
     px, py, pz, _, _, _ = scattered(
-        sx, sy, sz, rx, ry, rz, henyey_greenstein_cosine(u[i], sampling.phase.g), v[i]
+        sx, sy, sz, rx, ry, rz, henyey_greenstein_cosine(step.u[i], sampling.phase.g), step.v[i]
     )  # fmt: skip
     plain = phase_density(px * dx + py * dy + pz * dz, sampling.phase)
     ahead = px * sx + py * sy + pz * sz
-    before = remaining + block.turned[i]
-    per_turn = sampling.per_turn if turns_at(order, sampling) else 0.0
+    before = step.remaining + block.turned[i]
+    per_turn = sampling.per_turn if turns_at(step.order, sampling) else 0.0
     density = before * (henyey_greenstein(ahead, sampling.phase.g) + plain) + per_turn * (
         _wide_lobe(ahead, sampling.phase.g) - plain
     )
     qx, qy, qz, pz, chance = fly(
         _walls(block, i, geometry), geometry.height, index, sampling.sigma_t,
-        block.x[i], block.y[i], block.z[i], px, py, pz, w[i],
+        Ray(block.x[i], block.y[i], block.z[i], px, py, pz), step.w[i],
     )  # fmt: skip
     return qx, qy, qz, px, py, pz, block.weight[i] * chance * sampling.albedo * plain / density
 
@@ -225,25 +217,21 @@ def _walls(block: Block, i: int, geometry: Geometry) -> tuple[float, float, floa
 
 
 @kernel
-def _probe(
-    tally: TallyRecord, block: Block, u: Array, v: Array, w: Array, n: int, geometry: Geometry,
-    sampling: PathSampling, order: int, remaining: float,
-) -> None:  # fmt: skip
+def _probe(tally: TallyRecord, block: Block, step: Step, n: int, geometry: Geometry, sampling: PathSampling) -> None:
     """What probes send to the camera."""
     if geometry.refractive_index == 1.0:
         for i in range(n):
-            _probe_from(tally, block, u, v, w, i, geometry, 1.0, sampling, order, remaining)
+            _probe_from(tally, block, step, i, geometry, 1.0, sampling)
     else:
         for i in range(n):
-            _probe_from(tally, block, u, v, w, i, geometry, geometry.refractive_index, sampling, order, remaining)
+            _probe_from(tally, block, step, i, geometry, geometry.refractive_index, sampling)
 
 
 @part
 def _probe_from(
-    tally: TallyRecord, block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, index: float,
-    sampling: PathSampling, order: int, remaining: float,
-) -> None:  # fmt: skip
-    x, y, z, dx, dy, dz, weight = probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
+    tally: TallyRecord, block: Block, step: Step, i: int, geometry: Geometry, index: float, sampling: PathSampling
+) -> None:
+    x, y, z, dx, dy, dz, weight = probed(block, step, i, geometry, sampling, index)
     tally.x[i], tally.y[i], sx, sy, sz, path, factor = seen_from(geometry, x, y, z, index)
     phase = phase_density(dx * sx + dy * sy + dz * sz, sampling.phase)
     tally.value[i] = weight * phase * factor * exponential(-sampling.sigma_t * path)
@@ -258,26 +246,21 @@ def arrive(tally: TallyRecord, block: Block, n: int, sampling: PathSampling) -> 
 
 
 @kernel
-def _probe_anywhere(
-    probes: Ends, block: Block, u: Array, v: Array, w: Array, n: int, geometry: Geometry,
-    sampling: PathSampling, order: int, remaining: float,
-) -> None:  # fmt: skip
+def _probe_anywhere(probes: Ends, block: Block, step: Step, n: int, geometry: Geometry, sampling: PathSampling) -> None:
     """Probes of paths that may begin anywhere."""
     if geometry.refractive_index == 1.0:
         for i in range(n):
-            _probe_from_anywhere(probes, block, u, v, w, i, geometry, 1.0, sampling, order, remaining)
+            _probe_from_anywhere(probes, block, step, i, geometry, 1.0, sampling)
     else:
-        index = geometry.refractive_index
         for i in range(n):
-            _probe_from_anywhere(probes, block, u, v, w, i, geometry, index, sampling, order, remaining)
+            _probe_from_anywhere(probes, block, step, i, geometry, geometry.refractive_index, sampling)
 
 
 @part
 def _probe_from_anywhere(
-    probes: Ends, block: Block, u: Array, v: Array, w: Array, i: int, geometry: Geometry, index: float,
-    sampling: PathSampling, order: int, remaining: float,
-) -> None:  # fmt: skip
-    x, y, z, _, _, dz, weight = probed(block, u, v, w, i, geometry, sampling, order, remaining, index)
+    probes: Ends, block: Block, step: Step, i: int, geometry: Geometry, index: float, sampling: PathSampling
+) -> None:
+    x, y, z, _, _, dz, weight = probed(block, step, i, geometry, sampling, index)
     probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
 
 
@@ -302,8 +285,9 @@ def cover(
 
 
 @kernel
-def scatter(block: Block, u: Array, v: Array, n: int, sampling: PathSampling, order: int, remaining: float) -> None:
+def scatter(block: Block, step: Step, n: int, sampling: PathSampling) -> None:
     """Draw new directions."""
+    order, remaining, u, v, _ = step
     phase, g = sampling.phase, sampling.phase.g
     per_turn = sampling.per_turn if sampling.guided and turns_at(order, sampling) else 0.0
     probed = 1.0 if sampling.guided and order >= 2 else 0.0
@@ -329,14 +313,14 @@ def scatter(block: Block, u: Array, v: Array, n: int, sampling: PathSampling, or
 
 
 @kernel
-def advance(block: Block, w: Array, n: int, geometry: Geometry, sampling: PathSampling) -> None:
+def advance(block: Block, step: Step, n: int, geometry: Geometry, sampling: PathSampling) -> None:
     """Follow paths to their next collision."""
     if geometry.refractive_index == 1.0:
         for i in range(n):
-            _advance_path(block, w, i, geometry, 1.0, sampling)
+            _advance_path(block, step.w, i, geometry, 1.0, sampling)
     else:
         for i in range(n):
-            _advance_path(block, w, i, geometry, geometry.refractive_index, sampling)
+            _advance_path(block, step.w, i, geometry, geometry.refractive_index, sampling)
 
 
 @part
@@ -344,7 +328,7 @@ def _advance_path(block: Block, w: Array, i: int, geometry: Geometry, index: flo
     dz = block.dz[i]
     block.x[i], block.y[i], block.z[i], after, chance = fly(
         _walls(block, i, geometry), geometry.height, index, sampling.sigma_t,
-        block.x[i], block.y[i], block.z[i], block.dx[i], block.dy[i], dz, w[i],
+        Ray(block.x[i], block.y[i], block.z[i], block.dx[i], block.dy[i], dz), w[i],
     )  # fmt: skip
     block.dz[i], block.ez[i] = after, block.ez[i] if after == dz else -block.ez[i]  # reflected at the surface
     weight = block.weight[i] * chance * sampling.albedo

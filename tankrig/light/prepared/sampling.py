@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from tankrig.light.entering import entering
 from tankrig.light.leaving import CameraLens
-from tankrig.light.paths.block import LARGE, TURNS
+from tankrig.light.paths.block import LARGE, PathLimits, Points
 from tankrig.light.paths.record import image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
 from tankrig.light.tank import CellGrid, once, twice
+from tankrig.light.water import water_of
 from tankrig.scene import Beam, Medium, Scene
 
 Array = NDArray[np.float64]
@@ -177,12 +178,11 @@ class PathImages:
         corners = np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams])
         table = np.column_stack([corners, np.cumsum(power) / power.sum()])
         thinning = next(order for depth, order in THINNING if medium.sigma_t * lit.tank.size_mm[2] < depth)
+        limits = PathLimits(HIGHEST_ORDER, FAINTEST, thinning)
+        geometry, water = geometry_of(lit), water_of(medium)._replace(albedo=1.0)
         for batch in range(batches):
-            trace(
-                light, self._bins, geometry_of(lit), self.grid.cell_mm, medium.sigma_t, 1.0,
-                medium.phase_function.record, table, LARGE.shifted((seed, batch)), 0, LARGE.points, HIGHEST_ORDER,
-                FAINTEST, thinning, TURNS,
-            )  # fmt: skip
+            points = Points(LARGE.shifted((seed, batch)), LARGE.points)
+            trace(light, self._bins, self.grid.cell_mm, geometry, water, table, points, limits)
 
     def to_pixels(self, patterns: Array) -> Array:
         """Images of cells (n, rows, degrees) as the camera's pixels, (n, pixels)."""

@@ -7,6 +7,7 @@ the camera: directly if it has met a face before, and mirrored in clear faces.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +15,14 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.light.elementary import exponential, log_one_minus, one_minus_exponential
-from tankrig.light.paths.block import CHANCE_COORDINATES, LARGE, SPARED, across, coordinate, scattered
+from tankrig.light.paths.block import CHANCE_COORDINATES, LARGE, SPARED, Points, across, coordinate, scattered
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.record import Bins, seen_from
-from tankrig.light.rays import Geometry, geometry_of, light_ray
+from tankrig.light.rays import Geometry, Ray, geometry_of, light_ray
 from tankrig.light.walls.faces import DIFFUSE, ENTRY, FAR, FLOOR, LEFT, RIGHT, face_table, sent_back
+from tankrig.light.water import Water, water_of
 from tankrig.scene import Scene
 from tankrig.scene.phase import drawn_cosine, phase_density
-from tankrig.scene.phase_table import PhaseRecord
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,21 @@ SIDE_COORDINATES = 2_000_000
 """Of the lattice, beyond its own: whether light goes to the outer side of panes."""
 SURFACE = 5
 NONE = -1
+
+
+class ReflectingTank(NamedTuple):
+    """The tank, and what its faces send back (`face_table`)."""
+
+    geometry: Geometry
+    faces: Array
+
+
+class CellImages(NamedTuple):
+    """What is added to: images on cells of the tank's surface, and which of them the light of an order goes to."""
+
+    images: Array
+    bins: Bins
+    cell_mm: tuple[float, float]
 
 
 def wall_images(
@@ -71,13 +87,11 @@ def wall_images(
     beams = [beam for beam in scene.projector.beams if beam.irradiance > 0.0]
     power = np.array([beam.power for beam in beams])
     table = np.column_stack([np.array([(*beam.y_mm, *beam.z_mm) for beam in beams]), np.cumsum(power) / power.sum()])
-    medium, faces = scene.medium, face_table(scene.tank)
+    tank, water = ReflectingTank(geometry_of(scene), face_table(scene.tank)), water_of(scene.medium)
     for number in range(lattices):
         shifted = LARGE.shifted((seed[0] + WALLS_APART, seed[1] * lattices + number))
-        _trace(
-            cells, bins, geometry_of(scene), faces, grid.cell_mm, medium.sigma_t, medium.albedo,
-            medium.phase_function.record, table, shifted, LARGE.points, highest, faintest,
-        )  # fmt: skip
+        points = Points(shifted, LARGE.points)
+        _trace(CellImages(cells, bins, grid.cell_mm), tank, water, table, points, highest, faintest)
     return cells * (float(power.sum()) / (lattices * LARGE.points * grid.cell_mm[0] * grid.cell_mm[1]))
 
 
@@ -87,12 +101,21 @@ WALLS_APART = 2**30
 
 @kernel
 def _trace(
-    cells: Array, bins: Bins, geometry: Geometry, faces: Array, cell_mm: tuple[float, float], sigma_t: float,
-    albedo: float, phase: PhaseRecord, beams: Array, lattice: Array, points: int, highest: int, faintest: float,
-) -> None:  # fmt: skip
-    """Follow the paths of a lattice; `beams` are edges and the share of the power up to and including each."""
+    seen: CellImages, tank: ReflectingTank, water: Water, beams: Array, points: Points, highest: int, faintest: float
+) -> None:
+    """Follow the paths of a lattice; `beams` are edges and the share of the power up to and including each.
+
+        I = 1/N Σ_paths Σ_events w p(cos θ) R e^{−σt s} T J / (area of a cell),   w ← w (chance of an event) ϖ
+
+    with s the way to the surface, R what faces send back on it, and T J `seen_from`'s factor; diffuse faces have
+    cos θ/π for p, and no ϖ.
+    """
+    cells, bins, cell_mm = seen
+    sigma_t, albedo, phase = water
+    lattice, count = points
+    geometry = tank.geometry
     ends, weights = np.empty((STRETCHES + 1, 7)), np.empty(STRETCHES + 1)
-    for point in range(points):
+    for point in range(count):
         y, z = _start(beams, coordinate(point, 0, lattice), coordinate(point, 1, lattice))
         dx, dy, dz = light_ray(geometry, y, z)
         ex, ey, ez = across(dx, dz)
@@ -100,9 +123,8 @@ def _trace(
         while True:
             first = 2 if flights == 0 else START_COORDINATES + (flights - 1) * FLIGHT_COORDINATES + 2
             u, v = coordinate(point, first, lattice), coordinate(point, SIDE_COORDINATES + flights, lattice)
-            x, y, z, dx, dy, dz, chance, hits, face = _fly(
-                geometry, faces, sigma_t, x, y, z, dx, dy, dz, u, v, ends, weights
-            )
+            ray = Ray(x, y, z, dx, dy, dz)
+            x, y, z, dx, dy, dz, chance, hits, face = _fly(tank, sigma_t, ray, u, v, ends, weights)
             flights += 1
             weight *= chance
             met = met or hits > 0
@@ -113,14 +135,14 @@ def _trace(
             if face != NONE:
                 met = diffuse = True
                 image = cells[bins[min(order, bins.size - 1)]]
-                _show(image, geometry, faces, cell_mm, sigma_t, phase, x, y, z, dx, dy, dz, weight, True, face)
+                _show(image, cell_mm, tank, water, Ray(x, y, z, dx, dy, dz), weight, True, face)
                 dx, dy, dz = _lambert(face, u, v)
             else:
                 order += 1
                 weight *= albedo
                 if order >= 2 or diffuse:
                     image = cells[bins[min(order, bins.size - 1)]]
-                    _show(image, geometry, faces, cell_mm, sigma_t, phase, x, y, z, dx, dy, dz, weight, met, NONE)
+                    _show(image, cell_mm, tank, water, Ray(x, y, z, dx, dy, dz), weight, met, NONE)
                 ex, ey, ez = across(dx, dz) if abs(dx) + abs(dz) > 1e-9 else (1.0, 0.0, 0.0)
                 dx, dy, dz, ex, ey, ez = scattered(dx, dy, dz, ex, ey, ez, drawn_cosine(u, phase), v)
             if order >= highest:
@@ -147,12 +169,12 @@ def _start(beams: Array, u: float, v: float) -> tuple[float, float]:
 
 @kernel
 def _fly(
-    geometry: Geometry, faces: Array, sigma_t: float, x: float, y: float, z: float, dx: float, dy: float, dz: float,
-    u: float, v: float, ends: Array, weights: Array,
-) -> tuple[float, float, float, float, float, float, float, int, int]:  # fmt: skip
+    tank: ReflectingTank, sigma_t: float, ray: Ray, u: float, v: float, ends: Array, weights: Array
+) -> tuple[float, float, float, float, float, float, float, int, int]:
     """A flight to its next event, which is a collision or a diffuse face.
 
-    The coordinate u picks the place, and v whether light goes to the outer sides of the panes that it meets.
+    The coordinate u picks the place, and v whether light goes to the outer sides of the panes that it meets. Of the
+    light, 1 − e^{−σt way} collides on each stretch between faces, and of what is left a face sends back its share.
 
     Returns
     -------
@@ -165,6 +187,8 @@ def _fly(
     face
         The diffuse face, or −1.
     """
+    geometry, faces = tank
+    x, y, z, dx, dy, dz = ray
     length, half_width, height, index = (
         geometry.length, geometry.half_width, geometry.height, geometry.refractive_index,
     )  # fmt: skip
@@ -258,10 +282,13 @@ def _lambert(face: int, u: float, v: float) -> tuple[float, float, float]:
 
 @kernel
 def _show(
-    image: Array, geometry: Geometry, faces: Array, cell_mm: tuple[float, float], sigma_t: float, phase: PhaseRecord,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, directly: bool, face: int,
+    image: Array, cell_mm: tuple[float, float], tank: ReflectingTank, water: Water, ray: Ray, weight: float,
+    directly: bool, face: int,
 ) -> None:  # fmt: skip
-    """Show the camera what water, or a diffuse face, scatters at (x, y, z) of light with direction d."""
+    """Show the camera what water, or a diffuse face, scatters of light: w p(cos θ) R e^{−σt s} T J."""
+    geometry, faces = tank
+    sigma_t, _, phase = water
+    x, y, z, dx, dy, dz = ray
     index = geometry.refractive_index
     for across_x in range(3):
         if across_x > 0 and not (geometry.camera_pinhole and _clear(faces, across_x - 1)):
