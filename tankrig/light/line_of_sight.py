@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.compiled import kernel, part
+from tankrig.compiled import kernel
 from tankrig.light.bent_light import along_sight_in_bent_light
-from tankrig.light.quadrature import PixelRules, Rule
+from tankrig.light.quadrature import Rule, SightRules
 from tankrig.light.rays import Edges, Geometry, Ray, bent, light_kept, light_ray, path_inside, sight_line
-from tankrig.light.water import Water
 from tankrig.scene.phase import phase_density
 from tankrig.scene.phase_table import PhaseRecord
 
@@ -41,14 +40,14 @@ class SharpBeam(NamedTuple):
     """σs E₀, W/mm³."""
 
 
-@part
+@kernel
 def across_sights(
-    geometry: Geometry, water: Water, edges: Edges, rules: PixelRules, x: float, low: float, high: float,
-    ends: NDArray[np.float64],
+    geometry: Geometry, x: float, span: tuple[float, float], ends: NDArray[np.float64], sigma_t: float,
+    phase: PhaseRecord, edges: Edges, rules: SightRules,
 ) -> float:  # fmt: skip
-    """∫ dy I₁(x, y)/(σs E₀) from `low` to `high`, cut at rows where light ends, in order."""
-    sigma_t, phase = water.sigma_t, water.phase
-    (nodes, weights), depth_rule = rules.y, rules.depth
+    """∫ dy I₁(x, y)/(σs E₀) over a span, cut at rows where light ends, in order."""
+    (nodes, weights), depth_rule = rules
+    low, high = span
     total, start = 0.0, low
     for k in range(ends.size + 1):
         end = min(max(ends[k], low), high) if k < ends.size else high

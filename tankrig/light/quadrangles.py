@@ -130,6 +130,7 @@ def _slice(
 ) -> float:
     """∫ dx ∫ dy I₁/(σs E₀) over the part of a pixel between two x, with no corner of it between them."""
     geometry, along, edges = lit.geometry, lit.along, lit.beam.edges
+    (sigma_t, _, phase), sights = water, rules.sights
     width = right - left
     low_left, high_left = _span(geometry, xs, ys, left + 1e-9 * width)
     low_right, high_right = _span(geometry, xs, ys, right - 1e-9 * width)
@@ -137,7 +138,7 @@ def _slice(
     _ends_at(along, right, geometry.length, ends[1])
     if ends[:, -1].max() < min(low_left, low_right) or ends[:, 0].min() > max(high_left, high_right):
         return 0.0
-    parts = 1 + int(water.sigma_t * width)
+    parts = 1 + int(sigma_t * width)
     whole = xs.max() - xs.min()  # a narrow slice needs fewer parts
     for k in range(CUTS):
         if (ends[0, k] < low_left) != (ends[1, k] < low_right) or (ends[0, k] < high_left) != (ends[1, k] < high_right):
@@ -157,7 +158,7 @@ def _slice(
             _ends_at(along, x, geometry.length, cuts)
             if cuts[-1] <= low or cuts[0] >= high:
                 continue
-            here = across_sights(geometry, water, edges, rules, x, low, high, cuts)
+            here = across_sights(geometry, x, (low, high), cuts, sigma_t, phase, edges, sights)
             total += 0.5 * width / parts * (2.0 if sliver else weights[i]) * here
     return total
 

@@ -21,14 +21,20 @@ def gauss_legendre(count: int) -> Rule:
     return np.polynomial.legendre.leggauss(count)
 
 
-class PixelRules(NamedTuple):
-    """What order 1 is integrated with over a pixel: across its columns, along its rows, and along lines of sight."""
+class SightRules(NamedTuple):
+    """What is integrated with over the lines of sight through one x: along y, and along each of them."""
 
-    x: Rule
     y: Rule
     depth: Rule
 
 
+class PixelRules(NamedTuple):
+    """What is integrated with over a pixel."""
+
+    x: Rule
+    sights: SightRules
+
+
 def pixel_rules() -> PixelRules:
     """As many nodes as order 1 needs."""
-    return PixelRules(gauss_legendre(2), gauss_legendre(3), gauss_legendre(4))
+    return PixelRules(gauss_legendre(2), SightRules(gauss_legendre(3), gauss_legendre(4)))

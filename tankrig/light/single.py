@@ -71,8 +71,8 @@ def _add_beam(
 
     ⟨I₁⟩ = 1/(Δx Δy) ∫ dx ∫ dy I₁(x, y)   over each pixel, I₁ as in `line_of_sight`
     """
-    (edges, strength), sigma_t = beam, water.sigma_t
-    x_nodes, x_weights = rules.x
+    (edges, strength), (sigma_t, _, phase) = beam, water
+    (x_nodes, x_weights), sights = rules
     rows, columns = image.shape
     y_first = -geometry.half_width
     ends = np.empty(CUTS)
@@ -94,7 +94,7 @@ def _add_beam(
                 for row in range(math.floor(top), math.floor(bottom) + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
-                    total = across_sights(geometry, water, edges, rules, x, low, high, ends)
+                    total = across_sights(geometry, x, (low, high), ends, sigma_t, phase, edges, sights)
                     image[row, column] += strength * total / pixel_mm * 0.5 * x_weights[i] / parts * reach / pixel_mm
 
 

@@ -101,6 +101,7 @@ def _add_mirrored(
     ⟨I₁⟩ = 1/(Δx Δy) ∫ dx R ∫ dy I₁(mirrored line of sight)   over each pixel, R what the faces send back
     """
     edges, (from_far, x_wall, y_wall, floor, _) = beam.edges, way
+    (sigma_t, _, phase), sights = water, rules.sights
     nodes, weights = rules.x
     ends = np.empty(CUTS)
     length, half_width, height = geometry.length, geometry.half_width, geometry.height
@@ -144,11 +145,11 @@ def _add_mirrored(
                     rows_of_ends(mirrored, seen_x, lit, ends)
                     if ends[-1] <= y_low or ends[0] >= y_high:
                         continue
-                    total = across_sights(mirrored, water, lit, rules, seen_x, y_low, y_high, ends)
+                    total = across_sights(mirrored, seen_x, (y_low, y_high), ends, sigma_t, phase, lit, sights)
                     if from_far:  # the light beyond the far wall alone: what is in two tanks less what is in one
                         near = _as_long(mirrored, length)
-                        total -= across_sights(near, water, lit, rules, seen_x, y_low, y_high, ends)
-                    gained = math.exp(water.sigma_t * lift)
+                        total -= across_sights(near, seen_x, (y_low, y_high), ends, sigma_t, phase, lit, sights)
+                    gained = math.exp(sigma_t * lift)
                     image[row, column] += beam.strength * share * gained * total / pixel_mm * 0.5 * weights[i] / PARTS
 
 
