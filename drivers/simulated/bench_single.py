@@ -50,6 +50,14 @@ class _Sight(NamedTuple):
     cosine: Array
 
 
+class _Water(NamedTuple):
+    """The box of water, mm."""
+
+    length: float
+    half_width: float
+    level: float
+
+
 def scattered_once(bench: TrueBench, thrown: Array, medium: Medium) -> Array:
     """Radiance at the middle of each camera pixel, before the camera's own blur and vignetting.
 
@@ -77,7 +85,7 @@ def scattered_once(bench: TrueBench, thrown: Array, medium: Medium) -> Array:
             ln = sight.ln_strength - medium.sigma_t * sight.path_mm
             ln += np.log(np.pi * bench.full * medium.sigma_s * medium.phase_function.at(sight.cosine))
             nodes = np.concatenate([sight.places, ln[..., None]], axis=-1)
-            _gather(nodes, thrown, lit, FINER, bench.level_mm, TANK_MM[0], TANK_MM[1] / 2, _STEP_MM, image)
+            _gather(nodes, thrown, lit, FINER, _Water(TANK_MM[0], TANK_MM[1] / 2, bench.level_mm), _STEP_MM, image)
     return image
 
 
@@ -134,17 +142,13 @@ def _sight(
 
 @kernel
 def _gather(
-    nodes: Array,
-    thrown: Array,
-    lit: NDArray[np.bool_],
-    finer: int,
-    level: float,
-    length: float,
-    half_width: float,
-    step: float,
-    image: Array,
+    nodes: Array, thrown: Array, lit: NDArray[np.bool_], finer: int, water: _Water, step: float, image: Array
 ) -> None:
-    """Add to each pixel the light along its line of sight: linear between nodes, but exponential in brightness."""
+    """Add to each pixel the light along its line of sight: linear between nodes, but exponential in brightness.
+
+    Σ thrown · strength Δz over points of the line at even steps.
+    """
+    length, half_width, level = water
     planes, node_rows, node_columns, count = nodes.shape
     rows, columns = image.shape
     above, here, change = np.empty(count), np.empty(count), np.empty(count)

@@ -7,6 +7,7 @@ kept far better than p itself.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,13 @@ NEAR_DEG = 0.2
 """θ₀."""
 CROWDED = 3.0
 """c: in each e-fold of θ + θ₀ there are so many more splines."""
+
+
+class SplineRecord(NamedTuple):
+    """Splines for kernels: `PhaseSplines.count` and `PhaseSplines.places`."""
+
+    count: int
+    places: Array
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,11 @@ class PhaseSplines:
         """(NODES,) t at even steps of sin(θ/2), scaled to whole panels; for kernels."""
         stretched = self._stretched(sines())
         return np.asarray(stretched * (self._panels / stretched[-1]))
+
+    @property
+    def record(self) -> SplineRecord:
+        """For kernels."""
+        return SplineRecord(self.count, self.places)
 
     def at(self, cosine: Array) -> Array:
         """(n, count) splines at n cosines."""

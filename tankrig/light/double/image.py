@@ -9,12 +9,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise, product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.double.table import COARSE, FINE, Table, depth_below, fill_table, lagrange, share_seen, y_weights
+from tankrig.light.quadrature import Rule, gauss_legendre
 from tankrig.light.rays import Geometry, light_sources, shift_invariant, sighting_row
 from tankrig.light.sorting import put_in_order
 from tankrig.light.surface import on_surface, to_camera
@@ -131,14 +133,10 @@ def add_beams(rows: Array, scene: Scene, lit: LitHeight, table: Table, z0_weight
 
 def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, z0_weights: Array) -> None:
     """Add one beam, cut into parts narrow enough where J is not shift-invariant."""
-    nodes, weights = np.polynomial.legendre.leggauss(4)
+    rule, strength = gauss_legendre(4), beam.irradiance * scene.medium.sigma_s**2
     for low, high in _parts(beam.y_mm, table.inner_mm, shift_invariant(scene)):
-        average_rows(
-            rows, geometry, scene.camera.pixel_mm, table.decay, low, high,
-            beam.irradiance * scene.medium.sigma_s**2, table.x_mm, table.fractions, table.margin, table.values,
-            y_weights(table, 0.5 * (low + high)), table.z0_mm, z0_weights, table.mirrored,
-            nodes, weights,
-        )  # fmt: skip
+        strip = Strip(low, high, strength, y_weights(table, 0.5 * (low + high)), z0_weights)
+        average_rows(rows, scene.camera.pixel_mm, geometry, table, strip, rule)
 
 
 def _parts(y_mm: Interval, inner_mm: Interval, whole: bool) -> list[Interval]:
@@ -197,33 +195,42 @@ FAR = 3.0
 """A beam is far from a pixel at this many times the width of both."""
 
 
+class Strip(NamedTuple):
+    """A beam, or a part of it along y, and what its light has of a table's nodes."""
+
+    low: float
+    """Edges on the plane x = 0, mm; it should not be much wider than the change of J with y₀ allows."""
+    high: float
+    strength: float
+    """Irradiance times σs²."""
+    y0_weights: Array
+    """(ny,) weights that interpolate the table to its middle."""
+    z0_weights: Array
+    """(nz,) weights that integrate over its height."""
+
+
 @kernel
-def average_rows(
-    rows: Array, geometry: Geometry, pixel_mm: float, decay: float, low: float, high: float, strength: float,
-    x: Array, fractions: Array, margin: float, values: Array, y0_weights: Array, z0: Array, z0_weights: Array,
-    mirrored: bool, nodes: Array, weights: Array,
-) -> None:  # fmt: skip
-    """Add one beam's rows, at every node in x.
+def average_rows(rows: Array, pixel_mm: float, geometry: Geometry, table: Table, strip: Strip, rule: Rule) -> None:
+    """Add one strip's rows, at every node in x.
+
+        ⟨I₂⟩ = 1/Δy ∫ dδ w(δ) J(δ) · σs² E₀ (y₀ width) / (width as seen)   over each row, w as in the module's heading
 
     Parameters
     ----------
     rows
         (rows, nx), added to: radiance averaged over the rows' height, at the nodes in x.
-    low, high
-        Edges of the beam on the plane x = 0, mm; a beam should not be much wider than the change of J with y₀ allows.
-    strength
-        Irradiance times σs².
-    x, fractions, margin, values
-        Of the table.
-    y0_weights
-        (ny,) weights that interpolate the table to the beam's middle.
-    z0, z0_weights
-        Where the beam's rays enter, and the weights that integrate over its height.
-    mirrored
-        Whether the table is of light by way of the surface.
-    nodes, weights
-        Gauss–Legendre rule on [−1, 1].
+    pixel_mm, geometry
+        Of the scene.
+    table
+        Of J.
+    strip
+        Of light.
+    rule
+        Gauss–Legendre.
     """
+    x, fractions, margin, _, z0, values, decay, mirrored, _ = table
+    low, high, strength, y0_weights, z0_weights = strip
+    nodes, weights = rule
     count = fractions.size
     first = math.log(fractions[0] / (1.0 + margin - fractions[0]))
     spacing = (-math.log(margin) - first) / (count - 1)

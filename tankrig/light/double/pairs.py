@@ -20,6 +20,7 @@ from tankrig.light.double.image import add_beams, columns_of, lit_heights
 from tankrig.light.double.table import (
     FINE,
     PANEL,
+    Pair,
     Table,
     cut_at_critical_angle,
     half_circle,
@@ -27,9 +28,10 @@ from tankrig.light.double.table import (
     panel_cuts,
 )
 from tankrig.light.elementary import exponential
+from tankrig.light.quadrature import Rule, gauss_legendre
 from tankrig.light.rays import Geometry, path_inside, sight_line
 from tankrig.scene import Scene
-from tankrig.scene.phase_splines import PhaseSplines
+from tankrig.scene.phase_splines import PhaseSplines, SplineRecord
 from tankrig.scene.phase_table import HenyeyGreensteinRecord
 from tankrig.threads import THREADS
 
@@ -105,13 +107,9 @@ def double_pairs(scene: Scene, splines: PhaseSplines) -> PairTables:
 
 def _pair_values(scene: Scene, geometry: Geometry, table: Table, splines: PhaseSplines) -> NDArray[np.float32]:
     """(nodes, n²) J by pairs, as `Table.values` has it: nodes in the order z₀, x, δ."""
-    z0, x, fractions = table.z0_mm, table.x_mm, table.fractions
-    values = np.zeros((z0.size * x.size * fractions.size, splines.count**2), np.float32)
-    rule = np.polynomial.legendre.leggauss(FINE.nodes)
-    given = (
-        values, splines.count, splines.places, geometry, table.decay, scene.medium.sigma_t, x, fractions, z0,
-        table.mirrored, *rule,
-    )  # fmt: skip
+    nodes = table.z0_mm.size * table.x_mm.size * table.fractions.size
+    values = np.zeros((nodes, splines.count**2), np.float32)
+    given = values, splines.record, table, geometry, float(scene.medium.sigma_t), gauss_legendre(FINE.nodes)
     with ThreadPoolExecutor(THREADS) as pool:
         for done in [pool.submit(_fill_pairs, *given, share, THREADS) for share in range(THREADS)]:
             done.result()
@@ -120,21 +118,20 @@ def _pair_values(scene: Scene, geometry: Geometry, table: Table, splines: PhaseS
 
 @kernel
 def _fill_pairs(
-    values: NDArray[np.float32], count: int, places: Array, geometry: Geometry, decay: float, sigma_t: float, x: Array,
-    fractions: Array, z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
+    values: NDArray[np.float32], splines: SplineRecord, table: Table, geometry: Geometry, sigma_t: float, rule: Rule,
+    part: int, parts: int,
 ) -> None:  # fmt: skip
     """Every second x; both lines are put symmetrically about y = 0, inside the tank."""
-    pairs = np.empty(count * count)
+    x, fractions, _, _, z0, _, decay, mirrored, _ = table
+    pairs = np.empty(splines.count * splines.count)
     for i in range(part, x.size, parts):
         for j in range(z0.size):
             for k in range(fractions.size):
                 pairs[:] = 0.0
                 delta = 2.0 * geometry.half_width * fractions[k]
                 scale = math.exp(decay * (x[i] + delta))
-                pair_shares(
-                    pairs, count, places, geometry, sigma_t, x[i], 0.5 * delta, -0.5 * delta, z0[j], mirrored, scale,
-                    nodes, weights,
-                )  # fmt: skip
+                pair = Pair(x[i], 0.5 * delta, -0.5 * delta, z0[j], mirrored)
+                pair_shares(pairs, splines, geometry, sigma_t, pair, scale, rule)
                 node = (j * x.size + i) * fractions.size + k
                 for pair in range(pairs.size):
                     values[node, pair] = pairs[pair]
@@ -142,24 +139,25 @@ def _fill_pairs(
 
 @kernel
 def pair_shares(
-    pairs: Array, count: int, places: Array, geometry: Geometry, sigma_t: float, x: float, y: float, y0: float,
-    z0: float, mirrored: bool, scale: float, nodes: Array, weights: Array,
-) -> None:  # fmt: skip
+    pairs: Array, splines: SplineRecord, geometry: Geometry, sigma_t: float, pair: Pair, scale: float, rule: Rule
+) -> None:
     """Add `scale` times J to what each pair of splines has of it: `pair_radiance` with p left open.
+
+        G_ij = ∫∫ ds dt exp(−σt (s + r + t)) B_i(u·r̂) B_j(r̂·v) / r²
 
     Parameters
     ----------
     pairs
         (count²,) added to.
-    count
-        Splines.
-    places
-        See `PhaseSplines.places`.
-    geometry, sigma_t, x, y, y0, z0, mirrored, nodes, weights
-        As for `pair_radiance`, whose light is collimated and whose camera orthographic.
+    splines
+        Of the phase functions.
+    geometry, sigma_t, pair, rule
+        As for `pair_radiance`; light is collimated and the camera orthographic.
     scale
         A factor.
     """
+    (count, places), (nodes, weights) = splines, rule
+    x, y, y0, z0, mirrored = pair
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     s_min, s_max = path_inside(geometry, 0.0, y0, z0, 1.0, 0.0, 0.0)
     _, t_max = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)

@@ -19,6 +19,7 @@ are geometric in δ on both sides of the crossing, graded towards the walls in x
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import crossing_offset, reflectance
 from tankrig.light.elementary import exponential
+from tankrig.light.quadrature import Rule, gauss_legendre
 from tankrig.light.rays import (
     Geometry,
     light_kept,
@@ -36,6 +38,7 @@ from tankrig.light.rays import (
     sight_line,
     sighting_row,
 )
+from tankrig.light.water import Water, water_of
 from tankrig.scene import Scene
 from tankrig.scene.phase import phase_density
 from tankrig.scene.phase_table import PhaseRecord
@@ -58,37 +61,35 @@ SPREAD = 0.05
 """Of the water's depth: so far apart line and ray are taken to be at least, where only the share of light counts."""
 
 
+class Pair(NamedTuple):
+    """A line of sight and a light ray that light goes between."""
+
+    x: float
+    """Where the line of sight leaves the surface, mm."""
+    y: float
+    y0: float
+    """Where the light ray enters at x = 0, mm."""
+    z0: float
+    mirrored: bool
+    """Whether the light is reflected at the surface between its two scatterings (Fresnel); then the line of sight is
+    unfolded above z = Lz, and R(ξ) multiplies."""
+
+
 @kernel
-def pair_radiance(
-    geometry: Geometry,
-    sigma_t: float,
-    phase: PhaseRecord,
-    x: float,
-    y: float,
-    y0: float,
-    z0: float,
-    mirrored: bool,
-    nodes: NDArray[np.float64],
-    weights: NDArray[np.float64],
-) -> float:
+def pair_radiance(geometry: Geometry, water: Water, pair: Pair, rule: Rule) -> float:
     """J of the module's heading times the surface's transmission, in 1/sr² (multiply by σs² and the ray's power).
 
     Parameters
     ----------
-    geometry
+    geometry, water
         Numbers of the scene.
-    sigma_t, phase
-        Extinction in 1/mm, and the phase function.
-    x, y
-        Where the line of sight leaves the surface, mm.
-    y0, z0
-        Where the light ray enters at x = 0, mm.
-    mirrored
-        Whether the light is reflected at the surface between its two scatterings (Fresnel); then the line of sight is
-        unfolded above z = Lz, and R(ξ) multiplies.
-    nodes, weights
-        Gauss–Legendre rule on [−1, 1] used in every panel.
+    pair
+        Of lines.
+    rule
+        Gauss–Legendre, used in every panel.
     """
+    (sigma_t, _, phase), (nodes, weights) = water, rule
+    x, y, y0, z0, mirrored = pair
     ux, uy, uz = light_ray(geometry, y0, z0)
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     s_min, s_max = path_inside(geometry, 0.0, y0, z0, ux, uy, uz)
@@ -321,38 +322,27 @@ COARSE = Fineness(
 """Errs by 0.1 % at most, in less than half the time, and in a third of it where lines slant."""
 
 
-@dataclass(frozen=True)
-class Table:
-    """J at its nodes.
-
-    Parameters
-    ----------
-    x_mm
-        (nx,) where lines of sight leave the surface.
-    fractions
-        (nk,) |δ| as a share of the distance from the crossing to the side wall.
-    margin
-        The shares f are even steps of ln(f / (1 + margin − f)).
-    y0_mm, z0_mm
-        (ny,), (nz,) where light rays enter.
-    inner_mm
-        The y₀ between which light doesn't reach the side walls.
-    values
-        (nz, ny, 2, nx, nk): J·exp(κ (x + |δ|)) over the share of the light seen, which changes little; the third axis
-        is the side of the crossing, y below or above it.
-    """
+class Table(NamedTuple):
+    """J at its nodes."""
 
     x_mm: Array
+    """(nx,) where lines of sight leave the surface."""
     fractions: Array
+    """(nk,) |δ| as a share of the distance from the crossing to the side wall."""
     margin: float
+    """The shares f are even steps of ln(f / (1 + margin − f))."""
     y0_mm: Array
-    inner_mm: tuple[float, float]
+    """(ny,), (nz,) where light rays enter."""
     z0_mm: Array
     values: Array
+    """(nz, ny, 2, nx, nk): J·exp(κ (x + |δ|)) over the share of the light seen, which changes little; the third axis
+    is the side of the crossing, y below or above it."""
     decay: float
     """κ in 1/mm: σt, or less where exp(σt x) would overflow."""
     mirrored: bool
     """Whether the light goes by way of the surface."""
+    inner_mm: tuple[float, float]
+    """The y₀ between which light doesn't reach the side walls."""
 
 
 def laid_out(
@@ -415,9 +405,9 @@ def laid_out(
     else:
         edges = [edge for beam in scene.projector.beams for edge in beam.y_mm]
         y0, inner = _y_nodes(geometry, min(edges), max(edges), 0.5 * (low + high))
-    decay = min(sigma_t, STEEPEST / (geometry.length + width))
+    decay = float(min(sigma_t, STEEPEST / (geometry.length + width)))
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
-    return Table(x, fractions, margin, y0, inner, z0, values, decay, mirrored), 0.5 * (high - low) * weights
+    return Table(x, fractions, margin, y0, z0, values, decay, mirrored, inner), 0.5 * (high - low) * weights
 
 
 def fill_table(
@@ -431,24 +421,11 @@ def fill_table(
 ) -> tuple[Table, Array]:
     """Compute J at the nodes of `laid_out`, which has the same parameters."""
     table, weights = laid_out(scene, geometry, z_mm, mirrored, finest_mm, fineness, between)
-    x, fractions, y0, z0, values = table.x_mm, table.fractions, table.y0_mm, table.z0_mm, table.values
-    rule = np.polynomial.legendre.leggauss(fineness.nodes)
+    y0, values = table.y0_mm, table.values
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     half = y0.size // 2 if mirror_symmetric(scene) else 0
-    some, one_sided = y0[: y0.size - half], values[:, : y0.size - half]
-    given = (
-        one_sided,
-        geometry,
-        table.decay,
-        scene.medium.sigma_t,
-        scene.medium.phase_function.record,
-        x,
-        fractions,
-        some,
-        z0,
-        mirrored,
-        *rule,
-    )
+    one_sided = table._replace(y0_mm=y0[: y0.size - half], values=values[:, : y0.size - half])
+    given = one_sided, geometry, water_of(scene.medium), gauss_legendre(fineness.nodes)
     with ThreadPoolExecutor(THREADS) as pool:
         parts = [pool.submit(fill, *given, part, THREADS) for part in range(THREADS)]
         for part in parts:
@@ -481,7 +458,7 @@ def _y_nodes(geometry: Geometry, low: float, high: float, z0: float) -> tuple[Ar
     above = np.linspace(inner_high, high, 2 + math.ceil((high - inner_high) / close))[
         : None if inner_high < high else 0
     ]
-    return np.concatenate([below, inner, above]), (inner_low, inner_high)
+    return np.concatenate([below, inner, above]), (float(inner_low), float(inner_high))
 
 
 def _staying(geometry: Geometry, edge: float, z0: float, other: float) -> float:
@@ -555,38 +532,24 @@ def lagrange(nodes: Array, at: float) -> Array:
 
 
 @kernel
-def _fill_shifted(
-    values: Array, geometry: Geometry, decay: float, sigma_t: float, phase: PhaseRecord, x: Array, fractions: Array,
-    y0: Array, z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
-) -> None:  # fmt: skip
+def _fill_shifted(table: Table, geometry: Geometry, water: Water, rule: Rule, part: int, parts: int) -> None:
     """Every second x, where only y − y₀ matters: both lines are put symmetrically about y = 0, inside the tank."""
+    x, fractions, _, y0, z0, values, decay, mirrored, _ = table
     for i in range(part, x.size, parts):
         for j in range(z0.size):
             for k in range(fractions.size):
                 delta = 2.0 * geometry.half_width * fractions[k]
-                value = pair_radiance(
-                    geometry,
-                    sigma_t,
-                    phase,
-                    x[i],
-                    y0[0] + 0.5 * delta,
-                    y0[0] - 0.5 * delta,
-                    z0[j],
-                    mirrored,
-                    nodes,
-                    weights,
-                )
+                pair = Pair(x[i], y0[0] + 0.5 * delta, y0[0] - 0.5 * delta, z0[j], mirrored)
+                value = pair_radiance(geometry, water, pair, rule)
                 value *= math.exp(decay * (x[i] + delta))
                 values[j, 0, 0, i, k] = value
                 values[j, 0, 1, i, k] = value
 
 
 @kernel
-def _fill_slanted(
-    values: Array, geometry: Geometry, decay: float, sigma_t: float, phase: PhaseRecord, x: Array, fractions: Array,
-    y0: Array, z0: Array, mirrored: bool, nodes: Array, weights: Array, part: int, parts: int,
-) -> None:  # fmt: skip
+def _fill_slanted(table: Table, geometry: Geometry, water: Water, rule: Rule, part: int, parts: int) -> None:
     """Every second x, with nodes between the crossing and either side wall; J over `share_seen`."""
+    x, fractions, _, y0, z0, values, decay, mirrored, _ = table
     inside = 0.999 * geometry.half_width  # at the wall itself both are 0
     for i in range(part, x.size, parts):
         for j in range(z0.size):
@@ -599,7 +562,7 @@ def _fill_slanted(
                         delta = max(span, 1e-6) * fractions[k]
                         y = crossing + delta if side == 1 else crossing - delta
                         y = min(max(y, -inside), inside)
-                        value = pair_radiance(geometry, sigma_t, phase, x[i], y, y0[m], z0[j], mirrored, nodes, weights)
+                        value = pair_radiance(geometry, water, Pair(x[i], y, y0[m], z0[j], mirrored), rule)
                         share = max(share_seen(geometry, x[i], y, abs(y - crossing), depth), 1e-9)
                         value *= math.exp(decay * (x[i] + delta)) / share
                         values[j, m, side, i, k] = value
