@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from tankrig.estimation.uncertainty import SmoothError, Whitening
 from tankrig.live.results import DoseFit, FailedFit, SeriesFit, SingleScattering, fits_in, from_fields, to_fields
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium
+from tests.test_bent_scenes import SAME
 from tests.test_estimation import MEDIUM, SCENE, noisy, tank_like
 
 Array = NDArray[np.float64]
@@ -249,25 +251,25 @@ def test_lines_of_earlier_versions_and_of_later_ones_are_read() -> None:
 
 
 CODE = """
-import json
-from dataclasses import replace
+import json, pickle, sys
 from tankrig.light.double import double_scattering
 from tankrig.light.moments.propagation import propagation
 from tankrig.light.moments.cells import Cells
 from tankrig.light.single import single_scattering
 from tankrig.threads import THREADS
-from tests.test_bent_scenes import SAME
-direct = propagation(1, Cells.of(SAME.tank, 30.0), 0.05, 0.0).direct
-print(json.dumps([THREADS, *(float(one.sum()) for one in (single_scattering(SAME), double_scattering(SAME), direct))]))
+scene = pickle.loads(bytes.fromhex(sys.argv[1]))
+direct = propagation(1, Cells.of(scene.tank, 30.0), 0.05, 0.0).direct
+print(json.dumps([THREADS, *(float(one.sum()) for one in (single_scattering(scene), double_scattering(scene), direct))]))
 """
 
 
 def test_one_setting_says_how_many_threads_work_and_no_image_depends_on_it() -> None:
     """Rows that two threads add, or none, would show as stripes only on the machines that were told otherwise."""
     found = {}
+    words = [sys.executable, "-c", CODE, pickle.dumps(SAME).hex()]
     for threads in ("", "1", "3"):
         told = os.environ | {"TANKRIG_THREADS": threads, "PYTHONPATH": os.pathsep.join(sys.path)}
-        out = subprocess.run([sys.executable, "-c", CODE], env=told, capture_output=True, text=True, check=True)
+        out = subprocess.run(words, env=told, capture_output=True, text=True, check=True)
         found[threads] = json.loads(out.stdout)
     assert [one[0] for one in found.values()] == [2, 1, 3]
     for threads in ("1", "3"):

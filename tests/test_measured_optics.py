@@ -52,7 +52,7 @@ def px_per_mm(bench: TrueBench) -> float:
 
 
 @given(seed=st.integers(0, 30), share=st.floats(0.004, 0.05), sigma_mm=st.floats(12.0, 45.0), veil=st.floats(0.0, 0.05))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 def test_halo_and_veil_are_found_within_their_errors(seed: int, share: float, sigma_mm: float, veil: float) -> None:
     """A halo of 2 % that is not known moves σs by ten standard deviations and looks like noise."""
     bench = random_bench(seed, COARSE, SMALL[1])
@@ -190,7 +190,7 @@ def test_what_was_measured_is_in_the_bench(tmp_path: Path) -> None:
 
 
 @given(blur_px=st.floats(0.3, 2.0), share=st.floats(0.01, 0.1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_fits_leave_out_no_more_than_what_is_not_known_of_the_blur(blur_px: float, share: float) -> None:
     """All that is blurred was left out, as if nothing were known of it."""
     found = stored()

@@ -77,7 +77,7 @@ def found(results: Path) -> dict[str, Any]:
 
 def test_each_run_is_fitted_once_and_asking_again_does_what_is_missing(archive: Path, tmp_path: Path) -> None:
     out = tmp_path / "results"
-    refitted(archive, tmp_path / "compiled")
+    assert main(["refit", str(archive), "--out", str(tmp_path / "compiled")]) == 0
     assert refitted(archive, out)["made"] == 6
     first = found(out)
     assert {row["fits"][0]["model"] for row in first.values()} == {"prepared"}

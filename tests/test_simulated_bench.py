@@ -45,9 +45,10 @@ def bench() -> TrueBench:
     return random_bench(5, CAMERA, PROJECTOR)
 
 
-@pytest.fixture
-def view(bench: TrueBench, tmp_path: Path) -> InkInView:
-    return InkInView(bench, 0.02, 0, PictureStore(tmp_path / "pictures"), "bench 5")
+@pytest.fixture(scope="module")
+def view(bench: TrueBench, tmp_path_factory: pytest.TempPathFactory) -> InkInView:
+    """Whose pictures are computed once for all tests."""
+    return InkInView(bench, 0.02, 0, PictureStore(tmp_path_factory.mktemp("pictures")), "bench 5")
 
 
 def blocks(image: np.ndarray, side: int = 3) -> np.ndarray:
