@@ -259,7 +259,8 @@ from tankrig.light.single import single_scattering
 from tankrig.threads import THREADS
 scene = pickle.loads(bytes.fromhex(sys.argv[1]))
 direct = propagation(1, Cells.of(scene.tank, 30.0), 0.05, 0.0).direct
-print(json.dumps([THREADS, *(float(one.sum()) for one in (single_scattering(scene), double_scattering(scene), direct))]))
+images = single_scattering(scene), double_scattering(scene), direct
+print(json.dumps([THREADS, *(float(one.sum()) for one in images)]))
 """
 
 
