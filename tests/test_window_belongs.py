@@ -340,7 +340,7 @@ def test_refits_hand_on_photographs_as_they_were_fitted(monkeypatch, tmp_path):
     one = Photograph("sheet", 0.1, 0.0, scene, zero, zero, 0.0, 1)
     monkeypatch.setattr("tankrig.run.reading.open_run", lambda _: None)
     monkeypatch.setattr("tankrig.live.exposures.exposures_of", lambda _: SimpleNamespace(photographs=lambda: [one]))
-    monkeypatch.setattr("tankrig.live.fits.fit_dose", lambda here, _: here)
+    monkeypatch.setattr("tankrig.live.fits.fit_dose", lambda here, _start, **_: here)
     found = jobs.refit(tmp_path, RefitSettings(("sheet",), free_background=True))
     assert [photograph.offset for photograph in found.photographs] == ["free"]
 

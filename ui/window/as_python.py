@@ -13,12 +13,17 @@ _REFIT = """from dataclasses import replace
 import tankrig
 from tankrig.live.exposures import exposures_of
 from tankrig.live.fits import fit_all, fit_dose
+from tankrig.live.results import diluted
 
-run = tankrig.open_run({path!r})
-photographs = [one for one in exposures_of(run).photographs() if one.pattern in {patterns!r}]
-{free}doses_ml = sorted({{one.dose_ml for one in photographs}})
-fits = [fit_dose([one for one in photographs if one.dose_ml == dose_ml], None) for dose_ml in doses_ml]
-series = fit_all(photographs) if len(fits) > 1 else None
+exposures = exposures_of(tankrig.open_run({path!r}))
+phase = exposures.plan.phase  # which phase functions the run's sequence asks for
+photographs = [one for one in exposures.photographs() if one.pattern in {patterns!r}]
+{free}fits = []
+for dose_ml in sorted({{one.dose_ml for one in photographs}}):
+    start = diluted(fits[-1].medium, fits[-1].dose_ml, dose_ml) if fits else None
+    fits.append(fit_dose([one for one in photographs if one.dose_ml == dose_ml], start, phase=phase))
+start = None if fits[-1].medium.phase is None else diluted(fits[-1].medium, fits[-1].dose_ml, 1.0)
+series = fit_all(photographs, start, phase=phase) if len(fits) > 1 else None
 """
 _FREE = 'photographs = [replace(one, offset="free") for one in photographs]  # a background that is fitted\n'
 

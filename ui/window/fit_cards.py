@@ -23,6 +23,7 @@ ORDERS = {
     "single": "single scattering's best",
 }  # fmt: skip
 VERDICT_LINES = 2
+SCATTERING_LINES = 2
 EMPTY_LINE = "\u00a0"
 """Keeps a note's second line, so that a card is as high whatever it says."""
 NOTHING = f"not fitted yet\n{EMPTY_LINE}"
@@ -33,14 +34,18 @@ BESIDE_PX = 12
 
 
 class ResultCard(QWidget):
-    """One result: σs, σa, g with their 95 % intervals, whose they are, and what the verdict says."""
+    """One result: σs, σa, g with their 95 % intervals, whose they are, and what the verdict says.
+
+    Where g does not say all of how the liquid scatters, a line below them says the rest.
+    """
 
     copy_asked = Signal(str)
     """"text", "table" or "figure"."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.belongs, self.verdict = Elided(1), Elided(VERDICT_LINES)
+        self.belongs, self.scattering, self.verdict = Elided(1), Elided(SCATTERING_LINES), Elided(VERDICT_LINES)
+        self.scattering.hide()
         self.belongs.setProperty("role", "faint")
         self._whole = QPushButton("All of it")
         self._whole.setCheckable(True)
@@ -84,6 +89,7 @@ class ResultCard(QWidget):
         column.setSpacing(4)
         column.addWidget(self.belongs)
         column.addLayout(row)
+        column.addWidget(self.scattering)
         column.addWidget(self.verdict)
         self.show_result(None, "")
 
@@ -102,6 +108,11 @@ class ResultCard(QWidget):
             value.setText(number)
             note.setText(f"± {half} ({CONFIDENCE})\n" + (EMPTY_LINE if one.determined else "not determined"))
         self.belongs.say(result.belongs if result is not None else "")
+        further = result.scattering if result is not None else ()
+        self.scattering.say("; ".join(f"{one.symbol} {one.text} {one.unit}".rstrip() for one in further)
+                            + (f" ({CONFIDENCE})" if further else ""))  # fmt: skip
+        # All fits of a run search the same phase functions, so it comes and goes with the run.
+        self.scattering.setVisible(bool(further))
         verdict = result.verdict if result is not None else ""
         self.verdict.say(f"{says} {verdict}".strip())
         for button in self._copies:

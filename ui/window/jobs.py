@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tankrig.prediction import Prediction
     from tankrig.run.reading import Run
     from tankrig.scene import Scene
+    from tankrig.scene.phase_table import PhaseFunction
     from tankrig.sequence import Pace
 
 Image = NDArray[np.floating]
@@ -81,6 +82,8 @@ class Reading:
         What lies beside the run and cannot be read, in sentences.
     separates
         Whether it has steps that separate orders of scattering.
+    phase
+        Which phase functions its fits search, as its sequence asked.
     """
 
     run: "Run"
@@ -91,6 +94,7 @@ class Reading:
     counted: tuple[Counted, ...] = ()
     doubts: tuple[str, ...] = ()
     separates: bool = False
+    phase: "str | PhaseFunction" = "hg"
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +169,7 @@ def read(path: Path) -> Reading:
     labels = () if table is None else tuple(task.label for task in sequence_from_table(dict(table), str(path)).tasks)
     waves = wave_names(run)
     lit = tuple(one.name for one in run.patterns.values() if one.pixels.any() and one.name not in waves)
-    bench = PhotographPlan.of_run(run).bench
+    plan = PhotographPlan.of_run(run)
     _ = run.conditions  # found here and not where it would keep the window waiting
     wrong = bool(run.fits) and not fits_that_hold(run)
     counted: tuple[Counted, ...] = ()
@@ -174,7 +178,7 @@ def read(path: Path) -> Reading:
         counted = read_regions(path)
     except StoreError as error:
         doubts = (str(error),)
-    return Reading(run, labels, lit, bench, wrong, counted, doubts, bool(waves))
+    return Reading(run, labels, lit, plan.bench, wrong, counted, doubts, bool(waves), plan.phase)
 
 
 def count_regions(path: Path, regions: tuple[Region, ...]) -> tuple[Counted, ...]:
@@ -204,6 +208,8 @@ def found_in(path: Path) -> Found:
 def refit(path: Path, settings: RefitSettings) -> Found:
     """Fit a run anew, with some of its patterns only, or with a background that is fitted rather than subtracted.
 
+    The phase functions that are searched are those of the settings, and the search goes as that of `tankrig refit`.
+
     Returns
     -------
     The fit of each dose, that of the series where there are two doses or more, and the photographs as they were fitted.
@@ -231,8 +237,14 @@ def refit(path: Path, settings: RefitSettings) -> Found:
     for number, dose_ml in enumerate(doses_ml):
         progress.done(number / (len(doses_ml) + 1))
         here = [one for one in photographs if one.dose_ml == dose_ml]
-        fits.append(fit_dose(here, diluted(fits[-1].medium, fits[-1].dose_ml, dose_ml) if fits else None))
-    return Found(tuple(fits), fit_all(photographs) if len(fits) > 1 else None, tuple(photographs))
+        start = diluted(fits[-1].medium, fits[-1].dose_ml, dose_ml) if fits else None
+        fits.append(fit_dose(here, start, phase=settings.phase))
+    if len(fits) < 2:
+        return Found(tuple(fits), None, tuple(photographs))
+    last = fits[-1]
+    # Henyey–Greenstein's three numbers are found from anywhere; other phase functions from what a dose has found.
+    start = None if last.medium.phase is None else diluted(last.medium, last.dose_ml, 1.0)
+    return Found(tuple(fits), fit_all(photographs, start, phase=settings.phase), tuple(photographs))
 
 
 @dataclass(frozen=True)

@@ -37,9 +37,10 @@ class RefitRow(QWidget):
 
     @property
     def settings(self) -> RefitSettings:
-        """As ticked."""
+        """As ticked, with the phase functions that the run's sequence asks for."""
         patterns = tuple(sorted(box.text() for box in self.boxes if box.isChecked()))
-        return RefitSettings(patterns, self._free.isChecked())
+        reading = self._shown.reading if self._shown is not None else None
+        return RefitSettings(patterns, self._free.isChecked(), "hg" if reading is None else reading.phase)
 
     def show_source(self, shown: Shown) -> None:
         """Whose patterns to tick."""

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 
 from tankrig.estimation.verdict import SYMBOLS
 from tankrig.live.formatting import with_error
-from tankrig.live.results import DoseFit, SeriesFit
+from tankrig.live.results import DoseFit, PhaseFound, SeriesFit
 from tankrig.scene import Medium
+from ui.window.phase_words import PARAMETERS, found_in_words
 
 if TYPE_CHECKING:
     from ui.window.shown import Shown
 
 NAMES = {"sigma_s": "σs", "sigma_a": "σa", "g": "g"}
+MEAN_COSINE = "g, the mean cosine"
 CONFIDENCE = "95 %"
 Z = 1.96
 """Standard deviations on either side that hold 95 %."""
@@ -29,9 +31,9 @@ class Coefficient:
     Parameters
     ----------
     name, symbol, unit
-        "sigma_s", "sigma_a" or "g"; σs, σa, g; "per mm", "per mm and ml", or nothing.
+        "sigma_s", "sigma_a", "g", "reduced" or a parameter's; σs, σa, g …; "per mm", "per mm and ml", or nothing.
     value, half
-        Best value, and half of the 95 % interval.
+        Best value, and half of the 95 % interval; 0 of what was given, and not fitted.
     determined
         Whether the photographs determine it.
 
@@ -39,6 +41,8 @@ class Coefficient:
     --------
     >>> Coefficient("g", "g", "", 0.7123456, 0.0021, True).text
     '0.7123 ± 0.0021'
+    >>> Coefficient("water_index", "index of the water", "", 1.33, 0.0, True).text
+    '1.33, as given'
     """
 
     name: str
@@ -51,6 +55,8 @@ class Coefficient:
     @property
     def text(self) -> str:
         """With digits from its uncertainty."""
+        if self.half == 0.0:
+            return f"{self.value:.6g}, as given"
         return with_error(self.value, self.half) if math.isfinite(self.half) else f"{self.value:.4g} ± unknown"
 
 
@@ -72,6 +78,9 @@ class Result:
         In the order in which they are shown.
     verdict
         Whether they are determined, in sentences.
+    scattering
+        What else was found of how the liquid scatters, where g does not say all of that: σs(1−g), and what describes
+        the phase function.
     """
 
     title: str
@@ -83,6 +92,7 @@ class Result:
     settings: str
     coefficients: tuple[Coefficient, ...]
     verdict: str
+    scattering: tuple[Coefficient, ...] = ()
 
     @property
     def belongs(self) -> str:
@@ -93,9 +103,10 @@ class Result:
     def text(self) -> str:
         """As plain text."""
         lines = [self.title, self.belongs]
-        for one in self.coefficients:
+        for one in (*self.coefficients, *self.scattering):
             not_known = "" if one.determined else ", not determined"
-            lines.append(f"{one.symbol} = {one.text} {one.unit}".rstrip() + f" ({CONFIDENCE}{not_known})")
+            sure = f" ({CONFIDENCE}{not_known})" if one.half else ""
+            lines.append(f"{one.symbol} = {one.text} {one.unit}".rstrip() + sure)
         return "\n".join([*lines, self.verdict])
 
 
@@ -112,8 +123,9 @@ def of_dose(shown: "Shown", fit: DoseFit) -> Result:
     known = {name: fit.identifiable.get(name, True) for name in _PLACES}
     model = _MODELS.get(fit.model, fit.model)
     return Result(
-        shown.source.title, of, (fit.dose_ml,), fit.patterns, model, phase_in_words(fit.medium),
+        shown.source.title, of, (fit.dose_ml,), fit.patterns, model, phase_in_words(fit.medium, fit.scattering),
         _settings(shown, fit.patterns), _coefficients(fit.medium, fit.sd, known, "per mm"), in_words(fit),
+        _scattering(fit.medium, fit.scattering, "per mm"),
     )  # fmt: skip
 
 
@@ -122,24 +134,26 @@ def _of_series(shown: "Shown", fit: SeriesFit) -> Result:
     known = {name: fit.identifiable.get(name, True) for name in _PLACES}
     patterns = tuple(dict.fromkeys(fit.patterns or (shown.newest.patterns if shown.newest is not None else ())))
     model = _MODELS.get(shown.newest.model, shown.newest.model) if shown.newest is not None else _MODELS["tank"]
+    unlike = "".join(f" With {one.dose_ml:.4g} ml,{_unlike(one)}" for one in shown.by_dose if one.structure)
     return Result(
-        shown.source.title, f"ink, from {doses} ml", fit.doses_ml, patterns, model, phase_in_words(fit.ink),
-        _settings(shown, patterns), _coefficients(fit.ink, fit.sd, known, "per mm and ml"), fit.verdict,
+        shown.source.title, f"ink, from {doses} ml", fit.doses_ml, patterns, model,
+        phase_in_words(fit.ink, fit.scattering), _settings(shown, patterns),
+        _coefficients(fit.ink, fit.sd, known, "per mm and ml"), f"{fit.verdict}{unlike}",
+        _scattering(fit.ink, fit.scattering, "per mm and ml"),
     )  # fmt: skip
 
 
-def phase_in_words(medium: Medium) -> str:
-    """The phase function of a medium, by its name.
+def phase_in_words(medium: Medium, found: PhaseFound | None = None) -> str:
+    """The phase function of a medium, by its family's name.
 
     >>> phase_in_words(Medium(0.0, 0.01, 0.7))
     'Henyey–Greenstein'
     """
-    name = type(medium.phase_function).__name__
-    return "Henyey–Greenstein" if name == "HenyeyGreenstein" else name
+    return found_in_words(medium.phase_function.kind, {} if found is None else found.families)
 
 
 def in_words(fit: DoseFit) -> str:
-    """Which coefficients a dose's fit determines, and what order 1 has against it.
+    """Which coefficients a dose's fit determines, what of the light its model leaves, and what order 1 has against it.
 
     >>> known = {"sigma_a": False, "sigma_s": True, "g": True}
     >>> in_words(DoseFit(0.4, Medium(1e-4, 0.01, 0.7), identifiable=known, frames=12, patterns=("sheet",)))
@@ -148,12 +162,20 @@ def in_words(fit: DoseFit) -> str:
     known = [symbol for name, symbol in SYMBOLS.items() if fit.identifiable.get(name, True)]
     unknown = [symbol for symbol in SYMBOLS.values() if symbol not in known]
     head = f"With {fit.dose_ml:.4g} ml, from {fit.frames} frames of {', '.join(fit.patterns)}: "
-    doubt = f" {fit.order_one[:1].upper()}{fit.order_one[1:]}" if fit.order_one else ""
+    doubt = _unlike(fit)
+    doubt += f" {fit.order_one[:1].upper()}{fit.order_one[1:]}" if fit.order_one else ""
     if not unknown:
         return f"{head}σs, g and σa are all determined.{doubt}"
     are = " and ".join(known) + (" are" if len(known) > 1 else " is") + " determined, " if known else ""
     rest = " and ".join(unknown) + (" are" if len(unknown) > 1 else " is") + " not yet"
     return f"{head}{are}{rest}; more dose or patterns tell more.{doubt}"
+
+
+def _unlike(fit: DoseFit) -> str:
+    """How much of the light is not as the model has it; empty where it is."""
+    if not fit.structure:
+        return ""
+    return f" {100.0 * fit.structure:.2g} % of the light is not as the model has it, and counted in the errors."
 
 
 def table(shown: "Shown") -> str:
@@ -170,12 +192,20 @@ def table_of(results: Sequence[Result]) -> str:
     for name, symbol in NAMES.items():
         unit = "" if name == "g" else " (1/mm, of ink 1/mm/ml)"
         head += [f"{symbol}{unit}", f"{symbol} ± {CONFIDENCE}", f"{symbol} determined"]
+    # Different results may have different phase functions: a column for each number that any of them has.
+    further = {(number.name, number.symbol): number for one in results for number in one.scattering}
+    for name, symbol in further:
+        unit = " (1/mm, of ink 1/mm/ml)" if name == "reduced" else ""
+        head += [f"{symbol}{unit}", f"{symbol} ± {CONFIDENCE}"]
     lines = [head]
     for one in results:
         doses = ", ".join(f"{dose:.6g}" for dose in one.doses_ml)
         row = [one.title, one.of, doses, ", ".join(one.patterns), one.model, one.phase, one.settings]
         for number in one.coefficients:
             row += [f"{number.value:.8g}", f"{number.half:.3g}", "yes" if number.determined else "no"]
+        has = {(number.name, number.symbol): number for number in one.scattering}
+        for column in further:
+            row += [f"{has[column].value:.8g}", f"{has[column].half:.3g}"] if column in has else ["", ""]
         lines.append(row)
     return "\n".join("\t".join(line) for line in lines) + "\n"
 
@@ -183,13 +213,27 @@ def table_of(results: Sequence[Result]) -> str:
 def _coefficients(
     medium: Medium, sd: tuple[float, ...], known: dict[str, bool], unit: str
 ) -> tuple[Coefficient, ...]:  # fmt: skip
+    symbols = SYMBOLS if medium.phase is None else {**SYMBOLS, "g": MEAN_COSINE}
     return tuple(
         Coefficient(
-            name, SYMBOLS[name], "" if name == "g" else unit, float(getattr(medium, name)),
+            name, symbols[name], "" if name == "g" else unit, float(getattr(medium, name)),
             Z * sd[place] if place < len(sd) else math.inf, known[name],
         )
         for name, place in _PLACES.items()
     )  # fmt: skip
+
+
+def _scattering(medium: Medium, found: PhaseFound | None, unit: str) -> tuple[Coefficient, ...]:
+    """σs(1−g), and what describes the phase function; nothing of Henyey–Greenstein's, whose g says all."""
+    if found is None:
+        return ()
+    reduced = Coefficient("reduced", "σs(1−g)", unit, found.reduced[0], Z * found.reduced[1], True)
+    most = max(found.families, key=lambda name: found.families[name], default=medium.phase_function.kind)
+    words = PARAMETERS.get(most, {})  # where families share the answer, these are the heaviest's
+    return reduced, *(
+        Coefficient(name, words.get(name, name.replace("_", " ")), "", value, Z * sd, True)
+        for name, (value, sd) in found.parameters.items()
+    )
 
 
 def _settings(shown: "Shown", patterns: tuple[str, ...]) -> str:

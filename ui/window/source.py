@@ -3,6 +3,12 @@
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ui.window.phase_words import asked_in_words
+
+if TYPE_CHECKING:
+    from tankrig.scene.phase_table import PhaseFunction
 
 
 class Kind(Enum):
@@ -23,21 +29,27 @@ class RefitSettings:
         Names of those that count, in alphabetical order.
     free_background
         Whether a constant background is fitted, rather than the dark frames trusted to have taken it out.
+    phase
+        Which phase functions are searched, as in `tankrig.estimate`.
 
     Examples
     --------
     >>> RefitSettings(("rays", "sheet"), free_background=True).words
     'rays, sheet; background fitted'
+    >>> RefitSettings(("rays",), phase="fournier-forand").words
+    'rays; dark frames subtracted; Fournier–Forand asked for'
     """
 
     patterns: tuple[str, ...]
     free_background: bool = False
+    phase: "str | PhaseFunction" = "hg"
 
     @property
     def words(self) -> str:
         """For people."""
         background = "; background fitted" if self.free_background else "; dark frames subtracted"
-        return ", ".join(self.patterns) + background
+        asked = "" if self.phase == "hg" else f"; {asked_in_words(self.phase)} asked for"
+        return ", ".join(self.patterns) + background + asked
 
 
 @dataclass(frozen=True)
