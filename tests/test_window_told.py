@@ -185,3 +185,18 @@ def test_what_was_typed_in_a_step_that_is_left_is_told(tmp_path):
         until(lambda: not window.top.run.isEnabled())
         steps.tree.setCurrentItem(steps.tree.topLevelItem(1))
         until(lambda: "the value before it stands" in window.banner.text)
+
+
+def test_a_press_long_after_the_first_is_no_second_one(tmp_path, monkeypatch):
+    """Who pressed once, and comes back an hour later, must not have the tank's ink forgotten at a touch."""
+    monkeypatch.setattr("ui.window.doser_page.SURE_MS", 20)
+    with window_on(tmp_path, write_rig(tmp_path)) as window:
+        until(lambda: window.status.state.value == "ready" and window.built, 60.0)
+        asked: list[None] = []
+        window.doser.refill_asked.connect(lambda: asked.append(None))
+        window.doser._ask_refill()
+        until(lambda: "Press again" not in window.doser._refill.text())
+        window.doser._ask_refill()
+        assert not asked
+        window.doser._ask_refill()
+        assert len(asked) == 1

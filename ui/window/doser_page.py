@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Signal
+from PySide6.QtCore import QTimer, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QFrame,
@@ -15,7 +15,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from ui.window.fields import CheckedField, NumberField, number, with_name
+from ui.window.fields import SURE_MS, CheckedField, NumberField, number, with_name
 from ui.window.flow import Flow
 from ui.window.pump_rate import PumpRate, pump_rate
 from ui.window.status import RigState, RigStatus
@@ -175,14 +175,18 @@ class DoserPage(QWidget):
         self.resolve_asked.emit(float(value))
 
     def _ask_refill(self) -> None:
-        """Asked twice, for it forgets what the tank holds."""
+        """Asked twice, for it forgets what the tank holds; a press long after is a first one."""
         if not self._sure:
             self._sure = True
             self._refill.setText("Press again: the tank is empty of ink and filled anew")
+            QTimer.singleShot(SURE_MS, self, self._ask_again)
             return
+        self._ask_again()
+        self.refill_asked.emit()
+
+    def _ask_again(self) -> None:
         self._sure = False
         self._refill.setText("Filled with fresh water…")
-        self.refill_asked.emit()
 
     # -- layout --------------------------------------------------------------------------------------------------------
 

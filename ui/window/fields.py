@@ -42,6 +42,10 @@ def numbers(
     return [value for value in values if value is not None], ""
 
 
+SURE_MS = 15_000
+"""A second press of a button that asks twice counts so long after the first."""
+
+
 class CheckedField(QWidget):
     """A line of text that is read as typed; `value` is None while it makes no sense.
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import QFile, Qt, QUrl, Signal
+from PySide6.QtCore import QFile, Qt, QTimer, QUrl, Signal
 from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -20,6 +20,7 @@ from PySide6.QtWidgets import (
 
 from tankrig.run.notes import MOST_LETTERS, write_note
 from ui.window import jobs
+from ui.window.fields import SURE_MS
 from ui.window.files import ask_where_to_save
 from ui.window.flow import Flow, take_rest
 from ui.window.on_screen import OnScreen, Worker
@@ -138,9 +139,15 @@ class RunsPage(QWidget):
             self._sure = selected.path
             self._delete.setText("Press again")
             self._says.setText(f"{selected.path.name} will be moved to the trash, where it can be found again.")
+            QTimer.singleShot(SURE_MS, self, self._ask_again)
             return
         self._sure = None
         self.delete(selected.path)
+
+    def _ask_again(self) -> None:
+        """A press long after is a first one."""
+        self._sure = None
+        self._delete.setText(DELETE)
 
     def delete(self, run: Path) -> None:
         """Move a run to the trash, and take everything of it off the screen."""
