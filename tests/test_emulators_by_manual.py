@@ -18,6 +18,7 @@ from drivers.lightcrafter4500.emulator.controller import Controller
 from drivers.lightcrafter4500.emulator.controller import Habits as LightCrafterHabits
 from drivers.new_era.emulator.core import Core as NewEraCore
 from drivers.new_era.emulator.core import Habits as NewEraHabits
+from drivers.new_era.emulator.core import Syringe
 from drivers.new_era.emulator.frames import DAMAGED, Reader, crc, safe
 from drivers.rig_doser.emulator.firmware import Firmware
 from drivers.rig_doser.emulator.frames import Request, RequestReader, framed
@@ -375,8 +376,7 @@ class NewEra:
             self.memory,
             lambda: None,
             self._pulse,
-            steps_per_ul=20.0,
-            true_diameter_mm=12.0,
+            syringe=Syringe(20.0, 12.0),
             nearest=True,
             counter_survives=self._counter_survives,
             habits=self._habits,

@@ -19,6 +19,7 @@ from drivers.cavro.emulator.core import Core as CavroCore
 from drivers.cavro.emulator.core import Habits as CavroHabits
 from drivers.cavro.emulator.frames import Command
 from drivers.new_era.emulator.core import Core as NewEraCore
+from drivers.new_era.emulator.core import Syringe
 from drivers.rig_doser.emulator.firmware import Firmware
 from drivers.rig_doser.emulator.frames import Request
 from drivers.rig_doser.emulator.memory import STOPPED, Commissioning, StateFile
@@ -103,9 +104,9 @@ def test_a_cavro(model: Model, history: History, jams_after: int | None) -> None
 
 def new_era(history: History, jams_after: int | None, *, as_process: bool) -> tuple[object, ...]:
     motor, memory = Motor(jams_after), dict[str, Any]()
-    syringe = {"steps_per_ul": 20.0, "true_diameter_mm": 12.0, "nearest": True, "counter_survives": False}
+    given = {"syringe": Syringe(20.0, 12.0), "nearest": True, "counter_survives": False}
     run = {} if as_process else {"run": motor.run}
-    core = NewEraCore(memory, lambda: None, motor.pulse, **run, **syringe)
+    core = NewEraCore(memory, lambda: None, motor.pulse, **run, **given)
     return lived(core, [*history, ("DIS", 100.0)], core.obey, looks=as_process), motor.made, core.believed()
 
 

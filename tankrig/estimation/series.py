@@ -146,10 +146,9 @@ def fit_liquid(
     scenes: Sequence[Scene],
     scaling: Scaling,
     models: Sequence[Models] | None = None,
-    start: Medium | None = None,
+    start: Medium | Sequence[Medium] | None = None,
     progress: Told = lambda _: None,
     asked: Asked = Asked(),  # noqa: B008
-    starts: Sequence[Medium] = (),
     nuisance: Mapping[str, float] | None = None,
 ) -> LiquidEstimate | None:
     """One liquid from several patterns with one gain.
@@ -163,13 +162,12 @@ def fit_liquid(
     models
         Of the scenes, all for one range; None for the tank model.
     start
-        Where to begin; searched for where None.
+        Where to begin, or several liquids that the search begins from in place of a look around (see
+        `OrderOneFit.media`; Henyey–Greenstein's only); looked for where None.
     progress
         Told in a few words what is being done; what it raises ends the fit.
     asked
         Which phase functions are searched; not Henyey–Greenstein's only by models that know any.
-    starts
-        Without `start`: liquids that the search begins from, in place of a look around; see `OrderOneFit.media`.
     nuisance
         As for `estimate_series`.
 
@@ -185,13 +183,14 @@ def fit_liquid(
     models = models or _models(scenes, tank_model, asked.family, low_orders_model)
     blocks_of = liquid_blocks(models[0].range or Range.of_tank(max(max(scene.tank.size_mm) for scene in scenes)))
     shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
+    known = start if isinstance(start, Medium) else None
     if asked.family is None:
         blocks = blocks_of(None)
-        begin = None if start is None else blocks[0].start(start)
-        places = [blocks[0].start(one) for one in starts] if start is None else []
+        begin = None if known is None else blocks[0].start(known)
+        places = [blocks[0].start(one) for one in start or ()] if not isinstance(start, Medium) else []
         fit = fitted(shots, blocks, scaling, progress, begin, starts=places or None)
     else:
-        fit = fit_phase(shots, asked, blocks_of, scaling, progress, densest=start)
+        fit = fit_phase(shots, asked, blocks_of, scaling, progress, densest=known)
     fit = _with_nuisance(fit, scenes, nuisance)
     best = fit.optimum
     gain, _, left = left_over(fit)

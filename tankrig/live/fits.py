@@ -91,7 +91,8 @@ def _fitted(
     observations = observed([one.image for one in photographs], scenes, noises, masks)
     scaling, asked = Scaling.given("free", first.offset), asked_for(phase, scenes[0])
     along = unmeasured(scenes[0])
-    found = fit_liquid(observations, scenes, scaling, prepared, start, progress, asked, starts, along)
+    begin = starts if start is None else start
+    found = fit_liquid(observations, scenes, scaling, prepared, begin, progress, asked, along)
     if found is None:
         return None
     return DoseFit(

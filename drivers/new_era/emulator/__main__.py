@@ -7,7 +7,7 @@ from drivers.emulation.process import parser, serve
 from drivers.emulation.truth import TruthFile
 
 from .board import NewEraBoard
-from .core import Habits
+from .core import Habits, Syringe
 
 
 def main() -> int:
@@ -31,8 +31,7 @@ def main() -> int:
     board = NewEraBoard(
         state,
         PseudoTerminal(args.link),
-        steps_per_ul=args.steps_per_ul,
-        true_diameter_mm=args.true_diameter_mm,
+        syringe=Syringe(args.steps_per_ul, args.true_diameter_mm),
         nearest=not args.cuts_digits,
         counter_survives=args.counter_survives,
         habits=Habits(

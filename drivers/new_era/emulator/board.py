@@ -7,7 +7,7 @@ from drivers.emulation.board import EmulatedBoard
 from drivers.emulation.cable import Cable
 from drivers.emulation.truth import TruthFile
 
-from .core import Core, Habits
+from .core import Core, Habits, Syringe
 from .frames import Reader, basic, safe
 
 BOOT_S = 0.3
@@ -22,8 +22,8 @@ class NewEraBoard(EmulatedBoard):
         Its memory and the truth.
     cable
         To whoever opens its port.
-    steps_per_ul, true_diameter_mm
-        Of the syringe that is really in it.
+    syringe
+        That is really in it.
     nearest, counter_survives
         What nobody has verified: see `Core`.
     habits
@@ -37,15 +37,14 @@ class NewEraBoard(EmulatedBoard):
         state: TruthFile,
         cable: Cable,
         *,
-        steps_per_ul: float = 20.0,
-        true_diameter_mm: float = 12.0,
+        syringe: Syringe | None = None,
         nearest: bool = True,
         counter_survives: bool = False,
         habits: Habits | None = None,
         boot_s: float = BOOT_S,
         **others: Any,
     ) -> None:
-        self._syringe = {"steps_per_ul": steps_per_ul, "true_diameter_mm": true_diameter_mm}
+        self._syringe = syringe or Syringe()
         self._nearest, self._counter_survives = nearest, counter_survives
         self._habits = habits or Habits()
         self._reader = Reader()
@@ -59,7 +58,7 @@ class NewEraBoard(EmulatedBoard):
             lambda: self._state.keep(kept),
             self._pulse,
             self._run,
-            **self._syringe,
+            syringe=self._syringe,
             nearest=self._nearest,
             counter_survives=self._counter_survives,
             habits=self._habits,

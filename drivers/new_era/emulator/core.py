@@ -48,6 +48,22 @@ class Habits:
     checks_rates: bool = False
 
 
+@dataclass(frozen=True)
+class Syringe:
+    """What is really in the pump.
+
+    Parameters
+    ----------
+    steps_per_ul
+        Of its motor.
+    diameter_mm
+        Inside.
+    """
+
+    steps_per_ul: float = 20.0
+    diameter_mm: float = 12.0
+
+
 class Core:
     """The pump from one power-up to the next.
 
@@ -61,8 +77,8 @@ class Core:
         One step of the motor; returns whether the plunger has followed; raises to end the pump's life there.
     run
         So many steps that are due; returns how many of them were made at once, the plunger following.
-    steps_per_ul, true_diameter_mm
-        Of the syringe that is really in it.
+    syringe
+        That is really in it.
     nearest
         Whether its display rounds (else it cuts digits off).
     counter_survives
@@ -78,17 +94,16 @@ class Core:
         pulse: Callable[[], bool],
         run: Callable[[int], int] = lambda _: 0,
         *,
-        steps_per_ul: float,
-        true_diameter_mm: float,
+        syringe: Syringe,
         nearest: bool,
         counter_survives: bool,
         habits: Habits | None = None,
     ) -> None:
         self._habits = habits or Habits()
         self._kept, self._keep, self._pulse, self._run = kept, keep, pulse, run
-        self._steps_per_ul, self._true_mm, self._nearest = steps_per_ul, true_diameter_mm, nearest
+        self._syringe, self._nearest = syringe, nearest
         if not kept:
-            kept.update(dia=true_diameter_mm, safe=0, address=0, phases={}, steps=0)
+            kept.update(dia=syringe.diameter_mm, safe=0, address=0, phases={}, steps=0)
         for key, value in {"pf": int(self._habits.power_failure), "operating": 0, "withdrawn": 0, "unit": ""}.items():
             kept.setdefault(key, value)
         if not counter_survives:
@@ -394,7 +409,7 @@ class Core:
 
     def _step_ul(self) -> float:
         """What it takes a step for; right only if its diameter is the syringe's."""
-        return float(self._kept["dia"] / self._true_mm) ** 2 / self._steps_per_ul
+        return float(self._kept["dia"] / self._syringe.diameter_mm) ** 2 / self._syringe.steps_per_ul
 
     def _unit(self) -> str:
         return self._kept["unit"] or ("UL" if self._kept["dia"] <= _LARGEST_IN_UL_MM else "ML")
