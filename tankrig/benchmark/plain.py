@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.montecarlo.draws import draw, draw_scattered, scrambled, turning
-from tankrig.montecarlo.kernel_scene import KernelScene, beam_table, departure, flight, kernel_scene, seen
+from tankrig.montecarlo.kernel_scene import KernelScene, Ray, beam_table, departure, flight, kernel_scene, seen
 from tankrig.scene import Scene
 from tankrig.threads import THREADS
 
@@ -82,7 +82,7 @@ def _follow(
         while True:
             u, state = draw(state)
             distance = -math.log(1.0 - u) / scene.sigma_t
-            wall, reflected, further = flight(scene, x, y, z, ux, uy, uz)
+            wall, reflected, further = flight(scene, Ray(x, y, z, ux, uy, uz))
             x, y, z = x + ux * distance, y + uy * distance, z + uz * distance
             if distance >= wall:
                 u, state = draw(state)

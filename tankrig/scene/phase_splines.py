@@ -23,9 +23,9 @@ CROWDED = 3.0
 
 
 class SplineRecord(NamedTuple):
-    """Splines for kernels: `PhaseSplines.count` and `PhaseSplines.places`."""
+    """Splines for kernels: how many, and `PhaseSplines.places`."""
 
-    count: int
+    number: int
     places: Array
 
 

@@ -123,7 +123,7 @@ def _fill_pairs(
 ) -> None:  # fmt: skip
     """Every second x; both lines are put symmetrically about y = 0, inside the tank."""
     x, fractions, _, _, z0, _, decay, mirrored, _ = table
-    pairs = np.empty(splines.count * splines.count)
+    pairs = np.empty(splines.number * splines.number)
     for i in range(part, x.size, parts):
         for j in range(z0.size):
             for k in range(fractions.size):
@@ -133,8 +133,8 @@ def _fill_pairs(
                 pair = Pair(x[i], 0.5 * delta, -0.5 * delta, z0[j], mirrored)
                 pair_shares(pairs, splines, geometry, sigma_t, pair, scale, rule)
                 node = (j * x.size + i) * fractions.size + k
-                for pair in range(pairs.size):
-                    values[node, pair] = pairs[pair]
+                for place in range(pairs.size):
+                    values[node, place] = pairs[place]
 
 
 @kernel

@@ -221,7 +221,7 @@ class _StraightLight(NamedTuple):
     size_mm: tuple[float, float, float]
     """Sides of the cells."""
     sigma_t: float
-    index: float
+    surface_index: float
     """Refractive index that the surface shows; 0 for light that does not meet it."""
     radius: float
     """Within which the kernel is integrated in spherical coordinates, mm."""

@@ -277,7 +277,7 @@ class Points(NamedTuple):
     """The first points of a shifted lattice, as `Lattice.shifted` gives it."""
 
     lattice: Array
-    count: int
+    number: int
 
 
 @part
