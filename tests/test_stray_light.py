@@ -72,7 +72,7 @@ def pinhole(shape, moved_mm):
 def test_a_perfect_mirror_shows_the_other_half_of_a_tank(camera, model):
     """All that paths, mirrored beams and mirrored sight do must be right for this."""
     half, whole = half_and_whole(camera)
-    tolerance = 0.008 if model == "tank" else 0.01
+    tolerance = 0.011 if model == "tank" else 0.01
     seen = tankrig.predict(half, model, tolerance=tolerance)
     truth = predicted(whole, 0.006)[10:]
     assert apart(seen.image, truth) < 0.02
