@@ -281,6 +281,8 @@ def test_the_light_of_cells_adds_up_to_that_of_the_picture_and_is_kept(
     known, many = Known(LIQUID, 0.0, 1.0, False, np.copy, 0.001), even_cells((-18.0, 18.0), [(18.0, 22.0)], 41)
     with pytest.raises(SequenceError, match="give fewer"):
         next_pictures(known, 1.0, (), BENCH, BENCH.camera, many)
+    with pytest.raises(SequenceError, match="beyond what the projector lights, y = -24…24 mm"):
+        next_pictures(known, 1.0, (), BENCH, BENCH.camera, even_cells((-60.0, 60.0), [(18.0, 22.0)], 3))
     assert designing_camera(replace(BENCH.camera, shape=(120, 180), pixel_mm=0.4))[1] == 3
 
 

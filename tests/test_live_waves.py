@@ -136,6 +136,22 @@ def test_of_a_run_without_waves_nothing_is_read(recorded: Run, monkeypatch: pyte
     assert asked == []
 
 
+def test_what_a_search_begins_from_is_found_before_there_is_a_photograph(
+    recorded: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a calibrated bench it takes half a minute, in which the first fit would wait."""
+    sheets, frames, begun = SheetsSoFar(recorded.path), [], []
+    monkeypatch.setattr(SheetsSoFar, "media", lambda _, dose_ml: begun.append((dose_ml, len(frames))) or ())
+    exposures = Exposures(PhotographPlan.of_run(recorded))
+    fitter = worker.Fitter((), AllReady(), exposures.plan, sheets=sheets)  # type: ignore[arg-type]
+    for event, pixels in replayed(recorded):
+        if exposures.take(event, pixels):
+            frames += exposures.photographs()
+            fitter.next(exposures, last=False)
+            break
+    assert begun == [(THIN_ML, 0)]
+
+
 def test_waves_that_cannot_be_read_or_separated_end_no_fit(
     recorded: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

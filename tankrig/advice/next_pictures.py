@@ -181,12 +181,18 @@ def next_pictures(
     SceneError
         When the cells light nothing of the tank.
     SequenceError
-        With more sheets or cells than are computed.
+        With more sheets or cells than are computed, or where the projector lights none.
     """
     if len(cells.z_mm) > MOST_SHEETS or len(cells.light[0]) > MOST_CELLS:
         raise SequenceError(
             f"{len(cells.z_mm)} sheets of {len(cells.light[0])} cells are more than the {MOST_SHEETS} of {MOST_CELLS} "
             "that pictures are designed with; give fewer"
+        )
+    low_mm, high_mm = sorted(bench.wall.y_mm)
+    if cells.y_mm[0] < low_mm or cells.y_mm[1] > high_mm:
+        raise SequenceError(
+            f"y_mm = {list(cells.y_mm)} reaches beyond what the projector lights, y = {low_mm:g}…{high_mm:g} mm; give "
+            "narrower sheets"
         )
     smaller, by = designing_camera(camera)
     liquid = known.liquid(dose_ml)

@@ -41,8 +41,8 @@ def from_run(run: Run) -> tuple[Known, list[Shot], list[str]]:
     photographs = exposures.photographs()
     doses, series = recorded(run)
     if not photographs or not doses:
-        lacks = "fit of one yet; make a report of it first" if photographs else "photograph of ink yet; record some"
-        raise ImageError(f"{run.path}: has no {lacks}, so there is nothing to advise from")
+        lacks = f"fit yet; make one: tankrig refit {run.path}" if photographs else "photograph of ink; record some"
+        raise ImageError(f"{run.path}: there is nothing to advise from, as it has no {lacks}")
     shots = [Shot(one.pattern, one.scene, one.dose_ml, one.dose_sd_ml, one.frames, one.used) for one in photographs]
     ink, water, gain = _ink(doses, series)
     errors = [one.model_error for one in doses if one.model_error is not None]

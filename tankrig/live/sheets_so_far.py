@@ -30,7 +30,8 @@ class SheetsSoFar:
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
         self._whole: dict[float, int] = {}
-        self._known: dict[float, tuple[int, Separated]] = {}
+        self._known: dict[float, tuple[int, Separated | Exception]] = {}
+        self._starts: dict[float, tuple[int, tuple[Medium, ...]]] = {}
 
     def look(self, exposures: Exposures) -> None:
         """See which sheets are whole by now."""
@@ -44,13 +45,18 @@ class SheetsSoFar:
 
     def media(self, dose_ml: float) -> tuple[Medium, ...]:
         """Liquids that the fit of a dose can begin from; see `OrderOneFit.media`."""
-        if not self.count(dose_ml):
+        count = self.count(dose_ml)
+        if not count:
             return ()
-        try:
-            return self._at(dose_ml).media.get(dose_ml, ())
-        except Exception:  # `beside` says what it was, and the fit begins as it would without waves
-            _log.exception("the waves at %g ml tell no start", dose_ml)
-            return ()
+        known = self._starts.get(dose_ml)
+        if known is None or known[0] < count:
+            found: tuple[Medium, ...] = ()
+            try:
+                found = self._at(dose_ml).media.get(dose_ml, ())
+            except Exception:  # `beside` says what it was, and the fit begins as it would without waves
+                _log.exception("the waves at %g ml tell no start", dose_ml)
+            known = self._starts[dose_ml] = count, found
+        return known[1]
 
     def beside(self, fit: DoseFit) -> DoseFit:
         """A dose's fit with what order 1 has against it, or why it says nothing."""
@@ -78,7 +84,14 @@ class SheetsSoFar:
         assert self._path is not None
         count, known = self.count(dose_ml), self._known.get(dose_ml)
         if known is None or known[0] < count:
-            known = self._known[dose_ml] = count, Separated.of_run(open_run(self._path), dose_ml)
+            found: Separated | Exception
+            try:
+                found = Separated.of_run(open_run(self._path), dose_ml)
+            except Exception as error:  # it is not read again before there are more waves
+                found = error
+            known = self._known[dose_ml] = count, found
+        if isinstance(known[1], Exception):
+            raise known[1]
         return known[1]
 
 

@@ -300,6 +300,9 @@ class Fitter:
         if doses >= 2 and doses > self._in_series and not self.waiting and not self.unfinished:
             self._in_series = doses
             return self._all(over)
+        if not self._foresees:
+            for dose in exposures.doses:  # what a first look will begin from, found while there is nothing to fit
+                self._sheets.media(exposures.volume_ml(dose))
         return None
 
     @property

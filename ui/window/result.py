@@ -158,6 +158,9 @@ def in_words(fit: DoseFit) -> str:
     >>> known = {"sigma_a": False, "sigma_s": True, "g": True}
     >>> in_words(DoseFit(0.4, Medium(1e-4, 0.01, 0.7), identifiable=known, frames=12, patterns=("sheet",)))
     'With 0.4 ml, from 12 frames of sheet: σs and g are determined, σa is not yet; more dose or patterns tell more.'
+    >>> said = "order 1 is brighter than the fitted liquid has it."
+    >>> in_words(DoseFit(0.4, Medium(1e-4, 0.01, 0.7), frames=12, patterns=("sheet",), order_one=said))[-62:]
+    'determined. Order 1 is brighter than the fitted liquid has it.'
     """
     known = [symbol for name, symbol in SYMBOLS.items() if fit.identifiable.get(name, True)]
     unknown = [symbol for symbol in SYMBOLS.values() if symbol not in known]
