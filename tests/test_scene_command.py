@@ -123,6 +123,7 @@ def test_the_scene_that_is_exported_is_the_one_that_a_run_is_fitted_by(
     text = Path(told["path"]).read_text(encoding="utf-8")
     assert f"# Rests on the calibration of the camera, {camera_file.name} ({load(camera_file).hash[:12]}" in text
     assert "# Measured: camera stands at (120.00 ± 0.30, 1.50 ± 0.40, 650.00 ± 0.50) mm." in text
+    assert "# Each ± above is a standard deviation." in text
     assert "there is no calibration of the radiometry" in text
     assert not any("placeholder" in line for line in told["believed"])
     assert any(
@@ -257,7 +258,7 @@ def test_report_and_window_show_what_was_measured_and_not_what_was_believed(
 
     description = load_rig_file(rig)
     lines = {one.what: (one.value, one.note) for one in known_of(description, rig, tmp_path)}
-    assert lines["camera stands at"][0] == "(120.00 ± 0.30, 1.50 ± 0.40, 650.00 ± 0.50) mm"
+    assert lines["camera stands at"][0] == "(120.00 ± 0.59, 1.50 ± 0.78, 650.00 ± 0.98) mm (95 %)"
     assert lines["camera stands at"][1].startswith("tank-")
     assert "light" not in lines
     found = in_force(Path(description.calibration_folder))
@@ -276,6 +277,7 @@ def test_report_and_window_show_what_was_measured_and_not_what_was_believed(
     assert "-16" not in geometry["projector"]
     assert measured["camera stands at"].startswith("(120.00 ± 0.30, 1.50 ± 0.40, 650.00 ± 0.50) mm (tank-")
     assert measured["water level"].startswith("112.00 ± 0.20 mm (tank-")
+    assert measured["each ±"] == "is a standard deviation"
     shutil.rmtree(tmp_path / "run" / FOLDER)
     assert "cannot be told" in settings_of(run)[2][0][1]
 

@@ -36,16 +36,20 @@ class Measured:
 
     @property
     def text(self) -> str:
-        """The numbers, to two digits of their standard deviations.
+        """The numbers ± their standard deviations, which whoever prints this says."""
+        return self.within(1.0)
+
+    def within(self, deviations: float) -> str:
+        """The numbers ± so many of their standard deviations, to two digits of that.
 
         Examples
         --------
-        >>> Measured("water level", (112.3456,), (0.123,), "mm", "").text
-        '112.35 ± 0.12 mm'
+        >>> Measured("water level", (112.3456,), (0.123,), "mm", "").within(1.96)
+        '112.35 ± 0.24 mm'
         >>> Measured("place", (1.0, -2.25), (0.5, 0.25), "mm", "").text
         '(1.00 ± 0.50, -2.25 ± 0.25) mm'
         """
-        each = [_with_sd(value, sd) for value, sd in zip(self.values, self.sds, strict=True)]
+        each = [_with_sd(value, deviations * sd) for value, sd in zip(self.values, self.sds, strict=True)]
         together = each[0] if len(each) == 1 else f"({', '.join(each)})"
         return f"{together} {self.unit}".rstrip()
 

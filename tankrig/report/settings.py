@@ -80,6 +80,7 @@ def _measured(run: Run) -> list[Pairs]:
     notes = dict.fromkeys(f"{one.calibration}: {one.note}" for one in measured_places(found) if one.note)
     rows += [("not in the ±", note) for note in notes]
     if rows:
+        rows.append(("each ±", "is a standard deviation"))
         bench = checked(Bench, dict(run.settings["bench"]), f"{run.path}: its bench", StoreError)
         rows += [("not measured", line) for line in believed(bench, found)]
     return [rows] if rows else []

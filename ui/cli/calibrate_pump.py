@@ -200,7 +200,7 @@ def _told(found: "PumpCalibration", path: Path) -> str:
         f"a nominal µl is {found.correction:.5f} ± {found.correction_sd:.5f} µl "
         f"({len(found.mass_mg)} doses, scatter {found.scatter_ul:.3g} µl)",
         f"smallest step {found.increment_ul:.5g} ± {found.increment_sd_ul:.2g} µl; "
-        f"each dose has {found.offset_ul:+.3g} ± {found.offset_sd_ul:.2g} µl besides",
+        f"each dose has {found.offset_ul:+.3g} ± {found.offset_sd_ul:.2g} µl besides; each ± is a standard deviation",
     ]
     if found.diameter_mm is not None:
         lines.append(f"as if the syringe measured {found.diameter_mm:.4g} mm inside")

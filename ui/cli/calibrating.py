@@ -143,6 +143,8 @@ def tell(kept: "Calibration", rows: Mapping[str, str], as_json: bool) -> int:
     """
     path = kept.path
     assert path is not None
+    if any("±" in value for value in rows.values()):
+        rows = {**rows, "each ±": "is a standard deviation"}
     found: dict[str, Any] = {
         "path": str(path), "sha256": kept.hash, "in_use": kept.in_use, "doubts": list(kept.doubts),
         "how_well": dict(kept.how_well),

@@ -104,6 +104,7 @@ def scene(
         f'Pattern "{pattern.name}" of {source}; written by tankrig scene.',
         *[f"Rests on {line}." for line in _rests_on(found)],
         *[f"Measured: {one.what} {one.text}." for one in known],
+        *(["Each ± above is a standard deviation."] if known else []),
         *[f"Not measured: {line}." for line in unsure],
     ]
     _write(path, bench, pattern, medium, by, comments)
@@ -125,6 +126,8 @@ def scene(
         click.echo(
             f"{one.what:28s}{one.text}   {one.calibration}" + (f"; not in the ±: {one.note}" if one.note else "")
         )
+    if known:
+        click.echo("each ± is a standard deviation")
     for line in unsure:
         click.echo(f"not measured: {line}")
     click.echo(f"written to {path}; try tankrig predict {path}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from tankrig.calibration.places import measured_places
 from tankrig.errors import StoreError, TankrigError
 from tankrig.live.formatting import with_error
+from ui.window.result import CONFIDENCE, Z
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -43,7 +44,10 @@ def known_of(rig: "RigFile", file: Path, folder: Path) -> Iterator[Known]:
     places = measured_places(found)
     yield from _measured(rig)
     for one in places:
-        yield Known(one.what, one.text, one.calibration + (f"; not in the ±: {one.note}" if one.note else ""))
+        sure = f" ({CONFIDENCE})" if any(sd > 0.0 for sd in one.sds) else ""
+        yield Known(
+            one.what, one.within(Z) + sure, one.calibration + (f"; not in the ±: {one.note}" if one.note else "")
+        )
     yield from _weighed(rig, folder)
     note = f"{BELIEVED}; file of {datetime.fromtimestamp(file.stat().st_mtime):%Y-%m-%d %H:%M}"
     for what, value in _believed(rig):
@@ -122,10 +126,11 @@ def _weighed(rig: "RigFile", folder: Path) -> Iterator[Known]:
             yield Known("pump", "cannot be read", str(error))
             continue
         used = Path(str(rig.doser.get("calibration", ""))).name == file.name
-        factor = with_error(one.correction, one.correction_sd)
+        factor = with_error(one.correction, Z * one.correction_sd)
         yield Known(
             "pump, weighed",
-            f"{factor} true µl per nominal µl, doses scatter by {one.scatter_ul:.2g} µl",
+            f"{factor} true µl per nominal µl ({CONFIDENCE}), doses scatter by {one.scatter_ul:.2g} µl (standard "
+            "deviation)",
             f"{one.date[:16].replace('T', ' ')} UTC, {len(one.mass_mg)} doses, "
             + ("in use" if used else f'not in use: put calibration = "./{file.name}" into [doser]'),
         )
