@@ -52,15 +52,19 @@ def _compiled(function: F, within: dict[str, Any]) -> F:
     """The kernel, which is compiled with the options `within` where another kernel calls it."""
     import numba
 
-    options = {"nogil": True, "cache": True, "fastmath": FAST, "error_model": "numpy", "no_cfunc_wrapper": True}
-    called: Any = numba.njit(**options)(function)
+    from tankrig.kernel_compiler import ForKernels, ForPython
+
+    options: dict[str, Any] = {"nogil": True, "cache": True, "fastmath": FAST, "error_model": "numpy"}
+    options["no_cfunc_wrapper"] = True
+    called: Any = numba.njit(**options, pipeline_class=ForPython)(function)
     # What is kept on disk is told apart by the name, and code for kernels must not be taken for code for Python.
     linked = FunctionType(function.__code__, function.__globals__, None, function.__defaults__, function.__closure__)
     linked.__module__, linked.__kwdefaults__ = function.__module__, function.__kwdefaults__
     linked.__qualname__ = f"{function.__qualname__}.linked"
     _with_safe_cache(called)
     called.__class__ = _called_and_linked()
-    called.linked = _with_safe_cache(numba.njit(**options, **within, no_cpython_wrapper=True)(linked))
+    options |= {"no_cpython_wrapper": True, "pipeline_class": ForKernels}
+    called.linked = _with_safe_cache(numba.njit(**options, **within)(linked))
     return called  # type: ignore[no-any-return]
 
 
