@@ -143,7 +143,7 @@ class _Lower(Lower):  # type: ignore[misc]
     """From operations of known types to LLVM's."""
 
     def lower_binop(self, resty: Any, expr: Any, op: Any) -> Any:
-        """Operate on two numbers as it was found when types were; numba looks for that anew, three times."""
+        """Operate on two numbers as is remembered; numba would look for that anew, three times."""
         if op in (operator.pow, operator.ipow):  # which it has for constant exponents
             return super().lower_binop(resty, expr, op)
         signature = self.fndesc.calltypes[expr]
@@ -151,8 +151,11 @@ class _Lower(Lower):  # type: ignore[misc]
             self.context.cast(self.builder, self.loadvar(side.name), self.typeof(side.name), wanted)
             for side, wanted in zip((expr.lhs, expr.rhs), signature.args, strict=True)
         ]
-        operation = self.context.get_function(self.context.typing_context.resolve_value_type(op), signature)
-        return self.context.cast(self.builder, operation(self.builder, sides), signature.return_type, resty)
+        knowledge = self.context.typing_context
+        kind = knowledge.resolve_value_type(op)
+        signature = knowledge.resolve_function_type(kind, signature.args, {})
+        result = self.context.get_function(kind, signature)(self.builder, sides)
+        return self.context.cast(self.builder, result, signature.return_type, resty)
 
     def alloca_lltype(self, name: str, lltype: Any, datamodel: Any = None) -> Any:  # noqa: ARG002, numba's own
         """Room for a variable; numba has LLVM measure it, too, for debuggers."""
@@ -178,6 +181,7 @@ class ForPython(CompilerBase):  # type: ignore[misc]
         """See `CompilerBase`: its passes."""
         self.state.typingctx = copy.copy(self.state.typingctx)
         self.state.typingctx.__class__ = _Remembering
+        self.state.targetctx = self.state.targetctx.subtarget(typing_context=self.state.typingctx)
         passes = PassManager("kernel")
         for one in (
             TranslateByteCode,
