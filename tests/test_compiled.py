@@ -114,3 +114,55 @@ def test_processes_that_compile_a_kernel_at_the_same_time_all_keep_their_code(tm
     for process in [begun(kind) for kind in kinds]:
         assert process.communicate(timeout=120.0) == ("0\n", "")
     assert begun(*kinds).communicate(timeout=120.0) == (f"{len(kinds)}\n", "")
+
+
+RECORDS = """
+import os, sys
+os.environ["NUMBA_NRT_STATS"] = "1"
+from typing import NamedTuple
+import numpy as np
+from numba.core.runtime import rtsys
+from tankrig.compiled import kernel
+
+class Inner(NamedTuple):
+    values: np.ndarray
+    factor: float
+
+class Outer(NamedTuple):
+    inner: Inner
+    more: np.ndarray
+
+@kernel
+def borrows(outer, either):
+    inner = outer.inner
+    if either:
+        inner = Inner(outer.more, 10.0)
+    total = 0.0
+    for i in range(inner.values.size):
+        outer.more[i] += 1.0
+        total += inner.values[i] * inner.factor * outer.inner.factor**2
+    return total
+
+@kernel
+def gives_back(outer):
+    return outer.inner.values
+
+@kernel
+def makes(outer):
+    return gives_back(outer) + np.ones(outer.more.size)
+
+outer = Outer(Inner(np.array([1.0, 2.0]), 3.0), np.array([5.0, 7.0]))
+held = [sys.getrefcount(one) for one in (outer.inner.values, outer.more)]
+print(borrows(outer, False), outer.more, borrows(outer, True), gives_back(outer), makes(outer))
+print(held == [sys.getrefcount(one) for one in (outer.inner.values, outer.more)])
+made = rtsys.get_allocation_stats()
+print(made.alloc > 0, made.alloc == made.free, made.mi_alloc == made.mi_free)
+"""
+
+
+def test_records_are_read_as_python_reads_them_and_their_arrays_stay_with_who_holds_them(tmp_path: Path) -> None:
+    """An array that nobody counts would be gone while in use, and one that is counted twice never."""
+    (tmp_path / "records.py").write_text(RECORDS)
+    for _ in range(2):  # compiled, then from the disk
+        said = subprocess.run([sys.executable, "records.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert said.stdout == "81.0 [7. 9.] 1440.0 [1. 2.] [2. 3.]\nTrue\nTrue True True\n", said.stdout + said.stderr
