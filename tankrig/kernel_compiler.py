@@ -24,6 +24,7 @@ from numba.core.typed_passes import (
     NopythonTypeInference,
     PreLowerStripPhis,
 )
+from numba.core.types.containers import BaseNamedTuple
 from numba.core.typing.context import Context
 from numba.core.untyped_passes import (
     DeadBranchPrune,
@@ -60,7 +61,7 @@ class TakeRecordsApart(FunctionPass):  # type: ignore[misc]
         records = {
             one.target.name: (one.target, state.args[one.value.index])
             for one in arguments
-            if times[one.target.name] == 1 and isinstance(state.args[one.value.index], types.BaseNamedTuple)
+            if times[one.target.name] == 1 and isinstance(state.args[one.value.index], BaseNamedTuple)
         }
         fields: dict[str, ir.Assign] = {}
         instead: dict[str, ir.Var] = {}
@@ -80,7 +81,7 @@ class TakeRecordsApart(FunctionPass):  # type: ignore[misc]
                         fields[name] = ir.Assign(taken, ir.Var(one.target.scope, name, one.loc), one.loc)
                     field = instead[one.target.name] = fields[name].target
                     inner = kind.types[kind.fields.index(one.value.attr)]
-                    if isinstance(inner, types.BaseNamedTuple):
+                    if isinstance(inner, BaseNamedTuple):
                         records[name] = records[one.target.name] = (field, inner)
                     blocks[label].remove(one)
         replace_vars(blocks, instead)
@@ -217,9 +218,10 @@ class ForKernels(ForPython):
 class _Unfinished(JITCodeLibrary):  # type: ignore[misc]
     """Code that is optimised, and becomes machine code, in the kernel for Python that it ends up in."""
 
+    _final_module: Any
+
     def finalize(self) -> None:
         for library in dict.fromkeys(self._linking_libraries):
-            self._reload_init.update(library._reload_init)
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         self._final_module.verify()
         self._finalized = True
