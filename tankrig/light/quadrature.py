@@ -1,5 +1,6 @@
 """Quadratures as kernels read them."""
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +10,12 @@ Rule = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Nodes and weights on [−1, 1]."""
 
 
+@cache
 def gauss_legendre(count: int) -> Rule:
     """The rule of so many nodes that is exact for polynomials of twice that degree, less one.
+
+    A fit asks for the same few rules thousands of times, and each is an eigenvalue problem. Nobody writes into them:
+    numba would compile kernels anew for arrays that cannot be written.
 
     Examples
     --------
@@ -18,7 +23,8 @@ def gauss_legendre(count: int) -> Rule:
     >>> round(float(weights @ nodes**4), 12)
     0.4
     """
-    return np.polynomial.legendre.leggauss(count)
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return nodes, weights
 
 
 class SightRules(NamedTuple):
