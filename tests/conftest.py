@@ -7,10 +7,14 @@ import os
 
 import pytest
 
-if "PYTEST_XDIST_WORKER" in os.environ:
-    # Tests run beside each other on as many processors as there are. Threads of a BLAS library that wait for their turn
-    # there spin meanwhile: 28 instead of 1.6 CPU s for one test. It reads this when NumPy is first imported.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Give each process one BLAS thread, where tests run in several; they inherit this, and NumPy reads it.
+
+    Threads that wait for their turn at a processor spin meanwhile: 28 instead of 1.6 CPU s for one test.
+    """
+    if config.getoption("numprocesses", None):
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture(scope="session", autouse=True)
