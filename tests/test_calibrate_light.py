@@ -50,6 +50,21 @@ def test_a_bad_option_is_told_before_anything_is_opened(rig_file: Path, capsys) 
     assert not rig_file.with_name("calibration").exists()
 
 
+@pytest.mark.parametrize("by_window", [False, True])
+def test_exposures_that_do_not_suit_the_light_are_named_for_who_can_change_them(
+    rig_file: Path, capsys, monkeypatch, by_window: bool
+) -> None:
+    """A window that led through it told its person of an option of a command line."""
+    if by_window:
+        monkeypatch.setenv("TANKRIG_GUIDED", "1")
+    exposures = ("--shortest-ms=0.2", "--longest-ms=8", "--period-ms=0")
+    assert main(["calibrate", "radiometry", "--rig", str(rig_file), *exposures]) == 1
+    said = capsys.readouterr().err
+    assert "or let the longest exposure be longer" in said
+    assert ("(--longest-ms)" in said) is not by_window
+    assert ("--" in said.partition("tankrig: ")[2]) is not by_window
+
+
 def test_latency_is_found_within_a_millisecond(tmp_path: Path) -> None:
     """The bound from which frames count is made of it."""
     file = tmp_path / "rig.toml"

@@ -93,7 +93,7 @@ def test_corrected_frames_are_proportional_to_radiance_at_any_exposure_and_gain(
         assert np.median(spread[~found.hot] / expected[~found.hot]) == pytest.approx(0.95, abs=0.07)
         scales.append(np.median(by_column[columns // 2 :]))
     assert np.ptp(scales) / np.mean(scales) < 0.01
-    with pytest.raises(StoreError, match=r"at gain 1, 4 and not at 2; .* --gains 1, 4,2"):
+    with pytest.raises(StoreError, match=r"at gain 1, 4 and not at 2; .* with the gains 1, 4, 2"):
         found.at(2.0)
     with pytest.raises(ImageError, match="cannot be corrected"):
         found.corrected(np.zeros((4, 4), np.uint16), CameraSettings(1.0))

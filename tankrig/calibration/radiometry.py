@@ -96,8 +96,8 @@ class Radiometry:
                 return one
         measured = ", ".join(f"{one.gain:g}" for one in self.amplified)
         raise StoreError(
-            f"the camera was calibrated at gain {measured} and not at {gain:g}; set one of those, or calibrate anew "
-            f"(tankrig calibrate radiometry --gains {measured},{gain:g})"
+            f"the camera was calibrated at gain {measured} and not at {gain:g}; set one of those, or calibrate the "
+            f"radiometry anew with the gains {measured}, {gain:g}"
         )
 
     def corrected(self, pixels: Pixels, settings: CameraSettings) -> Array:

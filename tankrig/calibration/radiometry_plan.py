@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tankrig.calibration.response import LEVELS
-from tankrig.errors import CalibrationError
+from tankrig.errors import CalibrationError, DeviceError
 
 CHECKED_LEVELS = (22, 38, 92, 140, 188, 236)
 """Measured besides, and left out of the fit of the response: what it predicts there is its error."""
@@ -13,6 +13,22 @@ REFERENCE_EVERY = 8
 """Levels between two looks at level 255, which tell how the lamp drifts."""
 HANDLING_S = 30.0
 """To put a cap or a diffuser before the lens."""
+
+
+class ExposuresError(DeviceError):
+    """Light that a plan's exposures do not suit: the sentence says in words which should be others.
+
+    Parameters
+    ----------
+    sentence
+        What is wrong, and what to do.
+    settings
+        Names of those exposures in `RadiometryPlan`, for whoever lets a person set them.
+    """
+
+    def __init__(self, sentence: str, *settings: str) -> None:
+        super().__init__(sentence)
+        self.settings = settings
 
 
 @dataclass(frozen=True)

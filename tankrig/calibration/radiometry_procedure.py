@@ -11,10 +11,9 @@ from tankrig.calibration.flats import Flat, fit_flat
 from tankrig.calibration.linearity import Linearity, fit_linearity
 from tankrig.calibration.lit_camera import LitCamera, Look
 from tankrig.calibration.photon_transfer import PhotonTransfer, photon_transfer
-from tankrig.calibration.radiometry_plan import CHECKED_LEVELS, REFERENCE_EVERY, RadiometryPlan
+from tankrig.calibration.radiometry_plan import CHECKED_LEVELS, REFERENCE_EVERY, ExposuresError, RadiometryPlan
 from tankrig.calibration.response import LEVELS, Response, fit_response
 from tankrig.devices import CameraDevice, Pixels, Projector
-from tankrig.errors import DeviceError
 
 CAP, DIFFUSER, TURNED, NOTHING = "cap", "diffuser", "diffuser turned", "nothing"
 """What a person puts before the lens."""
@@ -185,10 +184,11 @@ def _level_for(lit: LitCamera, plan: RadiometryPlan, gain: float, dark: Dark) ->
 
     brightest = filled(high)
     if brightest < _TOO_DIM * wanted / _WELL_LIT:
-        raise DeviceError(
+        raise ExposuresError(
             f"{lit.camera.name}: at level 255 and {plan.exposures_ms[-1]:g} ms the diffuser fills only "
-            f"{brightest / wanted * _WELL_LIT:.0%} of the range; bring the light nearer, open the aperture, or allow a "
-            f"longer exposure (--longest-ms)"
+            f"{brightest / wanted * _WELL_LIT:.0%} of the range; bring the light nearer, open the aperture, or let "
+            f"the longest exposure be longer",
+            "longest_ms",
         )
     if brightest <= wanted:
         return high
@@ -196,9 +196,11 @@ def _level_for(lit: LitCamera, plan: RadiometryPlan, gain: float, dark: Dark) ->
         middle = (low + high) // 2
         low, high = (middle, high) if filled(middle) <= wanted else (low, middle)
     if low < _DIMMEST_LEVEL:
-        raise DeviceError(
-            f"{lit.camera.name}: is too bright even at level {high} of the projector; close the aperture, or give "
-            f"shorter exposures (--shortest-ms, --longest-ms)"
+        raise ExposuresError(
+            f"{lit.camera.name}: is too bright even at level {high} of the projector; close the aperture, or let the "
+            f"shortest and the longest exposure be shorter",
+            "shortest_ms",
+            "longest_ms",
         )
     return low
 
@@ -250,9 +252,10 @@ def _full_exposure(lit: LitCamera, plan: RadiometryPlan, sweep: Sweep) -> float:
             break
         exposure_ms = longer
     if filled > 0.97:
-        raise DeviceError(
+        raise ExposuresError(
             f"{lit.camera.name}: is saturated by level 255 at {exposure_ms:g} ms; close the aperture, put a second "
-            f"diffuser before the lens, or give a shorter exposure (--shortest-ms)"
+            f"diffuser before the lens, or let the shortest exposure be shorter",
+            "shortest_ms",
         )
     return exposure_ms
 

@@ -102,8 +102,8 @@ def _doubts(measured: RadiometryMeasured) -> Iterator[str]:
             )
         if linearity.error > LINEAR:
             yield (
-                f"{at} the corrected counts are off a straight line by {100 * linearity.error:.2f} %; use exposures "
-                f"that are whole periods of the projector (--period-ms), and keep the light steady"
+                f"{at} the corrected counts are off a straight line by {100 * linearity.error:.2f} %; give "
+                f"the projector's true period, of which exposures are whole ones, and keep the light steady"
             )
         if linearity.decades < DECADES - 0.3:
             yield (

@@ -7,7 +7,7 @@ import click
 
 from ui.cli.calibrating import accept_option, asker, described, keep, tell
 from ui.cli.options import json_option, rig_option
-from ui.guide import feedback
+from ui.guide import feedback, guided
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,7 +30,7 @@ def radiometry(rig: Path | None, gains: str, accept: bool, as_json: bool, **expo
     falls; no ink moves. The result is a dated file in the folder calibration/ beside the rig file, used from then on.
     """
     from drivers.rig import open_light
-    from tankrig.calibration.radiometry_plan import RadiometryPlan
+    from tankrig.calibration.radiometry_plan import ExposuresError, RadiometryPlan
     from tankrig.calibration.radiometry_procedure import measure_radiometry
     from tankrig.calibration.radiometry_result import calibration_of
     from tankrig.figures.radiometry_figure import write_radiometry_figure
@@ -39,8 +39,14 @@ def radiometry(rig: Path | None, gains: str, accept: bool, as_json: bool, **expo
     plan = RadiometryPlan(_gains(gains), **given)
     description = described(rig)
     click.echo(f"takes about {plan.seconds / 60.0:.0f} minutes on the bench, handling included", err=True)
-    with open_light(description) as (projector, camera), feedback() as shown:
-        measured = measure_radiometry(projector, camera, plan, asker(camera, shown), shown.look)
+    try:
+        with open_light(description) as (projector, camera), feedback() as shown:
+            measured = measure_radiometry(projector, camera, plan, asker(camera, shown), shown.look)
+    except ExposuresError as error:
+        if guided():  # a window has fields for them, by their names in words
+            raise
+        options = ", ".join(f"--{name.replace('_', '-')}" for name in error.settings)
+        raise ExposuresError(f"{error} ({options})", *error.settings) from error
     kept = keep(calibration_of(measured), description, accept, lambda path: write_radiometry_figure(path, measured))
     return tell(kept, _rows(kept), as_json)
 

@@ -96,6 +96,7 @@ class CalibrationPage(QWidget):
             self._grid.addWidget(name, 2 * row, 0, 2, 1, Qt.AlignmentFlag.AlignTop)
             self._grid.addWidget(words, 2 * row, 1)
             self._grid.addWidget(note, 2 * row + 1, 1)
+        self.wizard.allow_doses(rig.limits.dose_ul)
         self.wizard.show_way(calibration_steps(rig, calibration_checks(rig, {})))
         self._read_file()
 

@@ -1,10 +1,11 @@
 """The wizard for all calibrations: what to do now, what the camera sees meanwhile, and what came out."""
 
 import base64
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QImage, QPixmap
@@ -22,8 +23,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tankrig.errors import CalibrationError
+from tankrig.ranges import Within
 from ui.window.calibration_process import CalibrationProcess
-from ui.window.fields import number
+from ui.window.fields import CheckedField, NumberField, number, numbers
 from ui.window.rig_file import RigSource
 from ui.window.status import RigState, RigStatus
 from ui.window.theme import set_role
@@ -34,22 +37,73 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Choice:
-    """Something that can be chosen before a calibration.
+    """Something that can be chosen before a calibration: a number, or several.
 
     Parameters
     ----------
     name, flag
         For people, and as the command has it.
     default
-        As text.
+        As text; empty: the command's own.
     hint
         What it means.
+    unit
+        Of the numbers.
+    low, high
+        Least and most that the command takes.
+    kind
+        "whole", "number", or "list" of numbers with commas between them.
+    above
+        Whether the least itself is too little.
     """
 
     name: str
     flag: str
     default: str
     hint: str
+    unit: str = ""
+    low: float = 1.0
+    high: float = 100.0
+    kind: Literal["whole", "number", "list"] = "whole"
+    above: bool = False
+
+    def field(self, most: float) -> CheckedField:
+        """Checked as it is typed; `most` is what the rig allows."""
+        if self.kind == "list":
+            high = min(self.high, most)
+            to = f" to {high:g}" if math.isfinite(high) else ""
+            span = f"{'more than ' if self.above else ''}{self.low:g}{to} {self.unit}".strip()
+
+            def read(text: str) -> tuple[list[float] | None, str]:
+                values, wrong = numbers(text, self.unit, optional=True)
+                if wrong:
+                    return None, f"give numbers with commas between them, {span}"
+                within = Within(self.low, high, "", self.above)
+                outside = [value for value in values or () if not within.holds(value)]
+                return (None, f"{outside[0]:g} is outside of {span}") if outside else (values, "")
+
+            made = CheckedField(read, self.unit, f"{self.hint}: {span}")
+            made.edit.setMaximumWidth(180)
+        else:
+            whole = self.kind == "whole"
+            made = NumberField(self.unit, self.low, self.high, self.hint, True, whole, self.above)
+        made.edit.setAccessibleName(f"{self.name}: {self.hint}")
+        made.set_text(self.default)
+        return made
+
+
+def _no_sweep(values: Mapping[str, Any]) -> str:
+    """What is wrong with exposures and gains together; empty where they make a sweep."""
+    given = {flag.removeprefix("--").replace("-", "_"): value for flag, value in values.items() if value is not None}
+    if not given.keys() - {"gains"}:
+        return ""
+    from tankrig.calibration.radiometry_plan import RadiometryPlan  # takes time to load
+
+    try:
+        RadiometryPlan(**given)
+    except CalibrationError as error:
+        return str(error)
+    return ""
 
 
 @dataclass(frozen=True)
@@ -64,37 +118,51 @@ class Wizard:
         What it finds, and what has to be at hand.
     choices
         That a person has.
+    together
+        What is wrong with the values that were chosen, by their flags, although each can be by itself.
     """
 
     kind: str
     title: str
     wants: str
     choices: tuple[Choice, ...]
+    together: Callable[[Mapping[str, Any]], str] = lambda _: ""
 
 
+LONGEST_MS = 1e6
 WIZARDS = (
     Wizard("radiometry", "Radiometry: camera and projector in numbers of light",
            "a lens cap, and a diffuser that the projector lights; about 6 minutes",
-           (Choice("camera gains", "--gains", "1", "those that runs will use, with commas between them"),)),
+           (Choice("camera gains", "--gains", "1", "those that runs will use, with commas between them",
+                   low=0.0, high=1e6, kind="list", above=True),
+            Choice("shortest exposure", "--shortest-ms", "", "of the sweep; empty: 1/60 s",
+                   "ms", 0.0, LONGEST_MS, "number", above=True),
+            Choice("longest exposure", "--longest-ms", "", "of the sweep; empty: 2 s",
+                   "ms", 0.0, LONGEST_MS, "number", above=True),
+            Choice("projector's period", "--period-ms", "", "exposures are whole ones of it; empty: 1/60 s, 0: any",
+                   "ms", 0.0, LONGEST_MS, "number")),
+           _no_sweep),
     Wizard("stray", "Stray light of the camera's lens: halo and veil",
            "the radiometry; a white card on a light trap, and a lamp; about 2 minutes",
-           (Choice("places of the card", "--cards", "4", "3 or more"),)),
+           (Choice("places of the card", "--cards", "4", "at which it is photographed", low=3, high=50),)),
     Wizard("camera", "Camera: its lens", "a ChArUco board, held in air; about 3 minutes",
-           (Choice("views of the board", "--views", "15", "at different slants and places"),)),
+           (Choice("views of the board", "--views", "15", "at different slants and places", low=6),)),
     Wizard("tank", "Tank and water before the camera",
            "the camera calibrated; the board on the floor, then in the water; about 6 minutes",
-           (Choice("views of the board", "--views", "4", "in each position"),)),
+           (Choice("views of the board", "--views", "4", "in each position", low=0, high=50),)),
     Wizard("projector", "Projector: its lens and place",
            "camera and tank calibrated; the board at a slant in the tank; about 4 minutes",
-           (Choice("views of the board", "--views", "8", "at different slants"),)),
+           (Choice("views of the board", "--views", "8", "at different slants", low=4, high=50),)),
     Wizard("latency", "Latency of the projector's light",
            "the projector's light before the camera; about 10 seconds",
-           (Choice("changes of light", "--flips", "100", "how often it goes from dark to bright; 20 or more"),)),
+           (Choice("changes of light", "--flips", "100", "how often it goes from dark to bright", low=20, high=1e4),)),
     Wizard("pump", "Pump: doses weighed on a balance",
            "a balance to 0.1 mg and a vessel on it, for the tube when it is asked for; about 20 minutes",
-           (Choice("volumes (µl)", "--volumes", "50,250,500", "with commas between them"),
+           (Choice("volumes", "--volumes", "", "with commas between them; empty: 10, 50 and 100 % of the largest dose",
+                   "µl", 0.0, math.inf, "list", above=True),
             Choice("doses of each", "--repeats", "10", "how often each volume is weighed"),
-            Choice("water's temperature (°C)", "--temperature", "20", "its density follows from it"))),
+            Choice("water's temperature", "--temperature", "20", "its density follows from it",
+                   "°C", 0.0, 50.0, "number"))),
 )  # fmt: skip
 """In the order in which they rest on each other."""
 _SEEN = (320, 200)
@@ -124,7 +192,9 @@ class CalibrationWizard(QWidget):
         self._picture: Path | None = None
         self._aside: Path | None = None
         self._wants_number = False
-        self.choice, self.options = QListWidget(), dict[str, QLineEdit]()
+        self._most_ul, self._free = math.inf, False
+        self.choice, self.options = QListWidget(), dict[str, CheckedField]()
+        self.wrong = QLabel()
         self._chosen_by_person = False
         self.use = QPushButton("Use it all the same")
         self.begin, self.cancel, self.done = QPushButton("Begin"), QPushButton("Cancel"), QPushButton("Done")
@@ -173,13 +243,38 @@ class CalibrationWizard(QWidget):
         """Begin once the rig has been let go of; nothing can begin while it is in use."""
         if self._words is not None and status.state is RigState.LENT:
             self._start()
-        self.begin.setEnabled(not self.at_work and not status.busy and status.state is not RigState.OPENING)
+        self._free = not status.busy and status.state is not RigState.OPENING
+        self._able()
+
+    def allow_doses(self, most_ul: float) -> None:
+        """Of the rig: the largest dose that the pump is weighed with."""
+        if most_ul != self._most_ul:
+            self._most_ul = most_ul
+            if self._wizard.kind == "pump" and not self.at_work:
+                self._chosen()
+
+    @property
+    def _wizard(self) -> Wizard:
+        return WIZARDS[max(0, self.choice.currentRow())]
+
+    def _able(self) -> None:
+        """Nothing begins with what makes no sense: the rig would be let go of for nothing."""
+        names = {one.flag: one.name for one in self._wizard.choices}
+        wrong = [f"{names[flag]}: {field.wrong}" for flag, field in self.options.items() if field.wrong]
+        together = "" if wrong else self._wizard.together({flag: field.value for flag, field in self.options.items()})
+        self.wrong.setText(together)
+        self.wrong.setVisible(bool(together))
+        self.begin.setEnabled(self._free and not self.at_work and not wrong and not together)
+        self.begin.setToolTip("; ".join(wrong) or together)
 
     def _begin(self) -> None:
-        wizard = WIZARDS[max(0, self.choice.currentRow())]
+        self._able()
+        if not self.begin.isEnabled():
+            return
+        wizard = self._wizard
         rig = ["--rig", str(self._source.file)] if self._source.file is not None else []
-        chosen = [word for flag, field in self.options.items() if field.text().strip()
-                  for word in (flag, "".join(field.text().split()))]  # fmt: skip
+        chosen = [word for flag, field in self.options.items() if field.value is not None
+                  for word in (flag, _typed(field.value))]  # fmt: skip
         self._words = ["calibrate", wizard.kind, *rig, *chosen]
         self._picture = self._aside = None
         self.use.hide()
@@ -305,17 +400,16 @@ class CalibrationWizard(QWidget):
         self.seen.setPixmap(picture.scaledToWidth(min(width, max(picture.width(), _SEEN[0])), smooth))
 
     def _chosen(self) -> None:
-        wizard = WIZARDS[max(0, self.choice.currentRow())]
+        wizard = self._wizard
         while self._choices.rowCount():
             self._choices.removeRow(0)
         self.options = {}
         for one in wizard.choices:
-            field = QLineEdit(one.default)
-            field.setToolTip(one.hint)
-            field.setAccessibleName(f"{one.name}: {one.hint}")
-            field.setMaximumWidth(180)
+            field = one.field(self._most_ul if one.unit == "µl" else math.inf)
+            field.edit.textChanged.connect(self._able)
             self._choices.addRow(one.name, field)
             self.options[one.flag] = field
+        self._able()
         if not self.at_work:
             self._ask(f"{wizard.title}. Wants {wizard.wants}.", False, answered=False)
 
@@ -336,7 +430,9 @@ class CalibrationWizard(QWidget):
         self.answer.setMaximumWidth(160)
         self.bar.setRange(0, 1000)
         self.bar.setTextVisible(False)
-        for label in (self.request, self.light, self.result):
+        self.wrong.setProperty("role", "wrong")
+        self.wrong.hide()
+        for label in (self.wrong, self.request, self.light, self.result):
             label.setWordWrap(True)
         self.light.setProperty("role", "faint")
         self.result.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
@@ -349,6 +445,7 @@ class CalibrationWizard(QWidget):
         column.setSpacing(8)
         column.addWidget(self.choice)
         column.addLayout(self._choices)
+        column.addWidget(self.wrong)
         column.addLayout(_row(self.begin, self.cancel, None))
         column.addWidget(self.request)
         column.addLayout(_row(self.answer, self.done, None))
@@ -367,6 +464,11 @@ class CalibrationWizard(QWidget):
         outside = QVBoxLayout(self)
         outside.setContentsMargins(0, 0, 0, 0)
         outside.addWidget(area)
+
+
+def _typed(value: Any) -> str:
+    """Numbers as a command takes them."""
+    return ",".join(f"{one:.10g}" for one in (value if isinstance(value, list) else [value]))
 
 
 def _row(*widgets: QWidget | None) -> QHBoxLayout:
