@@ -210,3 +210,55 @@ def test_a_doubtful_result_is_used_when_a_person_says_so(window, tmp_path: Path)
     assert newest(folder, "latency").result == {"p99_ms": 9.0}
     assert wizard.use.isHidden()
     until(lambda: kept.path.name in words_of(window.calibration), what="the page shows what is known")
+
+
+def test_a_doubtful_result_is_offered_for_as_long_as_nothing_newer_is_in_force(tmp_path: Path) -> None:
+    """It was only right after it had been measured: another Begin, or a new window, and it could not be used."""
+    from PySide6.QtWidgets import QPushButton
+
+    from tankrig.calibration.file import Calibration, left_aside, save
+
+    def measured(folder: str, kind: str, day: int, doubts: tuple[str, ...] = ()) -> Calibration:
+        when = f"2026-11-{day}T10:00:00+00:00"
+        device = "simulated projector"
+        found = Calibration(kind, device, (30, 40), {"p99_ms": 9.0}, doubts=doubts, date=when, rig="test rig")
+        return save(found, tmp_path / folder)
+
+    measured("other", "latency", 12, ("it came late",))
+    measured("other", "projector", 12, ("the board moved",))
+    used = measured("other", "projector", 13)
+    measured("other", "stray", 12, ("the card moved",))
+    assert left_aside(tmp_path / "other").keys() == {"latency", "stray"}
+    measured("other", "projector", 14, ("the board moved",))
+    assert left_aside(tmp_path / "other").keys() == {"latency", "stray", "projector"}
+    assert left_aside(tmp_path / "other", {"projector": used.hash}).keys() == {"latency", "stray"}
+    late = measured("calibration", "latency", 12, ("it came late",))
+    with window_on(tmp_path, write_rig(tmp_path, projector=FAST, camera=FAST)) as window:
+        until(lambda: window.built and window.status.state.name == "IDLE", what="the rig opens")
+        window.show_page(window.calibration)
+        wizard = window.calibration.wizard
+        until(lambda: "latency, set aside" in words_of(window.calibration))
+        assert "doubt: it came late" in words_of(window.calibration)
+        window.calibration.tabs.setCurrentIndex(1)
+        wizard.choose("latency")
+        assert wizard.use.isVisible()
+        assert "Doubt: it came late" in wizard.result.text()
+        wizard.choose("stray")
+        assert wizard.use.isHidden()
+        assert wizard.result.text() == ""
+        wizard.choose("latency")
+        until(wizard.begin.isEnabled)
+        wizard._begin()
+        assert wizard.use.isHidden()
+        QTest.mouseClick(wizard.cancel, Qt.MouseButton.LeftButton)
+        until(lambda: window.status.state.name == "IDLE" and wizard.use.isVisible(), what="it is offered again")
+        window.calibration.tabs.setCurrentIndex(0)
+        (use,) = (one for one in window.calibration._table.findChildren(QPushButton) if one.text() == wizard.use.text())
+        QTest.mouseClick(use, Qt.MouseButton.LeftButton)
+        kept = newest(tmp_path / "calibration", "latency")
+        assert kept.hash == late.hash
+        assert "used from now on, doubts and all" in wizard.result.text()
+        until(lambda: "latency, set aside" not in words_of(window.calibration))
+        wizard.choose("camera")
+        wizard.choose("latency")
+        assert wizard.use.isHidden()

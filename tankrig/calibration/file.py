@@ -292,6 +292,49 @@ def passed_over(folder: Path, named: Mapping[str, str] | None = None) -> list[Un
     return over
 
 
+def left_aside(folder: Path, named: Mapping[str, str] | None = None) -> dict[str, Calibration]:
+    """By kind the newest result that was set aside, where nothing newer counts and the rig file names none.
+
+    Parameters
+    ----------
+    folder, named
+        As for `usable`.
+
+    Raises
+    ------
+    StoreError
+        When one that is named cannot be found or used, or the folder not be read.
+    """
+    found, named = usable(folder, named), named or {}
+    aside = {}
+    for kind in {_kind(path) for path in (folder / SET_ASIDE).glob("*-*.toml")} - named.keys():
+        one = newest(folder / SET_ASIDE, kind)
+        instead = found.get(kind)
+        if one is None or one.path is None:
+            continue
+        if instead is None or instead.path is None or one.path.stem > instead.path.stem:
+            aside[kind] = one
+    return aside
+
+
+def use_all_the_same(aside: Path) -> Path:
+    """Have a result that was set aside count, doubts and all; returns its new place.
+
+    Raises
+    ------
+    StoreError
+        When its files cannot be moved.
+    """
+    place = aside.parent.parent
+    try:
+        # The file itself last: what lies beside it must be there once it counts.
+        for path in sorted(aside.parent.glob(f"{aside.stem}.*"), key=lambda one: one == aside):
+            path.rename(place / path.name)
+    except OSError as error:
+        raise StoreError(f"{aside}: cannot be moved to where it is used ({error.strerror}); move it by hand") from error
+    return place / aside.name
+
+
 def in_force(
     folder: Path, named: Mapping[str, str] | None = None, kinds: Collection[str] | None = None
 ) -> dict[str, Calibration]:

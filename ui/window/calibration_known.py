@@ -23,11 +23,22 @@ _UNITS = {"percent": "%", "px": "px", "mm": "mm", "ms": "ms", "deg": "°"}
 
 
 class Known(NamedTuple):
-    """One thing that is known."""
+    """One thing that is known; of a doubtful result that was set aside, its file."""
 
     what: str
     value: str
     note: str
+    aside: Path | None = None
+
+
+def set_aside(rig: "RigFile") -> "dict[str, Calibration]":
+    """Doubtful results that a person may still use, by kind; none where it cannot be told what counts."""
+    from tankrig.calibration.file import left_aside
+
+    try:
+        return left_aside(Path(rig.calibration_folder), rig.calibration)
+    except TankrigError:
+        return {}
 
 
 def known_of(rig: "RigFile", file: Path, folder: Path) -> Iterator[Known]:
@@ -83,6 +94,10 @@ def _measured(rig: "RigFile") -> Iterator[Known]:
     except TankrigError as error:
         yield Known("calibration", "the one that the rig file names is not there", str(error))
         found = {}
+    for kind, doubtful in set_aside(rig).items():
+        when = f"{doubtful.date[:16].replace('T', ' ')} UTC ({_age(doubtful.age_days)})"
+        note = f"{when}, {doubtful.path and doubtful.path.name}; not used"
+        yield Known(f"{kind}, set aside", _well(doubtful), note, doubtful.path)
     for kind in KINDS:
         if kind not in found:
             yield Known(f"{kind}, measured", "not yet", "the tab Measure leads through it")

@@ -1,5 +1,6 @@
 """What is calibrated, when and how well; and the rig file that holds it."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,8 @@ from PySide6.QtWidgets import (
 )
 
 from tankrig.errors import TankrigError
-from ui.window.calibration_known import known_of
-from ui.window.calibration_wizard import CalibrationWizard
+from ui.window.calibration_known import known_of, set_aside
+from ui.window.calibration_wizard import USE, CalibrationWizard
 from ui.window.flow import take_rest
 from ui.window.marked_text import MarkedText
 from ui.window.rig_file import RigSource
@@ -96,6 +97,12 @@ class CalibrationPage(QWidget):
             self._grid.addWidget(name, 2 * row, 0, 2, 1, Qt.AlignmentFlag.AlignTop)
             self._grid.addWidget(words, 2 * row, 1)
             self._grid.addWidget(note, 2 * row + 1, 1)
+            if known.aside is not None:
+                use = QPushButton(USE)
+                use.setAccessibleName(f"{USE}: {known.what}")
+                use.clicked.connect(partial(self.wizard.use_aside, known.aside))
+                self._grid.addWidget(use, 2 * row, 2, Qt.AlignmentFlag.AlignTop)
+        self.wizard.show_aside(set_aside(rig))
         self.wizard.allow_doses(rig.limits.dose_ul)
         self.wizard.show_way(calibration_steps(rig, calibration_checks(rig, {})))
         self._read_file()

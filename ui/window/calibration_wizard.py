@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tankrig.errors import CalibrationError
+from tankrig.errors import CalibrationError, StoreError
 from tankrig.ranges import Within
 from ui.window.calibration_process import CalibrationProcess
 from ui.window.fields import CheckedField, NumberField, number, numbers
@@ -32,6 +32,7 @@ from ui.window.status import RigState, RigStatus
 from ui.window.theme import set_role
 
 if TYPE_CHECKING:
+    from tankrig.calibration.file import Calibration
     from ui.calibration_way import Step
 
 
@@ -165,6 +166,8 @@ WIZARDS = (
                    "°C", 0.0, 50.0, "number"))),
 )  # fmt: skip
 """In the order in which they rest on each other."""
+UNUSED = "; not used yet."
+USE = "Use it all the same"
 _SEEN = (320, 200)
 ROW_PX = 28
 
@@ -192,11 +195,12 @@ class CalibrationWizard(QWidget):
         self._picture: Path | None = None
         self._aside: Path | None = None
         self._wants_number = False
-        self._most_ul, self._free = math.inf, False
+        self._most_ul, self._free, self._moving = math.inf, False, False
         self.choice, self.options = QListWidget(), dict[str, CheckedField]()
         self.wrong = QLabel()
         self._chosen_by_person = False
-        self.use = QPushButton("Use it all the same")
+        self._asides: Mapping[str, Calibration] = {}
+        self.use = QPushButton(USE)
         self.begin, self.cancel, self.done = QPushButton("Begin"), QPushButton("Cancel"), QPushButton("Done")
         self.request, self.answer, self.bar = QLabel(), QLineEdit(), QProgressBar()
         self.light, self.seen, self.result = QLabel(), QLabel(), QLabel()
@@ -229,8 +233,14 @@ class CalibrationWizard(QWidget):
             sign = "✓" if step.done else "→" if missing[:1] == [wizard.kind] else " "
             item.setText(f"{row + 1}  {sign}  {wizard.kind.capitalize()}: {step.finding}")
             item.setToolTip(f"{wizard.title}: {step.finding}")
-        if missing and not self._chosen_by_person and not self.at_work:
+        if missing and not self._chosen_by_person and not self.at_work and self._aside is None:
             self.choose(missing[0])
+
+    def show_aside(self, asides: "Mapping[str, Calibration]") -> None:
+        """Doubtful results that lie aside, by kind: each is offered with its kind for as long as it can be used."""
+        self._asides = asides
+        if self._aside is None and not self.at_work:
+            self._offer()
 
     def choose(self, kind: str) -> None:
         """Lead through this one next."""
@@ -243,6 +253,7 @@ class CalibrationWizard(QWidget):
         """Begin once the rig has been let go of; nothing can begin while it is in use."""
         if self._words is not None and status.state is RigState.LENT:
             self._start()
+        self._moving = status.state is RigState.RUNNING or status.dosing
         self._free = not status.busy and status.state is not RigState.OPENING
         self._able()
 
@@ -355,7 +366,7 @@ class CalibrationWizard(QWidget):
     def _keep(self, kept: Mapping[str, Any]) -> None:
         lines = [f"{name}: {value}" for name, value in kept["rows"].items()]
         lines += [f"Doubt: {doubt}" for doubt in kept["doubts"]]
-        lines.append(f"Kept in {kept['path']}" + ("." if kept["in_use"] else "; not used yet."))
+        lines.append(f"Kept in {kept['path']}" + ("." if kept["in_use"] else UNUSED))
         self.result.setText("\n".join(lines))
         set_role(self.result, "wrong" if kept["doubts"] else "")
         self._aside = Path(kept["path"]) if kept["doubts"] and not kept["in_use"] else None
@@ -378,19 +389,42 @@ class CalibrationWizard(QWidget):
         self.cancel.setEnabled(False)
         self.lend_asked.emit(None)
 
+    def _offer(self) -> None:
+        """What lies aside of the chosen kind, in place of what was told of another."""
+        one = self._asides.get(self._wizard.kind)
+        if one is None or one.path is None:
+            if self._aside is not None:
+                self.result.clear()
+            self._aside = None
+        else:
+            self._aside = one.path
+            told = [f"Measured {one.date[:16].replace('T', ' ')} UTC, and set aside."]
+            told += [f"Doubt: {doubt}" for doubt in one.doubts]
+            self.result.setText("\n".join([*told, f"Kept in {one.path}{UNUSED}"]))
+            set_role(self.result, "wrong")
+        self.use.setVisible(self._aside is not None)
+
     def _use(self) -> None:
+        if self._aside is not None:
+            self.use_aside(self._aside)
+
+    def use_aside(self, aside: Path) -> None:
         """Have a doubtful result in force: out of the folder in which it was set aside."""
-        aside, self._aside = self._aside, None
+        from tankrig.calibration.file import use_all_the_same
+
+        if self.at_work or self._moving:
+            self.told.emit("the rig is at work; wait for its end before you use another calibration")
+            return
+        self._aside = None
         self.use.hide()
-        if aside is None:
-            return
         try:
-            for file in aside.parent.glob(f"{aside.stem}.*"):
-                file.rename(aside.parent.parent / file.name)
-        except OSError as error:
-            self.told.emit(f"{aside}: cannot be moved to where it is used ({error.strerror}); move it by hand")
+            use_all_the_same(aside)
+        except StoreError as error:
+            self.told.emit(str(error))
             return
-        self.result.setText(self.result.text().replace("; not used yet.", "; used from now on, doubts and all."))
+        self._asides = {kind: one for kind, one in self._asides.items() if one.path != aside}
+        if str(aside) in self.result.text():
+            self.result.setText(self.result.text().replace(UNUSED, "; used from now on, doubts and all."))
         self.used.emit()
 
     def _show(self, picture: QPixmap) -> None:
@@ -411,6 +445,7 @@ class CalibrationWizard(QWidget):
             self.options[one.flag] = field
         self._able()
         if not self.at_work:
+            self._offer()
             self._ask(f"{wizard.title}. Wants {wizard.wants}.", False, answered=False)
 
     def _lay_out(self) -> None:
