@@ -319,7 +319,8 @@ def test_every_button_of_every_page_is_found_by_its_name_and_pressed_by_keys(win
     from PySide6.QtWidgets import QAbstractButton, QTabBar
 
     window.show_palette()
-    listed = [action.words for action in window._palette._actions]
+    pressed = window._palette._actions
+    listed = [action.words for action in pressed]
     window._palette.close()
     missing = []
     for title, page in (("Camera", window.live), *window.docks.pages()):
@@ -332,6 +333,15 @@ def test_every_button_of_every_page_is_found_by_its_name_and_pressed_by_keys(win
     assert len(listed) > 80
     for key in KEYS:
         assert any(key.what in words for words in listed), key.name
+    window.show_palette()
+    QTest.keyClicks(window._palette.field, "fit: choose picture of")
+    (chosen,) = window._palette._listed
+    assert chosen.words.startswith("Fit: choose picture of")
+    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
+    pictures = window.fit._pattern
+    until(lambda: pictures.view().isVisible() or not pictures.isEnabled())
+    pictures.hidePopup()
+    assert ("Sequence: Dry run", "F7") in [(one.words.partition(" (")[0], one.keys) for one in pressed]
     window.show_palette()
     QTest.keyClicks(window._palette.field, "residual on the same scale")
     before = window.fit._same.isChecked()

@@ -122,7 +122,7 @@ class NextSteps(QWidget):
         )
         self.design.clicked.connect(lambda: self._design())
         self._wanted.addItems(list(WANTED))
-        self._wanted.setAccessibleName("what the designed picture is to tell about")
+        self._wanted.setAccessibleName("what the design is to tell most about")
         self._heights = CheckedField(
             partial(numbers, unit="mm", optional=True), "mm", "middles of one to three thin sheets of light"
         )
