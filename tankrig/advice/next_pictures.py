@@ -122,7 +122,7 @@ def nearby(liquid: Medium) -> Medium:
         return round(math.exp(round(math.log(value) / step) * step), 9)
 
     sigma_s = rounded(max(liquid.sigma_s, 1e-6))
-    g = round(round(liquid.g / ASYMMETRY_STEP) * ASYMMETRY_STEP, 6)
+    g = round(min(round(liquid.g / ASYMMETRY_STEP) * ASYMMETRY_STEP, 0.95), 6)
     return Medium(rounded(max(liquid.sigma_a, CLEAREST * sigma_s)), sigma_s, g)
 
 

@@ -84,17 +84,17 @@ class NextSteps(QWidget):
         says = [shown.design_says, "" if shown.advice else shown.advice_says]
         if not (shown.advice or shown.designed or any(says)):
             says = [NO_ADVICE]
-        for sentence in filter(None, says):
+        sentences = [*filter(None, says)]
+        for row, sentence in enumerate(sentences):
             label = QLabel(sentence)
             label.setWordWrap(True)
             label.setProperty("role", "faint")
-            self._advice.addWidget(label, self._advice.rowCount(), 0, 1, 2)
-        for one in (*filter(None, [shown.designed]), *shown.advice):
+            self._advice.addWidget(label, row, 0, 1, 2)
+        for row, one in enumerate((*filter(None, [shown.designed]), *shown.advice), len(sentences)):
             button, words = QPushButton("Append"), QLabel(one.words)
             button.setToolTip("append these steps to the sequence; nothing moves before it is run")
             button.clicked.connect(partial(self._append, one))
             words.setWordWrap(True)
-            row = self._advice.rowCount()
             self._advice.addWidget(button, row, 0)
             self._advice.addWidget(words, row, 1)
             self.buttons.append(button)
