@@ -64,6 +64,21 @@ def test_a_phase_function_sends_all_light_somewhere_and_draws_what_it_says(phase
         assert mean == pytest.approx(phase.mean_cosine, abs=2e-3)
 
 
+def test_a_lobe_that_ends_straight_backwards_has_a_width() -> None:
+    """A fit that met such a liquid divided by zero."""
+    low, high = 0.1, 0.3
+    for _ in range(60):  # to where p has just fallen to 1/2.8 straight backwards, and nowhere before
+        g = 0.5 * (low + high)
+        table = ReynoldsMcCormick(g, 0.5).table
+        fallen = table < table[0] / 2.8
+        if fallen[-1] and not fallen[-2]:
+            break
+        low, high = (g, high) if not fallen[-1] else (low, g)
+    assert fallen[-1]
+    assert not fallen[-2]
+    assert math.isfinite(ReynoldsMcCormick(g, 0.5).record.width)
+
+
 def test_families_nest_henyey_greenstein() -> None:
     cosine = np.linspace(-1.0, 1.0, 101)
     expected = phase_function(cosine, 0.7)

@@ -96,7 +96,7 @@ class PhaseFunction:
     def record(self) -> PhaseRecord:
         """For kernels."""
         table = self.table
-        fallen = int(np.argmax(table < table[0] / 2.8))
+        fallen = int(np.argmax(table[:-1] < table[0] / 2.8))  # straight backwards there is no width
         sine = float(sines()[max(fallen, 1)])
         width = sine / math.sqrt(1.0 - sine**2) if fallen else 0.5
         return TableRecord(self.mean_cosine, width, table, _quantiles(table))
