@@ -243,7 +243,6 @@ def test_order_2_beside_the_walls_is_the_sum_over_rays(beam: tuple[float, float]
     """Where light, and lines of sight, leave through a side wall, order 2 was up to nine times too bright."""
     from tankrig.light.double.table import Pair, pair_radiance
     from tankrig.light.rays import geometry_of
-    from tankrig.light.water import water_of
 
     light = Projector("pinhole", (Beam(beam, (58.0, 62.0)),), (-400.0, 0.0, 60.0))
     camera = Camera("pinhole", (40, 60), 4.0, (120.0, 0.0, 620.0))
@@ -252,8 +251,8 @@ def test_order_2_beside_the_walls_is_the_sum_over_rays(beam: tuple[float, float]
     rays = beam[0] + (np.arange(60) + 0.5) * (beam[1] - beam[0]) / 60
     for row, column in ((39, 30), (38, 45), (30, 30)):
         rows = -80.0 + 4.0 * row + np.arange(0.5, 4.0)
-        water, x = water_of(scene.medium), 4.0 * column + 2.0
-        pairs = [pair_radiance(geometry, water, Pair(x, y, y0, 60.0, False), rule)
+        of_water, x = (0.01, scene.medium.phase_function.record), 4.0 * column + 2.0
+        pairs = [pair_radiance(geometry, *of_water, Pair(x, y, y0, 60.0, False), *rule)
                  for y in rows for y0 in rays]  # fmt: skip
         power_per_ray = 0.0098**2 * (beam[1] - beam[0]) * 4.0
         assert image[row, column] == pytest.approx(np.mean(pairs) * power_per_ray, rel=0.1)

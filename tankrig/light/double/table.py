@@ -76,19 +76,22 @@ class Pair(NamedTuple):
 
 
 @kernel
-def pair_radiance(geometry: Geometry, water: Water, pair: Pair, rule: Rule) -> float:
+def pair_radiance(
+    geometry: Geometry, sigma_t: float, phase: PhaseRecord, pair: Pair, nodes: Array, weights: Array
+) -> float:
     """J of the module's heading times the surface's transmission, in 1/sr² (multiply by σs² and the ray's power).
 
     Parameters
     ----------
-    geometry, water
+    geometry
         Numbers of the scene.
+    sigma_t, phase
+        Extinction in 1/mm, and the phase function.
     pair
         Of lines.
-    rule
-        Gauss–Legendre, used in every panel.
+    nodes, weights
+        Gauss–Legendre rule on [−1, 1] used in every panel.
     """
-    (sigma_t, _, phase), (nodes, weights) = water, rule
     x, y, y0, z0, mirrored = pair
     ux, uy, uz = light_ray(geometry, y0, z0)
     vx, vy, vz, transmission = sight_line(geometry, x, y)
@@ -535,12 +538,13 @@ def lagrange(nodes: Array, at: float) -> Array:
 def _fill_shifted(table: Table, geometry: Geometry, water: Water, rule: Rule, part: int, parts: int) -> None:
     """Every second x, where only y − y₀ matters: both lines are put symmetrically about y = 0, inside the tank."""
     x, fractions, _, y0, z0, values, decay, mirrored, _ = table
+    (sigma_t, _, phase), (nodes, weights) = water, rule
     for i in range(part, x.size, parts):
         for j in range(z0.size):
             for k in range(fractions.size):
                 delta = 2.0 * geometry.half_width * fractions[k]
                 pair = Pair(x[i], y0[0] + 0.5 * delta, y0[0] - 0.5 * delta, z0[j], mirrored)
-                value = pair_radiance(geometry, water, pair, rule)
+                value = pair_radiance(geometry, sigma_t, phase, pair, nodes, weights)
                 value *= math.exp(decay * (x[i] + delta))
                 values[j, 0, 0, i, k] = value
                 values[j, 0, 1, i, k] = value
@@ -550,6 +554,7 @@ def _fill_shifted(table: Table, geometry: Geometry, water: Water, rule: Rule, pa
 def _fill_slanted(table: Table, geometry: Geometry, water: Water, rule: Rule, part: int, parts: int) -> None:
     """Every second x, with nodes between the crossing and either side wall; J over `share_seen`."""
     x, fractions, _, y0, z0, values, decay, mirrored, _ = table
+    (sigma_t, _, phase), (nodes, weights) = water, rule
     inside = 0.999 * geometry.half_width  # at the wall itself both are 0
     for i in range(part, x.size, parts):
         for j in range(z0.size):
@@ -562,7 +567,8 @@ def _fill_slanted(table: Table, geometry: Geometry, water: Water, rule: Rule, pa
                         delta = max(span, 1e-6) * fractions[k]
                         y = crossing + delta if side == 1 else crossing - delta
                         y = min(max(y, -inside), inside)
-                        value = pair_radiance(geometry, water, Pair(x[i], y, y0[m], z0[j], mirrored), rule)
+                        pair = Pair(x[i], y, y0[m], z0[j], mirrored)
+                        value = pair_radiance(geometry, sigma_t, phase, pair, nodes, weights)
                         share = max(share_seen(geometry, x[i], y, abs(y - crossing), depth), 1e-9)
                         value *= math.exp(decay * (x[i] + delta)) / share
                         values[j, m, side, i, k] = value
