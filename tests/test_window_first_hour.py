@@ -174,6 +174,10 @@ def test_a_refit_stays_known_and_can_be_shown_again(window, monkeypatch):
     ]
     window.on_screen.show_refit(source)
     assert window.on_screen.shown.by_dose == [fit]
+    assert not window.compare.next.ask.isEnabled(), "advice is by the fits that the run keeps"
+    window.runs.refits.chosen.emit(None)
+    until(lambda: window.on_screen.source.kind is Kind.REPLAY and window.on_screen.shown.fits)
+    assert window.compare.next.ask.isEnabled()
 
 
 def nap(seconds: float) -> float:

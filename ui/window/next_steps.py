@@ -21,6 +21,7 @@ from ui.window.flow import Flow
 from ui.window.on_screen import OnScreen
 from ui.window.result import CONFIDENCE
 from ui.window.shown import Shown
+from ui.window.source import Kind
 
 if TYPE_CHECKING:
     from tankrig.advice.design import Wanted
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 HEADINGS = ("model", "left, % of peak", "σs (1/mm)", "g", "σa (1/mm)", "above the best (BIC)")
 NO_ADVICE = "Press “What next?”: the doses and patterns that would tell most will stand here, each with a button."
+NO_ADVICE_OF_REFITS = "What next is told by the fits that a run keeps: open the run itself to ask."
 WANTED: "dict[str, Wanted]" = {"σs, g and σa": "all", "σs": "sigma_s", "g": "g", "σa": "sigma_a"}
 """What a designed picture is to tell most about."""
 NO_MODELS = "Press “Compare models”: what each model of the light leaves of the photograph on the Fit page."
@@ -60,7 +62,8 @@ class NextSteps(QWidget):
         shown = self._shown
         if shown is None:
             return
-        self.ask.setEnabled(shown.source.run is not None and bool(shown.fits))
+        refit = shown.source.kind is Kind.REFIT
+        self.ask.setEnabled(shown.source.run is not None and bool(shown.fits) and not refit)
         self.compare.setEnabled(shown.chosen is not None)
         self._follow_heights()
         self._draw_advice(shown)
@@ -83,7 +86,7 @@ class NextSteps(QWidget):
         self.buttons = []
         says = [shown.design_says, "" if shown.advice else shown.advice_says]
         if not (shown.advice or shown.designed or any(says)):
-            says = [NO_ADVICE]
+            says = [NO_ADVICE_OF_REFITS if shown.source.kind is Kind.REFIT else NO_ADVICE]
         sentences = [*filter(None, says)]
         for row, sentence in enumerate(sentences):
             label = QLabel(sentence)
