@@ -16,6 +16,12 @@ from ui.cli.demo_bench import left_of, measured_beside_true, way_of
 
 from .bench_by_hand import TREE
 
+CTRL_C_HEARD = (
+    "import signal, sys\nfrom ui.cli import main\n"
+    "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # who runs tests in the background ignores it
+    "sys.exit(main())"
+)
+
 
 def bench(folder: Path, seed: int) -> Path:
     assert main(["demo", "--bench", "--by-hand", "--seed", str(seed), "--doses", "2", "--out", str(folder)]) == 0
@@ -70,7 +76,7 @@ def test_ctrl_c_ends_it_in_a_sentence_and_leaves_nothing_half_done(tmp_path: Pat
     folder = tmp_path / "bench"
     words = ["demo", "--bench", "--seed", "1", "--out", str(folder), "--json"]
     process = subprocess.Popen(
-        [sys.executable, "-c", "import sys\nfrom ui.cli import main\nsys.exit(main())", *words],
+        [sys.executable, "-c", CTRL_C_HEARD, *words],
         env=os.environ | {"PYTHONPATH": str(TREE)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

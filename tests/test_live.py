@@ -258,7 +258,7 @@ def until(true: Callable[[], bool], timeout_s: float = 20.0) -> bool:
 class NoProcess:
     """In place of the process that fits, where only what it would be given matters."""
 
-    pid = None
+    pid, exitcode = None, 0
 
     def __init__(self, **_: object) -> None: ...
 

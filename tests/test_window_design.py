@@ -2,7 +2,6 @@
 
 import os
 import time
-from pathlib import Path
 
 import pytest
 from PySide6.QtCore import Qt
@@ -14,6 +13,7 @@ from tankrig.live.results import fits_in
 from tankrig.run.reading import open_run
 from tankrig.sequence.until import Until
 from tests.window_rig import until, window_on, write_rig
+from ui.cli import main
 from ui.window import jobs
 from ui.window.on_screen import DESIGNING
 from ui.window.work_strip import WorkStrip
@@ -39,13 +39,11 @@ def ask_by_name(window) -> None:
     QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
 
 
-@pytest.fixture(scope="module")
-def home(tmp_path_factory):
-    return tmp_path_factory.mktemp("designed")
-
-
 @pytest.mark.timeout(600)
-def test_a_picture_is_designed_while_a_run_goes_on_and_the_next_run_shows_it(home: Path) -> None:
+def test_a_picture_is_designed_while_a_run_goes_on_and_the_next_run_shows_it(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    home = tmp_path_factory.mktemp("live")  # the palette finds files by the words of their paths, too
     (home / "first.toml").write_text(FIRST)
     with window_on(home, write_rig(home)) as window:
         until(lambda: window.status.state.value == "ready", 60.0)
@@ -93,15 +91,21 @@ def test_a_picture_is_designed_while_a_run_goes_on_and_the_next_run_shows_it(hom
         assert fit.frames == 8, "until was not reached, so that all frames were taken"
 
 
-def beginning(home: Path):
-    run = open_run(sorted((home / "runs").glob("*/"))[-1])
+@pytest.fixture(scope="module")
+def beginning(tmp_path_factory: pytest.TempPathFactory):
+    """A run of one dose, its fit and its photographs."""
+    home = tmp_path_factory.mktemp("begun")
+    rig, file = write_rig(home), home / "first.toml"
+    file.write_text(FIRST.replace("seconds = 600.0", "seconds = 0.1"))
+    assert main(["run", str(file), "--rig", str(rig), "--out", str(home / "run")]) == 0
+    run = open_run(home / "run")
     (fit,) = fits_in([event.fields for event in run.fits])[0]
     return run, fit, tuple(exposures_of(run).photographs())
 
 
-def test_the_next_picture_takes_less_than_a_second_once_the_cells_light_is_kept(home: Path) -> None:
+def test_the_next_picture_takes_less_than_a_second_once_the_cells_light_is_kept(beginning) -> None:
     """Also after the fit has moved a little, as it does from frame to frame."""
-    run, fit, photographs = beginning(home)
+    run, fit, photographs = beginning
     jobs.design(run.path, fit, photographs)
     began = time.process_time()
     again = jobs.design(run.path, fit, photographs)
@@ -111,9 +115,9 @@ def test_the_next_picture_takes_less_than_a_second_once_the_cells_light_is_kept(
 
 
 def test_an_until_that_is_reached_does_not_keep_the_picture_from_being_shown(
-    home: Path, monkeypatch: pytest.MonkeyPatch
+    beginning, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run, fit, photographs = beginning(home)
+    run, fit, photographs = beginning
     assert jobs.design(run.path, fit, photographs).frames == 4
     monkeypatch.setattr(Until, "reached", lambda *_: True)
     assert "until" not in jobs.design(run.path, fit, photographs).more
@@ -127,7 +131,7 @@ def test_an_until_that_is_reached_does_not_keep_the_picture_from_being_shown(
         ((20.0, 40.0, 60.0, 80.0), "than the 3"),
     ],
 )
-def test_heights_that_cannot_be_are_refused_in_a_sentence(home: Path, heights_mm: tuple[float, ...], said: str) -> None:
-    run, fit, photographs = beginning(home)
+def test_heights_that_cannot_be_are_refused_in_a_sentence(beginning, heights_mm: tuple[float, ...], said: str) -> None:
+    run, fit, photographs = beginning
     with pytest.raises(SequenceError, match=said):
         jobs.design(run.path, fit, photographs, "all", heights_mm)
