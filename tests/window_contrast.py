@@ -66,6 +66,8 @@ def texts(window: QWidget) -> Iterator[tuple[str, QRect]]:
         if not widget.isVisible() or not widget.isEnabled() or widget.visibleRegion().isEmpty():
             continue
         if isinstance(widget, QLabel) and widget.text() and not widget.pixmap().width():
+            if not widget.visibleRegion().contains(widget.rect().center()):
+                continue  # scrolled out by half: its words may be in the other one
             yield widget.text(), _seen(window, widget, widget.rect())
         elif isinstance(widget, QCheckBox) and widget.text():
             yield widget.text(), _seen(window, widget, widget.rect().adjusted(26, 2, 0, -2))
