@@ -125,14 +125,20 @@ def test_a_full_disk_ends_the_run_and_says_so(tmp_path, monkeypatch):
     assert not found.damaged
 
 
-def test_an_unknown_tank_is_explained_and_resolved(tmp_path):
-    """After a crash in a dose nobody knows what the tank holds; a window that guesses doses twice."""
-    rig = write_rig(tmp_path)
+def rig_with_an_unknown_tank(folder: Path) -> Path:
+    """Its file; a crash in a dose has left 0 to 500 µl in the tank."""
+    rig = write_rig(folder)
     ledger = TankLedger(load_rig_file(rig).ledger)
     nothing = Delivered(0.0, 0.0, 0.0)
     ledger.join(JointCount("another doser", nothing, nothing))
     ledger.begin("some run", 500.0)
     ledger.close()
+    return rig
+
+
+def test_an_unknown_tank_is_explained_and_resolved(tmp_path):
+    """After a crash in a dose nobody knows what the tank holds; a window that guesses doses twice."""
+    rig = rig_with_an_unknown_tank(tmp_path)
     with window_on(tmp_path, rig) as window:
         until(lambda: window.status.undecided is not None)
         assert window.doser._unknown.isVisibleTo(window.doser)
@@ -150,12 +156,7 @@ def test_an_unknown_tank_is_explained_and_resolved(tmp_path):
 
 def test_stop_while_the_window_asks_about_the_ink_gives_the_run_up(tmp_path):
     """A person's word on the tank went nowhere after STOP, and was taken later, when nobody thought of it."""
-    rig = write_rig(tmp_path)
-    ledger = TankLedger(load_rig_file(rig).ledger)
-    nothing = Delivered(0.0, 0.0, 0.0)
-    ledger.join(JointCount("another doser", nothing, nothing))
-    ledger.begin("some run", 500.0)
-    ledger.close()
+    rig = rig_with_an_unknown_tank(tmp_path)
     with window_on(tmp_path, rig) as window:
         until(lambda: window.status.undecided is not None and window.status.state is RigState.IDLE)
         (tmp_path / "sequence.toml").write_text(LONG_DOSE)

@@ -105,7 +105,7 @@ class Prospect:
 
     @property
     def _values(self) -> int:
-        """Of the liquid."""
+        """How many values of the liquid are fitted."""
         return int(self.light.slopes.shape[1])
 
     def value(self, light: Array, frames: float, wanted: Wanted) -> float:

@@ -24,7 +24,7 @@ MOST_SHEETS, MOST_CELLS = 3, 40
 UNSURE = (0.1, 0.1, 0.05)
 """Standard deviations of σa and σs (relative) and of g from which on a design looks at both sides of a value."""
 DENSITY_STEP, ASYMMETRY_STEP, CLEAREST = 1.1, 0.05, 1e-3
-"""Of the liquids that are designed for: factor from one σ to the next, step in g, and the least σa, as a part of σs."""
+"""Grid of liquids that pictures are designed for: factor between one σ and the next, step in g, least σa over σs."""
 FURTHEST = (0.5, 0.3, 0.15)
 """The farthest from a value that it looks, in the same units."""
 
@@ -245,7 +245,7 @@ def next_pictures(
 
 
 def _whole(used: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
-    """Of `by` × `by` pixels that are put together, whether all are used."""
+    """Whether all of the `by` × `by` pixels are used that are put together to one."""
     rows, columns = (side // by for side in used.shape)
     return np.asarray(used[: rows * by, : columns * by].reshape(rows, by, columns, by).all(axis=(1, 3)))
 

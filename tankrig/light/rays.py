@@ -13,7 +13,7 @@ from tankrig.geometry.optics import crossing_offset, entry_slope, reflectance
 from tankrig.scene import Beam, Scene
 
 Edges = tuple[float, float, float, float]
-"""Of a beam on the plane x = 0: y low, y high, z low, z high, mm."""
+"""Edges of a beam on the plane x = 0: y low, y high, z low, z high, mm."""
 
 
 class Ray(NamedTuple):

@@ -364,8 +364,10 @@ class RigHost(QObject):
                 self._fit = self._runner = self._guard = None
         self._trouble = ""
         missing = unfitted(open_run(outcome.path))
-        if missing and outcome.reason is FinishReason.COMPLETED:
-            self.left_unfitted.emit(outcome.path, str(missing))
+        if missing:
+            _log.warning("%s", missing.sentence(outcome.path))
+            if outcome.reason is FinishReason.COMPLETED:
+                self.left_unfitted.emit(outcome.path, str(missing))
         self.run_ended.emit(outcome)
 
     def _heard(self, path: Path, event: "Event", _: "Pixels | None") -> None:

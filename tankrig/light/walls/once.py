@@ -40,7 +40,7 @@ class Way(NamedTuple):
     y_wall: int
     floor: bool
     outer: bool
-    """Of light that has been to the outer side of a pane; else of what has not been in any."""
+    """Whether the light has been to the outer side of a pane, or in none."""
 
 
 def once_by_walls(scene: Scene) -> Array:
