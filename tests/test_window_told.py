@@ -113,8 +113,9 @@ def test_what_the_camera_has_made_of_an_exposure_is_shown_between_runs(tmp_path,
     monkeypatch.setattr(SimulatedCamera, "configure", lambda self, asked: real(self, CameraSettings(2.0, asked.gain)))
     with window_on(tmp_path, write_rig(tmp_path)) as window:
         until(lambda: window.status.state.value == "ready", 60.0)
+        window.setFocus()  # a field that somebody types in keeps what is typed
         window.host.configure(CameraSettings(30.0))
-        until(lambda: window.live._exposure.value == 2.0)
+        until(lambda: window.live._exposure.value == 2.0, 60.0)
 
 
 def test_a_reason_at_the_very_first_is_in_the_log_on_disk(tmp_path):
