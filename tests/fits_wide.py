@@ -89,8 +89,10 @@ def main() -> None:
     lines = [json.loads(line) for line in known]
     done = {(one["name"], one["gain"], one["model"]) for one in lines}
     gains = ("known", "free") if options.gain == "both" else (options.gain,)
-    for scene_file in sorted(options.folder.glob(f"*{options.only}*.toml")):
+    for scene_file in sorted(options.folder.glob("*.toml")):
         for gain in gains:
+            if options.only not in scene_file.stem:
+                continue
             wanted = scene_file.stem, gain, options.model
             if wanted in done or not scene_file.with_suffix(".npz").exists() or options.limit <= 0:
                 continue

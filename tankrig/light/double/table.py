@@ -278,7 +278,7 @@ def cut_at_critical_angle(cuts: NDArray[np.float64], count: int, index: float, u
 WALL, STRAIGHT = 0.02, 1e6
 """Margins: where lines of sight slant, they leave the tank through its side walls, and J falls to 0 in a small share
 of the way there; where they don't, nodes are graded towards the crossing only."""
-CLOSE = 0.05
+CLOSE = 0.0125
 """Of nodes in y₀ where light leaves through the side walls: their distance over half the tank's width."""
 STEEPEST = 300.0
 """Largest exponent that is taken out of J before it is interpolated."""
@@ -454,7 +454,7 @@ def _y_nodes(geometry: Geometry, low: float, high: float, z0: float) -> tuple[Ar
     inner_low, inner_high = _staying(geometry, low, z0, high), _staying(geometry, high, z0, low)
     spread, middle = inner_high - inner_low, 0.5 * (inner_high + inner_low)
     near_wall = math.sqrt(max(1.0 - max(abs(low), abs(high)) / geometry.half_width, 0.1))
-    many = 3 + math.ceil(1.5 * spread / geometry.half_width / near_wall) if spread > 0.0 else 0
+    many = 6 + math.ceil(3.0 * spread / geometry.half_width / near_wall) if spread > 0.0 else 0
     inner = middle - 0.5 * spread * np.cos(np.pi * (np.arange(many) + 0.5) / max(many, 1))
     close = CLOSE * geometry.half_width
     below = np.linspace(low, inner_low, 2 + math.ceil((inner_low - low) / close))[: None if inner_low > low else 0]
