@@ -12,7 +12,7 @@ from tankrig.errors import ImageError
 from tankrig.estimation.estimate import Estimate, fit_models
 from tankrig.estimation.forward import Models
 from tankrig.estimation.observation import observe
-from tankrig.estimation.parameters import Scaling
+from tankrig.estimation.scaling import Scaling
 from tankrig.figures.paper import collimated_cases, fitted, observed
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank

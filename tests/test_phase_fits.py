@@ -17,7 +17,6 @@ from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.estimate import Estimate, fit_models
 from tankrig.estimation.forward import Models, image_of, models_of, tank_model
 from tankrig.estimation.observation import observe
-from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.phase_answer import Asked, asked_for
 from tankrig.estimation.phase_families import (
     FAMILIES,
@@ -30,6 +29,7 @@ from tankrig.estimation.phase_families import (
     labelled,
 )
 from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
+from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.live.exposures import phase_of
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, from_fields, to_fields

@@ -10,7 +10,7 @@ import tankrig
 from tankrig.estimation.estimate import fit_models
 from tankrig.estimation.forward import models_of
 from tankrig.estimation.observation import observe
-from tankrig.estimation.parameters import Scaling
+from tankrig.estimation.scaling import Scaling
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
 from tankrig.light.tangent import tank_accurate

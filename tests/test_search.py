@@ -10,11 +10,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import tankrig
+from tankrig.estimation.coordinates import Range, to_coordinates
 from tankrig.estimation.forward import models_of
+from tankrig.estimation.ink_blocks import Doses, InkBlock
 from tankrig.estimation.observation import observe
 from tankrig.estimation.optimiser import ASYMMETRY_COORDINATE, Shot, _rough, fitted, solve
-from tankrig.estimation.parameters import Block, Doses, InkBlock, MediumBlock, Range, Scaling, to_coordinates
+from tankrig.estimation.parameters import Block, MediumBlock
 from tankrig.estimation.phase_block import CoefficientsBlock, InkCoefficientsBlock
+from tankrig.estimation.scaling import Scaling
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 
 Array = NDArray[np.float64]

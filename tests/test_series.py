@@ -8,8 +8,9 @@ import pytest
 import tankrig
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.forward import in_water
+from tankrig.estimation.ink_blocks import Doses
 from tankrig.estimation.observation import observe
-from tankrig.estimation.parameters import Doses, Scaling
+from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, fit_series
 from tankrig.light.leaving import CameraLens
 from tankrig.prediction import Prediction

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 
 from tankrig.advice.cells import CellLight
 from tankrig.advice.expected import Expected, usual_widths
-from tankrig.estimation.parameters import NAMES, WIDEST
+from tankrig.estimation.coordinates import NAMES
+from tankrig.estimation.parameters import WIDEST
 from tankrig.estimation.uncertainty import CORRELATION_LENGTHS, PATTERN
 from tankrig.pattern.kinds import Cells
 from tankrig.scene import Scene

@@ -13,10 +13,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.coordinates import NAMES
 from tankrig.estimation.differences import values_of
-from tankrig.estimation.parameters import NAMES, WIDEST, Scaling, in_tank
+from tankrig.estimation.ink_blocks import in_tank
+from tankrig.estimation.parameters import WIDEST
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import Scattering, scattering_of
+from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.uncertainty import Information, Response, SmoothError, total
 from tankrig.scene import Medium, Scene
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from tankrig.errors import StoreError
-from tankrig.estimation.parameters import NAMES
+from tankrig.estimation.coordinates import NAMES
 from tankrig.files import require_writable, whole_file
 from tankrig.live.exposures import PhotographPlan, fits_that_hold
 from tankrig.live.results import fits_in

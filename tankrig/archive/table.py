@@ -13,7 +13,7 @@ from tankrig.archive.results import Results
 from tankrig.archive.runs import runs_in
 from tankrig.archive.task import about
 from tankrig.errors import ImageError, StoreError, TankrigError
-from tankrig.estimation.parameters import NAMES
+from tankrig.estimation.coordinates import NAMES
 from tankrig.files import whole_file
 from tankrig.live.exposures import fits_that_hold
 from tankrig.live.results import DoseFit, Fit, SeriesFit, fits_in, from_fields

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from tankrig.benchmark_estimates.records import Records
 from tankrig.benchmark_estimates.scenes import NOISE, RANDOM, STRIPES, other_paths, random_media
 from tankrig.benchmark_estimates.section import Cell, Section
+from tankrig.estimation.coordinates import NAMES
 from tankrig.estimation.estimate import fit_models
 from tankrig.estimation.forward import Models, models_of
 from tankrig.estimation.observation import observe
-from tankrig.estimation.parameters import NAMES, Scaling
+from tankrig.estimation.scaling import Scaling
 from tankrig.image.prepare import Prepared
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium

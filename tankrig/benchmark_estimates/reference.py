@@ -61,7 +61,7 @@ def _fitted(one: Observed, gain_known: bool) -> dict[str, Any]:
 def cramer_rao(fit: Estimate, one: Observed, gain_known: bool) -> list[float]:
     """Standard deviations that camera noise alone allows."""
     from tankrig.estimation.forward import models_of
-    from tankrig.estimation.parameters import Scaling
+    from tankrig.estimation.scaling import Scaling
 
     models = models_of(one.scene, "tank", None)
     scaling = Scaling(1.0, 0.0) if gain_known else Scaling(None, None)

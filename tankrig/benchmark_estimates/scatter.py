@@ -13,7 +13,7 @@ from tankrig.benchmark_estimates.surrogate import near
 from tankrig.estimation.estimate import Estimate, estimate, fit_models
 from tankrig.estimation.forward import Models, corrected, models_of
 from tankrig.estimation.observation import observe
-from tankrig.estimation.parameters import Scaling
+from tankrig.estimation.scaling import Scaling
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]

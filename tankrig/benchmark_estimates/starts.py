@@ -9,11 +9,13 @@ import numpy as np
 from tankrig.benchmark_estimates.records import Records
 from tankrig.benchmark_estimates.scenes import LIQUIDS, NOISE, STRIPES, other_paths
 from tankrig.benchmark_estimates.section import Cell, Section
+from tankrig.estimation.coordinates import Range, to_coordinates, to_medium
 from tankrig.estimation.forward import models_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.optimiser import Shot, first_guess, polish, search
-from tankrig.estimation.parameters import MediumBlock, Range, Scaling, to_coordinates, to_medium
+from tankrig.estimation.parameters import MediumBlock
 from tankrig.estimation.problem import Problem
+from tankrig.estimation.scaling import Scaling
 from tankrig.image.prepare import Prepared
 from tankrig.scene import Medium
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.coordinates import Range, slopes, to_coordinates, to_medium
 from tankrig.estimation.forward import Models, remembered
-from tankrig.estimation.parameters import Range, slopes, to_coordinates, to_medium
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.parameters import NAMES
+from tankrig.estimation.coordinates import NAMES
 from tankrig.estimation.phase_families import Family
 from tankrig.scene import Medium
 from tankrig.scene.phase_table import PhaseFunction

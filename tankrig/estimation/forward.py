@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
+from tankrig.estimation.coordinates import Range
 from tankrig.estimation.differences import (
     EXACT_STEP,
     Forward,
@@ -24,7 +25,6 @@ from tankrig.estimation.differences import (
     liquid_slopes_of,
     slopes_of,
 )
-from tankrig.estimation.parameters import Range
 from tankrig.estimation.phase_families import Family
 from tankrig.image.predict import predict
 from tankrig.prediction import Prediction, Skipped

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from tankrig.estimation.differences import Forward, Slopes, values_of
 from tankrig.estimation.forward import COARSE, Model, Models, corrected, counted_error, image_of, stated_error
 from tankrig.estimation.observation import Observation
-from tankrig.estimation.parameters import Block, Scaling
+from tankrig.estimation.parameters import Block
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.problem import Evaluation, Problem, View
+from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.uncertainty import PATTERN, SmoothError, identifiable
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene

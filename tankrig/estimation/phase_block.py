@@ -10,20 +10,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.parameters import (
-    LONGEST_STEP,
-    MOST_WATER,
-    NAMES,
-    WIDEST,
-    Block,
-    Doses,
-    InkBlock,
-    Range,
-    Values,
-    slopes,
-    to_coordinates,
-    to_medium,
-)
+from tankrig.estimation.coordinates import LONGEST_STEP, NAMES, Range, slopes, to_coordinates, to_medium
+from tankrig.estimation.ink_blocks import MOST_WATER, Doses, InkBlock
+from tankrig.estimation.parameters import WIDEST, Block, Values
 from tankrig.estimation.phase_families import Family
 from tankrig.scene import Medium
 

@@ -12,7 +12,8 @@ from scipy.linalg import block_diag
 
 from tankrig.estimation.differences import Forward, Slopes
 from tankrig.estimation.observation import Observation
-from tankrig.estimation.parameters import Block, Scaling
+from tankrig.estimation.parameters import Block
+from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.uncertainty import ModelError, Response, Sensitivity, Whitening
 from tankrig.scene import Medium
 from tankrig.threads import THREADS

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.parameters import in_tank
+from tankrig.estimation.ink_blocks import in_tank
 from tankrig.estimation.phase_result import Scattering
 from tankrig.prediction import ORDER_CLASSES, Prediction
 from tankrig.scene import Medium

@@ -26,7 +26,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.parameters import NAMES
+from tankrig.estimation.coordinates import NAMES
 from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]

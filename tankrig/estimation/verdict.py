@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.coordinates import NAMES
 from tankrig.estimation.misfit import STRAY
-from tankrig.estimation.parameters import NAMES
 from tankrig.estimation.result import Linearity
 from tankrig.estimation.uncertainty import DETERMINED, END, extinction, reduced_scattering
 from tankrig.scene import Medium

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.astray import unmeasured
 from tankrig.estimation.forward import PURE_WATER_SIGMA_S, Model, ModelOf, Models, models_of, prepared_model
-from tankrig.estimation.parameters import Scaling
 from tankrig.estimation.phase_answer import asked_for
+from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import InkAndWater, estimate_series, fit_liquid, observed
 from tankrig.image.prepare import Prepared
 from tankrig.live.exposures import Photograph

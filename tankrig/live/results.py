@@ -5,7 +5,8 @@ from dataclasses import asdict, dataclass, field, replace
 from dataclasses import fields as dataclass_fields
 from typing import Any
 
-from tankrig.estimation.parameters import NAMES, in_tank
+from tankrig.estimation.coordinates import NAMES
+from tankrig.estimation.ink_blocks import in_tank
 from tankrig.estimation.phase_result import Scattering
 from tankrig.estimation.result import Linearity
 from tankrig.scene import Medium

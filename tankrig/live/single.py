@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tankrig.estimation.parameters import Scaling
+from tankrig.estimation.scaling import Scaling
 from tankrig.light.single import single_scattering
 from tankrig.live.exposures import Photograph
 from tankrig.scene.description import Medium
