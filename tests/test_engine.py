@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import Range, to_coordinates
 from tankrig.estimation.differences import slopes_of
+from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import Models, image_of
 from tankrig.estimation.observation import observe
-from tankrig.estimation.optimiser import Fit, Shot, fitted, solve
+from tankrig.estimation.optimiser import solve
 from tankrig.estimation.parameters import Block, MediumBlock, Values
 from tankrig.estimation.problem import Problem, View
 from tankrig.estimation.result import Linearity
 from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.uncertainty import SmoothError, Whitening
 from tankrig.live.results import DoseFit, FailedFit, SeriesFit, SingleScattering, fits_in, from_fields, to_fields
 from tankrig.prediction import Prediction

@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 
 import tankrig
 from tankrig.estimation.coordinates import Range, to_coordinates
+from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import models_of
 from tankrig.estimation.ink_blocks import Doses, InkBlock
 from tankrig.estimation.observation import observe
-from tankrig.estimation.optimiser import ASYMMETRY_COORDINATE, Shot, _rough, fitted, solve
+from tankrig.estimation.optimiser import solve
 from tankrig.estimation.parameters import Block, MediumBlock
 from tankrig.estimation.phase_block import CoefficientsBlock, InkCoefficientsBlock
 from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.search import ASYMMETRY_COORDINATE
+from tankrig.estimation.shots import Shot, rough_problem
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 
 Array = NDArray[np.float64]
@@ -145,7 +148,7 @@ def test_the_search_ends_at_the_best_of_the_profile_over_g(name: str, scaling: S
     block = MediumBlock(Range.of_tank(240.0))
     fit = fitted([shot], (block,), scaling, lambda _: None)
     at = fit.optimum.coordinates
-    cheap = _rough([shot], (block,), scaling, 0.02)
+    cheap = rough_problem([shot], (block,), scaling, 0.02)
     here = solve(cheap, at, 0.5).cost
     for g in (-0.9, -0.7, -0.5, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95):
         held = replace(cheap, held=((ASYMMETRY_COORDINATE, float(np.arctanh(g))),))

@@ -12,10 +12,12 @@ from tankrig.benchmark_estimates.section import Cell, Section
 from tankrig.estimation.coordinates import Range, to_coordinates, to_medium
 from tankrig.estimation.forward import models_of
 from tankrig.estimation.observation import observe
-from tankrig.estimation.optimiser import Shot, first_guess, polish, search
+from tankrig.estimation.optimiser import polish
 from tankrig.estimation.parameters import MediumBlock
 from tankrig.estimation.problem import Problem
 from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.search import first_guess, search
+from tankrig.estimation.shots import Shot
 from tankrig.image.prepare import Prepared
 from tankrig.scene import Medium
 

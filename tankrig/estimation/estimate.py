@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.astray import ASTRAY, PATTERNS, SIGNS, SLOW, Astray, AstrayBlock, causes, floor
 from tankrig.estimation.coordinates import Range
+from tankrig.estimation.fitting import fitted, without_outliers
 from tankrig.estimation.forward import Models, error_map, models_of, smooth_error_map, stated_error
 from tankrig.estimation.misfit import SEEN, STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
 from tankrig.estimation.observation import Observation, observe, structure
-from tankrig.estimation.optimiser import Fit, Shot, Told, fitted, polish, without_outliers
+from tankrig.estimation.optimiser import polish
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, liquid_blocks, phase_instead
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import (
@@ -30,7 +31,9 @@ from tankrig.estimation.residual import (
 )
 from tankrig.estimation.result import Estimate as Estimate
 from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.search import Told
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
+from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.uncertainty import (
     ModelError,
     PatternedError,

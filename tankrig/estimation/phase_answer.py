@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import Range
+from tankrig.estimation.fitting import fitted, guessed, promising
 from tankrig.estimation.forward import COARSE, Models, image_of, models_of
 from tankrig.estimation.ink_blocks import Doses, DosesBlock, InkBlock
-from tankrig.estimation.optimiser import COARSE_ENOUGH, Fit, Shot, Told, fitted, guessed, promising, solve
+from tankrig.estimation.optimiser import COARSE_ENOUGH, solve
 from tankrig.estimation.parameters import Block, MediumBlock
 from tankrig.estimation.phase_average import averaged
 from tankrig.estimation.phase_block import CoefficientsBlock, InkCoefficientsBlock, PhaseBlock, WaterBlock
@@ -18,6 +19,8 @@ from tankrig.estimation.phase_families import FAMILIES, Family, family_of, fixed
 from tankrig.estimation.phase_result import Scattering, scattering_of
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.search import Told
+from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.uncertainty import SmoothError
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction

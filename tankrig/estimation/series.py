@@ -26,10 +26,10 @@ from tankrig.estimation.estimate import (
     spread_of,
     with_astray,
 )
+from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import ModelOf, Models, in_water, low_orders_model, series_models, tank_model
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
 from tankrig.estimation.observation import Observation, observe
-from tankrig.estimation.optimiser import Fit, Shot, Told, fitted
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, ink_blocks, liquid_blocks
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import Scattering, coefficients_by
@@ -37,6 +37,8 @@ from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.result import Linearity, LiquidEstimate
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
 from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.search import Told
+from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.uncertainty import PATTERN, ModelError
 from tankrig.estimation.verdict import series_verdict, what_is_misaligned, what_is_unseen, what_may_be_another_phase
 from tankrig.scene import Medium, Scene

@@ -1,0 +1,118 @@
+"""An optimum corrected by exact images, about which other models say only how images change."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.differences import Forward, Slopes, values_of
+from tankrig.estimation.forward import Model, corrected, image_of
+from tankrig.estimation.optimiser import LAST_STEPS, solve
+from tankrig.estimation.phase_families import Family
+from tankrig.estimation.problem import Evaluation
+from tankrig.estimation.search import Told
+from tankrig.estimation.shots import Fit, Shot, weighed_problem
+from tankrig.estimation.uncertainty import identifiable
+from tankrig.scene import Medium
+
+Vector = NDArray[np.float64]
+Image = NDArray[np.floating]
+
+NEAR_ENOUGH, BENT_ENOUGH, MANY_ENOUGH = 0.005, 0.05, 0.1
+"""Where searches about exact images stop, see `solve`: to first order, where steps cost nothing, and as the models
+bend; with a phase function's many coordinates, of which each may be off by less than where there are three."""
+FEW_STEPS = 12
+"""Steps with the accurate model, and as the models bend, at most, where a phase function's coordinates are fitted."""
+CORRECTIONS, SETTLED = 4, 0.1
+"""Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
+which that is over, see `Block.looseness`."""
+SETTLED_SHARE = 0.5
+"""Of its standard deviation, by which each value may have moved besides."""
+SHARPER = 4
+"""Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
+
+
+def corrected_fit(
+    best: Evaluation, shots: Sequence[Shot], models: Sequence[Model], progress: Told, sharper: bool
+) -> Fit:
+    """The optimum by exact images, and by how other models change about them.
+
+    To first order at first: what is left of paths' noise in that is smooth. Then as the models bend on the way, which
+    says as much as other exact images there would (of what these gained in a dose's fit from afar, 105 %).
+
+    Parameters
+    ----------
+    best
+        Of the problem that was solved.
+    shots
+        Whose exact images are asked for.
+    models
+        That are differentiated; in the end, with the error that they show at the optimum taken off.
+    progress
+        Told in words what is being done.
+    sharper
+        Whether images follow more paths where the model's error hides what the images show.
+    """
+    problem = best.problem
+    many = any(shot.models.family for shot in shots)
+    bent_enough, steps = (MANY_ENOUGH, FEW_STEPS) if many else (BENT_ENOUGH, LAST_STEPS)
+
+    def about(centre: Evaluation, start: Evaluation, times: int) -> Fit:
+        media, slopes = centre.media, problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))
+        seen = [shot.models.exact(one, times) for shot, one in zip(shots, media, strict=True) if shot.models.exact]
+        families = [shot.models.family for shot in shots]
+        straight = [
+            _linear(one.image, medium, slope, family)
+            for one, medium, slope, family in zip(seen, media, slopes, families, strict=True)
+        ]
+        near = weighed_problem(problem, shots, straight, [_always(slope) for slope in slopes], seen)
+        end = solve(replace(near, quick=True), start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
+        last = tuple(corrected(*one) for one in zip(models, media, seen, strict=True))
+        bent = near.by([image_of(model) for model in last])
+        return Fit(solve(bent, end.coordinates, bent_enough, steps, damping=0.0), last)
+
+    for _ in range(CORRECTIONS):
+        progress("correcting by accurate images")
+        centre = best
+        fit = about(centre, centre, 1)
+        best = fit.optimum
+        if _settled(best, centre, SETTLED * problem.looseness):
+            break
+    if sharper and _held_back(best):
+        progress("correcting by images as accurate as the photographs")
+        fit = about(centre, best, SHARPER)
+    end = fit.optimum
+    views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
+    return replace(fit, optimum=replace(end.problem, views=tuple(views)).at(end.coordinates))
+
+
+def _settled(best: Evaluation, centre: Evaluation, near: Vector) -> bool:
+    """Whether an optimum stayed where the image that it was corrected by was made, or within a share of its errors."""
+    if (np.abs(best.coordinates - centre.coordinates) < near).all():
+        return True
+    views = best.problem.views
+    spread = best.sensitivity.covariance([view.observation.noise for view in views], [view.error for view in views])
+    pairs = [np.concatenate([one.values[block.name] for block in one.problem.blocks]) for one in (best, centre)]
+    return bool((np.abs(pairs[0] - pairs[1]) < SETTLED_SHARE * np.sqrt(np.diag(spread))).all())
+
+
+def _linear(image: Image, centre: Medium, slopes: Image, family: Family | None) -> Forward:
+    """An image, and changes of it to first order."""
+    at = values_of(centre, family)
+    return lambda medium: np.asarray(image + np.tensordot(values_of(medium, family) - at, slopes, 1))
+
+
+def _always(slopes: Image) -> Slopes:
+    return lambda _: slopes
+
+
+def _held_back(best: Evaluation) -> bool:
+    """Whether the model's error leaves a coefficient undetermined that noise alone would not."""
+    views, medium = best.problem.views, best.media[0]
+    noise = [view.observation.noise for view in views]
+    with_error, without = (
+        identifiable(medium, best.sensitivity.covariance(noise, errors))
+        for errors in ([view.error for view in views], [None] * len(noise))
+    )
+    return with_error != without

@@ -1,0 +1,150 @@
+"""From images to the optimum: search with the cheap models, go on with accurate ones, correct by exact images."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.corrections import FEW_STEPS, MANY_ENOUGH, corrected_fit
+from tankrig.estimation.forward import COARSE, image_of, stated_error
+from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
+from tankrig.estimation.parameters import Block
+from tankrig.estimation.problem import Problem
+from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.search import RIVAL, Told, by_cost, densities, first_guess, profiled, search
+from tankrig.estimation.shots import Fit, Shot, rough_problem, weighed_problem
+from tankrig.scene import Medium
+
+Vector = NDArray[np.float64]
+
+PROFILE_FROM = 0.55
+"""g of the liquids that are looked at first."""
+VALLEYS = 3
+"""Of the profile in g that are searched, at most."""
+SEVERAL_ENOUGH = 20.0
+"""Where the cheap models' fit of several images stops, see `solve`."""
+CLEANINGS = 3
+"""Times at most that a fit is repeated without the pixels that it shows to be outliers."""
+
+
+def fitted(
+    shots: Sequence[Shot],
+    blocks: tuple[Block, ...],
+    scaling: Scaling,
+    progress: Told,
+    start: Vector | None = None,
+    few: Sequence[int] = (0,),
+    sharper: bool = False,
+    starts: Sequence[Vector] | None = None,
+) -> Fit:
+    """From images to the optimum: search with the cheap models, go on with accurate ones, correct by exact images.
+
+    Parameters
+    ----------
+    shots
+        The images, and their models.
+    blocks
+        What is searched for.
+    scaling
+        Whether gain and offset are free.
+    progress
+        Told in words what is being done.
+    start
+        Coordinates to begin from; None to search everywhere.
+    few
+        Numbers of the images that the search looks at.
+    sharper
+        Whether exact images follow more paths where the model's error hides what the images show.
+    starts
+        Coordinates that the cheap models' search begins from, in place of a look around.
+    """
+    if starts is not None:
+        problem = rough_problem(shots, blocks, scaling)
+        found = search(problem.of(few), starts, progress, enough=COARSE_ENOUGH if len(few) == 1 else SEVERAL_ENOUGH)
+    elif start is None:
+        problem, found = _searched(shots, blocks, scaling, progress, few)
+    else:
+        problem, found = rough_problem(shots, blocks, scaling), [start]
+    if all(shot.models.refine for shot in shots):
+        progress("refining")
+        media = problem.at(found[0]).media
+        versions = [shot.models.refined(liquid) for shot, liquid in zip(shots, media, strict=True)]
+        seen = [fine(liquid) for (fine, _), liquid in zip(versions, media, strict=True)]
+        forwards = [image_of(fine) for fine, _ in versions]
+        slopes = [shot.slopes_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
+        problem = weighed_problem(problem, shots, forwards, slopes, seen)
+        many = any(shot.models.family for shot in shots)
+        best = by_cost(
+            solve(problem, one, MANY_ENOUGH, FEW_STEPS, damping=0.0) if many else polish(problem, one) for one in found
+        )[0]
+    else:
+        progress("fitting all images")
+        versions = [(shot.models.coarse, shot.models.coarse) for shot in shots]
+        best = by_cost(solve(problem, one, SEVERAL_ENOUGH) for one in found)[0]
+    if all(shot.models.exact for shot in shots):
+        return corrected_fit(best, shots, [slope for _, slope in versions], progress, sharper)
+    return Fit(best, tuple(fine for fine, _ in versions))
+
+
+def _searched(
+    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told, few: Sequence[int]
+) -> tuple[Problem, list[Vector]]:
+    """The problem of the cheap models, and the ends of a search of it that looks at few images, best first."""
+    problem = rough_problem(shots, blocks, scaling)
+    if len(few) > 1:  # they have no twins, and need no reserve
+        progress("looking at a few media")
+        first, _ = first_guess(problem.of(few), shots[0].length_mm)
+        starts = [look.coordinates for look in first[: 2 if first[1].cost < RIVAL * first[0].cost else 1]]
+        return problem, search(problem.of(few), starts, progress, enough=SEVERAL_ENOUGH)
+    progress("looking at a few media")
+    look = [shots[number].looked_at() for number in few]
+    seen = rough_problem(look, blocks, scaling)
+    places = [seen.at(one) for one in densities(seen, look[0].length_mm, PROFILE_FROM)]
+    best = min(places, key=lambda one: one.cost)
+    share = stated_error(look[0].models.coarse(best.media[0]))
+    seen = rough_problem(look, blocks, scaling, float(np.clip(share, 0.1 * COARSE, COARSE)))
+    valleys = profiled(seen, best.coordinates, progress)[:VALLEYS]
+    return problem, search(seen, [one.coordinates for one in valleys], progress)
+
+
+def guessed(
+    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told, few: Sequence[int] = (0,)
+) -> Medium:
+    """About what the liquid of the last of a few images is, by the cheap models alone."""
+    if len(few) > 1:
+        problem, found = _searched(shots, blocks, scaling, progress, few)
+        return problem.of(few).at(found[0]).media[-1]
+    problem = rough_problem(shots, blocks, scaling).of(few)
+    progress("looking at a few media")
+    first, _ = first_guess(problem, shots[0].length_mm)
+    return problem.at(search(problem, [look.coordinates for look in first], progress)[0]).media[0]
+
+
+def promising(
+    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, ladder: Sequence[Vector],
+    few: Sequence[int] = (0,),
+) -> list[Vector]:  # fmt: skip
+    """Places on a ladder that explain a few images better than their neighbours on it, best first."""
+    problem = rough_problem(shots, blocks, scaling).of(few)
+    costs = [problem.at(np.clip(one, *problem.box)).cost for one in ladder]
+    around = [math.inf, *costs, math.inf]
+    found = [k for k, cost in enumerate(costs) if cost <= min(around[k], around[k + 2])]
+    return [ladder[k] for k in sorted(found, key=lambda k: costs[k])]
+
+
+def without_outliers(fit: Fit) -> Fit:
+    """The fit without pixels that it shows to be none of the liquid's light."""
+    best = fit.optimum
+    for _ in range(CLEANINGS):
+        gain, offsets = best.scale
+        views = tuple(
+            replace(view, observation=view.observation.cleaned(gain * image + offset))
+            for view, image, offset in zip(best.problem.views, best.images, offsets, strict=True)
+        )
+        cleaned = replace(best.problem, views=views)
+        if cleaned.pixels == best.problem.pixels:
+            break
+        best = polish(cleaned, best.coordinates)
+    return replace(fit, optimum=best)

@@ -1,0 +1,97 @@
+"""Images with their models, the problems that they make, and where a fit of them ended."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.differences import Forward, Slopes
+from tankrig.estimation.forward import COARSE, Model, Models, counted_error, image_of
+from tankrig.estimation.observation import Observation
+from tankrig.estimation.parameters import Block
+from tankrig.estimation.problem import Evaluation, Problem, View
+from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.uncertainty import PATTERN, SmoothError
+from tankrig.prediction import Prediction
+from tankrig.scene import Scene
+
+Image = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """An image, what it shows, the versions of its model, and the number of its dose."""
+
+    observation: Observation
+    scene: Scene
+    models: Models
+    dose: int = 0
+
+    @property
+    def length_mm(self) -> float:
+        """Longest side of the tank."""
+        return max(self.scene.tank.size_mm)
+
+    def looked_at(self) -> "Shot":
+        """It as a search looks at it: differences to one side do."""
+        if self.models.look is None:
+            return replace(self, models=replace(self.models, central=False))
+        by, model = self.models.look
+        scene = replace(self.scene, camera=self.scene.camera.binned(by))
+        return replace(
+            self, observation=self.observation.binned(by), scene=scene, models=replace(self.models, coarse=model)
+        )
+
+    def slopes_of(self, model: Model) -> Slopes:
+        """Derivatives: the model's own, or by differences of one of its versions."""
+        return self.models.slopes_of(model, self.length_mm)
+
+    def view(self, forward: Forward, slopes: Slopes, error: Image) -> View:
+        """It as a problem has it, with a model whose error has a standard deviation, (rows, columns)."""
+        return View(self.observation, forward, slopes, self.error(error), self.dose)
+
+    def error(self, sd: Image, counted: float = PATTERN) -> SmoothError:
+        """A model's error of a standard deviation, (rows, columns); see `SmoothError`."""
+        return SmoothError.of(self.scene, sd, counted)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where a fit ended: the problem there, and each view's model as it was used."""
+
+    optimum: Evaluation
+    models: tuple[Model, ...]
+
+    @property
+    def predictions(self) -> list[Prediction]:
+        """The models' images there, without what may be misaligned."""
+        return [model(liquid) for model, liquid in zip(self.models, self.optimum.media, strict=True)]
+
+
+def rough_problem(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, share: float = COARSE) -> Problem:
+    """The problem of the cheap models, with errors of a share of the light, about."""
+    views = []
+    for shot in shots:
+        seen, coarse = shot.observation, shot.models.coarse
+        ambient = float(np.percentile(seen.image[seen.used], 5)) if scaling.offset is None else scaling.offset
+        error = share * np.maximum(seen.image - ambient, 0.0)
+        views.append(shot.view(image_of(coarse), shot.slopes_of(coarse), error))
+    return Problem(tuple(views), blocks, scaling, quick=all(shot.models.with_slopes for shot in shots))
+
+
+def weighed_problem(
+    problem: Problem, shots: Sequence[Shot], forwards: Sequence[Forward], slopes: Sequence[Slopes],
+    seen: Sequence[Prediction],
+) -> Problem:  # fmt: skip
+    """The problem with other models, weighed by the errors that their images state and the noise that these leave."""
+    gain, offsets = problem.scale(problem.whitened([one.image for one in seen]))
+    views = []
+    for shot, view, forward, slope, one, offset in zip(
+        shots, problem.views, forwards, slopes, seen, offsets, strict=True
+    ):
+        left = view.observation.image - gain * one.image - offset
+        observation = view.observation.with_noise_of(left, by_level=True)
+        error = shot.error(counted_error(one, gain))
+        views.append(replace(view, forward=forward, slopes=slope, error=error, observation=observation))
+    return replace(problem, views=tuple(views))
