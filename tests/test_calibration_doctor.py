@@ -141,7 +141,7 @@ def test_a_run_carries_its_radiometry_and_its_frames_are_fitted_as_radiance(tmp_
     from tankrig.calibration.radiometry_result import calibration_of
     from tankrig.devices import CameraSettings
     from tankrig.live.brackets import merged_of_run
-    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.photograph_plan import PhotographPlan
     from tankrig.pattern.kinds import Sheet
     from tankrig.run.start import new_run
     from tankrig.sequence import Capture, Dose, Wait

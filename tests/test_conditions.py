@@ -13,7 +13,9 @@ import tankrig
 from tankrig.devices import CameraSettings, Delivered, Frame
 from tankrig.errors import UndecidedError
 from tankrig.live.brackets import merged_of_run
-from tankrig.live.exposures import Exposures, PhotographPlan, exposures_of, fits_that_hold
+from tankrig.live.exposures import Exposures, exposures_of
+from tankrig.live.photograph_plan import PhotographPlan
+from tankrig.live.recorded import fits_that_hold
 from tankrig.report.settings import settings_of
 from tankrig.run.conditions import Conditions, clamped, spanning, with_conditions
 from tankrig.run.export import export_netcdf

@@ -19,8 +19,8 @@ from tankrig.estimation.uncertainty import Response, Sensitivity, SmoothError, W
 from tankrig.estimation.verdict import what_is_unseen
 from tankrig.image.bins import FIT_PIXEL_MM, KEPT, Bins, Seen, bins_for
 from tankrig.light.single import single_scattering
-from tankrig.live.exposures import PhotographPlan
 from tankrig.live.one_picture import picture_of, radiance_of
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.pattern.kinds import Rays, Stripes, draw
 from tankrig.pattern.wall import Wall
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank

@@ -31,9 +31,10 @@ from tankrig.light.prepared.box import Box
 from tankrig.light.tank import tank_image
 from tankrig.live import fits, worker
 from tankrig.live import preparing as preparing_module
-from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
+from tankrig.live.exposures import Exposures, Photograph
 from tankrig.live.fits import fit_dose_prepared
 from tankrig.live.live_fit import LiveFit
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import LOOK, Preparation, Preparing, box_for
 from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, diluted, to_fields
 from tankrig.pattern import Pattern

@@ -10,8 +10,8 @@ import pytest
 
 from tankrig.bench import Bench
 from tankrig.light.tank import tank_image
-from tankrig.live.exposures import PhotographPlan
 from tankrig.live.live_fit import LiveFit
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.results import DoseFit
 from tankrig.pattern.kinds import Rays, Sheet, Stripes
 from tankrig.pattern.wall import Wall

@@ -13,8 +13,8 @@ from drivers.simulated.bench_truth import TrueBench, random_bench
 from tankrig.bench import Bench
 from tankrig.geometry.pose import rotation_vector
 from tankrig.image.predict import predict
-from tankrig.live.exposures import PhotographPlan
 from tankrig.live.live_fit import LiveFit
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.results import DoseFit, Fit, SeriesFit, diluted
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import Rays, Stripes

@@ -11,7 +11,8 @@ import pytest
 from drivers.simulated.settings import PURE_WATER
 from tankrig.light.prepared.box import Box
 from tankrig.live import worker
-from tankrig.live.exposures import Exposures, PhotographPlan, replayed
+from tankrig.live.exposures import Exposures, replayed
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import LOOK, LOOK_START
 from tankrig.live.results import DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, fits_in, from_fields
 from tankrig.live.separated import Separated

@@ -31,7 +31,7 @@ from tankrig.estimation.phase_families import (
 from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, estimate_series
-from tankrig.live.exposures import phase_of
+from tankrig.live.photograph_plan import phase_of
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, from_fields, to_fields
 from tankrig.prediction import Prediction
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank

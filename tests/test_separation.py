@@ -224,7 +224,7 @@ def test_shifts_of_a_wave_add_up_to_the_sheet_whatever_the_projectors_response(
 
 
 def test_a_step_is_written_out_and_its_waves_are_not_photographs_for_fits() -> None:
-    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.photograph_plan import PhotographPlan
 
     step = Separate(Z_MM, (16.0, 32.0), frames=2, y_mm=Y_MM, heights_mm=(30.0, 60.0))
     sequence = Sequence("two heights", (Series((0.0, 100.0), (step, Capture("full"))),))

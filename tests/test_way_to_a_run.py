@@ -20,8 +20,8 @@ from tankrig.devices import Delivered
 from tankrig.dosing import TankLedger
 from tankrig.dosing.records import JointCount
 from tankrig.errors import ImageError, SequenceError
-from tankrig.live.exposures import PhotographPlan
 from tankrig.live.light_seen import require_light_seen
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import LOOK, is_kept
 from tankrig.pattern.kinds import Dark, GrayCode, Sheet
 from tankrig.pattern.wall import Wall

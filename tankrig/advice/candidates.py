@@ -7,7 +7,7 @@ from tankrig.advice.expected import Known, Shot
 from tankrig.advice.ranking import Candidate
 from tankrig.advice.starting import from_run
 from tankrig.errors import ImageError
-from tankrig.live.exposures import PhotographPlan
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.run.reading import open_run
 from tankrig.sequence import Capture, Dose, Mix, Pace, Sequence
 

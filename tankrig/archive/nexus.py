@@ -15,7 +15,8 @@ import numpy as np
 from tankrig.errors import StoreError
 from tankrig.estimation.coordinates import NAMES
 from tankrig.files import require_writable, whole_file
-from tankrig.live.exposures import PhotographPlan, fits_that_hold
+from tankrig.live.photograph_plan import PhotographPlan
+from tankrig.live.recorded import fits_that_hold
 from tankrig.live.results import fits_in
 from tankrig.run.reading import Run
 

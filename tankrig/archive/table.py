@@ -15,7 +15,7 @@ from tankrig.archive.task import about
 from tankrig.errors import ImageError, StoreError, TankrigError
 from tankrig.estimation.coordinates import NAMES
 from tankrig.files import whole_file
-from tankrig.live.exposures import fits_that_hold
+from tankrig.live.recorded import fits_that_hold
 from tankrig.live.results import DoseFit, Fit, SeriesFit, fits_in, from_fields
 from tankrig.run.reading import open_run
 

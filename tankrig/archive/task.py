@@ -12,7 +12,8 @@ from tankrig.archive.mark import refit_mark
 from tankrig.archive.models import ModelsOnDemand
 from tankrig.archive.results import FORMAT, Results, Row, made_now
 from tankrig.errors import ImageError, StoreError, TankrigError
-from tankrig.live.exposures import PhotographPlan, exposures_of
+from tankrig.live.exposures import exposures_of
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import phases_prepared
 from tankrig.live.refit import fits_made
 from tankrig.live.results import DoseFit, FailedFit, Fit, to_fields

@@ -125,7 +125,7 @@ def _finite(sd: Mapping[str, Any]) -> dict[str, float]:
 
 def _of_run(path: Path, dose_ml: float | None) -> Liquid:
     from tankrig.estimation.coordinates import NAMES
-    from tankrig.live.exposures import fits_that_hold
+    from tankrig.live.recorded import fits_that_hold
     from tankrig.live.results import fits_in
     from tankrig.run.reading import open_run
 

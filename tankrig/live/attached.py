@@ -8,9 +8,10 @@ from functools import cache
 
 from tankrig.bench import Bench
 from tankrig.errors import SceneError, SequenceError, StoreError
-from tankrig.live.exposures import PhotographPlan, fits_that_hold
 from tankrig.live.light_seen import require_light_seen
 from tankrig.live.live_fit import LiveFit
+from tankrig.live.photograph_plan import PhotographPlan
+from tankrig.live.recorded import fits_that_hold
 from tankrig.live.results import DoseFit, Fit, fits_in, to_fields
 from tankrig.run.journal_io import read_settings
 from tankrig.run.reading import Run, open_run

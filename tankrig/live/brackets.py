@@ -5,7 +5,7 @@ import numpy as np
 from tankrig.calibration.hdr import Merged, merge
 from tankrig.devices import CameraSettings
 from tankrig.errors import StoreError
-from tankrig.live.exposures import PhotographPlan
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.run.reading import Run
 
 

@@ -17,8 +17,10 @@ import numpy as np
 
 from tankrig.devices import Pixels
 from tankrig.errors import StoreError
-from tankrig.live.exposures import Exposures, Photograph, PhotographPlan, fits_that_hold
+from tankrig.live.exposures import Exposures, Photograph
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import Preparation
+from tankrig.live.recorded import fits_that_hold
 from tankrig.live.results import Fit, from_fields
 from tankrig.live.worker import Shared, work
 from tankrig.run.event_dispatcher import EventDispatcher

@@ -13,7 +13,7 @@ from typing import Literal
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
 from tankrig.light.rays import shift_invariant
-from tankrig.live.exposures import PhotographPlan
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.results import diluted
 from tankrig.scene.description import Medium, Scene
 

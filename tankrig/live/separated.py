@@ -8,8 +8,8 @@ from typing import Any
 
 from tankrig.errors import ImageError
 from tankrig.light.single import single_scattering
-from tankrig.live.exposures import wave_names
 from tankrig.live.formatting import with_error
+from tankrig.live.recorded import wave_names
 from tankrig.live.results import DoseFit, SeriesFit
 from tankrig.run.reading import Run
 from tankrig.scene.description import Interval, Medium, Scene

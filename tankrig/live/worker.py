@@ -18,8 +18,9 @@ import numpy as np
 
 from tankrig.errors import TankrigError
 from tankrig.light.prepared.box import Box
-from tankrig.live.exposures import Exposures, Photograph, PhotographPlan
+from tankrig.live.exposures import Exposures, Photograph
 from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import LOOK, LOOK_START, Preparation, Preparing, foreseen, phases_prepared
 from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, diluted
 from tankrig.live.sheets_so_far import SheetsSoFar

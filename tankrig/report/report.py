@@ -11,8 +11,10 @@ import numpy as np
 from tankrig.errors import ImageError
 from tankrig.figures.tank_image import STYLE
 from tankrig.files import require_writable, whole_file
-from tankrig.live.exposures import Photograph, PhotographPlan, wave_names
+from tankrig.live.exposures import Photograph
 from tankrig.live.formatting import with_error
+from tankrig.live.photograph_plan import PhotographPlan
+from tankrig.live.recorded import wave_names
 from tankrig.live.results import DoseFit
 from tankrig.report import curves, pictures
 from tankrig.report.inlined import inlined, rendered

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from tankrig.errors import ImageError
-from tankrig.live.exposures import Photograph, exposures_of, fits_that_hold, wave_names
+from tankrig.live.exposures import Photograph, exposures_of
+from tankrig.live.recorded import fits_that_hold, wave_names
 from tankrig.live.refit import unfitted
 from tankrig.live.results import DoseFit, SeriesFit, fits_in
 from tankrig.run.reading import Run

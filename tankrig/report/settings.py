@@ -8,7 +8,7 @@ from tankrig.bench import Bench
 from tankrig.calibration.places import believed, measured_places
 from tankrig.checked_toml import checked
 from tankrig.errors import StoreError
-from tankrig.live.exposures import PhotographPlan
+from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.run.calibrations import calibrations_of
 from tankrig.run.reading import Run
 from tankrig.scene.outline import edge_reach_mm

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tankrig.advice.expected import Expected, Known, Shot
     from tankrig.advice.next_pictures import NextPictures
     from tankrig.advice.ranking import Advice
-    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.photograph_plan import PhotographPlan
     from tankrig.pattern.kinds import Cells
     from tankrig.sequence.until import Until
 
@@ -226,7 +226,7 @@ def _of_guess(
     file: Path, ink: tuple[float, float, float], noise: float, description: "RigFile"
 ) -> "tuple[Known, list[Shot], PhotographPlan, float]":
     from tankrig.advice.starting import from_guess
-    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.photograph_plan import PhotographPlan
     from tankrig.scene import Medium
     from tankrig.sequence import load_sequence
 

@@ -96,7 +96,7 @@ def _of_a_scene(scene_file: Path, tolerance: float, sigma_t: Ends, albedo: Ends,
 def _for_a_run(sequence_file: Path, rig: Path, as_json: bool) -> None:
     from drivers.rig import calibrated_bench, load_rig_file
     from tankrig.live.attached import require_fittable
-    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.photograph_plan import PhotographPlan
     from tankrig.live.preparing import foreseen, is_kept, model_for, phases_prepared
     from tankrig.sequence import load_sequence
 

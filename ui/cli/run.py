@@ -296,7 +296,7 @@ def _aborting_on_signals(runner: "Runner") -> Iterator[None]:
 
 def tell(outcome: "Outcome", description: "RigFile", fit: bool, as_json: bool) -> int:
     """Say how a run ended and what it found, write its report, and give the exit status."""
-    from tankrig.live.exposures import wave_names
+    from tankrig.live.recorded import wave_names
     from tankrig.run.reading import open_run
     from tankrig.run.state import FinishReason
 

@@ -153,7 +153,7 @@ def _of_rig(rig: Path | None, pattern_name: str, sequence_file: Path | None) -> 
 def _of_run(folder: Path, pattern_name: str) -> _Source:
     from tankrig.bench import Bench
     from tankrig.errors import SequenceError
-    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.photograph_plan import PhotographPlan
     from tankrig.run.calibrations import calibrations_of
     from tankrig.run.reading import open_run
 
@@ -169,7 +169,7 @@ def _of_run(folder: Path, pattern_name: str) -> _Source:
 
 def _binning(bench: "Bench", pattern: "Pattern") -> int:
     """As a fit of a run puts pixels together, and no coarser either way."""
-    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.photograph_plan import PhotographPlan
     from tankrig.sequence import Capture, Sequence
 
     bins = PhotographPlan.of(bench, Sequence("scene", (Capture("full"),)), [pattern]).bins

@@ -32,7 +32,7 @@ def separate(run: Path, out: Path | None, orders: bool, as_json: bool) -> None:
     from tankrig.figures.separation_figure import separation_figure
     from tankrig.figures.tank_image import STYLE
     from tankrig.files import require_writable
-    from tankrig.live.exposures import fits_that_hold
+    from tankrig.live.recorded import fits_that_hold
     from tankrig.live.results import fits_in
     from tankrig.live.separated import told_of
     from tankrig.run.derived import FOLDER, write_derived

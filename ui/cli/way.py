@@ -138,7 +138,7 @@ def _sequence(description: "RigFile", sequence_file: Path | None) -> Iterator[St
 def _models(description: "RigFile", sequence: "Sequence", sequence_file: Path) -> Step:
     """Those that can be foreseen before there is any ink; a run prepares them by itself, and then waits for them."""
     from drivers.rig import calibrated_bench
-    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.photograph_plan import PhotographPlan
     from tankrig.live.preparing import foreseen, is_kept, phases_prepared
     from ui.cli.prepare import BY_PATHS
 

@@ -75,7 +75,7 @@ class Reading:
     bench
         Where it was recorded.
     without_fits
-        Whether its recorded fits do not hold, see `tankrig.live.exposures.fits_that_hold`.
+        Whether its recorded fits do not hold, see `tankrig.live.recorded.fits_that_hold`.
     counted
         In regions of its frames, where some are saved with it.
     doubts
@@ -160,7 +160,8 @@ def read(path: Path) -> Reading:
     StoreError
         When it cannot be read.
     """
-    from tankrig.live.exposures import PhotographPlan, fits_that_hold, wave_names
+    from tankrig.live.photograph_plan import PhotographPlan
+    from tankrig.live.recorded import fits_that_hold, wave_names
     from tankrig.run.reading import open_run
     from tankrig.sequence.loading import sequence_from_table
 
@@ -355,7 +356,7 @@ def design(
     from tankrig.advice.starting import from_fit
     from tankrig.bench import Bench
     from tankrig.errors import SequenceError
-    from tankrig.live.exposures import PhotographPlan
+    from tankrig.live.photograph_plan import PhotographPlan
     from tankrig.live.results import to_fields
     from tankrig.pattern.kinds import draw
     from tankrig.run.reading import open_run

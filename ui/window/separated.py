@@ -112,7 +112,7 @@ def separate(
     ImageError, StoreError
         When the run separates nothing, no sheet is whole, or a frame cannot be read.
     """
-    from tankrig.live.exposures import fits_that_hold
+    from tankrig.live.recorded import fits_that_hold
     from tankrig.live.results import fits_in
     from tankrig.live.separated import told_of
     from tankrig.run.derived import write_derived
