@@ -22,6 +22,8 @@ Image = NDArray[np.floating]
 NEAR_ENOUGH, BENT_ENOUGH, MANY_ENOUGH = 0.005, 0.05, 0.1
 """Where searches about exact images stop, see `solve`: to first order, where steps cost nothing, and as the models
 bend; with a phase function's many coordinates, of which each may be off by less than where there are three."""
+BENT_STEPS = 6
+"""Steps as the models bend, at most: the exact image's optimum is near, and what more of them find is roughness."""
 FEW_STEPS = 12
 """Steps with the accurate model, and as the models bend, at most, where a phase function's coordinates are fitted."""
 CORRECTIONS, SETTLED = 4, 0.1
@@ -56,7 +58,7 @@ def corrected_fit(
     """
     problem = best.problem
     many = any(shot.models.family for shot in shots)
-    bent_enough, steps = (MANY_ENOUGH, FEW_STEPS) if many else (BENT_ENOUGH, LAST_STEPS)
+    bent_enough, steps = (MANY_ENOUGH, FEW_STEPS) if many else (BENT_ENOUGH, BENT_STEPS)
 
     def about(centre: Evaluation, start: Evaluation, times: int) -> Fit:
         media, slopes = centre.media, problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))

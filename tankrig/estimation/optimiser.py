@@ -32,6 +32,10 @@ MOST_BENT = 0.75
 """Share of a step by which it may be bent."""
 MOST_REFUSED = 8
 """Steps in a row that may fail with a Jacobian just computed, each ten times shorter: what is left is roughness."""
+NEARLY, NEARLY_REFUSED = 4.0, 2
+"""Times what is enough that is nearly enough, and as many failures do then: paths' roughness hides what is promised."""
+EVENLY_TRIED = 3
+"""Steps in a row that are also tried evenly in the coefficients when they fail; shorter ones are the same."""
 
 
 def solve(
@@ -81,7 +85,8 @@ def solve(
     for _ in range(most_steps):
         at, value = here.coordinates, here.residual
         looks = (_step(value, jacobian, max(least, by), at, box, longest_step) for by in (0.0, DAMPED))
-        if max(_promise(value, jacobian, look) for look in looks) < max(enough, share * here.cost):
+        promised, wanted = max(_promise(value, jacobian, look) for look in looks), max(enough, share * here.cost)
+        if promised < wanted:
             if fresh:
                 break
             jacobian, fresh = here.jacobian, True
@@ -89,7 +94,7 @@ def solve(
         straight = _step(value, jacobian, damping, at, box, reach)
         step = np.clip(at + straight + bend.back(straight, jacobian, damping), *box) - at
         ahead = problem.at(at + step)
-        if problem.quick and not ahead.cost < here.cost:
+        if problem.quick and refused < EVENLY_TRIED and not ahead.cost < here.cost:
             even = problem.at(problem.evenly(at, straight))
             if even.cost < here.cost:
                 step, ahead = even.coordinates - at, even
@@ -104,7 +109,7 @@ def solve(
             damping = max(damping / 5.0, 1e-6, least)
         elif not fresh:
             jacobian, fresh = here.jacobian, True
-        elif refused == MOST_REFUSED:
+        elif refused == MOST_REFUSED or (refused >= NEARLY_REFUSED and promised < NEARLY * wanted):
             break
         else:
             bend = bend.after(step, ahead.residual - value - jacobian @ step)
