@@ -1,12 +1,16 @@
 """The window as a person finds it: pictures, doses and keys."""
 
 import logging
+import re
 
+import pyqtgraph as pg
 import pytest
-from PySide6.QtCore import QPointF, Qt
+from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
+from tests import on_page
 from tests.window_rig import until, wait_ms, window_on, write_rig
+from ui.window.keys import KeyCard
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +30,8 @@ def test_a_real_rig_is_named(window):
 def test_stop_works_from_a_text_field_while_ink_flows(window):
     """A STOP that needs the mouse first, or loses against the field that is typed in, floods the tank."""
     window.show_page(window.doser)
-    target = window.doser._target.edit
-    until(lambda: window.doser._dose.isEnabled())
+    target, dose = on_page.field(window.doser, "Dose until the tank holds").edit, on_page.button(window.doser, "Dose")
+    until(dose.isEnabled)
     target.setFocus()
     before = window.status.tank.volume_ul
     aim = round(before) + 900.0
@@ -38,18 +42,18 @@ def test_stop_works_from_a_text_field_while_ink_flows(window):
     until(lambda: window.status.stopped and window.status.target_ul is None)
     held = window.status.tank.volume_ul
     assert before + 20.0 < held < aim - 200.0
-    assert not window.doser._dose.isEnabled()
-    assert "stopped" in window._words.text()
+    assert not dose.isEnabled()
+    assert "the doser is stopped" in on_page.words_on(window.statusBar())
     wait_ms(300)
     assert window.status.tank.volume_ul == held
     window.host.clear_stop()
     until(lambda: not window.status.stopped)
-    assert window.doser._dose.isEnabled()
+    assert dose.isEnabled()
 
 
 def test_a_dose_beyond_the_budget_is_refused_in_words(window):
     """The guard's sentence has to reach the person."""
-    until(lambda: window.doser._dose.isEnabled())
+    until(on_page.button(window.doser, "Dose").isEnabled)
     held = window.status.tank.volume_ul
     window.host.dose_to(held + 1500.0)
     until(lambda: "one dose may have 1000 µl at most" in window.banner.text)
@@ -59,9 +63,11 @@ def test_a_dose_beyond_the_budget_is_refused_in_words(window):
 def test_f1_lists_the_keys_without_blocking(window):
     """A dialog that blocks would keep STOP away."""
     QTest.keyClick(window, Qt.Key.Key_F1)
-    until(lambda: hasattr(window, "_card") and window._card.isVisible())
-    assert not window._card.isModal()
-    window._card.close()
+    until(lambda: any(one.isVisible() for one in window.findChildren(KeyCard)))
+    (card,) = window.findChildren(KeyCard)
+    assert not card.isModal()
+    assert "F12" in on_page.words_on(card)
+    card.close()
 
 
 def test_the_log_is_sifted(window):
@@ -69,10 +75,11 @@ def test_the_log_is_sifted(window):
     logging.getLogger("tankrig.x").info("the syringe is empty")
     logging.getLogger("tankrig.x").warning("a frame was lost")
     until(lambda: any("a frame was lost" in line for line in window.log.lines()))
-    window.log._filter.setText("syringe")
+    sought = on_page.line(window.log, "only lines with these words")
+    sought.setText("syringe")
     assert [line[10:] for line in window.log.lines()] == ["the syringe is empty"]
-    window.log._filter.clear()
-    window.log._level.setCurrentText("warnings and errors")
+    sought.clear()
+    on_page.choice(window.log, "how grave a line must be").setCurrentText("warnings and errors")
     assert not any("syringe" in line for line in window.log.lines())
     assert any("a frame was lost" in line for line in window.log.lines())
 
@@ -80,18 +87,30 @@ def test_the_log_is_sifted(window):
 def test_levels_saturation_and_read_out_follow_the_picture(window):
     """The picture is what exposure is set by."""
     window.host.show(_full(window))
-    until(lambda: window.doser._dose.isEnabled())
+    until(on_page.button(window.doser, "Dose").isEnabled)
     window.host.dose_to(800.0)
     until(lambda: window.status.target_ul is None and window.status.tank.volume_ul == 800.0)
     until(lambda: window.live.frame.pixels.max() > 1000, what="no light was seen")
-    until(lambda: window.live._picture.tone.high > 500)
-    window.live._read(QPointF(20.0, 0.0))
-    assert "counts" in window.live._read_out.text()
-    assert "radiance after the first fit" in window.live._read_out.text()
-    window.live._exposure.set_value(2000.0)
-    window.live._ask_camera()
-    until(lambda: window.live.frame.settings.exposure_ms == 2000.0 and "saturated" in window.live._saturated.text())
-    until(lambda: window.live._saturated.text().startswith("saturated"), what="full wells were not told of")
+    (ends,) = (item for plot in window.live.findChildren(pg.PlotWidget) for item in plot.getPlotItem().items
+               if isinstance(item, pg.LinearRegionItem))  # fmt: skip
+    until(lambda: ends.getRegion()[1] > 500)
+    on_page.point_at(window.live, 20.0, 4.0)
+    until(lambda: _is_read(window, r"x (19|20)\.. mm, y [34]\.. mm", (10, 2)), what="pixels are 8 mm wide")
+    exposure = on_page.field(window.live, "exposure")
+    on_page.fill(exposure, "2000")
+    QTest.keyClick(exposure.edit, Qt.Key.Key_Return)
+    until(lambda: window.live.frame.settings.exposure_ms == 2000.0)
+    until(lambda: _full_wells_are_told(window), what="full wells were not told of")
+
+
+def _full_wells_are_told(window) -> bool:
+    full = float((window.live.frame.pixels >= window.live.frame.saturation).mean())
+    return full > 0.1 and f"\nsaturated {full:.2%}" in on_page.words_on(window.live)
+
+
+def _is_read(window, place: str, pixel: tuple[int, int]) -> bool:
+    counts = window.live.frame.pixels[pixel]
+    return bool(re.search(f"{place}: {counts} counts, radiance after the first fit", on_page.words_on(window.live)))
 
 
 def _full(window):
@@ -99,16 +118,13 @@ def _full(window):
 
     from tankrig.pattern import Pattern
 
-    shape = window.host._description.bench.wall.shape
-    return Pattern("full", np.full(shape, 255, np.uint8))
+    return Pattern("full", np.full(window.rig.bench.wall.shape, 255, np.uint8))
 
 
 def test_an_empty_list_of_runs_says_so(window):
     """An empty page that says nothing looks broken."""
-    assert (
-        window.runs._empty.text()
-        == f"No runs in {window.runs.catalogue.folder} yet. Run a sequence, and when it has ended it will be here."
-    )
+    words = f"No runs in {window.runs.catalogue.folder} yet. Run a sequence, and when it has ended it will be here."
+    assert words in on_page.words_on(window.runs)
 
 
 @pytest.mark.usefixtures("window")

@@ -5,13 +5,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSettings, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QFileDialog, QLineEdit, QPushButton, QWidget
 
+from tests import on_page
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window.first_start import EXAMPLE
+from ui.window.marked_text import MarkedText
 from ui.window.source import Kind
 
 
@@ -135,14 +137,15 @@ def test_from_the_start_to_two_runs_compared(tmp_path):
         until(lambda: window.status.state.value == "ready", 60.0)
         hands = Hands(window)
         hands.press(Qt.Key.Key_8, control=True)
-        listed = window.compare._sources
+        listed = on_page.rows_of(window.compare, "runs to compare")
         until(lambda: listed.isVisible() and listed.count() == 2)
         listed.setFocus()
         for row in range(2):
             hands.actions += 1  # a press of the space bar on a row
             listed.setCurrentRow(row)
             QTest.keyClick(listed, Qt.Key.Key_Space)
-        until(lambda: len(window.compare._results) == 2, 30.0)
+        results = on_page.rows_of(window.compare, "results of the runs that are ticked")
+        until(lambda: {row[0] for row in on_page.cells(results)} == {"REPLAY of run-a", "REPLAY of run-b"}, 30.0)
         assert {one.kind for one in window.compare.compared} == {Kind.REPLAY}
     print(f"\nto two runs compared: {hands.actions} actions")
     assert hands.actions <= 6
@@ -153,24 +156,25 @@ def test_a_rig_file_that_is_edited_outside_is_told_and_not_written_over(tmp_path
     rig = write_rig(tmp_path)
     with window_on(tmp_path, rig) as window:
         until(lambda: window.status.state.value == "ready" and window.built, 60.0)
-        page, text = window.calibration, rig.read_text()
+        file, text = window.calibration.findChild(MarkedText), rig.read_text()
+        again, save = (on_page.button(window.calibration, one) for one in ("Open the rig again", "Save and open again"))
         rig.write_text(text.replace("tank_ul = 4000.0", "tank_ul = 3000.0"))
         until(lambda: "changed by another program" in window.banner.text, 20.0)
-        assert "tank_ul = 3000.0" in page._text.toPlainText()
-        assert window._rig.limits.tank_ul == 4000.0, "it counts once the rig is opened again"
-        until(page._again.isEnabled)
-        page._again.click()
-        until(lambda: window._rig.limits.tank_ul == 3000.0, 60.0)
+        assert "tank_ul = 3000.0" in file.toPlainText()
+        assert window.rig.limits.tank_ul == 4000.0, "it counts once the rig is opened again"
+        until(again.isEnabled)
+        again.click()
+        until(lambda: window.rig.limits.tank_ul == 3000.0, 60.0)
         until(lambda: window.status.state.value == "ready", 60.0)
-        page._text.setPlainText(text.replace("tank_ul = 4000.0", "tank_ul = 2500.0"))
+        file.setPlainText(text.replace("tank_ul = 4000.0", "tank_ul = 2500.0"))
         rig.write_text(text.replace("tank_ul = 4000.0", "tank_ul = 3500.0"))
         until(lambda: "and here, too" in window.banner.text, 20.0)
-        page._keep.click()
+        save.click()
         assert "3500" in rig.read_text()
         assert "press again" in window.banner.text
-        page._keep.click()
+        save.click()
         assert "2500" in rig.read_text()
-        until(lambda: window._rig.limits.tank_ul == 2500.0, 60.0)
+        until(lambda: window.rig.limits.tank_ul == 2500.0, 60.0)
         until(lambda: window.status.state.value == "ready", 60.0)
         rig.unlink()
         until(lambda: "is gone" in window.banner.text, 20.0)
@@ -183,8 +187,7 @@ def test_a_draft_that_cannot_be_kept_is_told(tmp_path, monkeypatch):
         until(lambda: window.built and window.status.state.value == "ready", 60.0)
         shutil.copy(EXAMPLE, tmp_path / "own.toml")
         window.sequence.load(tmp_path / "own.toml")
-        kind = type(window._settings)
-        monkeypatch.setattr(kind, "status", lambda _: kind.Status.AccessError)
+        monkeypatch.setattr(QSettings, "status", lambda _: QSettings.Status.AccessError)
         window.sequence.document.edit_text(EXAMPLE.read_text() + "# more\n")
         until(lambda: "what is typed is not kept" in window.banner.text, 10.0)
         wait_ms(50)

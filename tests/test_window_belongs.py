@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from pyqtgraph import GraphicsView
-from PySide6.QtCore import QEvent, QObject, Qt
+from PySide6.QtCore import QEvent, QFile, QObject, Qt
 from PySide6.QtWidgets import QApplication, QFileDialog, QSlider
 
 from tankrig.devices import CameraSettings
@@ -19,15 +19,19 @@ from tankrig.live.formatting import with_error
 from tankrig.live.results import fits_in
 from tankrig.run.notes import person_note
 from tankrig.run.reading import open_run
+from tests import on_page
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window import jobs
 from ui.window.frame_renderer import FrameRenderer, Picture
 from ui.window.observed_devices import LatestValue, SeenFrame
-from ui.window.replay import UNKNOWN
+from ui.window.replay import UNKNOWN, Replay
+from ui.window.replay_bar import ReplayBar
 from ui.window.runs_page import COLUMNS, PATH
 from ui.window.shown import PhotographKey, Shown
 from ui.window.source import Kind, RefitSettings, Source
+from ui.window.source_frame import SourceFrame
+from ui.window.tank_plot import TankPlot
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +49,15 @@ def opened(tmp_path_factory):
 def window(opened):
     """The camera on screen, no filter, nothing to tell."""
     opened.on_screen.leave()
-    opened.runs._filter.setText("")
+    runs_with(opened, "")
     while opened.banner.text:
         opened.banner.put_away()
     return opened
+
+
+def runs_with(window, words: str) -> None:
+    """List only runs with these words."""
+    on_page.line(window.runs, "only runs with these words").setText(words)
 
 
 def path_of(window, name: str) -> Path:
@@ -69,7 +78,7 @@ def card(window, name: str) -> str:
 
 def painted(window) -> None:
     """What waits for its turn to be painted has been."""
-    until(lambda: not window.fit._curves._painter._waiting)
+    on_page.painted(window.fit)
 
 
 def agrees(window, run: Path) -> bool:
@@ -80,7 +89,7 @@ def agrees(window, run: Path) -> bool:
     sd = series.sd if series is not None else doses[-1].sd
     number, half = with_error(ink.sigma_s, 1.96 * sd[1]).split(" ± ")
     curve = [(fit.dose_ml, fit.medium.sigma_s) for fit in doses]
-    same = curve == window.fit._curves.points("sigma_s")
+    same = curve == on_page.dots(window.fit, "σs")
     return number in card(window, "sigma_s") and half in card(window, "sigma_s") and same
 
 
@@ -100,7 +109,7 @@ def test_a_refit_that_comes_after_another_run_was_opened_does_not_show_in_it(win
     window.banner.press()
     assert window.on_screen.source.kind is Kind.REFIT
     painted(window)
-    assert [y for _, y in window.fit._curves.points("g")] == [0.5] * 5
+    assert [y for _, y in on_page.dots(window.fit, "g,")] == [0.5] * 5
     assert window.fit.card.belongs.whole.endswith("rays; dark frames subtracted")
     assert window.live_frame.title.text() == "REFIT of run-a with rays; dark frames subtracted"
 
@@ -137,31 +146,34 @@ def test_what_a_filter_hides_is_not_selected(window):
     """A hidden run stayed selected, and Open opened it."""
     before = window.on_screen.source
     window.runs.catalogue.select(path_of(window, "a"))
-    window.runs._filter.setText("run-b")
+    runs_with(window, "run-b")
     assert window.runs.catalogue.selected is None
-    assert not any(button.isEnabled() for button in window.runs._buttons)
+    for words in ("Open", "Report", "NetCDF", "TIFF", "Resume", "Delete"):
+        assert not on_page.button(window.runs, words).isEnabled()
     window.runs.open_selected()
     assert window.on_screen.source == before
-    window.runs._filter.setText("")
+    runs_with(window, "")
     assert window.runs.catalogue.selected is None
 
 
 def test_a_row_that_is_clicked_selects_that_run_whatever_is_listed(window):
-    window.runs._filter.setText("run-c")
-    window.runs._table.selectRow(0)
-    window.runs._filter.setText("")
+    runs_with(window, "run-c")
+    table = on_page.rows_of(window.runs, "runs")
+    table.selectRow(0)
+    runs_with(window, "")
     window.runs.refresh()
     assert window.runs.catalogue.selected.path == path_of(window, "c")
-    assert window.runs._table.selectedItems()[0].text() == "run-c"
+    assert table.selectedItems()[0].text() == "run-c"
 
 
 def test_against_time_doses_stand_at_their_times(window):
     """All doses of a run that was opened again stood at .28 s."""
     show(window, "b")
-    window.fit._against.setCurrentText("against time")
+    against = on_page.choice(window.fit, "what the curves stand against")
+    against.setCurrentText("against time")
     painted(window)
-    assert [at for at, _ in window.fit._curves.points("g")] == [60.0, 120.0, 180.0]
-    window.fit._against.setCurrentText("against dose")
+    assert [at for at, _ in on_page.dots(window.fit, "g,")] == [60.0, 120.0, 180.0]
+    against.setCurrentText("against dose")
 
 
 def test_opening_a_run_leaves_nothing_of_the_one_before(window):
@@ -175,14 +187,15 @@ def test_opening_a_run_leaves_nothing_of_the_one_before(window):
     bench = shown.reading.bench
     compared = jobs.Comparison("rays", 0.5, image, image, 0.1 * image, rmse, bench.tank, bench.camera)
     shown.take_comparison(PhotographKey("rays", 0.5), shown.by_dose[-1], compared)
-    until(lambda: not window.fit._painter._waiting)
-    assert not window.fit._observed.empty
-    assert "5 % left" in window.fit._bars._bars["all"].format()
+    painted(window)
+    drawn, left = on_page.pictures(window.fit), on_page.bar(window.fit, "all orders")
+    assert list(drawn) == ["observed, 0–100 %", "model, same scale", "residual, ±10 %"]
+    assert left.format() == "5 % left"
     window.show_run(path_of(window, "c"))  # nothing of it has been read yet
     assert window.fit.card.values["sigma_s"][1].text() == "–"
-    assert window.fit._observed.empty
-    assert window.fit._bars._bars["all"].format() == "–"
-    assert window.fit._curves.points("g") == []
+    assert on_page.pictures(window.fit) == {}
+    assert left.format() == "–"
+    assert on_page.dots(window.fit, "g,") == []
     assert window.sequence.run_list.lines() == []
     assert medium.sigma_s > 0.0
 
@@ -193,7 +206,7 @@ def test_after_resuming_earlier_doses_and_done_steps_are_there(window):
     reading = jobs.read(path)
     window.on_screen.begin(path, reading.labels, reading.run.journal)
     painted(window)
-    assert [x for x, _ in window.fit._curves.points("g")] == [0.1, 0.2]
+    assert [x for x, _ in on_page.dots(window.fit, "g,")] == [0.1, 0.2]
     assert [line[:1] for line in window.sequence.run_list.lines()[:3]] == ["✓", "✓", " "]
     for event in runs.add_dose(path, 2, "d" * 64):
         window.on_screen.take(path, event)
@@ -248,7 +261,7 @@ def test_the_exposure_shown_is_the_pictures_own(window, monkeypatch):
     until(lambda: window.live.frame is not None)
     window.host.frames.put(frame)
     until(lambda: window.live.frame is frame)
-    assert (window.live._exposure.value, window.live._gain.value) == (20.0, 2.0)
+    assert [on_page.field(window.live, name).value for name in ("exposure", "gain")] == [20.0, 2.0]
     window.host.look_away(False)
 
 
@@ -352,20 +365,20 @@ def test_what_was_told_goes_when_it_is_no_longer_true(window):
     from ui.window.status import RigState
 
     at_rest = window.status
-    window._follow(replace(at_rest, trouble="the tank holds between 0 and 288 µl", troubles=at_rest.troubles + 1))
+    window.follow(replace(at_rest, trouble="the tank holds between 0 and 288 µl", troubles=at_rest.troubles + 1))
     assert "288" in window.banner.text
-    window._follow(replace(at_rest, troubles=at_rest.troubles + 1))
+    window.follow(replace(at_rest, troubles=at_rest.troubles + 1))
     assert "288" not in window.banner.text
     assert any("288" in one.sentence for one in window.banner.history)
-    window._follow(replace(at_rest, state=RigState.FAILED, trouble="gone", troubles=at_rest.troubles + 2))
-    window._follow(replace(at_rest, troubles=at_rest.troubles + 2))
-    assert "no picture" not in window.live._read_out.text()
+    window.follow(replace(at_rest, state=RigState.FAILED, trouble="gone", troubles=at_rest.troubles + 2))
+    window.follow(replace(at_rest, troubles=at_rest.troubles + 2))
+    assert "no picture" not in on_page.words_on(window.live)
 
 
 def test_a_run_that_is_deleted_leaves_the_screen_at_once(window, monkeypatch):
     """Numbers of a run that is no more belong to nothing."""
     runs.recorded(path_of(window, "e"), 2)
-    monkeypatch.setattr("ui.window.runs_page._to_trash", lambda run: shutil.rmtree(run) is None)
+    monkeypatch.setattr(QFile, "moveToTrash", lambda run: shutil.rmtree(run) is None)
     window.runs.refresh()
     show(window, "e")
     window.runs.catalogue.select(path_of(window, "e"))
@@ -380,8 +393,9 @@ def test_a_run_that_is_deleted_leaves_the_screen_at_once(window, monkeypatch):
 def test_every_page_says_whose_it_is(window):
     """A person looks at one page; what it shows must not need another to be understood."""
     show(window, "a")
-    titles = [frame.title.text() for frame in (window.live_frame, *window._frames, window.runs.frame)]
-    assert titles.count("REPLAY of run-a") == 5  # the picture, the fit, the waves, the regions and the replay
+    titles = [frame.title.text() for frame in window.findChildren(SourceFrame)]
+    # the picture, the fit, the waves, the regions, the replay, the steps of the run and what to photograph next
+    assert titles.count("REPLAY of run-a") == 7
     assert titles.count("LIVE: test rig") == 3  # doser, projector and calibration stay the rig's own
     assert all(titles)
     assert window.sequence.run_frame.title.text() == "REPLAY of run-a"
@@ -397,7 +411,7 @@ def test_a_run_whose_folder_vanishes_is_told_and_what_was_read_stays(window, tmp
     until(lambda: "run-gone" in window.banner.text)
     assert window.on_screen.shown is shown
     painted(window)
-    assert [x for x, _ in window.fit._curves.points("g")] == [0.1, 0.2]
+    assert [x for x, _ in on_page.dots(window.fit, "g,")] == [0.1, 0.2]
     window.show_run(path)
     until(lambda: "does not exist" in window.banner.text)
     assert window.on_screen.source.run != path
@@ -405,25 +419,26 @@ def test_a_run_whose_folder_vanishes_is_told_and_what_was_read_stays(window, tmp
 
 def test_frames_are_found_by_pattern_dose_and_repeat(window):
     """A slider through hundreds of frames finds no repeat of one picture; each axis has one of its own."""
-    show(window, "a")
-    until(lambda: window.runs.bar._replay is not None)
-    bar = window.runs.bar
-    assert bar._replay.places(None, 0.3) == [2]
-    assert bar._replay.places("no such pattern", None) == []
-    jumped = []
-    bar._replay.jump = jumped.append
+    jumped, bar = [], ReplayBar()
+    replay = Replay(open_run(path_of(window, "a")), lambda _: None)
+    replay.jump = jumped.append
+    bar.set_replay(replay)
+    assert replay.places(None, 0.3) == [2]
+    assert replay.places("no such pattern", None) == []
     bar.dose.slider.setSliderPosition(2)
     bar.dose.slider.triggerAction(QSlider.SliderAction.SliderMove)
     assert bar.dose.value.text() == "0.3 ml"
     assert jumped[-1] == 2
     assert bar.repeat.value.text() == "1 of 1"
-    bar._moved(bar._replay, 4, "frame 5 of 5")
-    assert [axis.value.text() for axis in bar._axes] == ["5 of 5", UNKNOWN, "0.5 ml", "1 of 1"]
+    replay.moved.emit(replay, 4, "frame 5 of 5")
+    axes = (bar.frame, bar.pattern, bar.dose, bar.repeat)
+    until(lambda: [axis.value.text() for axis in axes] == ["5 of 5", UNKNOWN, "0.5 ml", "1 of 1"])
+    replay.close()
 
 
 def test_runs_are_listed_with_what_they_hold_and_sorted_by_it(window):
     """Ten doses are more than nine, and the newest run is first."""
-    table = window.runs._table
+    table = on_page.rows_of(window.runs, "runs")
     doses = COLUMNS.index("doses")
     held = {table.item(row, 0).text(): table.item(row, doses).data(Qt.ItemDataRole.DisplayRole)
             for row in range(table.rowCount())}  # fmt: skip
@@ -444,20 +459,21 @@ def test_runs_are_listed_with_what_they_hold_and_sorted_by_it(window):
 
 def test_a_note_is_kept_with_the_run_that_it_was_typed_for(window):
     """Bubbles on the wall are remembered for a week, and written on the wrong run."""
+    note = on_page.line(window.runs, "note on the selected run")
     window.runs.catalogue.select(path_of(window, "c"))
-    window.runs._note.setText("bubbles on the wall")
+    note.setText("bubbles on the wall")
     window.runs.catalogue.select(path_of(window, "b"))
-    assert window.runs._note.text() == ""
+    assert note.text() == ""
     window.runs.catalogue.select(path_of(window, "c"))
-    window.runs._note.setText("bubbles on the wall")
-    window.runs._note.editingFinished.emit()
+    note.setText("bubbles on the wall")
+    note.editingFinished.emit()
     until(lambda: window.runs.catalogue.find(path_of(window, "c")).note == "bubbles on the wall")
     assert person_note(open_run(path_of(window, "c")).journal) == "bubbles on the wall"
     assert window.runs.catalogue.find(path_of(window, "c")).ending == "completed", "a note is no end of a run"
     assert window.runs.catalogue.find(path_of(window, "b")).note == ""
-    window.runs._filter.setText("bubbles")
+    runs_with(window, "bubbles")
     assert [one.path.name for one in window.runs.catalogue.visible] == ["run-c"]
-    window.runs._filter.setText("")
+    runs_with(window, "")
     window.runs.note(path_of(window, "c"), "")
     until(lambda: window.runs.catalogue.find(path_of(window, "c")).note == "")
 
@@ -466,13 +482,15 @@ def test_counts_along_a_line_are_those_of_its_pixels(window):
     """A profile that is off by a pixel, or upside down, is worse than none."""
     from ui.window.live_curves import along
 
-    until(lambda: window.live.frame is not None)
     pixels = np.arange(600, dtype=np.uint16).reshape(20, 30)
+    plot = TankPlot()
+    plot.show_indices(pixels.astype(np.uint8), np.zeros((256, 3), np.uint8))
+    plot.place(window.rig.bench.tank, window.rig.bench.camera)
     # rows: y from −80 to 80 mm, columns: x from 0 to 240 mm, pixels of 8 mm
-    at, counts = along(pixels, window.live._plot, np.array([4.0, -76.0]), np.array([236.0, -76.0]))
+    at, counts = along(pixels, plot, np.array([4.0, -76.0]), np.array([236.0, -76.0]))
     assert counts.tolist() == list(range(30))
     assert at[-1] == pytest.approx(232.0)
-    _, counts = along(pixels, window.live._plot, np.array([4.0, -76.0]), np.array([4.0, 200.0]))
+    _, counts = along(pixels, plot, np.array([4.0, -76.0]), np.array([4.0, 200.0]))
     assert counts.tolist()[0] == 0
     assert counts.max() == 570, "what lies beside the picture is left out"
 

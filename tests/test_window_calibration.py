@@ -1,15 +1,17 @@
 """The calibration page leads a person through a procedure while the rig is lent to it, and shows what is known."""
 
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtTest import QTest
 
 from tankrig.calibration.file import newest
 
+from . import on_page
 from .window_rig import until, window_on, write_rig
 
 FAST = "time_scale = 0.005"
@@ -23,6 +25,29 @@ def window(tmp_path: Path):
         made.show_page(made.calibration)
         made.calibration.tabs.setCurrentIndex(1)
         yield made
+
+
+class Begun(QObject):
+    """A command that was begun: it says what the test has it say."""
+
+    asked, said = Signal(str, bool), Signal(str, bool)
+    looked, kept, ended = Signal(object), Signal(object), Signal(int, str)
+
+    def __init__(self, words: list[str]) -> None:
+        super().__init__()
+        self.words = words
+
+    @classmethod
+    def instead(cls, monkeypatch: pytest.MonkeyPatch) -> list["Begun"]:
+        """Have these begun in place of processes; those that were."""
+        begun: list[Begun] = []
+
+        def begin(words: list[str], _: Path) -> Begun:
+            begun.append(cls(words))
+            return begun[-1]
+
+        monkeypatch.setattr("ui.window.calibration_wizard.CalibrationProcess", begin)
+        return begun
 
 
 def choose(window, kind: str, options: str):
@@ -39,13 +64,12 @@ def choose(window, kind: str, options: str):
 @pytest.mark.long
 def test_radiometry_is_measured_shown_and_known(window, tmp_path: Path) -> None:
     wizard = choose(window, "radiometry", "--gains 1")
-    looks = []
-    until(lambda: wizard._process is not None)
-    wizard._process.looked.connect(looks.append)
-    until(lambda: not wizard.at_work, 60.0)
+    looks = set()
+    until(lambda: looks.add(wizard.light.text()) or not wizard.at_work, 60.0)
     assert "counts per electron" in wizard.result.text()
     assert wizard.seen.pixmap().width() > 300
-    assert any(look["filled"] > 0.3 for look in looks)
+    filled = [re.search(r"brightest (\d+)% of the range", look) for look in looks]
+    assert any(int(found[1]) > 30 for found in filled if found)
     kept = newest(tmp_path / "calibration", "radiometry")
     assert kept is not None
     assert kept.path.name in wizard.result.text()
@@ -54,9 +78,7 @@ def test_radiometry_is_measured_shown_and_known(window, tmp_path: Path) -> None:
 
 
 def words_of(page) -> str:
-    from PySide6.QtWidgets import QLabel
-
-    return " ".join(label.text() for label in page._table.findChildren(QLabel))
+    return on_page.words_on(page.tabs.widget(0))
 
 
 @pytest.fixture(params=[signal.default_int_handler, signal.SIG_IGN], ids=["terminal", "background"])
@@ -141,7 +163,7 @@ def test_what_makes_no_sense_is_said_as_it_is_typed_and_nothing_begins(window) -
         assert why in wizard.begin.toolTip()
         wizard.follow(window.status)
         assert not wizard.begin.isEnabled()
-        wizard._begin()
+        wizard.begin.click()
         assert not wizard.at_work
     wizard.choose("radiometry")
     QTest.keyClicks(wizard.options["--longest-ms"].edit, "20")
@@ -168,18 +190,16 @@ def test_what_a_field_allows_is_what_its_command_takes() -> None:
 
 def test_numbers_reach_the_command_as_they_were_meant(window, monkeypatch) -> None:
     """ "50 250" became one dose of 50250 µl."""
+    begun = Begun.instead(monkeypatch)
     wizard = window.calibration.wizard
-    monkeypatch.setattr(window.host, "lend", lambda *_: None)
     wizard.choose("pump")
     wizard.options["--volumes"].set_text("50 250")
     wizard.options["--temperature"].set_text("21,5")
     until(wizard.begin.isEnabled)
-    lent = []
-    wizard.lend_asked.disconnect()
-    wizard.lend_asked.connect(lent.append)
-    wizard._begin()
-    assert wizard._words[-6:] == ["--volumes", "50,250", "--repeats", "10", "--temperature", "21.5"]
-    wizard._words = None
+    wizard.begin.click()
+    until(lambda: begun, what="the rig is let go of, and the command begins")
+    assert begun[0].words[-6:] == ["--volumes", "50,250", "--repeats", "10", "--temperature", "21.5"]
+    begun[0].ended.emit(0, "")
 
 
 @pytest.mark.long
@@ -192,7 +212,7 @@ def test_a_calibration_that_is_cancelled_leaves_nothing(window, tmp_path: Path) 
     assert not (tmp_path / "calibration").exists()
 
 
-def test_a_doubtful_result_is_used_when_a_person_says_so(window, tmp_path: Path) -> None:
+def test_a_doubtful_result_is_used_when_a_person_says_so(window, monkeypatch, tmp_path: Path) -> None:
     """It lay aside, and only the command line's `--accept`, given before, would have used it."""
     from tankrig.calibration.file import Calibration, save
 
@@ -200,10 +220,12 @@ def test_a_doubtful_result_is_used_when_a_person_says_so(window, tmp_path: Path)
     doubtful = Calibration("latency", "simulated projector", (30, 40), {"p99_ms": 9.0}, doubts=("it came late",))
     kept = save(doubtful, folder)
     assert newest(folder, "latency") is None
-    wizard = window.calibration.wizard
+    begun = Begun.instead(monkeypatch)
+    wizard = choose(window, "latency", "--flips 20")
+    until(lambda: begun, what="the rig is let go of, and the command begins")
     result = {"path": str(kept.path), "rows": {"p99": "9 ms"}, "doubts": list(kept.doubts), "in_use": False}
-    wizard._keep(result)
-    wizard._end(0, "")
+    begun[0].kept.emit(result)
+    begun[0].ended.emit(0, "")
     assert "Doubt: it came late" in wizard.result.text()
     until(wizard.use.isVisible)
     QTest.mouseClick(wizard.use, Qt.MouseButton.LeftButton)
@@ -214,8 +236,6 @@ def test_a_doubtful_result_is_used_when_a_person_says_so(window, tmp_path: Path)
 
 def test_a_doubtful_result_is_offered_for_as_long_as_nothing_newer_is_in_force(tmp_path: Path) -> None:
     """It was only right after it had been measured: another Begin, or a new window, and it could not be used."""
-    from PySide6.QtWidgets import QPushButton
-
     from tankrig.calibration.file import Calibration, left_aside, save
 
     def measured(folder: str, kind: str, day: int, doubts: tuple[str, ...] = ()) -> Calibration:
@@ -248,12 +268,12 @@ def test_a_doubtful_result_is_offered_for_as_long_as_nothing_newer_is_in_force(t
         assert wizard.result.text() == ""
         wizard.choose("latency")
         until(wizard.begin.isEnabled)
-        wizard._begin()
+        wizard.begin.click()
         assert wizard.use.isHidden()
         QTest.mouseClick(wizard.cancel, Qt.MouseButton.LeftButton)
         until(lambda: window.status.state.name == "IDLE" and wizard.use.isVisible(), what="it is offered again")
         window.calibration.tabs.setCurrentIndex(0)
-        (use,) = (one for one in window.calibration._table.findChildren(QPushButton) if one.text() == wizard.use.text())
+        use = on_page.button(window.calibration.tabs.widget(0), wizard.use.text())
         QTest.mouseClick(use, Qt.MouseButton.LeftButton)
         kept = newest(tmp_path / "calibration", "latency")
         assert kept.hash == late.hash

@@ -12,6 +12,7 @@ from tankrig.live.exposures import exposures_of
 from tankrig.live.results import fits_in
 from tankrig.run.reading import open_run
 from tankrig.sequence.until import Until
+from tests import on_page
 from tests.window_rig import until, window_on, write_rig
 from ui.cli import main
 from ui.window import jobs
@@ -32,11 +33,10 @@ steps = [
 
 def ask_by_name(window) -> None:
     """Without a mouse."""
-    window.show_palette()
-    until(lambda: window._palette.isVisible())
-    QTest.keyClicks(window._palette.field, "design a picture")
-    assert window._palette.list.count() == 1
-    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
+    palette = on_page.palette_of(window)
+    QTest.keyClicks(palette.field, "design a picture")
+    assert palette.list.count() == 1
+    QTest.keyClick(palette.field, Qt.Key.Key_Return)
 
 
 @pytest.mark.timeout(600)
@@ -60,7 +60,7 @@ def test_a_picture_is_designed_while_a_run_goes_on_and_the_next_run_shows_it(
         assert next_steps.isVisible()
         assert shown.design_says == DESIGNING
         until(lambda: window.background.tasks and window.background.tasks[0].left_s, 120.0, "no time left was told")
-        until(lambda: "left" in window.findChild(WorkStrip)._words.text())
+        until(lambda: "left" in on_page.words_on(window.findChild(WorkStrip)))
         window.background.cancel(window.background.tasks[0])
         until(lambda: shown.design_says == "cancelled", 60.0)
         assert shown.designed is None

@@ -5,6 +5,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QPushButton
 
 import tankrig
+from tests import on_page
 from tests.window_rig import until, window_on, write_rig
 
 SEQUENCE = """
@@ -60,7 +61,7 @@ def test_a_whole_experiment_by_mouse_and_keyboard(tmp_path, monkeypatch):
         assert run.frames.sizes["frame"] == 8
         assert {event.get("fit") for event in run.fits} >= {"dose"}
         shown = window.on_screen.shown
-        until(lambda: window.fit._curves.points("g"), what="no fit came to the Fit page")
+        until(lambda: on_page.dots(window.fit, "g,"), what="no fit came to the Fit page")
         assert shown.newest.gain > 0.0
         until(lambda: shown.comparison is not None, 60.0, "the model's picture did not come")
         assert shown.comparison.rmse["all"] < shown.comparison.rmse["1"]
@@ -68,10 +69,10 @@ def test_a_whole_experiment_by_mouse_and_keyboard(tmp_path, monkeypatch):
         until(lambda: window.runs.catalogue.selected is not None)
         press(window.runs, "Open")
         assert window.on_screen.source.title == f"REPLAY of {ended[0].path.name}"
-        until(lambda: window.runs.bar._words.text().startswith("frame 1 of 8: dark"))
-        window.runs.bar._speed.setCurrentText("as fast as it goes")
+        until(lambda: "frame 1 of 8: dark" in on_page.words_on(window.runs.bar))
+        on_page.choice(window.runs.bar, "how fast frames").setCurrentText("as fast as it goes")
         press(window.runs, "Play")
-        until(lambda: window.runs.bar._words.text().startswith("frame 8 of 8: sheet"))
+        until(lambda: "frame 8 of 8: sheet" in on_page.words_on(window.runs.bar))
         press(window.runs, "Back to the camera")
         window.runs.export(ended[0].path, tmp_path / "run.nc")
         window.runs.export(ended[0].path, tmp_path / "run-tiff")

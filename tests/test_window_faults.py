@@ -17,6 +17,7 @@ from tankrig.dosing import TankLedger
 from tankrig.dosing.records import JointCount
 from tankrig.run import disk
 from tankrig.run.recovery import recover
+from tests import on_page
 from tests.window_rig import LONG_DOSE, until, wait_ms, window_on, write_rig
 from ui.window.status import RigState
 
@@ -34,6 +35,12 @@ def began(window, folder: Path, sequence: str) -> None:
     until(lambda: window.top.run.isEnabled())
     window.run()
     until(lambda: window.status.running)
+
+
+def decide(window, volume_ul: float) -> None:
+    """A person says what the tank holds."""
+    on_page.fill(on_page.field(window.doser, "The tank holds"), f"{volume_ul:g}")
+    on_page.button(window.doser, "That is what it holds").click()
 
 
 def only_run(folder: Path) -> Path:
@@ -141,17 +148,16 @@ def test_an_unknown_tank_is_explained_and_resolved(tmp_path):
     rig = rig_with_an_unknown_tank(tmp_path)
     with window_on(tmp_path, rig) as window:
         until(lambda: window.status.undecided is not None)
-        assert window.doser._unknown.isVisibleTo(window.doser)
-        assert "between 0 and 500 µl" in window.doser._question.text()
-        assert not window.doser._dose.isEnabled()
-        assert "see the Doser page" in window._words.text()
-        window.doser._truth.edit.setText("700")
-        window.doser._ask_resolve()
+        asked = on_page.words_on(window.doser)
+        assert "It is not known how much ink the tank holds." in asked
+        assert "between 0 and 500 µl" in asked
+        assert not on_page.button(window.doser, "Dose").isEnabled()
+        assert "see the Doser page" in on_page.words_on(window.statusBar())
+        decide(window, 700)
         until(lambda: "it is between 0 and 500 µl" in window.banner.text)
-        window.doser._truth.edit.setText("120")
-        window.doser._ask_resolve()
+        decide(window, 120)
         until(lambda: window.status.undecided is None and window.status.tank.volume_ul == 120.0)
-        assert not window.doser._unknown.isVisibleTo(window.doser)
+        assert "It is not known how much ink the tank holds." not in on_page.words_on(window.doser)
 
 
 def test_stop_while_the_window_asks_about_the_ink_gives_the_run_up(tmp_path):
@@ -167,8 +173,7 @@ def test_stop_while_the_window_asks_about_the_ink_gives_the_run_up(tmp_path):
         assert not window.host.in_motion, "Esc stops nothing here"
         window.stop()
         until(lambda: window.status.state is RigState.IDLE, 40.0)
-        window.doser._truth.edit.setText("120")
-        window.doser._ask_resolve()
+        decide(window, 120)
         until(lambda: window.status.undecided is None and window.status.tank.volume_ul == 120.0)
         assert not window.status.running
     assert steps_of(tmp_path) == 0
@@ -193,22 +198,20 @@ def test_a_run_that_would_go_on_in_fresh_water_is_asked_about_with_the_numbers(t
     """Its second dose would make another concentration than its journal says, without a word."""
     with window_on(tmp_path, write_rig(tmp_path)) as window:
         run = interrupted_in_the_wait(window, tmp_path)
-        window.doser._ask_refill()
-        window.doser._ask_refill()
+        on_page.button(window.doser, "Filled with fresh water").click()
+        on_page.button(window.doser, "Press again: the tank is empty of ink and filled anew").click()
         until(lambda: window.status.tank is not None and window.status.tank.volume_ul == 0.0)
         window.resume(run)
         until(lambda: window.status.undecided is not None)
-        asked = window.doser._question.text()
+        asked = on_page.words_on(window.doser)
         assert "the run's journal says that the tank holds 100 µl" in asked
         assert "between 0 and 100 µl" in asked
-        window.doser._truth.edit.setText("130")
-        window.doser._ask_resolve()
-        until(lambda: "cannot hold 130 µl" in window.doser._question.text())
+        decide(window, 130)
+        until(lambda: "cannot hold 130 µl" in on_page.words_on(window.doser))
         assert steps_of(tmp_path) == 1000
         ended = []
         window.host.run_ended.connect(ended.append)
-        window.doser._truth.edit.setText("0")
-        window.doser._ask_resolve()
+        decide(window, 0)
         until(lambda: ended, 60.0)
         assert ended[0].reason.value == "completed", ended[0].error
     assert steps_of(tmp_path) == 3000, "the fresh water has 200 µl now"
@@ -237,11 +240,10 @@ def test_a_lost_ledger_is_asked_about_before_a_run_goes_on(tmp_path):
         until(lambda: window.status.tank is not None and not window.status.busy)
         window.resume(run)
         until(lambda: window.status.undecided is not None)
-        assert "or its ledger was lost" in window.doser._question.text()
+        assert "or its ledger was lost" in on_page.words_on(window.doser)
         ended = []
         window.host.run_ended.connect(ended.append)
-        window.doser._truth.edit.setText("100")
-        window.doser._ask_resolve()
+        decide(window, 100)
         until(lambda: ended, 60.0)
     assert steps_of(tmp_path) == 2000
 
@@ -283,10 +285,9 @@ def test_a_killed_program_stops_the_pump_and_loses_nothing(tmp_path):
         until(lambda: "was interrupted" in window.banner.text)
         window.banner.press()
         until(lambda: window.status.undecided is not None, 30.0)
-        window.doser._truth.edit.setText(f"{held / 10.0:.1f}")
         ended = []
         window.host.run_ended.connect(ended.append)
-        window.doser._ask_resolve()
+        decide(window, held / 10.0)
         until(lambda: ended, 60.0)
         assert ended[0].reason.value == "completed", ended[0].error
     assert steps_of(tmp_path) == 9000

@@ -26,6 +26,7 @@ from PySide6.QtTest import QTest
 import drivers.rig
 from tankrig.devices import CameraSettings, Frame
 from tankrig.errors import DeviceError
+from tests import on_page
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window.event_loop_monitor import TICK_MS
 
@@ -129,34 +130,33 @@ class Ticks:
     """
 
     def __init__(self, window: Any) -> None:
-        self._gaps = window.event_loop
         self._queue = Path(f"/proc/self/task/{threading.get_native_id()}/schedstat")
         self.reset()
-        window.event_loop._timer.timeout.connect(self._look)
+        window.event_loop.ticked.connect(self._look)
 
-    def _look(self) -> None:
-        if self._gaps._recent and self._count < len(self._told):
-            gap_ms, queued_ms = self._gaps._recent[-1][1], self._queued_ms()
+    def _look(self, gap_ms: float) -> None:
+        if self.count < len(self._told):
+            queued_ms = self._queued_ms()
             taken_s = getattr(psutil.cpu_times(), "steal", 0.0)
-            self._told[self._count] = gap_ms, taken_s, gap_ms - (queued_ms - self._before_ms)
-            self._count, self._before_ms = self._count + 1, queued_ms
+            self._told[self.count] = gap_ms, taken_s, gap_ms - (queued_ms - self._before_ms)
+            self.count, self._before_ms = self.count + 1, queued_ms
 
     def reset(self) -> None:
         # All of it before the window's memory is measured; ones, for pages of zeros take none until they are written.
         self._told = np.ones((int(1.1e3 * (RUN_S + 60.0) / TICK_MS), 3))
-        self._count, self._before_ms = 0, self._queued_ms()
+        self.count, self._before_ms = 0, self._queued_ms()
 
     def _queued_ms(self) -> float:
         return int(self._queue.read_text().split()[1]) / 1e6 if self._queue.exists() else 0.0
 
     def own_ms(self) -> Any:
         """Gaps less the time in the queue for a processor; longest first."""
-        return np.sort(self._told[: self._count, 2])[::-1]
+        return np.sort(self._told[: self.count, 2])[::-1]
 
     def undisturbed_ms(self) -> Any:
         """Gaps around which, five ticks to either side, nothing was taken; longest first."""
-        ms, taken_s = self._told[: self._count, :2].T
-        at = np.arange(self._count)
+        ms, taken_s = self._told[: self.count, :2].T
+        at = np.arange(self.count)
         before, after = (np.clip(at + by, 0, len(at) - 1) for by in (-5, 5))
         return np.sort(ms[taken_s[after] == taken_s[before]])[::-1]
 
@@ -192,7 +192,7 @@ def test_the_window_stays_smooth_through_a_run_with_a_live_fit(tmp_path, prepare
             wait_ms(1000)  # each wait leaves some hundred bytes behind, which `until` would do a hundred times a second
         seconds = time.monotonic() - began
         worst, longest, own = window.event_loop.worst_ms, window.event_loop.longest(5), ticks.undisturbed_ms()
-        quiet = 100.0 * len(own) / ticks._count
+        quiet = 100.0 * len(own) / ticks.count
         rate, taken = (window.live.displayed - displayed) / seconds, (cameras[-1].taken - taken) / seconds
         unqueued = ticks.own_ms()
         grown = (memory.memory_info().rss - held) / 1e6
@@ -247,7 +247,7 @@ def test_from_the_key_to_the_stop_byte(tmp_path, prepared, stops, trouble):
     try:
         with window_on(tmp_path, rig) as window:
             for number in range(5):
-                until(lambda: window.doser._dose.isEnabled(), 60.0)
+                until(on_page.button(window.doser, "Dose").isEnabled, 60.0)
                 window.host.dose_to(150.0 * (number + 1))
                 until(lambda n=number: window.status.tank.volume_ul > 150.0 * n + 20.0)
                 cameras[-1].silent = trouble == "a hanging camera"

@@ -1,20 +1,25 @@
 """What a person who has never seen the window meets: ways to begin, results that say what they are, runs compared."""
 
 import os
+import re
 import signal
 
+import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QGuiApplication
 from PySide6.QtTest import QTest
 
+from tests import on_page
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
-from ui.window import jobs
+from ui.window import jobs, sequence_text
 from ui.window.first_start import EXAMPLE
 from ui.window.keys import KEYS
-from ui.window.result import of_dose, result_of
+from ui.window.palette import Palette
+from ui.window.result import NAMES, of_dose, result_of
 from ui.window.source import Kind, RefitSettings, Source
+from ui.window.source_frame import SourceFrame
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +43,7 @@ def test_the_first_page_offers_ways_to_begin_and_no_error(tmp_path):
         page = window.sequence
         until(page.first.isVisible)  # pages are built after the first picture
         assert not page.tabs.isVisible()
-        assert page._says.text() == ""
+        assert on_page.wrongs_on(page) == []
         assert window.banner.text == ""
         click(page.first.buttons["Open a run"])
         until(lambda: window.runs.isVisible())
@@ -73,7 +78,7 @@ def test_another_rig_is_opened_by_its_file(window):
     question.accept()
     until(lambda: window.top.badge.text() == "other rig", 30.0)
     until(lambda: window.status.state.value == "ready", 30.0)
-    assert any(frame.title.text() == "LIVE: other rig" for frame in window._frames)
+    assert any(frame.title.text() == "LIVE: other rig" for frame in window.findChildren(SourceFrame))
     window.use_rig(window.home / "rig.toml")
     until(lambda: window.top.badge.text() == "test rig" and window.status.state.value == "ready", 30.0)
 
@@ -96,7 +101,8 @@ def test_a_result_says_what_it_is_of_and_with_which_confidence(window):
     by_name = {one.name: one for one in result.coefficients}
     assert by_name["sigma_s"].half == pytest.approx(1.96 * sd)
     assert "(95 %)" in window.fit.card.values["sigma_s"][2].text()
-    titles = [plot[0].titleLabel.text for plot in window.fit._curves._plots.values()]
+    titles = [title for title in on_page.titles(window.fit) if title.startswith(("σs", "σa", "g,"))]
+    assert len(titles) == 3
     assert all("95 %" in title for title in titles)
     assert not {one.name: one for one in of_dose(shown, shown.by_dose[0]).coefficients}["sigma_a"].determined
 
@@ -123,15 +129,21 @@ def test_two_runs_are_compared_side_by_side(window):
     window.show_page(window.compare)
     a, b = (Source(Kind.REPLAY, window.folder / f"run-{name}") for name in "ab")
     window.compare.tick(a, b)
-    until(lambda: len(window.compare._results) == 2)
-    assert {result.title for result in window.compare._results} == {"REPLAY of run-a", "REPLAY of run-b"}
+    results = on_page.rows_of(window.compare, "results of the runs that are ticked")
+    until(lambda: results.rowCount() == 2)
+    rows = {row[0]: row for row in on_page.cells(results)}
+    assert rows.keys() == {"REPLAY of run-a", "REPLAY of run-b"}
     for source in (a, b):
         shown = window.compare.shown_of(source)
         assert shown.by_dose == [runs.dose_fit(source.run, number) for number in range(3 if source == a else 2)]
-    curves = window.compare._plots["sigma_s"].listDataItems()
-    assert [len(curve.getData()[0]) for curve in curves] == [2, 3] or [len(c.getData()[0]) for c in curves] == [3, 2]
+        number = result_of(shown).coefficients[0]
+        assert number.text in rows[f"REPLAY of {source.run.name}"][2 + list(NAMES).index(number.name)]
+    wanted = [[(0.1 * (dose + 1), runs.dose_fit(one.run, dose).medium.sigma_s) for dose in range(doses)]
+              for one, doses in ((b, 2), (a, 3))]  # fmt: skip
+    assert sorted(on_page.curves(window.compare, "σs"), key=len) == [pytest.approx(np.array(one)) for one in wanted]
     window.compare.tick()
-    assert window.compare._results == ()
+    assert results.rowCount() == 0
+    assert on_page.curves(window.compare, "σs") == []
 
 
 def test_advice_is_appended_as_steps(window, monkeypatch):
@@ -150,7 +162,8 @@ def test_advice_is_appended_as_steps(window, monkeypatch):
     window.sequence.load(EXAMPLE)
     before = window.sequence.document.reading.sequence
     click(button)
-    after = window.sequence.document.reading.sequence or window.sequence.document._text_sequence
+    document = window.sequence.document
+    after = sequence_text.read(document.text, document.folder).sequence
     assert len(after.tasks) == len(before.tasks) + 3
     assert [task.label for task in after.tasks[-3:]] == ["dose to 1700 µl", "wait until mixed", "capture beams × 4"]
     opened(window, "b")
@@ -191,6 +204,11 @@ def nap(seconds: float) -> float:
     return seconds
 
 
+def die() -> None:
+    """As the kernel ends a process; in the background's own."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 def test_work_in_the_background_is_seen_and_called_off(window):
     """Minutes without a sign look like a program that hangs."""
     found, refused = [], []
@@ -199,21 +217,17 @@ def test_work_in_the_background_is_seen_and_called_off(window):
     from ui.window.work_strip import WorkStrip
 
     (strip,) = window.findChildren(WorkStrip)
-    until(lambda: "a long nap: in work 50 %" in strip._words.text() and "(and 1 more)" in strip._words.text(), 30.0)
+    until(lambda: re.search(r"a long nap: in work 50 %.*\(and 1 more\)", on_page.words_on(strip)), 30.0)
     window.background.cancel(strip.tasks()[0])
     until(lambda: found == [0.01], 30.0)
     assert refused == ["cancelled"]
-    until(lambda: strip._words.text() == "")
+    until(lambda: on_page.words_on(strip) == "")
 
 
 def test_a_background_process_that_dies_is_told_and_the_next_work_is_done(window):
     """Out of memory, the kernel ends what is largest; the window must not wait for it for ever."""
     found, refused = [], []
-    window.background.run(nap, 60.0, then=found.append, failed=refused.append, name="what dies")
-    until(lambda: window.background._pool is not None and window.background._pool._processes)
-    until(lambda: window.background.tasks[0].share == 0.5, 30.0)
-    (process,) = window.background._pool._processes.values()
-    os.kill(process.pid, signal.SIGKILL)
+    window.background.run(die, then=found.append, failed=refused.append, name="what dies")
     until(lambda: refused, 30.0)
     assert "nothing that was recorded is lost" in refused[0]
     window.background.run(nap, 0.01, then=found.append, failed=refused.append, name="the next")
@@ -243,10 +257,11 @@ def test_any_action_is_found_by_its_name(window):
     window.activateWindow()  # another window may have been opened and closed by a test before
     assert QTest.qWaitForWindowActive(window, 10_000)
     QTest.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
-    until(lambda: hasattr(window, "_palette") and window._palette.isVisible())
-    QTest.keyClicks(window._palette.field, "calibration page")
-    assert window._palette.list.count() == 1
-    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
+    until(lambda: any(one.isVisible() for one in window.findChildren(Palette)))
+    palette = on_page.palette_of(window)
+    QTest.keyClicks(palette.field, "calibration page")
+    assert palette.list.count() == 1
+    QTest.keyClick(palette.field, Qt.Key.Key_Return)
     until(lambda: not window.docks[window.calibration].visibleRegion().isEmpty())
 
 
@@ -270,7 +285,7 @@ def test_what_is_dropped_is_opened_for_what_it_is(window):
     drop(window.home / "nothing.xyz")
     assert "nothing to open" in window.banner.text
     assert [path.name for path in window.recent()][:2] == ["own.toml", "run-b"]
-    menu = window.sequence._recent.menu()
+    menu = on_page.button(window.sequence, "Recent").menu()
     assert [one.text().split()[0] for one in menu.actions()][:2] == ["own.toml", "run-b"]
     menu.actions()[1].trigger()
     until(lambda: window.on_screen.source.run == window.folder / "run-b")
@@ -322,10 +337,9 @@ def test_every_button_of_every_page_is_found_by_its_name_and_pressed_by_keys(win
     """Every action by keyboard alone: a button that only a mouse reaches is none for some people."""
     from PySide6.QtWidgets import QAbstractButton, QTabBar
 
-    window.show_palette()
-    pressed = window._palette._actions
-    listed = [action.words for action in pressed]
-    window._palette.close()
+    palette = on_page.palette_of(window)
+    listed = [palette.list.item(row).text() for row in range(palette.list.count())]
+    palette.close()
     missing = []
     for title, page in (("Camera", window.live), *window.docks.pages()):
         for button in page.findChildren(QAbstractButton):
@@ -336,22 +350,22 @@ def test_every_button_of_every_page_is_found_by_its_name_and_pressed_by_keys(win
     assert not missing
     assert len(listed) > 80
     for key in KEYS:
-        assert any(key.what in words for words in listed), key.name
-    window.show_palette()
-    QTest.keyClicks(window._palette.field, "fit: choose picture of")
-    (chosen,) = window._palette._listed
-    assert chosen.words.startswith("Fit: choose picture of")
-    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
-    pictures = window.fit._pattern
+        assert any(key.what.casefold() in words.casefold() for words in listed), key.name
+    palette = on_page.palette_of(window)
+    QTest.keyClicks(palette.field, "fit: choose picture of")
+    assert palette.list.count() == 1
+    assert palette.list.item(0).text().startswith("Fit: choose picture of")
+    QTest.keyClick(palette.field, Qt.Key.Key_Return)
+    pictures = on_page.choice(window.fit, "picture of")
     until(lambda: pictures.view().isVisible() or not pictures.isEnabled())
     pictures.hidePopup()
-    assert ("Sequence: Dry run", "F7") in [(one.words.partition(" (")[0], one.keys) for one in pressed]
-    window.show_palette()
-    QTest.keyClicks(window._palette.field, "residual on the same scale")
-    before = window.fit._same.isChecked()
-    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
-    assert window.fit._same.isChecked() is not before
-    window.fit._same.setChecked(before)
+    assert next(one for one in listed if one.startswith("Sequence: Dry run")).endswith("    F7")
+    palette, same = on_page.palette_of(window), on_page.button(window.fit, "residual on the same scale")
+    QTest.keyClicks(palette.field, "residual on the same scale")
+    before = same.isChecked()
+    QTest.keyClick(palette.field, Qt.Key.Key_Return)
+    assert same.isChecked() is not before
+    same.setChecked(before)
 
 
 def test_frames_and_figures_are_saved_as_they_are(window):

@@ -68,11 +68,8 @@ def sheets() -> list[SeparatedSheet]:
     return found
 
 
-class Idle:
-    """In place of the background: nothing is computed of what was made up."""
-
-    def run(self, *_: Any, **__: Any) -> None:
-        """Nothing comes."""
+def nothing(*_: Any, **__: Any) -> None:
+    """In place of what the background computes."""
 
 
 def compared(shown: Any) -> None:
@@ -104,7 +101,7 @@ def running(window: Any) -> None:
     until(lambda: window.top.run.isEnabled(), 60.0)
     window.run()
     until(lambda: window.status.running and window.status.progress.step == 1, 60.0)
-    window.on_screen._background = Idle()
+    window.background.run = nothing  # of what was made up nothing is computed
     live = window.on_screen.shown
     other = runs.recorded(window.home / "elsewhere", 2)
     from tankrig.run.reading import open_run
@@ -120,7 +117,7 @@ def replaying(window: Any) -> None:
     shown = window.on_screen.shown
     until(lambda: shown.reading is not None)
     until(lambda: window.background.waiting == 0, 60.0)
-    window.on_screen._background = Idle()
+    window.background.run = nothing  # of what was made up nothing is computed
     compared(shown)
     shown.take_separated(sheets())
     window.live.regions.add()

@@ -15,7 +15,9 @@ from PySide6.QtWidgets import QApplication, QFileDialog
 
 import drivers.rig
 from tankrig.errors import DeviceError, SceneError
+from tests import on_page
 from tests.window_rig import LONG_DOSE, until, window_on, write_rig
+from ui.window.marked_text import MarkedText
 from ui.window.rig_file import RigSource
 from ui.window.status import RigState
 
@@ -107,14 +109,14 @@ def test_a_wrong_rig_file_opens_with_its_line_marked_and_the_rest_usable(tmp_pat
     rig.write_text(rig.read_text().replace("tank_ul = 4000.0", 'tank_ul = "much"'))
     (tmp_path / "long.toml").write_text(LONG_DOSE)
     with window_on(tmp_path, rig) as window:
-        text = window.calibration._text
+        text = window.calibration.findChild(MarkedText)
         until(lambda: text.marked)
         assert rig.read_text().splitlines()[text.marked - 1] == 'tank_ul = "much"'
         assert "limits.tank_ul" in window.banner.text
         window.sequence.load(tmp_path / "long.toml")
         assert window.sequence.document.reading.sequence is not None
         text.setPlainText(text.toPlainText().replace('"much"', "4000.0"))
-        window.calibration._save()
+        on_page.button(window.calibration, "Save and open again").click()
         until(lambda: window.live.displayed)
         assert text.marked == 0
 

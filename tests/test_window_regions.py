@@ -7,9 +7,15 @@ from PySide6.QtGui import QGuiApplication
 from PySide6.QtTest import QTest
 
 import tankrig
+from tankrig.devices import CameraSettings
+from tankrig.pattern import Pattern
 from tankrig.run.regions import Counted, Region, read_regions, write_regions
+from tests import on_page
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
+from ui.window.frame_renderer import ViewSettings, statistics_of
+from ui.window.observed_devices import SeenFrame
+from ui.window.palette import Palette
 
 SHORT = (
     'name = "short"\nexposure_ms = 5\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n'
@@ -37,8 +43,15 @@ def window(opened):
     return opened
 
 
+def row_of(window, name: str):
+    """The numbers that stand under a name in the tree."""
+    tree = on_page.rows_of(window.regions, "places of the regions, in mm on the water")
+    (item,) = tree.findItems(name, Qt.MatchFlag.MatchExactly | Qt.MatchFlag.MatchRecursive)
+    return item.param
+
+
 def in_pixels(window):
-    bench = window._rig.bench
+    bench = window.rig.bench
     return window.live.regions.in_pixels(bench.camera, bench.tank)
 
 
@@ -62,14 +75,14 @@ def test_a_region_counts_the_pixels_that_it_lies_on(window):
 def test_numbers_of_the_tree_move_the_region_and_follow_it(window):
     """Without a mouse a region is placed by typing; a dragged one says where it is."""
     one = window.live.regions.add(QRectF(80.0, -40.0, 32.0, 24.0), "wall")
-    row = window.regions._rows[one]
+    row = row_of(window, "wall")
     row.child("x").setValue(96.0)
     row.child("width").setValue(40.0)
     assert one.rect_mm == QRectF(96.0, -40.0, 40.0, 24.0)
     one.move(QRectF(16.0, -8.0, 24.0, 24.0))
     assert [row.child(side).value() for side in ("x", "y", "width", "height")] == [16.0, -8.0, 24.0, 24.0]
     other = window.live.regions.add()
-    window.regions._rows[other].setName("wall")
+    row_of(window, other.name).setName("wall")
     assert other.name != "wall", "two regions of one name could not be told apart in the file"
     row.setName("glass")
     assert [drawn.name for drawn in window.live.regions.drawn] == ["glass", other.name]
@@ -78,9 +91,10 @@ def test_numbers_of_the_tree_move_the_region_and_follow_it(window):
 
 def test_a_line_is_placed_by_its_numbers(window):
     window.live.profile.show(True)
-    assert window.regions._ends.opts["visible"]
-    window.regions._ends.child("from x").setValue(16.0)
-    window.regions._ends.child("to y").setValue(24.0)
+    ends = row_of(window, "line (tick “line” beside the picture)")
+    assert ends.opts["visible"]
+    ends.child("from x").setValue(16.0)
+    ends.child("to y").setValue(24.0)
     np.testing.assert_allclose(window.live.profile.ends_mm[[0, 1], [0, 1]], [16.0, 24.0])
     window.live.profile.show(False)
 
@@ -121,7 +135,7 @@ def test_regions_are_counted_in_a_whole_run_and_come_back_with_it(window):
     assert [one.name for one in window.live.regions.drawn] == ["own"]
     window.show_run(path)
     until(lambda: window.on_screen.shown.counted, 30.0)
-    window.regions._copy_table()
+    on_page.button(window.regions, "Copy table").click()
     assert len(QGuiApplication.clipboard().text().splitlines()) == 1 + 2 * 4
 
 
@@ -138,10 +152,10 @@ def test_what_was_counted_in_one_run_is_not_shown_in_another(window):
     window.show_run(window.folder / "run-b")
     window.show_run(run)
     until(lambda: window.on_screen.shown.counted)
-    assert window.regions._plot.getPlotItem().listDataItems()
+    assert on_page.curves(window.regions, "") == [[(1.0, 7.0)]]
     window.show_run(window.folder / "run-b")
     assert window.on_screen.shown.counted == ()
-    assert all(len(item.getData()[0] or ()) == 0 for item in window.regions._plot.getPlotItem().listDataItems())
+    assert not any(on_page.curves(window.regions, ""))
     (run / "regions.csv").write_text("region,frame\nx,one\n")
     window.show_run(run)
     until(lambda: window.on_screen.shown.reading is not None)
@@ -154,14 +168,21 @@ def test_any_region_can_be_added_and_taken_away_by_keyboard(window):
     window.activateWindow()
     assert QTest.qWaitForWindowActive(window, 10_000)
     QTest.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
-    until(lambda: hasattr(window, "_palette") and window._palette.isVisible())
-    QTest.keyClicks(window._palette.field, "add region")
-    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
+    until(lambda: any(one.isVisible() for one in window.findChildren(Palette)))
+    field = on_page.palette_of(window).field
+    QTest.keyClicks(field, "add region")
+    QTest.keyClick(field, Qt.Key.Key_Return)
     until(lambda: len(window.live.regions.drawn) == 1)
-    window.show_palette()
-    QTest.keyClicks(window._palette.field, "remove region")
-    QTest.keyClick(window._palette.field, Qt.Key.Key_Return)
+    field = on_page.palette_of(window).field
+    QTest.keyClicks(field, "remove region")
+    QTest.keyClick(field, Qt.Key.Key_Return)
     until(lambda: not window.live.regions.drawn)
+
+
+def outlines_of(bench, pattern) -> np.ndarray:
+    """Of the beams in a frame that a pattern lights."""
+    frame = SeenFrame(np.zeros((8, 8), np.uint16), 4095, CameraSettings(20.0), pattern)
+    return statistics_of(frame, ViewSettings(bench=bench), focus=False).outlines
 
 
 @pytest.mark.usefixtures("opened")
@@ -172,7 +193,6 @@ def test_outlines_lie_on_the_light_in_a_calibrated_cameras_picture():
     from tankrig.light.single import single_scattering
     from tankrig.scene import Medium
     from tests.bent_scenes import small
-    from ui.window.frame_renderer import _outlines
     from ui.window.tank_plot import TankPlot
     from ui.window.tone import Tone
 
@@ -181,7 +201,7 @@ def test_outlines_lie_on_the_light_in_a_calibrated_cameras_picture():
     plot, mask = TankPlot(), np.zeros(light.shape, np.uint8)
     plot.show_indices(mask, Tone().palette())
     plot.place(scene.tank, scene.camera)
-    lines = _outlines(type("Bench", (), {"scene": lambda *_: scene})(), object())
+    lines = outlines_of(type("Bench", (), {"scene": lambda *_: scene})(), Pattern("lit", np.ones((2, 2), np.uint8)))
     assert np.isnan(lines[5::6]).all()
     for outline in np.split(lines, len(lines) // 6):
         corners = [plot.pixel_at(x, y)[::-1] for x, y in outline[:4].tolist()]
@@ -198,11 +218,10 @@ def test_a_wave_is_outlined_as_the_sheet_that_it_lies_in_and_not_by_its_columns(
     from tankrig.pattern import Wave, draw
     from tankrig.pattern.wall import Wall
     from tankrig.scene import Camera, Tank
-    from ui.window.frame_renderer import _outlines
 
     wall = Wall((120, 160), (-40.0, 40.0), (0.0, 120.0))
     bench = Bench(Tank((160.0, 80.0, 120.0)), wall, "collimated", Camera("orthographic", (40, 80), 2.0))
-    lines = _outlines(bench, draw(Wave(16.0, (58.0, 62.0), 0.5, (-40.0, 40.0)), wall, "wave"))
+    lines = outlines_of(bench, draw(Wave(16.0, (58.0, 62.0), 0.5, (-40.0, 40.0)), wall, "wave"))
     outlines = np.split(lines, len(lines) // 6)
     assert len(outlines) == 1, "none of its columns is quite dark"
     assert np.nanmin(lines[:, 1]) < -39.0

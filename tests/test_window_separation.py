@@ -3,10 +3,12 @@
 import json
 
 import numpy as np
+import pyqtgraph as pg
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PySide6.QtCore import Qt
+from PySide6.QtGui import QGuiApplication
 from PySide6.QtTest import QTest
 
 from tankrig.live.formatting import with_error
@@ -16,12 +18,14 @@ from tankrig.run.derived import read_derived
 from tankrig.run.reading import open_run
 from tankrig.scene import Camera, Tank
 from tankrig.sequence import Capture, Repeat, Separate, Sequence
+from tests import on_page
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.cli import main
+from ui.window.forms import Form
 from ui.window.result import Z
 from ui.window.separated import Basis, SeparatedSheet, SheetKey
-from ui.window.separation_page import cells_of, palette, table_of, toned
+from ui.window.separation_page import cells_of, palette, toned
 from ui.window.source import LIVE
 from ui.window.steps_editor import separation_for
 from ui.window.tank_sections import ROWS, nearest_rows
@@ -60,15 +64,16 @@ def test_without_waves_the_page_says_how_to_get_them(window):
     """A page of empty pictures tells nobody anything."""
     window.on_screen.leave()
     page = window.separation
-    until(page._add.isVisible)
-    assert not page._inside.isVisible()
-    assert "thin sheets" in page._wanting.text()
-    QTest.mouseClick(page._add, Qt.MouseButton.LeftButton)
+    add = on_page.button(page, "Add the step")
+    until(add.isVisible)
+    assert not on_page.rows_of(page, "what each sheet tells").isVisible()
+    assert "thin sheets" in on_page.words_on(page)
+    QTest.mouseClick(add, Qt.MouseButton.LeftButton)
     until(window.sequence.steps.isVisible)
     (step,) = window.sequence.document.reading.table["steps"]
     assert step["do"] == "separate"
     assert window.sequence.document.plan is not None, "what is appended can be run on this rig"
-    form = window.sequence.steps._form_area.widget()
+    form = window.sequence.steps.findChild(Form)
     assert {"z_mm", "periods_mm", "shifts", "frames", "y_mm", "heights_mm", "exposure_ms", "gain"} == form.rows.keys()
 
 
@@ -133,20 +138,26 @@ def test_a_slider_goes_through_the_heights_of_a_dose(window):
             QTest.keyClick(page.heights.slider, Qt.Key.Key_Right)
         assert page.sheet.key == SheetKey(0.2, z)
         one = shown.separated[page.sheet.key]
-        until(lambda: not page._painter._waiting)
-        images = (one.sheet, one.modulated[8.0], one.even[8.0], one.order_1)
-        for plot, image in zip(page._plots, images, strict=True):
-            np.testing.assert_array_equal(plot.image.image, toned(image, np.float32(peak)))
-        assert page._side._here.value() == z
-        bands = page._side.image.image[:, 60]
+        on_page.painted(page)
+        drawn = on_page.pictures(page)
+        for title, image in (
+            ("whole sheet", one.sheet), ("follows 8 mm", one.modulated[8.0]), ("has forgotten it", one.even[8.0]),
+            ("order 1", one.order_1),
+        ):  # fmt: skip
+            np.testing.assert_array_equal(drawn[title].image, toned(image, np.float32(peak)))
+        side = drawn["from the side"]
+        (here,) = (item for item in side.getViewBox().addedItems if isinstance(item, pg.InfiniteLine))
+        assert here.value() == z
+        bands = side.image[:, 60]
         for at, height in ((30, 30.0), (60, 60.0), (90, 90.0)):
             wanted = toned(np.array([0.3 * (0.2 + 0.001 * height)], np.float32), np.float32(peak))
             assert bands[at] == wanted[0]
         assert bands[0] == bands[-1] == 255, "no sheet was there"
-        assert page._table.item(page._table.selectedItems()[0].row(), 1).text() == f"{z:g}"
-    page._table.selectRow(0)
+        table = on_page.rows_of(page, "what each sheet tells")
+        assert table.item(table.selectedItems()[0].row(), 1).text() == f"{z:g}"
+    table.selectRow(0)
     assert page.sheet.key == SheetKey(0.1, 60.0)
-    assert not page._sections.isVisible(), "one height is no depth"
+    assert "from the side" not in on_page.pictures(page), "one height is no depth"
     assert palette()[255].tolist() != palette()[254].tolist()
 
 
@@ -159,13 +170,14 @@ def test_what_comes_late_belongs_to_the_run_that_it_is_of(window):
     assert page.sheet is not None
     window.show_run(window.folder / "run-b")
     assert page.sheet is None
-    assert page._table.rowCount() == 0
-    assert all(plot.empty for plot in page._plots)
+    assert on_page.rows_of(page, "what each sheet tells").rowCount() == 0
+    assert on_page.pictures(page) == {}
     of_a.take_separated([sheet(0.1, 30.0)])
     assert page.sheet is None
     window.on_screen.shown.take_separated([sheet(0.5, 10.0)])
     assert page.sheet.key == SheetKey(0.5, 10.0)
-    lines = [line.split("\t") for line in table_of(page._sheets()).splitlines()]
+    on_page.button(page, "Copy table").click()
+    lines = [line.split("\t") for line in QGuiApplication.clipboard().text().splitlines()]
     assert len({len(line) for line in lines}) == 1
     assert dict(zip(*lines, strict=True))["z (mm)"] == "10"
     window.on_screen.leave()
@@ -196,9 +208,7 @@ def test_a_run_is_separated_while_it_goes_on_and_the_same_in_replay(tmp_path, ca
         window.sequence.load(tmp_path / "waves.toml")
         window.sequence.steps.choose(("steps", 1))
         window.sequence.steps.separate.click()
-        heights = window.sequence.steps._form_area.widget().rows["heights_mm"]
-        heights.edit.setText("40 80")
-        heights.edit.textEdited.emit("40 80")
+        on_page.fill(window.sequence.steps.findChild(Form).rows["heights_mm"], "40 80")
         until(lambda: window.top.run.isEnabled(), 60.0)
         window.sequence.document.edit_text(window.sequence.document.text.replace("seconds = 0.1", "seconds = 600"))
         until(lambda: window.top.run.isEnabled(), 60.0)
@@ -226,14 +236,13 @@ def test_a_run_is_separated_while_it_goes_on_and_the_same_in_replay(tmp_path, ca
         window.show_run(path)
         until(lambda: len(window.on_screen.shown.separated) == 2, 100.0)
         replayed = window.on_screen.shown.separated
-        page = window.separation
         for row, (file, one) in enumerate(zip(files, told, strict=True)):
             arrays, about = read_derived(file)
             key = SheetKey(one["dose_ml"], 0.5 * sum(one["z_mm"]))
             assert about["frames"] == replayed[key].basis.frames == live[key].basis.frames
             np.testing.assert_array_equal(replayed[key].order_1, arrays["order_1"].astype(np.float32))
             np.testing.assert_array_equal(replayed[key].order_1, live[key].order_1)
-            cells = [page._table.item(row, column).text() for column in range(page._table.columnCount())]
+            cells = on_page.cells(on_page.rows_of(window.separation, "what each sheet tells"))[row]
             assert cells == cells_of(replayed[key], sorted(replayed[key].follow))
             part, sd = 100.0 * one["order_1"], 100.0 * one["order_1_sd"]
             assert with_error(part, Z * sd) in cells

@@ -3,9 +3,12 @@
 from pathlib import Path
 
 import pytest
+from PySide6.QtCore import Qt
 
+from tests import on_page
 from tests.window_rig import write_rig
 from ui.window import sequence_text
+from ui.window.forms import Form
 from ui.window.sequence_document import SequenceDocument
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "dilution.toml"
@@ -110,21 +113,19 @@ def test_steps_and_patterns_are_built_from_nothing():
     steps, patterns = StepsEditor(document), PatternsEditor(document)
     assert document.problem is not None  # it has no steps
     for kind in NEW:
-        steps._kind.setCurrentText(kind)
+        on_page.choice(steps, "what to add").setCurrentText(kind)
         steps.add()
     assert [task.label for task in document.reading.sequence.tasks][:2] == ["capture full × 4", "dose to 100 µl"]
-    patterns._kind.setCurrentText("stripes")
+    on_page.choice(patterns, "which kind of pattern").setCurrentText("stripes")
     patterns.add()
     assert document.reading.sequence.patterns["stripes"].period_mm == 16.0
     steps.choose(("steps", 3))
-    form = steps._form_area.widget()
-    edit = form.rows["total_ul"].edit
-    edit.setText("150 oops")
-    edit.textEdited.emit("150 oops")
-    assert form.rows["total_ul"].wrong.startswith("give numbers in µl")
-    assert edit.property("wrong")
-    edit.setText("150 250 350")
-    edit.textEdited.emit("150 250 350")
+    form = steps.findChild(Form)
+    totals = form.rows["total_ul"]
+    on_page.fill(totals, "150 oops")
+    assert totals.says.text().startswith("give numbers in µl")
+    assert totals.edit.property("wrong")
+    on_page.fill(totals, "150 250 350")
     assert document.reading.sequence.steps[3].total_ul == (150.0, 250.0, 350.0)
     steps.move_step(-1)
     assert document.reading.sequence.steps[2].do == "series"
@@ -156,7 +157,7 @@ def test_whatever_a_file_says_it_opens_and_the_rest_can_be_edited(text):
     page = SequencePage()
     page.document.take(text)
     assert page.document.problem is not None
-    for item in page.steps._items():
+    for item in page.steps.tree.findItems("", Qt.MatchFlag.MatchContains | Qt.MatchFlag.MatchRecursive):
         page.steps.tree.setCurrentItem(item)
     page.steps.add()
     page.patterns.add()

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PySide6.QtCore import QFile
 from PySide6.QtWidgets import QFileDialog
 
 from tankrig.live.formatting import with_error
 from tankrig.live.results import fits_in
 from tankrig.run.reading import open_run
+from tests import on_page
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window import jobs
@@ -148,7 +150,7 @@ class Trial:
             self.screen.refit(run, settings)
 
     def show_refit(self) -> None:
-        known = list(self.screen._refits)
+        known = [one for run in sorted(self.folder.iterdir()) for one in self.screen.refits_of(run)]
         if known and not self.going_on:
             self.screen.show_refit(self.random.choice(known))
 
@@ -351,8 +353,7 @@ class WindowTrial:
     def __init__(self, window: Any, home: Path, seed: int) -> None:
         self.window, self.home, self.random = window, home, random.Random(seed)
         self.background = Soon(self.random)
-        window.on_screen._background = self.background
-        window.runs._background = self.background
+        window.background.run = self.background.run
         self.made, self.log = 0, []
         (home / "short.toml").write_text(SHORT)
         (home / "waits.toml").write_text(WAITS)
@@ -367,14 +368,13 @@ class WindowTrial:
         getattr(self, name)()
 
     def press(self, words: str) -> None:
-        (button,) = [one for one in self.window.runs._buttons if one.text() == words]
-        button.click()
+        on_page.button(self.window.runs, words).click()
 
     def open(self) -> None:
         self.press("Open")
 
     def refit(self) -> None:
-        self.window.runs.refits._free.setChecked(self.random.random() < 0.5)
+        on_page.button(self.window.runs, "fit the background").setChecked(self.random.random() < 0.5)
         self.window.runs.refits.button.click()
 
     def show_refit(self) -> None:
@@ -385,16 +385,16 @@ class WindowTrial:
 
     def filter(self) -> None:
         words = ["", "completed", "aborted", "run-", "20", "nothing at all"]
-        self.window.runs._filter.setText(self.random.choice(words))
+        on_page.line(self.window.runs, "only runs with these words").setText(self.random.choice(words))
 
     def select(self) -> None:
-        table = self.window.runs._table
+        table = on_page.rows_of(self.window.runs, "runs")
         if table.rowCount():
             table.selectRow(self.random.randrange(table.rowCount()))
 
     def delete(self) -> None:
         if len(self.window.runs.catalogue.runs) > 4:
-            (button,) = [one for one in self.window.runs._buttons if one is self.window.runs._delete]
+            button = on_page.button(self.window.runs, "Delete")
             button.click()
             button.click()
 
@@ -419,11 +419,13 @@ class WindowTrial:
         self.window.runs.bar.left.emit()
 
     def choose(self) -> None:
-        self.window.fit._dose.setCurrentIndex(self.random.randrange(max(1, self.window.fit._dose.count())))
-        self.window.fit._choose()
+        doses = on_page.choice(self.window.fit, "at")
+        row = self.random.randrange(max(1, doses.count()))
+        doses.setCurrentIndex(row)
+        doses.activated.emit(row)
 
     def against(self) -> None:
-        self.window.fit._against.setCurrentIndex(self.random.randrange(2))
+        on_page.choice(self.window.fit, "what the curves stand against").setCurrentIndex(self.random.randrange(2))
 
     def look(self) -> None:
         pages = (self.window.fit, self.window.runs, self.window.sequence, self.window.doser, self.window.compare)
@@ -480,7 +482,7 @@ class WindowTrial:
             found.append(f"titles {titles} over {source.title}")
         if window.live.frame is not None and window.live.frame.run != source.recorded:
             found.append(f"a picture of {window.live.frame.run} under {source.title}")
-        selected, table = window.runs.catalogue.selected, window.runs._table
+        selected, table = window.runs.catalogue.selected, on_page.rows_of(window.runs, "runs")
         marked = {item.data(PATH) for item in table.selectedItems()}
         if marked != ({str(selected.path)} if selected is not None else set()):
             found.append(f"{marked} is marked and {selected} selected")
@@ -497,13 +499,13 @@ class WindowTrial:
             found.append(f"{source.title}: the card says {text}")
         if shown.newest is not None and shown.newest not in fits:
             found.append(f"{source.title}: a fit that the store does not have")
-        points = sorted(y for _, y in window.fit._curves.points("sigma_s"))
+        points = sorted(y for _, y in on_page.dots(window.fit, "σs"))
         if points and not set(points) <= {fit.medium.sigma_s for fit in fits}:
             found.append(f"{source.title}: the curve shows {points}")
         ticked = {row for row, line in enumerate(window.sequence.run_list.lines()) if line.startswith("✓")}
         if ticked != done:
             found.append(f"{source.title}: steps {ticked} are ticked and {done} done")
-        left = window.fit._bars._bars["all"].format()
+        left = on_page.bar(window.fit, "all orders").format()
         allowed = {f"{100.0 * fit.gain / 1e4:.2g} % left" for fit in fits} | {"–"}
         if left not in allowed:
             found.append(f"{source.title}: the bars say {left}")
@@ -530,7 +532,7 @@ class WindowTrial:
 def test_five_hundred_actions_through_the_real_window(tmp_path, monkeypatch, seed):
     """What pages draw is what the store holds, whatever is pressed in whatever order."""
     monkeypatch.setattr("PySide6.QtGui.QDesktopServices.openUrl", lambda _: True)
-    monkeypatch.setattr("ui.window.runs_page._to_trash", lambda run: shutil.rmtree(run) is None)
+    monkeypatch.setattr(QFile, "moveToTrash", lambda run: shutil.rmtree(run) is None)
     for number in range(4):
         runs.recorded(tmp_path / "runs" / f"run-first-{number}", number)
     with window_on(tmp_path, write_rig(tmp_path)) as window:

@@ -2,18 +2,24 @@
 
 import os
 import signal
+import threading
+from multiprocessing import active_children
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
 import pytest
-from PySide6.QtCore import QMimeData, QUrl
+from PySide6.QtCore import QMimeData, Qt, QUrl
 
 import tankrig
 from drivers.rig import load_rig_file
 from drivers.simulated.camera import SimulatedCamera
 from tankrig.calibration.file import Calibration, save
 from tankrig.devices import CameraSettings
+from tests import on_page
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window.banner import MOST_SHOWN, Banner
+from ui.window.forms import Form
 from ui.window.marked_text import MarkedText
 
 SHORT = 'name = "short"\nexposure_ms = 5\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n'
@@ -65,13 +71,18 @@ def test_a_camera_that_clamps_is_told_in_the_log(tmp_path, monkeypatch):
 def test_an_error_of_any_kind_in_a_run_is_told_and_the_rig_can_be_opened_again(tmp_path, monkeypatch, error):
     """A thread that is gone leaves a window that says nothing and a rig that nobody has."""
 
-    def failing(*_: object) -> None:
-        raise error
+    real, in_a_run = SimulatedCamera.capture, threading.Event()
+
+    def failing(*asked: Any) -> Any:
+        if in_a_run.is_set():
+            raise error
+        return real(*asked)
 
     with window_on(tmp_path, write_rig(tmp_path)) as window:
         until(lambda: window.status.state.value == "ready", 40.0)
+        window.host.run_began.connect(lambda *_: in_a_run.set(), Qt.ConnectionType.DirectConnection)
         with monkeypatch.context() as patch:
-            patch.setattr("tankrig.run.runner.Runner._capture", failing)
+            patch.setattr(SimulatedCamera, "capture", failing)
             run(window, tmp_path)
             until(lambda: f"failed unexpectedly ({type(error).__name__}" in window.banner.text, 60.0)
         (path,) = [file.parent for file in (tmp_path / "runs").glob("*/zarr.json")]
@@ -93,6 +104,11 @@ def test_however_much_is_told_a_person_can_put_it_away_and_read_it_again(qtbot):
     assert [one.sentence for one in banner.history] == [f"frame {n} is missing" for n in range(5 * MOST_SHOWN)]
 
 
+def live_fits() -> list[BaseProcess]:
+    """The processes of live fits, as they are called in a list of processes."""
+    return [one for one in active_children() if one.name == "live-fit"]
+
+
 def test_a_live_fit_whose_process_dies_is_told(tmp_path):
     """Who sees a green "completed" believes that all was fitted."""
     with window_on(tmp_path, write_rig(tmp_path)) as window:
@@ -101,8 +117,9 @@ def test_a_live_fit_whose_process_dies_is_told(tmp_path):
         window.sequence.load(tmp_path / "sequence.toml")
         until(lambda: window.top.run.isEnabled())
         window.run()
-        until(lambda: window.host._fit is not None and window.status.running, 60.0)
-        os.kill(window.host._fit.pid, signal.SIGKILL)
+        until(lambda: window.status.running and live_fits(), 60.0)
+        (fit,) = live_fits()
+        os.kill(fit.pid, signal.SIGKILL)
         until(lambda: "live fit's process has ended" in window.banner.text, 60.0)
         window.stop()
         until(lambda: not window.status.busy, 60.0)
@@ -115,7 +132,7 @@ def test_what_the_camera_has_made_of_an_exposure_is_shown_between_runs(tmp_path,
         until(lambda: window.status.state.value == "ready", 60.0)
         window.setFocus()  # a field that somebody types in keeps what is typed
         window.host.configure(CameraSettings(30.0))
-        until(lambda: window.live._exposure.value == 2.0, 60.0)
+        until(lambda: on_page.field(window.live, "exposure").value == 2.0, 60.0)
 
 
 def test_a_reason_at_the_very_first_is_in_the_log_on_disk(tmp_path):
@@ -146,7 +163,7 @@ def test_a_file_dropped_on_a_text_is_opened_and_not_written_into_it(tmp_path):
         files.setUrls([QUrl.fromLocalFile(str(tmp_path / "a.toml"))])
         words = QMimeData()
         words.setText("frames = 4")
-        for text in (window.calibration._text, *window.sequence.findChildren(MarkedText)):
+        for text in (*window.calibration.findChildren(MarkedText), *window.sequence.findChildren(MarkedText)):
             assert not text.canInsertFromMimeData(files)
             assert text.canInsertFromMimeData(words)
 
@@ -168,11 +185,15 @@ def test_a_field_that_makes_no_sense_is_not_shown_on_the_projector(tmp_path):
     with window_on(tmp_path, write_rig(tmp_path)) as window:
         until(lambda: window.status.state.value == "ready" and window.built, 60.0)
         page = window.projector
-        until(page._show.isEnabled)
-        page._form_area.widget().doubted.emit("y_mm", "is no number")
-        assert not page._show.isEnabled()
-        page._kind.setCurrentIndex((page._kind.currentIndex() + 1) % page._kind.count())
-        until(page._show.isEnabled)
+        show = on_page.button(page, "Show it")
+        until(show.isEnabled)
+        typed = page.findChild(Form).rows["y_mm"]
+        on_page.fill(typed, "wide")
+        assert typed.wrong
+        assert not show.isEnabled()
+        kinds = on_page.choice(page, "A pattern to show between runs")
+        kinds.setCurrentIndex((kinds.currentIndex() + 1) % kinds.count())
+        until(show.isEnabled)
 
 
 def test_what_was_typed_in_a_step_that_is_left_is_told(tmp_path):
@@ -182,7 +203,7 @@ def test_what_was_typed_in_a_step_that_is_left_is_told(tmp_path):
         window.sequence.load(tmp_path / "s.toml")
         steps = window.sequence.steps
         steps.tree.setCurrentItem(steps.tree.topLevelItem(0))
-        steps._form_area.widget().doubted.emit("frames", '"foo" is no whole number')
+        on_page.fill(steps.findChild(Form).rows["frames"], "foo")
         until(lambda: not window.top.run.isEnabled())
         steps.tree.setCurrentItem(steps.tree.topLevelItem(1))
         until(lambda: "the value before it stands" in window.banner.text)
@@ -195,9 +216,10 @@ def test_a_press_long_after_the_first_is_no_second_one(tmp_path, monkeypatch):
         until(lambda: window.status.state.value == "ready" and window.built, 60.0)
         asked: list[None] = []
         window.doser.refill_asked.connect(lambda: asked.append(None))
-        window.doser._ask_refill()
-        until(lambda: "Press again" not in window.doser._refill.text())
-        window.doser._ask_refill()
+        refill = on_page.button(window.doser, "Filled with fresh water")
+        refill.click()
+        until(lambda: "Press again" not in refill.text())
+        refill.click()
         assert not asked
-        window.doser._ask_refill()
+        refill.click()
         assert len(asked) == 1

@@ -1,9 +1,10 @@
 """The window for a person with wet hands: keys that stop, fields that say what is wrong, and what the pump does."""
 
+import re
 import time
 
 import pytest
-from PySide6.QtCore import QEvent, QPoint, QRect, QSize, Qt
+from PySide6.QtCore import QEvent, QPoint, QRect, QSettings, QSize, Qt
 from PySide6.QtGui import QCloseEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import (
@@ -18,7 +19,9 @@ from PySide6.QtWidgets import (
 )
 
 from drivers.emulation.truth import read_truth
+from tests import on_page
 from tests.window_rig import LONG_DOSE, until, wait_ms, window_on, write_rig
+from ui.window.forms import Form
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +65,7 @@ def test_both_keys_stop_wherever_the_keyboard_is(window, key, place):
     question = None
     if place == "field":
         window.show_page(window.doser)
-        target: QWidget = window.doser._target.edit
+        target: QWidget = on_page.field(window.doser, "Dose until the tank holds").edit
     elif place == "text":
         window.show_page(window.sequence)
         window.sequence.tabs.setCurrentWidget(window.sequence.text)
@@ -112,7 +115,8 @@ def test_the_windows_own_cross_asks_too(window):
     spontaneous = type("FromTheDesktop", (QCloseEvent,), {"spontaneous": lambda _: True})()
     window.closeEvent(spontaneous)
     assert not spontaneous.isAccepted()
-    assert window._ending is None
+    assert "closes when" not in window.banner.text
+    assert window.status.target_ul is not None
     assert window.question.isVisible()
     window.question.close()
     window.stop()
@@ -140,7 +144,7 @@ def test_highlighted_entries_of_lists_can_be_read(window):
     """White on white."""
     for name in ("dark", "light"):
         window.set_theme(name)
-        box: QComboBox = window.live._colours
+        box: QComboBox = on_page.choice(window.live, "false colour")
         box.showPopup()
         wait_ms(30)
         view = box.view()
@@ -179,7 +183,7 @@ def test_a_ticked_box_has_a_tick(window):
     """A blue square may be on or off."""
     for name in ("dark", "light"):
         window.set_theme(name)
-        box = window.live._automatic
+        box = on_page.button(window.live, "auto levels")
         box.setChecked(True)
         wait_ms(20)
         picture = box.grab().copy(3, (box.height() - 14) // 2, 14, 14).toImage()
@@ -194,24 +198,19 @@ def test_a_wrong_field_blocks_the_run_and_says_why_beside_it(window, field, type
     window.sequence.load(window.home / "one.toml")
     until(lambda: window.top.run.isEnabled())
     window.sequence.steps.choose(("steps", 0))
-    form = window.sequence.steps._form_area.widget()
+    form = window.sequence.steps.findChild(Form)
     row = form.rows[field]
     one = next(iter(row.fields.values())) if field == "until" else row
-    one.edit.setText(typed)
-    one.edit.textEdited.emit(typed)
+    on_page.fill(one, typed)
     assert window.sequence.document.plan is None
-    assert not window.sequence._run.isEnabled()
+    assert not on_page.button(window.sequence, "Run").isEnabled()
     assert one.says.text()
     assert one.says.isVisibleTo(form)
     window.run()
     wait_ms(100)
     assert not window.status.busy
     assert one.wrong in window.banner.text
-    one.edit.setText("")
-    one.edit.textEdited.emit("")
-    if field == "frames":
-        one.edit.setText("3")
-        one.edit.textEdited.emit("3")
+    on_page.fill(one, "3" if field == "frames" else "")
     assert window.sequence.document.plan is not None
 
 
@@ -221,7 +220,8 @@ def test_a_draft_is_on_disk_as_soon_as_it_was_typed(window):
     window.sequence.load(window.home / "draft.toml")
     window.sequence.document.edit_text(LONG_DOSE.replace("900", "800"))
     assert "(edited)" in window.sequence.document.title
-    until(lambda: "800" in str(window._settings.value("draft")))
+    on_disk = window.home / "window.ini"
+    until(lambda: "800" in str(QSettings(str(on_disk), QSettings.Format.IniFormat).value("draft")))
     window.sequence.document.edit_text(LONG_DOSE)
     assert "(edited)" not in window.sequence.document.title, "it is what the file has again"
 
@@ -229,10 +229,9 @@ def test_a_draft_is_on_disk_as_soon_as_it_was_typed(window):
 def test_a_long_exposure_counts_down_over_the_picture(window):
     """A picture that stands still for twelve seconds looks like a window that hangs."""
     window.live.camera_asked.emit(type(window.host.camera_settings)(2500.0, 1.0))
-    until(lambda: window.live._over.isVisible() and "s left" in window.live._over.text(), 30.0)
-    assert window.live._over.text() in ("exposing, 3 s left", "exposing, 2 s left", "exposing, 1 s left")
+    until(lambda: re.search("exposing, [123] s left", on_page.words_on(window.live)), 30.0)
     window.live.camera_asked.emit(type(window.host.camera_settings)(20.0, 1.0))
-    until(lambda: not window.live._over.isVisible(), 30.0)
+    until(lambda: "exposing" not in on_page.words_on(window.live), 30.0)
 
 
 def test_what_is_primed_is_not_in_the_tank(window):
@@ -241,18 +240,18 @@ def test_what_is_primed_is_not_in_the_tank(window):
     page, held = window.doser, window.status.tank.volume_ul
     state = window.home / "rig" / "tank" / "state"
     steps = read_truth(state).steps
-    page._volume.edit.setText("40")
-    page._volume.edit.textEdited.emit("40")
-    until(lambda: page._dose.isEnabled())
-    assert not page._prime.isEnabled(), "nobody has said where the tube hangs"
-    page._hangs.setChecked(True)
-    QTest.mouseClick(page._prime, Qt.MouseButton.LeftButton)
+    on_page.fill(on_page.field(page, "Prime the tube with"), "40")
+    until(on_page.button(page, "Dose").isEnabled)
+    prime, hangs = on_page.button(page, "Prime"), on_page.button(page, "the tube hangs in a waste vessel")
+    assert not prime.isEnabled(), "nobody has said where the tube hangs"
+    hangs.setChecked(True)
+    QTest.mouseClick(prime, Qt.MouseButton.LeftButton)
     until(lambda: window.status.aside_ul == 40.0)
     assert window.status.busy
     until(lambda: not window.status.busy)
     assert read_truth(state).steps == steps + 400
     assert window.status.tank.volume_ul == held
-    assert not page._hangs.isChecked()
+    assert not hangs.isChecked()
     window.host.dose_aside(5000.0)
     until(lambda: "one dose may have" in window.banner.text)
 
@@ -275,7 +274,7 @@ def test_an_errors_colour_follows_the_theme(window):
         window.set_theme(name)
         QApplication.sendPostedEvents(None, QEvent.Type.PaletteChange)
         wait_ms(10)
-        (marked,) = [item for item in window.sequence.steps._items() if "⚠" in item.text(0)]
+        (marked,) = window.sequence.steps.tree.findItems("⚠", Qt.MatchFlag.MatchContains | Qt.MatchFlag.MatchRecursive)
         assert marked.foreground(0).color().name() == theme.bad
 
 
@@ -327,18 +326,16 @@ def test_text_and_outlines_stand_out(window, theme):
 def test_the_pump_delivers_at_the_rate_that_was_set(window):
     """A plume that is pushed too fast mixes otherwise than the one that was calibrated."""
     window.show_page(window.doser)
-    page = window.doser
-    until(lambda: page._rate.isEnabled(), 60.0)
-    assert page._rate.value == 200.0, "2000 steps/s at 10 steps per µl"
+    rate, set_it = on_page.field(window.doser, "The pump delivers"), on_page.button(window.doser, "Set the rate")
+    until(rate.isEnabled, 60.0)
+    assert rate.value == 200.0, "2000 steps/s at 10 steps per µl"
     for typed in ("0", "1e9", "fast"):
-        page._rate.edit.setText(typed)
-        page._rate.edit.textEdited.emit(typed)
-        assert not page._set_rate.isEnabled()
-        assert "0.01 to 6553.5 µl/s" in page._rate.says.text()
-    page._rate.edit.setText("25")
-    page._rate.edit.textEdited.emit("25")
-    page._set_rate.click()
-    until(lambda: window._rig.pace.dose_ul_per_s == 25.0 and window.status.state.value == "ready", 60.0)
+        on_page.fill(rate, typed)
+        assert not set_it.isEnabled()
+        assert "0.01 to 6553.5 µl/s" in rate.says.text()
+    on_page.fill(rate, "25")
+    set_it.click()
+    until(lambda: window.rig.pace.dose_ul_per_s == 25.0 and window.status.state.value == "ready", 60.0)
     held = window.status.tank.volume_ul
     window.dose_to(held + 50.0)
     until(lambda: window.status.tank.volume_ul > held + 1.0, 60.0)
@@ -347,4 +344,4 @@ def test_the_pump_delivers_at_the_rate_that_was_set(window):
     assert time.monotonic() - began > 1.5, "50 µl at 25 µl/s take two seconds; at 200 µl/s they took a quarter"
     assert window.host.source.rate_ul_per_s == 25.0
     window.host.use(type(window.host.source)(window.host.source.file, window.host.source.folder))
-    until(lambda: window._rig.pace.dose_ul_per_s == 200.0 and window.status.state.value == "ready", 60.0)
+    until(lambda: window.rig.pace.dose_ul_per_s == 200.0 and window.status.state.value == "ready", 60.0)

@@ -195,6 +195,7 @@ class ComparePage(QWidget):
         self._table.setHorizontalHeaderLabels([f"{h} ± {CONFIDENCE}" if h in NAMES.values() else h for h in HEADINGS])
         self._table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self._table.setTabKeyNavigation(False)
+        self._table.setAccessibleName("results of the runs that are ticked")
         self._table.verticalHeader().hide()
         self._table.setMinimumHeight(90)
         header = self._table.horizontalHeader()

@@ -3,7 +3,7 @@
 import time
 from collections import deque
 
-from PySide6.QtCore import QObject, Qt, QTimer
+from PySide6.QtCore import QObject, Qt, QTimer, Signal
 
 TICK_MS = 10
 
@@ -16,6 +16,9 @@ class EventLoopMonitor(QObject):
     worst_ms
         The longest since the last `reset`.
     """
+
+    ticked = Signal(float)
+    """Time since the tick before, ms."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -42,3 +45,4 @@ class EventLoopMonitor(QObject):
         self._last = now
         self.worst_ms = max(self.worst_ms, gap_ms)
         self._recent.append((now, gap_ms))
+        self.ticked.emit(gap_ms)

@@ -136,6 +136,7 @@ class OrderBars(QWidget):
             bar.setAlignment(Qt.AlignmentFlag.AlignCenter)
             label = QLabel(words)
             label.setToolTip("root mean square of what is left over, in percent of the brightest pixel")
+            label.setBuddy(bar)
             grid.addWidget(label, row, 0)
             grid.addWidget(bar, row, 1)
             self._bars[key] = bar

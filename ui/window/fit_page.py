@@ -195,6 +195,7 @@ class FitPage(QWidget):
         self._dose.setToolTip("of which dose; the newest follows the fits as they come")
         for box in (self._pattern, self._dose):
             box.activated.connect(lambda _: self._choose())  # by a person only
+        self._against.setToolTip("what the curves stand against: the ink in the tank, or the time of the run")
         self._against.addItems(list(AGAINST))
         self._against.currentTextChanged.connect(lambda _: self._draw_curves())
         self._same.toggled.connect(lambda _: self._draw_comparison())

@@ -100,6 +100,11 @@ class MainWindow(QMainWindow):
         Remembers docks, theme and the last sequence.
     sequence
         To open, rather than the last.
+
+    Attributes
+    ----------
+    rig
+        As it was opened last; None until it has been.
     """
 
     sequence: "SequencePage"
@@ -126,7 +131,7 @@ class MainWindow(QMainWindow):
         self._replay: Replay | None = None
         self._reader: Reader | None = None
         self._frames: list[SourceFrame] = []
-        self._rig: RigFile | None = None
+        self.rig: RigFile | None = None
         self._ending: OwnedThread | None = None
         self._offered = self.built = False
         self._asked: str | None = None
@@ -259,8 +264,8 @@ class MainWindow(QMainWindow):
             self.offer_text(str(draft))
         if self.sequence.beginning and self.focusWidget() in (None, self):
             self.sequence.first.buttons["Try it"].setFocus()  # who has no mouse begins with the space bar
-        self._opened(self._rig, afresh=True)  # last, so that an offer to go on with a run stands before other notices
-        self._follow(self.status)
+        self._opened(self.rig, afresh=True)  # last, so that an offer to go on with a run stands before other notices
+        self.follow(self.status)
         theme.paint_plots(self)
         self._draft_timer = QTimer(self)
         self._draft_timer.setSingleShot(True)
@@ -285,7 +290,7 @@ class MainWindow(QMainWindow):
     def _opened(self, rig: "RigFile | None", afresh: bool = False) -> None:
         if rig is None:
             return
-        new, self._rig = afresh or rig != self._rig, rig
+        new, self.rig = afresh or rig != self.rig, rig
         if self._replay is None:
             self.live.set_bench(rig.bench)
         if not self.host.source.simulated:
@@ -316,7 +321,8 @@ class MainWindow(QMainWindow):
                 words, action="Resume it", do=lambda: self.resume(run.path), key="interrupted", about=str(run.path)
             )
 
-    def _follow(self, status: RigStatus) -> None:
+    def follow(self, status: RigStatus) -> None:
+        """Show where the rig stands, on all pages."""
         before, self.status = self.status, status
         self.stop_keys.follow()
         self._words.say(status.words)
@@ -455,8 +461,8 @@ class MainWindow(QMainWindow):
         for frame in (self.live_frame, *self._frames):
             frame.show_source(shown.source)
         if shown.source.recorded is None:
-            if self._rig is not None:
-                self.live.set_bench(self._rig.bench)
+            if self.rig is not None:
+                self.live.set_bench(self.rig.bench)
         elif shown.reading is not None:
             self._play(shown)
         else:
@@ -604,7 +610,7 @@ class MainWindow(QMainWindow):
 
     def _connect(self) -> None:
         host, queued = self.host, Qt.ConnectionType.QueuedConnection
-        host.status_changed.connect(self._follow, queued)
+        host.status_changed.connect(self.follow, queued)
         host.rig_opened.connect(self._opened, queued)
         self.live.camera_asked.connect(host.configure)
         self.top.stop_asked.connect(self.stop)
@@ -626,7 +632,7 @@ class MainWindow(QMainWindow):
         self.host.use(source)
         self.top.use_rig(file.stem, simulated=False)
         self.calibration.use_rig(source)
-        self._offered, self._rig = False, None
+        self._offered, self.rig = False, None
         self.remember(file)
         self.show_page(self.calibration)
 

@@ -62,6 +62,7 @@ class PatternsEditor(QWidget):
         self.names.currentTextChanged.connect(lambda _: self._show_form())
         self._kind = QComboBox()
         self._kind.addItems(list(NEW))
+        self._kind.setToolTip("which kind of pattern to add")
         self._name = QLineEdit()
         self._name.setPlaceholderText("name of the new pattern")
         self._name.returnPressed.connect(self.add)

@@ -204,6 +204,7 @@ class ProjectorPage(QWidget):
         buttons.addWidget(self._show)
         head = QLabel("A pattern to show between runs")
         head.setProperty("role", "heading")
+        head.setBuddy(self._kind)
         left, right = QVBoxLayout(), QVBoxLayout()
         left.addWidget(head)
         left.addWidget(self._kind)

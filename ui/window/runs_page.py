@@ -272,6 +272,7 @@ class RunsPage(QWidget):
         self._table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self._table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self._table.setTabKeyNavigation(False)
+        self._table.setAccessibleName("runs")
         self._table.verticalHeader().hide()
         self._table.verticalHeader().setDefaultSectionSize(34)
         self._table.setShowGrid(False)

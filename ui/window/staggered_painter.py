@@ -24,6 +24,11 @@ class StaggeredPainter(QObject):
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._next)
 
+    @property
+    def busy(self) -> bool:
+        """Whether something waits for its turn to be called."""
+        return bool(self._waiting)
+
     def take(self, calls: Iterable[Callable[[], None]]) -> None:
         """Call these, instead of what still waits."""
         self._waiting = list(calls)
