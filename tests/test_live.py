@@ -8,7 +8,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from multiprocessing.shared_memory import SharedMemory
@@ -233,20 +234,20 @@ def test_a_last_frame_that_comes_while_the_fit_looks_is_looked_at_again() -> Non
 
 def test_a_fit_that_is_busy_neither_holds_the_run_up_nor_loses_what_happened_meanwhile() -> None:
     """The dispatcher calls `see`: a stuck fit must not stop the run, and no frame may count at another dose."""
-    with LiveFit(plan(), lambda _: None) as fit:
+    with looked_into() as (fit, given):
         fit.see(dosed(100.0), None)
         fit.see(frame(PATTERNS["sheet"], 2), photographed(0.1, 0))
-        assert until(lambda: fit._exposures.frames == 1)
+        assert until(lambda: given.exposures.frames == 1)
         later = photographed(0.2, 0)
-        with fit._lock:  # as a worker that was stopped in the middle of a copy would hold it
+        with given.shared.lock:  # as a worker that was stopped in the middle of a copy would hold it
             began = time.monotonic()
             fit.see(dosed(200.0), None)
             fit.see(frame(PATTERNS["sheet"], 5), later)
             assert time.monotonic() - began < 0.05
             time.sleep(1.0)
-            assert fit._exposures.frames == 1
-        assert until(lambda: fit._exposures.frames == 2)
-        assert [(one.dose_ml, one.frames) for one in fit._exposures.photographs()] == [(0.1, 1), (0.2, 1)]
+            assert given.exposures.frames == 1
+        assert until(lambda: given.exposures.frames == 2)
+        assert [(one.dose_ml, one.frames) for one in given.exposures.photographs()] == [(0.1, 1), (0.2, 1)]
 
 
 def until(true: Callable[[], bool], timeout_s: float = 20.0) -> bool:
@@ -256,12 +257,24 @@ def until(true: Callable[[], bool], timeout_s: float = 20.0) -> bool:
     return true()
 
 
-class NoProcess:
-    """In place of the process that fits, where only what it would be given matters."""
+class Looking:
+    """In place of the process that fits: it fits nothing, and a test looks at what it is given."""
 
     pid, exitcode = None, 0
 
-    def __init__(self, **_: object) -> None: ...
+    def __init__(self, args: tuple[worker.Shared], **_: object) -> None:
+        (self.shared,) = args
+        self.memory = SharedMemory(self.shared.memory)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """A copy of the shared sums, whoever writes to them now."""
+        return np.ndarray((self.shared.plan.size,), np.float64, self.memory.buf).copy()
+
+    @property
+    def exposures(self) -> Exposures:
+        """What those sums are of."""
+        return Exposures(self.shared.plan, self.numbers)
 
     def start(self) -> None: ...
 
@@ -269,6 +282,22 @@ class NoProcess:
 
     def is_alive(self) -> bool:
         return False
+
+
+@contextmanager
+def looked_into(*words: Any, **named: Any) -> Iterator[tuple[LiveFit, Looking]]:
+    """A live fit, and what stands in for its process."""
+    begun: list[Looking] = []
+
+    def begin(**about: Any) -> Looking:
+        begun.append(Looking(**about))
+        return begun[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("multiprocessing.context.SpawnContext.Process", staticmethod(begin))
+        with LiveFit(plan(), lambda _: None, *words, **named) as fit:
+            yield fit, begun[0]
+    begun[0].memory.close()
 
 
 HAPPENING = st.one_of(
@@ -289,7 +318,8 @@ def test_however_slow_the_fit_every_event_is_taken_in_in_order_and_each_frame_at
     path = tmp_path_factory.mktemp("live") / "run"
     create_run(path, (40, 60), "uint16", 4, {}, list(PATTERNS.values()))
     rng, told = np.random.default_rng(0), []
-    prompt, held_ul = Exposures(plan()), 0.0
+    sums, held_ul = np.zeros(plan().size), 0.0
+    prompt = Exposures(plan(), sums)
     with RunWriter(path, lambda event, pixels: told.append((event, pixels))) as writer:
         for kind, value in happening:
             if kind == "dose":
@@ -300,30 +330,24 @@ def test_however_slow_the_fit_every_event_is_taken_in_in_order_and_each_frame_at
                 then = Conditions(Delivered(held_ul, max(0.0, held_ul - 1), held_ul + 1), CameraSettings(10.0))
                 writer.put_frame(Frame(pixels, 1, 1, 1, 1), 2, PATTERNS[kind].hash, **then.line() if labelled else {})
         writer.flush()
-    for event, pixels in told:
-        prompt.take(event, pixels)
+    for one, pixels in told:
+        prompt.take(one, pixels)
     troubles: list[str] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("multiprocessing.context.SpawnContext.Process", NoProcess)
-        empty = replace(open_run(path), journal=())
-        with LiveFit(plan(), lambda _: None, empty, troubles.append) as fit:
-            waiting = iter(told)
-            for kind, value in happening:
-                if kind == "busy":
-                    fit._lock.acquire()
-                    threading.Timer(value, fit._lock.release).start()
-                else:
-                    event, pixels = next(waiting)
-                    preview = value if event.kind == "frame" else True  # the dispatcher has let half of the pixels go
-                    fit.see(event, pixels if preview else None)
-                    assert event.kind != "frame" or pixels is not None
-            assert until(lambda: not fit._taking._waiting)
-            fit._taking.close()
-            np.testing.assert_array_equal(fit._exposures._sums, prompt._sums)
-            np.testing.assert_array_equal(fit._exposures._counts, prompt._counts)
-            np.testing.assert_array_equal(fit._exposures._doses, prompt._doses)
-            # There is room for four doses: frames at a fifth are counted as not seen, taken in late or not.
-            assert fit._exposures.not_seen == prompt.not_seen
+    with looked_into(replace(open_run(path), journal=()), troubles.append) as (fit, given):
+        waiting = iter(told)
+        for kind, value in happening:
+            if kind == "busy":
+                given.shared.lock.acquire()
+                threading.Timer(value, given.shared.lock.release).start()
+            else:
+                one, pixels = next(waiting)
+                preview = value if one.kind == "frame" else True  # the dispatcher has let half of the pixels go
+                fit.see(one, pixels if preview else None)
+                assert one.kind != "frame" or pixels is not None
+        fit.see(event("step", step=len(SEQUENCE.tasks) - 1, state="done"), None)
+        assert until(given.shared.last.is_set), "the last event is taken in last"
+        # There is room for four doses: frames at a fifth are counted as not seen, taken in late or not.
+        np.testing.assert_array_equal(given.numbers, sums)
     assert prompt.not_seen > 0 or troubles == []
 
 
@@ -338,11 +362,11 @@ def test_a_frame_that_cannot_be_read_back_is_counted_and_said_and_the_others_are
         writer.flush()
     (path / "frames" / "c.1.0.0").unlink()
     troubles: list[str] = []
-    with LiveFit(plan(), lambda _: None, replace(open_run(path), journal=()), troubles.append) as fit:
+    with looked_into(replace(open_run(path), journal=()), troubles.append) as (fit, given):
         for one in events:
             fit.see(one, None)
-        assert until(lambda: fit._exposures.frames + fit._exposures.not_seen == 3)
-        assert (fit._exposures.not_seen, fit._exposures.newest) == (1, 2)
+        assert until(lambda: given.exposures.frames + given.exposures.not_seen == 3)
+        assert (given.exposures.not_seen, given.exposures.newest) == (1, 2)
     (trouble,) = troubles
     assert "the live fit goes on without frame 1:" in trouble
     assert "is missing" in trouble
@@ -360,14 +384,11 @@ def test_frames_that_cannot_be_read_back_are_told_together(tmp_path: Path) -> No
     shutil.rmtree(path / "frames")
     last = event("step", step=len(plan().settings) - 1, state="done")
     troubles: list[str] = []
-    now = [0.0]
-    with LiveFit(
-        plan(), lambda _: None, replace(open_run(path), journal=()), troubles.append, clock=lambda: now[0]
-    ) as fit:
-        for number, one in enumerate(events):
-            now[0] = 8.0 * number
-            fit._take(one, None)
-        fit._take(last, None)
+    empty = replace(open_run(path), journal=())
+    with looked_into(empty, troubles.append, clock=lambda: 8.0 * given.exposures.not_seen) as (fit, given):
+        for one in (*events, last):
+            fit.see(one, None)
+        assert until(given.shared.last.is_set)
     assert [trouble.split(": ")[0] for trouble in troubles] == [
         "the live fit goes on without frame 0",
         "the live fit goes on without 4 more frames, the last of them frame 4",
@@ -631,7 +652,7 @@ def test_a_series_that_steps_beyond_its_models_does_not_follow_light_paths(
     scene, model = prepared
     followed: list[Medium] = []
     monkeypatch.setattr(forward, "tank_model", lambda *_: followed.append)
-    answer = fits._nearly_within([model])(scene, 2, 0)
+    answer = fits.nearly_within([model])(scene, 2, 0)
     clear, dense = Medium(0.0, 0.021, 0.55), Medium(0.001, 0.027, 0.66)
     for beyond in (clear, dense):
         assert not model.box.holds(beyond)

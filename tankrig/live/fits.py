@@ -136,7 +136,7 @@ def fit_all(
         noise=[one.noise for one in photographs],
         masks=[one.mask for one in photographs],
         start=start,
-        model_of=_nearly_within(prepared) if prepared else None,
+        model_of=nearly_within(prepared) if prepared else None,
         water_sigma_s=PURE_WATER_SIGMA_S,
         phase=phase,
         nuisance=unmeasured(photographs[0].scene),
@@ -151,7 +151,7 @@ def fit_all(
     )  # fmt: skip
 
 
-def _nearly_within(models: Sequence[Prepared]) -> ModelOf:
+def nearly_within(models: Sequence[Prepared]) -> ModelOf:
     """Prepared models as a series' model, each for media just beyond its box too, which it shows as at its edge.
 
     A step too far in the search, or absorption that is tried to be nothing, would else be answered by the tank model,
