@@ -75,7 +75,7 @@ def examine(rig: RigFile, with_light: bool = True) -> Iterator[Check]:
     with ExitStack() as opened:
         devices: dict[str, Any] = {}
         yield from _part("devices", _devices(rig, opened, devices))
-        yield from _part("exposure", _exposures(rig.exposure_rule, devices))
+        yield from _part("exposure", exposure_checks(rig.exposure_rule, devices))
         yield from calibration_checks(rig, devices)
         if with_light and {"projector", "camera"} <= devices.keys():
             yield from _part("light", _light(rig, devices))
@@ -170,7 +170,7 @@ def _camera(camera: CameraDevice) -> Check:
     return Check(what, True, f"{len(starts)} of them, exposure {actual.exposure_ms:g} ms, gain {actual.gain:g}")
 
 
-def _exposures(rule: ExposureRule, devices: Mapping[str, Any]) -> Iterator[Check]:
+def exposure_checks(rule: ExposureRule, devices: Mapping[str, Any]) -> Iterator[Check]:
     """Whether the period of the light is known and true, and the camera can expose whole numbers of it."""
     what = "exposures are whole numbers of the projector's periods"
     if rule.accept.strip():

@@ -222,7 +222,7 @@ class _Unfinished(JITCodeLibrary):  # type: ignore[misc]
 
     def finalize(self) -> None:
         for library in dict.fromkeys(self._linking_libraries):
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)  # noqa: SLF001 - numba has no public way
         self._final_module.verify()
         self._finalized = True
         self._shared_module = self._get_module_for_linking()

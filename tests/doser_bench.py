@@ -2,7 +2,9 @@
 
 import atexit
 import math
+import os
 import threading
+import time
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from pathlib import Path
@@ -36,6 +38,20 @@ from .virtual_time import ProgramClock, VirtualCable, World
 STEPS_PER_UL = 10.0
 
 
+class ListeningTerminal(PseudoTerminal):
+    """Keeps what has come, and when."""
+
+    def __init__(self, link: Path) -> None:
+        super().__init__(link)
+        self.heard: list[tuple[float, bytes]] = []
+
+    def receive(self) -> tuple[bool, bytes]:
+        opened, data = super().receive()
+        if data:
+            self.heard.append((time.perf_counter(), data))
+        return opened, data
+
+
 class AnyBench(ABC):
     """A stand-in with its motor and its truth: on a pseudo-terminal in a thread, or in a `World` on its clock."""
 
@@ -53,7 +69,8 @@ class AnyBench(ABC):
         life: dict[str, Any] = {"boot_s": 0.02, "time_scale": self.scale, "seed": seed}
         if self.world:
             return life | {"cable": self.cable, "now": self.world.now, "in_bulk": True}
-        return life | {"cable": PseudoTerminal(self.folder / "doser")}
+        self.terminal = ListeningTerminal(self.folder / "doser")
+        return life | {"cable": self.terminal}
 
     def _surroundings(self) -> dict[str, Any]:
         """What a driver is told of where it lives."""
@@ -182,7 +199,12 @@ class CountedBench(AnyBench):
 
     def bury(self, doser: PumpDoser) -> None:
         super().bury(doser)
-        doser._pump._file.close()
+        count = (self.folder / "count").resolve()
+        for file in Path("/proc/self/fd").iterdir():
+            with suppress(OSError):  # one of them was that of the listing
+                if file.readlink() == count:
+                    os.close(int(file.name))
+        self._opened.remove(doser)  # whose file's number may be that of another soon
 
 
 class NewEraBench(CountedBench):
@@ -254,6 +276,7 @@ class CavroBench(CountedBench):
 
     def put_right(self, doser: CavroDoser) -> None:
         with suppress(DeviceError):
-            if self.board.command({})["board"] and not self.board.core._initialised:
+            if self.board.command({})["board"] and not self.board.core.initialised:
                 doser.initialise()
-                doser._pump._renew()  # filled, so that the next dose begins at once
+                volume_ul = doser.last_known.volume_ul + 1.0
+                doser.pump.prepare(round(volume_ul * doser.pump.ticks_per_ul))  # filled: the next dose begins at once

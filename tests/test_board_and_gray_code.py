@@ -75,7 +75,7 @@ def test_corners_are_found_where_they_are(photographer: Photographer) -> None:
     for place, number in (("air", 3), ("flooded", 0), ("flooded slant", 1)):
         view = photographer.view(place, number)
         held = BoardInView(photographer.bench, BOARD, place, number)
-        on_board, _ = held._on_board(*view.corners_px.T)
+        on_board, _ = held.on_board(*view.corners_px.T)
         off_mm = np.linalg.norm(on_board[:, :2] - view.points_mm(BOARD)[:, :2], axis=1)
         assert off_mm.max() < 0.12 * 0.625 * (1.5 if "slant" in place else 1.0)
         assert view.fault is None

@@ -8,6 +8,7 @@ import pytest
 
 from drivers.rig import load_rig_file, open_light, open_rig
 from drivers.simulated import __file__ as simulated
+from drivers.simulated.light import FrameBuffer, frame_buffer
 from tankrig.calibration.file import SET_ASIDE, load
 from tankrig.calibration.latency import Latency, latency_calibration, measure_latency
 from tankrig.calibration.radiometry import Radiometry
@@ -69,30 +70,31 @@ def test_latency_is_found_within_a_millisecond(tmp_path: Path) -> None:
     """The bound from which frames count is made of it."""
     file = tmp_path / "rig.toml"
     file.write_text(Path(simulated).with_name("rig.toml").read_text(encoding="utf-8"), encoding="utf-8")
-    with open_light(load_rig_file(file)) as (projector, camera):
+    rig = load_rig_file(file)
+    with open_light(rig) as (projector, camera):
         camera.put("diffuser")
-        true_ms = watched_latencies(projector, camera)
+        true_ms = watched_latencies(projector, frame_buffer(Path(rig.camera["folder"])))
         found = measure_latency(projector, camera, flips=20)
     off = np.array(found.samples_ms) - np.array(true_ms[-20:])
     assert np.abs(np.median(off)) < 1.0
 
 
-def watched_latencies(projector, camera) -> list[float]:
+def watched_latencies(projector, light: FrameBuffer) -> list[float]:
     """Fills with the true latency of each flip from now on, ms."""
     lit_ns: list[int] = []
     true_ms: list[float] = []
-    light, show = camera._buffer.show, projector.show
+    lit, show = light.show, projector.show
 
     def lights(pattern, when_ns):
         lit_ns.append(when_ns)
-        light(pattern, when_ns)
+        lit(pattern, when_ns)
 
     def shows(pattern):
         flip = show(pattern)
         true_ms.append((lit_ns[-1] - flip.settled_ns) / 1e6)
         return flip
 
-    camera._buffer.show, projector.show = lights, shows
+    light.show, projector.show = lights, shows
     return true_ms
 
 

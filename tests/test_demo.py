@@ -71,11 +71,11 @@ def test_a_demo_of_beads_says_passed_only_where_it_found_them(
 def test_a_reference_liquid_in_the_demos_tank_is_the_librarys(tmp_path: Path) -> None:
     """A twin with Henyey–Greenstein of the same g would show what no bead does."""
     from drivers.rig import true_liquids
-    from ui.cli.demo import _planned, _rig, _truth
+    from ui.cli.demo import liquid_planned, rig_beside, truth_of
 
     for name in ("polystyrene-1.0", "intralipid-20", "milk-regular"):
-        plan = _planned(name, 540.0)
-        liquids = true_liquids(_rig(tmp_path / name, _truth(plan)))
+        plan = liquid_planned(name, 540.0)
+        liquids = true_liquids(rig_beside(tmp_path / name, truth_of(plan)))
         assert liquids is not None
         ink, reference = liquids[1], plan.optics.medium
         assert ink.sigma_s * plan.tank_ml * plan.dilution == pytest.approx(reference.sigma_s)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from tankrig import SceneError, SequenceError
 from tankrig.advice.cells import CellLight, cell_light, designing_camera, even_cells, parts_of, with_parts
 from tankrig.advice.design import Prospect, designed
-from tankrig.advice.expected import Known, Shot, _about_liquid
+from tankrig.advice.expected import Known, Shot, about_liquid
 from tankrig.advice.next_pictures import next_pictures, usual_pictures
 from tankrig.advice.ranking import answer_by_paths
 from tankrig.bench import Bench
@@ -95,7 +95,7 @@ def test_it_counts_what_advice_counts(
     ink = light.scene.medium
     known = Known(ink, 0.0, GAIN, offset_free, lambda image: READ**2 + SHOT**2 * image, error, family)
     shot = Shot("cells", light.scene, 1.0, 0.0, frames)
-    told = _about_liquid(known, shot, lambda *_: light.picture(parts))
+    told = about_liquid(known, shot, lambda *_: light.picture(parts))
     values = known.values.size
     covariance = told.covariance(np.append(known.widest, 10.0))[:values, :values]
     if family is not None:

@@ -89,7 +89,7 @@ def test_a_pump_that_goes_on_beyond_its_volume_is_stopped(tmp_path: Path) -> Non
     """Whatever has become of what it was set to: it is stopped at the first poll that counts more than was asked."""
     with NewEraBench(tmp_path, world=World(), **SLOW[NewEraBench]) as bench:
         doser, world = bench.open(), bench.world
-        world.after(1.5, lambda: setattr(bench.board.core, "_left", None))
+        world.after(1.5, lambda: setattr(bench.board.core, "left", None))
         with pytest.raises(DeviceError, match=r"counts .* where 100 were asked, and still moves"):
             doser.dose_to(100.0)
         assert bench.true_ul <= 100.0 + 0.25 * UL_PER_S

@@ -142,7 +142,7 @@ class Dosing(RuleBasedStateMachine):
         files: dict[Path, bytes] = {}
 
         def keep() -> None:
-            self.tally["killed in a dose"] += self.doser._dosing.locked()
+            self.tally["killed in a dose"] += self.doser.dosing
             self.tally["killed while the motor ran"] += self.bench.moving
             files.update({path: path.read_bytes() for path in self.records() if path.exists()})
 
@@ -224,7 +224,7 @@ class Dosing(RuleBasedStateMachine):
             assert self.guard.stopped
 
     def stop(self) -> None:
-        self.tally["stopped from another thread"] += self.doser._dosing.locked()
+        self.tally["stopped from another thread"] += self.doser.dosing
         self.guard.stop()
 
     @rule(part_ul=PARTS, delay_s=SOON_S, what=st.sampled_from(["reset", "reset", "unplug", "unplug", "forget"]))
@@ -269,7 +269,7 @@ class Dosing(RuleBasedStateMachine):
         self.dose(part_ul)
 
     def look(self) -> None:
-        if self.guard and self.doser and self.doser._dosing.locked():
+        if self.guard and self.doser and self.doser.dosing:
             before = self.bench.written(self.doser)
             told, held = self.doser.delivered(), self.guard.delivered()
             assert self.bench.written(self.doser) == before, "it was asked while it doses, which feeds its watchdog"
@@ -286,7 +286,7 @@ class Dosing(RuleBasedStateMachine):
             self.dose(part_ul)
 
     def hang(self) -> None:
-        if not self.guard or not self.doser or not self.doser._dosing.locked():
+        if not self.guard or not self.doser or not self.doser.dosing:
             return
         self.tally["hung in a dose while others polled"] += self.bench.moving
         hung_s, from_ul = self.world.now_s, self.bench.true_ul
@@ -385,7 +385,7 @@ class Dosing(RuleBasedStateMachine):
                 other.symlink_to(self.folder)
             elif how == "second name":
                 other.hardlink_to(count)
-            CountFile(path, "second doser", self.doser._pump._counter.tick_ul)
+            CountFile(path, "second doser", 1.0)
         finally:
             other.unlink(missing_ok=True)
 
@@ -400,7 +400,7 @@ class Dosing(RuleBasedStateMachine):
                 assert not self.guard.undecided
                 self.tally["decided by a person"] += 1
                 if beside:  # the person was asked for the tank's content: what went beside it is in nobody's count
-                    self.uncounted_ul = self.bench.true_ul - self.doser._volume().volume_ul
+                    self.uncounted_ul = self.bench.true_ul - self.doser.last_known.volume_ul
 
     def say_what_cannot_be(self, doser: PumpDoser, wrong_ul: float, sign: int) -> None:
         _, low_ul, high_ul = doser.delivered()

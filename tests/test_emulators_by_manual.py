@@ -1072,7 +1072,7 @@ def test_no_report_whatsoever_ends_the_board(report: list[int], repeats: int) ->
     board = LightCrafter()
     for _ in range(repeats + 1):
         board.device.write(0x01, bytes(report))
-    while board.board._message:  # the rest of what it takes for a longer message
+    while board.board.waits_for_more:  # the rest of what it takes for a longer message
         board.device.write(0x01, bytes(64))
     board.wait(5.0)
     board.send(0xC0, 0x0200)

@@ -142,10 +142,10 @@ def test_a_camera_that_cannot_expose_whole_periods_is_not_fit(tmp_path, capsys):
 def test_the_doctor_compares_the_refreshes_that_were_measured_with_the_rig_file(measured_ms, passed):
     from types import SimpleNamespace
 
-    from drivers.health import _exposures
+    from drivers.health import exposure_checks
 
     projector = SimpleNamespace(swap_ms=(measured_ms,) * 32)
-    check = next(_exposures(ExposureRule(PERIOD_MS), {"projector": projector}))
+    check = next(exposure_checks(ExposureRule(PERIOD_MS), {"projector": projector}))
     assert (check.what, check.passed) == ("the projector's period is what the rig file says", passed)
     assert f"refresh_hz = {1000.0 / measured_ms:.2f}" in check.remedy
 

@@ -87,9 +87,10 @@ def test_a_mode_that_does_not_change_is_told():
 @pytest.mark.parametrize("state", [1, 2])
 def test_a_sequence_that_a_killed_program_left_running_or_paused_is_stopped_first(state):
     bench = LightcrafterBench()
-    left = bench.open()
-    left._link.write(0x1A24, bytes([state]))
-    left._link.close()
+    bench.open().close()
+    left = UsbLink(bench.board, bench.clock)
+    left.write(0x1A24, bytes([state]))
+    left.close()
     del bench.board.commands[:]
     bench.open()
     assert bench.displaying
@@ -192,11 +193,14 @@ def test_a_read_whose_reply_is_lost_is_asked_again_and_a_write_is_not():
     projector = bench.open()
     bench.faults.lost_replies = 1
     projector.confirm()
+    projector.close()
+    link = UsbLink(bench.board, bench.clock)
     before = len(bench.sent(0x1A24))
     bench.faults.lost_replies = 1
     with pytest.raises(DeviceError, match="did not answer 1A24 in time"):
-        projector._link.write(0x1A24, b"\2")
+        link.write(0x1A24, b"\2")
     assert len(bench.sent(0x1A24)) == before + 1
+    link.close()
 
 
 def test_a_pulled_cable_is_told_at_once():

@@ -127,7 +127,7 @@ def test_a_wrong_fit_is_doubted_once_and_a_saturated_dose_says_why_it_is_not(
 def test_of_a_run_without_waves_nothing_is_read(recorded: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor is anything separated: every frame of a fast run would wait for it."""
     asked = []
-    monkeypatch.setattr(SheetsSoFar, "_at", lambda _, dose_ml: asked.append(dose_ml) or Separated())
+    monkeypatch.setattr(Separated, "of_run", lambda _, dose_ml: asked.append(dose_ml) or Separated())
     list(fitted(recorded, SheetsSoFar(recorded.path), monkeypatch, INK))
     assert set(asked) == {THIN_ML, MORE_ML}
     asked.clear()

@@ -149,7 +149,7 @@ def test_what_is_kept_is_read_again_and_a_file_of_other_shapes_is_not(
     """Kernels and products must never read what a damaged file happens to hold."""
     made: list[object] = []
     monkeypatch.setattr(preparation, "assemble", lambda *given: made.append(given) or live.answer)
-    monkeypatch.setattr(preparation, "_images", lambda *_: None)
+    monkeypatch.setattr(preparation, "training_images", lambda *_: None)
     again = tankrig.prepare(SCENE, TOLERANCE, box=BOX, phases="any")
     medium = Medium(0.0004, 0.01, phase=BEAD)
     assert made == []

@@ -161,7 +161,7 @@ def test_light_of_low_orders_alone_makes_no_difference_but_noise(monkeypatch: py
     scene = scene_of(medium_of(8.0, 0.02, 0.6))
     images = {}
     for every in (1, 4):
-        monkeypatch.setattr(high, "_low_per_full", lambda *_, every=every: every)
+        monkeypatch.setattr(high, "low_per_full", lambda *_, every=every: every)
         images[every] = tankrig.predict(scene, tolerance=0.012)
     apart = relative(images[4].image, images[1].image)
     assert 0.0 < apart < 2.5 * math.hypot(images[1].error, images[4].error)

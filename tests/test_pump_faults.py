@@ -11,7 +11,9 @@ from typing import Any
 import pytest
 
 from drivers.clock import SystemClock
+from drivers.new_era.wire import packet
 from drivers.registry import open_device
+from drivers.serial_line import NoReplyError, SerialLine, open_port
 from tankrig.errors import DeviceError, UndecidedError
 
 from .doser_bench import AnyBench, CavroBench, NewEraBench
@@ -72,10 +74,19 @@ def test_an_error_in_the_answer_to_a_repeated_move_does_not_mean_that_it_did_not
     """Obeyed, power cut before the answer, repeated: the pump, not initialised now, refuses the repeat."""
     with CavroBench(tmp_path) as bench:
         doser = bench.open()
-        pump = doser._plunger
-        go, pump.go = pump.go, lambda unless: (bench.faults(delay_ms=200.0, reset_after=3), go(unless))[1]
+        port, moves = bench.port_of(doser), []
+        write = port.write
+
+        def write_and_cut(data: bytes) -> int:
+            if b"A2850R" in data and not moves:  # 150 of 3000 increments
+                bench.faults(delay_ms=200.0, reset_after=3)
+            moves.extend([data] if b"A2850R" in data else [])
+            return write(data)
+
+        port.write = write_and_cut
         with pytest.raises(UndecidedError):
             doser.dose_to(50.0)
+        assert len(moves) > 1, "it was not repeated"
         assert bench.true_ul > 0.0
         assert_bounds_hold(doser, bench)
 
@@ -164,7 +175,10 @@ def test_a_new_era_pump_set_to_another_diameter_is_set_right_and_keeps_its_count
         doser = bench.open()
         doser.dose_to(20.0)
         doser.close()
-        bench.board.core._kept.update(dia=10.0, steps=0)  # by its keypad
+        with open_port(str(tmp_path / "doser"), 19200, "somebody else", SystemClock(0.2)) as port:
+            port.write(b"\r0DIA10.00\r")
+            assert b"00S\x03" in port.read_until(b"\x03")
+        assert bench.board.command({})["board"]["dia"] == 10.0
         again = bench.open()
         assert again.delivered().volume_ul == pytest.approx(19.7, abs=0.2)
         again.dose_to(30.0)
@@ -277,13 +291,13 @@ def test_the_limit_of_the_rig_file_holds_before_anything_moves(bench: AnyBench) 
 def test_a_stop_just_before_it_sets_off_wins(bench: AnyBench) -> None:
     """The stop comes after everything was made ready and before the pump is told to go."""
     doser = bench.open()
-    prepare = doser._pump.prepare
-    doser._pump.prepare = lambda *args: (prepare(*args), doser.stop())
+    prepare = doser.pump.prepare
+    doser.pump.prepare = lambda *args: (prepare(*args), doser.stop())
     with pytest.raises(DeviceError, match="stop"):
         doser.dose_to(50.0)
     assert bench.true_ul == 0.0
     assert not doser.unknown
-    doser._pump.prepare = prepare
+    doser.pump.prepare = prepare
     doser.clear_stop()
     doser.dose_to(50.0)
 
@@ -292,25 +306,24 @@ def test_new_era_settings_that_do_not_read_back_are_refused(tmp_path: Path) -> N
     """A pump that keeps another volume than it was told must not run."""
     with NewEraBench(tmp_path) as bench:
         doser = bench.open()
-        core = bench.board.core
-        core._do_vol, really = (lambda text, _: "" if text else "100.0UL"), core._do_vol
+        port = bench.port_of(doser)
+        write = port.write
+        port.write = lambda data: write(packet("0VOL100.0") if b"VOL9.700" in data else data)
         with pytest.raises(DeviceError, match=r"VOL reads back as '100.0UL' and not '9.700UL'"):
             doser.dose_to(10.0)
-        core._do_vol = really
+        port.write = write
         assert bench.true_ul == 0.0
         assert not doser.unknown
 
 
 def test_a_late_reply_is_not_taken_for_another() -> None:
     """A Cavro answer names nothing: after one that did not come in time the line has to fall silent first."""
+    from drivers.cavro import wire
     from drivers.cavro.emulator.frames import Reader, answered
-    from drivers.cavro.pump import CavroPump
-    from drivers.cavro.settings import CavroSettings
 
     master, slave = os.openpty()
     tty.setraw(slave)
-    given = {"port": os.ttyname(slave), "syringe_ul": 1000, "speed_ul_per_s": 100, "count_file": "unused"}
-    pump = CavroPump(CavroSettings(**given), "pump", SystemClock(0.2))
+    line = SerialLine(os.ttyname(slave), 9600, "pump", wire.replies, lambda _: None, SystemClock(0.2))
 
     def answer() -> None:
         reader, asked = Reader(), 0
@@ -322,8 +335,10 @@ def test_a_late_reply_is_not_taken_for_another() -> None:
 
     device = threading.Thread(target=answer)
     device.start()
-    assert pump._ask("?", str.isdigit).data == "2000"
+    with pytest.raises(NoReplyError):
+        line.exchange(wire.command(1, 1, "?"), wire.reply)
+    assert line.exchange(wire.command(1, 2, "?"), wire.reply).data == "2000"
     device.join()
-    pump.close()
+    line.close()
     os.close(master)
     os.close(slave)

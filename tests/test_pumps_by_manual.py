@@ -14,14 +14,15 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
 
+from drivers.cavro import wire
 from drivers.cavro.doser import CavroDoser
 from drivers.cavro.emulator.core import MODELS
 from drivers.cavro.emulator.core import Habits as CavroHabits
 from drivers.cavro.settings import CavroSettings
-from drivers.counted.record import Begun
+from drivers.counted.record import Begun, CountFile
 from drivers.new_era.doser import NewEraDoser
 from drivers.new_era.emulator.core import Habits as NewEraHabits
-from drivers.new_era.pump import _four_digits, _rate
+from drivers.new_era.pump import four_digits, rate_in_unit
 from drivers.new_era.settings import NewEraSettings
 from drivers.rig_doser.doser import RigDoser
 from drivers.rig_doser.settings import RigDoserSettings
@@ -111,10 +112,9 @@ def test_what_a_cavro_is_set_to_is_what_it_tells(tmp_path: Path) -> None:
         with cavro(folder, replace(BY_MANUAL, speed_rounding=0), speed_ul_per_s=speed) as bench:
             doser = bench.open()
             doser.dose_to(5.0)
-            told = [int(doser._plunger._ask(f"?{which}", str.isdigit).data) for which in (2, 1, 3)]
             top = round(6.0 * speed)
             start = min(900, top)
-            assert told == [top, start, start]
+            assert bench.board.command({})["board"]["speeds"] == {"V": top, "v": start, "c": start}
 
 
 @given(speed=st.floats(0.5, 2000.0), syringe_ul=st.sampled_from([50.0, 250.0, 1000.0, 5000.0]), fine=st.booleans())
@@ -191,7 +191,7 @@ def test_answers_that_come_late_are_not_taken_for_others(
                 doser.dose_to(total_ul)
             with suppress(DeviceError):
                 doser.delivered()
-            _, low_ul, high_ul = doser._volume()
+            _, low_ul, high_ul = doser.last_known
             assert low_ul - 1e-9 <= bench.true_ul <= min(high_ul, 110.0) + 1e-9
 
 
@@ -199,13 +199,14 @@ def test_the_proof_of_order_sets_nothing(tmp_path: Path) -> None:
     """It used to set the start speed, which a pump changes by itself, and which counts for the next move."""
     with cavro(tmp_path, speed_ul_per_s=60.0) as bench:
         doser = bench.open()
-        asked: list[str] = []
-        once = doser._plunger._once
-        doser._plunger._once = lambda request, *rest: (asked.append(request[3:-2].decode()), once(request, *rest))[1]
+        port, asked, proofs = bench.port_of(doser), [], set()
+        write = port.write
+        port.write = lambda data: (asked.append(data[3:-2].decode()), write(data))[1]
         for _ in range(20):
-            doser._plunger._prove_order()
-        assert set(asked) == {"?", "&"}
-        assert {tuple(asked[i : i + 3]) for i in range(0, 60, 3)} == {("?", "?", "&"), ("&", "&", "?")}
+            asked.clear()
+            doser.delivered()
+            proofs.add(tuple(asked[: asked.index("Q")]))
+        assert proofs == {("?", "?", "&"), ("&", "&", "?")}
 
 
 @STRICT
@@ -226,11 +227,14 @@ def test_an_error_left_over_from_another_command_is_not_taken_for_a_refusal(tmp_
     """Every answer after an error carries it, until `Q` has told it."""
     with cavro(tmp_path, speed_ul_per_s=60.0) as bench:
         doser = bench.open()
-        for wrong in ("V9R", "v1R", "G9", "A99999R", "!R"):
-            bench.clock.sleep(0.1)
-            doser._plunger._ask(wrong, "".__eq__)
-            doser._plunger._command("N0R")
-        doser.dose_to(30.0)
+        for number, wrong in enumerate(("V9R", "v1R", "G9", "A99999R", "!R"), 1):
+            bench.world.advance(0.1)
+            bench.port_of(doser).write(wire.command(1, number, wrong))
+            bench.world.advance(0.1)
+            (told,) = wire.replies(bytearray(bench.port_of(doser).received))
+            assert bool(wire.reply(told).error) is (wrong in ("v1R", "A99999R", "!R"))
+            doser.dose_to(6.0 * number)
+        assert bench.true_ul == pytest.approx(30.0, abs=doser.increment_ul)
 
 
 def test_a_full_syringe_is_initialised_in_the_time_that_it_takes(tmp_path: Path) -> None:
@@ -268,17 +272,20 @@ def test_a_pump_that_begins_anew_by_itself_may_have_delivered_anything(tmp_path:
     with new_era(tmp_path, habits=replace(NEW_ERA, power_failure=True), rate_ml_per_min=3.0) as bench:
         doser = bench.open()
         doser.dose_to(50.0)
-        pump = doser._pump._counter
-        pump._set("PF", "1")
-        doser._pump._file.update(begun=Begun("dose", 300_000))
         doser.close()
+        bench.cable.carry(b"0PF1\r", 19200)
+        bench.world.advance(0.1)
+        assert bench.board.command({})["board"]["pf"] == 1
+        left = CountFile(tmp_path / "count", "an earlier version", 0.001)
+        left.update(begun=Begun("dose", 300_000))
+        left.close()
         again = bench.open()
         assert again.unknown
         again.resolve(380.9)
         again.clear_stop()
         assert again.delivered().volume_ul == pytest.approx(380.9, abs=0.1)
         again.dose_to(400.0)
-        assert again._pump._counter._query("PF") == "0"
+        assert bench.board.command({})["board"]["pf"] == 0
 
 
 def test_a_pump_that_cannot_tell_its_power_failure_mode_needs_a_persons_word(tmp_path: Path) -> None:
@@ -390,7 +397,7 @@ def test_it_runs_only_what_was_read_back_in_the_same_life(tmp_path: Path, what: 
                 doser.dose_to(10.0)
             refused += bench.true_ul < 9.0
             assert bench.true_ul <= 10.0
-            low_ul, high_ul = doser._volume()[1:]
+            low_ul, high_ul = doser.last_known[1:]
             assert low_ul - 1e-9 <= bench.true_ul <= high_ul + 1e-9
             if next(left) >= 0:
                 break
@@ -453,10 +460,9 @@ def test_a_stop_reaches_it_in_either_mode(tmp_path: Path) -> None:
     with new_era(tmp_path, rate_ml_per_min=3.0) as bench:
         doser = bench.open()
         doser.dose_to(10.0)
-        doser._pump._counter.prepare(100_000, doser._pump._file.record.seen)
-        doser._pump._counter.go(lambda: False)
-        doser._pump._counter.leave_alone()
-        bench.world.advance(0.3)
+        for typed in (b"0PHN1\r", b"0VOL100.0\r", b"0RUN\r"):
+            bench.cable.carry(typed, 19200)
+            bench.world.advance(0.1)
         assert bench.moving
         doser.stop()
         bench.world.advance(0.1)
@@ -464,13 +470,13 @@ def test_a_stop_reaches_it_in_either_mode(tmp_path: Path) -> None:
 
 
 @given(value=st.floats(1e-3, 9999.4))
-def test_numbers_have_four_digits_at_most(value: float) -> None:
+def test_numbers_havefour_digits_at_most(value: float) -> None:
     """9.9996 went out as 10.000."""
-    text = _four_digits(value)
+    text = four_digits(value)
     assert sum(map(str.isdigit, text)) <= 4
     assert len(text.partition(".")[2]) <= 3
     assert float(text) == pytest.approx(value, abs=0.5e-3, rel=0.6e-3)
-    rate, unit = _rate(value / 100.0)
+    rate, unit = rate_in_unit(value / 100.0)
     assert float(rate) * {"MM": 1.0, "UM": 1e-3, "UH": 1e-3 / 60}[unit] == pytest.approx(value / 100.0, rel=2e-3)
 
 
@@ -482,7 +488,6 @@ def test_a_person_settles_a_stall_of_either_version(tmp_path: Path) -> None:
         (folder := tmp_path / str(protocol)).mkdir()
         with Bench(folder, world=World(), protocol=protocol, rate=400.0) as bench:
             doser = bench.open()
-            assert doser._pump._identity.protocol == protocol
             bench.faults(stall_after=100)
             with pytest.raises(UndecidedError):
                 doser.dose_to(30.0)
@@ -528,7 +533,7 @@ def test_a_lost_reply_is_told_within_three_seconds(kind: str, deaf: bool, tmp_pa
             except DeviceError:
                 assert silent_s, "it failed before anything was lost"
                 longest_s = max(longest_s, bench.world.now_s - silent_s[0])
-            low_ul, high_ul = doser._volume()[1:]
+            low_ul, high_ul = doser.last_known[1:]
             assert low_ul - 1e-9 <= bench.true_ul <= high_ul + 1e-9
         number += 1
     print(f"{kind}: {number} writes, longest {longest_s:.2f} s")

@@ -206,8 +206,8 @@ def test_a_stop_that_crosses_a_clear_wins(bench: Bench, doser: RigDoser) -> None
     assert bench.true_ul == 0.0
 
 
-def test_noise_that_looks_like_a_stop_byte_stops_and_is_told(doser: RigDoser) -> None:
-    doser._pump.stop()
+def test_noise_that_looks_like_a_stop_byte_stops_and_is_told(bench: Bench, doser: RigDoser) -> None:
+    bench.port_of(doser).write(b"\x18")
     with pytest.raises(DeviceError, match="stop is latched"):
         doser.dose_to(10.0)
     doser.clear_stop()

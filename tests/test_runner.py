@@ -153,7 +153,7 @@ def test_abort_reaches_the_doser_at_once_while_the_camera_hangs(tmp_path):
 def test_a_failing_device_stops_the_doser_first_then_goes_dark(tmp_path, monkeypatch):
     rig = memory_rig(tmp_path)
     order = []
-    monkeypatch.setattr("tankrig.run.pattern_display._CAMERA_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("tankrig.run.pattern_display.CAMERA_TIMEOUT_S", 0.05)
     real_show = rig.projector.show
     real_stop = rig.doser.stop
     rig.projector.show = lambda pattern: (order.append(f"show {pattern.name}"), real_show(pattern))[1]

@@ -30,7 +30,7 @@ from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.loading import whole_scene
 from tankrig.scene.writing import scene_text
 from ui.cli import main
-from ui.cli.fit import _Measured, _Raw
+from ui.cli.fit import Measured, RawPicture
 
 SEQUENCE = """name = "one"
 [patterns.ray]
@@ -322,11 +322,11 @@ def test_a_fit_tells_a_board_from_ink_and_a_camera_that_has_moved(
     assert not Path("out").exists()
     there = whole_scene(scene)
     camera = there.camera
-    measured = _Measured(rig, cast(Any, None), "radiometry.toml", camera)
-    assert _Raw(10.0, 1.0, None, measured, False).notes(there, Path(scene)) == []
+    measured = Measured(rig, cast(Any, None), "radiometry.toml", camera)
+    assert RawPicture(10.0, 1.0, None, measured, False).notes(there, Path(scene)) == []
     x, y, z = camera.position_mm or (0.0, 0.0, 0.0)
     moved = replace(there, camera=replace(camera, position_mm=(x + 3.0, y, z + 4.0)))
-    (note,) = _Raw(10.0, 1.0, None, measured, False).notes(moved, Path(scene))
+    (note,) = RawPicture(10.0, 1.0, None, measured, False).notes(moved, Path(scene))
     assert "stands 5 mm from where" in note
     assert "export the scene anew" in note
-    assert "radiometry is not applied" in _Raw(10.0, 1.0, None, None, False).notes(there, Path(scene))[0]
+    assert "radiometry is not applied" in RawPicture(10.0, 1.0, None, None, False).notes(there, Path(scene))[0]

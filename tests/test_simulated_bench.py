@@ -18,6 +18,7 @@ from drivers.simulated.bench_truth import TrueBench, random_bench
 from drivers.simulated.camera import SimulatedCamera
 from drivers.simulated.light import frame_buffer
 from drivers.simulated.picture_store import PictureStore
+from drivers.simulated.settings import Sensor
 from tankrig.devices import CameraSettings
 from tankrig.errors import SceneError
 from tankrig.light.tank import tank_image
@@ -63,7 +64,7 @@ def test_order_1_is_the_monte_carlos(bench: TrueBench, monkeypatch: pytest.Monke
     back = blocks(scattered_once(bench, thrown(bench, light), INK))
     off = []
     for cell_mm in (2.0, 1.0, 0.5):
-        monkeypatch.setattr(bench_ink, "_CELL_MM", cell_mm)
+        monkeypatch.setattr(bench_ink, "CELL_MM", cell_mm)
         forth = first_order(bench_ink.true_scene(bench, light, INK, 3))
         assert back.sum() == pytest.approx(forth.sum(), rel=0.004)
         off.append(float(np.linalg.norm(back - forth) / np.linalg.norm(forth)))
@@ -76,7 +77,7 @@ def test_all_orders_are_the_monte_carlos(bench: TrueBench) -> None:
     """Through a lens that neither blurs nor darkens the corners, in pixels of 4 mm."""
     sharp = replace(bench, camera=replace(bench.camera, blur_px=0.01, vignetting=0.0))
     light = pattern(LEFT, RIGHT)
-    seen = InkInView(sharp, 0.01, 0, PictureStore(Path("nowhere")), "sharp")._computed(light, INK)
+    seen = InkInView(sharp, 0.01, 0, PictureStore(Path("nowhere")), "sharp").computed(light, INK)
     true = simulate(bench_ink.true_scene(sharp, light, INK, 3), 400_000, seed=9, min_order=2)
     more = blocks(seen.image - scattered_once(sharp, thrown(sharp, light), INK))
     assert more.sum() == pytest.approx(true.image.sum(), rel=0.01)
@@ -134,7 +135,7 @@ def test_a_picture_is_computed_once_for_all_who_ask(
 ) -> None:
     first = InkInView(bench, 0.05, 0, PictureStore(tmp_path), "bench 5").radiance(pattern(LEFT), INK)
     later = InkInView(bench, 0.05, 0, PictureStore(tmp_path), "bench 5")
-    monkeypatch.setattr(later, "_computed", None)
+    monkeypatch.setattr(later, "computed", None)
     np.testing.assert_array_equal(later.radiance(pattern(LEFT), INK).image, first.image)
     other = InkInView(bench, 0.05, 1, PictureStore(tmp_path), "bench 5").radiance(pattern(LEFT), INK)
     assert (other.image != first.image).any()
@@ -182,7 +183,7 @@ def test_a_board_is_seen_while_it_is_held_and_then_the_tank(camera: SimulatedCam
 
 def test_twice_the_exposure_is_twice_the_light(camera: SimulatedCamera, tmp_path: Path) -> None:
     frame_buffer(tmp_path).show(pattern(LEFT, RIGHT), lit_ns=1)
-    black = camera._settings.sensor.black
+    black = Sensor().black
     light = []
     for exposure_ms in (100.0, 200.0):
         camera.configure(CameraSettings(exposure_ms))

@@ -23,7 +23,7 @@ from drivers.simulated.settings import (
     SimulatedProjectorSettings,
     Truth,
 )
-from drivers.simulated.tank import SimulatedTank
+from drivers.simulated.tank import Radiance, SimulatedTank
 from tankrig.bench import Bench
 from tankrig.devices import CameraSettings
 from tankrig.errors import DeviceError
@@ -197,12 +197,28 @@ def test_the_same_seed_gives_the_same_frames(tmp_path: Path) -> None:
     assert (frames[0] != frames[2]).any()
 
 
-def test_no_frame_is_lost_to_the_time_that_computing_a_picture_takes(rig) -> None:
+class SlowView:
+    """Whose pictures take longer than several exposures to compute."""
+
+    shape, computed = BENCH.camera.shape, 0
+
+    def radiance(self, *_: object) -> Radiance:
+        self.computed += 1
+        time.sleep(0.3)
+        return Radiance(np.ones(self.shape), np.zeros(self.shape))
+
+    def blob(self, *_: object) -> np.ndarray:
+        return np.ones(self.shape)
+
+
+def test_no_frame_is_lost_to_the_time_that_computing_a_picture_takes(rig, tmp_path: Path) -> None:
     projector, camera = rig
+    slow = SlowView()
+    camera.tank = SimulatedTank(TRUTH, tmp_path / "state", 0, slow)
     camera.configure(CameraSettings(1000.0))
     flip = projector.show(SHEET)
     frames = [camera.capture(flip.bound_ns, 5.0)]
-    assert len(camera.tank._images) == 1
+    assert slow.computed == 1
     frames.append(camera.capture(frames[0].exposure_start_ns, 5.0))
     assert frames[1].sequence == frames[0].sequence + 1
 

@@ -387,7 +387,7 @@ def test_a_frame_of_another_format_is_refused_and_the_run_goes_on(tmp_path):
 
 def test_a_slow_disk_holds_the_experiment_back_and_drops_nothing(tmp_path, monkeypatch):
     """With room for two frames and a disk that answers late, putting waits."""
-    monkeypatch.setattr("tankrig.run.writer._QUEUE_BYTES", 0)
+    monkeypatch.setattr("tankrig.run.writer.QUEUE_BYTES", 0)
     gate = threading.Event()
     real = os.fsync
 

@@ -25,7 +25,7 @@ DOSES = 3
 
 def sequence(until: Until | None) -> Sequence:
     """The demo's, with more frames of each pattern."""
-    whole = demo._sequence(DOSES)
+    whole = demo.sequence_of(demo.DOSES_UL[:DOSES])
     (series,) = whole.steps
     assert isinstance(series, Series)
     steps = tuple(
@@ -45,7 +45,7 @@ def test_stopping_when_enough_is_known_saves_frames_and_patterns(
     found = {}
     for name, until in (("all", None), ("until", Until(sigma_s="0.2 %", g=0.002))):
         path = tmp_path / name
-        runner = open_runner(sequence(until), path, demo._rig(path))
+        runner = open_runner(sequence(until), path, demo.rig_beside(path, demo.TRUTH))
         with fitted_live(runner, patience_s=900.0):
             assert runner.run().reason is FinishReason.COMPLETED
         run = open_run(path)

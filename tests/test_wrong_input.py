@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from tankrig.errors import ImageError, StoreError
-from ui.cli import _status, main
+from ui.cli import exit_status, main
 
 from .fuzz_batch import FORMATS
 
@@ -161,10 +161,10 @@ def test_a_disk_that_is_full_is_a_failure_however_often_it_was_put_into_words() 
     full = StoreError("the run cannot be written")
     full.__cause__ = StoreError("a frame cannot be written")
     full.__cause__.__cause__ = OSError(errno.ENOSPC, "No space left on device")
-    assert _status(full) == 1
+    assert exit_status(full) == 1
     itself = ImageError("no image")
     itself.__cause__ = itself
-    assert _status(itself) == 2
+    assert exit_status(itself) == 2
 
 
 @pytest.mark.long

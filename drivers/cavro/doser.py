@@ -21,7 +21,7 @@ class CavroDoser(PumpDoser):
         Its time, and how its port is opened (tests).
     """
 
-    _pump: CountedPump
+    pump: CountedPump
 
     def __init__(self, settings: CavroSettings, clock: Clock | None = None, opener: PortOpener = open_port) -> None:
         name, time = f"Cavro pump on {settings.port}", clock or SystemClock(settings.time_scale)
@@ -45,6 +45,6 @@ class CavroDoser(PumpDoser):
             If it cannot.
         """
         with self._in_use("initialise"):
-            self._pump.counter_moved()
+            self.pump.counter_moved()
             self._plunger.initialise()
             self._read()

@@ -64,6 +64,11 @@ class PumpDoser:
     correction
         True volume of a nominal µl (`tankrig calibrate pump`).
 
+    Attributes
+    ----------
+    pump
+        Whoever speaks to it goes past all of these rules.
+
     Raises
     ------
     DeviceError
@@ -73,7 +78,7 @@ class PumpDoser:
     def __init__(
         self, pump: Pump, clock: Clock, *, dose_limit_ul: float | None = None, correction: float = 1.0
     ) -> None:
-        self._pump, self._clock = pump, clock
+        self.pump, self._clock = pump, clock
         self._correction, self._ticks_per_ul = correction, pump.ticks_per_ul / correction
         self._limit_ul = dose_limit_ul or math.inf
         self._dosing = threading.Lock()
@@ -98,22 +103,22 @@ class PumpDoser:
     @property
     def name(self) -> str:
         """For messages."""
-        return self._pump.name
+        return self.pump.name
 
     @property
     def identity(self) -> str:
         """Which count this is, wherever the pump is plugged in."""
-        return calibrated(self._pump.identity, self._correction)
+        return calibrated(self.pump.identity, self._correction)
 
     @property
     def increment_ul(self) -> float:
         """Smallest dose that makes sense, µl."""
-        return self._pump.increment / self._ticks_per_ul
+        return self.pump.increment / self._ticks_per_ul
 
     @property
     def dose_limit_ul(self) -> float:
         """Most for one dose: the device's own cap or the rig file's, µl."""
-        cap = self._pump.dose_cap
+        cap = self.pump.dose_cap
         return min(self._limit_ul, math.inf if cap is None else cap / self._ticks_per_ul)
 
     @property
@@ -124,7 +129,12 @@ class PumpDoser:
     @property
     def unknown(self) -> bool:
         """Whether the delivered volume is unknown and latched."""
-        return not self._accounted and not self._dosing.locked()
+        return not self._accounted and not self.dosing
+
+    @property
+    def dosing(self) -> bool:
+        """Whether a dose is under way."""
+        return self._dosing.locked()
 
     @property
     def _accounted(self) -> bool:
@@ -153,7 +163,7 @@ class PumpDoser:
                 self._refuse_if_too_much(target, total_ul)
                 while self._one_leg(target, total_ul):
                     pass
-                return self._volume()
+                return self.last_known
         finally:
             self._dosing.release()
 
@@ -171,10 +181,10 @@ class PumpDoser:
     def _refuse_if_too_much(self, target: int, total_ul: float) -> None:
         asked = f"{self.name}: asked to dose to {total_ul:g} µl, but"
         if target < self._known.best:
-            raise DeviceError(f"{asked} {self._volume().volume_ul:g} µl have been delivered already")
+            raise DeviceError(f"{asked} {self.last_known.volume_ul:g} µl have been delivered already")
         if (target - self._known.low) / self._ticks_per_ul > self.dose_limit_ul + 1e-9:
             raise DeviceError(f"{asked} one dose may have {self.dose_limit_ul:g} µl at most; dose in smaller steps")
-        if refusal := self._pump.refusal(target, self._known):
+        if refusal := self.pump.refusal(target, self._known):
             raise DeviceError(f"{asked} {refusal}")
 
     def _one_leg(self, target: int, total_ul: float) -> bool:
@@ -182,13 +192,13 @@ class PumpDoser:
         failed = f"dosing to {total_ul:g} µl failed"
         leg = None
         try:
-            if (leg := self._pump.prepare(target)) is None:
+            if (leg := self.pump.prepare(target)) is None:
                 return False
             if self.stopped:
                 raise DeviceError(f"{self.name}: stopped before it moved; clear the stop to go on")
             self._set_off(target, leg)
             self._follow(leg)
-            standing = self._adopt(self._pump.rest(leg))
+            standing = self._adopt(self.pump.rest(leg))
         except BaseException as error:
             self.stop()
             self._settle()
@@ -201,7 +211,7 @@ class PumpDoser:
         if not self._accounted:
             raise self._undecided(f"{failed} ({standing.why})")
         raise DeviceError(
-            f"{self.name}: stopped at {self._volume().volume_ul:g} µl on the way to {total_ul:g} µl: {standing.why}; "
+            f"{self.name}: stopped at {self.last_known.volume_ul:g} µl on the way to {total_ul:g} µl: {standing.why}; "
             "clear the stop to go on"
         )
 
@@ -209,7 +219,7 @@ class PumpDoser:
         before, self._state, self._leg = self._known, State.UNDER_WAY, leg
         self._known = before._replace(high=max(target, before.high))
         try:
-            self._pump.set_off(target, leg, self._stop_asked.is_set)
+            self.pump.set_off(target, leg, self._stop_asked.is_set)
         except NotSetOffError:
             self._known, self._state = before, State.AT_REST
             raise
@@ -221,8 +231,8 @@ class PumpDoser:
         moving, certain = True, self._known.low
         while moving:
             if self._clock.wait(self._stop_asked, POLL_S):
-                self._pump.stop()
-            moving, heard = self._pump.poll()
+                self.pump.stop()
+            moving, heard = self.pump.poll()
             if moving and heard and heard.low > self._known.high:
                 told_ul, most_ul = (ticks / self._ticks_per_ul for ticks in (heard.low, self._known.high))
                 raise DeviceError(f"{self.name}: counts {told_ul:g} µl where {most_ul:g} were asked, and still moves")
@@ -247,7 +257,7 @@ class PumpDoser:
         """After a fault: learn what was delivered, or leave it unknown at once, until the pump answers again."""
         if self._state is State.UNDER_WAY:
             with suppress(DeviceError):
-                self._adopt(self._pump.rest(self._leg))
+                self._adopt(self.pump.rest(self._leg))
         if self._state is State.UNDER_WAY:
             self._leave_unknown(self._known)
 
@@ -278,14 +288,14 @@ class PumpDoser:
         if begins:
             self._stop_asked.set()
         if begins or narrowed:
-            self._pump.remember_unknown(low, high)
+            self.pump.remember_unknown(low, high)
 
     def _read(self) -> Standing:
         leg = None if self._accounted else self._leg
         try:
             with suppress(NoReplyError):
-                return self._adopt(self._pump.rest(leg))
-            return self._adopt(self._pump.rest(leg))  # a bad line may lose two replies in a row
+                return self._adopt(self.pump.rest(leg))
+            return self._adopt(self.pump.rest(leg))  # a bad line may lose two replies in a row
         except LineLostError:
             self._stop_asked.set()
             raise
@@ -293,12 +303,12 @@ class PumpDoser:
     def _ask_again(self) -> str | None:
         """A pump that has been silent may answer again, and know what it has delivered; tells what troubles it."""
         with suppress(DeviceError):
-            if self._pump.answers():
+            if self.pump.answers():
                 return self._read().trouble
         return None
 
     def _undecided(self, what: str) -> UndecidedError:
-        bounds = self._volume()
+        bounds = self.last_known
         return UndecidedError(
             f"{self.name}: {what}; it has delivered between {bounds.low_ul:g} and {bounds.high_ul:g} µl in all: "
             "open it again, or say how much it was"
@@ -308,7 +318,7 @@ class PumpDoser:
 
     def delivered(self) -> Delivered:
         """What has been delivered, with hard bounds; while it doses, by what the dosing thread has heard last."""
-        if not self._dosing.locked() and self._using.acquire(blocking=False):
+        if not self.dosing and self._using.acquire(blocking=False):
             try:
                 if not self._closed and self._accounted:
                     self._read()
@@ -316,7 +326,7 @@ class PumpDoser:
                     self._ask_again()
             finally:
                 self._release()
-        return self._volume()
+        return self.last_known
 
     def trouble(self) -> str | None:
         """Why it cannot dose, and what to do; None if it can."""
@@ -328,7 +338,7 @@ class PumpDoser:
         with self._latch:
             self._stops_asked += 1
             self._stop_asked.set()
-        self._pump.stop()
+        self.pump.stop()
 
     def clear_stop(self) -> None:
         """Let the doser move again; does not move it. A stop that comes meanwhile wins.
@@ -341,7 +351,7 @@ class PumpDoser:
         stops_asked = self._stops_asked
         with self._in_use("clear its stop"):
             self._read()
-            self._pump.clear()
+            self.pump.clear()
             with self._latch:
                 if self._stops_asked != stops_asked:
                     raise DeviceError(f"{self.name}: cannot clear its stop: it has been stopped again meanwhile")
@@ -361,7 +371,7 @@ class PumpDoser:
             if self._accounted:
                 raise DeviceError(f"{self.name}: knows what it has delivered; nothing to resolve")
             self._read()
-            said, slack, bounds = self._ticks(volume_ul), self._pump.increment, self._volume()
+            said, slack, bounds = self._ticks(volume_ul), self.pump.increment, self.last_known
             if not self._known.low - slack <= said <= self._known.high + slack:
                 raise DeviceError(
                     f"{self.name}: {volume_ul:g} µl cannot have been delivered in all; "
@@ -374,7 +384,7 @@ class PumpDoser:
         low, high = self._known.low, self._known.high
         between = volume_ul * self._ticks_per_ul - said > 1e-6
         word = Count(*(min(max(ticks, low), high) for ticks in (said, said, said + between)))
-        self._pump.assign(word)
+        self.pump.assign(word)
         self._known, self._state = word, State.AT_REST
 
     @contextmanager
@@ -398,7 +408,7 @@ class PumpDoser:
         """Nobody uses the pump for now. One that may still move keeps its watchdog."""
         if self._accounted:
             with suppress(DeviceError):
-                self._pump.leave_alone()
+                self.pump.leave_alone()
 
     def close(self) -> None:
         """Stop a dose that runs, and let go of the port."""
@@ -406,22 +416,24 @@ class PumpDoser:
             return
         self._closed = True
         atexit.unregister(self.close)
-        if self._dosing.locked():
+        if self.dosing:
             self.stop()
         ended = self._using.acquire(timeout=_WAIT_S * self._clock.scale)
         if ended:
             self._leave_alone()
-        self._pump.close()
+        self.pump.close()
         if ended:
             self._using.release()
 
     # -- ticks and volumes -------------------------------------------------------------------------------------------
 
     def _ticks(self, total_ul: float) -> int:
-        if not math.isfinite(total_ul) or not 0 <= total_ul * self._ticks_per_ul <= self._pump.most:
+        if not math.isfinite(total_ul) or not 0 <= total_ul * self._ticks_per_ul <= self.pump.most:
             raise DeviceError(f"{self.name}: {total_ul:g} µl is not a volume it can deliver")
         return math.floor(total_ul * self._ticks_per_ul + 1e-6)
 
-    def _volume(self) -> Delivered:
+    @property
+    def last_known(self) -> Delivered:
+        """What has been delivered, with hard bounds, by what was heard of the pump last: it is not asked."""
         now, scale = self._known, self._ticks_per_ul
         return Delivered(now.best / scale, now.low / scale, now.high / scale)

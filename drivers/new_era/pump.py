@@ -129,7 +129,7 @@ class NewEraPump:
 
     def _set_rate(self) -> None:
         """The rate of phase 1, which depends on the diameter that is set."""
-        rate, unit = _rate(self._settings.rate_ml_per_min)
+        rate, unit = rate_in_unit(self._settings.rate_ml_per_min)
         self._set("PHN", "1")
         self._set("FUN", "RAT")
         refused = self._ask(f"RAT{rate}{unit}", _done_or_refused).error
@@ -267,7 +267,7 @@ class NewEraPump:
         self._set("PHN", "1")
         self._expect(
             DIA=self._diameter,
-            RAT="".join(_rate(self._settings.rate_ml_per_min)),
+            RAT="".join(rate_in_unit(self._settings.rate_ml_per_min)),
             VOL=f"{wire.number(ticks)}{self._unit}",
             DIR="INF",
             FUN="RAT",
@@ -320,7 +320,7 @@ class NewEraPump:
 
     @property
     def _diameter(self) -> str:
-        return _four_digits(self._settings.diameter_mm)
+        return four_digits(self._settings.diameter_mm)
 
     def _query(self, command: str) -> str:
         return self._ask(command, _SHAPES[command].fullmatch).data
@@ -441,23 +441,23 @@ def _done_or_refused(text: str) -> bool:
     return text == "" or text.startswith("?")
 
 
-def _rate(ml_per_min: float) -> tuple[str, str]:
+def rate_in_unit(ml_per_min: float) -> tuple[str, str]:
     """A rate as the pump takes it, in the unit that shows most of it.
 
-    >>> _rate(5.0), _rate(0.25), _rate(1e-5)
+    >>> rate_in_unit(5.0), rate_in_unit(0.25), rate_in_unit(1e-5)
     (('5.000', 'MM'), ('250.0', 'UM'), ('0.600', 'UH'))
     """
     if ml_per_min >= 1.0:
-        return _four_digits(ml_per_min), "MM"
+        return four_digits(ml_per_min), "MM"
     if ml_per_min >= 1e-3:
-        return _four_digits(1e3 * ml_per_min), "UM"
-    return _four_digits(60e3 * ml_per_min), "UH"
+        return four_digits(1e3 * ml_per_min), "UM"
+    return four_digits(60e3 * ml_per_min), "UH"
 
 
-def _four_digits(value: float) -> str:
+def four_digits(value: float) -> str:
     """A number in at most four digits.
 
-    >>> _four_digits(14.3256), _four_digits(0.5), _four_digits(9.9996), _four_digits(1000.0)
+    >>> four_digits(14.3256), four_digits(0.5), four_digits(9.9996), four_digits(1000.0)
     ('14.33', '0.500', '10.00', '1000')
     """
     shown = (f"{value:.{decimals}f}" for decimals in (3, 2, 1))

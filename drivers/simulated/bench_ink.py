@@ -13,7 +13,7 @@ from tankrig.scene.optics import ALL_BLACK, Face, Faces
 from .bench_optics import FINER, illumination, thrown
 from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
 
-_CELL_MM, _SAMPLES = 1.0, 4
+CELL_MM, _SAMPLES = 1.0, 4
 """Side of the cells in which the wall is lit evenly, and samples along it."""
 _DARK = 1e-4
 
@@ -49,7 +49,7 @@ def _beams(bench: TrueBench, pattern: Pattern) -> tuple[Beam, ...]:
     """Small squares of the wall, each evenly lit; W/mm² by white paper's radiance π · `TrueBench.full`."""
     import cv2
 
-    u, v, strength = _lit_wall(bench, _CELL_MM)
+    u, v, strength = _lit_wall(bench, CELL_MM)
     rows, columns = (n // _SAMPLES for n in strength.shape)
     light = cv2.remap(thrown(bench, pattern), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     cells = (light * strength).reshape(rows, _SAMPLES, columns, _SAMPLES).mean(axis=(1, 3)) * np.pi * bench.full

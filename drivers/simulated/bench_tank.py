@@ -77,14 +77,14 @@ class InkInView:
             of = f"{self._named} {pattern.hash} {medium}"
             found = self._store.get(of)
             if found is None:
-                found = np.stack(self._computed(pattern, medium)).astype(np.float32)
+                found = np.stack(self.computed(pattern, medium)).astype(np.float32)
                 self._store.put(of, found)
             while len(self._seen) >= _KEPT:
                 del self._seen[next(iter(self._seen))]
             self._seen[key] = Radiance(found[0], found[1])
         return self._seen[key]
 
-    def _computed(self, pattern: Pattern, medium: Medium) -> Radiance:
+    def computed(self, pattern: Pattern, medium: Medium) -> Radiance:
         """Through the camera's lens."""
         from .bench_multiple import scattered_more  # half a second, which boards need not wait for
         from .bench_single import looks_in, scattered_once

@@ -84,7 +84,7 @@ class BoardInView:
         """Rows and columns of the picture that the plate can be in."""
         rows, columns = self._bench.camera.shape
         y, x = np.linspace(-0.5, rows - 0.5, 81), np.linspace(-0.5, columns - 0.5, 121)
-        board, _ = self._on_board(*np.meshgrid(x, y))
+        board, _ = self.on_board(*np.meshgrid(x, y))
         inside = self._on_plate(board, 6.0)
         if not inside.any():
             return None
@@ -110,7 +110,7 @@ class BoardInView:
             for low, high in ((top, bottom), (left, right))
         ]
         self._window = fine[0] / (rows - 1) * 2.0 - 1.0, fine[1] / (columns - 1) * 2.0 - 1.0
-        board, points = self._on_board(*np.meshgrid(nodes_x, nodes_y))
+        board, points = self.on_board(*np.meshgrid(nodes_x, nodes_y))
         u, v = (_spline(nodes_y, nodes_x, board[..., k], fine) for k in range(2))
         margin = self._board.margin_mm
         where = [((one + margin) * _TEXELS_PER_MM - 0.5).astype(np.float32) for one in (u, v)]
@@ -127,7 +127,7 @@ class BoardInView:
             ]
             self._beam: Map = _spline(nodes_y, nodes_x, strength, fine).astype(np.float32)
 
-    def _on_board(self, x: Array, y: Array) -> tuple[Array, Array]:
+    def on_board(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Where camera pixels look: (…, 3) in the board's own mm as it was meant to be, and in the tank's frame."""
         start, way = camera_rays(self._bench, np.stack([x, y], axis=-1), self._filled)
         normal = self._rotation[:, 2]

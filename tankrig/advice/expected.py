@@ -177,10 +177,10 @@ def _about_ink(known: Known, shot: Shot, doses: Sequence[float], answer: Answer)
     chain[:count, :count] = np.diag([shot.dose_ml, shot.dose_ml, *np.ones(count - 2)])
     chain[count, 0] = chain[count + 1, count] = 1.0
     chain[count + 2 + number, :2] = shot.dose_sd_ml * ink.sigma_a, shot.dose_sd_ml * ink.sigma_s
-    return _about_liquid(known, shot, answer).of(chain)
+    return about_liquid(known, shot, answer).of(chain)
 
 
-def _about_liquid(known: Known, shot: Shot, answer: Answer) -> Information:
+def about_liquid(known: Known, shot: Shot, answer: Answer) -> Information:
     """A shot's information about the liquid's values, and log gain."""
     radiance, slopes = answer(shot.scene, known.liquid(shot.dose_ml))
     image = known.gain * radiance

@@ -211,7 +211,7 @@ def high_orders(
         if missed <= 1.0:
             break
         if tail is not None and before == 0:
-            every = _low_per_full(means, tail.above)
+            every = low_per_full(means, tail.above)
         followed = groups.lattices + low_groups.lattices
         wanted = math.ceil(followed * min(max(1.1 * missed**2, 1.3), 6.0))
         done = max(done, min(followed / wanted, 0.99))
@@ -251,7 +251,7 @@ def _with(found: Smoothed, further: Smoothed) -> Smoothed:
     return replace(found, image=found.image + further.image, variance=found.variance + further.variance, spread=spread)
 
 
-def _low_per_full(means: Array, above: int) -> int:
+def low_per_full(means: Array, above: int) -> int:
     """Of how many lattices one is worth being followed beyond the orders that the tail has nothing of.
 
     Work with the least noise for its cost: as the noise of either part goes, over the root of its cost. Low orders cost

@@ -151,8 +151,9 @@ class CameraLens:
             scene, lens = self._fine(parts, columns), replace(self, parts=parts)
             image, here = once(scene), slice(first - columns[0], last - columns[0])
             sharp[:, first:last] = lens.means(image)[:, here]
-            soft = lens._soft(image, scene)
-            blurred[:, first:last] = lens.means(lens._blurred(soft, parts, columns))[:, here]
+            soft = lens._soft(image, scene)  # noqa: SLF001 - another of this class
+            wide = lens._blurred(soft, parts, columns)  # noqa: SLF001
+            blurred[:, first:last] = lens.means(wide)[:, here]
         return sharp, self._picture(blurred, sharp)
 
     @property

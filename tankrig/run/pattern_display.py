@@ -12,7 +12,7 @@ from tankrig.run.conditions import Conditions, clamped, spanning
 from tankrig.run.rig import Rig
 from tankrig.run.writer import RunWriter
 
-_CAMERA_TIMEOUT_S = 5.0
+CAMERA_TIMEOUT_S = 5.0
 _BURST_TAKES = 3
 
 
@@ -109,7 +109,7 @@ class PatternDisplay:
             When the camera gives none, or one that cannot be of the pattern, or of another shape.
         """
         camera = self._rig.camera
-        frame = camera.capture(self._after_ns, 2e-3 * self._set.exposure_ms + _CAMERA_TIMEOUT_S)
+        frame = camera.capture(self._after_ns, 2e-3 * self._set.exposure_ms + CAMERA_TIMEOUT_S)
         if isinstance(self._rig.projector, Confirming):
             self._rig.projector.confirm()
         if frame.exposure_start_ns <= self._after_ns:

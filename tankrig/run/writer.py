@@ -34,7 +34,7 @@ from tankrig.run.reading import digest
 
 Announce = Callable[[Event, Pixels | None], object]
 
-_QUEUE_BYTES = 64 * 2**20
+QUEUE_BYTES = 64 * 2**20
 _FRAMES_PER_COMMIT = 8
 _THREADS = 3
 """One takes checksums while the others write, and wait for the disk."""
@@ -94,7 +94,7 @@ class RunWriter:
         self._seq = text.next_seq
         self._checksums = has_checksums(self._frames)
         frame_bytes = int(np.prod(self._frames.shape[1:])) * self._frames.dtype.itemsize
-        self._room = max(2, _QUEUE_BYTES // frame_bytes)
+        self._room = max(2, QUEUE_BYTES // frame_bytes)
         self._waiting: deque[_Entry] = deque()
         self._change = threading.Condition()
         self._busy = False

@@ -107,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except click.Abort:
         return _say("stopped on request", FAILURE)
     except TankrigError as error:
-        return _say(str(error), _status(error))
+        return _say(str(error), exit_status(error))
     except ModuleNotFoundError as error:
         if said := missing(error, "this"):
             return _say(said, FAILURE)
@@ -130,7 +130,8 @@ def _unexpected(error: Exception) -> int:
     return _say(f"failed unexpectedly ({type(error).__name__}: {error}); {_kept_traceback()}", FAILURE)
 
 
-def _status(error: TankrigError) -> int:
+def exit_status(error: TankrigError) -> int:
+    """The exit status of a command that ends with this error."""
     if isinstance(error, UndecidedError | DecisionError):
         return DECISION
     if isinstance(error, SettingsError):

@@ -67,7 +67,7 @@ def demo(
         return _bench(doses, seed, by_hand, out, as_json)
     if seed is not None or by_hand:
         raise click.UsageError("--seed and --by-hand are for the bench; give --bench too")
-    liquid = None if material is None else _planned(material, wavelength_nm)
+    liquid = None if material is None else liquid_planned(material, wavelength_nm)
     return _series(doses or (len(DOSES_UL) if liquid is None else MATERIAL_DOSES), liquid, out, as_json)
 
 
@@ -93,7 +93,7 @@ def _bench(doses: int | None, seed: int | None, by_hand: bool, out: Path | None,
     return 0
 
 
-def _planned(name: str, wavelength_nm: float) -> "DosePlan":
+def liquid_planned(name: str, wavelength_nm: float) -> "DosePlan":
     """Doses of a reference liquid that make the demo's tank about as dense as its ink does."""
     from drivers.rig import SIMULATED, load_rig_file
     from tankrig.materials.dosing import planned, tank_volume_ml
@@ -116,14 +116,14 @@ def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bo
     began = time.perf_counter()
     path = out or Path("runs") / datetime.now(UTC).strftime("demo-%Y-%m-%dT%H-%M-%S")
     totals_ul = DOSES_UL[:doses] if liquid is None else liquid.totals_ul[1:][-doses:]
-    sequence = _sequence(totals_ul)
+    sequence = sequence_of(totals_ul)
     if liquid is not None:
         optics = liquid.optics
         by = 1.0 / (liquid.tank_ml * liquid.dilution)
         ink = Medium(by * optics.medium.sigma_a, by * optics.medium.sigma_s, optics.medium.g)
         sequence = replace(sequence, material=optics.material.name, wavelength_nm=optics.wavelength_nm, ink=ink)
     require_place(path, 0)
-    description = _rig(path, TRUTH if liquid is None else _truth(liquid))
+    description = rig_beside(path, TRUTH if liquid is None else truth_of(liquid))
     runner = open_runner(sequence, path, description)
     click.echo("a dilution series on the simulated rig; nothing real moves", err=True)
     outcome = carry_out(runner, fit=True)
@@ -160,7 +160,7 @@ def _validate(path: Path, description: "RigFile", liquid: "DosePlan", as_json: b
         click.echo(f"completed: {path}, compared with {liquid.optics.material.title} in {file}")
 
 
-def _truth(liquid: "DosePlan") -> str:
+def truth_of(liquid: "DosePlan") -> str:
     """What is in the tank when the pump holds a reference liquid: its own phase function, as the library has it."""
     import tomlkit
 
@@ -179,7 +179,7 @@ def _truth(liquid: "DosePlan") -> str:
     return "\n" + tomlkit.dumps({"camera": {"truth": table}})
 
 
-def _rig(path: Path, truth: str) -> "RigFile":
+def rig_beside(path: Path, truth: str) -> "RigFile":
     """The simulated rig with what is in its tank; its rig file lies beside the run, for when that is resumed."""
     from drivers.rig import SIMULATED, simulated_rig
 
@@ -189,7 +189,8 @@ def _rig(path: Path, truth: str) -> "RigFile":
     return simulated_rig(folder)
 
 
-def _sequence(totals_ul: tuple[float, ...]) -> "Sequence":
+def sequence_of(totals_ul: tuple[float, ...]) -> "Sequence":
+    """The demo's series of doses: at each, dark frames and one photograph of each pattern."""
     from tankrig.pattern.kinds import AnyKind, Rays, Sheet, Stripes
     from tankrig.sequence import Capture, Mix, Sequence, Series
     from tankrig.sequence.steps import Step

@@ -207,11 +207,11 @@ def fit(
     for name, given in (("--dark", dark), ("--dark-pattern", dark_pattern), ("--rig", rig)):
         if exposure_ms is None and given is not None:
             raise click.UsageError(f"{name} belongs to a raw frame; give its --exposure-ms too")
-    measured = None if rig is None else _Measured.of(rig)
+    measured = None if rig is None else Measured.of(rig)
     subtracted = dark_pattern or dark
     raw = None
     if exposure_ms is not None:
-        raw = _Raw(exposure_ms, gain_setting, subtracted, measured, dark_pattern is not None)
+        raw = RawPicture(exposure_ms, gain_setting, subtracted, measured, dark_pattern is not None)
     try:
         picture = _picture(image_file, scene_file, array, scale, raw, edges, mask)
     except tankrig.ImageError as error:
@@ -284,7 +284,7 @@ def fit(
 
 
 @dataclass(frozen=True)
-class _Measured:
+class Measured:
     """What is in force of a rig that a raw frame was taken with."""
 
     rig: Path
@@ -293,7 +293,7 @@ class _Measured:
     camera: "Camera"
 
     @classmethod
-    def of(cls, rig: Path) -> "_Measured":
+    def of(cls, rig: Path) -> "Measured":
         """Of a rig file."""
         from drivers.rig import calibrated_bench, load_rig_file
         from tankrig.calibration.file import in_force
@@ -311,13 +311,13 @@ class _Measured:
 
 
 @dataclass(frozen=True)
-class _Raw:
+class RawPicture:
     """How a raw frame was taken, and what is known of the bench that it was taken on."""
 
     exposure_ms: float
     gain: float
     dark: Path | None
-    measured: _Measured | None
+    measured: Measured | None
     of_pattern: bool
     """Whether the dark frame is of the projector's dark picture."""
 
@@ -359,7 +359,7 @@ class _Raw:
 
 
 def _picture(
-    image_file: Path, scene_file: Path, array: str | None, scale: float, raw: _Raw | None, edges: float | None,
+    image_file: Path, scene_file: Path, array: str | None, scale: float, raw: RawPicture | None, edges: float | None,
     mask_file: Path | None,
 ) -> "Picture":  # fmt: skip
     """The image as it is fitted."""

@@ -10,6 +10,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import connection, parent_process
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from PySide6.QtCore import QObject, Qt, Signal
@@ -124,7 +125,7 @@ class Background(QObject):
         self._closed = True
         pool, self._pool = self._pool, None
         if pool is not None:
-            processes = list((pool._processes or {}).values())
+            processes = _processes_of(pool)
             pool.shutdown(wait=False, cancel_futures=True)
             for process in processes:
                 process.join(IDLE_END_S)
@@ -166,7 +167,7 @@ class Background(QObject):
             return
 
     def _end_process(self) -> None:
-        for process in list((self._pool._processes or {}).values()) if self._pool is not None else ():
+        for process in _processes_of(self._pool) if self._pool is not None else ():
             process.terminate()
 
     def _drop_pool(self) -> None:
@@ -199,6 +200,11 @@ class Background(QObject):
         (_log.info if task.cancelled else _log.error)("%s: %s", task.name or "background", sentence)
         if task.failed is not None:
             task.failed(sentence)
+
+
+def _processes_of(pool: ProcessPoolExecutor) -> list[BaseProcess]:
+    """Those that work: Python names them publicly, and ends them, from 3.14 on."""
+    return list((pool._processes or {}).values())  # noqa: SLF001
 
 
 def _begin(telling: Any) -> None:

@@ -26,7 +26,7 @@ class _Edit(QUndoCommand):
 
     def __init__(self, document: "SequenceDocument", text: str, what: str, typing: bool) -> None:
         super().__init__(what)
-        self._document, self._before, self._after, self._typing = document, document.text, text, typing
+        self._document, self._before, self.after, self._typing = document, document.text, text, typing
 
     def id(self) -> int:
         """Edits of the same id may be merged."""
@@ -36,7 +36,7 @@ class _Edit(QUndoCommand):
         """Take a following edit in."""
         if not isinstance(other, _Edit) or other.text() != self.text():
             return False
-        self._after = other._after
+        self.after = other.after
         return True
 
     def undo(self) -> None:
@@ -45,7 +45,7 @@ class _Edit(QUndoCommand):
 
     def redo(self) -> None:
         """Have the text from after the edit."""
-        self._document.take(self._after)
+        self._document.take(self.after)
 
 
 class SequenceDocument(QObject):

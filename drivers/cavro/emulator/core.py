@@ -104,6 +104,11 @@ class Core:
         What the manuals leave open.
     run
         So many steps that are due; returns how many of them were made at once, the plunger following.
+
+    Attributes
+    ----------
+    initialised
+        Whether it knows its zero.
     """
 
     def __init__(
@@ -119,7 +124,7 @@ class Core:
         self._habits = habits or Habits()
         model = self._habits.model
         self._fine_stroke, self._fine_per_pulse = model.increments * FINER, FINER / model.pulses
-        self._initialised, self._overloaded = ready, False
+        self.initialised, self._overloaded = ready, False
         self._position = self._target = self._from = self._fine_stroke if ready else 0
         self._stroke: Stroke | None = None
         self._quiet = False
@@ -294,7 +299,7 @@ class Core:
 
     def _queried(self, now_s: float) -> int:
         """The answer to `Q`: the only one whose ready bit can be trusted."""
-        error = self._error or (0 if self._initialised else NOT_INITIALISED)
+        error = self._error or (0 if self.initialised else NOT_INITIALISED)
         if not (self._overloaded and self._habits.overload_stays):
             self._error = 0
         ready = not self._busy(now_s) or (self._quiet and self._stroke is not None)
@@ -435,14 +440,14 @@ class Core:
         self.initialised_times += 1
 
     def _at_home(self) -> None:
-        self._homing, self._initialised = False, True
+        self._homing, self.initialised = False, True
         self._position = self._target = 0
 
     def _drive(self, letter: str, value: int, now_s: float) -> int:
         """Valve and plunger moves."""
         if self._overloaded:
             return OVERLOAD
-        if not self._initialised:
+        if not self.initialised:
             return NOT_INITIALISED
         if letter in "IOB":
             self._free_s = now_s + (VALVE_S if self._valve != letter.lower() else 0.0)

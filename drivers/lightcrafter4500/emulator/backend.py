@@ -77,6 +77,11 @@ class LightcrafterOnBus(usb.backend.IBackend):  # type: ignore[misc]
         self._message = bytearray()
         self.commands: list[tuple[bool, int, bytes]] = []
 
+    @property
+    def waits_for_more(self) -> bool:
+        """Whether it has the beginning of a message that comes in several reports."""
+        return bool(self._message)
+
     # -- reports -------------------------------------------------------------------------------------------------------
 
     def intr_write(self, _handle: Any, _ep: int, _intf: int, data: "array.array[int]", _timeout: int) -> int:

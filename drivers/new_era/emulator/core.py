@@ -85,6 +85,11 @@ class Core:
         Whether the volume dispensed survives the loss of power (nobody knows).
     habits
         How it is set up, and what the manual leaves open.
+
+    Attributes
+    ----------
+    left
+        Steps until it is through with its phase; None where that has no end.
     """
 
     def __init__(
@@ -115,7 +120,7 @@ class Core:
         self._restarts = bool(kept["operating"] and kept["pf"] and self._habits.knows_power_failure)
         self._phase = 1
         self._state, self._running = "S", 1
-        self._left: int | None = None
+        self.left: int | None = None
         self._since_s, self._done = 0.0, 0
         self._fed_s: float | None = None
         self._alarm: str | None = "R"
@@ -156,11 +161,11 @@ class Core:
                     return
                 self._next_phase(self._pause_ends_s)
                 continue
-            if self._left == 0:
+            if self.left == 0:
                 self._next_phase(self._since_s + self._done / self._rate())
                 continue
             due = math.floor((until_s - self._since_s) * self._rate() + 1e-9) - self._done
-            due = due if self._left is None else min(due, self._left)
+            due = due if self.left is None else min(due, self.left)
             if due <= 0:
                 return
             made = self._run(due) if self._state != "W" else due
@@ -172,7 +177,7 @@ class Core:
 
     def _count(self, steps: int) -> None:
         self._done += steps
-        self._left = None if self._left is None else self._left - steps
+        self.left = None if self.left is None else self.left - steps
         self._kept["withdrawn" if self._state == "W" else "steps"] += steps
 
     def _next_phase(self, now_s: float) -> None:
@@ -202,7 +207,7 @@ class Core:
         else:
             self._be("W" if phase["dir"] == "WDR" else "I")
             steps = round(phase["vol"] * self._unit_ul() / self._step_ul())
-            self._left = steps if phase["vol"] else None
+            self.left = steps if phase["vol"] else None
             self._since_s, self._done = now_s, 0
 
     def _be(self, state: str) -> None:

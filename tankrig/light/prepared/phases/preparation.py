@@ -72,7 +72,8 @@ def prepared_for_phases(
     sampling = PathImages(scene, plan.base.albedos)
     pixels = scene.camera.shape[0] * scene.camera.shape[1]
     place.require_room(16 * int(np.prod(sampling.shape)) * len(plan.paths) // 2 + 64 * 4 * pixels)
-    answer = assemble(plan, sampling, _images(scene, plan, place, sampling, progress, threads), scene.camera.shape)
+    images = training_images(scene, plan, place, sampling, progress, threads)
+    answer = assemble(plan, sampling, images, scene.camera.shape)
     place.keep(place.model, packed(answer))
     place.clear_parts()
     progress(1.0)
@@ -84,7 +85,7 @@ def _regardless(scene: Scene) -> Scene:
     return replace(scene, medium=Medium(0.0, 0.01, 0.0), source="")
 
 
-def _images(
+def training_images(
     scene: Scene, plan: PhasePlan, place: Place, sampling: PathImages, progress: Progress, threads: int
 ) -> PhaseImages:
     """Compute all, or read what an interrupted preparation has left of the paths' images."""
