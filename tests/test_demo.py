@@ -8,6 +8,8 @@ import pytest
 import tankrig
 from ui.cli import main
 
+from .seen_pictures import report_shows
+
 
 def run_demo(doses: int, path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
     assert main(["demo", "--doses", str(doses), "--out", str(path), "--json"]) == 0
@@ -21,7 +23,8 @@ def check(found: dict, doses: int, path: Path) -> None:
     assert ink["g"] == pytest.approx(truth["g"], abs=0.03)
     assert len(found["doses"]) == doses
     assert all(abs(row["single_sigma_t_ratio"] - 1.0) > 0.01 for row in found["doses"])
-    assert Path(found["report"]).stat().st_size > 100_000
+    assert Path(found["report"]) == path / "report.html"
+    report_shows(Path(found["report"]).read_text(encoding="utf-8"), path)
     run = tankrig.open_run(path)
     assert run.end is not None
     assert run.end["reason"] == "completed"

@@ -18,6 +18,8 @@ from tankrig.scene.description import Camera, Medium, Tank
 from tankrig.sequence.loading import sequence_from_table
 from ui.cli import main
 
+from .seen_pictures import report_shows
+
 BENCH = {
     "tank": {"size_mm": [240.0, 160.0, 120.0]},
     "wall": {"shape": [30, 40], "y_mm": [-80.0, 80.0], "z_mm": [0.0, 120.0]},
@@ -105,6 +107,11 @@ def test_the_page_says_what_the_run_found(page: str) -> None:
     assert "3 frames were lost by the camera" in page
     assert "dose to 200 µl" in page
     assert "test rig" in page
+
+
+def test_the_page_shows_the_photographs(page: str, run: Path) -> None:
+    """Each dose's, beside the numbers that were found by it."""
+    report_shows(page, run)
 
 
 def test_what_is_no_run_or_shows_nothing_is_refused_and_nothing_is_written(
