@@ -85,14 +85,14 @@ def checked(kind: type[T], table: dict[str, Any], name: str, error: type[Tankrig
     from pydantic import TypeAdapter, ValidationError
 
     asked: Any = kind
-    adapter: TypeAdapter[T] = _adapter(asked)
+    adapter: TypeAdapter[T] = adapter_of(asked)
     try:
         # As JSON, where strict validation still lets arrays become tuples and tables become dataclasses.
         found: T = adapter.validate_json(json.dumps(table, default=str))
     except ValidationError as cause:
         problems = sorted(cause.errors(), key=lambda problem: problem["type"] not in _UNKNOWN)
         said = _out_of_bounds(table) if problems[0]["type"] == "json_invalid" else ""
-        raise error(f"{name}: {_readable(said or _sentence(problems[0], adapter.json_schema()))}") from cause
+        raise error(f"{name}: {_readable(said or _sentence(problems[0], _schema_of(asked)))}") from cause
     except (ArithmeticError, ValueError, RecursionError) as cause:  # a key's check that took such a value for granted
         if said := _out_of_bounds(table):
             raise error(f"{name}: {said}") from cause
@@ -146,11 +146,18 @@ def _is_plain(text: str) -> bool:
 
 
 @cache
-def _adapter(kind: Any) -> Any:
-    """What checks a kind; making it takes longer than using it."""
+def adapter_of(kind: Any) -> Any:
+    """What checks a kind, and makes plain data of it; making it takes longer than using it."""
     from pydantic import TypeAdapter
 
     return TypeAdapter(kind)
+
+
+@cache
+def _schema_of(kind: Any) -> dict[str, Any]:
+    """Keys that a kind knows. Making it takes longer than all the rest, and whoever types is told with each letter."""
+    schema: dict[str, Any] = adapter_of(kind).json_schema()
+    return schema
 
 
 def _sentence(problem: Any, schema: dict[str, Any]) -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tankrig.checked_toml import checked, read_toml
+from tankrig.checked_toml import adapter_of, checked, read_toml
 from tankrig.errors import SequenceError
 from tankrig.pattern.kinds import ImageFile
 from tankrig.sequence.sequence import Sequence
@@ -72,7 +72,5 @@ def sequence_from_table(table: dict[str, Any], name: str) -> Sequence:
 
 def sequence_table(sequence: Sequence) -> dict[str, Any]:
     """The sequence as plain data, of which `sequence_from_table` makes it again."""
-    from pydantic import TypeAdapter
-
-    table: dict[str, Any] = TypeAdapter(Sequence).dump_python(sequence, mode="json")
+    table: dict[str, Any] = adapter_of(Sequence).dump_python(sequence, mode="json")
     return table
