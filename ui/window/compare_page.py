@@ -177,13 +177,12 @@ class ComparePage(QWidget):
         plots = QHBoxLayout(self._curves)
         plots.setContentsMargins(0, 0, 0, 0)
         for name, (symbol, _, unit) in COEFFICIENTS.items():
-            widget = pg.PlotWidget()
+            widget = pg.PlotWidget(enableMenu=False)
             widget.setMinimumHeight(110)
             plot = widget.getPlotItem()
             plot.setTitle(f"{symbol} {unit}".strip() + f", ± {CONFIDENCE}", size="9pt")
             plot.setLabel("bottom", "ink (ml)")
             plot.hideButtons()
-            plot.setMenuEnabled(False)
             plot.showGrid(x=True, y=True, alpha=0.2)
             for side in ("left", "bottom"):
                 plot.getAxis(side).enableAutoSIPrefix(False)

@@ -32,11 +32,10 @@ class FitCurves(QWidget):
         self._plots: dict[str, tuple[Any, Any, Any, Any]] = {}
         self._widgets: list[QWidget] = []
         for (name, (symbol, _, unit)), colour in zip(COEFFICIENTS.items(), CURVES, strict=False):
-            widget = pg.PlotWidget()
+            widget = pg.PlotWidget(enableMenu=False)
             plot = widget.getPlotItem()
             plot.setTitle(f"{symbol} {unit}".strip() + f", ± {CONFIDENCE}", size="9pt")
             plot.hideButtons()
-            plot.setMenuEnabled(False)
             for side in ("left", "bottom"):
                 axis = plot.getAxis(side)
                 axis.enableAutoSIPrefix(False)

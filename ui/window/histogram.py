@@ -29,12 +29,11 @@ class Histogram(QObject):
 
     def __init__(self) -> None:
         super().__init__()
-        self.widget = pg.PlotWidget()
+        self.widget = pg.PlotWidget(enableMenu=False)
         self.widget.setFixedHeight(98)
         plot = self.widget.getPlotItem()
         plot.hideAxis("left")
         plot.hideButtons()
-        plot.setMenuEnabled(False)
         plot.setMouseEnabled(False, False)
         plot.setYRange(BAR[0], 1.0, padding=0.02)  # a view that follows the highest bar is laid out anew every time
         plot.getAxis("bottom").enableAutoSIPrefix(False)

@@ -127,11 +127,10 @@ def along(
 
 
 def _plot(bottom: str, left: str) -> pg.PlotWidget:
-    widget = pg.PlotWidget()
+    widget = pg.PlotWidget(enableMenu=False)
     widget.setFixedHeight(HEIGHT_PX)
     plot = widget.getPlotItem()
     plot.hideButtons()
-    plot.setMenuEnabled(False)
     plot.setMouseEnabled(False, False)
     plot.setLabel("bottom", bottom)
     plot.setLabel("left", left)

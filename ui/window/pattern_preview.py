@@ -15,13 +15,12 @@ class PatternPreview:
     """A small picture of a pattern on the wall x = 0; `widget` goes into a layout."""
 
     def __init__(self, height: int = 190) -> None:
-        self.widget = pg.PlotWidget()
+        self.widget = pg.PlotWidget(enableMenu=False)
         self.widget.setMinimumHeight(height)
         self.widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._plot = self.widget.getPlotItem()
         self._plot.setAspectLocked(True)
         self._plot.hideButtons()
-        self._plot.setMenuEnabled(False)
         self._plot.setMouseEnabled(False, False)
         self._plot.setLabel("bottom", "y on the wall (mm)")
         self._plot.setLabel("left", "z (mm)")

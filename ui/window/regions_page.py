@@ -292,12 +292,11 @@ class RegionsPage(QWidget):
         self._tree = ParameterTree(showHeader=False)
         self._tree.setParameters(self._root, showTop=False)
         self._tree.setAccessibleName("places of the regions, in mm on the water")
-        self._plot = pg.PlotWidget()
+        self._plot = pg.PlotWidget(enableMenu=False)
         self._tree.setMinimumHeight(110)
         self._plot.setMinimumHeight(130)
         item = self._plot.getPlotItem()
         item.hideButtons()
-        item.setMenuEnabled(False)
         item.setLabel("left", "counts")
         item.showGrid(x=True, y=True, alpha=0.2)
         for side in ("left", "bottom"):

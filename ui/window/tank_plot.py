@@ -49,12 +49,11 @@ class TankPlot:
     """
 
     def __init__(self, title: str = "", axes: bool = True) -> None:
-        self.widget = pg.PlotWidget()
+        self.widget = pg.PlotWidget(enableMenu=False)
         self.widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)  # what room there is
         self.plot = self.widget.getPlotItem()
         self.plot.setAspectLocked(True)
         self.plot.hideButtons()
-        self.plot.setMenuEnabled(False)
         self._title, self._axes = "", axes
         self.name(title)
         if axes:

@@ -32,13 +32,12 @@ class TankSection:
     """
 
     def __init__(self, title: str, what: str, across: str) -> None:
-        self.widget = pg.PlotWidget()
+        self.widget = pg.PlotWidget(enableMenu=False)
         self.widget.setToolTip(f"order 1 through the tank, {what}; the line is at the sheet that is looked at")
         take_rest(self.widget, 120)
         self.plot = self.widget.getPlotItem()
         self.plot.setTitle(title, size="9pt")
         self.plot.hideButtons()
-        self.plot.setMenuEnabled(False)
         self.plot.setLabel("bottom", across)
         self.plot.setLabel("left", "z (mm)")
         for name in ("bottom", "left"):
