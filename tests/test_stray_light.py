@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import tankrig
 from tankrig.errors import SceneError
+from tankrig.light import high_orders
 from tankrig.light.entering import entering, through_lens
 from tankrig.light.leaving import CameraLens
 from tankrig.light.prepared.box import Box
@@ -103,13 +104,14 @@ def test_a_mirror_for_a_floor_makes_a_tank_twice_as_deep(model):
         ),
     ],
 )
-def test_tank_and_monte_carlo_agree_on_walls(faces):
+def test_tank_and_monte_carlo_agree_on_walls(faces, monkeypatch):
     """Two programs that share the scene only; the light that walls add is far more than they may differ by."""
-    camera = Camera("pinhole", (20, 30), 8.0, (110.0, 5.0, 520.0))
+    monkeypatch.setattr(high_orders, "FIRST_SMOOTHED", 4)  # twice as many paths would err by half of the bound
+    camera = Camera("pinhole", (10, 15), 16.0, (110.0, 5.0, 520.0))
     light = Projector("pinhole", (Beam((-20.0, 24.0), (40.0, 80.0)),), (-400.0, 10.0, 60.0))
     scene = a_scene(camera, light, surface="fresnel", faces=faces)
     tank = tankrig.predict(scene, tolerance=0.022)
-    paths = tankrig.predict(scene, "montecarlo", tolerance=0.015, seed=3)
+    paths = tankrig.predict(scene, "montecarlo", tolerance=0.012, seed=3)
     assert tank.image.sum() == pytest.approx(paths.image.sum(), rel=0.006)
     assert apart(tank.image, paths.image) < 0.03
     black = predicted(replace(scene, tank=replace(scene.tank, faces=Faces())), 0.02)
@@ -224,7 +226,7 @@ def bench(tmp_path_factory):
     scene = Scene(Tank(surface="fresnel"), medium, light, Camera("orthographic", (40, 60), 4.0))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TANKRIG_CACHE", str(tmp_path_factory.mktemp("cache")))
-        live = tankrig.prepare(scene, tolerance=0.005, box=Box((0.004, 0.03), (0.6, 0.995), (0.0, 0.8)))
+        live = tankrig.prepare(scene, tolerance=0.02, box=Box((0.004, 0.03), (0.6, 0.995), (0.0, 0.8)))
     return scene, live, np.asarray(live.predict(medium))
 
 
