@@ -1,8 +1,6 @@
 """`tankrig devices` and `tankrig doctor` say what is there, what is wrong, and what to do about it."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -125,16 +123,3 @@ def test_the_command_lists_devices_even_without_a_desktop(monkeypatch, capsys):
     assert "v4l2-camera" in told
     assert main(["devices", "--json"]) == 0
     assert "hdmi-projector" in json.loads(capsys.readouterr().out)["drivers"]
-
-
-def test_thousands_of_signals_do_not_wear_out_true():
-    """PySide 6.12.0 drops a reference to True with each emit, and Python 3.11 aborts after some 570 of them."""
-    code = (
-        "from PySide6.QtCore import QObject, Signal\n"
-        "class Source(QObject):\n    told = Signal(bool)\n"
-        "source = Source(); heard = []; source.told.connect(heard.append)\n"
-        "for _ in range(5000): source.told.emit(True)\n"
-        "assert heard == [True] * 5000"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0)
-    assert done.returncode == 0, done.stderr
