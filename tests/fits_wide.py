@@ -45,7 +45,7 @@ def fitted(scene_file: Path, gain: str, model: str) -> dict[str, object]:
     image, noise = observed(scene_file.with_suffix(".npz"), 1)
     began = time.process_time()
     known = (1.0, 0.0) if gain == "known" else ("free", "free")
-    found = tankrig.estimate(image, scene, *known, noise=noise, model=model)
+    found = tankrig.estimate(image, scene, *known, noise=noise, model=model, phase="hg")
     cpu_s = time.process_time() - began
     truth = np.array(scene.medium.coefficients)
     sd = np.sqrt(np.diag(found.covariance))

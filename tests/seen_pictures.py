@@ -47,7 +47,7 @@ def likeness_in(picture: bytes, image: np.ndarray, colours: str, scale: Normaliz
 
 
 def report_shows(page: str, run: Path) -> None:
-    """A run's report says what its own fits found at each dose and of the ink, and shows the last dose's photographs."""
+    """A run's report says what its fits found at each dose and of the ink, and shows the last dose's photographs."""
     recorded = open_run(run)
     doses, series = fits_in([event.fields for event in recorded.fits])
     for one in doses:
