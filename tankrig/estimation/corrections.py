@@ -10,10 +10,11 @@ from tankrig.estimation.differences import Forward, Slopes, values_of
 from tankrig.estimation.forward import Model, corrected, image_of
 from tankrig.estimation.optimiser import LAST_STEPS, solve
 from tankrig.estimation.phase_families import Family
-from tankrig.estimation.problem import Evaluation
+from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.search import Told
 from tankrig.estimation.shots import Fit, Shot, weighed_problem
 from tankrig.estimation.uncertainty import identifiable
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 
 Vector = NDArray[np.float64]
@@ -63,16 +64,19 @@ def corrected_fit(
     def about(centre: Evaluation, start: Evaluation, times: int) -> Fit:
         media, slopes = centre.media, problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))
         seen = [shot.models.exact(one, times) for shot, one in zip(shots, media, strict=True) if shot.models.exact]
+        last = tuple(corrected(*one) for one in zip(models, media, seen, strict=True))
+        weighed = weighed_problem(
+            problem, shots, [image_of(model) for model in last], [_always(slope) for slope in slopes], seen
+        )
+        bent = _without_noise_in_gain(weighed, models, media, seen)
         families = [shot.models.family for shot in shots]
         straight = [
-            _linear(one.image, medium, slope, family)
-            for one, medium, slope, family in zip(seen, media, slopes, families, strict=True)
+            _linear(model(medium).image, medium, slope, family)
+            for model, medium, slope, family in zip(models, media, slopes, families, strict=True)
         ]
-        near = weighed_problem(problem, shots, straight, [_always(slope) for slope in slopes], seen)
-        end = solve(replace(near, quick=True), start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
-        last = tuple(corrected(*one) for one in zip(models, media, seen, strict=True))
-        bent = near.by([image_of(model) for model in last])
-        return Fit(solve(bent, end.coordinates, bent_enough, steps, damping=0.0), last)
+        end = solve(replace(bent.by(straight), quick=True), start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
+        end = solve(bent, end.coordinates, bent_enough, steps, damping=0.0)
+        return Fit(weighed.at(end.coordinates), last)
 
     for _ in range(CORRECTIONS):
         progress("correcting by accurate images")
@@ -87,6 +91,24 @@ def corrected_fit(
     end = fit.optimum
     views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
     return replace(fit, optimum=replace(end.problem, views=tuple(views)).at(end.coordinates))
+
+
+def _without_noise_in_gain(
+    problem: Problem, models: Sequence[Model], media: Sequence[Medium], seen: Sequence[Prediction]
+) -> Problem:
+    """The problem with what exact images differ by taken from what was observed, in place of added to the models.
+
+    Of a free gain the image itself is the derivative. With the paths' noise in it the gain is drawn towards 0 (errors
+    in variables; Fuller 1987): for 2·10⁵ paths and a thin liquid by 4 %, and σs by 1.7, where nothing else tells the
+    gain from the liquid.
+    """
+    gain, _ = problem.scale(problem.whitened([one.image for one in seen]))
+    views = []
+    for view, model, medium, one in zip(problem.views, models, media, seen, strict=True):
+        observation = view.observation
+        shifted = replace(observation, image=observation.image - gain * (one.image - model(medium).image))
+        views.append(replace(view, observation=shifted, forward=image_of(model)))
+    return replace(problem, views=tuple(views))
 
 
 def _settled(best: Evaluation, centre: Evaluation, near: Vector) -> bool:
