@@ -374,3 +374,17 @@ def test_a_calibration_that_is_none_is_refused(value: tuple) -> None:
     """A prior that is nonsense must not be read as a free gain."""
     with pytest.raises(ImageError, match="gain"):
         tankrig.estimate(GOOD, SCENE, gain=value)
+
+
+def test_a_free_gain_is_not_drawn_down_by_the_noise_of_light_paths() -> None:
+    """In thin liquids little else tells it from σs: noise in the image itself moved σs by 2.5 deviations."""
+    beams = tuple(Beam((y - 4.0, y + 4.0), (60.0, 64.0)) for y in (-50.0, 0.0, 50.0))
+    light = Projector("pinhole", beams, (-400.0, 0.0, 60.0))
+    camera = Camera("pinhole", (40, 60), 4.0, (120.0, 0.0, 620.0))
+    scene = Scene(Tank(), Medium(0.0015, 0.0032, -0.2), light, camera)
+    truth = np.asarray(tankrig.predict(scene, tolerance=0.0005).image)
+    noise = 0.0004 * float(truth.max())
+    observed = truth + np.random.default_rng(1).normal(0.0, noise, truth.shape)
+    found = tankrig.estimate(observed, scene, "free", "free", noise=noise, phase="hg")
+    off = np.subtract(found.medium.coefficients, scene.medium.coefficients)
+    assert (np.abs(off) < 1.6 * np.sqrt(np.diag(found.covariance))).all()
