@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtCore import QPointF, Qt
+from PySide6.QtCore import QCoreApplication, QEvent, QPointF, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -29,6 +29,7 @@ from ui.window.tank_plot import IndexedImage
 
 def button(page: QWidget, words: str) -> QAbstractButton:
     """The button or box that says this, whatever key stands behind it ("Run  F5") and whether or not it asks more."""
+    QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)  # what a page has just replaced nobody sees
     return _only([one for one in page.findChildren(QAbstractButton) if _says(one) == words], words)
 
 

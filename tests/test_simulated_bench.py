@@ -55,7 +55,7 @@ def view(bench: TrueBench, tmp_path_factory: pytest.TempPathFactory) -> InkInVie
 @pytest.fixture
 def few_photons(monkeypatch: pytest.MonkeyPatch) -> None:
     """For what holds of noisy pictures as well."""
-    monkeypatch.setattr(bench_multiple, "_PILOT_PHOTONS", 1_000)
+    monkeypatch.setattr(bench_multiple, "PILOT_PHOTONS", 1_000)
 
 
 def blocks(image: np.ndarray, side: int = 3) -> np.ndarray:

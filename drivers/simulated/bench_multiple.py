@@ -27,7 +27,7 @@ from .bench_single import looks_in
 from .bench_truth import Array, TrueBench
 
 _BLOCK_MM, _JUDGED_MM = 1.25, 4.0
-_PILOTS, _PILOT_PHOTONS, _MOST_PHOTONS = 8, 16_000, 10_000_000
+_PILOTS, PILOT_PHOTONS, _MOST_PHOTONS = 8, 16_000, 10_000_000
 _WIDTHS_MM = (0.0, 0.6, 1.5, 4.0, 10.0, 25.0)
 """Standard deviations by which order 1 is blurred."""
 _ALONG_MM = (5.0, 16.0, 40.0, 90.0, 160.0, 215.0, 232.0)
@@ -60,11 +60,11 @@ def scattered_more(
     def seen(photons: int, number: int) -> Array:
         return smoothed(simulate(scene, photons, (seed + number) % 2**48, min_order=2))
 
-    pilots = np.array([seen(_PILOT_PHOTONS, number) for number in range(_PILOTS)])
+    pilots = np.array([seen(PILOT_PHOTONS, number) for number in range(_PILOTS)])
     image, stderr = pilots.mean(axis=0), pilots.std(axis=0, ddof=1) / math.sqrt(_PILOTS)
     noise = np.std([_binned(pilot, judged) for pilot in pilots], axis=0, ddof=1) / math.sqrt(_PILOTS)
     noisy = float(np.linalg.norm(noise) / np.linalg.norm(_binned(image + coarse, judged))) / tolerance
-    done = _PILOTS * _PILOT_PHOTONS
+    done = _PILOTS * PILOT_PHOTONS
     wanted = min(math.ceil(done * noisy**2), _MOST_PHOTONS)
     if wanted > done:
         image = (done * image + (wanted - done) * seen(wanted - done, _PILOTS)) / wanted
