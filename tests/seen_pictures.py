@@ -58,6 +58,9 @@ def report_shows(page: str, run: Path) -> None:
     pictures = [base64.b64decode(found) for found in PNG.findall(page)]
     exposures = exposures_of(recorded)
     for photograph in exposures.photographs(exposures.dose):
-        image = photograph.image
-        best = max(likeness_in(one, image, FALSE_COLOUR, brightness(image)) for one in pictures)
-        assert best > 0.9, f"{photograph.pattern} at {photograph.dose_ml} ml is not to be seen: {best:.2f}"
+        # A bench's photograph is drawn beside what covers it; light from the other side fits less.
+        seen, turned = (
+            max(likeness_in(one, image, FALSE_COLOUR, brightness(image)) for one in pictures)
+            for image in (photograph.image, photograph.image[:, ::-1])
+        )
+        assert seen > max(0.8, turned), f"{photograph.pattern} at {photograph.dose_ml} ml is not to be seen: {seen:.2f}"
