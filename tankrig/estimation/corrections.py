@@ -31,7 +31,7 @@ CORRECTIONS, SETTLED = 4, 0.1
 """Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
 which that is over, see `Block.looseness`."""
 SETTLED_SHARE = 0.5
-"""Of its standard deviation, by which each value may have moved besides."""
+"""Share of its standard deviation by which each value may have moved besides."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 
@@ -68,11 +68,12 @@ def corrected_fit(
         weighed = weighed_problem(
             problem, shots, [image_of(model) for model in last], [_always(slope) for slope in slopes], seen
         )
-        bent = _without_noise_in_gain(weighed, models, media, seen)
+        smooth = [model(medium).image for model, medium in zip(models, media, strict=True)]
+        bent = _without_noise_in_gain(weighed, smooth, seen).by([image_of(model) for model in models])
         families = [shot.models.family for shot in shots]
         straight = [
-            _linear(model(medium).image, medium, slope, family)
-            for model, medium, slope, family in zip(models, media, slopes, families, strict=True)
+            _linear(image, medium, slope, family)
+            for image, medium, slope, family in zip(smooth, media, slopes, families, strict=True)
         ]
         end = solve(replace(bent.by(straight), quick=True), start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
         end = solve(bent, end.coordinates, bent_enough, steps, damping=0.0)
@@ -93,10 +94,8 @@ def corrected_fit(
     return replace(fit, optimum=replace(end.problem, views=tuple(views)).at(end.coordinates))
 
 
-def _without_noise_in_gain(
-    problem: Problem, models: Sequence[Model], media: Sequence[Medium], seen: Sequence[Prediction]
-) -> Problem:
-    """The problem with what exact images differ by taken from what was observed, in place of added to the models.
+def _without_noise_in_gain(problem: Problem, smooth: Sequence[Image], seen: Sequence[Prediction]) -> Problem:
+    """The problem with what exact images differ by from smooth ones taken off what was observed, not put on the models.
 
     Of a free gain the image itself is the derivative. With the paths' noise in it the gain is drawn towards 0 (errors
     in variables; Fuller 1987): for 2·10⁵ paths and a thin liquid by 4 %, and σs by 1.7, where nothing else tells the
@@ -104,10 +103,11 @@ def _without_noise_in_gain(
     """
     gain, _ = problem.scale(problem.whitened([one.image for one in seen]))
     views = []
-    for view, model, medium, one in zip(problem.views, models, media, seen, strict=True):
+    for view, image, one in zip(problem.views, smooth, seen, strict=True):
         observation = view.observation
-        shifted = replace(observation, image=observation.image - gain * (one.image - model(medium).image))
-        views.append(replace(view, observation=shifted, forward=image_of(model)))
+        views.append(
+            replace(view, observation=replace(observation, image=observation.image - gain * (one.image - image)))
+        )
     return replace(problem, views=tuple(views))
 
 

@@ -22,7 +22,7 @@ Vector = NDArray[np.float64]
 PROFILE_FROM = 0.55
 """g of the liquids that are looked at first."""
 VALLEYS = 3
-"""Of the profile in g that are searched, at most."""
+"""Valleys of the profile in g that are searched, at most."""
 SEVERAL_ENOUGH = 20.0
 """Where the cheap models' fit of several images stops, see `solve`."""
 CLEANINGS = 3

@@ -146,7 +146,7 @@ class PhotographPlan:
 
     @cached_property
     def _seen(self) -> dict[str, Seen]:
-        """Of the lit patterns by hash."""
+        """What is seen of each lit pattern's scene, by the pattern's hash."""
         return {key: Seen.of(scene) for key, scene in self._whole_scenes.items()}
 
     @cached_property
