@@ -48,6 +48,11 @@ def part(function: F) -> F:
     return _compiled(function, {"forceinline": True})
 
 
+def kept(called: Callable[..., Any]) -> bool:
+    """Whether a kernel's code for Python is on disk, for arguments of whatever kinds."""
+    return bool(called._cache._cache_file._load_index())  # type: ignore[attr-defined]
+
+
 def _compiled(function: F, within: dict[str, Any]) -> F:
     """The kernel, which is compiled with the options `within` where another kernel calls it."""
     import numba

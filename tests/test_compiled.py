@@ -37,7 +37,7 @@ def test_a_class_of_arguments_may_move_to_another_module_between_versions(tmp_pa
 TWICE = """
 import gc
 import numpy as np
-from tankrig.compiled import kernel, part
+from tankrig.compiled import kept, kernel, part
 
 @part
 def doubled(x, times):
@@ -57,6 +57,7 @@ def wrong(values):
 
 before = gc.get_threshold()
 values = np.array([1.0, 10.0])
+print(kept(total), kept(wrong))
 print(total(values), first(values), doubled(3.0, 1), len(doubled.linked.signatures))
 try:
     wrong(values)
@@ -73,7 +74,8 @@ def test_kernels_call_each_other_and_are_called_from_python_in_every_later_proce
         subprocess.run([sys.executable, "twice.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
         for _ in range(2)
     ]
-    first, again = (one.stdout.split("\n") for one in said)
+    (kept, *first), (kept_again, *again) = (one.stdout.split("\n") for one in said)
+    assert (kept, kept_again) == ("False False", "True False"), said[0].stderr
     assert first == ["86.0 1.0 6.0 1", "TypingError", "True True", ""], said[0].stderr
     assert again[0].startswith("86.0 1.0 6.0"), said[1].stderr
     assert again[1:] == first[1:]

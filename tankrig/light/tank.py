@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.light.compiled_beside import paths_compiled_beside
 from tankrig.light.double import double_scattering, table_error
 from tankrig.light.entering import entering, is_plain, through_lens
 from tankrig.light.high_orders import MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
@@ -147,19 +149,21 @@ def _ideal_image(
     """What an ideal camera sees; `first` is order 1 where it is known already."""
     highest = max_order or 1_000_000
     allowance = Allowance.of(budget_s, progress)
-    orders: dict[int | str, Array] = {1: once(described) if first is None else first}
+    reflecting = not described.tank.faces.dark
+    followed = (highest >= 3 or reflecting) and described.medium.sigma_s > 0.0
+    orders: dict[int | str, Array] = {}
+    with paths_compiled_beside(described) if followed else nullcontext():
+        orders[1] = once(described) if first is None else first
+        if highest >= 2:
+            orders[2] = twice(described, tolerance)
     scene = entering(described, fine=False)
     zero = np.zeros(scene.camera.shape)
     stderr, skipped = zero, [Skipped("light that leaves the tank through its black walls", 0.0)]
-    tables = 0.0
-    if highest >= 2:
-        orders[2] = twice(described, tolerance)
-        tables = math.hypot(table_error(tolerance), lookup_error(scene))
+    tables = math.hypot(table_error(tolerance), lookup_error(scene)) if highest >= 2 else 0.0
     if scene.medium.sigma_t * scene.camera.pixel_mm > MOST_PARTS and scene.camera.kind != "orthographic":
         skipped.append(Skipped(f"how light of order 1 fades within pixels of more than {MOST_PARTS} free paths", 1.0))
     known = sum(orders.values(), zero)
-    reflecting = not scene.tank.faces.dark
-    if (highest >= 3 or reflecting) and scene.medium.sigma_s > 0.0:
+    if followed:
         tail = None if max_order or batches or reflecting else _tail(scene, tolerance, seed)
         high = high_orders(scene, known, tolerance, max_order, seed, batches, tail, allowance)
         orders |= high.by_class
