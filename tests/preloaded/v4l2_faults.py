@@ -31,7 +31,6 @@ def test_after_a_pause_only_frames_of_the_new_light_are_handed_out(camera, devic
 
 
 def test_dropped_frames_show_as_gaps_and_nothing_else(camera, device):
-    device.set("patient", 1)
     camera.configure(CameraSettings(5.0))
     frames = [camera.capture(now(), 2.0)]
     device.set("dropped_per_1000", 300)
