@@ -11,7 +11,7 @@ from drivers.registry import open_device
 from drivers.rig import SIMULATED, load_rig_file
 from drivers.simulated import bench_ink, bench_multiple
 from drivers.simulated.bench_multiple import Smoother
-from drivers.simulated.bench_optics import thrown
+from drivers.simulated.bench_optics import DEPTHS_MM, defocus_px, thrown_in_depth
 from drivers.simulated.bench_single import scattered_once
 from drivers.simulated.bench_tank import InkInView
 from drivers.simulated.bench_truth import TrueBench, random_bench
@@ -67,7 +67,7 @@ def test_order_1_is_the_monte_carlos(bench: TrueBench, monkeypatch: pytest.Monke
     """Followed back from the camera and forth from the projector, with no formula in common; light is neither lost
     nor made, and finer cells on the wall bring the second nearer to the first."""
     light = pattern(LEFT, RIGHT)
-    back = blocks(scattered_once(bench, thrown(bench, light), INK))
+    back = blocks(scattered_once(bench, thrown_in_depth(bench, light), INK))
     off = []
     for cell_mm in (2.0, 1.0, 0.5):
         monkeypatch.setattr(bench_ink, "CELL_MM", cell_mm)
@@ -85,7 +85,7 @@ def test_all_orders_are_the_monte_carlos(bench: TrueBench) -> None:
     light = pattern(LEFT, RIGHT)
     seen = InkInView(sharp, 0.01, 0, PictureStore(Path("nowhere")), "sharp").computed(light, INK)
     true = simulate(bench_ink.true_scene(sharp, light, INK, 3), 400_000, seed=9, min_order=2)
-    more = blocks(seen.image - scattered_once(sharp, thrown(sharp, light), INK))
+    more = blocks(seen.image - scattered_once(sharp, thrown_in_depth(sharp, light), INK))
     assert more.sum() == pytest.approx(true.image.sum(), rel=0.01)
     scale = np.linalg.norm(blocks(seen.image))
     assert np.linalg.norm(more - true.image) / scale < 0.02 + np.linalg.norm(true.stderr) / scale
@@ -97,7 +97,7 @@ def test_what_smooths_the_monte_carlos_noise_leaves_light_where_it_is(bench: Tru
     it did not, benches fitted by the truth itself found up to 2 % too much ink."""
     ink = Medium(0.0007, 0.019, 0.75)
     light = pattern((slice(48, 50), slice(40, 43)), (slice(48, 50), slice(60, 63)), (slice(48, 50), slice(80, 83)))
-    once = scattered_once(bench, thrown(bench, light), ink)
+    once = scattered_once(bench, thrown_in_depth(bench, light), ink)
     scene = bench_ink.true_scene(bench, light, ink)
     orders = tank_image(scene, tolerance=0.005, seed=3).orders
     second, more = np.asarray(orders[2]), sum(np.asarray(one) for order, one in orders.items() if order not in (1, 2))
@@ -233,3 +233,22 @@ def test_two_truths_of_one_bench_are_refused(tmp_path: Path) -> None:
     rig.write_text(text + bench, encoding="utf-8")
     with pytest.raises(SceneError, match="two truths of one bench"):
         load_rig_file(rig)
+
+
+def test_a_wide_lens_is_sharp_at_its_focus_alone(bench: TrueBench) -> None:
+    """Followed back from the camera through pictures by depth, and forth from four points of the lens; off the focus
+    rays from the rim and the paraxial formula that models use have the same disc."""
+    wide = replace(bench, stray=replace(bench.stray, projector_lens_mm=24.0, projector_focus_mm=80.0))
+    before = -bench.projector.centre_mm[0] - bench.pane_mm + bench.pane_mm / bench.pane_index
+    nearness, at_focus = (1.0 / (before + depth / bench.water_index) for depth in (DEPTHS_MM, 80.0))
+    paraxial = bench.projector.matrix[0, 0] * 12.0 * np.abs(nearness - at_focus)
+    np.testing.assert_allclose(defocus_px(wide, DEPTHS_MM, filled=True), paraxial, rtol=0.02, atol=0.005)
+    light = pattern((slice(50, 53), slice(60, 63)))
+    sharp, soft = (blocks(scattered_once(one, thrown_in_depth(one, light), INK)) for one in (bench, wide))
+    scene = bench_ink.true_scene(wide, light, INK, 3)
+    plain = first_order(scene)
+    forth = np.mean([first_order(one) for one in bench_ink.through_lens(wide, scene)], axis=0)
+    assert soft.sum() == pytest.approx(sharp.sum(), rel=0.002)
+    changed = float(np.linalg.norm(soft - sharp) / np.linalg.norm(sharp))
+    assert changed > 0.02
+    assert np.linalg.norm((soft - sharp) - (forth - plain)) / np.linalg.norm(sharp) < 0.35 * changed

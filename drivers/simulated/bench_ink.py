@@ -1,5 +1,6 @@
 """A simulated bench with ink in its tank: the scene that is really there, for the Monte Carlo to look at."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -10,7 +11,7 @@ from tankrig.pattern import Pattern
 from tankrig.scene.description import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.optics import ALL_BLACK, Face, Faces
 
-from .bench_optics import FINER, illumination, thrown
+from .bench_optics import FINER, illumination, pinholes, thrown
 from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics
 
 CELL_MM, _SAMPLES = 1.0, 4
@@ -43,6 +44,21 @@ def true_scene(bench: TrueBench, pattern: Pattern, medium: Medium, binning: int 
         bench.pane_index, ALL_BLACK if faces.dark else faces,
     )  # fmt: skip
     return Scene(tank, medium, projector, _camera(bench.camera).binned(binning))
+
+
+def through_lens(bench: TrueBench, scene: Scene) -> list[Scene]:
+    """The scene by each of the pinholes that the projector's lens is made of; what the camera sees is their mean."""
+    _, width, level = scene.tank.size_mm
+    found = []
+    for place, move in pinholes(bench):
+        beams = []
+        for beam in scene.projector.beams:
+            y_mm, z_mm = np.clip(beam.y_mm + move[0], -width / 2, width / 2), np.clip(beam.z_mm + move[1], 0.0, level)
+            if np.ptp(y_mm) > 0.0 and np.ptp(z_mm) > 0.0:
+                beams.append(Beam((y_mm[0].item(), y_mm[1].item()), (z_mm[0].item(), z_mm[1].item()), beam.irradiance))
+        light = replace(scene.projector, beams=tuple(beams), position_mm=_vector(place))
+        found.append(replace(scene, projector=light))
+    return found
 
 
 def _beams(bench: TrueBench, pattern: Pattern) -> tuple[Beam, ...]:

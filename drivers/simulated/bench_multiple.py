@@ -21,7 +21,7 @@ from tankrig.montecarlo import Tally, simulate
 from tankrig.pattern import Pattern
 from tankrig.scene.description import Medium
 
-from .bench_ink import true_scene
+from .bench_ink import through_lens, true_scene
 from .bench_optics import camera_rays, projector_pixels
 from .bench_single import looks_in
 from .bench_truth import Array, TrueBench
@@ -55,10 +55,15 @@ def scattered_more(
     judged = max(1, round(_JUDGED_MM / scene.camera.pixel_mm / side))
     scene = replace(scene, camera=scene.camera.binned(side))
     coarse = _binned(once, side)
-    smoothed = Smoother(bench, coarse, side, scene.camera.pixel_mm)
+    smoothed, scenes = Smoother(bench, coarse, side, scene.camera.pixel_mm), through_lens(bench, scene)
 
     def seen(photons: int, number: int) -> Array:
-        return smoothed(simulate(scene, photons, (seed + number) % 2**48, min_order=2))
+        share = math.ceil(photons / len(scenes))
+        parts = [
+            smoothed(simulate(one, share, (seed + number + 2**40 * part) % 2**48, min_order=2))
+            for part, one in enumerate(scenes)
+        ]
+        return np.asarray(np.mean(parts, axis=0))
 
     pilots = np.array([seen(PILOT_PHOTONS, number) for number in range(_PILOTS)])
     image, stderr = pilots.mean(axis=0), pilots.std(axis=0, ddof=1) / math.sqrt(_PILOTS)

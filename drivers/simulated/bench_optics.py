@@ -3,6 +3,8 @@
 Rays are followed with formulae of this module's own, not with those that calibration uses: so they check each other.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,8 @@ from .bench_truth import TANK_MM, Array, TrueBench, TrueOptics, TrueStray
 FINER = 2
 """Points of `thrown` along the side of a projector pixel."""
 _STEP_MM = 0.05
+DEPTHS_MM: Array = np.linspace(0.0, TANK_MM[0], 17)
+"""Depths at which pictures of a wide lens are drawn; between them they are interpolated."""
 
 
 def camera_rays(bench: TrueBench, pixels: Array, filled: bool) -> tuple[Array, Array]:
@@ -87,6 +91,71 @@ def thrown(bench: TrueBench, pattern: Pattern) -> Array:
     halo_px = stray.projector_halo_mm * bench.projector.matrix[0, 0] / -bench.projector.centre_mm[0]
     wide = _widely(sharp, FINER * halo_px)
     return np.asarray((1.0 - stray.projector_halo) * sharp + stray.projector_halo * wide)
+
+
+def thrown_in_depth(bench: TrueBench, pattern: Pattern, filled: bool = True) -> Array:
+    """A pattern's light as it is at `DEPTHS_MM`, behind each other: what a wide lens throws is sharp at its focus only.
+
+    Returns
+    -------
+    array (depths, FINER · rows, FINER · columns)
+        See `thrown`; of a lens that is a pinhole one picture for all depths.
+    """
+    light = thrown(bench, pattern)
+    if bench.stray.projector_lens_mm == 0.0:
+        return light[None]
+    return np.stack([_over_disc(light, FINER * float(radius)) for radius in defocus_px(bench, DEPTHS_MM, filled)])
+
+
+def defocus_px(bench: TrueBench, depths_mm: Array, filled: bool) -> Array:
+    """Radius, in projector pixels, of the disc that the projector's lens makes of a pixel at depths behind the wall.
+
+    A ray from the lens's rim is followed to a point of the tank and on to where pictures are sharp: what it brings is
+    the light of the pixel that is thrown there. In the empty tank the focus is nearer, by what the water has of it.
+    """
+    stray, depths = bench.stray, np.asarray(depths_mm, float)
+    focus = stray.projector_focus_mm if filled else stray.projector_focus_mm / bench.water_index
+    points = np.stack([depths, np.zeros(depths.size), np.full(depths.size, bench.level_mm / 2)], axis=-1)
+    _, way = projector_pixels(_from_rim(bench, 0.5 * stray.projector_lens_mm, 0.0), points, filled)
+    sharp = points + ((focus - points[:, 0]) / way[:, 0])[:, None] * way
+    apart = projector_pixels(bench, sharp, filled)[0] - projector_pixels(bench, points, filled)[0]
+    return np.asarray(np.linalg.norm(apart, axis=-1))
+
+
+def pinholes(bench: TrueBench) -> list[tuple[Array, Array]]:
+    """Places of four pinholes that spread light as the projector's lens does, and how far their light moves (y, z) on
+    the wall of the filled tank so that all meet at the focus; of a lens that is a pinhole that one."""
+    radius, focus = 0.5 * bench.stray.projector_lens_mm, bench.stray.projector_focus_mm
+    if radius == 0.0:
+        return [(bench.projector.centre_mm, np.zeros(2))]
+    sharp, found = np.array([[focus, 0.0, bench.level_mm / 2]]), []
+    for y, z in ((-1, -1), (-1, 1), (1, -1), (1, 1)):  # half a radius along each axis, as an even disc's variance is
+        moved = _from_rim(bench, 0.5 * y * radius, 0.5 * z * radius)
+        ways = [projector_pixels(one, sharp, True)[1][0] for one in (moved, bench)]
+        on_wall = [-focus * way[1:] / way[0] for way in ways]
+        found.append((moved.projector.centre_mm, on_wall[0] - on_wall[1]))
+    return found
+
+
+def _from_rim(bench: TrueBench, y_mm: float, z_mm: float) -> TrueBench:
+    """The bench with a pinhole at a point of the projector's lens."""
+    light = bench.projector
+    place = light.centre_mm + np.array([0.0, y_mm, z_mm])
+    return replace(bench, projector=replace(light, translation_mm=-light.rotation @ place))
+
+
+def _over_disc(image: Array, radius_px: float) -> Array:
+    """Spread evenly over a disc whose rim may go through pixels."""
+    import cv2
+
+    reach, parts = int(radius_px + 1.0), 8
+    if radius_px < 0.25:
+        return image
+    fine = (np.arange((2 * reach + 1) * parts) + 0.5) / parts - reach - 0.5
+    inside = (np.hypot(fine[:, None], fine) < radius_px).astype(float)
+    disc = inside.reshape(2 * reach + 1, parts, 2 * reach + 1, parts).mean(axis=(1, 3))
+    spread = cv2.filter2D(image, -1, (disc / disc.sum()).astype(np.float32), borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(np.maximum(spread, 0.0))
 
 
 def through_camera_lens(bench: TrueBench, image: NDArray[np.floating], blur_px: float) -> Array:

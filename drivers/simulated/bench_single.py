@@ -17,7 +17,7 @@ from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import fresnel_reflectance
 from tankrig.scene.description import Medium
 
-from .bench_optics import FINER, camera_rays, illumination, projector_pixels
+from .bench_optics import DEPTHS_MM, FINER, camera_rays, illumination, projector_pixels
 from .bench_truth import TANK_MM, Array, TrueBench
 
 _NODE_PX, _NODE_MM, _STEP_MM = 15, 4.0, 0.5
@@ -69,7 +69,7 @@ def scattered_once(bench: TrueBench, thrown: Array, medium: Medium) -> Array:
     bench
         Its truth.
     thrown
-        The projector's light, see `bench_optics.thrown`.
+        The projector's light by depth, see `bench_optics.thrown_in_depth`.
     medium
         In the tank.
 
@@ -80,12 +80,14 @@ def scattered_once(bench: TrueBench, thrown: Array, medium: Medium) -> Array:
     """
     image = np.zeros(bench.camera.shape)
     if medium.sigma_s > 0.0 and thrown.any():
-        lit = _lit_tiles(thrown)
+        lit = _lit_tiles(thrown.max(axis=0))
+        layers_a_mm = (len(thrown) - 1) / float(DEPTHS_MM[-1])
+        water = _Water(TANK_MM[0], TANK_MM[1] / 2, bench.level_mm)
         for sight in _lines_of_sight(bench):
             ln = sight.ln_strength - medium.sigma_t * sight.path_mm
             ln += np.log(np.pi * bench.full * medium.sigma_s * medium.phase_function.at(sight.cosine))
             nodes = np.concatenate([sight.places, ln[..., None]], axis=-1)
-            _gather(nodes, thrown, lit, FINER, _Water(TANK_MM[0], TANK_MM[1] / 2, bench.level_mm), _STEP_MM, image)
+            _gather(nodes, thrown, layers_a_mm, lit, FINER, water, _STEP_MM, image)
     return image
 
 
@@ -142,8 +144,9 @@ def _sight(
 
 @kernel
 def _gather(
-    nodes: Array, thrown: Array, lit: NDArray[np.bool_], finer: int, water: _Water, step: float, image: Array
-) -> None:
+    nodes: Array, thrown: Array, layers_a_mm: float, lit: NDArray[np.bool_], finer: int, water: _Water, step: float,
+    image: Array,
+) -> None:  # fmt: skip
     """Add to each pixel the light along its line of sight: linear between nodes, but exponential in brightness.
 
     Σ thrown · strength Δz over points of the line at even steps.
@@ -192,7 +195,7 @@ def _gather(
                         if not (0.0 < z_wall < level and abs(y_wall) < half_width):
                             continue
                         u, v = above[_U] + (point + 0.5) * change[_U], above[_V] + (point + 0.5) * change[_V]
-                        light = _between(thrown, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)
+                        light = _at_depth(thrown, x * layers_a_mm, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)
                         total += light * strength
                 for k in range(count):
                     above[k] = here[k]
@@ -214,6 +217,17 @@ def _tile(lit: NDArray[np.bool_], row: float, column: float) -> bool:
     """Whether there may be light within a tile's side of a place of the picture."""
     r, c = math.floor(row / _TILE), math.floor(column / _TILE)
     return bool(lit[min(max(r, 0), lit.shape[0] - 1), min(max(c, 0), lit.shape[1] - 1)])
+
+
+@part
+def _at_depth(thrown: Array, place: float, row: float, column: float) -> float:
+    """The light between two depths, or that of all."""
+    before = min(int(place), max(thrown.shape[0] - 2, 0))
+    behind = place - before
+    light = _between(thrown[before], row, column)
+    if behind > 0.0:
+        light = (1.0 - behind) * light + behind * _between(thrown[before + 1], row, column)
+    return light
 
 
 @part

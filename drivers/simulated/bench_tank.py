@@ -7,7 +7,7 @@ import numpy as np
 from tankrig.pattern import Pattern
 from tankrig.scene.description import Medium
 
-from .bench_optics import camera_rays, through_camera_lens, thrown, vignetting
+from .bench_optics import camera_rays, through_camera_lens, thrown_in_depth, vignetting
 from .bench_truth import TANK_MM, Array, TrueBench, TrueStray, random_bench
 from .picture_store import PictureStore
 from .settings import SimulatedCameraSettings
@@ -93,7 +93,7 @@ class InkInView:
         dark = np.zeros(self.shape)
         if medium.sigma_s == 0.0:
             return Radiance(dark, dark)
-        once = scattered_once(bench, thrown(bench, pattern), medium)
+        once = scattered_once(bench, thrown_in_depth(bench, pattern), medium)
         if not once.any():
             return Radiance(dark, dark)
         seed = seed_of(self._seed, pattern, medium)

@@ -56,6 +56,8 @@ class TrueStray:
     veil: float = 0.0
     projector_halo: float = 0.0
     projector_halo_mm: float = 20.0
+    projector_lens_mm: float = 0.0
+    projector_focus_mm: float = 100.0
     floor: float = 0.0
     glass: tuple[str, ...] = ()
 

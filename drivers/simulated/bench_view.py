@@ -8,7 +8,16 @@ from numpy.typing import NDArray
 from tankrig.calibration.board import Board
 from tankrig.pattern import Pattern
 
-from .bench_optics import FINER, behind_camera_lens, blurred_part, camera_rays, illumination, thrown, vignetting
+from .bench_optics import (
+    DEPTHS_MM,
+    FINER,
+    behind_camera_lens,
+    blurred_part,
+    camera_rays,
+    illumination,
+    thrown_in_depth,
+    vignetting,
+)
 from .bench_poses import FILLED, Held, Place, board_pose
 from .bench_trap import TrapInView
 from .bench_truth import Array, TrueBench
@@ -76,8 +85,14 @@ class BoardInView:
         import cv2
 
         x, y = self._from
-        light = thrown(self._bench, pattern)
-        seen: Map = cv2.remap(light, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        layers = thrown_in_depth(self._bench, pattern, self._filled)
+        place = self._depth * np.float32((len(DEPTHS_MM) - 1) / DEPTHS_MM[-1])
+        seen: Map = np.zeros(x.shape, np.float32)
+        for number, light in enumerate(layers):
+            share = np.maximum(0.0, 1.0 - np.abs(place - number)) if len(layers) > 1 else np.ones(1)
+            if share.any():
+                there = cv2.remap(light, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+                seen += share.astype(np.float32) * there
         return seen
 
     def _bounding_box(self) -> tuple[int, int, int, int] | None:
@@ -125,6 +140,8 @@ class BoardInView:
                 ((_spline(nodes_y, nodes_x, pixels[..., k], fine) + 0.5) * FINER - 0.5).astype(np.float32)
                 for k in range(2)
             ]
+            depth = _spline(nodes_y, nodes_x, points[..., 0], fine).astype(np.float32)
+            self._depth: Map = np.clip(depth, DEPTHS_MM[0], DEPTHS_MM[-1])
             self._beam: Map = _spline(nodes_y, nodes_x, strength, fine).astype(np.float32)
 
     def on_board(self, x: Array, y: Array) -> tuple[Array, Array]:

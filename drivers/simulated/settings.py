@@ -127,6 +127,8 @@ class Stray(BaseModel):
         Share that it spreads evenly over the whole picture.
     projector_halo, projector_halo_mm
         The same as the camera's halo of the projector's lens, on the wall.
+    projector_lens_mm, projector_focus_mm
+        How wide the projector's lens is, a disc across x, and the x in the filled tank at which its pictures are sharp.
     floor
         Diffuse reflectance of the tank's floor.
     glass
@@ -141,6 +143,8 @@ class Stray(BaseModel):
     veil: float = Field(default=0.0, ge=0.0, le=0.5)
     projector_halo: float = Field(default=0.0, ge=0.0, le=0.2)
     projector_halo_mm: float = Field(default=20.0, gt=0.0)
+    projector_lens_mm: float = Field(default=0.0, ge=0.0, le=100.0)
+    projector_focus_mm: float = Field(default=100.0, ge=0.0, le=240.0)
     floor: float = Field(default=0.0, ge=0.0, le=1.0)
     glass: tuple[Literal["entry", "far", "left", "right"], ...] = ()
 
