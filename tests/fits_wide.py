@@ -26,15 +26,15 @@ NAMES = ("sigma_a", "sigma_s", "g")
 Array = NDArray[np.float64]
 
 
-def observed(path: Path, seed: int) -> tuple[Array, Array]:
-    """An image with noise, and its standard deviation, from a truth or the mean of two."""
+def observed(path: Path, seed: int, share: float = NOISE) -> tuple[Array, Array]:
+    """An image with noise, and its standard deviation, from a truth or the mean of two; the camera's is a share."""
     with np.load(path) as arrays:
         two = "total_2" in arrays
         totals = [arrays[name].astype(float) for name in (("total", "total_2") if two else ("total",))]
         errors = [arrays[name].astype(float) for name in (("stderr", "stderr_2") if two else ("stderr",))]
     truth = np.mean(totals, axis=0)
     variance = np.sum(np.square(errors), axis=0) / len(errors) ** 2
-    camera = NOISE * float(truth.max())
+    camera = share * float(truth.max())
     image = truth + np.random.default_rng(seed).normal(0.0, camera, truth.shape)
     return image, np.sqrt(camera**2 + gaussian_filter(variance, SMOOTH_PIXELS))
 
