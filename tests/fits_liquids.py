@@ -118,7 +118,7 @@ def fitted(scene_file: Path, gain: str, mode: str, seed: int) -> Line:
         pair: list[Scene] = [plain, replace(sheet, medium=plain.medium)]
         seen = [observe(*one) for one in ((image, image.shape, noise), (other[0], other[0].shape, other[1]))]
         asked = "any" if not isinstance(truth.phase_function, Mie) else truth.phase_function
-        found = fit_liquid(seen, pair, Scaling.given(*known), asked=asked_for(asked, scene))  # type: ignore[arg-type]
+        found = fit_liquid(seen, pair, Scaling.given(*known), asked=asked_for(asked, scene))
         assert found is not None
         assert found.scattering is not None
         told: Line = {"determined": found.identifiable, "verdict": "", "beyond": found.beyond}
@@ -162,7 +162,7 @@ def fitted_doses(folder: Path, liquid: str, gain: str, seed: int) -> Line:
 
 def near(one: Line, which: int, share: float) -> bool:
     """Whether a value is within a share (of g: that much) or two standard deviations of the truth."""
-    return abs(one["off"][which]) <= max(share, 2.0 * one["sd"][which])
+    return bool(abs(one["off"][which]) <= max(share, 2.0 * one["sd"][which]))
 
 
 def p_near(one: Line) -> bool:

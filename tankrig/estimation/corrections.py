@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from tankrig.estimation.differences import Forward, Slopes, values_of
 from tankrig.estimation.forward import Model, corrected, image_of
 from tankrig.estimation.optimiser import LAST_STEPS, solve
+from tankrig.estimation.phase_block import PhaseBlock
 from tankrig.estimation.phase_families import Family
+from tankrig.estimation.phase_result import coefficients_by
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.search import Told
 from tankrig.estimation.shots import Fit, Shot, weighed_problem
@@ -135,8 +137,13 @@ def _held_back(best: Evaluation) -> bool:
     """Whether the model's error leaves a coefficient undetermined that noise alone would not."""
     views, medium = best.problem.views, best.media[0]
     noise = [view.observation.noise for view in views]
+    others = best.problem.blocks[1:]
+    count, by = 3, np.eye(3)  # σa, σs and g, whatever comes after them
+    if others and isinstance(others[0], PhaseBlock):  # a family's coordinates are not the mean cosine
+        by = coefficients_by(others[0].family, best.values[others[0].name])
+        count = by.shape[1]
     with_error, without = (
-        identifiable(medium, best.sensitivity.covariance(noise, errors))
+        identifiable(medium, by @ best.sensitivity.covariance(noise, errors)[:count, :count] @ by.T)
         for errors in ([view.error for view in views], [None] * len(noise))
     )
     return with_error != without
