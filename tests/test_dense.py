@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import tankrig
+from tankrig.estimation.followed import Solved
+from tankrig.estimation.forward import models_of
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.dense import dense_orders, solved
 from tankrig.light.moments.plan import MomentPlan, moment_plan
@@ -66,6 +68,24 @@ def test_agrees_with_paths(surface: str, albedo: float, g: float) -> None:
     noise = relative(paths.stderr, total)
     assert noise < 0.012
     assert relative(dense_orders(scene, plan).image - by_paths, total) < np.hypot(1.3 * noise, 0.007)
+
+
+def test_noise_tells_no_coefficients_of_dense_water_apart() -> None:
+    """What changes the image least would seem known where derivatives are noisy, and fits stop far off (g by 8 sd)."""
+    beams = tuple(Beam((y, y + 3.5), (62.0, 65.5)) for y in (-58.0, -35.0, -12.0, 11.0, 34.0, 57.0))
+    tank, camera = Tank(surface="fresnel", refractive_index=1.33), Camera("orthographic", (20, 30), 8.0)
+    scene = Scene(tank, Medium(0.0003, 0.0925, -0.3), Projector("collimated", beams), camera)
+    medium = scene.medium
+    _, one = models_of(scene, "tank", None).refined(medium)
+    assert isinstance(one, Solved)
+    other = replace(one, low=replace(one.low, seed=2))
+    sizes = np.array([0.001, medium.sigma_s, 1.0 - medium.g**2])
+    first, second = (model.slopes(medium).reshape(3, -1).T * sizes for model in (one, other))
+    product = first.T @ second
+    _, ways = np.linalg.eigh(product + product.T)
+    flattest = ways[:, 0]
+    told, noise = 0.5 * (first + second) @ flattest, (first - second) @ flattest / np.sqrt(2.0)
+    assert np.linalg.norm(noise) < 0.5 * np.linalg.norm(told)  # .2; by paths of the same price .8 and more
 
 
 def test_a_cell_lights_the_tank_as_much_as_the_tank_lights_it() -> None:

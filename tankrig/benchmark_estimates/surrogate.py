@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import Range, slopes, to_coordinates, to_medium
-from tankrig.estimation.forward import Models, remembered
+from tankrig.estimation.followed import remembered
+from tankrig.estimation.forward import Models
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes, values_of
-from tankrig.estimation.forward import Model, corrected, image_of
+from tankrig.estimation.followed import Model, Solved
+from tankrig.estimation.forward import corrected, image_of
 from tankrig.estimation.optimiser import LAST_STEPS, solve
 from tankrig.estimation.phase_block import PhaseBlock
 from tankrig.estimation.phase_families import Family
@@ -22,13 +23,15 @@ from tankrig.scene import Medium
 Vector = NDArray[np.float64]
 Image = NDArray[np.floating]
 
-NEAR_ENOUGH, BENT_ENOUGH, MANY_ENOUGH = 0.005, 0.05, 0.1
+NEAR_ENOUGH, BENT_ENOUGH, MANY_ENOUGH, SOLVED_ENOUGH = 0.005, 0.05, 0.1, 1.0
 """Where searches about exact images stop, see `solve`: to first order, where steps cost nothing, and as the models
-bend; with a phase function's many coordinates, of which each may be off by less than where there are three."""
+bend; with a phase function's many coordinates, of which each may be off by less than where there are three; where
+high orders are solved for, whose source is as rough as that."""
 BENT_STEPS = 6
 """Steps as the models bend, at most: the exact image's optimum is near, and what more of them find is roughness."""
 FEW_STEPS = 12
-"""Steps with the accurate model, and as the models bend, at most, where a phase function's coordinates are fitted."""
+"""Steps with the accurate model, and as the models bend, at most, where a phase function's coordinates are fitted
+or high orders are solved for."""
 CORRECTIONS, SETTLED = 4, 0.1
 """Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
 which that is over, see `Block.looseness`."""
@@ -62,6 +65,8 @@ def corrected_fit(
     problem = best.problem
     many = any(shot.models.family for shot in shots)
     bent_enough, steps = (MANY_ENOUGH, FEW_STEPS) if many else (BENT_ENOUGH, BENT_STEPS)
+    if any(isinstance(model, Solved) for model in models):
+        bent_enough = SOLVED_ENOUGH
 
     def about(centre: Evaluation, start: Evaluation, times: int) -> Fit:
         media, slopes = centre.media, problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))

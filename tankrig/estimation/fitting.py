@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.corrections import FEW_STEPS, MANY_ENOUGH, corrected_fit
+from tankrig.estimation.corrections import FEW_STEPS, MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit
+from tankrig.estimation.followed import Solved
 from tankrig.estimation.forward import COARSE, image_of, stated_error
 from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
 from tankrig.estimation.parameters import Block
@@ -74,10 +75,14 @@ def fitted(
         seen = [fine(liquid) for (fine, _), liquid in zip(versions, media, strict=True)]
         forwards = [image_of(fine) for fine, _ in versions]
         slopes = [shot.slopes_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
-        problem = weighed_problem(problem, shots, forwards, slopes, seen)
-        many = any(shot.models.family for shot in shots)
+        quick = all(shot.models.quick(slope) for shot, (_, slope) in zip(shots, versions, strict=True))
+        problem = replace(weighed_problem(problem, shots, forwards, slopes, seen), quick=quick)
+        enough = SOLVED_ENOUGH if any(isinstance(fine, Solved) for fine, _ in versions) else None
+        if any(shot.models.family for shot in shots):
+            enough = MANY_ENOUGH
         best = by_cost(
-            solve(problem, one, MANY_ENOUGH, FEW_STEPS, damping=0.0) if many else polish(problem, one) for one in found
+            polish(problem, one) if enough is None else solve(problem, one, enough, FEW_STEPS, damping=0.0)
+            for one in found
         )[0]
     else:
         progress("fitting all images")

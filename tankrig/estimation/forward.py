@@ -9,8 +9,8 @@ would look like a way to a better fit.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, TypeVar
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,16 @@ from tankrig.estimation.differences import (
     liquid_slopes_of,
     slopes_of,
 )
+from tankrig.estimation.followed import (
+    SLOPE_BLUR_MM,
+    SOLVED_BATCHES,
+    Followed,
+    Image,
+    Model,
+    Solved,
+    remembered,
+    tank_along,
+)
 from tankrig.estimation.phase_families import Family
 from tankrig.image.predict import predict
 from tankrig.prediction import Prediction, Skipped
@@ -35,14 +45,10 @@ from tankrig.scene.phase_table import PhaseFunction
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
 
-Image = NDArray[np.floating]
-Model = Callable[[Medium], Prediction]
-"""What the camera would see with a medium in the tank."""
 Exact = Callable[[Medium, int], Prediction]
 """The same as accurately as can be, with so many times as many light paths."""
 ModelOf = Callable[[Scene, int, int], Model]
 """From a scene, a number of batches and a seed to a model; many batches are accurate, and few are quick."""
-Answer = TypeVar("Answer")
 
 COARSE, FINE = 0.05, 0.01
 """Tolerance of cheap and of accurate images."""
@@ -52,10 +58,6 @@ it does not and noise is told from light by their scatter (two of them err by 7 
 FINE_NOISE, FINE_BATCHES = 0.003, 32
 SLOPE_NOISE, SLOPE_BATCHES = 0.006, 16
 """Noise (relative L2) that the images for the last steps and for derivatives aim for, and their lattices at most."""
-SLOPE_BLUR_MM = 4.0
-"""Standard deviation of the Gaussian over which orders ≥ 3 are averaged where changes of the image matter and not the
-image: paths take other ways in another medium, and the noise of the difference passes for knowledge."""
-
 CHECK_BATCHES = 32
 """Lattices of the image that a prepared model of light or sight that slant is compared with."""
 LOOK_PIXELS, LOOK_BATCHES = 2400, 2
@@ -77,57 +79,6 @@ PURE_WATER_SIGMA_S = 1.9e-6
 
 ERROR_PIXELS = 4.0
 """Standard deviation of the Gaussian over which a stated noise is averaged."""
-
-
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """The tank's image by a fixed number of lattices of paths, and its derivatives along them.
-
-    Parameters
-    ----------
-    scene
-        Of any medium.
-    batches, seed, max_order
-        See `tank_tangent`.
-    small
-        Whether lattices are of a quarter as many paths.
-    rough
-        Whether order 2 is left to the paths as well.
-    """
-
-    scene: Scene
-    batches: int
-    seed: int
-    max_order: int | None
-    small: bool = False
-    rough: bool = False
-
-    def __call__(self, medium: Medium) -> Prediction:
-        """The image; of another phase function than Henyey–Greenstein's by itself."""
-        return self._both(medium)[0] if medium.phase is None else self._alone(medium)
-
-    def slopes(self, medium: Medium) -> Image:
-        """(3, rows, columns) derivatives by σa, σs and g."""
-        return self._both(medium)[1]
-
-    @cached_property
-    def _alone(self) -> Model:
-        return remembered(
-            lambda medium: _tank(replace(self.scene, medium=medium), self.max_order, self.batches, self.seed, 0.0)
-        )
-
-    @cached_property
-    def _both(self) -> "Callable[[Medium], tuple[Prediction, Image]]":
-        from tankrig.light.paths.block import LARGE, SMALL
-        from tankrig.light.tangent import tank_tangent
-
-        lattice = SMALL if self.small else LARGE
-
-        def both(medium: Medium) -> tuple[Prediction, Image]:
-            scene = replace(self.scene, medium=medium)
-            return tank_tangent(scene, self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM, self.rough)
-
-        return remembered(both)
 
 
 @dataclass(frozen=True)
@@ -180,14 +131,13 @@ class Models:
         if self.family is not None:
             low = None if self.low is None else image_of(self.low)
             return liquid_slopes_of(image_of(model), length_mm, self.family, self.central, low=low)
-        if isinstance(model, Followed):
+        if isinstance(model, Followed | Solved):
             return model.slopes
         return self.slopes or slopes_of(image_of(model), length_mm, self.central)
 
-    @property
-    def with_slopes(self) -> bool:
-        """Whether derivatives come with the images, for less than their own price."""
-        return self.slopes is not None or (self.family is None and isinstance(self.coarse, Followed))
+    def quick(self, model: Model) -> bool:
+        """Whether a version's derivatives come with its images, for less than their own price."""
+        return self.slopes is not None or (self.family is None and isinstance(model, Followed))
 
     def refined(self, medium: Medium) -> tuple[Model, Model]:
         """See `refine`."""
@@ -299,7 +249,7 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
 
 def _tank_models(scene: Scene, max_order: int | None) -> Models:
     def following(batches: int, seed: int, blur_mm: float = 0.0) -> Model:
-        return remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, batches, seed, blur_mm))
+        return remembered(lambda medium: tank_along(replace(scene, medium=medium), max_order, batches, seed, blur_mm))
 
     from tankrig.light.rays import shift_invariant
 
@@ -338,13 +288,19 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
     coarse = Followed(scene, fewest, 0, max_order, small=True)
     by = max(1, int(math.sqrt(math.prod(scene.camera.shape) / LOOK_PIXELS)))
     look = by, Followed(replace(scene, camera=scene.camera.binned(by)), LOOK_BATCHES, 0, max_order, True, rough=True)
-    slanted = remembered(lambda medium: _tank(replace(scene, medium=medium), max_order, fewest, 1, 0.0))
+    slanted = remembered(lambda medium: tank_along(replace(scene, medium=medium), max_order, fewest, 1, 0.0))
 
     def batches(medium: Medium, noise: float, most: int) -> int:
         need = fewest * stated_error(slanted(medium)) ** 2
         return int(np.clip(need / noise**2, fewest, most))
 
     def refine(medium: Medium) -> tuple[Model, Model]:
+        from tankrig.light.moments.plan import plan_of_changes
+
+        plan = None if max_order else plan_of_changes(replace(scene, medium=medium))
+        if plan is not None:
+            solved = Solved(Followed(scene, SOLVED_BATCHES, 1, plan.above), plan)
+            return solved, solved
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
         return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
 
@@ -356,21 +312,6 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
         return tank_accurate(replace(scene, medium=medium), count * LARGE.points, 3, max_order)
 
     return Models(coarse, refine, exact=exact, look=look)
-
-
-def _tank(scene: Scene, max_order: int | None, batches: int, seed: int, blur_mm: float) -> Prediction:
-    from scipy.ndimage import gaussian_filter
-
-    from tankrig.light.tank import tank_image
-
-    found = tank_image(scene, FINE, max_order, seed, batches)
-    if blur_mm == 0.0:
-        return found
-    exact = found.orders[1] + found.orders[2]
-    image = exact + gaussian_filter(
-        found.image - exact, [blur_mm / side for side in scene.camera.sides_mm], mode="nearest"
-    )
-    return replace(found, image=image)
 
 
 def series_models(
@@ -523,11 +464,6 @@ def counted_error(prediction: Prediction, gain: float) -> Image:
     """The model's error by pixel in units of the image, which no pixel has more of than of a coarse image."""
     error: Image = abs(gain) * np.minimum(error_map(prediction), COARSE * np.abs(prediction.image).max())
     return error
-
-
-def remembered(forward: Callable[[Medium], Answer]) -> Callable[[Medium], Answer]:
-    """The same function, answering at once for the few media asked for last."""
-    return lru_cache(maxsize=8)(forward)
 
 
 def image_of(model: Model) -> Forward:

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes
-from tankrig.estimation.forward import COARSE, Model, Models, counted_error, image_of
+from tankrig.estimation.followed import Model
+from tankrig.estimation.forward import COARSE, Models, counted_error, image_of
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import Block
 from tankrig.estimation.problem import Evaluation, Problem, View
@@ -77,7 +78,7 @@ def rough_problem(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Sca
         ambient = float(np.percentile(seen.image[seen.used], 5)) if scaling.offset is None else scaling.offset
         error = share * np.maximum(seen.image - ambient, 0.0)
         views.append(shot.view(image_of(coarse), shot.slopes_of(coarse), error))
-    return Problem(tuple(views), blocks, scaling, quick=all(shot.models.with_slopes for shot in shots))
+    return Problem(tuple(views), blocks, scaling, quick=all(shot.models.quick(shot.models.coarse) for shot in shots))
 
 
 def weighed_problem(

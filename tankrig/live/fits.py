@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.astray import unmeasured
-from tankrig.estimation.forward import PURE_WATER_SIGMA_S, Model, ModelOf, Models, models_of, prepared_model
+from tankrig.estimation.followed import Model
+from tankrig.estimation.forward import PURE_WATER_SIGMA_S, ModelOf, Models, models_of, prepared_model
 from tankrig.estimation.phase_answer import asked_for
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import InkAndWater, estimate_series, fit_liquid, observed

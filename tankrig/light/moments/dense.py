@@ -66,26 +66,50 @@ def dense_orders(
     surface
         Cells that the image is made of; None for the camera's pixels.
     """
-    medium, pixel = scene.medium, scene.camera.pixel_mm
-    surface = surface or (scene.camera.shape, (pixel, pixel))
+    surface = surface or _pixels_of(scene)
+    source = _source(scene, plan, seed)
+    image = _solved_image(scene, plan, source, residual, surface)
+    coarse = Cells.of(scene.tank, COARSER * plan.side_mm)
+    even = averaged_over(Cells.of(scene.tank, plan.side_mm), coarse, source)
+    to_20 = _orders_to(20, scene, coarse, even, plan.above, surface)
+    to_20 = np.clip(to_20, 0.0, np.maximum(image, 0.0))
+    return DenseOrders(to_20, np.maximum(image, 0.0) - to_20)
+
+
+def dense_image(scene: Scene, plan: MomentPlan, seed: int = 0, residual: float = 1e-5) -> Array:
+    """(rows, columns) image of all orders above `plan.above` in one, on the camera's pixels, W/mm²/sr.
+
+    For one plan and seed it is a smooth function of the medium, whose differences have no noise. Parameters are as for
+    `dense_orders`.
+    """
+    return _solved_image(scene, plan, _source(scene, plan, seed), residual, _pixels_of(scene))
+
+
+def _pixels_of(scene: Scene) -> Surface:
+    pixel = scene.camera.pixel_mm
+    return scene.camera.shape, (pixel, pixel)
+
+
+def _source(scene: Scene, plan: MomentPlan, seed: int) -> Single:
+    """Moments of the emission after `plan.above` scatterings."""
     cells = Cells.of(scene.tank, plan.side_mm)
-    level = degrees(plan.degree)
     emission = emission_moments(scene, cells, plan.degree, plan.above, plan.batches, seed)
     if mirror_symmetric(scene):
         emission = 0.5 * (emission + emission[:, :, ::-1] * parities(plan.degree)[1][:, None, None, None])
-    source = emission.astype(np.float32)
+    return emission.astype(np.float32)
+
+
+def _solved_image(scene: Scene, plan: MomentPlan, source: Single, residual: float, surface: Surface) -> Array:
+    """Image of what a source's light becomes, without the source itself."""
+    medium, cells = scene.medium, Cells.of(scene.tank, plan.side_mm)
     moments = medium.phase_function.moments(plan.degree + 1)
     forward = moments[-1]
     scaled = medium.sigma_t - forward * medium.sigma_s
-    scattering_moments = _column(medium.sigma_s * (moments[level] - forward))
+    scattering_moments = _column(medium.sigma_s * (moments[degrees(plan.degree)] - forward))
     transport = propagation(plan.degree, cells, scaled, scene.tank.surface_index)
     field = solved(transport, scattering_moments, transport(source), residual)
     whole = _seen(scene, cells, scattering_moments * field + source, scaled, surface)
-    image = whole - _seen(scene, cells, source, medium.sigma_t, surface)
-    coarse = Cells.of(scene.tank, COARSER * plan.side_mm)
-    to_20 = _orders_to(20, scene, coarse, averaged_over(cells, coarse, source), plan.above, surface)
-    to_20 = np.clip(to_20, 0.0, np.maximum(image, 0.0))
-    return DenseOrders(to_20, np.maximum(image, 0.0) - to_20)
+    return whole - _seen(scene, cells, source, medium.sigma_t, surface)
 
 
 def _orders_to(last: int, scene: Scene, cells: Cells, source: Single, above: int, surface: Surface) -> Array:

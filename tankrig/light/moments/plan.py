@@ -13,6 +13,8 @@ MOST_CELLS = (50, 38, 32, 28, 26)
 """Cells along the tank's shortest side, at most by degree: so many take some 10 s of one core and 300 MiB."""
 NOISE_SHARE = 0.3
 """Share of the tolerance that the source's noise may use up."""
+CHANGES_CELL, CHANGES_BATCHES = 0.8, 6
+"""The same sides where changes of the image are wanted and not the image, and lattices that make the source then."""
 
 
 @dataclass(frozen=True)
@@ -85,3 +87,37 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     spatial += 0.008 * (0.5 * fading * side * shortest) ** 2
     bound = math.hypot(angular, spatial, noise / math.sqrt(batches))
     return MomentPlan(above, degree, side, batches, bound) if bound <= 0.75 * tolerance else None
+
+
+def plan_of_changes(scene: Scene) -> MomentPlan | None:
+    """The plan for how the image changes with the medium, near one medium; None where paths tell that well.
+
+    A few per cent of error do, but it must have no noise: in dense water σa, σs and g change the image nearly alike,
+    and what noise adds to their derivatives looks as if it told them apart.
+
+    Parameters
+    ----------
+    scene
+        Any scene.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Tank
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> camera = Camera("orthographic", (80, 120), 2.0)
+    >>> plan_of_changes(Scene(Tank(), Medium(0.0001, 0.0999, -0.3), light, camera)).degree
+    2
+    """
+    medium, g = scene.medium, abs(scene.medium.g)
+    shortest = min(scene.tank.size_mm)
+    depth = medium.sigma_t * shortest
+    if depth < 4.0 or depth * (1.0 - medium.g) < 0.5 or g > 0.95 or not shift_invariant(scene):
+        return None
+    degree, above = 2 if g < 0.4 else 3 if g < 0.8 else 4, 5
+    beyond = abs(float(medium.phase_function.moments(degree + 1)[-1]))
+    while above < 14 and beyond**above > 0.02:
+        above += 1
+    scaled = medium.sigma_t - beyond * medium.sigma_s
+    side = shortest / min(max(shortest * scaled / CHANGES_CELL, FEWEST_CELLS), MOST_CELLS[degree])
+    bound = math.hypot(0.6 * beyond**above, 0.001 + 0.03 * (side * scaled) ** 3)
+    return MomentPlan(above, degree, side, CHANGES_BATCHES, bound)
