@@ -120,7 +120,7 @@ def wait_ms(milliseconds: int) -> None:
     loop.exec()
 
 
-def until(true: Callable[[], object], timeout_s: float = 20.0, what: str = "") -> None:
+def until(true: Callable[[], object], timeout_s: float = 60.0, what: str = "") -> None:
     """Let the window work until something is true."""
     deadline = time.monotonic() + timeout_s
     while not true():
