@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import Range, to_coordinates
-from tankrig.estimation.differences import slopes_of
+from tankrig.estimation.differences import Forward, slopes_of
 from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import Models, image_of
 from tankrig.estimation.observation import observe
-from tankrig.estimation.optimiser import solve
+from tankrig.estimation.optimiser import solve, without_noise
 from tankrig.estimation.parameters import Block, MediumBlock, Values
 from tankrig.estimation.problem import Problem, View
 from tankrig.estimation.result import Linearity
@@ -125,6 +125,47 @@ def test_a_correlated_error_is_weighed_and_counted_as_what_it_is() -> None:
     told, white = (np.sqrt(np.mean(np.square(off[name]), axis=0)) for name in ("told", "white"))
     assert (np.abs(told - 1.0) < 0.35).all()
     assert white.max() > 5.0
+
+
+def test_noise_of_derivatives_is_no_knowledge_and_holds_no_step_back() -> None:
+    """Where noise is as large as what tells σs and g apart, steps went half of the way and errors were too small."""
+    forward, size, random = image_of(tank_like), np.array([4e-5, 4e-4, 0.04]), np.random.default_rng(7)
+    clean, exact = forward(MEDIUM), slopes_of(forward, 240.0)(MEDIUM)
+    noise = np.full(clean.shape, 0.002 * float(clean.max()))
+    told, ways = np.linalg.eigh(np.tensordot(exact, exact, ((1, 2), (1, 2))) * np.outer(size, size))
+    flattest = ways[:, 0] * size
+    away = Medium(*(TRUTH + 0.01 * flattest))
+    apart = 2.5 * np.sqrt(told[0] / clean.size) / size  # of each of eight, pixel by pixel
+    found: dict[str, list[tuple[float, float]]] = {"known": [], "not known": []}
+    wanted = told[0] / noise[0, 0] ** 2
+    for _ in range(20):
+        groups = exact + random.normal(size=(8, 3, *clean.shape)) * apart[:, None, None]
+        slopes = groups.mean(axis=0)
+        patterns = (groups - slopes) / np.sqrt(8.0 * 7.0)
+
+        def line(medium: Medium, slopes: Array = slopes) -> Array:
+            return np.asarray(
+                forward(away) + np.tensordot(np.subtract(medium.coefficients, away.coefficients), slopes, 1)
+            )
+
+        for name, known in (("known", patterns), ("not known", patterns[:0])):
+            problem = problem_of(clean, noise, line, slopes).with_slopes_noise([lambda _, known=known: known])
+            at = problem.at(to_coordinates(away))
+            end = solve(problem, at.coordinates, 1e-9, 50, damping=0.0).coordinates + without_noise(at)
+            moved = (problem.at(end).values["medium"] - away.coefficients) / size
+            fisher = (flattest @ at.sensitivity.fisher @ flattest) / wanted
+            found[name].append((-100.0 * float(moved @ ways[:, 0]), float(fisher)))
+    (moved, told_by), (short, more) = (np.mean(found[name], axis=0) for name in ("known", "not known"))
+    assert short < 0.75
+    assert moved == pytest.approx(1.0, abs=0.1)
+    assert more > 1.5
+    assert told_by == pytest.approx(1.0, abs=0.1)
+
+
+def problem_of(image: Array, noise: Array, forward: Forward, slopes: Array) -> Problem:
+    """Of one image of known gain, with a model that has no error."""
+    view = View(observe(image, image.shape, noise), forward, lambda _: slopes, SmoothError(np.zeros_like(image), 60.0))
+    return Problem((view,), (MediumBlock(RANGE),), Scaling(1.0, 0.0))
 
 
 def truth_found(fit: Fit, models: Models, image: Array, noise: float) -> Array:

@@ -34,7 +34,7 @@ def test_the_image_that_comes_with_derivatives_is_the_image(name: str) -> None:
     """A fit steps on one and ends on the other: they must not be two models."""
     scene = SCENES[name]
     image = tank_image(scene, seed=3, batches=6).image
-    found, _ = tank_tangent(scene, 6, seed=3)
+    found = tank_tangent(scene, 6, seed=3).prediction
     assert np.linalg.norm(found.image - image) < 1e-6 * np.linalg.norm(image)
 
 
@@ -51,7 +51,7 @@ def test_light_of_one_order_goes_with_a_power_of_scattering(name: str) -> None:
 def test_derivatives_are_those_of_the_light(name: str) -> None:
     """A derivative that is off makes steps creep and errors lie; differences know nothing of scores."""
     scene = SCENES[name]
-    medium, (_, slopes) = scene.medium, tank_tangent(scene, 8, seed=5)
+    medium, slopes = scene.medium, tank_tangent(scene, 8, seed=5).slopes
     steps = {"sigma_a": 0.05 * medium.sigma_a, "sigma_s": 0.03 * medium.sigma_s, "g": 0.03 * (1.0 - medium.g**2)}
     for slope, (coefficient, step) in zip(slopes, steps.items(), strict=True):
         at = getattr(medium, coefficient)
@@ -75,6 +75,17 @@ def test_patterns_of_noise_are_how_images_scatter(name: str) -> None:
         seen = np.var(np.tensordot(images, weight, 2), ddof=1)
         told = np.mean([np.sum(np.tensordot(one.patterns, weight, 2) ** 2) for one in made if one.patterns is not None])
         assert 0.35 < seen / told < 2.0
+
+
+@pytest.mark.parametrize("name", ["parallel", "pinholes"])
+def test_patterns_of_noise_are_how_derivatives_scatter(name: str) -> None:
+    """What noise adds to what tells coefficients apart is taken off by them: too small, and fits say too much."""
+    scene = SCENES[name]
+    made = [tank_tangent(scene, 6, seed=seed, lattice=SMALL, blur_mm=4.0) for seed in range(16)]
+    seen = np.var([one.slopes for one in made], axis=0, ddof=1).sum(axis=(1, 2))
+    told = np.mean([np.square(one.noise).sum(axis=0) for one in made], axis=0).sum(axis=(1, 2))
+    assert (seen / told > 0.5).all()
+    assert (seen / told < 1.6).all()
 
 
 def test_patterned_errors_move_what_they_are_like() -> None:

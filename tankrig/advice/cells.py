@@ -248,12 +248,13 @@ def _followed(scene: Scene, seed: int, family: Family | None) -> tuple[Array, Ar
 
     if family is not None:
         return answer_by_paths(family)(scene, scene.medium)
-    found, slopes = tank_tangent(scene, BATCHES, seed, blur_mm=SLOPE_BLUR_MM)
-    noise = 0.0 if found.stderr is None else float(np.linalg.norm(found.stderr) / np.linalg.norm(found.image))
+    found = tank_tangent(scene, BATCHES, seed, blur_mm=SLOPE_BLUR_MM)
+    image, stderr = found.prediction.image, found.prediction.stderr
+    noise = 0.0 if stderr is None else float(np.linalg.norm(stderr) / np.linalg.norm(image))
     if noise > QUIET:
         batches = min(MOST_BATCHES, math.ceil(BATCHES * (noise / QUIET) ** 2))
-        found, slopes = tank_tangent(scene, batches, seed, blur_mm=SLOPE_BLUR_MM)
-    return np.asarray(found.image, float), slopes
+        found = tank_tangent(scene, batches, seed, blur_mm=SLOPE_BLUR_MM)
+    return np.asarray(found.prediction.image, float), found.slopes
 
 
 def _mirrored(bench: Bench, cells: Cells) -> bool:

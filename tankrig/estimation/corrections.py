@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tankrig.estimation.differences import Forward, Slopes, values_of
 from tankrig.estimation.followed import Model, Solved
 from tankrig.estimation.forward import corrected, image_of
-from tankrig.estimation.optimiser import LAST_STEPS, solve
+from tankrig.estimation.optimiser import LAST_STEPS, solve, without_noise
 from tankrig.estimation.phase_block import PhaseBlock
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import coefficients_by
@@ -37,6 +37,8 @@ CORRECTIONS, SETTLED = 4, 0.1
 which that is over, see `Block.looseness`."""
 SETTLED_SHARE = 0.5
 """Share of its standard deviation by which each value may have moved besides."""
+NOISY = 0.1
+"""Share of noise in the derivatives' products from which on only that counts: they say no more how far it is."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 
@@ -47,7 +49,8 @@ def corrected_fit(
     """The optimum by exact images, and by how other models change about them.
 
     To first order at first: what is left of paths' noise in that is smooth. Then as the models bend on the way, which
-    says as much as other exact images there would (of what these gained in a dose's fit from afar, 105 %).
+    says as much as other exact images there would (of what these gained in a dose's fit from afar, 105 %). Then on by
+    what noise of the derivatives has held back.
 
     Parameters
     ----------
@@ -65,16 +68,18 @@ def corrected_fit(
     problem = best.problem
     many = any(shot.models.family for shot in shots)
     bent_enough, steps = (MANY_ENOUGH, FEW_STEPS) if many else (BENT_ENOUGH, BENT_STEPS)
-    if any(isinstance(model, Solved) for model in models):
-        bent_enough = SOLVED_ENOUGH
+    solved = any(isinstance(model, Solved) for model in models)
+    slopes_noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, models, strict=True)]
 
     def about(centre: Evaluation, start: Evaluation, times: int) -> Fit:
-        media, slopes = centre.media, problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))
+        media, liquids = centre.media, centre.liquids
+        slopes = problem.of_views(lambda view: view.slopes(liquids[view.dose]))
+        noise = [one and _always(one(medium)) for one, medium in zip(slopes_noise, media, strict=True)]
         seen = [shot.models.exact(one, times) for shot, one in zip(shots, media, strict=True) if shot.models.exact]
         last = tuple(corrected(*one) for one in zip(models, media, seen, strict=True))
         weighed = weighed_problem(
             problem, shots, [image_of(model) for model in last], [_always(slope) for slope in slopes], seen
-        )
+        ).with_slopes_noise(noise)
         smooth = [model(medium).image for model, medium in zip(models, media, strict=True)]
         bent = _without_noise_in_gain(weighed, smooth, seen).by([image_of(model) for model in models])
         families = [shot.models.family for shot in shots]
@@ -82,9 +87,12 @@ def corrected_fit(
             _linear(image, medium, slope, family)
             for image, medium, slope, family in zip(smooth, media, slopes, families, strict=True)
         ]
-        end = solve(replace(bent.by(straight), quick=True), start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
-        end = solve(bent, end.coordinates, bent_enough, steps, damping=0.0)
-        return Fit(weighed.at(end.coordinates), last)
+        line = replace(bent.by(straight), quick=True)
+        end = solve(line, start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
+        if not solved:  # or steps as the models bend would cost more than another exact image, and say no more
+            end = solve(bent, end.coordinates, bent_enough, steps, damping=0.0)
+        further = without_noise(line.at(centre.coordinates))
+        return Fit(weighed.at(np.clip(end.coordinates + further, *line.box)), last)
 
     for _ in range(CORRECTIONS):
         progress("correcting by accurate images")
@@ -98,7 +106,8 @@ def corrected_fit(
         fit = about(centre, best, SHARPER)
     end = fit.optimum
     views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
-    return replace(fit, optimum=replace(end.problem, views=tuple(views)).at(end.coordinates))
+    whole = replace(end.problem, views=tuple(views)).with_slopes_noise(slopes_noise)
+    return replace(fit, optimum=whole.at(end.coordinates))
 
 
 def _without_noise_in_gain(problem: Problem, smooth: Sequence[Image], seen: Sequence[Prediction]) -> Problem:
@@ -120,7 +129,8 @@ def _without_noise_in_gain(problem: Problem, smooth: Sequence[Image], seen: Sequ
 
 def _settled(best: Evaluation, centre: Evaluation, near: Vector) -> bool:
     """Whether an optimum stayed where the image that it was corrected by was made, or within a share of its errors."""
-    if (np.abs(best.coordinates - centre.coordinates) < near).all():
+    close = (np.abs(best.coordinates - centre.coordinates) < near).all()
+    if close and best.sensitivity.noise_share < NOISY:
         return True
     views = best.problem.views
     spread = best.sensitivity.covariance([view.observation.noise for view in views], [view.error for view in views])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.corrections import FEW_STEPS, MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit
-from tankrig.estimation.followed import Solved
+from tankrig.estimation.followed import Model, Solved
 from tankrig.estimation.forward import COARSE, image_of, stated_error
 from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
 from tankrig.estimation.parameters import Block
@@ -70,13 +70,7 @@ def fitted(
         problem, found = rough_problem(shots, blocks, scaling), [start]
     if all(shot.models.refine for shot in shots):
         progress("refining")
-        media = problem.at(found[0]).media
-        versions = [shot.models.refined(liquid) for shot, liquid in zip(shots, media, strict=True)]
-        seen = [fine(liquid) for (fine, _), liquid in zip(versions, media, strict=True)]
-        forwards = [image_of(fine) for fine, _ in versions]
-        slopes = [shot.slopes_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
-        quick = all(shot.models.quick(slope) for shot, (_, slope) in zip(shots, versions, strict=True))
-        problem = replace(weighed_problem(problem, shots, forwards, slopes, seen), quick=quick)
+        problem, versions = _refined(problem, shots, problem.at(found[0]).media, rough=True)
         enough = SOLVED_ENOUGH if any(isinstance(fine, Solved) for fine, _ in versions) else None
         if any(shot.models.family for shot in shots):
             enough = MANY_ENOUGH
@@ -84,6 +78,9 @@ def fitted(
             polish(problem, one) if enough is None else solve(problem, one, enough, FEW_STEPS, damping=0.0)
             for one in found
         )[0]
+        if any(isinstance(fine, Solved) for fine, _ in versions):  # for what was found, and not for where it began
+            problem, versions = _refined(problem, shots, best.media)
+            best = problem.at(best.coordinates)
     else:
         progress("fitting all images")
         versions = [(shot.models.coarse, shot.models.coarse) for shot in shots]
@@ -91,6 +88,22 @@ def fitted(
     if all(shot.models.exact for shot in shots):
         return corrected_fit(best, shots, [slope for _, slope in versions], progress, sharper)
     return Fit(best, tuple(fine for fine, _ in versions))
+
+
+def _refined(
+    problem: Problem, shots: Sequence[Shot], media: Sequence[Medium], rough: bool = False
+) -> tuple[Problem, list[tuple[Model, Model]]]:
+    """The problem of the accurate models for some media, and these models, each with the one to differentiate.
+
+    If `rough`, derivatives are as accurate as the image that they are of, where that costs less.
+    """
+    versions = [shot.models.refined(liquid) for shot, liquid in zip(shots, media, strict=True)]
+    seen = [fine(liquid) for (fine, _), liquid in zip(versions, media, strict=True)]
+    forwards = [image_of(fine) for fine, _ in versions]
+    differentiated = [fine if rough and isinstance(fine, Solved) else slope for fine, slope in versions]
+    slopes = [shot.slopes_of(model) for shot, model in zip(shots, differentiated, strict=True)]
+    quick = all(shot.models.quick(model) for shot, model in zip(shots, differentiated, strict=True))
+    return replace(weighed_problem(problem, shots, forwards, slopes, seen), quick=quick), versions
 
 
 def _searched(

@@ -3,10 +3,11 @@
 In dense water all orders above a few are one linear solve for moments of the light instead.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 from tankrig.light.moments.plan import MomentPlan
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
+
+if TYPE_CHECKING:
+    from tankrig.light.tangent import Tangent
 
 Image = NDArray[np.floating]
 Model = Callable[[Medium], Prediction]
@@ -56,11 +60,15 @@ class Followed:
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image; of another phase function than Henyey–Greenstein's by itself."""
-        return self._both(medium)[0] if medium.phase is None else self._alone(medium)
+        return self._whole(medium).prediction if medium.phase is None else self._alone(medium)
 
     def slopes(self, medium: Medium) -> Image:
         """(3, rows, columns) derivatives by σa, σs and g."""
-        return self._both(medium)[1]
+        return self._whole(medium).slopes
+
+    def slopes_noise(self, medium: Medium) -> Image:
+        """(n, 3, rows, columns) patterns of their noise, see `Tangent`."""
+        return self._whole(medium).noise
 
     @cached_property
     def _alone(self) -> Model:
@@ -69,26 +77,26 @@ class Followed:
         )
 
     @cached_property
-    def _both(self) -> "Callable[[Medium], tuple[Prediction, Image]]":
+    def _whole(self) -> "Callable[[Medium], Tangent]":
         from tankrig.light.paths.block import LARGE, SMALL
         from tankrig.light.tangent import tank_tangent
 
         lattice = SMALL if self.small else LARGE
 
-        def both(medium: Medium) -> tuple[Prediction, Image]:
+        def whole(medium: Medium) -> "Tangent":
             scene = replace(self.scene, medium=medium)
             return tank_tangent(scene, self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM, self.rough)
 
-        return remembered(both)
+        return remembered(whole)
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
     """The tank's image in dense water: few orders by a fixed number of lattices of paths, all others by one solve.
 
-    The solve has no noise, and so its differences have none. Along paths noise of the derivatives grows with the number
-    of scatterings: at σt/ϖ/g .093/.997/−.32 what sixteen lattices of 16,381 paths added to what tells g and σs apart
-    was three times what there is.
+    The solve has no noise of its own: what its source has is small. Along paths noise of the derivatives grows with the
+    number of scatterings: at σt/ϖ/g .093/.997/−.32 what sixteen lattices of 16,381 paths added to what tells g and σs
+    apart was three times what there is.
 
     Parameters
     ----------
@@ -96,10 +104,13 @@ class Solved:
         The orders up to `plan.above`.
     plan
         For the others.
+    parts
+        Of the source, each solved for by itself: where there are several their scatter tells its noise.
     """
 
     low: Followed
     plan: MomentPlan
+    parts: int = 1
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image."""
@@ -114,29 +125,48 @@ class Solved:
         result: Image = self.low.slopes(medium) + self._changes(medium)
         return result
 
+    def slopes_noise(self, medium: Medium) -> Image:
+        """(n, 3, rows, columns) patterns of their noise, see `Tangent`: of the paths, and of the source in parts."""
+        parts, mean = [changes(medium) for changes in self._changes_of_parts], self._changes(medium)
+        scale = 1.0 / math.sqrt(self.parts * max(self.parts - 1.0, 1.0))
+        return np.concatenate([self.low.slopes_noise(medium), *(scale * (one - mean)[None] for one in parts)])
+
+    def _high(self, medium: Medium) -> Image:
+        """The image of orders above `plan.above`, mean of the parts."""
+        return np.asarray(np.mean([part(medium) for part in self._parts], axis=0))
+
+    def _changes(self, medium: Medium) -> Image:
+        return np.asarray(np.mean([changes(medium) for changes in self._changes_of_parts], axis=0))
+
     @cached_property
-    def _high(self) -> Callable[[Medium], Image]:
+    def _parts(self) -> list[Callable[[Medium], Image]]:
         from tankrig.light.moments.dense import dense_image
 
-        return remembered(lambda medium: dense_image(replace(self.low.scene, medium=medium), self.plan, self.low.seed))
+        def part(seed: int) -> Callable[[Medium], Image]:
+            return remembered(lambda medium: dense_image(replace(self.low.scene, medium=medium), self.plan, seed))
+
+        return [part(self.low.seed + number) for number in range(self.parts)]
 
     @cached_property
-    def _changes(self) -> Callable[[Medium], Image]:
-        def changes(medium: Medium) -> Image:
-            here = self._high(medium)
-            turning = STEP * (1.0 - medium.g**2) * (-1.0 if medium.g > 0.0 else 1.0)
-            steps = {
-                "sigma_a": ABSORPTION_STEP / max(self.low.scene.tank.size_mm), "sigma_s": STEP * medium.sigma_s,
-                "g": turning,
-            }  # fmt: skip
-            return np.array(
-                [
-                    (self._high(replace(medium, **{name: getattr(medium, name) + step})) - here) / step
-                    for name, step in steps.items()
-                ]
-            )
+    def _changes_of_parts(self) -> list[Callable[[Medium], Image]]:
+        def of_part(high: Callable[[Medium], Image]) -> Callable[[Medium], Image]:
+            def changes(medium: Medium) -> Image:
+                here = high(medium)
+                turning = STEP * (1.0 - medium.g**2) * (-1.0 if medium.g > 0.0 else 1.0)
+                steps = {
+                    "sigma_a": ABSORPTION_STEP / max(self.low.scene.tank.size_mm), "sigma_s": STEP * medium.sigma_s,
+                    "g": turning,
+                }  # fmt: skip
+                return np.array(
+                    [
+                        (high(replace(medium, **{name: getattr(medium, name) + step})) - here) / step
+                        for name, step in steps.items()
+                    ]
+                )
 
-        return remembered(changes)
+            return remembered(changes)
+
+        return [of_part(part) for part in self._parts]
 
 
 def tank_along(scene: Scene, max_order: int | None, batches: int, seed: int, blur_mm: float) -> Prediction:

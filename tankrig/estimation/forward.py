@@ -62,6 +62,8 @@ CHECK_BATCHES = 32
 """Lattices of the image that a prepared model of light or sight that slant is compared with."""
 LOOK_PIXELS, LOOK_BATCHES = 2400, 2
 """Pixels of the images that the search looks at, or up to four times as many, and small lattices of paths in them."""
+ROUGH_SOURCE = 6
+"""Lattices that make the source of the orders that are solved for, on the way there."""
 NEAR_NOISE, NEAR_BATCHES = 0.01, 8
 """Noise of the images that lead from the search's end to where accurate ones are worth their price."""
 
@@ -134,6 +136,12 @@ class Models:
         if isinstance(model, Followed | Solved):
             return model.slopes
         return self.slopes or slopes_of(image_of(model), length_mm, self.central)
+
+    def slopes_noise_of(self, model: Model) -> Slopes | None:
+        """Patterns of these derivatives' noise, (n, 3, rows, columns); None where they are not known."""
+        if self.family is None and isinstance(model, Followed | Solved):
+            return model.slopes_noise
+        return None
 
     def quick(self, model: Model) -> bool:
         """Whether a version's derivatives come with its images, for less than their own price."""
@@ -299,8 +307,8 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
 
         plan = None if max_order else plan_of_changes(replace(scene, medium=medium))
         if plan is not None:
-            solved = Solved(Followed(scene, SOLVED_BATCHES, 1, plan.above), plan)
-            return solved, solved
+            low = Followed(scene, SOLVED_BATCHES, 1, plan.above)
+            return Solved(low, replace(plan, batches=ROUGH_SOURCE)), Solved(low, plan, parts=2)
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
         return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
 

@@ -150,16 +150,30 @@ def _promise(value: Vector, jacobian: NDArray[np.float64], step: Vector) -> floa
     return -float(step @ (jacobian.T @ value)) - 0.5 * float(np.sum((jacobian @ step) ** 2))
 
 
+def without_noise(here: Evaluation) -> Vector:
+    """What a Gauss–Newton step gains, in coordinates, when noise of the derivatives is not taken for their size.
+
+    The step goes back by as much as noise adds to the derivatives' products, by half where it is as large as they are
+    (errors in variables; Fuller 1987). 0 where the noise is not known.
+    """
+    noise = here.chain.T @ here.sensitivity.noise @ here.chain
+    value, jacobian, box = here.residual, here.jacobian, here.problem.box
+    short, whole = (
+        _step(value, jacobian, 0.0, here.coordinates, box, here.problem.longest_step, less) for less in (0.0, noise)
+    )
+    return whole - short
+
+
 def _step(
     value: Vector, jacobian: NDArray[np.float64], damping: float, at: Vector, box: tuple[Vector, Vector],
-    longest: Vector | float,
+    longest: Vector | float, less: NDArray[np.float64] | float = 0.0,
 ) -> Vector:  # fmt: skip
-    """Damped Gauss–Newton step that stays in the box and is nowhere too long.
+    """Damped Gauss–Newton step that stays in the box and is nowhere too long; with so much less curvature.
 
     A coordinate that would go further stops there and the rest are solved for again: one that nothing tells from others
     wants to go anywhere, and must not keep these where they are.
     """
-    curvature, downhill = jacobian.T @ jacobian, -(jacobian.T @ value)
+    curvature, downhill = jacobian.T @ jacobian - less, -(jacobian.T @ value)
     scale = np.diag(curvature) + 1e-12 * float(np.trace(curvature)) + 1e-300
     matrix = curvature + (damping + 1e-9) * np.diag(scale)
     low, high = np.maximum(box[0] - at, -longest), np.minimum(box[1] - at, longest)

@@ -42,6 +42,9 @@ class View:
         Number of the dose that it was taken at.
     number
         Of the image.
+    slopes_noise
+        Patterns of the derivatives' noise, (n, 3, rows, columns): its covariance is the sum of their products; None
+        where it is not known, and taken for none.
     """
 
     observation: Observation
@@ -50,6 +53,7 @@ class View:
     error: ModelError
     dose: int = 0
     number: int = 0
+    slopes_noise: Slopes | None = None
 
     @cached_property
     def whitening(self) -> Whitening:
@@ -173,6 +177,11 @@ class Problem:
         views = zip(self.views, forwards, strict=True)
         return replace(self, views=tuple(replace(view, forward=forward) for view, forward in views))
 
+    def with_slopes_noise(self, noise: Sequence[Slopes | None]) -> "Problem":
+        """The problem where so much is known of the derivatives' noise in each view."""
+        views = zip(self.views, noise, strict=True)
+        return replace(self, views=tuple(replace(view, slopes_noise=one) for view, one in views))
+
     def of_views(self, answer: Callable[[View], Answer]) -> list[Answer]:
         """What a function says of each view; of several at a time."""
         if self.quick or len(self.views) == 1:
@@ -269,10 +278,15 @@ class Evaluation:
         """(n + priors, k) derivatives of the residual by the coordinates."""
         found = self.sensitivity
         by_values = -np.concatenate([found.changes, found.priors], axis=1).T
-        parts = self.problem.split(self.coordinates)
-        chain = block_diag(*(block.slopes(part) for block, part in zip(self.problem.blocks, parts, strict=True)))
         weight = self.problem.prior_weight
-        return np.vstack([by_values @ chain, np.diag(np.sqrt(weight))[weight > 0.0]])
+        return np.vstack([by_values @ self.chain, np.diag(np.sqrt(weight))[weight > 0.0]])
+
+    @cached_property
+    def chain(self) -> Array:
+        """(k, k) derivatives of the values by the coordinates."""
+        parts = self.problem.split(self.coordinates)
+        slopes = (block.slopes(part) for block, part in zip(self.problem.blocks, parts, strict=True))
+        return np.asarray(block_diag(*slopes))
 
     @cached_property
     def sensitivity(self) -> Sensitivity:
@@ -290,13 +304,35 @@ class Evaluation:
 
         left = self.project_out(np.hstack(self.problem.of_views(changes)))
         *parts, priors = np.split(left, np.cumsum([model.size for model in self.models]), axis=1)
+        noise = [self._products_of_noise(number) for number in range(len(parts))]
         responses = tuple(
-            Response(part, view.whitening, view.observation.used)
-            for part, view in zip(parts, self.problem.views, strict=True)
+            Response(part, view.whitening, view.observation.used, products)
+            for part, products, view in zip(parts, noise, self.problem.views, strict=True)
         )
         widest = np.concatenate([block.widest(self.values) for block in self.problem.blocks])
         weight = self.problem.prior_weight
         return Sensitivity(responses, priors, widest, np.where(weight > 0.0, weight, 1.0))
+
+    def _products_of_noise(self, number: int) -> Array | None:
+        """(k, k) what the derivatives' noise in a view adds to their products; None where it is not known."""
+        view, (gain, _) = self.problem.views[number], self.scale
+        if view.slopes_noise is None:
+            return None
+        liquid = self.liquids[view.dose]
+        by_liquid = view.slopes(liquid)
+
+        def changes(slopes: Image) -> Image:
+            return np.concatenate(
+                [block.changes_in(view.number, self.values, view.dose, liquid, slopes) for block in self.problem.blocks]
+            )
+
+        plain, ends = changes(by_liquid), np.cumsum([0, *(model.size for model in self.models)])
+        found, moved = np.zeros((len(plain), len(plain))), np.zeros((len(plain), ends[-1]))
+        for pattern in view.slopes_noise(liquid):
+            moved[:, ends[number] : ends[number + 1]] = view.whitened(gain * (changes(by_liquid + pattern) - plain))
+            left = self.project_out(moved)
+            found += left @ left.T
+        return found
 
     def project_out(self, changes: Array) -> Array:
         """Part of whitened changes (k, n) that no gain and no offset could make of the images, then of priors."""

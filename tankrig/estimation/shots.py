@@ -48,6 +48,10 @@ class Shot:
         """Derivatives: the model's own, or by differences of one of its versions."""
         return self.models.slopes_of(model, self.length_mm)
 
+    def slopes_noise_of(self, model: Model) -> Slopes | None:
+        """Patterns of their noise; None where they are not known."""
+        return self.models.slopes_noise_of(model)
+
     def view(self, forward: Forward, slopes: Slopes, error: Image) -> View:
         """It as a problem has it, with a model whose error has a standard deviation, (rows, columns)."""
         return View(self.observation, forward, slopes, self.error(error), self.dose)

@@ -47,6 +47,10 @@ DETERMINED_G = 0.1
 PARTS = 4
 """Parts of an image along each side that are asked whether they agree."""
 
+MOSTLY_NOISE = 0.75
+"""Share of what changes tell in one direction that may be taken for their noise: more than that, and nobody knows."""
+ROUNDING = 1e-12
+"""Share of the products of changes below which a direction has none."""
 UNBELIEVED = 1e-4
 """Weight of a prior that has no say."""
 END = 1.96
@@ -238,11 +242,20 @@ class Response:
         As the fit assumed it.
     used
         (rows, columns), n of them True.
+    noise
+        (k, k) what noise of the changes adds to their products; None where they have none.
     """
 
     changes: Array
     whitening: Whitening
     used: Mask
+    noise: Array | None = None
+
+    @property
+    def fisher(self) -> Array:
+        """(k, k) products of the changes, without what their noise adds."""
+        products = self.changes @ self.changes.T
+        return products if self.noise is None else products - within(products, self.noise)
 
     def information(self, noise: Image, error: ModelError | None) -> Information:
         """What the image says when these are the camera's noise, (rows, columns), and the model's error."""
@@ -251,7 +264,28 @@ class Response:
         scatter = by_noise @ by_noise.T
         if error is not None:
             scatter = scatter + error.between(responses, self.used)
-        return Information(self.changes @ self.changes.T, scatter)
+        return Information(self.fisher, scatter)
+
+
+def within(products: Array, noise: Array) -> Array:
+    """Noise's share (k, k) of products (k, k) of noisy changes, in no direction more than `MOSTLY_NOISE` of them.
+
+    Of changes J + E with noise E that nothing else shares, products are J Jᵀ + ⟨E Eᵀ⟩ on average: noise looks like
+    knowledge, and where it is as large as what tells two values apart, steps go half of the way (errors in variables;
+    Fuller 1987).
+
+    Examples
+    --------
+    >>> within(np.diag([4.0, 1.0]), np.diag([1.0, 5.0])).tolist()
+    [[1.0, 0.0], [0.0, 0.75]]
+    """
+    scale = np.sqrt(np.maximum(np.diag(products), 1e-300))
+    sizes, ways = np.linalg.eigh(products / np.outer(scale, scale))
+    told = sizes > ROUNDING * sizes[-1]
+    sizes, ways = np.sqrt(sizes[told]), ways[:, told]
+    shares, turn = np.linalg.eigh((ways.T / sizes[:, None]) @ (noise / np.outer(scale, scale)) @ (ways / sizes))
+    back = scale[:, None] * (ways * sizes) @ turn
+    return np.asarray((back * np.clip(shares, 0.0, MOSTLY_NOISE)) @ back.T)
 
 
 @dataclass(frozen=True)
@@ -279,6 +313,25 @@ class Sensitivity:
     def changes(self) -> Array:
         """(k, n) of all images, one after the other."""
         return np.hstack([one.changes for one in self.responses])
+
+    @property
+    def fisher(self) -> Array:
+        """(k, k) of all images."""
+        return np.asarray(sum(one.fisher for one in self.responses))
+
+    @property
+    def noise(self) -> Array:
+        """(k, k) what noise of the changes adds to their products, as far as it is taken for that."""
+        return self.changes @ self.changes.T - self.fisher
+
+    @property
+    def noise_share(self) -> float:
+        """The most that noise makes up of these products in any direction of the values."""
+        if all(one.noise is None for one in self.responses):
+            return 0.0
+        products = (self.changes @ self.changes.T + self.priors @ self.priors.T) * np.outer(self.widest, self.widest)
+        noise = self.noise * np.outer(self.widest, self.widest)
+        return float(np.max(np.linalg.eigvals(np.linalg.solve(products + np.diag(self.weight), noise)).real))
 
     def covariance(
         self, noise: Sequence[Image], errors: Sequence[ModelError | None], residual: Array | None = None
@@ -323,15 +376,13 @@ class Sensitivity:
     def assumed(self) -> Array:
         """Covariance that the values would have if errors were as the fit weighs them."""
         known = Information(self.priors @ self.priors.T, self.priors @ self.priors.T)
-        fisher = self.changes @ self.changes.T
-        return (known + Information(fisher, fisher)).covariance(self.widest, self.weight)
+        return (known + Information(self.fisher, self.fisher)).covariance(self.widest, self.weight)
 
     def step(self, residual: Array) -> Array:
         """(k,) what the values would move by to explain a residual, (n,) whitened, in the linear model."""
-        scaled = self.changes * self.widest[:, None]
-        known = self.priors * self.widest[:, None]
-        step = np.linalg.solve(scaled @ scaled.T + known @ known.T + np.diag(self.weight), scaled @ residual)
-        return np.asarray(step * self.widest)
+        scale = np.outer(self.widest, self.widest)
+        curvature = (self.fisher + self.priors @ self.priors.T) * scale + np.diag(self.weight)
+        return np.asarray(np.linalg.solve(curvature, self.widest * (self.changes @ residual)) * self.widest)
 
 
 def overconfidence(

@@ -111,6 +111,14 @@ def smoothed(
     return Smoothed(smooth.mean(axis=0), *_variance(seen(smooth)), *lost)
 
 
+def smoothed_batches(batches: Array, steady: bool = False) -> Array:
+    """(n, rows, columns) batches one by one, each as `smoothed` takes it to its mean."""
+    if len(batches) < FEWEST or not np.any(batches):
+        return batches
+    along = legendre(batches.shape[2])
+    return _times(_kept(_times(batches, along), _folds(len(batches), steady)), along.T)
+
+
 def smoothed_classes(batches: Array, whole: Array, steady: bool = False) -> Array:
     """(classes, rows, columns) images of (n, classes, rows, columns) batches, whose sum is `whole`.
 
