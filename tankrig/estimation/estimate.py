@@ -199,7 +199,7 @@ def fit_models(
     if explained == 0.0 or asked.further is None:
         return found
     progress("weighing other phase functions")
-    other = replace(models, family=asked.further.family)
+    other = models.of(asked.further.family)
     weighed = fit_models(observation, scene, scaling, other, progress, misalignment, asked.further, astray)
     return replace(weighed, verdict=f"{what_did_not_hold(explained)} {weighed.verdict}")
 

@@ -113,6 +113,8 @@ class Models:
     along
         Derivatives by σa, σs and the shares of the ways to other phase functions, of a model that has them for less
         than images; None to take differences.
+    different
+        Versions for media of other families; None: these.
     """
 
     coarse: Model
@@ -125,6 +127,11 @@ class Models:
     look: tuple[int, Model] | None = None
     low: Model | None = None
     along: "Callable[[Medium, Sequence[PhaseFunction]], Image] | None" = None
+    different: "Models | None" = None
+
+    def of(self, family: Family | None) -> "Models":
+        """Versions for media of a family's phase functions."""
+        return replace(self.different or self, family=family)
 
     def slopes_of(self, model: Model, length_mm: float) -> Slopes:
         """Derivatives: the model's own, or by differences of one of its versions."""
@@ -288,7 +295,10 @@ def _low_orders(scene: Scene, max_order: int | None = None) -> Model | None:
 
 
 def _followed_models(scene: Scene, max_order: int | None) -> Models:
-    """Of Henyey–Greenstein's media, whose derivatives come along the paths."""
+    """Of Henyey–Greenstein's media, whose derivatives come along the paths.
+
+    Of others they are differences, in which all that is noise passes for knowledge: these have versions of their own.
+    """
     from tankrig.light.rays import shift_invariant
 
     straight = shift_invariant(scene)
@@ -319,7 +329,7 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
         count = times * batches(medium, EXACT_NOISE, EXACT_BATCHES)
         return tank_accurate(replace(scene, medium=medium), count * LARGE.points, 3, max_order)
 
-    return Models(coarse, refine, exact=exact, look=look)
+    return Models(coarse, refine, exact=exact, look=look, different=_tank_models(scene, max_order))
 
 
 def series_models(

@@ -203,7 +203,7 @@ def phase_instead(best: Evaluation, scene: Scene, models: Models, asked: Asked) 
         return None
     (view,), (medium,) = best.problem.views, best.media
     family = free()
-    cheap = replace(models if models.slopes is None else models_of(scene, "tank", None), family=family)
+    cheap = (models if models.slopes is None else models_of(scene, "tank", None)).of(family)
     seen_besides = best.images[0] - view.forward(medium)  # what may be misaligned
     image = image_of(cheap.coarse)
     length_mm = max(scene.tank.size_mm)
