@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import tankrig
 from tankrig.errors import SceneError
 from tankrig.light import high_orders
+from tankrig.light.double import double_scattering
 from tankrig.light.entering import entering, through_lens
 from tankrig.light.leaving import CameraLens
 from tankrig.light.prepared.box import Box
@@ -196,6 +197,18 @@ def test_black_level_is_a_beam_all_over_the_wall():
     whole = replace(scene, projector=replace(scene.projector, beams=(Beam((-80.0, 80.0), (0.0, 120.0), 0.01),)))
     parts = tankrig.predict(scene, "single").image + tankrig.predict(whole, "single").image
     assert np.allclose(tankrig.predict(dim, "single").image, parts, rtol=1e-9)
+
+
+def test_order_2_is_a_sum_over_beams_where_one_reaches_from_wall_to_wall():
+    """A pinhole's light all over the wall once made the order 2 of all other beams half as much again."""
+    beams = Beam((-14.0, -6.0), (54.0, 62.0)), Beam((-80.0, 80.0), (0.0, 120.0), 0.001)
+
+    def order_2(*lit):
+        light = Projector("pinhole", lit, (-400.0, 0.0, 58.0))
+        return double_scattering(a_scene(Camera("orthographic", (20, 30), 8.0), light), 0.01)
+
+    together, apart_from_it = order_2(*beams), [order_2(one) for one in beams]
+    assert apart(together, sum(apart_from_it)) < 1e-4
 
 
 def test_a_wide_lens_is_sharp_at_its_focus_alone():

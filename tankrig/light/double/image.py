@@ -251,7 +251,7 @@ def average_rows(rows: Array, pixel_mm: float, geometry: Geometry, table: Table,
             seen = beam_high - beam_low
             below = depth_below(geometry, x[i], middle, z0[j], mirrored)
             spans = (max(geometry.half_width + crossing, 1e-6), max(geometry.half_width - crossing, 1e-6))
-            if values[j, 0, 0, i, 0] == values[j, 0, 1, i, 0]:
+            if y0_weights.size == 1:  # where only y − y₀ matters
                 spans = (2.0 * geometry.half_width, 2.0 * geometry.half_width)
             # Flux per row seen: the beam's width over its width as seen; per pixel: over the pixel.
             scale = strength * z0_weights[j] * (high - low) / (seen * pixel_mm) * math.exp(-decay * x[i])
