@@ -60,7 +60,28 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
                 f"{kind} is calibrated", None, "has not been measured; the rig file is believed",
                 f"tankrig calibrate {kind} --rig FILE", kind,
             )  # fmt: skip
+    yield from _blur_in_depth(found)
     yield from _as_believed(rig, found)
+
+
+def _blur_in_depth(found: Mapping[str, Calibration]) -> Iterator[Check]:
+    """Whether it is known how a projector's blur grows with depth, since when, and how well."""
+    if "projector" not in found:
+        return
+    one, what = found["projector"], "projector's blur over depth is measured"
+    if "lens_mm" not in one.result:
+        why = "its calibration is older, or the stripes told too little; models take its blur to be alike at any depth"
+        yield Check(what, None, why, "tankrig calibrate projector --rig FILE", "projector")
+        return
+    told, sd = one.result, one.sd
+    sharp = f"blurs by {told['blur_focus_px']:.2f} ± {sd['blur_focus_px']:.2g} px"
+    if "focus_mm" in told:
+        sharp += f" at x = {told['focus_mm']:.0f} ± {sd['focus_mm']:.2g} mm, its lens is {told['lens_mm']:.1f} ± "
+        sharp += f"{sd['lens_mm']:.2g} mm wide"
+    else:
+        sharp += f" at any depth, its lens is less than {2.0 * sd['lens_mm']:.2g} mm wide"
+    yield Check(what, one.age_days <= STALE_DAYS, f"{sharp}; {one.age_days:.0f} days old",
+                "tankrig calibrate projector --rig FILE", "projector")  # fmt: skip
 
 
 def _of_one_bench(rig: RigFile, found: Mapping[str, Calibration]) -> Iterator[Check]:

@@ -61,12 +61,12 @@ def true_blurs(bench: TrueBench) -> dict[str, float]:
     """Standard deviations, px, of what "camera" and "projector" spread: of the kernels that the twin really applies.
 
     The twin's projector has `FINER` points along a pixel, blurred and then read linearly. Pixels are squares, whose
-    edges the linear reading spreads by the area of a point.
+    edges the linear reading spreads by the area of a point. Its camera blurs between pixels, by what it says.
     """
     point_variance = PIXEL_VARIANCE / FINER**2
     lens = FINER * np.sqrt(bench.projector.blur_px**2 - point_variance)
     return {
-        "camera": float(np.sqrt(_kernel_variance(bench.camera.blur_px))),
+        "camera": bench.camera.blur_px,
         "projector": float(np.sqrt(_kernel_variance(lens) / FINER**2 + point_variance)),
     }
 

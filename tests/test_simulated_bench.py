@@ -226,6 +226,41 @@ def test_a_bench_that_contradicts_itself_is_refused_before_anything_moves(
     assert not (tmp_path / "simulated").exists()
 
 
+def test_light_scattered_more_often_is_that_of_all_points_of_a_wide_lens(bench: TrueBench) -> None:
+    """Beside the Monte Carlo's mean over points drawn from all of the lens, whose light is moved by the paraxial
+    formula rather than along rays: four pinholes at half its radius are as good as the disc, and no light is lost."""
+    sharp = replace(bench, camera=replace(bench.camera, blur_px=0.01, vignetting=0.0))
+    lens_mm, focus_mm = 60.0, 200.0
+    wide = replace(sharp, stray=replace(sharp.stray, projector_lens_mm=lens_mm, projector_focus_mm=focus_mm))
+    light = pattern((slice(46, 50), slice(60, 66)))
+
+    def more(one: TrueBench) -> np.ndarray:
+        once = scattered_once(one, thrown_in_depth(one, light), INK)
+        return blocks(bench_multiple.scattered_more(one, light, INK, once, 0.02, 4)[0], 15)
+
+    scene = bench_ink.true_scene(sharp, light, INK, 3)
+    before = -bench.projector.centre_mm[0] - bench.pane_mm + bench.pane_mm / bench.pane_index
+    random, found = np.random.default_rng(8), []
+    for number in range(24):
+        radius, angle = 0.5 * lens_mm * np.sqrt(random.uniform()), random.uniform(0.0, 2.0 * np.pi)
+        aside = radius * np.array([np.cos(angle), np.sin(angle)])
+        on_wall = aside * (focus_mm / bench.water_index) / (before + focus_mm / bench.water_index)
+        beams = tuple(
+            replace(beam, y_mm=(beam.y_mm[0] + on_wall[0], beam.y_mm[1] + on_wall[0]),
+                    z_mm=(beam.z_mm[0] + on_wall[1], beam.z_mm[1] + on_wall[1]))
+            for beam in scene.projector.beams
+        )  # fmt: skip
+        x, y, z = scene.projector.position_mm or (0.0, 0.0, 0.0)
+        projector = replace(scene.projector, beams=beams, position_mm=(x, y + aside[0], z + aside[1]))
+        found.append(blocks(simulate(replace(scene, projector=projector), 12_000, seed=number, min_order=2).image, 5))
+    true, soft, plain = np.mean(found, axis=0), more(wide), more(sharp)
+    assert soft.sum() == pytest.approx(true.sum(), rel=0.015)
+    assert soft.sum() == pytest.approx(plain.sum(), rel=0.015)
+    changed = float(np.linalg.norm(true - plain))
+    assert changed > 0.05 * np.linalg.norm(plain)
+    assert np.linalg.norm(soft - true) < 0.4 * changed
+
+
 def test_two_truths_of_one_bench_are_refused(tmp_path: Path) -> None:
     text = SIMULATED.with_name("bench.toml").read_text(encoding="utf-8")
     bench = text[text.index("[bench]") :].replace("[bench", "[camera.truth.bench")

@@ -93,8 +93,8 @@ def thrown(bench: TrueBench, pattern: Pattern) -> Array:
     return np.asarray((1.0 - stray.projector_halo) * sharp + stray.projector_halo * wide)
 
 
-def thrown_in_depth(bench: TrueBench, pattern: Pattern, filled: bool = True) -> Array:
-    """A pattern's light as it is at `DEPTHS_MM`, behind each other: what a wide lens throws is sharp at its focus only.
+def thrown_in_depth(bench: TrueBench, pattern: Pattern, filled: bool = True, depths_mm: Array = DEPTHS_MM) -> Array:
+    """A pattern's light as it is at depths, behind each other: what a wide lens throws is sharp at its focus only.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def thrown_in_depth(bench: TrueBench, pattern: Pattern, filled: bool = True) -> 
     light = thrown(bench, pattern)
     if bench.stray.projector_lens_mm == 0.0:
         return light[None]
-    return np.stack([_over_disc(light, FINER * float(radius)) for radius in defocus_px(bench, DEPTHS_MM, filled)])
+    return np.stack([_over_disc(light, FINER * float(radius)) for radius in defocus_px(bench, depths_mm, filled)])
 
 
 def defocus_px(bench: TrueBench, depths_mm: Array, filled: bool) -> Array:
@@ -145,9 +145,14 @@ def _from_rim(bench: TrueBench, y_mm: float, z_mm: float) -> TrueBench:
 
 
 def _over_disc(image: Array, radius_px: float) -> Array:
-    """Spread evenly over a disc whose rim may go through pixels."""
+    """Spread evenly over a disc whose rim may go through pixels.
+
+    Shares of whole pixels have the disc's variance, a quarter of its radius², and a pixel's, 1/12: the disc that is
+    drawn is as much smaller.
+    """
     import cv2
 
+    radius_px = float(np.sqrt(max(radius_px**2 - 1.0 / 3.0, 0.0)))
     reach, parts = int(radius_px + 1.0), 8
     if radius_px < 0.25:
         return image

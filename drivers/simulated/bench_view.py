@@ -32,6 +32,10 @@ _NODE_PX, _SAMPLES = 12, 2
 """From node to node, and samples along each side of a pixel."""
 _SAMPLING_PX2 = 0.032
 """Variance that sampling the print adds to edges besides pixels' own area; the lens's blur has that much less."""
+_BESIDE = 0.5 * _SAMPLES**2 * (_SAMPLING_PX2 + (1.0 / 12.0 - 1.0 / 16.0))
+_AS_PRINT = np.array([_BESIDE, 1.0 - 2.0 * _BESIDE, _BESIDE], np.float32)
+"""Spreads the projector's light over neighbouring samples by the variance that the print gets by being sampled, and
+the two samples of a pixel lack of its area's."""
 
 
 class BoardInView:
@@ -85,15 +89,16 @@ class BoardInView:
         import cv2
 
         x, y = self._from
-        layers = thrown_in_depth(self._bench, pattern, self._filled)
         place = self._depth * np.float32((len(DEPTHS_MM) - 1) / DEPTHS_MM[-1])
+        first, last = int(place.min()), int(np.ceil(place.max()))  # a board is in few of the depths
+        layers = thrown_in_depth(self._bench, pattern, self._filled, DEPTHS_MM[first : last + 1])
         seen: Map = np.zeros(x.shape, np.float32)
         for number, light in enumerate(layers):
-            share = np.maximum(0.0, 1.0 - np.abs(place - number)) if len(layers) > 1 else np.ones(1)
+            share = np.maximum(0.0, 1.0 - np.abs(place - first - number)) if len(layers) > 1 else np.ones(1)
             if share.any():
                 there = cv2.remap(light, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
                 seen += share.astype(np.float32) * there
-        return seen
+        return np.asarray(cv2.sepFilter2D(seen, -1, _AS_PRINT, _AS_PRINT), np.float32)
 
     def _bounding_box(self) -> tuple[int, int, int, int] | None:
         """Rows and columns of the picture that the plate can be in."""

@@ -252,3 +252,14 @@ def _largest_angle_deg(poses: _Poses) -> float:
 
     normals = np.array([cv2.Rodrigues(rotation)[0][:, 2] for rotation, _ in poses])
     return float(np.rad2deg(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))).max())
+
+
+def blur_of(calibration: Calibration) -> BlurOverPicture | None:
+    """What a camera's file says of its blur over the picture; None where it was written before that was measured."""
+    told, sd = calibration.result, calibration.sd
+    if "blur_px" not in told:
+        return None
+    middle, corner = (name if name in told else "blur_px" for name in ("blur_middle_px", "blur_corner_px"))
+    return BlurOverPicture(
+        float(told[middle]), float(told[corner]), (float(sd.get(middle, 0.0)), float(sd.get(corner, 0.0)))
+    )

@@ -215,6 +215,19 @@ class BlurOverPicture:
         middle, corner = self.sd_px
         return abs(self.corner_px - self.middle_px) > _TELLING * float(np.hypot(middle, corner))
 
+    def at(self, x: float, y: float, shape: tuple[int, int]) -> float:
+        """Standard deviation at a place of a picture of (rows, columns), pixels' own area not in it.
+
+        Examples
+        --------
+        >>> over = BlurOverPicture(0.5, 0.7, (0.01, 0.02))
+        >>> over.at(39.5, 29.5, (60, 80)), round(over.at(79.5, -0.5, (60, 80)), 3)
+        (0.5, 0.7)
+        """
+        rows, columns = shape
+        outward = 0.5 * (((2.0 * x + 1.0) / columns - 1.0) ** 2 + ((2.0 * y + 1.0) / rows - 1.0) ** 2)
+        return self.middle_px + (self.corner_px - self.middle_px) * outward
+
     @classmethod
     def of(cls, edges: Sequence[Array], shape: tuple[int, int]) -> "BlurOverPicture | None":
         """From the edges of several views; None from too few.

@@ -17,7 +17,7 @@ from tankrig.geometry.lens import Lens
 from tankrig.geometry.pose import Pose, Vector
 from tankrig.geometry.shading import shading_terms
 from tankrig.scene.description import Camera, Projector, Tank
-from tankrig.scene.optics import Blur, Halo
+from tankrig.scene.optics import Blur, Halo, WideLens
 
 if TYPE_CHECKING:
     from tankrig.geometry.refraction import Window
@@ -189,7 +189,9 @@ def _lenses(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
         halo = Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * camera.pixel_mm)
         camera = replace(camera, halo=halo, veil=float(told["veil"]))
     side_mm, told = projector_pixel_mm(projector, bench.tank), found["projector"].result
-    if "blur_px" in told:
+    if told.get("lens_mm", 0.0) > 0.0 and "focus_mm" in told:
+        projector = replace(projector, **_wide_lens(found["projector"], projector, bench.tank, side_mm))
+    elif "blur_px" in told:
         projector = replace(projector, **_blurs(found["projector"], side_mm))
     if told.get("halo_share", 0.0) > max(LEAST_HALO, 2.0 * found["projector"].sd.get("halo_share", 0.0)):
         projector = replace(projector, halo=Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * side_mm))
@@ -207,6 +209,33 @@ def _blurs(calibration: Calibration, side_mm: float) -> dict[str, Any]:
     off_px = float(sd.get("blur_px", UNTOLD * widest_px))
     blur = Blur(float(middle_px) * side_mm, None if corner_px is None else float(corner_px) * side_mm)
     return {"blur": blur, "blur_mm": float(np.sqrt(2.0 * widest_px * off_px)) * side_mm}
+
+
+def _wide_lens(calibration: Calibration, projector: Projector, tank: Tank, side_mm: float) -> dict[str, Any]:
+    """The keys `wide_lens`, `blur` and `blur_mm` of a projector that is sharp at one distance only.
+
+    In an empty tank that distance is nearer, by what the water has of it. By how much the blur may be off, it may be at
+    the wall or at the far end, whichever is worse.
+    """
+    told, sd = calibration.result, calibration.sd
+    index, wall_mm, wall_index = tank.entry_bends
+    focus_mm = float(told["focus_mm"]) * index / float(told["in_tank_index"])
+    lens_mm, blur_px = float(told["lens_mm"]), float(told["blur_focus_px"])
+    before_mm = -projector.pose.centre_mm[0] - wall_mm + wall_mm / wall_index
+    ends, focus = (1.0 / (before_mm + np.asarray(x) / index) for x in ((0.0, tank.size_mm[0]), focus_mm))
+    per_mm = 0.25 * projector.lens.fx * (ends - focus)
+    per_focus = 0.25 * projector.lens.fx * lens_mm * focus**2 / index
+    off_px2 = [
+        2.0 * blur_px * float(sd["blur_focus_px"]) * np.ones(2),
+        2.0 * per_mm**2 * lens_mm * float(sd["lens_mm"]),
+        2.0 * per_mm * lens_mm * per_focus * float(sd["focus_mm"]),
+    ]
+    most_px2 = float(np.sqrt(np.sum(np.square(off_px2), axis=0)).max())
+    return {
+        "wide_lens": WideLens(lens_mm, float(np.clip(focus_mm, 0.0, tank.size_mm[0]))),
+        "blur": Blur(blur_px * side_mm),
+        "blur_mm": float(np.sqrt(most_px2)) * side_mm,
+    }
 
 
 def projector_pixel_mm(projector: Projector, tank: Tank) -> float:

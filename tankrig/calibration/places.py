@@ -81,6 +81,9 @@ def _geometry(found: Mapping[str, Calibration]) -> Iterator[Measured]:
         ("projector", "projector's focal lengths", ("fx", "fy"), "px"),
         ("projector", "projector's principal point", ("cx", "cy"), "px"),
         ("projector", "projector's lens blurs by", "blur_px", "px"),
+        ("projector", "where it is sharpest by", "blur_focus_px", "px"),
+        ("projector", "projector's lens is as wide as", "lens_mm", "mm"),
+        ("projector", "projector is sharpest at x =", "focus_mm", "mm"),
         ("projector", "projector's halo", "halo_share", "of the light"),
     ):
         one = found.get(kind)
@@ -128,6 +131,8 @@ def believed(bench: Bench, found: Mapping[str, Calibration]) -> list[str]:
         for kind in ("camera", "projector")
         if not missing and "blur_px" not in found[kind].result
     ]
+    if not missing and "lens_mm" not in found["projector"].result:
+        said.append("how the projector's blur grows with depth is not known, since its calibration is older")
     glass = f", its wall of {bench.tank.wall_mm:g} mm" if bench.tank.entry == "glass" else ""
     said.append(f"the tank's inside{glass} and the water's refractive index are the rig file's")
     return said

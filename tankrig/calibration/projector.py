@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from tankrig.calibration.blur_in_depth import BlurInDepth, Way, find_blur_in_depth
 from tankrig.calibration.board import Board, Points, rms_length
 from tankrig.calibration.board_pose import NOWHERE_PX, in_tank, placed
 from tankrig.calibration.camera import INTRINSICS, LENS
-from tankrig.calibration.edge_blur import OF_STRIPES, Blur
+from tankrig.calibration.edge_blur import OF_STRIPES, PIXEL_VARIANCE, Blur, BlurOverPicture
 from tankrig.calibration.evenness import Evenness, measure_evenness
 from tankrig.calibration.file import Calibration
 from tankrig.calibration.lit_corners import LitBoard
@@ -84,6 +85,8 @@ class ProjectorFound:
         Of its light; None where that was not measured.
     blur
         Of the lens; None where too little was seen of its stripes.
+    blur_in_depth
+        How that changes with depth; None where too little was seen to tell.
     halo
         Of the lens; None where halves of its picture were not thrown.
     sd_without
@@ -101,6 +104,7 @@ class ProjectorFound:
     coverage: float
     evenness: Evenness | None = None
     blur: Blur | None = None
+    blur_in_depth: BlurInDepth | None = None
     halo: ProjectorHalo | None = None
     sd_without: tuple[str, ...] = ()
 
@@ -140,7 +144,7 @@ class ProjectorFound:
                 f"the white of the board is unlike a smooth light by {self.evenness.scatter:.1%}; use a clean, matt "
                 f"board, and calibrate the radiometry anew if the camera's lens was touched"
             )
-        return tuple(found)
+        return (*found, *(self.blur_in_depth.doubts if self.blur_in_depth else ()))
 
     def calibration(self, device: str, rests_on: dict[str, str]) -> Calibration:
         """To be kept in a file; `rests_on` holds the hashes of the camera's and the tank's."""
@@ -157,15 +161,22 @@ class ProjectorFound:
             result["sd_without"] = list(self.sd_without)
         how_well = {"rms_px": self.rms_px, "coverage": self.coverage, "views": len(self.view_rms_px)}
         sd = dict(self.sd)
+        arrays = {"corners_px": self.corners_px, "residuals_px": self.residuals_px, **self.known.array()}
         if self.evenness:
             result["shading"], sd["shading"] = list(self.evenness.coefficients), list(self.evenness.sd)
             how_well["light_scatter_percent"] = 100.0 * self.evenness.scatter
         if self.blur:
             result["blur_px"], sd["blur_px"] = self.blur.px, self.blur.sd_px
+        if self.blur_in_depth:
+            told = self.blur_in_depth
+            result |= {"blur_focus_px": told.blur_px, "lens_mm": told.lens_mm, "in_tank_index": self.wall.water_index}
+            sd |= {"blur_focus_px": told.sd[0], "lens_mm": told.sd[1]}
+            if told.lens_mm > 0.0:
+                result["focus_mm"], sd["focus_mm"] = told.focus_mm, told.sd[2]
+            how_well["blur_scatter_percent"], arrays["blur_in_depth"] = 100.0 * told.misfit, told.parts
         if self.halo:
             result |= {"halo_share": self.halo.share, "halo_sigma_px": self.halo.sigma_px}
             sd |= dict(zip(("halo_share", "halo_sigma_px"), self.halo.sd, strict=True))
-        arrays = {"corners_px": self.corners_px, "residuals_px": self.residuals_px, **self.known.array()}
         return Calibration(
             "projector", device, self.shape, result, sd, how_well, self.doubts, rests_on=rests_on, arrays=arrays
         )
@@ -182,6 +193,7 @@ def calibrate_projector(
     size_mm: Vector,
     seen_by: Named | None = None,
     tolerances: Tolerances = USUAL,
+    seen_blur: BlurOverPicture | None = None,
 ) -> ProjectorFound:
     """Find a projector's lens, and where it stands.
 
@@ -205,6 +217,9 @@ def calibrate_projector(
         Camera and water with their covariance, as `TankFound.known`; None where it is not known, and then left out.
     tolerances
         By how much what is taken for granted may be off.
+    seen_blur
+        Of the camera, over its picture; None: that of the edges of boards in the same pictures, which comes out 4 %
+        too wide where boards are seen at so steep a slant that markers lie three pixels from the edges.
 
     Raises
     ------
@@ -237,6 +252,8 @@ def calibrate_projector(
             "board at different depths and slants"
         )
     corners = np.concatenate([one.projector_px for one in views])
+    parts = _parts(views, bundle.x_mm(sought, held.values), way := _way(pose, wall, size_mm), seen_blur)
+    own_px2 = [variance - camera for one in parts for _, variance, camera in one]
     projector = ProjectorFound(
         lens=found,
         pose=pose,
@@ -247,7 +264,8 @@ def calibrate_projector(
         corners_px=corners,
         residuals_px=-misses,
         coverage=_between(corners, shape),
-        blur=_blur(views),
+        blur=Blur.of(own_px2, OF_STRIPES),
+        blur_in_depth=find_blur_in_depth(parts, found.fx, way),
         sd_without=() if seen_by is not None else ("camera", "tank"),
     )
     if any(one.light is None for one in views):
@@ -310,6 +328,11 @@ class _Bundle:
         self._seen = np.concatenate([one.view.corners_px for one in views])
         self._lit = np.concatenate([one.projector_px for one in views])
         self._slopes = np.concatenate([one.slopes for one in views])
+
+    def x_mm(self, sought: Points, held: Points) -> list[Points]:
+        """Of the corners of each view, how far behind the wall they are."""
+        ends = np.cumsum([len(points) for points in self._points])[:-1]
+        return np.split(self._placed(sought, held)[:, 0], ends)
 
     def projector_misses(self, sought: Points, held: Points) -> Points:
         """(n, 2) projector pixels."""
@@ -394,10 +417,31 @@ def _off(expected: Points, found: Points) -> Points:
     return np.nan_to_num(expected - found, nan=NOWHERE_PX)
 
 
-def _blur(views: Sequence[LitBoard]) -> Blur | None:
-    """By stripes on boards, less what the camera adds in the same pictures."""
-    variances = [one.variance_px2 - one.camera_px2 * view.view.edge_px**2 for view in views for one in view.stripes]
-    return Blur.of(variances, OF_STRIPES)
+def _way(pose: Pose, wall: Window, size_mm: Vector) -> Way:
+    """Of the light, from the lens to places in the tank."""
+    return Way(-pose.centre_mm[0] - wall.pane_mm + wall.pane_mm / wall.pane_index, wall.water_index, size_mm[0])
+
+
+def _parts(
+    views: Sequence[LitBoard], x_mm: Sequence[Points], way: Way, seen_blur: BlurOverPicture | None
+) -> list[Points]:
+    """What stripes tell of the blur on each board, as `find_blur_in_depth` wants it.
+
+    On a plane one over the distance is linear in the picture's coordinates; so it is found from the corners about.
+    """
+    found = []
+    for view, depths in zip(views, x_mm, strict=True):
+        design = np.column_stack([view.projector_px, np.ones(len(depths))])
+        plane = np.linalg.lstsq(design, way.nearness(depths), rcond=None)[0]
+        lit = np.array([[*one.lit_px, 1.0] for one in view.stripes]).reshape(-1, 3)
+        at = way.index * (1.0 / (lit @ plane) - way.before_mm)
+        seen = [
+            seen_blur.at(*one.seen_px, view.view.shape) ** 2 + PIXEL_VARIANCE if seen_blur else view.view.edge_px**2
+            for one in view.stripes
+        ]
+        variances = [(one.variance_px2, one.camera_px2 * two) for one, two in zip(view.stripes, seen, strict=True)]
+        found.append(np.column_stack([at, np.array(variances).reshape(-1, 2)]))
+    return found
 
 
 def _between(corners_px: Points, shape: tuple[int, int]) -> float:

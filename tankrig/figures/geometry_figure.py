@@ -12,7 +12,9 @@ from tankrig.files import whole_file
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FOUND, ALLOWED = "#0072b2", "#999999"
+    from tankrig.calibration.blur_in_depth import BlurInDepth
+
+FOUND, ALLOWED, FITTED = "#0072b2", "#999999", "#d55e00"
 
 
 class Found(Protocol):
@@ -39,7 +41,9 @@ class Found(Protocol):
         """Of all."""
 
 
-def write_geometry_figure(path: Path, title: str, found: Found, allowed_px: float) -> None:
+def write_geometry_figure(
+    path: Path, title: str, found: Found, allowed_px: float, blur: "BlurInDepth | None" = None
+) -> None:
     """Draw corners with their residuals in the picture, the residuals about zero, and each view's error.
 
     Parameters
@@ -52,6 +56,8 @@ def write_geometry_figure(path: Path, title: str, found: Found, allowed_px: floa
         What to judge.
     allowed_px
         Above which it should not be believed.
+    blur
+        Of a projector over depth, to be drawn as well.
 
     Raises
     ------
@@ -62,11 +68,14 @@ def write_geometry_figure(path: Path, title: str, found: Found, allowed_px: floa
     from matplotlib.figure import Figure
 
     with rc_context(STYLE):
-        figure = Figure(figsize=(12.0, 4.2), layout="constrained")
-        axes = figure.subplots(1, 3, width_ratios=(1.8, 1.0, 1.0)).ravel().tolist()
+        wide = (1.8, 1.0, 1.0) if blur is None else (1.8, 1.0, 1.0, 1.2)
+        figure = Figure(figsize=(3.2 * sum(wide), 4.2), layout="constrained")
+        axes = figure.subplots(1, len(wide), width_ratios=wide).ravel().tolist()
         _where(axes[0], found)
         _about_zero(axes[1], found)
         _by_view(axes[2], found, allowed_px)
+        if blur is not None:
+            _over_depth(axes[3], blur)
         figure.suptitle(title, fontsize=10)
         with whole_file(path) as unfinished:
             figure.savefig(unfinished, dpi=130)
@@ -96,3 +105,13 @@ def _by_view(axes: "Axes", found: Found, allowed_px: float) -> None:
     axes.axhline(allowed_px, color=ALLOWED, linestyle="--")
     axes.set(xlabel="view", ylabel="rms, px")
     axes.set_title("error of each view. Want: far below the line", fontsize=8)
+
+
+def _over_depth(axes: "Axes", blur: "BlurInDepth") -> None:
+    x_mm, seen, fitted = blur.parts[np.argsort(blur.parts[:, 0])].T
+    axes.plot(x_mm, seen, ".", markersize=3, color=FOUND)
+    axes.plot(x_mm, fitted, color=FITTED)
+    if blur.lens_mm > 0.0:
+        axes.axvline(blur.focus_mm, color=ALLOWED, linestyle="--")
+    axes.set(xlim=(0.0, blur.length_mm), ylim=(0.0, None), xlabel="x, mm", ylabel="variance of the blur, px²")
+    axes.set_title("blur over depth. Want: points on the line, all along", fontsize=8)

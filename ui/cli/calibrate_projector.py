@@ -57,6 +57,7 @@ def projector(
     import numpy as np
     from rich.markup import escape
 
+    from tankrig.calibration.camera import blur_of
     from tankrig.calibration.file import in_force
     from tankrig.calibration.geometry_in_force import camera_pose, lens_of, require, surface_of
     from tankrig.calibration.gray_code import decode, gray_code_patterns
@@ -135,12 +136,13 @@ def projector(
         tank.size_mm,
         Named.of(known["tank"]),
         description.tolerances,
+        blur_of(known["camera"]),
     )
     kept = keep(
         found.calibration(name, {kind: one.hash for kind, one in known.items()}),
         description,
         accept,
-        lambda path: write_geometry_figure(path, f"{name}: lens and place", found, MOST_RMS_PX),
+        lambda path: write_geometry_figure(path, f"{name}: lens and place", found, MOST_RMS_PX, found.blur_in_depth),
     )
     where, sd = kept.result["position_mm"], kept.sd["position_mm"]
     rows = {f"its {axis}": f"{value:.2f} ± {error:.2g} mm" for axis, value, error in zip("xyz", where, sd, strict=True)}
@@ -150,7 +152,7 @@ def projector(
     rows["corners off by"] = f"{found.rms_px:.3f} projector px rms, {len(found.view_rms_px)} views"
     rows["between corners"] = f"{found.coverage:.0%} of its picture"
     rows["light"] = _evenness(found)
-    rows |= blurred(kept, "projector px") | _halo(found) | left_out(kept)
+    rows |= blurred(kept, "projector px") | _in_depth(found) | _halo(found) | left_out(kept)
     return tell(kept, rows, as_json)
 
 
@@ -164,6 +166,21 @@ def _evenness(found: "ProjectorFound") -> str:
     return f"{map_.min() / map_.max():.0%} of its brightest pixel's in the darkest; points scatter by " + (
         f"{found.evenness.scatter:.1%}"
     )
+
+
+def _in_depth(found: "ProjectorFound") -> dict[str, str]:
+    """In words."""
+    told = found.blur_in_depth
+    if told is None:
+        return {"over depth": "not measured; show more of the board's white, near the wall and far from it"}
+    blur, lens, focus = told.sd
+    if told.lens_mm == 0.0:
+        return {"over depth": f"alike; its lens is a pinhole as far as boards tell, less than {2.0 * lens:.2g} mm wide"}
+    return {
+        "sharpest at": f"x = {told.focus_mm:.0f} ± {focus:.2g} mm, where it blurs by {told.blur_px:.2f} ± {blur:.2g} "
+        f"projector px",
+        "lens": f"{told.lens_mm:.1f} ± {lens:.2g} mm wide: it blurs the more the farther from there",
+    }
 
 
 def _halo(found: "ProjectorFound") -> dict[str, str]:

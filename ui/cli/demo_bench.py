@@ -99,6 +99,7 @@ def _optics(seed: int) -> dict[str, Any]:
         "veil": random.uniform(0.0, 0.02),
     }
     leak = round(random.uniform(5e-4, 2e-3), 6)
+    stray |= {"projector_lens_mm": random.uniform(8.0, 20.0), "projector_focus_mm": random.uniform(60.0, 180.0)}
     return {"leak": leak, "stray": {name: round(value, 6) for name, value in stray.items()}}
 
 
@@ -262,6 +263,8 @@ def measured_beside_true(description: "RigFile") -> list[dict[str, Any]]:
         ("water level", "tank", ("level_mm",), truth.level_mm, "mm"),
         ("camera's halo", "stray", ("halo_share",), astray.get("camera_halo", 0.0), "of the light"),
         ("camera's veil", "stray", ("veil",), astray.get("veil", 0.0), "of the light"),
+        ("projector's lens", "projector", ("lens_mm",), astray.get("projector_lens_mm", 0.0), "mm"),
+        ("projector's focus, x", "projector", ("focus_mm",), astray.get("projector_focus_mm", 0.0), "mm"),
     ]
     for axis, name in enumerate("xyz"):
         camera_mm, projector_mm = truth.camera.centre_mm[axis], truth.projector.centre_mm[axis]
@@ -278,7 +281,7 @@ def measured_beside_true(description: "RigFile") -> list[dict[str, Any]]:
             "truth": float(true),
         }
         for what, kind, place, true, unit in sorted(wanted)
-        if kind in found
+        if kind in found and (place != ("focus_mm",) or "focus_mm" in found[kind].result)
     ]
 
 
