@@ -9,10 +9,12 @@ import sys
 import termios
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from rich.progress import Progress
 
 import tankrig
 from drivers.emulation.truth import read_truth
@@ -153,15 +155,20 @@ def test_a_second_program_on_the_same_rig_is_refused(folder, capsys):
     lock.close()
 
 
-def test_ctrl_c_stops_the_dose_and_the_resumed_run_doses_the_rest(folder, capsys):
-    def interrupt():
-        journal = folder / "run" / "journal.jsonl"
+def once_in_a_dose(journal: Path, then: Callable[[], object]) -> None:
+    """Do something in the middle of a run's dose."""
+
+    def wait_and_do():
         while not journal.exists() or b"dose_intent" not in journal.read_bytes():
             time.sleep(0.01)
         time.sleep(0.3)
-        os.kill(os.getpid(), signal.SIGINT)
+        then()
 
-    threading.Thread(target=interrupt).start()
+    threading.Thread(target=wait_and_do, daemon=True).start()
+
+
+def test_ctrl_c_stops_the_dose_and_the_resumed_run_doses_the_rest(folder, capsys):
+    once_in_a_dose(folder / "run" / "journal.jsonl", lambda: os.kill(os.getpid(), signal.SIGINT))
     assert main(["run", "long.toml", "--out", "run", "--no-fit"]) == 1
     said = capsys.readouterr()
     assert "aborted: run" in said.out
@@ -172,44 +179,14 @@ def test_ctrl_c_stops_the_dose_and_the_resumed_run_doses_the_rest(folder, capsys
 
 
 RUN = "import sys; from ui.cli import main; sys.exit(main())"
-FAILING_DISPLAY = """
-import sys
-from rich.progress import Progress
-from ui.cli import main
-real, calls = Progress.update, []
-def update(self, *given, **named):
-    calls.append(1)
-    if "dose" in named.get("description", "") and len(calls) > 5:
-        raise ERROR
-    return real(self, *given, **named)
-Progress.update = update
-sys.exit(main())
-"""
-
-
-def started(program: str, *words: str) -> subprocess.Popen[str]:
-    """The real command in a process of its own."""
-    command = [sys.executable, "-c", program, *words]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def in_dose(program: subprocess.Popen[str], run: Path) -> None:
-    journal = run / "journal.jsonl"
-    while not journal.exists() or b"dose_intent" not in journal.read_bytes():
-        assert program.poll() is None, program.communicate()
-        time.sleep(0.01)
-    time.sleep(0.3)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_every_request_to_end_stops_the_dose_and_the_run_has_an_end(folder, number):
+def test_every_request_to_end_stops_the_dose_and_the_run_has_an_end(folder, capsys, number):
     """A terminal that is closed in a dose must not leave ink flowing, or a dose that a person has to settle."""
-    with started(RUN, "run", "long.toml", "--out", "run", "--no-fit") as program:
-        in_dose(program, folder / "run")
-        program.send_signal(number)
-        out, err = program.communicate(timeout=30)
-    assert program.returncode == 1, err
-    assert "aborted: run" in out
+    once_in_a_dose(folder / "run" / "journal.jsonl", lambda: os.kill(os.getpid(), number))
+    assert main(["run", "long.toml", "--out", "run", "--no-fit"]) == 1
+    assert "aborted: run" in capsys.readouterr().out
     run = tankrig.open_run("run")
     assert run.end["reason"] == "aborted"
     (done,) = run.events("dose_done")
@@ -217,12 +194,31 @@ def test_every_request_to_end_stops_the_dose_and_the_run_has_an_end(folder, numb
     assert done["delivered_ul"] < 900.0
 
 
-@pytest.mark.parametrize("error", ['RuntimeError("a bug")', "KeyboardInterrupt"])
-def test_an_error_in_the_display_ends_the_run_and_is_told(folder, error):
+def test_a_program_that_is_asked_to_end_in_a_dose_says_so_with_its_exit_status(folder):
+    """What a shell, or a terminal that is closed, sees of it."""
+    command = [sys.executable, "-c", RUN, "run", "long.toml", "--out", "run", "--no-fit"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+        once_in_a_dose(folder / "run" / "journal.jsonl", lambda: program.send_signal(signal.SIGHUP))
+        out, err = program.communicate(timeout=60)
+    assert program.returncode == 1, err
+    assert "aborted: run" in out
+    assert true_ul(folder / "run") < 900.0
+
+
+@pytest.mark.parametrize("error", [RuntimeError("a bug"), KeyboardInterrupt()])
+def test_an_error_in_the_display_ends_the_run_and_is_told(folder, capsys, monkeypatch, error):
     """Whatever goes wrong on the screen: nobody sees the run any more, so it must not go on dosing."""
-    with started(FAILING_DISPLAY.replace("ERROR", error), "run", "long.toml", "--out", "run", "--no-fit") as program:
-        _, err = program.communicate(timeout=60)
-    assert program.returncode == 1
+    real, calls = Progress.update, []
+
+    def update(self, *given, **named):
+        calls.append(1)
+        if "dose" in named.get("description", "") and len(calls) > 5:
+            raise error
+        return real(self, *given, **named)
+
+    monkeypatch.setattr(Progress, "update", update)
+    assert main(["run", "long.toml", "--out", "run", "--no-fit"]) == 1
+    err = capsys.readouterr().err
     assert "the display failed, so the run was ended; resume with: tankrig run --resume run" in err
     assert "Traceback" not in err
     run = tankrig.open_run("run")
@@ -234,14 +230,14 @@ def test_an_error_in_the_display_ends_the_run_and_is_told(folder, error):
 LABELS = ["cable moved to [/dev/ttyACM0]", "[/]", "[bold", "[red]stirred[/blue]", "\\[", "{task.description}", "a\nb"]
 
 
-def test_peoples_words_are_drawn_as_they_stand(folder, capsys):
+def test_peoples_words_are_drawn_as_they_stand(folder, capsys, monkeypatch):
     """A note with brackets in it used to end the display in the middle of a run. Exposures outlast its redrawing."""
     words = [json.dumps(label) for label in LABELS]
     names = [word for word, label in zip(words, LABELS, strict=True) if label.isprintable()]  # others name no pattern
     patterns = "".join(f'[patterns.{name}]\nkind = "full"\n' for name in names)
     steps = "".join(f'[[steps]]\ndo = "note"\ntext = {word}\n' for word in words)
     steps += "".join(f'[[steps]]\ndo = "capture"\npattern = {name}\n' for name in names)
-    (folder / "notes.toml").write_text(f"name = {words[0]}\nexposure_ms = 900\n{patterns}{steps}")
+    (folder / "notes.toml").write_text(f"name = {words[0]}\nexposure_ms = 500\n{patterns}{steps}")
     assert main(["run", "notes.toml", "--dry-run", "--out", "run"]) == 0
     assert LABELS[0] in capsys.readouterr().out
     terminal, end = os.openpty()
@@ -254,16 +250,15 @@ def test_peoples_words_are_drawn_as_they_stand(folder, capsys):
                 drawn.append(seen)
 
     (watcher := threading.Thread(target=watch)).start()
-    command = [sys.executable, "-c", RUN, "run", "notes.toml", "--out", "run", "--no-fit"]
-    program = subprocess.run(
-        command, stdout=subprocess.DEVNULL, stderr=end, stdin=subprocess.DEVNULL, timeout=90, check=False,
-        env=os.environ | {"TERM": "xterm"},
-    )  # fmt: skip
+    monkeypatch.setenv("TERM", "xterm")
+    with open(end, "w", closefd=False) as screen, monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", screen)
+        status = main(["run", "notes.toml", "--out", "run", "--no-fit"])
     os.close(end)
     watcher.join(10)
     os.close(terminal)
     seen = b"".join(drawn).decode(errors="replace")
-    assert program.returncode == 0, seen
+    assert status == 0, seen
     assert LABELS[0] in seen
     assert "[red]stirred[/blue]" in seen
     assert [note["text"] for note in tankrig.open_run("run").events("note") if note["text"] in LABELS] == LABELS
@@ -279,6 +274,17 @@ def test_a_fit_that_cannot_begin_ends_the_run_and_its_journal_says_why(capsys, m
     assert "No space left" in capsys.readouterr().err
     assert "No space left" in tankrig.open_run("run").end["message"]
     assert main(["run", "--resume", "run", "--no-fit"]) == 0
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_run_that_lights_nothing_starts_no_process_for_fits(monkeypatch):
+    def begun(*_: object) -> None:
+        raise AssertionError("nothing could be fitted")
+
+    monkeypatch.setattr("tankrig.live.attached.LiveFit", begun)
+    Path("dark.toml").write_text('name = "dark"\nexposure_ms = 1\n[[steps]]\ndo = "capture"\npattern = "dark"\n')
+    assert main(["run", "dark.toml", "--out", "run"]) == 0
+    assert tankrig.open_run("run").end["reason"] == "completed"
 
 
 @pytest.mark.usefixtures("folder")
@@ -333,7 +339,7 @@ def test_a_killed_dose_needs_a_persons_word(folder, capsys):
         [
             sys.executable,
             "-c",
-            "import sys; from ui.cli import main; sys.exit(main())",
+            RUN,
             "run",
             "long.toml",
             "--out",

@@ -75,12 +75,12 @@ def test_closing_in_a_dose_stops_it_and_the_run_is_offered_again(tmp_path):
 
 
 def test_a_run_whose_fit_cannot_begin_is_ended_and_can_be_resumed(tmp_path, monkeypatch):
-    """No room for shared memory: a run that is neither going on nor over keeps its folder locked."""
+    """No room on the disk: a run that is neither going on nor over keeps its folder locked."""
 
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("tankrig.live.attached.LiveFit", full)
+    monkeypatch.setattr("tankrig.live.attached.open_run", full)
     with window_on(tmp_path, write_rig(tmp_path)) as window:
         (tmp_path / "sequence.toml").write_text(LONG_DOSE)
         window.sequence.load(tmp_path / "sequence.toml")
@@ -180,7 +180,7 @@ def test_stop_while_the_window_asks_about_the_ink_gives_the_run_up(tmp_path):
 
 
 TWO_DOSES = (
-    'name = "two"\n[[steps]]\ndo = "dose"\ntotal_ul = 100\n[[steps]]\ndo = "wait"\nseconds = 4\n'
+    'name = "two"\n[[steps]]\ndo = "dose"\ntotal_ul = 100\n[[steps]]\ndo = "wait"\nseconds = 2\n'
     '[[steps]]\ndo = "dose"\ntotal_ul = 200\n'
 )
 

@@ -41,11 +41,12 @@ def require_fittable(sequence: Sequence, bench: Bench) -> None:
 
 
 @contextmanager
-def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[LiveFit]:
+def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[LiveFit | None]:
     """Fit a run's frames while it goes on; enter before `Runner.run` and leave after it.
 
     What is found stands in the journal, once frames have stopped to come for a moment, and `Runner.latest_fit` is the
-    last of all. Frames and fits of a run that goes on are taken in first.
+    last of all. Frames and fits of a run that goes on are taken in first. Where a run lights nothing that could be
+    fitted, no process is started, and what is yielded is None.
 
     Parameters
     ----------
@@ -55,6 +56,10 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
         How long the run's end waits for the last fits; `tankrig refit` makes those that would come later.
     """
     run = open_run(runner.path)
+    plan = PhotographPlan.of_run(run)
+    if not plan.lights_anything:
+        yield None
+        return
 
     def record(fit: Fit) -> None:
         if isinstance(fit, DoseFit) and fit.passing:
@@ -71,7 +76,6 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
         with suppress(StoreError):
             runner.record("note", text=sentence, warning=True)
 
-    plan = PhotographPlan.of_run(run)
     plan = replace(plan, ink=plan.ink or ink_before(run))
     with LiveFit(plan, record, run, tell) as fit:
         runner.fitted = True

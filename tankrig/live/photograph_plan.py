@@ -126,6 +126,11 @@ class PhotographPlan:
         a person has set right."""
         return 2 + len(self.doses_ml) + self.more_doses
 
+    @property
+    def lights_anything(self) -> bool:
+        """Whether any of it can tell a fit something: a pattern that is not dark, or whole sheets of waves."""
+        return bool(self.sheet_ends) or any(pattern.pixels.any() for pattern in self.patterns.values())
+
     @cached_property
     def scenes(self) -> dict[str, Scene]:
         """What the fit sees of the patterns that light anything, by hash; the media mean nothing."""
