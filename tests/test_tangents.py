@@ -1,10 +1,13 @@
 """Derivatives along the paths are those of the image, and noise that is kept apart is the image's."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from tankrig.estimation.uncertainty import PatternedError, SmoothError
+from tankrig.light import tangent
 from tankrig.light.paths.block import SMALL
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.tangents import traced_tangents
@@ -65,9 +68,10 @@ def test_derivatives_are_those_of_the_light(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["parallel", "pinholes"])
-def test_patterns_of_noise_are_how_images_scatter(name: str) -> None:
+def test_patterns_of_noise_are_how_images_scatter(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What noise does to a fitted number is what its patterns do: for sums over any part of an image too."""
     scene = SCENES[name]
+    monkeypatch.setattr(tangent, "double_scattering", cache(tangent.double_scattering))  # it has no noise
     made = [tank_accurate(scene, 1, seed=seed) for seed in range(24)]
     images = np.array([one.image for one in made])
     rows, columns = np.mgrid[:24, :36]

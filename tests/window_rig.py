@@ -101,13 +101,18 @@ def _garbage_of_the_window_alone() -> Iterator[None]:
 
     To go through what hundreds of tests have left took half of a window's time.
     """
-    unfreeze, frozen = gc.unfreeze, gc.get_freeze_count()
-    gc.unfreeze = lambda: None
+    freeze, unfreeze, frozen = gc.freeze, gc.unfreeze, []
+
+    def noted() -> None:  # to have Python count what is frozen would go through all of it
+        frozen.append(True)
+        freeze()
+
+    gc.freeze, gc.unfreeze = noted, lambda: None
     try:
         yield
     finally:
-        gc.unfreeze = unfreeze
-        if gc.get_freeze_count() > frozen:  # after a run the window freezes what it holds itself
+        gc.freeze, gc.unfreeze = freeze, unfreeze
+        if frozen:  # after a run the window freezes what it holds itself
             unfreeze()
         gc.collect()
         gc.freeze()
