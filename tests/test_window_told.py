@@ -125,16 +125,6 @@ def test_a_live_fit_whose_process_dies_is_told(tmp_path):
         until(lambda: not window.status.busy, 60.0)
 
 
-def test_what_the_camera_has_made_of_an_exposure_is_shown_between_runs(tmp_path, monkeypatch):
-    real = SimulatedCamera.configure
-    monkeypatch.setattr(SimulatedCamera, "configure", lambda self, asked: real(self, CameraSettings(2.0, asked.gain)))
-    with window_on(tmp_path, write_rig(tmp_path)) as window:
-        until(lambda: window.status.state.value == "ready", 60.0)
-        window.setFocus()  # a field that somebody types in keeps what is typed
-        window.host.configure(CameraSettings(30.0))
-        until(lambda: on_page.field(window.live, "exposure").value == 2.0, 60.0)
-
-
 def test_a_reason_at_the_very_first_is_in_the_log_on_disk(tmp_path):
     """The page that lists it comes last, and the rig may have failed by then."""
     rig = write_rig(tmp_path)
@@ -156,18 +146,6 @@ def test_what_was_said_of_a_run_goes_with_it(qtbot):
     assert banner.text == ""
 
 
-def test_a_file_dropped_on_a_text_is_opened_and_not_written_into_it(tmp_path):
-    with window_on(tmp_path, write_rig(tmp_path)) as window:
-        until(lambda: window.built)
-        files = QMimeData()
-        files.setUrls([QUrl.fromLocalFile(str(tmp_path / "a.toml"))])
-        words = QMimeData()
-        words.setText("frames = 4")
-        for text in (*window.calibration.findChildren(MarkedText), *window.sequence.findChildren(MarkedText)):
-            assert not text.canInsertFromMimeData(files)
-            assert text.canInsertFromMimeData(words)
-
-
 def test_a_draft_is_offered_where_the_command_names_another_sequence(tmp_path):
     (tmp_path / "other.toml").write_text(SHORT)
     rig = write_rig(tmp_path)
@@ -181,45 +159,75 @@ def test_a_draft_is_offered_where_the_command_names_another_sequence(tmp_path):
         assert 'name = "mine"' in window.sequence.document.text
 
 
-def test_a_field_that_makes_no_sense_is_not_shown_on_the_projector(tmp_path):
-    with window_on(tmp_path, write_rig(tmp_path)) as window:
-        until(lambda: window.status.state.value == "ready" and window.built, 60.0)
-        page = window.projector
-        show = on_page.button(page, "Show it")
-        until(show.isEnabled)
-        typed = page.findChild(Form).rows["y_mm"]
-        on_page.fill(typed, "wide")
-        assert typed.wrong
-        assert not show.isEnabled()
-        kinds = on_page.choice(page, "A pattern to show between runs")
-        kinds.setCurrentIndex((kinds.currentIndex() + 1) % kinds.count())
-        until(show.isEnabled)
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("told")
+    with window_on(folder, write_rig(folder)) as made:
+        until(lambda: made.status.state.value == "ready" and made.built, 60.0)
+        yield made
 
 
-def test_what_was_typed_in_a_step_that_is_left_is_told(tmp_path):
-    with window_on(tmp_path, write_rig(tmp_path)) as window:
-        until(lambda: window.status.state.value == "ready" and window.built, 60.0)
-        (tmp_path / "s.toml").write_text(SHORT + '[[steps]]\ndo = "note"\ntext = "x"\n')
-        window.sequence.load(tmp_path / "s.toml")
-        steps = window.sequence.steps
-        steps.tree.setCurrentItem(steps.tree.topLevelItem(0))
-        on_page.fill(steps.findChild(Form).rows["frames"], "foo")
-        until(lambda: not window.top.run.isEnabled())
-        steps.tree.setCurrentItem(steps.tree.topLevelItem(1))
-        until(lambda: "the value before it stands" in window.banner.text)
+@pytest.fixture
+def window(opened):
+    """For several tests: at rest, with nothing to tell."""
+    until(lambda: not opened.status.busy)
+    while opened.banner.text:
+        opened.banner.put_away()
+    opened.activateWindow()
+    return opened
 
 
-def test_a_press_long_after_the_first_is_no_second_one(tmp_path, monkeypatch):
+def test_what_the_camera_has_made_of_an_exposure_is_shown_between_runs(window, monkeypatch):
+    real = SimulatedCamera.configure
+    monkeypatch.setattr(SimulatedCamera, "configure", lambda self, asked: real(self, CameraSettings(2.0, asked.gain)))
+    window.setFocus()  # a field that somebody types in keeps what is typed
+    window.host.configure(CameraSettings(30.0))
+    until(lambda: on_page.field(window.live, "exposure").value == 2.0, 60.0)
+
+
+def test_a_file_dropped_on_a_text_is_opened_and_not_written_into_it(window, tmp_path):
+    files = QMimeData()
+    files.setUrls([QUrl.fromLocalFile(str(tmp_path / "a.toml"))])
+    words = QMimeData()
+    words.setText("frames = 4")
+    for text in (*window.calibration.findChildren(MarkedText), *window.sequence.findChildren(MarkedText)):
+        assert not text.canInsertFromMimeData(files)
+        assert text.canInsertFromMimeData(words)
+
+
+def test_a_field_that_makes_no_sense_is_not_shown_on_the_projector(window):
+    page = window.projector
+    show = on_page.button(page, "Show it")
+    until(show.isEnabled)
+    typed = page.findChild(Form).rows["y_mm"]
+    on_page.fill(typed, "wide")
+    assert typed.wrong
+    assert not show.isEnabled()
+    kinds = on_page.choice(page, "A pattern to show between runs")
+    kinds.setCurrentIndex((kinds.currentIndex() + 1) % kinds.count())
+    until(show.isEnabled)
+
+
+def test_what_was_typed_in_a_step_that_is_left_is_told(window, tmp_path):
+    (tmp_path / "s.toml").write_text(SHORT + '[[steps]]\ndo = "note"\ntext = "x"\n')
+    window.sequence.load(tmp_path / "s.toml")
+    steps = window.sequence.steps
+    steps.tree.setCurrentItem(steps.tree.topLevelItem(0))
+    on_page.fill(steps.findChild(Form).rows["frames"], "foo")
+    until(lambda: not window.top.run.isEnabled())
+    steps.tree.setCurrentItem(steps.tree.topLevelItem(1))
+    until(lambda: "the value before it stands" in window.banner.text)
+
+
+def test_a_press_long_after_the_first_is_no_second_one(window, monkeypatch):
     """Who pressed once, and comes back an hour later, must not have the tank's ink forgotten at a touch."""
     monkeypatch.setattr("ui.window.doser_page.SURE_MS", 20)
-    with window_on(tmp_path, write_rig(tmp_path)) as window:
-        until(lambda: window.status.state.value == "ready" and window.built, 60.0)
-        asked: list[None] = []
-        window.doser.refill_asked.connect(lambda: asked.append(None))
-        refill = on_page.button(window.doser, "Filled with fresh water")
-        refill.click()
-        until(lambda: "Press again" not in refill.text())
-        refill.click()
-        assert not asked
-        refill.click()
-        assert len(asked) == 1
+    asked: list[None] = []
+    window.doser.refill_asked.connect(lambda: asked.append(None))
+    refill = on_page.button(window.doser, "Filled with fresh water")
+    refill.click()
+    until(lambda: "Press again" not in refill.text())
+    refill.click()
+    assert not asked
+    refill.click()
+    assert len(asked) == 1
