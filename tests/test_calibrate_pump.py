@@ -1,5 +1,6 @@
 """Weighed doses become a correction with an honest uncertainty; nonsense becomes one sentence and no file."""
 
+import io
 import json
 import os
 import pty
@@ -188,17 +189,27 @@ def test_bad_weights_are_told_and_write_nothing(
     assert not (tmp_path / "pump.toml").exists()
 
 
-def test_without_a_terminal_and_weights_nothing_is_dosed(tmp_path: Path) -> None:
-    done = tankrig(tmp_path, subprocess.DEVNULL)
-    assert done.wait(60) == 2
-    assert b"give --weights FILE" in done.stderr.read()
-    assert not (tmp_path / "simulated").exists()
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where a person without a rig file calls the command."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("TANKRIG_RIG", raising=False)
+    return tmp_path
 
 
-def test_a_volume_beyond_the_rigs_limit_is_refused_before_anything_moves(tmp_path: Path) -> None:
-    told, status = on_terminal(tmp_path, "y\n", "--volumes", "20,5000")
-    assert status == 2
-    assert "5000 µl is not between 0.1 and the rig file's dose_ul = 1000" in told
+def test_without_a_terminal_and_weights_nothing_is_dosed(folder: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert main(["calibrate", "pump"]) == 2
+    assert "give --weights FILE" in capsys.readouterr().err
+    assert not (folder / "simulated").exists()
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_volume_beyond_the_rigs_limit_is_refused_before_anything_moves(monkeypatch, capsys) -> None:
+    monkeypatch.setattr(command, "somebody", lambda: True)
+    monkeypatch.setattr(command, "confirm", lambda _: None)
+    assert main(["calibrate", "pump", "--volumes", "20,5000"]) == 2
+    assert "5000 µl is not between 0.1 and the rig file's dose_ul = 1000" in capsys.readouterr().err
 
 
 def test_guided_at_a_terminal(tmp_path: Path) -> None:
@@ -220,22 +231,12 @@ def test_guided_at_a_terminal(tmp_path: Path) -> None:
     assert entries[-1]["count"][0] == pytest.approx(200.0)
 
 
-def tankrig(folder: Path, stdin: int, *options: str, stderr: int = subprocess.PIPE) -> subprocess.Popen[bytes]:
-    environment = {key: value for key, value in os.environ.items() if key != "TANKRIG_RIG"} | {"COLUMNS": "200"}
-    command = [
-        sys.executable,
-        "-c",
-        "import sys; from ui.cli import main; sys.exit(main())",
-        "calibrate",
-        "pump",
-        *options,
-    ]
-    return subprocess.Popen(command, stdin=stdin, stdout=stderr, stderr=stderr, cwd=folder, env=environment)
-
-
 def on_terminal(folder: Path, answers: str, *options: str) -> tuple[str, int]:
+    """What a program of its own says at a terminal, and its exit status."""
+    environment = {key: value for key, value in os.environ.items() if key != "TANKRIG_RIG"} | {"COLUMNS": "200"}
+    words = [sys.executable, "-c", "import sys; from ui.cli import main; sys.exit(main())", "calibrate", "pump"]
     master, slave = pty.openpty()
-    process = tankrig(folder, slave, *options, stderr=slave)
+    process = subprocess.Popen([*words, *options], stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=environment)
     os.close(slave)
     os.write(master, answers.encode())
     told = b""
@@ -288,21 +289,21 @@ def test_the_tube_is_asked_for_only_while_the_pump_rests(
         ledger.close()
 
 
-def test_a_pump_is_initialised_only_with_its_tube_in_a_waste_vessel(tmp_path: Path) -> None:
+def test_a_pump_is_initialised_only_with_its_tube_in_a_waste_vessel(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """It pushes out what the syringe holds, so a person has to say so first."""
     from drivers.simulated import __file__ as simulated
 
-    with CavroBench(tmp_path) as bench:
+    with CavroBench(folder) as bench:
         bench.do("reset")
         rig = Path(simulated).with_name("rig.toml").read_text(encoding="utf-8")
         doser = rig[rig.index("[doser]") : rig.index("[limits]")]
         settings = "port = './doser'\ncount_file = './count'\nsyringe_ul = 1000.0\nspeed_ul_per_s = 500.0\n\n"
-        (tmp_path / "rig.toml").write_text(
-            rig.replace(doser, f'[doser]\ndriver = "cavro"\n{settings}'), encoding="utf-8"
-        )
-        told, status = on_terminal(tmp_path, "n\n", "--rig", "rig.toml", "--initialise")
-        assert status == 1
-        assert bench.board.core.initialised_times == 0
-        told, status = on_terminal(tmp_path, "y\n", "--rig", "rig.toml", "--initialise")
-        assert (status, bench.board.core.initialised_times) == (0, 1), told
+        (folder / "rig.toml").write_text(rig.replace(doser, f'[doser]\ndriver = "cavro"\n{settings}'), encoding="utf-8")
+        monkeypatch.setattr(command, "somebody", lambda: True)
+        for answer, status, times in (("n", 1, 0), ("y", 0, 1)):
+            monkeypatch.setattr("sys.stdin", io.StringIO(f"{answer}\n"))
+            assert main(["calibrate", "pump", "--rig", "rig.toml", "--initialise"]) == status, capsys.readouterr()
+            assert bench.board.core.initialised_times == times
         assert bench.true_ul == 0.0
