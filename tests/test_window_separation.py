@@ -209,6 +209,7 @@ def test_a_run_is_separated_while_it_goes_on_and_the_same_in_replay(tmp_path, ca
         window.sequence.steps.choose(("steps", 1))
         window.sequence.steps.separate.click()
         on_page.fill(window.sequence.steps.findChild(Form).rows["heights_mm"], "40 80")
+        on_page.fill(window.sequence.steps.findChild(Form).rows["periods_mm"], "16 32")
         until(lambda: window.top.run.isEnabled(), 60.0)
         window.sequence.document.edit_text(window.sequence.document.text.replace("seconds = 0.1", "seconds = 600"))
         until(lambda: window.top.run.isEnabled(), 60.0)
@@ -220,7 +221,7 @@ def test_a_run_is_separated_while_it_goes_on_and_the_same_in_replay(tmp_path, ca
         window.show_page(window.separation)
         sheets = window.on_screen.shown.separated
         until(  # a sheet is shown with the waves that there are, and again with those that come after
-            lambda: [len(one.modulated) for one in sheets.values()] == [3, 3], 200.0,
+            lambda: [len(one.modulated) for one in sheets.values()] == [2, 2], 200.0,
             "it was not separated while the run went on",
         )  # fmt: skip
         assert window.status.running
@@ -247,5 +248,5 @@ def test_a_run_is_separated_while_it_goes_on_and_the_same_in_replay(tmp_path, ca
             part, sd = 100.0 * one["order_1"], 100.0 * one["order_1_sd"]
             assert with_error(part, Z * sd) in cells
             assert all(f"{100.0 * share:.1f}" in cells for share in one["follow"].values())
-        assert len(open_run(path).events("frame")) == 1 + 2 * 3 * 4
+        assert len(open_run(path).events("frame")) == 1 + 2 * 2 * 4
         wait_ms(50)
