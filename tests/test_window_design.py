@@ -9,6 +9,7 @@ from PySide6.QtTest import QTest
 
 from tankrig.errors import SequenceError
 from tankrig.live.exposures import exposures_of
+from tankrig.live.refit import refit
 from tankrig.live.results import fits_in
 from tankrig.run.reading import open_run
 from tankrig.sequence.until import Until
@@ -97,7 +98,8 @@ def beginning(tmp_path_factory: pytest.TempPathFactory):
     home = tmp_path_factory.mktemp("begun")
     rig, file = write_rig(home), home / "first.toml"
     file.write_text(FIRST.replace("seconds = 600.0", "seconds = 0.1"))
-    assert main(["run", str(file), "--rig", str(rig), "--out", str(home / "run")]) == 0
+    assert main(["run", str(file), "--rig", str(rig), "--out", str(home / "run"), "--no-fit"]) == 0
+    refit(home / "run")
     run = open_run(home / "run")
     (fit,) = fits_in([event.fields for event in run.fits])[0]
     return run, fit, tuple(exposures_of(run).photographs())
