@@ -132,7 +132,8 @@ def test_an_experiment_is_a_script_of_fifteen_lines(tmp_path: Path) -> None:
     assert len([line for line in text.splitlines() if line.strip()]) <= 15
     (tmp_path / "runs" / "first.rig").mkdir(parents=True)
     shutil.copy(STORED / "2" / "finished" / "rig.toml", tmp_path / "runs" / "first.rig" / "rig.toml")
-    shutil.copy(STORED / "2" / "finished" / "sequence.toml", tmp_path / "dilution.toml")
+    sequence = (STORED / "2" / "finished" / "sequence.toml").read_text(encoding="utf-8")
+    (tmp_path / "dilution.toml").write_text(sequence.replace("seconds = 3.0", "seconds = 0.1"))
     words = [sys.executable, str(EXAMPLES / "experiment.py")]
     ended = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=280)
     assert ended.returncode == 0, ended.stderr[-2000:]

@@ -1,6 +1,7 @@
 """Fits of recorded runs: what is missing is said and made, recorded one by one, and a report waits for none of it."""
 
 import json
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 
@@ -43,11 +44,10 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
 
 
-@pytest.fixture
-def run(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Recorded to its end, and not fitted at all."""
-    monkeypatch.setenv("TANKRIG_CACHE", str(cache))
-    path, sequence = tmp_path / "run", sequence_from_table(SEQUENCE, "test")
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """To its end, and not fitted at all."""
+    path, sequence = tmp_path_factory.mktemp("recorded") / "run", sequence_from_table(SEQUENCE, "test")
     patterns = sequence.drawn(BENCH.wall)
     settings = {"name": "two doses", "rig": "a rig", "bench": asdict(BENCH), "sequence": sequence_table(sequence)}
     create_run(path, (20, 30), "uint16", 8, settings, list(patterns.values()))
@@ -67,6 +67,14 @@ def run(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
                 step += 1
         writer.finish(reason="completed", message="")
     return path
+
+
+@pytest.fixture
+def run(recorded: Path, tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of it."""
+    monkeypatch.setenv("TANKRIG_CACHE", str(cache))
+    shutil.copytree(recorded, tmp_path / "run")
+    return tmp_path / "run"
 
 
 def test_a_run_that_ended_too_early_for_its_fits_gets_them_by_one_command(

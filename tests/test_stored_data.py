@@ -19,6 +19,7 @@ from tankrig.dosing import TankLedger
 from tankrig.errors import StoreError
 from tankrig.light.prepared.cache import Place
 from tankrig.run.recovery import recover
+from tankrig.run.state import RunStates
 from tankrig.sequence import load_sequence
 from ui.cli import main
 
@@ -53,9 +54,10 @@ def true_ul(folder: Path) -> float:
 
 
 def resumed(folder: Path, *words: str) -> int:
-    """`tankrig run --resume`, as a person gives it, beside the rig file."""
+    """`tankrig run --resume`, as a person gives it, beside the rig file; its waits are over at once."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        patch.setattr(RunStates, "sleep", lambda states, _: states.check())
         return main(["run", "--resume", "run", "--rig", "rig.toml", "--no-fit", *words])
 
 
