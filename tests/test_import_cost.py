@@ -19,6 +19,7 @@ def run(code: str) -> str:
     [
         "import tankrig",
         "import tankrig; tankrig.Scene, tankrig.Medium, tankrig.Prediction, tankrig.TankrigError, tankrig.load_scene",
+        "import tankrig.calibration.pump",
         "from ui.cli import main; main(['--help'])",
         "from ui.cli import main; main(['predict', '--help'])",
         "from ui.cli import main; main(['predict', 'nowhere.toml'])",

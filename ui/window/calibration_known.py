@@ -133,7 +133,7 @@ def _weighed(rig: "RigFile", folder: Path) -> Iterator[Known]:
     """Pump calibrations, newest first; how to make one where there is none."""
     files = sorted(folder.glob("pump-*.toml"), reverse=True)
     for file in files:
-        from tankrig.calibration.pump import load_pump_calibration  # a second, where there is nothing to read
+        from tankrig.calibration.pump import load_pump_calibration  # spared where there is nothing to read
 
         try:
             one = load_pump_calibration(file)
