@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-import miepython
 import numpy as np
 from numpy.typing import NDArray
 
@@ -123,6 +122,7 @@ def droplets(mean_cosine: float, wavelength_nm: float) -> Mixture:
     >>> round(droplets(0.66, 633.0).mean_cosine, 3)
     0.66
     """
+    import miepython
     from scipy.optimize import brentq
 
     require(0.1 <= mean_cosine <= 0.9, f"no fat emulsion has the mean cosine {mean_cosine:.3g}")

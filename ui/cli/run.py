@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -122,7 +122,6 @@ def planned(sequence: "Sequence", description: "RigFile", run_folder: Path | Non
     """
     from drivers.rig import calibrated_bench, tank_ledger
     from tankrig.devices import Delivered
-    from tankrig.live.attached import require_fittable
     from tankrig.run.start import require_place
     from tankrig.sequence import dry_run
 
@@ -132,6 +131,8 @@ def planned(sequence: "Sequence", description: "RigFile", run_folder: Path | Non
     if run_folder is not None:
         require_place(run_folder, sequence.frames * frame_bytes)
     if fit:
+        from tankrig.live.attached import require_fittable  # it brings numba along, which a run without fits spares
+
         require_fittable(sequence, bench)
     else:
         sequence.drawn(bench.wall)
@@ -197,8 +198,6 @@ def carry_out(runner: "Runner", fit: bool) -> "Outcome":
 
     Whatever happens meanwhile, the run has ended when this returns or raises, and its thread too.
     """
-    from tankrig.live.attached import fitted_live
-
     outcomes: list[Outcome | BaseException] = []
 
     def work() -> None:
@@ -208,7 +207,11 @@ def carry_out(runner: "Runner", fit: bool) -> "Outcome":
             outcomes.append(error)
 
     thread = threading.Thread(target=work, name="run")
-    fitting = fitted_live(runner) if fit else nullcontext()
+    fitting: AbstractContextManager[LiveFit | None] = nullcontext()
+    if fit:
+        from tankrig.live.attached import fitted_live
+
+        fitting = fitted_live(runner)
     with _aborting_on_signals(runner), _given_up_unless_begun(runner), fitting as live:
         thread.start()
         try:
