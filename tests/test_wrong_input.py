@@ -30,18 +30,12 @@ CHEAP = {"npz", "npy", "png", "tiff", "ledger", "count", "prepared", "pump", "ph
 OF_RUNS = {"journal", "settings", "frames-metadata", "patterns-metadata", "chunk"}
 """Formats of which reading one means reading a run."""
 MANY = int(os.environ.get("TANKRIG_FUZZ", "100000"))
-FEW = {3: 40, 2: 20, 1: 10}
-"""How many are read each time, by how cheap a format is."""
-
-
-def weight(name: str) -> int:
-    """3 for formats that take a millisecond or so, 1 for those that mean reading a run."""
-    return 3 if name in CHEAP else 1 if name in OF_RUNS else 2
+FEW = 40
 
 
 def share(name: str, of: int) -> int:
     """How many of all mutations a format gets."""
-    weights = {one: (1, 3, 6)[weight(one) - 1] for one in FORMATS}
+    weights = {one: 6 if one in CHEAP else 1 if one in OF_RUNS else 3 for one in FORMATS}
     return -(-of * weights[name] // sum(weights.values()))
 
 
@@ -81,8 +75,7 @@ ONCE_FAILED = [
 
 def test_a_few_mutated_files_and_those_that_once_failed_are_read_or_refused_in_a_sentence(tmp_path: Path) -> None:
     """In one process, which takes longer to start than to read a few; when it ends early, we are told where."""
-    batches = [(name, 0, FEW[weight(name)]) for name in FORMATS]
-    batches += [(name, number, 1) for name, number in ONCE_FAILED]
+    batches = [*((name, 0, FEW) for name in FORMATS), *((name, number, 1) for name, number in ONCE_FAILED)]
     words = [sys.executable, str(Path(__file__).with_name("fuzz_batch.py")), str(tmp_path)]
     words += [str(word) for batch in batches for word in batch]
     ended = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False, timeout=250)
