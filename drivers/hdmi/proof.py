@@ -2,8 +2,6 @@
 
 from functools import lru_cache
 
-import numpy as np
-
 from drivers.hdmi.xlib import IDENTITY, Crtc, Rectangle, XDisplay
 
 _ONE_LEVEL = 257
@@ -112,7 +110,7 @@ def output_doubt(crtcs: tuple[Crtc, ...], output: str, window: Rectangle) -> str
         )
     if not own.upright:
         return f"{output} is turned or mirrored; set its rotation to normal (xrandr --output {output} --rotate normal)"
-    if not np.allclose(own.transform, IDENTITY, atol=1e-4):
+    if any(abs(one - as_it_is) > 1e-4 for one, as_it_is in zip(own.transform, IDENTITY, strict=True)):
         return f"{output} is scaled or transformed; undo that (xrandr --output {output} --transform none --scale 1x1)"
     if window != own.place:
         return (
@@ -149,8 +147,8 @@ def unchanged(ramp: tuple[int, ...]) -> bool:
     """
     if len(ramp) < 2:
         return True
-    straight = np.linspace(0.0, 65535.0, len(ramp))
-    return bool(np.abs(np.asarray(ramp) - straight).max() < _ONE_LEVEL)
+    step = 65535.0 / (len(ramp) - 1)
+    return max(abs(value - step * level) for level, value in enumerate(ramp)) < _ONE_LEVEL
 
 
 def overlap(one: Rectangle, other: Rectangle) -> bool:
