@@ -6,7 +6,7 @@ import pickle
 import subprocess
 import sys
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -309,14 +309,20 @@ print(json.dumps([THREADS, *(float(one.sum()) for one in images)]))
 """
 
 
-def test_one_setting_says_how_many_threads_work_and_no_image_depends_on_it() -> None:
+def test_one_setting_says_how_many_threads_work_and_no_image_depends_on_it(monkeypatch, capsys) -> None:
     """Rows that two threads add, or none, would show as stripes only on the machines that were told otherwise."""
-    found = {}
-    words = [sys.executable, "-c", CODE, pickle.dumps(SAME).hex()]
-    for threads in ("", "1", "3"):
-        told = os.environ | {"TANKRIG_THREADS": threads, "PYTHONPATH": os.pathsep.join(sys.path)}
-        out = subprocess.run(words, env=told, capture_output=True, text=True, check=True)
-        found[threads] = json.loads(out.stdout)
-    assert [one[0] for one in found.values()] == [2, 1, 3]
-    for threads in ("1", "3"):
-        assert found[threads][1:] == pytest.approx(found[""][1:], rel=1e-9)
+    words = ["-c", pickle.dumps(SAME).hex()]
+    monkeypatch.setattr(sys, "argv", words)
+    exec(CODE, {})
+    here = json.loads(capsys.readouterr().out)
+
+    def told(threads: str, code: str) -> Any:
+        environment = os.environ | {"TANKRIG_THREADS": threads, "PYTHONPATH": os.pathsep.join(sys.path)}
+        command = [sys.executable, "-c", code, *words[1:]]
+        return json.loads(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
+
+    assert told("", "from tankrig.threads import THREADS; print(THREADS)") == 2
+    for threads in (1, 3):
+        found = told(str(threads), CODE)
+        assert found[0] == threads
+        assert found[1:] == pytest.approx(here[1:], rel=1e-9)
