@@ -52,6 +52,12 @@ def view(bench: TrueBench, tmp_path_factory: pytest.TempPathFactory) -> InkInVie
     return InkInView(bench, 0.02, 0, PictureStore(tmp_path_factory.mktemp("pictures")), "bench 5")
 
 
+@pytest.fixture(scope="module")
+def small() -> TrueBench:
+    """The same in coarser pixels, for what holds of any picture."""
+    return random_bench(5, (68, 120), PROJECTOR)
+
+
 @pytest.fixture
 def few_photons(monkeypatch: pytest.MonkeyPatch) -> None:
     """For what holds of noisy pictures as well."""
@@ -115,8 +121,8 @@ def test_light_of_two_patterns_adds_up_and_levels_follow_gamma(view: InkInView, 
 
 
 @pytest.mark.usefixtures("few_photons")
-def test_level_0_leaks_part_of_whites_light(bench: TrueBench, tmp_path: Path) -> None:
-    leaking = InkInView(replace(bench, leak=0.01), 0.5, 0, PictureStore(tmp_path), "leaking")
+def test_level_0_leaks_part_of_whites_light(small: TrueBench, tmp_path: Path) -> None:
+    leaking = InkInView(replace(small, leak=0.01), 0.5, 0, PictureStore(tmp_path), "leaking")
     white, dark = (leaking.radiance(pattern((slice(None), slice(None)), level=level), INK).image for level in (255, 0))
     np.testing.assert_allclose(dark, white * 0.01 / 1.01, rtol=1e-6)
 
@@ -139,13 +145,13 @@ def test_a_plume_lies_about_its_inlet_and_keeps_the_mean(view: InkInView, bench:
 
 @pytest.mark.usefixtures("few_photons")
 def test_a_picture_is_computed_once_for_all_who_ask(
-    bench: TrueBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small: TrueBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = InkInView(bench, 0.5, 0, PictureStore(tmp_path), "bench 5").radiance(pattern(LEFT), INK)
-    later = InkInView(bench, 0.5, 0, PictureStore(tmp_path), "bench 5")
+    first = InkInView(small, 0.5, 0, PictureStore(tmp_path), "bench 5").radiance(pattern(LEFT), INK)
+    later = InkInView(small, 0.5, 0, PictureStore(tmp_path), "bench 5")
     monkeypatch.setattr(later, "computed", None)
     np.testing.assert_array_equal(later.radiance(pattern(LEFT), INK).image, first.image)
-    other = InkInView(bench, 0.5, 1, PictureStore(tmp_path), "bench 5").radiance(pattern(LEFT), INK)
+    other = InkInView(small, 0.5, 1, PictureStore(tmp_path), "bench 5").radiance(pattern(LEFT), INK)
     assert (other.image != first.image).any()
 
 
