@@ -190,7 +190,7 @@ def test_what_was_measured_is_in_the_bench(tmp_path: Path) -> None:
 
 
 @given(blur_px=st.floats(0.3, 2.0), share=st.floats(0.01, 0.1))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 def test_fits_leave_out_no_more_than_what_is_not_known_of_the_blur(blur_px: float, share: float) -> None:
     """All that is blurred was left out, as if nothing were known of it."""
     found = stored()

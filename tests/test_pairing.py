@@ -22,14 +22,15 @@ def passes(folder, monkeypatch, *options: str, timeout_s: float, **environment: 
     assert done.returncode == 0, "see tests/preloaded/pairing.py"
 
 
-def test_hundreds_of_patterns(tmp_path, monkeypatch):
+def test_a_hundred_patterns(tmp_path, monkeypatch):
+    """Of 29 that were photographed too early, more than five show the one before, as one of these tests has it."""
     passes(
         tmp_path,
         monkeypatch,
         "-k",
         "belongs or bound or latency",
         timeout_s=200.0,
-        PATTERNS=os.environ.get("PATTERNS", "200"),
+        PATTERNS=os.environ.get("PATTERNS", "100"),
     )
 
 
