@@ -3,6 +3,7 @@
 import re
 import signal
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -17,13 +18,19 @@ from .window_rig import until, window_on, write_rig
 FAST = "time_scale = 0.005"
 
 
-@pytest.fixture
-def window(tmp_path: Path):
-    rig = write_rig(tmp_path, projector=FAST, camera=f"{FAST}\nmost_per_s = 1000.0")
-    with window_on(tmp_path, rig) as made:
+@contextmanager
+def opened_in(folder: Path):
+    rig = write_rig(folder, projector=FAST, camera=f"{FAST}\nmost_per_s = 1000.0")
+    with window_on(folder, rig) as made:
         until(lambda: made.built and made.status.state.name == "IDLE", what="the rig opens")
         made.show_page(made.calibration)
         made.calibration.tabs.setCurrentIndex(1)
+        yield made
+
+
+@pytest.fixture
+def window(tmp_path: Path):
+    with opened_in(tmp_path) as made:
         yield made
 
 
@@ -89,23 +96,6 @@ def started_from(request: pytest.FixtureRequest) -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.usefixtures("started_from")
-def test_nothing_else_begins_meanwhile_and_stop_ends_it(window, tmp_path: Path) -> None:
-    """STOP is always one press away, also from a pump that is being weighed."""
-    wizard = choose(window, "pump", "--volumes 20 --repeats 3")
-    until(wizard.done.isVisible, what="asks where the tube hangs")
-    assert "vessel on the balance" in wizard.request.text()
-    assert window.status.busy
-    assert not wizard.begin.isEnabled()
-    window.host.dose_to(50.0)
-    QTest.mouseClick(wizard.done, Qt.MouseButton.LeftButton)
-    until(lambda: "tare" in wizard.request.text())
-    window.host.stop()
-    until(lambda: not wizard.at_work, what="the calibration has ended")
-    assert not list(tmp_path.glob("pump-*.toml"))
-    until(lambda: window.status.state.name == "IDLE", what="the rig is taken back")
-
-
 @pytest.mark.long
 def test_a_pump_is_weighed_by_answering_in_the_window(window, tmp_path: Path) -> None:
     wizard = choose(window, "pump", "--volumes 20,80 --repeats 2 --temperature 21")
@@ -129,51 +119,6 @@ def test_a_pump_is_weighed_by_answering_in_the_window(window, tmp_path: Path) ->
     until(lambda: file.name in words_of(window.calibration))
 
 
-def test_what_is_measured_is_known(window, tmp_path: Path) -> None:
-    wizard = choose(window, "latency", "--flips 20")
-    until(lambda: wizard.bar.value() > 0)
-    until(lambda: not wizard.at_work)
-    assert "99 % within" in wizard.result.text()
-    if not wizard.use.isHidden():  # on a busy machine the light is late, and the result doubtful
-        QTest.mouseClick(wizard.use, Qt.MouseButton.LeftButton)
-    kept = newest(tmp_path / "calibration", "latency")
-    assert kept.path.name in wizard.result.text()
-    until(lambda: window.status.state.name == "IDLE", what="the rig is taken back")
-    until(lambda: kept.path.name in words_of(window.calibration), what="the page shows what is known")
-
-
-def test_what_makes_no_sense_is_said_as_it_is_typed_and_nothing_begins(window) -> None:
-    """The rig was let go of first, and then the command refused its option, by its name on a command line."""
-    wizard = window.calibration.wizard
-    for kind, flag, typed, why in (
-        ("latency", "--flips", "5", "5 is outside of 20 to 10000"),
-        ("latency", "--flips", "abc", "abc is no whole number; give 20 to 10000"),
-        ("radiometry", "--gains", "1, many", "give numbers with commas between them, more than 0 to 1e+06"),
-        ("pump", "--volumes", "50, 2000", "2000 is outside of more than 0 to 1000 µl"),
-    ):
-        wizard.choose("camera")
-        wizard.choose(kind)
-        until(wizard.begin.isEnabled)
-        field = wizard.options[flag]
-        field.edit.selectAll()
-        QTest.keyClicks(field.edit, typed)
-        assert field.says.text() == why
-        assert not field.says.isHidden()
-        assert not wizard.begin.isEnabled()
-        assert why in wizard.begin.toolTip()
-        wizard.follow(window.status)
-        assert not wizard.begin.isEnabled()
-        wizard.begin.click()
-        assert not wizard.at_work
-    wizard.choose("radiometry")
-    QTest.keyClicks(wizard.options["--longest-ms"].edit, "20")
-    assert "are no sweep" in wizard.wrong.text()
-    assert not wizard.begin.isEnabled()
-    wizard.options["--longest-ms"].edit.clear()
-    assert wizard.begin.isEnabled()
-    assert wizard.wrong.isHidden()
-
-
 def test_what_a_field_allows_is_what_its_command_takes() -> None:
     import click
 
@@ -186,20 +131,6 @@ def test_what_a_field_allows_is_what_its_command_takes() -> None:
             taken = options[choice.flag].type
             if isinstance(taken, click.IntRange):
                 assert (choice.kind, choice.low, choice.high) == ("whole", taken.min, taken.max), wizard.kind
-
-
-def test_numbers_reach_the_command_as_they_were_meant(window, monkeypatch) -> None:
-    """ "50 250" became one dose of 50250 µl."""
-    begun = Begun.instead(monkeypatch)
-    wizard = window.calibration.wizard
-    wizard.choose("pump")
-    wizard.options["--volumes"].set_text("50 250")
-    wizard.options["--temperature"].set_text("21,5")
-    until(wizard.begin.isEnabled)
-    wizard.begin.click()
-    until(lambda: begun, what="the rig is let go of, and the command begins")
-    assert begun[0].words[-6:] == ["--volumes", "50,250", "--repeats", "10", "--temperature", "21.5"]
-    begun[0].ended.emit(0, "")
 
 
 @pytest.mark.long
@@ -282,3 +213,97 @@ def test_a_doubtful_result_is_offered_for_as_long_as_nothing_newer_is_in_force(t
         wizard.choose("camera")
         wizard.choose("latency")
         assert wizard.use.isHidden()
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory):
+    folder = tmp_path_factory.mktemp("calibrated")
+    with opened_in(folder) as made:
+        made.home = folder
+        yield made
+
+
+@pytest.fixture
+def shared(opened):
+    """A window for several tests, with nothing typed."""
+    until(lambda: opened.status.state.name == "IDLE", what="the rig is at rest")
+    opened.calibration.tabs.setCurrentIndex(1)
+    opened.calibration.wizard.choose("camera")
+    opened.activateWindow()
+    return opened
+
+
+@pytest.mark.usefixtures("started_from")
+def test_nothing_else_begins_meanwhile_and_stop_ends_it(shared) -> None:
+    """STOP is always one press away, also from a pump that is being weighed."""
+    wizard = choose(shared, "pump", "--volumes 20 --repeats 3")
+    until(wizard.done.isVisible, what="asks where the tube hangs")
+    assert "vessel on the balance" in wizard.request.text()
+    assert shared.status.busy
+    assert not wizard.begin.isEnabled()
+    shared.host.dose_to(50.0)
+    QTest.mouseClick(wizard.done, Qt.MouseButton.LeftButton)
+    until(lambda: "tare" in wizard.request.text())
+    shared.host.stop()
+    until(lambda: not wizard.at_work, what="the calibration has ended")
+    assert not list(shared.home.glob("pump-*.toml"))
+    until(lambda: shared.status.state.name == "IDLE", what="the rig is taken back")
+
+
+def test_what_is_measured_is_known(shared) -> None:
+    wizard = choose(shared, "latency", "--flips 20")
+    until(lambda: wizard.bar.value() > 0)
+    until(lambda: not wizard.at_work)
+    assert "99 % within" in wizard.result.text()
+    if not wizard.use.isHidden():  # on a busy machine the light is late, and the result doubtful
+        QTest.mouseClick(wizard.use, Qt.MouseButton.LeftButton)
+    kept = newest(shared.home / "calibration", "latency")
+    assert kept.path.name in wizard.result.text()
+    until(lambda: shared.status.state.name == "IDLE", what="the rig is taken back")
+    until(lambda: kept.path.name in words_of(shared.calibration), what="the page shows what is known")
+
+
+def test_what_makes_no_sense_is_said_as_it_is_typed_and_nothing_begins(shared) -> None:
+    """The rig was let go of first, and then the command refused its option, by its name on a command line."""
+    wizard = shared.calibration.wizard
+    for kind, flag, typed, why in (
+        ("latency", "--flips", "5", "5 is outside of 20 to 10000"),
+        ("latency", "--flips", "abc", "abc is no whole number; give 20 to 10000"),
+        ("radiometry", "--gains", "1, many", "give numbers with commas between them, more than 0 to 1e+06"),
+        ("pump", "--volumes", "50, 2000", "2000 is outside of more than 0 to 1000 µl"),
+    ):
+        wizard.choose("camera")
+        wizard.choose(kind)
+        until(wizard.begin.isEnabled)
+        field = wizard.options[flag]
+        field.edit.selectAll()
+        QTest.keyClicks(field.edit, typed)
+        assert field.says.text() == why
+        assert not field.says.isHidden()
+        assert not wizard.begin.isEnabled()
+        assert why in wizard.begin.toolTip()
+        wizard.follow(shared.status)
+        assert not wizard.begin.isEnabled()
+        wizard.begin.click()
+        assert not wizard.at_work
+    wizard.choose("radiometry")
+    QTest.keyClicks(wizard.options["--longest-ms"].edit, "20")
+    assert "are no sweep" in wizard.wrong.text()
+    assert not wizard.begin.isEnabled()
+    wizard.options["--longest-ms"].edit.clear()
+    assert wizard.begin.isEnabled()
+    assert wizard.wrong.isHidden()
+
+
+def test_numbers_reach_the_command_as_they_were_meant(shared, monkeypatch) -> None:
+    """ "50 250" became one dose of 50250 µl."""
+    begun = Begun.instead(monkeypatch)
+    wizard = shared.calibration.wizard
+    wizard.choose("pump")
+    wizard.options["--volumes"].set_text("50 250")
+    wizard.options["--temperature"].set_text("21,5")
+    until(wizard.begin.isEnabled)
+    wizard.begin.click()
+    until(lambda: begun, what="the rig is let go of, and the command begins")
+    assert begun[0].words[-6:] == ["--volumes", "50,250", "--repeats", "10", "--temperature", "21.5"]
+    begun[0].ended.emit(0, "")
