@@ -146,12 +146,16 @@ def test_the_search_ends_at_the_best_of_the_profile_over_g(name: str, scaling: S
     image = total.reshape(40, 2, 60, 2).mean(axis=(1, 3))
     shot = Shot(observe(image, (40, 60), 0.002 * float(image.max())), scene, models_of(scene, "tank", None))
     block = MediumBlock(Range.of_tank(240.0))
-    fit = fitted([shot], (block,), scaling, lambda _: None)
-    at = fit.optimum.coordinates
-    cheap = rough_problem([shot], (block,), scaling, 0.02)
-    here = solve(cheap, at, 0.5).cost
+    best = fitted([shot], (block,), scaling, lambda _: None).optimum
+    cheap, beside = rough_problem([shot], (block,), scaling, 0.02), []
     for g in (-0.9, -0.7, -0.5, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95):
         held = replace(cheap, held=((ASYMMETRY_COORDINATE, float(np.arctanh(g))),))
-        for sigma_s in (0.0025, 0.01, 0.04):
-            start = to_coordinates(Medium(0.03 * sigma_s, sigma_s, g))
-            assert solve(held, start, 1.0).cost > here - 3.0, (g, sigma_s)
+        starts = (to_coordinates(Medium(0.03 * sigma_s, sigma_s, g)) for sigma_s in (0.0025, 0.01, 0.04))
+        beside.append(min((solve(held, start, 1.0) for start in starts), key=lambda one: one.cost))
+    # The cheap model's costs are rough by some units, and only the accurate one's tell valleys apart.
+    rival = min(beside, key=lambda one: one.cost)
+    if rival.cost < solve(cheap, best.coordinates, 0.5).cost - 3.0:
+        again = fitted([shot], (block,), scaling, lambda _: None, start=rival.coordinates).optimum
+        (view,) = best.problem.views
+        sd = np.sqrt(np.diag(best.sensitivity.covariance([view.observation.noise], [view.error])))
+        assert (np.abs(again.values["medium"] - best.values["medium"]) < sd).all() or again.cost > best.cost
