@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 
 import tankrig
 from tankrig.errors import SceneError
+from tankrig.estimation.astray import Astray, AstrayBlock
+from tankrig.estimation.residual import likely_cause
 from tankrig.light import high_orders
 from tankrig.light.double import double_scattering
 from tankrig.light.entering import entering, through_lens
 from tankrig.light.leaving import CameraLens
 from tankrig.light.prepared.box import Box
-from tankrig.light.tank import by_faces, once
+from tankrig.light.tank import by_faces, low_orders, once, tank_image
 from tankrig.light.walls.faces import FAR, face_table, sent_back
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.loading import scene_from_table
@@ -280,6 +282,85 @@ def test_a_clean_image_shows_nothing_astray(bench):
         found = tankrig.estimate(image, scene, model=live, gain=1.0, offset=0.0, noise=noise)
         quiet += "The residual shows" not in found.verdict
     assert quiet >= 5
+
+
+@cache
+def lit_by(kind):
+    """A plain scene, and its image along other paths than a fit's."""
+    beams = (Beam((-14.0, -6.0), (54.0, 62.0)), Beam((10.0, 18.0), (54.0, 62.0)))
+    light = Projector(kind, beams, None if kind == "collimated" else (-400.0, 0.0, 58.0))
+    scene = Scene(Tank(), Medium(0.0012, 0.0108, 0.4), light, Camera("orthographic", (20, 30), 8.0))
+    return scene, np.asarray(tank_image(scene, seed=91, batches=64).image, float)
+
+
+@pytest.mark.parametrize(
+    ("kind", "effect", "said"),
+    [
+        ("pinhole", "floor", "light that the floor reflects"),
+        ("collimated", "blur", "blur that the scene does not describe"),
+        ("collimated", None, None),
+    ],
+)
+def test_what_moves_coefficients_is_named_where_the_residual_is_no_larger_than_noise(kind, effect, said):
+    """By light paths: their noise was counted as if it were smooth, and hid a floor that moves σs by nine deviations.
+
+    Blur of edges was looked for as if pixels themselves were blurred.
+    """
+    scene, image = lit_by(kind)
+    if effect == "floor":
+        shiny = replace(scene, tank=replace(scene.tank, faces=Faces(floor=Face("diffuse", 0.03))))
+        image = image + by_faces(shiny, seed=99, lattices=8)
+    elif effect == "blur":
+        soft = replace(scene, camera=replace(scene.camera, blur=Blur(0.4)))
+        image = image + low_orders(soft, 0.01, 1) - low_orders(scene, 0.01, 1)
+    noise = 0.002 * image.max()
+    seen = image + np.random.default_rng(4).normal(0.0, noise, image.shape)
+    found = tankrig.estimate(seen, scene, gain=1.0, offset=0.0, noise=noise, phase="hg")
+    assert "model does not hold" not in found.verdict
+    assert ("The residual shows" in found.verdict) == (said is not None)
+    if said is not None:
+        assert f"The residual shows {said}" in found.verdict
+    off = np.abs(np.array(found.medium.coefficients) - scene.medium.coefficients)
+    assert (off < 2.0 * np.sqrt(np.diag(found.covariance))[:3]).all()
+    assert found.covariance[1, 1] ** 0.5 < 0.015 * scene.medium.sigma_s  # as much as a cause moves, and no more
+
+
+@pytest.mark.parametrize("sigma_mm", [0.3, 1.0])
+def test_blur_is_fitted_along_as_it_bends(sigma_mm):
+    """Light goes over edges in proportion to the blur, not to its square, where these are on edges of pixels."""
+    scene, image = lit_by("collimated")
+    soft = replace(scene, camera=replace(scene.camera, blur=Blur(sigma_mm)))
+    gained = low_orders(soft, 0.01, 1) - low_orders(scene, 0.01, 1)
+    astray, sizes = Astray(scene, {"blur_mm2": 0.1}), np.array([10.0 * sigma_mm**2])
+    block = AstrayBlock((astray.at(scene.medium, image, sizes),), np.ones(1))
+    told = block.added_in(0, {"astray": sizes}, scene.medium)
+    assert apart(told, gained) < 0.25  # the rest is blur of the orders above, which is faint and smooth
+    more = block.added_in(0, {"astray": 1.3 * sizes}, scene.medium)
+    softer = replace(scene, camera=replace(scene.camera, blur=Blur(1.3**0.5 * sigma_mm)))
+    assert apart(more - told, low_orders(softer, 0.01, 1) - low_orders(soft, 0.01, 1)) < 0.35
+
+
+def looks(kind):
+    """Pattern of a veil on a bright image, and of ink that is uneven in five ways."""
+    y, x = np.linspace(-1.0, 1.0, 30)[:, None], np.linspace(-1.0, 1.0, 40)
+    image = np.exp(-x - 0.5 * y**2)
+    return {"veil": [image.mean() - image], "uneven": [image * way for way in (x, y, x**2, y**2, x * y)]}[kind]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", ["veil", "uneven"])
+def test_the_likelier_cause_is_named_not_the_one_with_more_terms(kind, seed):
+    noise = np.random.default_rng(seed).normal(0.0, 1.0, (30, 40))
+    true = 3.0 * looks(kind)[0]
+    causes = {"uneven": lambda: looks("uneven"), "veil": lambda: looks("veil")}
+
+    def flat(changes):
+        return changes.reshape(len(changes), -1)
+
+    found = likely_cause((noise + true).ravel(), flat, causes, {"veil": (0.0, 10.0)})
+    assert found[0].name == kind
+    less = likely_cause((noise - 3.0 * looks("veil")[0]).ravel(), flat, causes, {"veil": (0.0, 10.0)})
+    assert "veil" not in [one.name for one in less]  # there is no veil of less than nothing
 
 
 SCENE = """

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tankrig.errors import SceneError
 from tankrig.estimation.parameters import Block, Values
 from tankrig.scene import Beam, Medium, Scene
-from tankrig.scene.optics import Face
+from tankrig.scene.optics import MOST_HALO, MOST_VEIL, Blur, Face, WideLens
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -25,8 +25,12 @@ Pattern = Callable[[Scene, Image], Array]
 ASTRAY = {"halo": 0.01, "veil": 0.01, "blur_mm2": 0.1, "floor": 0.05, "black_level": 0.001}
 """What may go astray, and by how much on a common bench: shares of the light in the camera's halo and veil, variance by
 which its picture is blurred more than described, diffuse reflectance of the floor, W/mm² on the wall."""
-BLUR_PARTS = 0.5
-"""Width of the blur that stands for any, in pixels."""
+BLUR_PARTS, BLUR_MM2 = 0.5, 0.1
+"""Width of the blur that stands for any of what is smooth, in pixels; variance of that of edges."""
+BENDING = 0.2
+"""Share of itself by which a blur is changed to see how that changes the image."""
+LENS_MM = 10.0
+"""Width of the projector's lens that stands for any."""
 FLOOR, PANE_LATTICES, SEED = 0.05, 2, 7
 """Reflectance that stands for any; lattices of paths for a pattern, and their seed."""
 ROUGH, BATCHES = 0.05, 4
@@ -46,9 +50,42 @@ def veil(_: Scene, image: Image) -> Array:
 
 
 def blur(scene: Scene, image: Image) -> Array:
-    """More blur, per mm² of variance."""
+    """More blur, per mm² of variance, by the one that stands for any."""
+    return more_blur(scene, image, BLUR_MM2) / BLUR_MM2
+
+
+def more_blur(scene: Scene, image: Image, mm2: float) -> Array:
+    """What an image gains when the camera blurs by a variance more.
+
+    Order 1 has its edges within pixels, and is blurred there: blur of .3 mm moves light over an edge that pixels of
+    4 mm share by another pattern, and ten times as much, as if the pixels themselves had been blurred.
+    """
+    from tankrig.light.tank import low_orders
+
+    camera = scene.camera
+    widths = [
+        None if one is None else float(np.hypot(one, np.sqrt(mm2)))
+        for one in (camera.blur.sigma_mm, camera.blur.corner_mm)
+    ]
+    blurred = replace(scene, camera=replace(camera, blur=Blur(widths[0] or 0.0, widths[1])))
+    sharp = low_orders(scene, ROUGH, 1)
+    rest = np.asarray(image - sharp)
+    return low_orders(blurred, ROUGH, 1) - sharp + mm2 * _soft(scene, rest)
+
+
+def _soft(scene: Scene, image: Image) -> Array:
+    """What is smooth gains by blur, per mm²."""
     sigma_mm = BLUR_PARTS * min(scene.camera.sides_mm)
     return np.asarray((_blurred(scene, image, sigma_mm) - image) / sigma_mm**2)
+
+
+def wide_lens(scene: Scene, _: Image) -> Array:
+    """Light that is sharp in the middle of the tank only: orders 1 and 2, which have the edges."""
+    from tankrig.light.tank import low_orders
+
+    lens = WideLens(LENS_MM, 0.5 * scene.tank.size_mm[0])
+    wide = replace(scene, projector=replace(scene.projector, wide_lens=lens))
+    return low_orders(wide, ROUGH) - low_orders(scene, ROUGH)
 
 
 def floor(scene: Scene, _: Image) -> Array:
@@ -86,39 +123,85 @@ def gamma(_: Scene, image: Image) -> Array:
 PATTERNS: dict[str, Pattern] = {
     "halo": halo, "veil": veil, "blur_mm2": blur, "floor": floor, "black_level": black_level,
 }  # fmt: skip
-SIGNS: dict[str, Pattern] = {
-    "a halo of the camera's lens": halo,
-    "blur that the scene does not describe": blur,
-    "light that the floor reflects": floor,
-    "light that the entry pane's outer side reflects": panes,
-    "light of dark parts of the projector's picture": black_level,
-    "counts that are not in proportion to the light": gamma,
+
+
+@dataclass(frozen=True)
+class Sign:
+    """A cause of structure in a residual that is told by its own pattern.
+
+    Parameters
+    ----------
+    pattern
+        What an image gains per unit of its size.
+    most
+        Size that it has at most; what is larger has another cause.
+    least
+        Size that it has at least where there is any: glass that reflects hardly any light is none.
+    described
+        Whether a scene has it: then it may be less than described, too.
+    slow
+        Whether it takes longer than a fit of a prepared model.
+    quick
+        A pattern that does for such a fit; None where it is not slow, or where none does.
+    """
+
+    pattern: Pattern
+    most: float = np.inf
+    least: float = 0.0
+    described: Callable[[Scene], bool] = lambda _: False
+    slow: bool = False
+    quick: Pattern | None = None
+
+    def sizes(self, scene: Scene) -> tuple[float, float]:
+        """From and to what it is believed; a floor does not swallow light that is not there."""
+        return (-self.most if self.described(scene) else self.least), self.most
+
+
+SIGNS: dict[str, Sign] = {
+    "a halo of the camera's lens": Sign(halo, MOST_HALO, described=lambda scene: scene.camera.halo.share > 0.0),
+    "a veil of the camera's lens": Sign(veil, MOST_VEIL, described=lambda scene: scene.camera.veil > 0.0),
+    "blur that the scene does not describe": Sign(
+        blur, described=lambda scene: scene.camera.blur.widest_mm + scene.projector.blur.sigma_mm > 0.0, quick=_soft
+    ),
+    "a wide lens of the projector, sharp at one distance only": Sign(wide_lens, slow=True),
+    "light that the floor reflects": Sign(floor, 1.0),
+    "light that the entry pane's outer side reflects": Sign(panes, least=0.3, slow=True),
+    "light of dark parts of the projector's picture": Sign(
+        black_level, described=lambda scene: scene.projector.black_level > 0.0, slow=True
+    ),
+    "counts that are not in proportion to the light": Sign(gamma, 1.0, described=lambda _: True),
 }
 """Causes of structure in a residual, as the verdict names them."""
-SLOW = ("light that the entry pane's outer side reflects", "light of dark parts of the projector's picture")
-"""Those that a fit of a prepared model, which takes less time, does not look for where there is no structure."""
 
 
-def causes(scene: Scene, image: Image) -> dict[str, Callable[[], list[Array]]]:
+def causes(scene: Scene, image: Image, quick: bool = False) -> dict[str, Callable[[], list[Array]]]:
     """Name of each cause and what it changes, for `tankrig.estimation.residual.likely_cause`.
 
     Parameters
     ----------
     scene
-        With the fitted liquid. What it says of faces and of a dark picture is no cause any more.
+        With the fitted liquid. What it says of faces and of a wide lens is no cause any more.
     image
         (rows, columns) that the model gives of it.
+    quick
+        Leave out what takes longer than a fit of a prepared model.
     """
-    known = set()
+    light, known = scene.projector, set()
     if not scene.tank.faces.floor.dark:
         known.add("light that the floor reflects")
     if not scene.tank.faces.entry.dark:
         known.add("light that the entry pane's outer side reflects")
+    if light.kind == "collimated" or light.wide_lens.diameter_mm > 0.0:
+        known.add("a wide lens of the projector, sharp at one distance only")
 
     def changes(pattern: Pattern) -> list[Array]:
         return [pattern(scene, image)]
 
-    return {name: partial(changes, pattern) for name, pattern in SIGNS.items() if name not in known}
+    return {
+        name: partial(changes, sign.quick if quick and sign.quick is not None else sign.pattern)
+        for name, sign in SIGNS.items()
+        if name not in known and not (quick and sign.slow)
+    }
 
 
 @dataclass(frozen=True)
@@ -133,21 +216,34 @@ class Astray:
         Standard deviation of each size, by its name in `ASTRAY`.
     patterns
         (terms, rows, columns) what one standard deviation adds; None before `at`.
+    beside
+        (rows, columns) what is added besides, as patterns bend with their size.
     """
 
     scene: Scene
     sd: Mapping[str, float]
     patterns: Array | None = None
+    beside: Array | float = 0.0
 
     def __post_init__(self) -> None:
         for name, sd in self.sd.items():
             if not (isinstance(sd, float | int) and np.isfinite(sd) and sd > 0.0):
                 raise SceneError(f"nuisance {name} = {sd!r} is no standard deviation; give a positive number")
 
-    def at(self, medium: Medium, image: Image) -> "Astray":
-        """The same with the patterns of a liquid and its image."""
-        scene = replace(self.scene, medium=medium)
-        return replace(self, patterns=np.stack([sd * PATTERNS[name](scene, image) for name, sd in self.sd.items()]))
+    def at(self, medium: Medium, image: Image, sizes: Array) -> "Astray":
+        """The same with the patterns of a liquid and its image, at sizes in standard deviations."""
+        scene, beside = replace(self.scene, medium=medium), np.zeros(image.shape)
+        patterns = []
+        for (name, sd), size in zip(self.sd.items(), sizes, strict=True):
+            mm2 = float(size) * sd
+            if name == "blur_mm2" and mm2 > BENDING * BLUR_MM2:
+                here = more_blur(scene, image, mm2)
+                slope = (more_blur(scene, image, (1.0 + BENDING) * mm2) - here) / (BENDING * mm2)
+                beside = beside + here - mm2 * slope
+                patterns.append(sd * slope)
+            else:
+                patterns.append(sd * PATTERNS[name](scene, image))
+        return replace(self, patterns=np.stack(patterns), beside=beside)
 
 
 @dataclass(frozen=True)
@@ -184,8 +280,8 @@ class AstrayBlock(Block):
         return self.weight
 
     def added_in(self, view: int, values: Values, liquid: Medium) -> Image:
-        """Sizes times patterns."""
-        return np.asarray(np.tensordot(values[self.name], self._patterns(view), 1))
+        """Sizes times patterns, as they bend."""
+        return np.asarray(np.tensordot(values[self.name], self._patterns(view), 1) + self.astray[view].beside)
 
     def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
         """The patterns of the first image."""

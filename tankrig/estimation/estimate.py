@@ -10,18 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
-from tankrig.estimation.astray import ASTRAY, PATTERNS, SIGNS, SLOW, Astray, AstrayBlock, causes, floor
+from tankrig.estimation.astray import ASTRAY, PATTERNS, SIGNS, Astray, AstrayBlock, causes, floor
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.fitting import fitted, without_outliers
 from tankrig.estimation.forward import Models, error_map, models_of, smooth_error_map, stated_error
-from tankrig.estimation.misfit import SEEN, STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
+from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
 from tankrig.estimation.observation import Observation, observe, structure
 from tankrig.estimation.optimiser import polish
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, liquid_blocks, phase_instead
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import (
     PHASE,
-    TELLING,
     WHOLE,
     cause_of,
     misalignment_left_out,
@@ -70,6 +69,9 @@ LIKE_TANK = ("tank", "prepared")
 """Models of the whole tank that the cheap one can stand in for."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
+TOLD = 2.5
+"""Standard deviations of its size from which on a cause is named where the residual is no more than noise. By chance
+3 % of images show one of eight causes so; at 2 it would be 9 %, at 3 .7 %."""
 
 
 def estimate(
@@ -228,7 +230,8 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
     for _ in range(ALIGNINGS):
         cost, media = best.cost, best.media
         parts = zip(astray, media, views, strict=True)
-        patterns = tuple(one.at(medium, view.forward(medium)) for one, medium, view in parts)
+        sizes = at[at.size - none.size :]
+        patterns = tuple(one.at(medium, view.forward(medium), sizes) for one, medium, view in parts)
         block = AstrayBlock(patterns, np.ones(none.size))
         problem = replace(best.problem, views=views, blocks=(*before, block))
         sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
@@ -319,28 +322,30 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     used, stated = observation.used, left.stated
     # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
     error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
-    spread = spread_of(best, [left], [_error_of(prediction, gain, left.beyond, scene)])
-    off, answer = nuisances_of(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
-    medium, spread = answer.liquid, answer.covariance
     whitened = np.where(used, left.residual, 0.0) / left.noise
     place = standing_out(whitened, used, error / left.noise)
     whole = prediction.model in WHOLE
     held = left.unexplained <= stated and place is None
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
-    misaligned = cache(partial(misalignments, scene, medium))  # eight images, and two may ask
-    cause = cause_of(best, scene, misaligned) if not held and whole else None
+    misaligned = cache(partial(misalignments, scene, best.media[0]))  # eight images, and two may ask
     instead = phase_instead(best, scene, models, asked) if not held and prediction.model in LIKE_TANK else None
-    misled = instead is not None and instead.share > max(TELLING, cause[1] if cause else 0.0)
+    likely = cause_of(best, scene, misaligned, instead.share if instead else None) if not held and whole else []
+    cause = likely[0] if likely else None
+    misled = cause is not None and instead is not None and cause.name == PHASE
+    own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
+    counted = _error_of(prediction, gain, left.beyond, scene)
+    bare = best.sensitivity.covariance([left.noise], [counted])
+    sign = None
+    if whole and (cause is None or cause.name in SIGNS):
+        asked_of = None if cause is None else cause.name
+        sign = astray_shown(best, left, replace(scene, medium=best.media[0]), bare, own, asked_of)
+    spread = spread_of(best, [left], [counted], None if sign is None else sign.explained)
+    if sign is not None:
+        spread = spread + np.outer(sign.moved, sign.moved) * (1.0 + 1.0 / sign.deviations**2)
+    off, answer = nuisances_of(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
+    medium, spread = answer.liquid, answer.covariance
     if instead is not None:
         spread = spread + instead.share * np.outer(instead.moved, instead.moved)
-    if instead is not None and misled:
-        cause = PHASE, instead.share
-    own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
-    looked_for = cause is None and whole
-    sign = astray_shown(best, left, replace(scene, medium=medium), spread, own) if looked_for else None
-    without = spread
-    if sign is not None:
-        spread = spread + np.outer(sign.moved, sign.moved)
     edges = best.at_edge
     known = {
         name: yes and name not in edges and not (misled and name != "sigma_a")
@@ -350,9 +355,18 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     noisier = left.noisier if observation.noise_known else 1.0
     sentences = [
         what_is_determined(medium, spread, known, edges),
-        what_is_left(left.unexplained, stated, noisier, cause, place, aside, sign is not None),
+        what_is_left(
+            left.unexplained,
+            stated,
+            noisier,
+            cause and (cause.name, cause.share),
+            place,
+            aside,
+            sign is not None,
+            [one.name for one in likely[1:]],
+        ),
         what_is_misaligned(off),
-        what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], without) if sign else "",
+        what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], bare) if sign else "",
         what_is_unseen(medium, moved_by_halos(best, [left])[:own], spread, known) if "halo" not in off else "",
         _unseen_floor(best, left, scene, medium, off, spread, known) if whole else "",
         what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
@@ -373,12 +387,14 @@ def _error_of(prediction: Prediction, gain: float, beyond: float, scene: Scene) 
     return smooth if prediction.patterns is None else PatternedError(gain * prediction.patterns, smooth)
 
 
-def spread_of(best: Evaluation, left: Sequence[Left], errors: Sequence[ModelError]) -> Array:
+def spread_of(
+    best: Evaluation, left: Sequence[Left], errors: Sequence[ModelError], explained: Array | None = None
+) -> Array:
     """Covariance of the values at an optimum: of one image's fit, a dose's, a live one and a series' alike.
 
     Camera noise and errors of the model as they are counted; where residuals hold structure, also what usual faults
     that look like it move the values by; and where that is beyond what the model states, what parts of the images
-    disagree by.
+    disagree by. What a cause that was found explains of the residuals, (n,) whitened, is no such fault's.
     """
     noise, sensitivity = [one.noise for one in left], best.sensitivity
     if not any(one.unexplained > 0.0 for one in left):
@@ -386,7 +402,8 @@ def spread_of(best: Evaluation, left: Sequence[Left], errors: Sequence[ModelErro
     residual, views = best.left, best.problem.views
     changes = [view.whitened(faults_of(one.light)) for view, one in zip(views, left, strict=True)]
     faults = best.project_out(np.hstack(changes))[:, : residual.size]
-    moved = moved_by_faults(sensitivity, residual, faults, noise, [view.error for view in views])
+    rest = residual if explained is None else residual - explained
+    moved = moved_by_faults(sensitivity, rest, faults, noise, stated_errors(best, left))
     disagreeing = residual if any(one.beyond > 0.0 for one in left) else None
     return sensitivity.covariance(noise, errors, disagreeing) + moved
 
@@ -396,20 +413,53 @@ def moved_by_halos(best: Evaluation, left: Sequence[Left]) -> Array:
     views = best.problem.views
     changes = [view.whitened(halos_of(one.light)) for view, one in zip(views, left, strict=True)]
     halos = best.project_out(np.hstack(changes))[:, : best.left.size]
-    return moved_unseen(best.sensitivity, halos, STRAY, [one.noise for one in left], [view.error for view in views])
+    return moved_unseen(best.sensitivity, halos, STRAY, [one.noise for one in left], stated_errors(best, left))
+
+
+def stated_errors(best: Evaluation, left: Sequence[Left]) -> list[ModelError]:
+    """What models state of their errors, as covariances count them: noise of light paths by its patterns.
+
+    Counted as if it were smooth all over the image it would hide what goes astray: a floor of 4 % that moves σs by nine
+    standard deviations was seen by 1.9 of them instead of 7.
+    """
+    gain, _ = best.scale
+    found: list[ModelError] = []
+    for view, one in zip(best.problem.views, left, strict=True):
+        patterns, smooth = one.prediction.patterns, view.error
+        if patterns is not None and isinstance(smooth, SmoothError):
+            rest = replace(smooth, sd=gain * smooth_error_map(one.prediction))
+            found.append(PatternedError(gain * patterns, rest))
+        else:
+            found.append(smooth)
+    return found
 
 
 @dataclass(frozen=True)
-class Sign:
-    """A cause that a residual shows, see `astray_shown`: its name, by how many deviations, what it moves values by."""
+class Shown:
+    """A cause that a residual shows, see `astray_shown`.
+
+    Parameters
+    ----------
+    name
+        Of the cause.
+    deviations
+        By how many standard deviations its size is seen.
+    moved
+        (values,) what it moves values by.
+    explained
+        (n,) what it explains of the residual, whitened.
+    """
 
     name: str
     deviations: float
     moved: Array
+    explained: Array
 
 
-def astray_shown(best: Evaluation, left: Left, scene: Scene, spread: Array, own: int = 3) -> Sign | None:
-    """The cause that a residual shows most, if it moves a value by two standard deviations; None where none does.
+def astray_shown(
+    best: Evaluation, left: Left, scene: Scene, spread: Array, own: int = 3, name: str | None = None
+) -> Shown | None:
+    """The cause that a residual shows most, if it moves a coefficient by `TELLING_MOVE`; None where none does.
 
     Light astray may be no more than noise by its size, and yet move the coefficients by ten standard deviations. It is
     looked for by its own pattern.
@@ -421,28 +471,33 @@ def astray_shown(best: Evaluation, left: Left, scene: Scene, spread: Array, own:
     scene
         With the fitted liquid.
     spread
-        Covariance of the values.
+        Covariance of the values without it.
     own
         How many of the values are the liquid's.
+    name
+        Of the only cause that is asked for; None: all.
     """
     stray = [block for block in best.problem.blocks if isinstance(block, AstrayBlock)]
-    fitted_along = {PATTERNS[name] for block in stray for name in block.names}
-    quick = left.prediction.model == "prepared"
-    signs = {
-        name: changes()
-        for name, changes in causes(scene, left.prediction.image).items()
-        if SIGNS[name] not in fitted_along and not (quick and name in SLOW)
-    }
+    fitted_along = {PATTERNS[one] for block in stray for one in block.names}
+    looked_for = causes(scene, left.prediction.image, quick=name is None and left.prediction.model == "prepared")
+    names = [one for one in looked_for if SIGNS[one].pattern not in fitted_along and name in (None, one)]
+    if not names:
+        return None
+    patterns = np.array([looked_for[one]()[0] for one in names])
     (view,) = best.problem.views
     gain, _ = best.scale
-    faults = best.project_out(view.whitened(gain * np.array([one[0] for one in signs.values()])))[:, : best.left.size]
-    sizes, moved = shown(best.sensitivity, best.left, faults, [left.noise], [view.error])
-    widths = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-    moved = np.pad(moved[:, :own], ((0, 0), (0, widths.size - own)))
-    telling = np.abs(moved / widths).max(axis=1)
-    sizes = np.where(telling > TELLING_MOVE, sizes, 0.0)
-    most = int(np.argmax(np.abs(sizes)))
-    return Sign(list(signs)[most], float(sizes[most]), moved[most]) if abs(sizes[most]) > SEEN else None
+    faults = best.project_out(view.whitened(gain * patterns))[:, : best.left.size]
+    sizes, chances, moved = shown(best.sensitivity, best.left, faults, [left.noise], stated_errors(best, [left]))
+    telling = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1) > TELLING_MOVE
+    low, high = np.array([SIGNS[one].sizes(scene) for one in names]).T
+    believed = (sizes > low) & (sizes - TOLD * chances < high)
+    deviations = sizes / chances
+    seen = np.where(telling & believed, np.abs(deviations), 0.0)
+    most = int(np.argmax(seen))
+    if seen[most] <= TOLD:
+        return None
+    explained = sizes[most] * faults[most] - moved[most] @ best.sensitivity.changes
+    return Shown(names[most], float(deviations[most]), moved[most], explained)
 
 
 def _unseen_floor(
@@ -456,7 +511,7 @@ def _unseen_floor(
     gain, _ = best.scale
     pattern = gain * floor(replace(scene, medium=medium), left.prediction.image)
     changes = best.project_out(view.whitened(pattern[None]))[:, : best.left.size]
-    moved = moved_unseen(best.sensitivity, changes, COMMON_FLOOR, [left.noise], [view.error])
+    moved = moved_unseen(best.sensitivity, changes, COMMON_FLOOR, [left.noise], stated_errors(best, [left]))
     what = f"the floor sent back {100.0 * COMMON_FLOOR:.0f} % of the light"
     return what_is_unseen(medium, moved[:3], spread, known, what)
 

@@ -95,8 +95,8 @@ def moved_unseen(
 
 def shown(
     sensitivity: Sensitivity, residual: Array, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError]
-) -> tuple[Array, Array]:
-    """(faults,) by how many standard deviations a residual shows each fault, and (faults, k) what it moves values by.
+) -> tuple[Array, Array, Array]:
+    """(faults,) the size of each fault that a residual shows, its standard deviation, and (faults, k) what it moves.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def shown(
     """
     values, sized, chance = _told(sensitivity, faults, noise, errors)
     sizes = sized @ residual
-    return np.asarray(sizes / np.sqrt(np.maximum(chance, 1e-300))), np.asarray(sizes[:, None] * values)
+    return np.asarray(sizes), np.sqrt(np.maximum(chance, 1e-300)), np.asarray(sizes[:, None] * values)
 
 
 def _told(

@@ -51,6 +51,7 @@ def what_is_left(
     place: tuple[float, int, int] | None = None,
     aside: bool = False,
     shown: bool = False,
+    others: Sequence[str] = (),
 ) -> str:
     """What the residual says, in one or two sentences; nothing where it is noise but for a cause that it shows.
 
@@ -70,6 +71,8 @@ def what_is_left(
         Whether pixels that were left out hold structure.
     shown
         Whether it shows a cause, see `what_is_shown`.
+    others
+        Causes that are nearly as likely as that one.
     """
     sentences = []
     if structure > stated:
@@ -90,7 +93,8 @@ def what_is_left(
             f"{_percent(stated)}."
         )
     if cause:
-        sentences.append(f"It looks most like {cause[0]}, which would explain {100.0 * cause[1]:.0f} % of it.")
+        alike = f" It may as well be {' or '.join(others)}." if others else ""
+        sentences.append(f"It looks most like {cause[0]}, which would explain {100.0 * cause[1]:.0f} % of it.{alike}")
     if noisier > 1.0:
         sentences.append(f"The noise is {noisier:.3g} times what was assumed, and counted so.")
     if shown and not sentences:
@@ -239,7 +243,7 @@ def what_may_be_another_phase(doubted: bool) -> str:
     )
 
 
-TELLING_MOVE = 2.0
+TELLING_MOVE = 1.0
 """Standard deviations of a coefficient by which a cause moves it before it is no noise."""
 
 
