@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.calibration.edge_blur import OF_STRIPES
 from tankrig.calibration.stripe_blur import seen_spreads
 
 Array = NDArray[np.float64]
@@ -25,9 +24,9 @@ LEAST_DEPTH = 0.4
 """Of the tank's length, over which those parts have to lie."""
 MOST_MISFIT = 0.3
 """Scatter of the parts' variances, as a share of what is fitted to them."""
-OF_CAMERA, OF_LENS = 0.025, 0.01
-"""Shares by which the camera's blur may be off, which is taken off, and what that does is in the errors; and by which
-the lens's width may be off besides, where its disc is as wide as what is looked at beside an edge."""
+OF_CAMERA, METHOD = 0.025, 0.01
+"""Share by which the camera's blur may be off, which is taken off: what that does to all of it is in the errors; and by
+which blur and width may be off besides, since a real lens's disc is not quite even."""
 _TELLING, _CHANCE = 3.0, 2.0
 """Standard deviations by which a lens's squared width has to be more than none, and by which a focus beyond the tank
 may lie there by chance."""
@@ -135,7 +134,7 @@ def find_blur_in_depth(views: Sequence[Array], focal_px: float, way: Way) -> Blu
     -----
     Least squares of the logarithms of what `stripe_blurs` would find, with a loss that a few parts beside the board's
     black do not pull at. Standard deviations are those of placings left out one by one (jackknife), what the camera's
-    blur adds that was taken off, and of method 5 % for the blur and 1 % for the width. A lens whose squared width is
+    blur adds that was taken off, and 1 % of method for blur and width. A lens whose squared width is
     less than three standard deviations above none is a pinhole. A focus beyond the tank by less than two of its own is
     taken to be at its wall.
 
@@ -237,8 +236,8 @@ class _Model:
             lens_mm=lens_mm,
             focus_mm=float(values[2]) if wide else float("nan"),
             sd=(
-                float(np.hypot(sd[0], OF_STRIPES * values[0])),
-                float(np.hypot(sd[1] / (2.0 * lens_mm), OF_LENS * lens_mm) if wide else np.sqrt(sd[1])),
+                float(np.hypot(sd[0], METHOD * values[0])),
+                float(np.hypot(sd[1] / (2.0 * lens_mm), METHOD * lens_mm) if wide else np.sqrt(sd[1])),
                 float(sd[2]),
             ),
             parts=np.column_stack([parts[:, 0], own + parts[:, 1] - expected, own]),

@@ -117,7 +117,7 @@ def _part(places: NDArray[np.float32], used: NDArray[np.bool_]) -> NDArray[np.in
     """Which of `PARTS` equal parts of the range of places each lies in."""
     low, high = np.quantile(places[used], (0.01, 0.99))
     share = np.nan_to_num((places - low) / max(float(high - low), 1e-6))
-    return np.clip((share * PARTS).astype(np.int64), 0, PARTS - 1)
+    return np.asarray(np.clip((share * PARTS).astype(np.int64), 0, PARTS - 1), np.int64)
 
 
 def _from_edges(places: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
