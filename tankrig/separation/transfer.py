@@ -82,12 +82,14 @@ def transfer_of(wave: Wave, bench: Bench, camera: Camera, shifts: int = 4) -> Tr
     ImageError
         When the blur of the lenses leaves nothing of it, or the camera sees nothing of its sheet.
     """
+    from tankrig.light.entering import through_lens
     from tankrig.light.single import single_scattering
 
     seen = replace(bench, camera=camera)
 
     def order_1(kind: Wave | Sheet) -> Array:
-        return single_scattering(seen.scene(draw(kind, bench.wall), LIQUID))
+        scene = seen.scene(draw(kind, bench.wall), LIQUID)  # a wide lens is two pinholes, of its variance
+        return np.sum([share * single_scattering(one) for share, one in through_lens(scene, fine=False)], axis=0)
 
     pictures = np.stack([order_1(replace(wave, shift=number / shifts)) for number in range(shifts)])
     waves = demodulated(pictures, np.zeros((shifts, 1, 1)))
