@@ -89,7 +89,8 @@ def transfer_of(wave: Wave, bench: Bench, camera: Camera, shifts: int = 4) -> Tr
 
     def order_1(kind: Wave | Sheet) -> Array:
         scene = seen.scene(draw(kind, bench.wall), LIQUID)  # a wide lens is two pinholes, of its variance
-        return np.sum([share * single_scattering(one) for share, one in through_lens(scene, fine=False)], axis=0)
+        parts = [share * single_scattering(one) for share, one in through_lens(scene, fine=False)]
+        return np.asarray(np.sum(parts, axis=0))
 
     pictures = np.stack([order_1(replace(wave, shift=number / shifts)) for number in range(shifts)])
     waves = demodulated(pictures, np.zeros((shifts, 1, 1)))
