@@ -359,7 +359,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
             left.unexplained,
             stated,
             noisier,
-            cause and (cause.name, cause.share),
+            (cause.name, cause.share) if cause else None,
             place,
             aside,
             sign is not None,
