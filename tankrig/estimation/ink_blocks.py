@@ -53,6 +53,7 @@ class InkBlock(Block):
     doses: Doses
     length_mm: float
     name: ClassVar[str] = "ink"
+    of_liquid = True
     names = (*NAMES, "water_sigma_a")
     longest_step = np.array([*LONGEST_STEP, 0.3])
 
@@ -113,6 +114,7 @@ class DosesBlock(Block):
 
     doses: Doses
     name: ClassVar[str] = "doses"
+    of_liquid = True
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -137,6 +139,7 @@ class BendBlock(Block):
 
     doses: Doses
     name: ClassVar[str] = "bend"
+    of_liquid = True
     names = ("bend",)
 
     def widest(self, values: Values) -> Array:

@@ -33,6 +33,8 @@ class Block(Protocol):
     """Parameters that belong together; what a block does not define does nothing."""
 
     name: ClassVar[str]
+    of_liquid: ClassVar[bool] = False
+    """Whether its changes of an image are made of the liquid's, in proportion."""
     """Under which its values are found."""
 
     @property
@@ -137,6 +139,7 @@ class MediumBlock(Block):
 
     range: Range
     name: ClassVar[str] = "medium"
+    of_liquid = True
     names = NAMES
     longest_step = LONGEST_STEP
 

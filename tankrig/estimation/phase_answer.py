@@ -208,9 +208,8 @@ def phase_instead(best: Evaluation, scene: Scene, models: Models, asked: Asked) 
     image = image_of(cheap.coarse)
     length_mm = max(scene.tank.size_mm)
     blocks = (CoefficientsBlock(best.problem.blocks[0].range), PhaseBlock(family))  # type: ignore[attr-defined]
-    own = replace(
-        view, forward=lambda liquid: image(liquid) + seen_besides, slopes=cheap.slopes_of(cheap.coarse, length_mm)
-    )
+    slopes = cheap.slopes_of(cheap.coarse, length_mm)
+    own = replace(view, forward=lambda liquid: image(liquid) + seen_besides, slopes=slopes, slopes_noise=None)
     problem = Problem((own,), blocks, best.problem.scaling, quick=False)
     begin = problem.at(np.concatenate([one.start(medium) for one in blocks]))
     # Where pixels count by the cheap model's error the valley is wide; where they count by noise steps only end.

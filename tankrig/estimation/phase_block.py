@@ -42,6 +42,7 @@ class CoefficientsBlock(Block):
 
     range: Range
     name: ClassVar[str] = "medium"
+    of_liquid = True
     names = NAMES[:2]
     longest_step = LONGEST_STEP[:2]
 
@@ -105,6 +106,7 @@ class InkCoefficientsBlock(Block):
     doses: Doses
     length_mm: float
     name: ClassVar[str] = InkBlock.name
+    of_liquid = True
     names = NAMES[:2]
     longest_step = LONGEST_STEP[:2]
 
@@ -163,6 +165,7 @@ class WaterBlock(Block):
 
     length_mm: float
     name: ClassVar[str] = "water"
+    of_liquid = True
     names = ("water_sigma_a",)
     longest_step = np.array([0.3])
 
@@ -209,6 +212,7 @@ class PhaseBlock(Block):
 
     family: Family
     name: ClassVar[str] = "phase"
+    of_liquid = True
 
     @property
     def names(self) -> tuple[str, ...]:

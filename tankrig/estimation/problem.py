@@ -318,18 +318,20 @@ class Evaluation:
         view, (gain, _) = self.problem.views[number], self.scale
         if view.slopes_noise is None:
             return None
-        liquid = self.liquids[view.dose]
-        by_liquid = view.slopes(liquid)
+        liquid, ends = self.liquids[view.dose], np.cumsum([0, *(model.size for model in self.models)])
 
-        def changes(slopes: Image) -> Image:
-            return np.concatenate(
-                [block.changes_in(view.number, self.values, view.dose, liquid, slopes) for block in self.problem.blocks]
-            )
+        def changes(pattern: Image) -> Image:
+            none = np.zeros(pattern.shape[1:])
+            found = [
+                block.changes_in(view.number, self.values, view.dose, liquid, pattern) if block.of_liquid
+                else np.broadcast_to(none, (len(block.names), *none.shape)) for block in self.problem.blocks
+            ]  # fmt: skip
+            return np.concatenate(found)
 
-        plain, ends = changes(by_liquid), np.cumsum([0, *(model.size for model in self.models)])
-        found, moved = np.zeros((len(plain), len(plain))), np.zeros((len(plain), ends[-1]))
+        count = sum(len(block.names) for block in self.problem.blocks)
+        found, moved = np.zeros((count, count)), np.zeros((count, ends[-1]))
         for pattern in view.slopes_noise(liquid):
-            moved[:, ends[number] : ends[number + 1]] = view.whitened(gain * (changes(by_liquid + pattern) - plain))
+            moved[:, ends[number] : ends[number + 1]] = view.whitened(gain * changes(pattern))
             left = self.project_out(moved)
             found += left @ left.T
         return found

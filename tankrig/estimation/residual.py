@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from tankrig.estimation import astray
 from tankrig.estimation.observation import Observation
-from tankrig.estimation.phase_families import free
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.set_up import USUAL, Misalignment
 from tankrig.scene import Medium, Scene
@@ -28,6 +27,8 @@ LOCAL = 6.0
 """Standard deviations of the averaged residual, model's error counted, that are no chance at any place of an image."""
 MOST_BEAMS = 16
 """That are looked at one by one."""
+PHASE_TERMS = 6
+"""What an image tells of a free phase function: five moments and p(90°). Its other shapes stay what was expected."""
 PHASE = "another phase function"
 """A cause, as the verdict names it."""
 WHOLE = ("tank", "prepared", "montecarlo")
@@ -202,7 +203,7 @@ def cause_of(
         causes[PHASE] = lambda: [single_scattering(scene), double_scattering(scene, 0.01)]
     else:
         gained = phase * max(float(best.left @ best.left) - best.left.size, 0.0)
-        told.append(Cause(PHASE, phase, gained - len(free().names) * math.log(best.left.size)))
+        told.append(Cause(PHASE, phase, gained - PHASE_TERMS * math.log(best.left.size)))
     gain, _ = best.scale
     sizes = {
         name: (low * gain, high * gain)

@@ -98,5 +98,6 @@ def weighed_problem(
         left = view.observation.image - gain * one.image - offset
         observation = view.observation.with_noise_of(left, by_level=True)
         error = shot.error(counted_error(one, gain))
-        views.append(replace(view, forward=forward, slopes=slope, error=error, observation=observation))
+        changed = replace(view, forward=forward, slopes=slope, slopes_noise=None)
+        views.append(replace(changed, error=error, observation=observation))
     return replace(problem, views=tuple(views))
