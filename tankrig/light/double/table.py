@@ -155,7 +155,8 @@ def pair_radiance(
                     value = phase_density(s, phase) * phase_density(s * cos_out + c * lobe, phase)
                     kept = exponential(-sigma_t * distance * (1.0 - at[k]) / (1.0 + at[k]))
                     inner += share[k] * 2.0 / (1.0 + at[k] * at[k]) * value * kept
-                total += half * weights[i] * inner * math.exp(-sigma_t * (foot + t))
+                if inner > 0.0:  # or 0 times infinity in water that is opaque over a mm, where light's foot is behind
+                    total += half * weights[i] * inner * math.exp(min(-sigma_t * (foot + t), LARGEST_EXPONENT))
     return transmission * light_kept(geometry, uz) * total / sine
 
 
@@ -280,6 +281,8 @@ WALL, STRAIGHT = 0.02, 1e6
 of the way there; where they don't, nodes are graded towards the crossing only."""
 CLOSE = 0.0125
 """Of nodes in y₀ where light leaves through the side walls: their distance over half the tank's width."""
+LARGEST_EXPONENT = 700.0
+"""That numbers hold."""
 STEEPEST = 300.0
 """Largest exponent that is taken out of J before it is interpolated."""
 
