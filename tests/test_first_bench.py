@@ -29,6 +29,7 @@ def test_the_pages_commands_lead_from_lens_cap_to_report(seed: int, tmp_path: Pa
     assert commands[0][:3] == ["demo", "--bench", "--by-hand"]
     said = {}
     for words in commands:
+        words = [*words, "--wide-lens"] if words[0] == "demo" and seed == 1 else words  # which takes half as long again
         here = [str(seed) if before == "--seed" else word for before, word in zip(["", *words], words, strict=False)]
         done = typed(here, tmp_path)
         busy = words[:2] == ["calibrate", "latency"] and done.returncode == SET_ASIDE  # of a bench in such a hurry

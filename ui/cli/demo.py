@@ -39,6 +39,11 @@ BENCH_DOSES = 3
               help=f"How many doses; default: {len(DOSES_UL)}, {BENCH_DOSES} with --bench or --material.")  # fmt: skip
 @click.option("--bench", is_flag=True, help="On a bench that has to be calibrated first, from lens cap to report.")
 @click.option("--seed", type=click.IntRange(0), help="That the bench is drawn from; default: 0.")
+@click.option(
+    "--wide-lens",
+    is_flag=True,
+    help="Give the bench's projector a lens that is sharp at one depth only; takes half as long again.",
+)
 @click.option("--by-hand", is_flag=True, help="Only make the bench's folder, and say what to type.")
 @click.option("--material", metavar="NAME", help="Pump a reference liquid (tankrig materials), and validate the run.")
 @click.option("--wavelength", "wavelength_nm", type=float, default=633.0, show_default=True, metavar="NM",
@@ -46,8 +51,8 @@ BENCH_DOSES = 3
 @out_option(None, "Folder of the run, or of the bench; default: runs/ and the time.")
 @json_option
 def demo(
-    doses: int | None, bench: bool, seed: int | None, by_hand: bool, material: str | None, wavelength_nm: float,
-    out: Path | None, as_json: bool,
+    doses: int | None, bench: bool, seed: int | None, wide_lens: bool, by_hand: bool, material: str | None,
+    wavelength_nm: float, out: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Run a dilution series on the simulated rig, fit it while it runs, and write a report.
 
@@ -64,24 +69,24 @@ def demo(
     if bench and material is not None:
         raise click.UsageError("--material is for the rig that needs no calibration; leave --bench out")
     if bench:
-        return _bench(doses, seed, by_hand, out, as_json)
-    if seed is not None or by_hand:
-        raise click.UsageError("--seed and --by-hand are for the bench; give --bench too")
+        return _bench(doses, seed, wide_lens, by_hand, out, as_json)
+    if seed is not None or by_hand or wide_lens:
+        raise click.UsageError("--seed, --wide-lens and --by-hand are for the bench; give --bench too")
     liquid = None if material is None else liquid_planned(material, wavelength_nm)
     return _series(doses or (len(DOSES_UL) if liquid is None else MATERIAL_DOSES), liquid, out, as_json)
 
 
-def _bench(doses: int | None, seed: int | None, by_hand: bool, out: Path | None, as_json: bool) -> int:
+def _bench(doses: int | None, seed: int | None, wide_lens: bool, by_hand: bool, out: Path | None, as_json: bool) -> int:
     from ui.cli.demo_bench import is_there, make, walk, way_of
 
     folder = out or Path("runs") / datetime.now(UTC).strftime("bench-%Y-%m-%dT%H-%M-%S")
     if is_there(folder):
-        if doses is not None or seed is not None or by_hand:
+        if doses is not None or seed is not None or wide_lens or by_hand:
             raise click.UsageError(f"{folder} holds a bench already; give only --bench --out {folder} to go on with it")
     else:
         if doses is not None and doses > BENCH_DOSES:
             raise click.UsageError(f"the bench's sequence has {BENCH_DOSES} doses; give --doses 2 or {BENCH_DOSES}")
-        make(folder, seed or 0, doses or BENCH_DOSES)
+        make(folder, seed or 0, doses or BENCH_DOSES, wide_lens)
     if not by_hand:
         click.echo("a simulated bench, in a hurry; nothing real moves", err=True)
         return walk(folder, as_json)

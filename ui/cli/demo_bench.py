@@ -42,8 +42,10 @@ class Part:
     status: int
 
 
-def make(folder: Path, seed: int, doses: int) -> None:
+def make(folder: Path, seed: int, doses: int, wide_lens: bool = False) -> None:
     """Make the folder of a bench that is drawn from a seed: its rig file, and a sequence for it.
+
+    With `wide_lens` its projector is sharp at one depth only, as real ones are.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def make(folder: Path, seed: int, doses: int) -> None:
     for device in ("projector", "camera"):
         rig[device]["time_scale"] = TIME_SCALE
     rig["camera"]["boards"]["seed"] = seed
-    truth = {"mixing_s": MIXING_S, "ink": _ink(seed), **_optics(seed)}
+    truth = {"mixing_s": MIXING_S, "ink": _ink(seed), **_optics(seed, wide_lens)}
     rig["camera"].setdefault("truth", tomlkit.table()).update(truth)
     rig["doser"]["rate"] = STEPS_PER_S
     rig.setdefault("exposure", tomlkit.table()).setdefault("period_ms", 0.0)
@@ -87,7 +89,7 @@ def _ink(seed: int) -> dict[str, float]:
     return {name: round(value, 6) for name, value in drawn.items()}
 
 
-def _optics(seed: int) -> dict[str, Any]:
+def _optics(seed: int, wide_lens: bool) -> dict[str, Any]:
     """What lenses do besides being ideal, as on a usual bench, and by how much a dark picture is none."""
     import numpy as np
 
@@ -99,7 +101,8 @@ def _optics(seed: int) -> dict[str, Any]:
         "veil": random.uniform(0.0, 0.02),
     }
     leak = round(random.uniform(5e-4, 2e-3), 6)
-    stray |= {"projector_lens_mm": random.uniform(8.0, 20.0), "projector_focus_mm": random.uniform(60.0, 180.0)}
+    if wide_lens:
+        stray |= {"projector_lens_mm": random.uniform(8.0, 20.0), "projector_focus_mm": random.uniform(60.0, 180.0)}
     return {"leak": leak, "stray": {name: round(value, 6) for name, value in stray.items()}}
 
 
