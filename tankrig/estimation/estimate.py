@@ -1,21 +1,30 @@
 """`estimate`: from an image of a tank to the coefficients of what is in it."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tankrig.errors import ImageError, SceneError
-from tankrig.estimation.astray import ASTRAY, PATTERNS, SIGNS, Astray, AstrayBlock, causes, floor
+from tankrig.errors import SceneError
+from tankrig.estimation.astray import ASTRAY, SIGNS, Astray, AstrayBlock, floor
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.fitting import fitted, without_outliers
-from tankrig.estimation.forward import Models, error_map, models_of, smooth_error_map, stated_error
-from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
-from tankrig.estimation.observation import Observation, observe, structure
+from tankrig.estimation.forward import Models, error_map, models_of
+from tankrig.estimation.left_over import (
+    Left,
+    astray_shown,
+    error_of,
+    left_over,
+    moved_by_halos,
+    rms,
+    spread_of,
+    stated_errors,
+)
+from tankrig.estimation.misfit import moved_unseen
+from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, liquid_blocks, phase_instead
 from tankrig.estimation.problem import Evaluation
@@ -34,15 +43,11 @@ from tankrig.estimation.search import Told
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
 from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.uncertainty import (
-    ModelError,
-    PatternedError,
-    SmoothError,
     identifiable,
     overconfidence,
     stretches,
 )
 from tankrig.estimation.verdict import (
-    TELLING_MOVE,
     what_did_not_hold,
     what_is_determined,
     what_is_left,
@@ -52,7 +57,6 @@ from tankrig.estimation.verdict import (
     what_was_left_out,
 )
 from tankrig.light.rays import shift_invariant
-from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -69,9 +73,6 @@ LIKE_TANK = ("tank", "prepared")
 """Models of the whole tank that the cheap one can stand in for."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
-TOLD = 2.5
-"""Standard deviations of its size from which on a cause is named where the residual is no more than noise. By chance
-3 % of images show one of eight causes so; at 2 it would be 9 %, at 3 .7 %."""
 
 
 def estimate(
@@ -244,75 +245,6 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
     return replace(fit, optimum=best)
 
 
-@dataclass(frozen=True)
-class Left:
-    """What a fit leaves of one image.
-
-    Parameters
-    ----------
-    prediction
-        The model's, without gain, offset and what may be misaligned.
-    light, image, residual
-        Fitted without and with the offset, and observed less fitted; NaN where a pixel is not used.
-    rmse
-        RMS of the residual over the used pixels.
-    noise, noisier
-        (rows, columns) standard deviation as assumed, or more by a factor where the residual shows that.
-    unexplained, stated
-        Structure of the residual, and the model's own error, as shares of the image.
-    """
-
-    prediction: Prediction
-    light: Image
-    image: Image
-    residual: Array
-    rmse: float
-    noise: Array
-    noisier: float
-    unexplained: float
-    stated: float
-
-    @property
-    def counted(self) -> float:
-        """The model's error that counts: as stated, or as seen where that is more."""
-        return max(self.stated, self.unexplained)
-
-    @property
-    def beyond(self) -> float:
-        """What is seen of it beyond what is stated."""
-        return math.sqrt(self.counted**2 - self.stated**2)
-
-
-def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
-    """Gain and offsets at an optimum, and what is left of each image.
-
-    Raises
-    ------
-    ImageError
-        When the images are dark where the scenes are bright.
-    """
-    best = fit.optimum
-    gain, offsets = best.scale
-    if gain <= 0.0:
-        raise ImageError(
-            "the image is dark where the scene's light is and bright where it is not; check that image and scene "
-            "belong together and which way up the image is"
-        )
-    found = []
-    for view, image, offset, prediction in zip(best.problem.views, best.images, offsets, fit.predictions, strict=True):
-        seen, used = view.observation, view.observation.used
-        light = gain * image
-        residual = np.where(used, seen.image - light - offset, np.nan)
-        rmse, noise, bright = rms(residual[used]), rms(seen.noise[used]), rms(light[used])
-        unexplained = structure(residual, used) / bright
-        white = math.sqrt(max(rmse**2 - (unexplained * bright) ** 2, 0.0))
-        noisier = white / noise if white > noise * (1.0 + 3.0 / math.sqrt(2.0 * used.sum())) else 1.0
-        stated = stated_error(prediction)
-        whole = light + offset
-        found.append(Left(prediction, light, whole, residual, rmse, noisier * seen.noise, noisier, unexplained, stated))
-    return gain, offsets, found
-
-
 def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, float]:
     """The estimate at an optimum: its errors, what the residual says, and the verdict; and the share of what is left
     that another phase function explains, where that is more than anything else does, else 0."""
@@ -333,7 +265,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     cause = likely[0] if likely else None
     misled = cause is not None and instead is not None and cause.name == PHASE
     own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
-    counted = _error_of(prediction, gain, left.beyond, scene)
+    counted = error_of(prediction, gain, left.beyond, scene)
     bare = best.sensitivity.covariance([left.noise], [counted])
     sign = None
     if whole and (cause is None or cause.name in SIGNS):
@@ -378,126 +310,6 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
     return found, instead.share if instead is not None and misled else 0.0
-
-
-def _error_of(prediction: Prediction, gain: float, beyond: float, scene: Scene) -> ModelError:
-    """A prediction's error in units of the image: noise by its patterns where they are known, the rest as smooth."""
-    rest = gain * np.hypot(smooth_error_map(prediction), beyond * np.abs(prediction.image))
-    smooth = SmoothError.of(scene, rest)
-    return smooth if prediction.patterns is None else PatternedError(gain * prediction.patterns, smooth)
-
-
-def spread_of(
-    best: Evaluation, left: Sequence[Left], errors: Sequence[ModelError], explained: Array | None = None
-) -> Array:
-    """Covariance of the values at an optimum: of one image's fit, a dose's, a live one and a series' alike.
-
-    Camera noise and errors of the model as they are counted; where residuals hold structure, also what usual faults
-    that look like it move the values by; and where that is beyond what the model states, what parts of the images
-    disagree by. What a cause that was found explains of the residuals, (n,) whitened, is no such fault's.
-    """
-    noise, sensitivity = [one.noise for one in left], best.sensitivity
-    if not any(one.unexplained > 0.0 for one in left):
-        return sensitivity.covariance(noise, errors)
-    residual, views = best.left, best.problem.views
-    changes = [view.whitened(faults_of(one.light)) for view, one in zip(views, left, strict=True)]
-    faults = best.project_out(np.hstack(changes))[:, : residual.size]
-    rest = residual if explained is None else residual - explained
-    moved = moved_by_faults(sensitivity, rest, faults, noise, stated_errors(best, left))
-    disagreeing = residual if any(one.beyond > 0.0 for one in left) else None
-    return sensitivity.covariance(noise, errors, disagreeing) + moved
-
-
-def moved_by_halos(best: Evaluation, left: Sequence[Left]) -> Array:
-    """(values,) how far a halo of `STRAY` of the light that no residual shows would move each value at most."""
-    views = best.problem.views
-    changes = [view.whitened(halos_of(one.light)) for view, one in zip(views, left, strict=True)]
-    halos = best.project_out(np.hstack(changes))[:, : best.left.size]
-    return moved_unseen(best.sensitivity, halos, STRAY, [one.noise for one in left], stated_errors(best, left))
-
-
-def stated_errors(best: Evaluation, left: Sequence[Left]) -> list[ModelError]:
-    """What models state of their errors, as covariances count them: noise of light paths by its patterns.
-
-    Counted as if it were smooth all over the image it would hide what goes astray: a floor of 4 % that moves σs by nine
-    standard deviations was seen by 1.9 of them instead of 7.
-    """
-    gain, _ = best.scale
-    found: list[ModelError] = []
-    for view, one in zip(best.problem.views, left, strict=True):
-        patterns, smooth = one.prediction.patterns, view.error
-        if patterns is not None and isinstance(smooth, SmoothError):
-            rest = replace(smooth, sd=gain * smooth_error_map(one.prediction))
-            found.append(PatternedError(gain * patterns, rest))
-        else:
-            found.append(smooth)
-    return found
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A cause that a residual shows, see `astray_shown`.
-
-    Parameters
-    ----------
-    name
-        Of the cause.
-    deviations
-        By how many standard deviations its size is seen.
-    moved
-        (values,) what it moves values by.
-    explained
-        (n,) what it explains of the residual, whitened.
-    """
-
-    name: str
-    deviations: float
-    moved: Array
-    explained: Array
-
-
-def astray_shown(
-    best: Evaluation, left: Left, scene: Scene, spread: Array, own: int = 3, name: str | None = None
-) -> Shown | None:
-    """The cause that a residual shows most, if it moves a coefficient by `TELLING_MOVE`; None where none does.
-
-    Light astray may be no more than noise by its size, and yet move the coefficients by ten standard deviations. It is
-    looked for by its own pattern.
-
-    Parameters
-    ----------
-    best, left
-        Of the fit.
-    scene
-        With the fitted liquid.
-    spread
-        Covariance of the values without it.
-    own
-        How many of the values are the liquid's.
-    name
-        Of the only cause that is asked for; None: all.
-    """
-    stray = [block for block in best.problem.blocks if isinstance(block, AstrayBlock)]
-    fitted_along = {PATTERNS[one] for block in stray for one in block.names}
-    looked_for = causes(scene, left.prediction.image, quick=name is None and left.prediction.model == "prepared")
-    names = [one for one in looked_for if SIGNS[one].pattern not in fitted_along and name in (None, one)]
-    if not names:
-        return None
-    patterns = np.array([looked_for[one]()[0] for one in names])
-    (view,) = best.problem.views
-    gain, _ = best.scale
-    faults = best.project_out(view.whitened(gain * patterns))[:, : best.left.size]
-    sizes, chances, moved = shown(best.sensitivity, best.left, faults, [left.noise], stated_errors(best, [left]))
-    telling = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1) > TELLING_MOVE
-    low, high = np.array([SIGNS[one].sizes(scene) for one in names]).T
-    believed = (sizes > low) & (sizes - TOLD * chances < high)
-    deviations = sizes / chances
-    seen = np.where(telling & believed, np.abs(deviations), 0.0)
-    most = int(np.argmax(seen))
-    if seen[most] <= TOLD:
-        return None
-    explained = sizes[most] * faults[most] - moved[most] @ best.sensitivity.changes
-    return Shown(names[most], float(deviations[most]), moved[most], explained)
 
 
 def _unseen_floor(
@@ -547,11 +359,6 @@ def _stretch(best: Evaluation, spread: Array) -> dict[str, tuple[float, float]]:
         return best.project_out(change[None])[0, : best.left.size]
 
     return stretches(medium, spread, best.left, best.sensitivity.changes, changed)
-
-
-def rms(values: Image) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _silently(_: str) -> None:

@@ -6,7 +6,7 @@ In dense water all orders above a few are one linear solve for moments of the li
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -149,24 +149,21 @@ class Solved:
 
     @cached_property
     def _changes_of_parts(self) -> list[Callable[[Medium], Image]]:
-        def of_part(high: Callable[[Medium], Image]) -> Callable[[Medium], Image]:
-            def changes(medium: Medium) -> Image:
-                here = high(medium)
-                turning = STEP * (1.0 - medium.g**2) * (-1.0 if medium.g > 0.0 else 1.0)
-                steps = {
-                    "sigma_a": ABSORPTION_STEP / max(self.low.scene.tank.size_mm), "sigma_s": STEP * medium.sigma_s,
-                    "g": turning,
-                }  # fmt: skip
-                return np.array(
-                    [
-                        (high(replace(medium, **{name: getattr(medium, name) + step})) - here) / step
-                        for name, step in steps.items()
-                    ]
-                )
+        return [remembered(partial(self._differences, part)) for part in self._parts]
 
-            return remembered(changes)
-
-        return [of_part(part) for part in self._parts]
+    def _differences(self, high: Callable[[Medium], Image], medium: Medium) -> Image:
+        """(3, rows, columns) one-sided differences of an image without noise, by σa, σs and g."""
+        here, steps = high(medium), {
+            "sigma_a": ABSORPTION_STEP / max(self.low.scene.tank.size_mm),
+            "sigma_s": STEP * medium.sigma_s,
+            "g": STEP * (1.0 - medium.g**2) * (-1.0 if medium.g > 0.0 else 1.0),
+        }  # fmt: skip
+        return np.array(
+            [
+                (high(replace(medium, **{name: getattr(medium, name) + step})) - here) / step
+                for name, step in steps.items()
+            ]
+        )
 
 
 def tank_along(scene: Scene, max_order: int | None, batches: int, seed: int, blur_mm: float) -> Prediction:

@@ -137,9 +137,9 @@ def _family(score: Score, family: Family, near: Medium, discrepancy: float) -> W
     from scipy.optimize import least_squares
 
     widths, like = _widths(score), family.like(near.g)
-    own = 2 + like.size
-    scale = np.concatenate([widths, family.usual, np.full(score.at.size - 3, discrepancy)])
-    middle = np.concatenate([score.at[:2], like, np.zeros(score.at.size - 3)])
+    own, shapes = 2 + like.size, score.at.size - 3
+    scale = np.concatenate([widths, family.usual, np.full(shapes, discrepancy)])
+    middle = np.concatenate([score.at[:2], like, np.zeros(shapes)])
 
     def place(off: Array) -> Array:
         values = middle + scale * off

@@ -15,20 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.astray import ASTRAY, Astray
 from tankrig.estimation.coordinates import Range, to_coordinates
-from tankrig.estimation.estimate import (
-    Free,
-    Left,
-    determined,
-    left_over,
-    moved_by_halos,
-    nuisances_of,
-    rms,
-    spread_of,
-    with_astray,
-)
+from tankrig.estimation.estimate import Free, determined, nuisances_of, with_astray
 from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import ModelOf, Models, in_water, low_orders_model, series_models, tank_model
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
+from tankrig.estimation.left_over import Left, left_over, moved_by_halos, rms, spread_of
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, ink_blocks, liquid_blocks
 from tankrig.estimation.phase_families import Family
