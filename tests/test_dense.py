@@ -15,6 +15,7 @@ from tankrig.light.moments.dense import dense_orders, solved
 from tankrig.light.moments.plan import MomentPlan, moment_plan
 from tankrig.light.moments.propagation import propagation
 from tankrig.light.moments.source import emission_moments
+from tankrig.light.paths.cells import CellGrid
 from tankrig.light.tank import tank_image
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 
@@ -68,6 +69,45 @@ def test_agrees_with_paths(surface: str, albedo: float, g: float) -> None:
     noise = relative(paths.stderr, total)
     assert noise < 0.012
     assert relative(dense_orders(scene, plan).image - by_paths, total) < np.hypot(1.3 * noise, 0.007)
+
+
+def from_afar(scene: Scene, distance_mm: float) -> Scene:
+    """The same scene, projector and camera being pinholes at some distance from the tank."""
+    _, _, height = scene.tank.size_mm
+    light = replace(scene.projector, kind="pinhole", position_mm=(-distance_mm, 0.0, 0.5 * height))
+    camera = replace(scene.camera, kind="pinhole", position_mm=(50.0, 0.0, height + distance_mm))
+    return replace(scene, projector=light, camera=camera)
+
+
+@pytest.mark.parametrize("surface", ["matched", "fresnel"])
+def test_pinholes_far_away_see_what_parallel_light_shows(surface: str) -> None:
+    """Two ways to the source, and two to the image."""
+    scene = scene_of(Medium(0.002, 0.148, 0.4), replace(SMALL, surface=surface))  # type: ignore[arg-type]
+    plan = MomentPlan(4, 2, 4.0, 24, 0.01)
+    parallel, far = dense_orders(scene, plan).image, dense_orders(from_afar(scene, 1e6), plan).image
+    assert relative(blocks(far) - blocks(parallel), blocks(parallel)) < 0.004
+
+
+def test_slanted_light_is_solved_for_as_paths_have_it() -> None:
+    """Beside walls, where sights slant most, as well as in the middle."""
+    glass = replace(SMALL, surface="fresnel", entry="glass", wall_mm=4.0)
+    scene = from_afar(scene_of(Medium(0.003, 0.147, 0.3), glass), 250.0)
+    plan = moment_plan(scene, 0.02)
+    assert plan is not None
+    paths = tank_image(scene, batches=24, seed=4)
+    low = tank_image(scene, batches=24, seed=4, max_order=plan.above)
+    total, below = (np.sum(list(one.orders.values()), axis=0) for one in (paths, low))
+    grid = CellGrid.of(scene)
+    found = dense_orders(scene, replace(plan, batches=60), surface=((grid.rows, grid.columns), grid.cell_mm)).image
+    off = blocks(grid.to_pixels(found) - (total - below))
+    assert relative(off, blocks(total)) < 0.008
+    assert np.abs(off).max() < 0.02 * blocks(total).max()
+
+
+def blocks(image: np.ndarray) -> np.ndarray:
+    """Means of 10 × 10 mm."""
+    averages: np.ndarray = image.reshape(8, 5, 10, 5).mean(axis=(1, 3))
+    return averages
 
 
 def test_noise_tells_no_coefficients_of_dense_water_apart() -> None:

@@ -8,7 +8,8 @@ likewise, so that with more paths their image takes over from the solution.
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,34 +176,44 @@ def high_orders(
 
     groups, low_groups, every = Groups(image_of), Groups(low_image_of), 1
     plain = tail is None and grid.shiftable and not reflecting
+    apart = tail is not None and not grid.shiftable
     prior = _prior(tail, grid, reflecting)
     wanted = batches or (FIRST_LATTICES if plain else FIRST_SMOOTHED)
     scale = math.sqrt(grid.seen_mm2) / scene.camera.pixel_mm
     done, steady = 0.0, batches is not None
     while True:
         through = max(groups.lattices, math.ceil(wanted / every))
-        share, before, aim = done, groups.lattices + low_groups.lattices, wanted
+        low_wanted = wanted if apart else wanted - through
+        share, before, aim = done, groups.lattices + low_groups.lattices, through + low_wanted
 
-        def told(done_here: int, share: float = share, before: int = before, aim: int = aim) -> bool:
-            allowance.progress(share + (1.0 - share) * min(1.0, (done_here - before) / max(aim - before, 1)))
-            return done_here < FEWEST or allowance.goes_on()  # fewer don't tell how far off they are
+        def told(here: int, elsewhere: int, share: float = share, before: int = before, aim: int = aim) -> bool:
+            allowance.progress(share + (1.0 - share) * min(1.0, (here + elsewhere - before) / max(aim - before, 1)))
+            return here < FEWEST or allowance.goes_on()  # fewer don't tell how far off they are
 
-        in_time = groups.follow(through, lambda count: told(count + low_groups.lattices))
-        if in_time and wanted > through:
-            in_time = low_groups.follow(wanted - through, lambda count: told(count + groups.lattices))
+        in_time = groups.follow(through, partial(told, elsewhere=low_groups.lattices))
+        if low_wanted > 0 and (in_time or apart):
+            in_time = low_groups.follow(low_wanted, partial(told, elsewhere=groups.lattices)) and in_time
         in_time = in_time and allowance.goes_on()
         means, low_means = groups.means, low_groups.means
         peak = float(np.abs(means).max(initial=0.0)) or 1.0  # squares of faint light would be 0, with its noise
         means -= prior
-        own = groups.counted / (groups.counted + low_groups.counted)
-        low = own * means[:, :first].mean(axis=0)
-        found = _found(means / peak, first, own, plain, grid, steady)
-        if low_groups.counted:
-            low += (1.0 - own) * low_means.mean(axis=0)
-            found = _with(found, averaged((1.0 - own) * low_means.sum(axis=1) / peak, grid.seen))
-        image = known + grid.to_pixels(grid.unfolded(peak * found.image + prior.sum(axis=0)))
+        if apart:
+            low, lower = _low_orders(low_means / peak, grid, steady)
+            found = _found(means[:, first:] / peak, 0, 1.0, False, grid, steady)
+        else:
+            own = groups.counted / (groups.counted + low_groups.counted)
+            low = own * means[:, :first].mean(axis=0) / peak
+            found, lower = _found(means / peak, first, own, plain, grid, steady), None
+            if low_groups.counted:
+                low += (1.0 - own) * low_means.mean(axis=0) / peak
+                lower = averaged((1.0 - own) * low_means.sum(axis=1) / peak, grid.seen)
+        whole = found.image if lower is None else found.image + lower.image
+        image = known + grid.to_pixels(grid.unfolded(peak * whole + prior.sum(axis=0)))
         size = float(np.linalg.norm(image / peak)) or 1.0
         bias = _bias(found, tail, grid, size / scale)
+        if lower is not None:
+            bias += _bias(lower, None, grid, size / scale)
+            found = _with(found, lower)
         noise = math.sqrt(float(found.variance.sum())) * scale / size
         off = math.sqrt(float(bias.sum())) * scale / size
         if batches is not None or not in_time:
@@ -211,15 +222,15 @@ def high_orders(
         if missed <= 1.0:
             break
         if tail is not None and before == 0:
-            every = low_per_full(means, tail.above)
-        followed = groups.lattices + low_groups.lattices
+            every = low_per_full(low_means if apart else means[:, :first], means[:, first:], tail.above, apart)
+        followed = low_groups.lattices if apart else groups.lattices + low_groups.lattices
         wanted = math.ceil(followed * min(max(1.1 * missed**2, 1.3), 6.0))
         done = max(done, min(followed / wanted, 0.99))
     stated = found.variance * (_student(len(means)) if batches is None else 1.0) + bias
     stderr = peak * np.sqrt(grid.variance_to_pixels(stated))
-    whole = peak * found.image - low.sum(axis=0)
-    rest = means[:, first:].mean(axis=0) if plain else smoothed_classes(means[:, first:], whole, steady)
-    classes = grid.unfolded(np.concatenate([low, rest]) + prior)
+    above_low = peak * (found.image - low.sum(axis=0))
+    rest = means[:, first:].mean(axis=0) if plain else smoothed_classes(means[:, first:], above_low, steady)
+    classes = grid.unfolded(np.concatenate([peak * low, rest]) + prior)
     if tail is not None:
         classes = np.array([classes[0], classes[1] + classes[2], classes[3]])
     images = np.array([np.maximum(grid.to_pixels(one), 0.0) for one in classes])
@@ -244,20 +255,39 @@ def _found(batches: Array, first: int, own: float, plain: bool, grid: CellGrid, 
     return smoothed(batches[:, first:].sum(axis=1), own * batches[:, :first].sum(axis=1), grid.seen, steady)
 
 
+def _low_orders(batches: Array, grid: CellGrid, steady: bool) -> tuple[Array, Smoothed]:
+    """Smooth images by class of (n, classes, rows, columns) batches, and their sum."""
+    found = smoothed(batches.sum(axis=1), seen=grid.seen, steady=steady)
+    return smoothed_classes(batches, found.image, steady), found
+
+
 def _with(found: Smoothed, further: Smoothed) -> Smoothed:
-    """An image with an independent one added to it that nothing of was lost in smoothing."""
+    """An image with an independent one added to it."""
     of, to = float(found.variance.sum()), float(further.variance.sum())
     spread = math.hypot(found.spread * of, further.spread * to) / (of + to) if of + to > 0.0 else 0.0
-    return replace(found, image=found.image + further.image, variance=found.variance + further.variance, spread=spread)
+    return Smoothed(
+        found.image + further.image, found.variance + further.variance, spread, found.lost + further.lost,
+        math.hypot(found.lost_stderr, further.lost_stderr),
+    )  # fmt: skip
 
 
-def low_per_full(means: Array, above: int) -> int:
+def low_per_full(low_batches: Array, high_batches: Array, above: int, apart: bool) -> int:
     """Of how many lattices one is worth being followed beyond the orders that the tail has nothing of.
 
     Work with the least noise for its cost: as the noise of either part goes, over the root of its cost. Low orders cost
     in proportion to their number; all further ones about as much as `FURTHER_ORDERS`.
+
+    Parameters
+    ----------
+    low_batches, high_batches
+        (n, classes, rows, columns) of both parts, the latter less the tail.
+    above
+        The highest of the low orders.
+    apart
+        Whether low orders are smoothed, on lattices of their own.
     """
-    low, high = averaged(means[:, :2].sum(axis=1)), smoothed(means[:, 2:].sum(axis=1))
+    low = (smoothed if apart else averaged)(low_batches.sum(axis=1))
+    high = smoothed(high_batches.sum(axis=1))
     noise = math.sqrt(float(high.variance.sum()) / (float(low.variance.sum()) or 1.0))
     return int(min(max(1.0 / max(noise * math.sqrt(above / FURTHER_ORDERS), 1e-9), 1.0), FEWEST_FULL))
 

@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.moments.cells import Cells
-from tankrig.light.moments.harmonics import degrees, harmonics, parities
+from tankrig.light.moments.harmonics import degrees, parities
 from tankrig.light.moments.plan import MomentPlan
 from tankrig.light.moments.propagation import Propagation, Single, propagation
+from tankrig.light.moments.seen import Surface, seen
 from tankrig.light.moments.source import emission_moments
-from tankrig.light.rays import geometry_of, mirror_symmetric, sight_line
+from tankrig.light.paths.cells import CellGrid
+from tankrig.light.rays import mirror_symmetric, shift_invariant
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -40,10 +42,6 @@ class DenseOrders:
         return self.to_20 + self.beyond_20
 
 
-Surface = tuple[tuple[int, int], tuple[float, float]]
-"""Rows and columns of cells of the surface, from x = 0, y = −Ly/2, and their sides along x and y in mm."""
-
-
 def dense_orders(
     scene: Scene, plan: MomentPlan, seed: int = 0, residual: float = 2e-4, surface: Surface | None = None
 ) -> DenseOrders:
@@ -56,7 +54,7 @@ def dense_orders(
     Parameters
     ----------
     scene
-        Collimated projector, orthographic camera, σs > 0.
+        Any scene with σs > 0 and dark walls.
     plan
         As `moment_plan` chooses it.
     seed
@@ -64,7 +62,7 @@ def dense_orders(
     residual
         Of the linear solve, relative.
     surface
-        Cells that the image is made of; None for the camera's pixels.
+        Cells that the image is made of; None for the pixels of a camera whose picture is the surface itself.
     """
     surface = surface or _pixels_of(scene)
     source = _source(scene, plan, seed)
@@ -82,7 +80,11 @@ def dense_image(scene: Scene, plan: MomentPlan, seed: int = 0, residual: float =
     For one plan and seed it is a smooth function of the medium, whose differences have no noise. Parameters are as for
     `dense_orders`.
     """
-    return _solved_image(scene, plan, _source(scene, plan, seed), residual, _pixels_of(scene))
+    source = _source(scene, plan, seed)
+    if shift_invariant(scene):
+        return _solved_image(scene, plan, source, residual, _pixels_of(scene))
+    grid = CellGrid.of(scene)
+    return grid.to_pixels(_solved_image(scene, plan, source, residual, ((grid.rows, grid.columns), grid.cell_mm)))
 
 
 def _pixels_of(scene: Scene) -> Surface:
@@ -108,8 +110,8 @@ def _solved_image(scene: Scene, plan: MomentPlan, source: Single, residual: floa
     scattering_moments = _column(medium.sigma_s * (moments[degrees(plan.degree)] - forward))
     transport = propagation(plan.degree, cells, scaled, scene.tank.surface_index)
     field = solved(transport, scattering_moments, transport(source), residual)
-    whole = _seen(scene, cells, scattering_moments * field + source, scaled, surface)
-    return whole - _seen(scene, cells, source, medium.sigma_t, surface)
+    whole = seen(scene, cells, scattering_moments * field + source, scaled, surface)
+    return whole - seen(scene, cells, source, medium.sigma_t, surface)
 
 
 def _orders_to(last: int, scene: Scene, cells: Cells, source: Single, above: int, surface: Surface) -> Array:
@@ -123,7 +125,7 @@ def _orders_to(last: int, scene: Scene, cells: Cells, source: Single, above: int
     for _ in range(above, last):
         emission = scattered * transport(emission)
         total += emission
-    return _seen(scene, cells, total, medium.sigma_t, surface)
+    return seen(scene, cells, total, medium.sigma_t, surface)
 
 
 def averaged_over(fine: Cells, coarse: Cells, emission: Single) -> Single:
@@ -148,18 +150,6 @@ def _column(values: NDArray[np.floating]) -> Single:
     return values.astype(np.float32)[:, None, None, None]
 
 
-def _seen(scene: Scene, cells: Cells, emission: Single, sigma_t: float, surface: Surface) -> Array:
-    """(rows, columns) radiance that leaves towards the camera from moments of the emission."""
-    upward = harmonics(math.isqrt(len(emission)) - 1, np.array([[0.0, 0.0, 1.0]]))[0]
-    across, along, up = cells.counts
-    image = np.tensordot(upward, emission, 1) @ sight_weights(up, cells.size_mm[2], sigma_t)
-    (rows, columns), (along_x, along_y) = surface
-    to_rows = _to_pixels(along, cells.size_mm[1], rows, along_y)
-    to_columns = _to_pixels(across, cells.size_mm[0], columns, along_x)
-    result: Array = sight_line(geometry_of(scene), 0.0, 0.0)[3] * (to_rows @ image.T @ to_columns.T)
-    return result
-
-
 def solved(transport: Propagation, scattering_moments: Single, first: Single, residual: float) -> Single:
     """The field φ = first + K (scattering_moments · φ), by GMRES."""
     from scipy.sparse.linalg import LinearOperator, gmres
@@ -173,28 +163,3 @@ def solved(transport: Propagation, scattering_moments: Single, first: Single, re
     flat, _ = gmres(operator, first.ravel(), rtol=residual, restart=60, maxiter=1)
     field: Single = flat.reshape(first.shape)
     return field
-
-
-def sight_weights(count: int, height_mm: float, sigma_t: float) -> Array:
-    """Weights of layers' averages of the emission in ∫ e^{−σt s} E ds upwards, with E a parabola in each layer."""
-    nodes, lengths = np.polynomial.legendre.leggauss(6)
-    weights = np.zeros(count)
-    for layer in range(count):
-        centre = min(max(layer, 1), count - 2)
-        t = layer - centre + 0.5 * nodes
-        depth = (count - 0.5 - layer - 0.5 * nodes) * height_mm
-        attenuated = np.exp(-sigma_t * depth) * lengths * (0.5 * height_mm)
-        bend = 0.5 * (t * t - 1.0 / 12.0)
-        weights[centre - 1 : centre + 2] += attenuated @ np.array([bend - 0.5 * t, 1.0 - 2.0 * bend, bend + 0.5 * t]).T
-    return weights
-
-
-def _to_pixels(count: int, size_mm: float, pixels: int, pixel_mm: float) -> Array:
-    """(pixels, count) averages over pixels of the spline whose averages over cells are given; 0 beyond the tank."""
-    from scipy.interpolate import make_interp_spline
-
-    edges = np.arange(count + 1) * size_mm
-    integrals = np.vstack([np.zeros(count), np.tril(np.ones((count, count))) * size_mm])
-    at = np.minimum(np.arange(pixels + 1) * pixel_mm, edges[-1])
-    result: Array = np.diff(make_interp_spline(edges, integrals, k=3)(at), axis=0) / pixel_mm
-    return result

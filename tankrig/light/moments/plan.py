@@ -8,6 +8,8 @@ from tankrig.scene import Scene
 
 DENSEST_CELL = 0.5
 """Sides of cells in free paths; error in the worst case (σt = .1, ϖ = .999, g = 0): .35 % at .5, .1 % at .34."""
+BELOW_FRESNEL = 0.8
+"""Times that, where a Fresnel surface sends light back: there solutions were twice as far off."""
 FEWEST_CELLS = 15
 MOST_CELLS = (50, 38, 32, 28, 26)
 """Cells along the tank's shortest side, at most by degree: so many take some 10 s of one core and 300 MiB."""
@@ -16,6 +18,8 @@ NOISE_SHARE = 0.3
 CHANGES_CELL, CHANGES_BATCHES = 0.8, (6, 6, 6, 12, 48)
 """The same sides where changes of the image are wanted and not the image, and lattices that make each half of the
 source then, by degree: the more light goes on forwards, the more noise."""
+SLANTED_BATCHES = 24
+"""The same, at least, where light slants, and a path stands for one start."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +50,8 @@ class MomentPlan:
 def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     """The plan for a scene, or None where paths serve it better.
 
-    Solved for are scenes that paths would take seconds for: deep in free paths and in transport free paths, with
-    collimated light and an orthographic camera.
+    Solved for are scenes that paths would take seconds for: deep in free paths and in transport free paths. Backward
+    scattering is left to paths where light and sight run straight, for that costs them little.
 
     Parameters
     ----------
@@ -69,20 +73,22 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     medium, g = scene.medium, abs(scene.medium.g)
     shortest = min(scene.tank.size_mm)
     depth = medium.sigma_t * shortest
-    degree = 0 if g < 0.02 else 1 if g < 0.3 else 2 if g < 0.4 else 3 if g < 0.8 else 4
+    straight, bright = shift_invariant(scene), scene.tank.surface == "fresnel"
+    degree = 0 if g < 0.02 and not bright else 1 if g < 0.3 else 2 if g < 0.4 else 3 if g < 0.8 else 4
+    degree += medium.g < -0.02  # whose moments change their sign from degree to degree
     shallow = depth < (5.0 if degree < 2 else 5.5 if degree > 3 else 7.0) or depth * (1.0 - medium.g) < 0.85
-    if shallow or not -0.02 < medium.g < 0.87 or not shift_invariant(scene):
+    if shallow or not -0.5 < medium.g < 0.87:
         return None
     above = 3 if degree == 0 else 5  # fewer scatterings leave beams narrower than cells
     beyond = float(medium.phase_function.moments(degree + 1)[-1])
     while above < 12 and abs(beyond) ** above > 0.004:
         above += 1
     scaled = medium.sigma_t - beyond * medium.sigma_s
-    cells = min(max(shortest * scaled / DENSEST_CELL, FEWEST_CELLS), MOST_CELLS[degree])
-    side = shortest / cells
-    noise = 0.02 * (g / 0.85) ** 4 * medium.albedo**above  # of one lattice (measured)
+    densest = DENSEST_CELL * (BELOW_FRESNEL if bright else 1.0)
+    side = shortest / min(max(shortest * scaled / densest, FEWEST_CELLS), MOST_CELLS[degree])
+    noise = (0.02 * (g / 0.85) ** 4 if straight else 0.012 + 0.045 * g**2) * medium.albedo**above  # of one lattice
     batches = max(4, math.ceil((noise / (NOISE_SHARE * tolerance)) ** 2))
-    angular, spatial = 0.6 * abs(beyond) ** above, 0.001 + 0.03 * (side * scaled) ** 3
+    angular, spatial = 0.6 * abs(beyond) ** above, 0.001 + (0.06 if bright else 0.03) * (side * scaled) ** 3
     # Light that fades away from the beams like exp(−κr) is spread over cells: 2 % at σt = .2, ϖ = .9, g = .2.
     fading = 3.0 * medium.sigma_a * (medium.sigma_a + medium.sigma_s * (1.0 - medium.g))
     spatial += 0.008 * (0.5 * fading * side * shortest) ** 2
@@ -112,7 +118,7 @@ def plan_of_changes(scene: Scene) -> MomentPlan | None:
     medium, g = scene.medium, abs(scene.medium.g)
     shortest = min(scene.tank.size_mm)
     depth = medium.sigma_t * shortest
-    if depth < 4.0 or depth * (1.0 - medium.g) < 0.5 or not shift_invariant(scene):
+    if depth < 4.0 or depth * (1.0 - medium.g) < 0.5:
         return None
     degree, above = 2 if g < 0.4 else 3 if g < 0.8 else 4, 5
     beyond = abs(float(medium.phase_function.moments(degree + 1)[-1]))
@@ -123,4 +129,5 @@ def plan_of_changes(scene: Scene) -> MomentPlan | None:
     scaled = medium.sigma_t - beyond * medium.sigma_s
     side = shortest / min(max(shortest * scaled / CHANGES_CELL, FEWEST_CELLS), MOST_CELLS[degree])
     bound = math.hypot(0.6 * beyond**above, 0.001 + 0.03 * (side * scaled) ** 3)
-    return MomentPlan(above, degree, side, CHANGES_BATCHES[degree], bound)
+    batches = CHANGES_BATCHES[degree] if shift_invariant(scene) else max(CHANGES_BATCHES[degree], SLANTED_BATCHES)
+    return MomentPlan(above, degree, side, batches, bound)

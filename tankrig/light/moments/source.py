@@ -19,6 +19,7 @@ from tankrig.light.paths.block import (
     alive,
     begin,
     begin_at_origin,
+    begin_on_beams,
     draw_step,
     empty_block,
 )
@@ -31,19 +32,20 @@ from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 
-FLIGHT_COORDINATES = 3
+START_COORDINATES, FLIGHT_COORDINATES = 3, 3
+"""Of the lattice, for a path that begins on a beam, and for each scattering."""
 
 
 def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batches: int, seed: int = 0) -> Array:
     """Moments of the emission Q after `order` scatterings: Q_lm = g^l ∫ Y_lm(ω) σs L(ω) dω, averaged over cells.
 
-    A path stands for all that begin anywhere on the beams, as in `tankrig.light.paths.trace`; here every direction is
-    drawn from the phase function.
+    Where light is collimated a path stands for all that begin anywhere on the beams, as in `tankrig.light.paths.trace`;
+    here every direction is drawn from the phase function.
 
     Parameters
     ----------
     scene
-        Collimated projector, σs > 0.
+        Of any projector, σs > 0.
     cells
         Of the tank.
     degree
@@ -63,7 +65,19 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
     moments = (degree + 1) ** 2
     across, along, up = cells.counts
 
-    def batch(number: int) -> Array:
+    def from_beams(number: int) -> Array:
+        water, points = water_of(medium), Points(LARGE.shifted((seed, number)), LARGE.points)
+        total = np.zeros((up, along, across, moments))
+        lit = [beam for beam in scene.projector.beams if beam.irradiance > 0.0]
+        power = np.array([beam.power for beam in lit])
+        table = np.column_stack(
+            [np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in lit]), np.cumsum(power) / power.sum()]
+        )
+        _follow_from_beams(total, cells.size_mm, geometry, water, table, points, order, degree)
+        result: Array = np.moveaxis(total, -1, 0) * (power.sum() / (LARGE.points * math.prod(cells.size_mm[:2])))
+        return result
+
+    def from_anywhere(number: int) -> Array:
         water, points = water_of(medium), Points(LARGE.shifted((seed, number)), LARGE.points)
         total = np.zeros((moments, up, along, across))
         for z_mm in sorted({beam.z_mm for beam in scene.projector.beams}):
@@ -77,6 +91,7 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
         return total
 
     with ThreadPoolExecutor(THREADS) as pool:
+        batch = from_anywhere if scene.projector.kind == "collimated" else from_beams
         mean = sum(pool.map(batch, range(batches)), np.zeros(())) / batches
     scale = medium.phase_function.moments(degree)[degrees(degree)] / cells.size_mm[2]
     result: Array = mean.transpose(0, 3, 2, 1) * scale[:, None, None, None]
@@ -114,6 +129,42 @@ def _follow(
                 fill_harmonics(degree, block.dx[i], block.dy[i], block.dz[i], values)
                 values *= block.weight[i]
                 _record(edges[layer], values, block, i, geometry.half_width, sampling.sigma_t, beams, cell_mm)
+
+
+@kernel
+def _follow_from_beams(
+    cells: Array, cell_mm: tuple[float, float, float], geometry: Geometry, water: Water, beams: Array,
+    points: Points, last: int, degree: int,
+) -> None:  # fmt: skip
+    """The same for paths that begin on beams whose light slants.
+
+    `cells` is (nz, ny, nx, moments); `beams` (n, 6), as for `tankrig.light.paths.trace`.
+    """
+    lattice, count = points
+    sampling = PathSampling(water.sigma_t, water.albedo, water.phase, False, 0.0)
+    block, values = empty_block(), np.empty((degree + 1) ** 2)
+    u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    up, along, across, _ = cells.shape
+    for start in range(0, count, BLOCK):
+        n = min(BLOCK, count - start)
+        begin_on_beams(block, n, start, geometry, sampling, beams, lattice)
+        block.sx[:n], block.sz[:n] = 0.0, 1.0  # no path turns to the camera
+        begin(block, n, start, sampling, lattice, 0.0)
+        for order in range(1, last):
+            dimension = START_COORDINATES + (order - 1) * FLIGHT_COORDINATES
+            step = Step(order, 1.0, u, v, w)
+            draw_step(step, block.point, n, dimension, lattice)
+            scatter(block, step, n, sampling)
+            advance(block, step, n, geometry, sampling)
+            n = alive(block, n, False)
+        for i in range(n):
+            if block.weight[i] > 0.0:
+                layer = min(max(math.floor(block.z[i] / cell_mm[2]), 0), up - 1)
+                row = min(max(math.floor((block.y[i] + geometry.half_width) / cell_mm[1]), 0), along - 1)
+                column = min(max(math.floor(block.x[i] / cell_mm[0]), 0), across - 1)
+                fill_harmonics(degree, block.dx[i], block.dy[i], block.dz[i], values)
+                for moment in range(values.size):
+                    cells[layer, row, column, moment] += block.weight[i] * values[moment]
 
 
 @part
