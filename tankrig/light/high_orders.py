@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 
 NOISE_SHARE, BIAS_SHARE = 0.7, 0.8
 """Shares of the tolerance that either may use up: errors are above what is stated in every other case."""
+FINE, FINE_SHARES = 0.005, (0.62, 0.7)
+"""Tolerance below which shares are smaller: at .3 % nine of a hundred scenes had been 1.0 to 1.3 times as far off as
+was asked for, at 1 % none. Of a hundred errors 97 are within 1.45 of the stated one."""
 FIRST_LATTICES, FIRST_SMOOTHED = 6, 8
 MOST_ORDERS = 30_000
 """To which paths are followed; in water so deep that light stays for longer, one path would take seconds."""
@@ -181,6 +184,7 @@ def high_orders(
     wanted = batches or (FIRST_LATTICES if plain else FIRST_SMOOTHED)
     scale = math.sqrt(grid.seen_mm2) / scene.camera.pixel_mm
     done, steady = 0.0, batches is not None
+    noise_share, bias_share = FINE_SHARES if tolerance < FINE else (NOISE_SHARE, BIAS_SHARE)
     while True:
         through = max(groups.lattices, math.ceil(wanted / every))
         low_wanted = wanted if apart else wanted - through
@@ -218,7 +222,7 @@ def high_orders(
         off = math.sqrt(float(bias.sum())) * scale / size
         if batches is not None or not in_time:
             break
-        missed = math.hypot(noise * math.sqrt(1.0 + found.spread) / NOISE_SHARE, off / BIAS_SHARE) / tolerance
+        missed = math.hypot(noise * math.sqrt(1.0 + found.spread) / noise_share, off / bias_share) / tolerance
         if missed <= 1.0:
             break
         if tail is not None and before == 0:

@@ -13,8 +13,9 @@ BELOW_FRESNEL = 0.8
 FEWEST_CELLS = 15
 MOST_CELLS = (50, 38, 32, 28, 26)
 """Cells along the tank's shortest side, at most by degree: so many take some 10 s of one core and 300 MiB."""
-NOISE_SHARE = 0.3
-"""Share of the tolerance that the source's noise may use up."""
+NOISE_SHARE, SLANTED_NOISE_SHARE = 0.3, 0.2
+"""Share of the tolerance that the source's noise may use up, and where light slants, and paths that correct it cost ten
+times as much."""
 CHANGES_CELL, CHANGES_BATCHES = 0.8, (6, 6, 6, 12, 48)
 """The same sides where changes of the image are wanted and not the image, and lattices that make each half of the
 source then, by degree: the more light goes on forwards, the more noise."""
@@ -75,7 +76,6 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     depth = medium.sigma_t * shortest
     straight, bright = shift_invariant(scene), scene.tank.surface == "fresnel"
     degree = 0 if g < 0.02 and not bright else 1 if g < 0.3 else 2 if g < 0.4 else 3 if g < 0.8 else 4
-    degree += medium.g < -0.02  # whose moments change their sign from degree to degree
     shallow = depth < (5.0 if degree < 2 else 5.5 if degree > 3 else 7.0) or depth * (1.0 - medium.g) < 0.85
     if shallow or not -0.5 < medium.g < 0.87:
         return None
@@ -87,7 +87,8 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     densest = DENSEST_CELL * (BELOW_FRESNEL if bright else 1.0)
     side = shortest / min(max(shortest * scaled / densest, FEWEST_CELLS), MOST_CELLS[degree])
     noise = (0.02 * (g / 0.85) ** 4 if straight else 0.012 + 0.045 * g**2) * medium.albedo**above  # of one lattice
-    batches = max(4, math.ceil((noise / (NOISE_SHARE * tolerance)) ** 2))
+    share = NOISE_SHARE if straight else SLANTED_NOISE_SHARE
+    batches = max(4, math.ceil((noise / (share * tolerance)) ** 2))
     angular, spatial = 0.6 * abs(beyond) ** above, 0.001 + (0.06 if bright else 0.03) * (side * scaled) ** 3
     # Light that fades away from the beams like exp(−κr) is spread over cells: 2 % at σt = .2, ϖ = .9, g = .2.
     fading = 3.0 * medium.sigma_a * (medium.sigma_a + medium.sigma_s * (1.0 - medium.g))
