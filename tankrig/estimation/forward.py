@@ -242,6 +242,24 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
         near = box.nearest(medium)
         return told(model.predict(near), near)
 
+    def refine(medium: Medium) -> tuple[Model, Model]:
+        if model.phases != "hg":
+            return predicted, predicted
+        near = box.nearest(medium)
+        patterns, beside = model.errors_at(near)
+        size = float(np.linalg.norm(model.predict(near)))
+        rest = (Skipped("orders 1 and 2 of the prepared model", beside),)
+
+        @remembered
+        def known(medium: Medium) -> Prediction:
+            # Noise goes with the image: from one medium to the next it changes as slowly as that.
+            image = predicted(medium).image
+            noise = patterns * (float(np.linalg.norm(image)) / size if size > 0.0 else 1.0)
+            stderr = np.sqrt(np.sum(np.square(noise), axis=0))
+            return Prediction(image, "prepared", stderr=stderr, skipped=rest, patterns=noise)
+
+        return known, known
+
     def along(medium: Medium, others: Sequence[PhaseFunction]) -> Image:
         return model.slopes(box.nearest(medium), others)[1]
 
@@ -255,7 +273,7 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
     albedo, g = ((edges[0], min(edges[1], 1.0 - 1e-6)) for edges in (box.albedo, box.g))
     scattering = (box.sigma_t[0] * albedo[0], box.sigma_t[1])
     return Models(
-        predicted, lambda _: (predicted, predicted), lambda medium: answered(medium)[1],
+        predicted, refine, lambda medium: answered(medium)[1],
         Range.of_media(scattering, albedo, g, sigma_t=box.sigma_t),
         exact=compared if checked and is_ideal(scene) and not shift_invariant(scene) else None,
         along=along if model.phases == "any" else None,

@@ -132,6 +132,36 @@ class Prepared:
         self.box.require(medium)
         return self.answer.error_at(medium)
 
+    def errors_at(self, medium: Medium) -> tuple[Array, float]:
+        """The errors of one medium's image as they lie, of a model of Henyey–Greenstein media.
+
+        Parameters
+        ----------
+        medium
+            Inside the box.
+
+        Returns
+        -------
+        patterns
+            (n, rows, columns) in W/mm²/sr: the covariance of what is random of them is the sum of their products.
+        beside
+            The rest, relative L2.
+
+        Raises
+        ------
+        SceneError
+            When the medium is outside the box, or the model is one of any phase function.
+        """
+        from tankrig.light.prepared.answer import Answer
+        from tankrig.light.prepared.sampling import PathImages
+
+        self.box.require(medium)
+        if not isinstance(self.answer, Answer):
+            raise SceneError("of a model of any phase function only the size of its errors is known; use error_at")
+        sampling = PathImages(self.scene, ())
+        cells = self.answer.errors_at(medium).reshape(-1, *sampling.shape[1:])
+        return sampling.to_pixels(cells).reshape(-1, *self.scene.camera.shape), self.answer.beside
+
 
 def require_henyey_greenstein(scene: Scene) -> None:
     """Refuse a scene whose liquid has another phase function, which prepared models and series do not know yet.

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.prepared.box import Coordinates
+from tankrig.light.prepared.noise import Noise
 from tankrig.light.prepared.polynomials import values
 from tankrig.light.prepared.term import Term
 from tankrig.scene import Medium
@@ -33,6 +34,10 @@ class Answer:
         (rows, columns) of the camera.
     error
         Logarithm of the relative L2 error as Chebyshev coefficients over (u, w, v).
+    noise
+        What is random of it, as it lies.
+    beside
+        The rest of it: what polynomials of orders 1 and 2 and tables of order 2 err by.
     """
 
     coordinates: Coordinates
@@ -40,6 +45,8 @@ class Answer:
     patterns: NDArray[np.float32]
     shape: tuple[int, int]
     error: Array
+    noise: Noise
+    beside: float
 
     def amplitudes(self, medium: Medium) -> Array:
         """(4, patterns): of the image, and their derivatives by σt, ϖ and g."""
@@ -64,6 +71,11 @@ class Answer:
         place, _ = self.coordinates.of(medium.sigma_t, medium.albedo, medium.g)
         u, w, v = (values(at, count - 1) for at, count in zip(place, self.error.shape, strict=True))
         return float(np.exp(np.einsum("i,j,k,ijk", u, w, v, self.error)))
+
+    def errors_at(self, medium: Medium) -> Array:
+        """(n, cells) what noise one medium's image has, as it lies on the cells that paths were recorded in."""
+        place, _ = self.coordinates.of(medium.sigma_t, medium.albedo, medium.g)
+        return self.noise.images(place, medium.sigma_s)
 
     def error_over_box(self) -> tuple[float, float, Medium]:
         """Estimated relative L2 error over the box: root mean square, the largest, and the medium where that is."""

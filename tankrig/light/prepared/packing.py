@@ -1,10 +1,13 @@
 """A prepared model as the arrays of a file, and back."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.prepared.answer import Answer
 from tankrig.light.prepared.box import Coordinates
+from tankrig.light.prepared.noise import Noise
 from tankrig.light.prepared.polynomials import Plane
 from tankrig.light.prepared.term import Term
 
@@ -20,7 +23,9 @@ _MOST_SCALE = 600.0
 
 def packed(answer: Answer) -> Arrays:
     """All that the scene and the box don't say."""
-    arrays: Arrays = {"patterns": answer.patterns, "error": answer.error}
+    noise = answer.noise
+    arrays: Arrays = {"patterns": answer.patterns, "error": answer.error, "beside": np.array(answer.beside)}
+    arrays |= {"noise_scale": noise.scale, "noise_pull": noise.pull, "noise_left": noise.left}
     for index, term in enumerate(answer.terms):
         arrays[f"term{index}_power"] = np.array(term.power)
         arrays[f"term{index}_planes"] = np.array([_numbers(term.plane), _numbers(term.scale_plane)])
@@ -29,8 +34,8 @@ def packed(answer: Answer) -> Arrays:
     return arrays
 
 
-def unpacked(arrays: Arrays, coordinates: Coordinates, shape: tuple[int, int]) -> Answer:
-    """The model again.
+def unpacked(arrays: Arrays, coordinates: Coordinates, shape: tuple[int, int], cells: int) -> Answer:
+    """The model again; of a camera's shape, and of so many numbers that an image on paths' cells has.
 
     Raises
     ------
@@ -54,7 +59,23 @@ def unpacked(arrays: Arrays, coordinates: Coordinates, shape: tuple[int, int]) -
     _require(patterns.shape[1] == shape[0] * shape[1])
     _require(all(term.amplitudes.shape[2] == len(patterns) for term in terms), error.size > 0, len(patterns) > 0)
     _require(bool(np.isfinite(patterns).all()), bool(np.isfinite(error).all()))
-    return Answer(coordinates, tuple(terms), patterns, shape, error)
+    beside = float(arrays["beside"])
+    _require(0.0 <= beside < math.inf)
+    return Answer(coordinates, tuple(terms), patterns, shape, error, _noise(arrays, terms[-1], cells), beside)
+
+
+def _noise(arrays: Arrays, rest: Term, cells: int) -> Noise:
+    """Of the term of orders ≥ 3."""
+    scale, pull = (np.asarray(arrays[f"noise_{part}"], float) for part in ("scale", "pull"))
+    left = np.asarray(arrays["noise_left"], np.float32)
+    _require(scale.ndim == 2, pull.ndim == 3, left.ndim == 3, pull.size > 0)
+    albedos, products, media = pull.shape
+    _require(scale.shape == (albedos, rest.scale_plane.size), products == rest.plane.size)
+    _require(
+        left.shape == (media, albedos, cells), albedos < _DEGREES, float(np.abs(scale).sum(1).max()) <= _MOST_SCALE
+    )
+    _require(bool(np.isfinite(scale).all()), bool(np.isfinite(pull).all()), bool(np.isfinite(left).all()))
+    return Noise(rest.power, rest.plane, rest.scale_plane, scale, pull, left)
 
 
 def _require(*conditions: bool) -> None:

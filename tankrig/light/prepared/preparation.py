@@ -1,5 +1,6 @@
 """Preparing a model: compute what its plan asks for, keep every image as it comes, and put them together."""
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -61,11 +62,11 @@ def prepared(
         )
     place = place_of(scene, box, tolerance)
     plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance, not shift_invariant(scene))
-    known = _kept_answer(place, plan, scene.camera.shape)
+    work = _Work(scene, plan, place)
+    known = _kept_answer(place, plan, scene.camera.shape, math.prod(work.sampling.shape[1:]))
     if known is not None:
         progress(1.0)
         return known, place.model
-    work = _Work(scene, plan, place)
     place.require_room(work.size)
     answer = assemble(plan, work.sampling, work.images(progress, threads), scene.camera.shape)
     place.keep(place.model, packed(answer))
@@ -74,13 +75,13 @@ def prepared(
     return answer, place.model
 
 
-def _kept_answer(place: Place, plan: PreparationPlan, shape: tuple[int, int]) -> Answer | None:
+def _kept_answer(place: Place, plan: PreparationPlan, shape: tuple[int, int], cells: int) -> Answer | None:
     """The model that the cache keeps; None where there is none, or what is there is none."""
     arrays = place.kept(place.model)
     if arrays is None:
         return None
     try:
-        return unpacked(arrays, plan.coordinates, shape)
+        return unpacked(arrays, plan.coordinates, shape, cells)
     except (KeyError, TypeError, ValueError):
         return None
 

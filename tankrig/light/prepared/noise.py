@@ -1,0 +1,85 @@
+"""What the noise of its training images leaves in a prepared model, as it lies.
+
+The model's image of orders ≥ 3 is linear in the images that it was fitted to, and each of these has noise of its own:
+of light paths, and of what polynomials cannot follow from medium to medium. What it differs by from the fit tells that
+noise (a covariance of coefficients that takes no model of it; White 1980), and what it pulls an answer by, the error:
+
+    δ_j(m) = b(m) Σ_p P_p(m) pull_pj left_j,      ⟨δ δᵀ⟩ = Σ_j δ_j δ_jᵀ.
+
+So a fit knows in which directions the model errs, and need not take its size for that of any smooth error.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.light.prepared.polynomials import Plane, nodes, values
+
+Array = NDArray[np.float64]
+
+MOST = 32
+"""Patterns of an answer; of more training images, each is a sum over all with signs of chance."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Errors of a model's orders ≥ 3.
+
+    Parameters
+    ----------
+    power
+        Of σs, see `Term`.
+    plane, scale_plane
+        Polynomials of σt and g.
+    scale
+        (albedos, polynomials): logarithm of the brightness b over σs^power, at the albedos that paths are summed for.
+    pull
+        (albedos, polynomials, media): what each image adds to each coefficient.
+    left
+        (media, albedos, cells): what the images differ by from the fit, over b.
+    """
+
+    power: int
+    plane: Plane
+    scale_plane: Plane
+    scale: Array
+    pull: Array
+    left: NDArray[np.float32]
+
+    def images(self, place: Array, sigma_s: float) -> Array:
+        """(n, cells): the errors' covariance is the sum of their products.
+
+        Parameters
+        ----------
+        place
+            Coordinates u, w, v of a medium.
+        sigma_s
+            Its scattering.
+        """
+        u, w, v = place
+        albedos, _, media = self.pull.shape
+        # Between the albedos' nodes fields and brightness are polynomials, as the model's are.
+        between = values(w, albedos - 1) @ np.linalg.inv(values(nodes(albedos), albedos - 1))
+        bright = np.exp(float(self.scale_plane.values(u, v) @ (between @ self.scale))) * sigma_s**self.power
+        shares = bright * between[:, None] * (self.plane.values(u, v) @ self.pull)
+        if media > MOST:
+            signs = signs_of_chance(MOST, media)
+            return np.asarray(np.einsum("kj,aj,jac->kc", signs, shares, self.left, optimize=True))
+        return np.asarray(np.einsum("aj,jac->jc", shares, self.left))
+
+    def fields(self, signs: Array) -> Array:
+        """(albedos, polynomials, cells) of the fit's coefficients, off as they would be by one draw of the noise."""
+        return np.stack([pull @ (signs[:, None] * self.left[:, k]) for k, pull in enumerate(self.pull)])
+
+
+def signs_of_chance(count: int, media: int) -> Array:
+    """(count, media) of ±1 over the root of `count`: so many sums over the media have their covariance on average.
+
+    Examples
+    --------
+    >>> bool(np.allclose(np.sum(signs_of_chance(8, 5) ** 2, axis=0), 1.0))
+    True
+    """
+    signs: Array = np.random.default_rng(0).choice([-1.0, 1.0], (count, media)) / np.sqrt(count)
+    return signs
