@@ -457,7 +457,8 @@ def prepared_models(folder: Path) -> Format:
         arrays[f"term{index}_planes"] = np.array([[2.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
         arrays[f"term{index}_amplitudes"] = rng.random((3, Plane((2, 1), 1.0).size, 4))
         arrays[f"term{index}_scale"] = rng.random((2, Plane((1, 1), 1.0).size))
-    arrays |= {"noise_scale": rng.random((3, Plane((1, 1), 1.0).size)), "beside": np.array(0.001)}
+    arrays |= {"noise_scale": rng.random((3, Plane((1, 1), 1.0).size)), "tables": np.array(0.001)}
+    arrays["misses"] = rng.random((3, 96)).astype(np.float32)
     arrays["noise_pull"] = rng.random((3, Plane((2, 1), 1.0).size, 5))
     arrays["noise_left"] = rng.random((5, 3, 24)).astype(np.float32)
     place.keep(file, arrays)
@@ -475,6 +476,8 @@ def prepared_models(folder: Path) -> Format:
             return False  # made again, see `tankrig.light.prepared.preparation`
         answer.image_and_derivatives(Medium(0.001, 0.02, 0.5))
         answer.errors_at(Medium(0.001, 0.02, 0.5))
+        answer.errors_of_slopes_at(Medium(0.001, 0.02, 0.5))
+        answer.misses_at(Medium(0.001, 0.02, 0.5))
         answer.error_over_box()
         return False
 

@@ -87,7 +87,8 @@ def fitted(
         best = by_cost(solve(problem, one, SEVERAL_ENOUGH) for one in found)[0]
     if all(shot.models.exact for shot in shots):
         return corrected_fit(best, shots, [slope for _, slope in versions], progress, sharper)
-    return Fit(best, tuple(fine for fine, _ in versions))
+    noise = [shot.slopes_noise_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
+    return Fit(best.problem.with_slopes_noise(noise).at(best.coordinates), tuple(fine for fine, _ in versions))
 
 
 def _refined(

@@ -115,6 +115,8 @@ class Models:
         than images; None to take differences.
     different
         Versions for media of other families; None: these.
+    slopes_noise
+        Patterns of the noise of `slopes`, (n, 3, rows, columns); None where it is not known.
     """
 
     coarse: Model
@@ -128,6 +130,7 @@ class Models:
     low: Model | None = None
     along: "Callable[[Medium, Sequence[PhaseFunction]], Image] | None" = None
     different: "Models | None" = None
+    slopes_noise: Slopes | None = None
 
     def of(self, family: Family | None) -> "Models":
         """Versions for media of a family's phase functions."""
@@ -148,7 +151,7 @@ class Models:
         """Patterns of these derivatives' noise, (n, 3, rows, columns); None where they are not known."""
         if self.family is None and isinstance(model, Followed | Solved):
             return model.slopes_noise
-        return None
+        return self.slopes_noise if self.family is None else None
 
     def quick(self, model: Model) -> bool:
         """Whether a version's derivatives come with its images, for less than their own price."""
@@ -246,19 +249,23 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
         if model.phases != "hg":
             return predicted, predicted
         near = box.nearest(medium)
-        patterns, beside = model.errors_at(near)
+        patterns, tables = model.errors_at(near)
         size = float(np.linalg.norm(model.predict(near)))
-        rest = (Skipped("orders 1 and 2 of the prepared model", beside),)
+        rest = (Skipped("tables that order 2 is looked up in", tables),)
 
         @remembered
         def known(medium: Medium) -> Prediction:
-            # Noise goes with the image: from one medium to the next it changes as slowly as that.
+            # Errors go with the image: from one medium to the next they change as slowly as that.
             image = predicted(medium).image
             noise = patterns * (float(np.linalg.norm(image)) / size if size > 0.0 else 1.0)
             stderr = np.sqrt(np.sum(np.square(noise), axis=0))
             return Prediction(image, "prepared", stderr=stderr, skipped=rest, patterns=noise)
 
         return known, known
+
+    @remembered
+    def slopes_noise(medium: Medium) -> Image:
+        return model.errors_of_slopes_at(box.nearest(medium))
 
     def along(medium: Medium, others: Sequence[PhaseFunction]) -> Image:
         return model.slopes(box.nearest(medium), others)[1]
@@ -277,6 +284,7 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
         Range.of_media(scattering, albedo, g, sigma_t=box.sigma_t),
         exact=compared if checked and is_ideal(scene) and not shift_invariant(scene) else None,
         along=along if model.phases == "any" else None,
+        slopes_noise=slopes_noise if model.phases == "hg" else None,
     )  # fmt: skip
 
 

@@ -143,24 +143,47 @@ class Prepared:
         Returns
         -------
         patterns
-            (n, rows, columns) in W/mm²/sr: the covariance of what is random of them is the sum of their products.
-        beside
-            The rest, relative L2.
+            (n, rows, columns) in W/mm²/sr: their covariance is the sum of the patterns' products.
+        tables
+            What tables of order 2 err by besides, of which only the size is known; relative L2.
 
         Raises
         ------
         SceneError
             When the medium is outside the box, or the model is one of any phase function.
         """
+        answer = self._answer_at(medium)
+        misses, low = answer.misses_at(medium)
+        patterns = np.concatenate([self._seen(answer.errors_at(medium)), misses.reshape(-1, *answer.shape)])
+        whole = float(np.linalg.norm(answer.image(medium)))
+        return patterns, answer.tables * low / whole if whole > 0.0 else 0.0
+
+    def errors_of_slopes_at(self, medium: Medium) -> Array:
+        """What noise the derivatives by σa, σs and g have, (n, 3, rows, columns), as for `errors_at`.
+
+        Raises
+        ------
+        SceneError
+            Likewise.
+        """
+        return self._seen(self._answer_at(medium).errors_of_slopes_at(medium))
+
+    def _answer_at(self, medium: Medium) -> "Answer":
+        """That knows its errors as they lie."""
         from tankrig.light.prepared.answer import Answer
-        from tankrig.light.prepared.sampling import PathImages
 
         self.box.require(medium)
         if not isinstance(self.answer, Answer):
             raise SceneError("of a model of any phase function only the size of its errors is known; use error_at")
+        return self.answer
+
+    def _seen(self, cells: Array) -> Array:
+        """(…, rows, columns) images of light on the cells that paths were recorded in, (…, cells)."""
+        from tankrig.light.prepared.sampling import PathImages
+
         sampling = PathImages(self.scene, ())
-        cells = self.answer.errors_at(medium).reshape(-1, *sampling.shape[1:])
-        return sampling.to_pixels(cells).reshape(-1, *self.scene.camera.shape), self.answer.beside
+        images = sampling.to_pixels(cells.reshape(-1, *sampling.shape[1:]))
+        return images.reshape(*cells.shape[:-1], *self.scene.camera.shape)
 
 
 def require_henyey_greenstein(scene: Scene) -> None:

@@ -35,9 +35,11 @@ class Answer:
     error
         Logarithm of the relative L2 error as Chebyshev coefficients over (u, w, v).
     noise
-        What is random of it, as it lies.
-    beside
-        The rest of it: what polynomials of orders 1 and 2 and tables of order 2 err by.
+        What orders ≥ 3 have of it, as it lies.
+    misses
+        (n, pixels) what orders 1 and 2 were off by at media beside their grid, over their norm there.
+    tables
+        What tables of order 2 err by, relative L2 of orders 1 and 2.
     """
 
     coordinates: Coordinates
@@ -46,7 +48,8 @@ class Answer:
     shape: tuple[int, int]
     error: Array
     noise: Noise
-    beside: float
+    misses: NDArray[np.float32]
+    tables: float
 
     def amplitudes(self, medium: Medium) -> Array:
         """(4, patterns): of the image, and their derivatives by σt, ϖ and g."""
@@ -61,9 +64,7 @@ class Answer:
     def image_and_derivatives(self, medium: Medium) -> tuple[Array, Array]:
         """The image, and (3, rows, columns) its derivatives by σa, σs and g."""
         value, by_sigma_t, by_albedo, by_g = self.amplitudes(medium)
-        by_sigma_a = by_sigma_t - medium.albedo / medium.sigma_t * by_albedo
-        by_sigma_s = by_sigma_t + (1.0 - medium.albedo) / medium.sigma_t * by_albedo
-        found = _combined(np.stack([value, by_sigma_a, by_sigma_s, by_g]), self.patterns)
+        found = _combined(np.stack([value, *_by_coefficients(medium, by_sigma_t, by_albedo), by_g]), self.patterns)
         return found[0].reshape(self.shape), found[1:].reshape(3, *self.shape)
 
     def error_at(self, medium: Medium) -> float:
@@ -77,6 +78,19 @@ class Answer:
         place, _ = self.coordinates.of(medium.sigma_t, medium.albedo, medium.g)
         return self.noise.images(place, medium.sigma_s)
 
+    def misses_at(self, medium: Medium) -> tuple[Array, float]:
+        """What orders 1 and 2 err by, as patterns (n, pixels) whose products add up to a covariance, and their norm."""
+        place, rates = self.coordinates.of(medium.sigma_t, medium.albedo, medium.g)
+        low = sum(term.at(place, rates, medium.sigma_t, medium.albedo)[0] for term in self.terms[:-1])
+        size = float(np.linalg.norm(low))  # patterns are orthonormal
+        return self.misses * (size / np.sqrt(len(self.misses))), size
+
+    def errors_of_slopes_at(self, medium: Medium) -> Array:
+        """(n, 3, cells) what noise its derivatives by σa, σs and g have."""
+        place, rates = self.coordinates.of(medium.sigma_t, medium.albedo, medium.g)
+        by_sigma_t, by_albedo, by_g = np.moveaxis(self.noise.slopes(place, rates, medium.sigma_t, medium.albedo), 1, 0)
+        return np.stack([*_by_coefficients(medium, by_sigma_t, by_albedo), by_g], axis=1)
+
     def error_over_box(self) -> tuple[float, float, Medium]:
         """Estimated relative L2 error over the box: root mean square, the largest, and the medium where that is."""
         places = np.array(np.meshgrid(*[np.linspace(-1.0, 1.0, 7)] * 3, indexing="ij")).reshape(3, -1)
@@ -86,6 +100,13 @@ class Answer:
         sigma_t, albedo, g = (float(value) for value in self.coordinates.back(places[:, worst]))
         medium = Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, g)
         return float(np.sqrt(np.mean(errors**2))), float(errors[worst]), medium
+
+
+def _by_coefficients(medium: Medium, by_sigma_t: Array, by_albedo: Array) -> tuple[Array, Array]:
+    """Derivatives by σa and σs."""
+    by_sigma_a = by_sigma_t - medium.albedo / medium.sigma_t * by_albedo
+    by_sigma_s = by_sigma_t + (1.0 - medium.albedo) / medium.sigma_t * by_albedo
+    return by_sigma_a, by_sigma_s
 
 
 @kernel

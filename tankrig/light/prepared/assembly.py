@@ -52,7 +52,7 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     """The model that fits the images, and its error.
 
     The error of orders ≥ 3 is what the noise of the images leaves in their fit, see `Noise`, before patterns are
-    chosen: where few patterns do, those hold the noise themselves. The error of orders 1 and 2 is found at media beside
+    chosen: where few patterns do, those hold the noise themselves. The error of orders 1 and 2 is seen at media beside
     their grid, and what tables of order 2 err by is added.
     """
     exact = [_exact_term(plan, images.exact[:, order - 1], order) for order in (1, 2)]
@@ -63,16 +63,16 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     rest = [_rest_term(plan, sampling, fit.scale, fit.fields) for fit in fits]
     patterns = _patterns(plan, exact, rest, every=shift_invariant(sampling.scene))
     terms = tuple(_projected(term, patterns) for term in (*exact, rest[0]))
-    beside = math.hypot(
-        _error_of_exact_orders(plan, images.checks, terms[:2], patterns),
-        table_error(order_2_tolerance(sampling.scene, plan.tolerance)),
-    )
+    misses = _misses(plan, images.checks, terms[:2], patterns)
+    tables = table_error(order_2_tolerance(sampling.scene, plan.tolerance))
     fit = fits[0]
     noise = Noise(THIRD, plan.paths_plane, plan.brightness_plane, fit.scale, fit.pull, fit.left)
     signs = math.sqrt(DRAWS) * signs_of_chance(DRAWS, count)
     draws = [_rest_term(plan, sampling, fit.scale, noise.fields(one)) for one in signs]
-    error = _error_of_the_rest(plan, draws, terms, beside)
-    return Answer(plan.coordinates, terms, patterns.astype(np.float32), shape, error, noise, beside)
+    beside = math.hypot(tables, float(np.sqrt(np.mean(np.sum(misses**2, axis=1)))))
+    error = _error_over_box(plan, draws, terms, beside)
+    found = patterns.astype(np.float32), misses.astype(np.float32)
+    return Answer(plan.coordinates, terms, found[0], shape, error, noise, found[1], tables)
 
 
 def _exact_term(plan: PreparationPlan, images: Array, order: int) -> Term:
@@ -195,29 +195,39 @@ def _projected(term: Term, patterns: Array) -> Term:
     return Term(term.power, term.plane, term.scale_plane, term.amplitudes @ patterns.T, term.scale)
 
 
-def _error_of_exact_orders(plan: PreparationPlan, checks: Array, terms: tuple[Term, ...], patterns: Array) -> float:
-    """Largest relative error of orders 1 and 2 together at media beside their grid."""
-    largest = 0.0
+def _misses(plan: PreparationPlan, checks: Array, terms: tuple[Term, ...], patterns: Array) -> Array:
+    """(media, pixels) what orders 1 and 2 together are off by at media beside their grid, over their norm."""
+    albedo = plan.albedos[0]
+    found = []
     for sample, orders in zip(plan.checks, checks, strict=True):
-        albedo = plan.albedos[0]
         truth = albedo * orders[0] + albedo**2 * orders[1]
         at = (*plan.coordinates.of(sample.sigma_t, albedo, sample.g), sample.sigma_t, albedo)
         amplitudes = np.sum([term.at(*at)[0] for term in terms], axis=0)
-        largest = max(largest, float(np.linalg.norm(amplitudes @ patterns - truth) / np.linalg.norm(truth)))
-    return largest
+        found.append((amplitudes @ patterns - truth) / np.linalg.norm(truth))
+    return np.array(found)
 
 
-def _error_of_the_rest(plan: PreparationPlan, draws: list[Term], terms: tuple[Term, ...], beside: float) -> Array:
-    """Logarithm of the relative error, as Chebyshev coefficients over the box; draws of the noise are in pixels."""
+def _error_over_box(plan: PreparationPlan, draws: list[Term], terms: tuple[Term, ...], beside: float) -> Array:
+    """Logarithm of the relative error, as Chebyshev coefficients over the box.
+
+    Parameters
+    ----------
+    draws
+        Of the noise of orders ≥ 3, in pixels.
+    terms
+        Of the model.
+    beside
+        Error of orders 1 and 2, of their norm.
+    """
     places = np.random.default_rng(1).uniform(-1.0, 1.0, (UNSEEN, 3))
     logarithms = []
     for place in places:
         sigma_t, albedo, g = (float(value) for value in plan.coordinates.back(place))
         at = (*plan.coordinates.of(sigma_t, albedo, g), sigma_t, albedo)
-        whole = np.sum([term.at(*at)[0] for term in terms], axis=0)
-        size = np.sqrt(np.mean([np.sum(draw.at(*at)[0] ** 2) for draw in draws]))
-        relative = size / max(float(np.linalg.norm(whole)), DARK)
-        logarithms.append(np.log(np.hypot(relative, beside)))
+        *low, rest = (term.at(*at)[0] for term in terms)
+        noise = np.sqrt(np.mean([np.sum(draw.at(*at)[0] ** 2) for draw in draws]))
+        size = max(float(np.linalg.norm(sum(low) + rest)), DARK)
+        logarithms.append(np.log(np.hypot(noise, beside * np.linalg.norm(sum(low))) / size))
     first, second, third = (values(places[:, axis], degree) for axis, degree in enumerate(ERROR_DEGREES))
     products = np.einsum("ni,nj,nk->nijk", first, second, third).reshape(UNSEEN, -1)
     coefficients = np.linalg.lstsq(products, np.array(logarithms), rcond=None)[0]

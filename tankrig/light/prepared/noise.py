@@ -9,17 +9,20 @@ noise (a covariance of coefficients that takes no model of it; White 1980), and 
 So a fit knows in which directions the model errs, and need not take its size for that of any smooth error.
 """
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.prepared.polynomials import Plane, nodes, values
+from tankrig.light.prepared.polynomials import Plane, nodes, values, values_and_slopes
 
 Array = NDArray[np.float64]
 
-MOST = 32
-"""Patterns of an answer; of more training images, each is a sum over all with signs of chance."""
+MOST, FEW = 32, 8
+"""Patterns of an answer's noise, and of its derivatives'; of more training images, each is a sum over all with signs of
+chance."""
 
 
 @dataclass(frozen=True)
@@ -59,14 +62,43 @@ class Noise:
         """
         u, w, v = place
         albedos, _, media = self.pull.shape
-        # Between the albedos' nodes fields and brightness are polynomials, as the model's are.
-        between = values(w, albedos - 1) @ np.linalg.inv(values(nodes(albedos), albedos - 1))
-        bright = np.exp(float(self.scale_plane.values(u, v) @ (between @ self.scale))) * sigma_s**self.power
-        shares = bright * between[:, None] * (self.plane.values(u, v) @ self.pull)
-        if media > MOST:
-            signs = signs_of_chance(MOST, media)
-            return np.asarray(np.einsum("kj,aj,jac->kc", signs, shares, self.left, optimize=True))
-        return np.asarray(np.einsum("aj,jac->jc", shares, self.left))
+        between = values(w, albedos - 1) @ self._by_degree
+        bright = math.exp(float(self.scale_plane.values(u, v) @ (between @ self.scale))) * sigma_s**self.power
+        pulls = bright * between[:, None] * (self.plane.values(u, v) @ self.pull)
+        signs = signs_of_chance(MOST, media) if media > MOST else np.eye(media)
+        return np.asarray(np.einsum("kj,aj,jac->kc", signs, pulls, self.left, optimize=True))
+
+    def slopes(self, place: Array, rates: Array, sigma_t: float, albedo: float) -> Array:
+        """(n, 3, cells): what noise the derivatives by σt, ϖ and g have, likewise, as sums of few.
+
+        Parameters
+        ----------
+        place
+            Coordinates u, w, v of a medium.
+        rates
+            Derivatives of the coordinates by σt, ϖ and g.
+        sigma_t, albedo
+            The medium's.
+        """
+        u, w, v = place
+        albedos, _, media = self.pull.shape
+        between, steeper = values_and_slopes(w, albedos - 1) @ self._by_degree
+        products, scales = self.plane.values_and_slopes(u, v), self.scale_plane.values_and_slopes(u, v)
+        along = np.stack([between, between, steeper, between])  # the image, and its changes along u, w and v
+        products, scales = (one[[0, 1, 0, 2]] for one in (products, scales))
+        logarithm = np.einsum("dp,da,ap->d", scales, along, self.scale)
+        pulls = along[:, :, None] * np.einsum("dp,apj->daj", products, self.pull)
+        changes = rates[:, None, None] * (pulls[1:] + logarithm[1:, None, None] * pulls[0])
+        changes[:2] += np.array([self.power / sigma_t, self.power / albedo])[:, None, None] * pulls[0]
+        bright = math.exp(logarithm[0]) * (albedo * sigma_t) ** self.power
+        signs = signs_of_chance(min(FEW, media), media)
+        return np.asarray(bright * np.einsum("kj,daj,jac->kdc", signs, changes, self.left, optimize=True))
+
+    @cached_property
+    def _by_degree(self) -> Array:
+        """Between the albedos' nodes fields and brightness are polynomials, as the model's are."""
+        albedos = len(self.pull)
+        return np.asarray(np.linalg.inv(values(nodes(albedos), albedos - 1)))
 
     def fields(self, signs: Array) -> Array:
         """(albedos, polynomials, cells) of the fit's coefficients, off as they would be by one draw of the noise."""

@@ -24,7 +24,8 @@ _MOST_SCALE = 600.0
 def packed(answer: Answer) -> Arrays:
     """All that the scene and the box don't say."""
     noise = answer.noise
-    arrays: Arrays = {"patterns": answer.patterns, "error": answer.error, "beside": np.array(answer.beside)}
+    arrays: Arrays = {"patterns": answer.patterns, "error": answer.error}
+    arrays |= {"misses": answer.misses, "tables": np.array(answer.tables)}
     arrays |= {"noise_scale": noise.scale, "noise_pull": noise.pull, "noise_left": noise.left}
     for index, term in enumerate(answer.terms):
         arrays[f"term{index}_power"] = np.array(term.power)
@@ -59,9 +60,10 @@ def unpacked(arrays: Arrays, coordinates: Coordinates, shape: tuple[int, int], c
     _require(patterns.shape[1] == shape[0] * shape[1])
     _require(all(term.amplitudes.shape[2] == len(patterns) for term in terms), error.size > 0, len(patterns) > 0)
     _require(bool(np.isfinite(patterns).all()), bool(np.isfinite(error).all()))
-    beside = float(arrays["beside"])
-    _require(0.0 <= beside < math.inf)
-    return Answer(coordinates, tuple(terms), patterns, shape, error, _noise(arrays, terms[-1], cells), beside)
+    misses, tables = np.asarray(arrays["misses"], np.float32), float(arrays["tables"])
+    _require(misses.ndim == 2, misses.shape[1:] == patterns.shape[1:], len(misses) > 0, 0.0 <= tables < math.inf)
+    _require(bool(np.isfinite(misses).all()), len(terms) > 1)
+    return Answer(coordinates, tuple(terms), patterns, shape, error, _noise(arrays, terms[-1], cells), misses, tables)
 
 
 def _noise(arrays: Arrays, rest: Term, cells: int) -> Noise:
