@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes, values_of
 from tankrig.estimation.followed import Model, Solved
-from tankrig.estimation.forward import corrected, image_of
+from tankrig.estimation.forward import corrected, image_of, stated_error
 from tankrig.estimation.optimiser import LAST_STEPS, solve, without_noise
 from tankrig.estimation.phase_block import PhaseBlock
 from tankrig.estimation.phase_families import Family
@@ -80,7 +80,8 @@ def corrected_fit(
         weighed = weighed_problem(
             problem, shots, [image_of(model) for model in last], [_always(slope) for slope in slopes], seen
         ).with_slopes_noise(noise)
-        smooth = [model(medium).image for model, medium in zip(models, media, strict=True)]
+        near = [model(medium) for model, medium in zip(models, media, strict=True)]
+        smooth = [one.image for one in near]
         bent = _without_noise_in_gain(weighed, smooth, seen).by([image_of(model) for model in models])
         families = [shot.models.family for shot in shots]
         straight = [
@@ -92,7 +93,11 @@ def corrected_fit(
         if not solved:  # or steps as the models bend would cost more than another exact image, and say no more
             end = solve(bent, end.coordinates, bent_enough, steps, damping=0.0)
         further = without_noise(line.at(centre.coordinates))
-        return Fit(weighed.at(np.clip(end.coordinates + further, *line.box)), last)
+        apart = (
+            exact.image - one.image if stated_error(one) < stated_error(exact) else None
+            for one, exact in zip(near, seen, strict=True)
+        )  # fmt: skip
+        return Fit(weighed.at(np.clip(end.coordinates + further, *line.box)), last, tuple(apart))
 
     for _ in range(CORRECTIONS):
         progress("correcting by accurate images")

@@ -248,7 +248,7 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
 def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, float]:
     """The estimate at an optimum: its errors, what the residual says, and the verdict; and the share of what is left
     that another phase function explains, where that is more than anything else does, else 0."""
-    best = fit.optimum
+    best, calm = fit.optimum, fit.calm
     gain, (offset,), (left,) = left_over(fit)
     observation, prediction = best.problem.views[0].observation, left.prediction
     used, stated = observation.used, left.stated
@@ -266,12 +266,12 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     misled = cause is not None and instead is not None and cause.name == PHASE
     own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
     counted = error_of(prediction, gain, left.beyond, scene)
-    bare = best.sensitivity.covariance([left.noise], [counted])
+    bare = calm.sensitivity.covariance([left.noise], [counted])
     sign = None
     if whole and (cause is None or cause.name in SIGNS):
         asked_of = None if cause is None else cause.name
-        sign = astray_shown(best, left, replace(scene, medium=best.media[0]), bare, own, asked_of)
-    spread = spread_of(best, [left], [counted], None if sign is None else sign.explained)
+        sign = astray_shown(calm, left, replace(scene, medium=best.media[0]), bare, own, asked_of)
+    spread = spread_of(calm, [left], [counted], None if sign is None else sign.explained)
     if sign is not None:
         spread = spread + np.outer(sign.moved, sign.moved) * (1.0 + 1.0 / sign.deviations**2)
     off, answer = nuisances_of(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
@@ -299,8 +299,8 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         ),
         what_is_misaligned(off),
         what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], bare) if sign else "",
-        what_is_unseen(medium, moved_by_halos(best, [left])[:own], spread, known) if "halo" not in off else "",
-        _unseen_floor(best, left, scene, medium, off, spread, known) if whole else "",
+        what_is_unseen(medium, moved_by_halos(calm, [left])[:own], spread, known) if "halo" not in off else "",
+        _unseen_floor(calm, left, scene, medium, off, spread, known) if whole else "",
         what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
     ]
     found = Estimate(

@@ -37,6 +37,8 @@ class Left:
         The model's, without gain, offset and what may be misaligned.
     light, image, residual
         Fitted without and with the offset, and observed less fitted; NaN where a pixel is not used.
+    smooth
+        Fitted light without what is known of paths' noise, see `Fit.calm`: what looks like a fault is made of it.
     rmse
         RMS of the residual over the used pixels.
     noise, noisier
@@ -49,6 +51,7 @@ class Left:
     light: Image
     image: Image
     residual: Array
+    smooth: Image
     rmse: float
     noise: Array
     noisier: float
@@ -82,7 +85,8 @@ def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
             "belong together and which way up the image is"
         )
     found = []
-    for view, image, offset, prediction in zip(best.problem.views, best.images, offsets, fit.predictions, strict=True):
+    seen_so = zip(best.problem.views, best.images, fit.calm.images, offsets, fit.predictions, strict=True)
+    for view, image, calm, offset, prediction in seen_so:
         seen, used = view.observation, view.observation.used
         light = gain * image
         residual = np.where(used, seen.image - light - offset, np.nan)
@@ -91,8 +95,12 @@ def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
         white = math.sqrt(max(rmse**2 - (unexplained * bright) ** 2, 0.0))
         noisier = white / noise if white > noise * (1.0 + 3.0 / math.sqrt(2.0 * used.sum())) else 1.0
         stated = stated_error(prediction)
-        whole = light + offset
-        found.append(Left(prediction, light, whole, residual, rmse, noisier * seen.noise, noisier, unexplained, stated))
+        found.append(
+            Left(
+                prediction=prediction, light=light, image=light + offset, residual=residual, smooth=gain * calm,
+                rmse=rmse, noise=noisier * seen.noise, noisier=noisier, unexplained=unexplained, stated=stated,
+            )
+        )  # fmt: skip
     return gain, offsets, found
 
 
@@ -116,7 +124,7 @@ def spread_of(
     if not any(one.unexplained > 0.0 for one in left):
         return sensitivity.covariance(noise, errors)
     residual, views = best.left, best.problem.views
-    changes = [view.whitened(faults_of(one.light)) for view, one in zip(views, left, strict=True)]
+    changes = [view.whitened(faults_of(one.smooth)) for view, one in zip(views, left, strict=True)]
     faults = best.project_out(np.hstack(changes))[:, : residual.size]
     rest = residual if explained is None else residual - explained
     moved = moved_by_faults(sensitivity, rest, faults, noise, stated_errors(best, left))
@@ -127,7 +135,7 @@ def spread_of(
 def moved_by_halos(best: Evaluation, left: Sequence[Left]) -> Array:
     """(values,) how far a halo of `STRAY` of the light that no residual shows would move each value at most."""
     views = best.problem.views
-    changes = [view.whitened(halos_of(one.light)) for view, one in zip(views, left, strict=True)]
+    changes = [view.whitened(halos_of(one.smooth)) for view, one in zip(views, left, strict=True)]
     halos = best.project_out(np.hstack(changes))[:, : best.left.size]
     return moved_unseen(best.sensitivity, halos, STRAY, [one.noise for one in left], stated_errors(best, left))
 
@@ -195,13 +203,13 @@ def astray_shown(
     """
     stray = [block for block in best.problem.blocks if isinstance(block, AstrayBlock)]
     fitted_along = {PATTERNS[one] for block in stray for one in block.names}
-    looked_for = causes(scene, left.prediction.image, quick=name is None and left.prediction.model == "prepared")
+    gain, _ = best.scale
+    looked_for = causes(scene, left.smooth / gain, quick=name is None and left.prediction.model == "prepared")
     names = [one for one in looked_for if SIGNS[one].pattern not in fitted_along and name in (None, one)]
     if not names:
         return None
     patterns = np.array([looked_for[one]()[0] for one in names])
     (view,) = best.problem.views
-    gain, _ = best.scale
     faults = best.project_out(view.whitened(gain * patterns))[:, : best.left.size]
     sizes, chances, moved = shown(best.sensitivity, best.left, faults, [left.noise], stated_errors(best, [left]))
     telling = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1) > TELLING_MOVE
