@@ -155,8 +155,8 @@ def promising(
 
 def without_outliers(fit: Fit) -> Fit:
     """The fit without pixels that it shows to be none of the liquid's light."""
-    best = fit.optimum
     for _ in range(CLEANINGS):
+        best = fit.optimum
         gain, offsets = best.scale
         views = tuple(
             replace(view, observation=view.observation.cleaned(gain * image + offset))
@@ -165,5 +165,7 @@ def without_outliers(fit: Fit) -> Fit:
         cleaned = replace(best.problem, views=views)
         if cleaned.pixels == best.problem.pixels:
             break
-        best = polish(cleaned, best.coordinates)
-    return replace(fit, optimum=best)
+        # By images without the paths' noise, or that would draw a free gain towards 0.
+        fit = replace(fit, optimum=cleaned.at(best.coordinates))
+        fit = replace(fit, optimum=cleaned.at(polish(fit.calm.problem, best.coordinates).coordinates))
+    return fit

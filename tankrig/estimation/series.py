@@ -19,7 +19,7 @@ from tankrig.estimation.estimate import Free, determined, nuisances_of, with_ast
 from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import ModelOf, Models, in_water, low_orders_model, series_models, tank_model
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
-from tankrig.estimation.left_over import Left, left_over, moved_by_halos, rms, spread_of
+from tankrig.estimation.left_over import Left, error_of, left_over, moved_by_halos, rms, spread_of
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, ink_blocks, liquid_blocks
 from tankrig.estimation.phase_families import Family
@@ -320,8 +320,14 @@ def _with_water(best: Evaluation, spread: Array, family: Family, answer: Scatter
 
 
 def _spread(best: Evaluation, left: Sequence[Left], shots: Sequence[Shot]) -> Array:
-    """Covariance of the values."""
-    return spread_of(best, left, _errors(shots, left, [PATTERN * one.counted for one in left]))
+    """Covariance of the values; models' errors as they lie, where that is known."""
+    gain, _ = best.scale
+    smooth = _errors(shots, left, [PATTERN * one.counted for one in left])
+    errors = [
+        error if one.prediction.patterns is None else error_of(one.prediction, gain, one.beyond, shot.scene)
+        for error, one, shot in zip(smooth, left, shots, strict=True)
+    ]
+    return spread_of(best, left, errors)
 
 
 def _sd_of_bend(bent: Evaluation, left: Sequence[Left], shots: Sequence[Shot]) -> float:

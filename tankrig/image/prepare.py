@@ -182,7 +182,7 @@ class Prepared:
         from tankrig.light.prepared.sampling import PathImages
 
         sampling = PathImages(self.scene, ())
-        images = sampling.to_pixels(cells.reshape(-1, *sampling.shape[1:]))
+        images = sampling.noise_to_pixels(cells.reshape(-1, *sampling.shape[1:]))
         return images.reshape(*cells.shape[:-1], *self.scene.camera.shape)
 
 

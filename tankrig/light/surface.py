@@ -88,6 +88,22 @@ def to_camera(scene: Scene, cells: Array, cell_mm: tuple[float, float]) -> Array
     return image
 
 
+def noise_to_camera(scene: Scene, cells: Array, cell_mm: tuple[float, float]) -> Array:
+    """(n, rows, columns) images of noise as `to_camera` has them, but linear between cells: for a tenth of the time."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    length, width, _ = scene.tank.size_mm
+    y, y_cover = _middles(cells.shape[1], cell_mm[1], width)
+    x, x_cover = _middles(cells.shape[2], cell_mm[0], length)
+    light = np.moveaxis(cells / (y_cover[:, None] * x_cover), 0, -1)
+    between = RegularGridInterpolator((y - 0.5 * width, x), light, bounds_error=False, fill_value=None)
+    points, inside = _looked_up(scene.camera, scene.tank, math.sqrt(cell_mm[0] * cell_mm[1]))
+    images = np.zeros((len(cells), *scene.camera.shape))
+    seen = inside > 0.0
+    images[:, seen] = inside[seen] * np.mean(between(points[..., ::-1]), axis=0).T
+    return images
+
+
 def _middles(count: int, cell: float, size: float) -> tuple[Array, Array]:
     """Middles of what cells have inside the tank, from its edge, and what share of them that is."""
     edges = np.minimum(np.arange(count + 1) * cell, size)

@@ -193,3 +193,8 @@ class PathImages:
         """Images of cells (n, rows, degrees) as the camera's pixels, (n, pixels)."""
         images = [self.grid.to_pixels(pattern @ self.along.T) for pattern in patterns]
         return np.array([(image if self._lens is None else self._lens.of_wide(image)).ravel() for image in images])
+
+    def noise_to_pixels(self, patterns: Array) -> Array:
+        """The same of noise, which need not be as sharp, (n, rows, columns)."""
+        images = self.grid.noise_to_pixels(patterns @ self.along.T)
+        return images if self._lens is None else np.array([self._lens.of_wide(image) for image in images])
