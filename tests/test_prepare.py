@@ -16,10 +16,14 @@ import pytest
 import tankrig
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared import cache, preparation
+from tankrig.light.prepared.answer import Answer
 from tankrig.light.prepared.box import Box
+from tankrig.light.prepared.noise import Noise, signs_of_chance
 from tankrig.light.prepared.plan import PreparationPlan
+from tankrig.light.prepared.polynomials import Plane
 from tankrig.light.prepared.regression import Regression
 from tankrig.light.prepared.sampling import PathImages
+from tankrig.light.tangent import tank_accurate
 from tankrig.light.tank import tank_image
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tests.stress_scenes import relative
@@ -305,3 +309,62 @@ def test_what_noise_hides_is_not_left_out() -> None:
     mean, error = np.mean(fits, axis=0), np.std(fits, axis=0) / np.sqrt(len(fits))
     kept = float(np.sum(mean[1:] * field[1:]) / np.sum(field[1:] ** 2))
     assert kept == pytest.approx(1.0, abs=4.0 * float(np.mean(error[1:])) / 0.03 / np.sqrt(5 * cells) + 0.01)
+
+
+def test_what_is_left_of_images_tells_what_their_noise_does_to_answers() -> None:
+    """For sums over any part of an image too, and for its derivatives: so that a fit knows what it can believe."""
+    rng, plane, media, cells = np.random.default_rng(4), Plane((2, 2), 1.0), 24, 30
+    places = rng.uniform(-1.0, 1.0, (media, 2))
+    products, field = plane.values(*places.T), np.zeros((plane.size, cells))
+    field[0], noise = 1.0, 0.05
+    place, rates = np.array([0.3, 0.0, -0.6]), np.array([2.0, 3.0, 5.0])
+    weights = np.stack([np.ones(cells), np.cos(np.arange(cells)), np.eye(cells)[7]])
+    seen, told, seen_slopes, told_slopes = [], [], [], []
+    for _ in range(300):
+        images = (products @ field + noise * rng.normal(size=(media, cells)))[:, None]
+        regression = Regression(
+            products, np.ones((media, 1)), np.ones(media), np.ones((media, 1)), images,
+            np.full(cells, 1.0 / cells), np.zeros((media, 1)),
+        )  # fmt: skip
+        fit = regression.fit(np.ones(media, bool))
+        known = Noise(0, plane, Plane((0, 0), 1.0), fit.scale, fit.pull, fit.left)
+        value, by_u, by_v = plane.values_and_slopes(place[0], place[2]) @ fit.fields[0] * np.exp(fit.scale[0, 0])
+        seen.append(weights @ (value - 1.0))
+        told.append(np.sum((known.images(place, 1.0) @ weights.T) ** 2, axis=0))
+        seen_slopes.append(np.stack([weights @ (rates[0] * by_u), weights @ (rates[2] * by_v)]))
+        told_slopes.append(np.sum((known.slopes(place, rates, 1.0, 1.0)[:, [0, 2]] @ weights.T) ** 2, axis=0))
+    assert np.mean(np.square(seen), axis=0) / np.mean(told, axis=0) == pytest.approx(np.ones(3), abs=0.3)
+    slopes = np.mean(np.square(seen_slopes), axis=0) / np.mean(told_slopes, axis=0)
+    assert slopes == pytest.approx(np.ones((2, 3)), abs=0.35)
+
+
+def test_errors_of_derivatives_are_the_derivatives_of_errors(live: Prepared) -> None:
+    answer, medium = live.answer, MEDIUM
+    assert isinstance(answer, Answer)
+    found = answer.errors_of_slopes_at(medium)
+    signs = signs_of_chance(len(found), answer.noise.left.shape[0])
+    for number, (name, step) in enumerate((("sigma_a", 1e-7), ("sigma_s", 1e-7), ("g", 1e-5))):
+        at = getattr(medium, name)
+        above, below = (answer.errors_at(replace(medium, **{name: at + side * step})) for side in (1.0, -1.0))
+        expected = signs @ (above - below) / (2.0 * step)
+        assert relative(found[:, number], expected) < 1e-4
+
+
+def test_a_model_is_off_by_what_its_patterns_say(live: Prepared) -> None:
+    """Sums over the image and over parts of it, at several media: neither more nor a fraction of it."""
+    rows, columns = np.mgrid[:20, :30]
+    weights = np.stack([np.ones((20, 30)), columns - 14.5, np.cos(rows / 3.0), np.sin(columns / 4.0)])
+    squares = []
+    for medium in (MEDIUM, Medium(0.0002, 0.0064, 0.32), Medium(0.0008, 0.0034, 0.59), Medium(0.0003, 0.006, 0.5)):
+        truth = tank_accurate(replace(SCENE, medium=medium), 400_000, seed=9)
+        assert truth.patterns is not None
+        patterns, tables = live.errors_at(medium)
+        size = float(np.linalg.norm(truth.image))
+        stated = np.hypot(np.linalg.norm(patterns), tables * size) / size
+        assert live.error_at(medium) == pytest.approx(stated, rel=0.5)
+        off = np.tensordot(weights, live.predict(medium) - truth.image, 2)
+        known = sum(
+            np.sum(np.tensordot(weights, one, ((1, 2), (1, 2))) ** 2, axis=1) for one in (patterns, truth.patterns)
+        )
+        squares.append(off**2 / known)
+    assert 0.15 < np.mean(squares) < 3.0

@@ -22,6 +22,20 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+KEPT = 4
+"""Media whose errors a model remembers."""
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """See `Prepared.errors_at` and `errors_of_slopes_at`; and the image's norm where they were computed."""
+
+    patterns: Array
+    of_slopes: Array
+    tables: float
+    size: float
+
+
 @dataclass(frozen=True)
 class Prepared:
     """A model of one tank, projector, pattern and camera, for any medium in its box.
@@ -54,6 +68,7 @@ class Prepared:
     path: Path
     answer: "Answer | PhaseAnswer" = field(repr=False)
     phases: Literal["hg", "any"] = "hg"
+    _known: "dict[Medium, _Errors]" = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @overload
     def predict(self, medium: Medium, derivatives: Literal[False] = False) -> Array: ...
@@ -152,11 +167,8 @@ class Prepared:
         SceneError
             When the medium is outside the box, or the model is one of any phase function.
         """
-        answer = self._answer_at(medium)
-        misses, low = answer.misses_at(medium)
-        patterns = np.concatenate([self._seen(answer.errors_at(medium)), misses.reshape(-1, *answer.shape)])
-        whole = float(np.linalg.norm(answer.image(medium)))
-        return patterns, answer.tables * low / whole if whole > 0.0 else 0.0
+        about, times = self._about(medium)
+        return about.patterns * times, about.tables
 
     def errors_of_slopes_at(self, medium: Medium) -> Array:
         """What noise the derivatives by σa, σs and g have, (n, 3, rows, columns), as for `errors_at`.
@@ -166,16 +178,31 @@ class Prepared:
         SceneError
             Likewise.
         """
-        return self._seen(self._answer_at(medium).errors_of_slopes_at(medium))
+        about, times = self._about(medium)
+        return about.of_slopes * times
 
-    def _answer_at(self, medium: Medium) -> "Answer":
-        """That knows its errors as they lie."""
+    def _about(self, medium: Medium) -> "tuple[_Errors, float]":
+        """The errors at a medium nearby, and how many times as bright this one is.
+
+        They change slowly, and as the image does; a live run's fits ask for nearly the same again and again.
+        """
         from tankrig.light.prepared.answer import Answer
 
         self.box.require(medium)
-        if not isinstance(self.answer, Answer):
+        answer = self.answer
+        if not isinstance(answer, Answer):
             raise SceneError("of a model of any phase function only the size of its errors is known; use error_at")
-        return self.answer
+        near = answer.coordinates.near(medium)
+        if near not in self._known:
+            misses, low = answer.misses_at(near)
+            patterns = np.concatenate([self._seen(answer.errors_at(near)), misses.reshape(-1, *answer.shape)])
+            size = float(np.linalg.norm(answer.image(near)))
+            tables = answer.tables * low / size if size > 0.0 else 0.0
+            while len(self._known) >= KEPT:
+                self._known.pop(next(iter(list(self._known))), None)
+            self._known[near] = _Errors(patterns, self._seen(answer.errors_of_slopes_at(near)), tables, size)
+        known = self._known[near]
+        return known, float(np.linalg.norm(answer.image(medium))) / known.size if known.size > 0.0 else 1.0
 
     def _seen(self, cells: Array) -> Array:
         """(…, rows, columns) images of light on the cells that paths were recorded in, (…, cells)."""

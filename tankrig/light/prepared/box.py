@@ -15,6 +15,8 @@ Range = tuple[float, float]
 
 ASYMMETRY_POLE = 1.1
 ABSORPTION_POLE = 0.004
+STEP = 0.125
+"""Of coordinates that run over [−1, 1], from one medium whose errors are computed to the next."""
 DEPTHS = 3.0
 """Of the tank's length: extinction below DEPTHS/length changes the image's shape in proportion, above it by ratios."""
 
@@ -154,6 +156,12 @@ class Coordinates:
         scale = 2.0 / (high - low)
         at = scale * (np.array(self._stretched(sigma_t, albedo, g)) - low) - 1.0
         return at, scale / np.array([sigma_t + dense, 1.0 - albedo + absorbing, forward - g])
+
+    def near(self, medium: Medium) -> Medium:
+        """One of a grid of media, `STEP` apart in each coordinate, that is next to a medium of the box."""
+        at, _ = self.of(medium.sigma_t, medium.albedo, medium.g)
+        sigma_t, albedo, g = (float(value) for value in self.back(np.clip(np.round(at / STEP) * STEP, -1.0, 1.0)))
+        return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, g)
 
     def back(self, at: ArrayLike) -> Array:
         """Coefficients σt, ϖ, g at coordinates, (…, 3) both."""
