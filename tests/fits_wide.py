@@ -1,6 +1,9 @@
 """Fits of random scenes with independent truths: pooled z, coverage, the worst, and CPU time; goes on where it stopped.
 
-    python tests/fits_wide.py FOLDER RESULTS.jsonl [--gain known|free|both] [--model tank|prepared] [--only NAME]
+    python tests/fits_wide.py FOLDER RESULTS.jsonl [--gain known|free|both] [--model tank|prepared|dose] [--only NAME …]
+
+`--model prepared` prepares the whole box of media, as `tankrig prepare` does; `dose` the small one that a live run does
+about what its first look has found, here some per cent off the truth.
 
 FOLDER holds NAME.toml and NAME.npz with `total` and `stderr`, and perhaps `total_2` and `stderr_2`, as those of
 `tankrig benchmark --wide` do. RESULTS gets a line for each fit. Truths' own noise is given to the fit as the camera's,
@@ -21,11 +24,15 @@ from scipy.ndimage import gaussian_filter
 
 import tankrig
 from tankrig.light.tangent import tank_tangent
+from tankrig.live.preparing import box_for, model_for
+from tankrig.scene import Medium
 
 NOISE = 0.002
 """Of the camera, of the image's peak."""
 SMOOTH_PIXELS = 3.0
 """Over which the truth's stated noise is averaged, which is noisy itself."""
+LOOKED_OFF = 0.03, 0.02
+"""Standard deviations of a first look's σt, of itself, and of its g."""
 SLOPE_BATCHES = 24
 """Lattices of paths that tell what truths' noise does to coefficients."""
 NAMES = ("sigma_a", "sigma_s", "g")
@@ -72,14 +79,23 @@ def moved_by_truth(scene: tankrig.Scene, path: Path, noise: Array, gain: str) ->
     return apart.tolist(), np.sqrt((response**2) @ (variance.ravel() * weight**2)).tolist()
 
 
+def looked(scene: tankrig.Scene, name: str) -> Medium:
+    """About what a first look finds."""
+    random, liquid = np.random.default_rng(zlib.crc32(name.encode())), scene.medium
+    sigma_t = liquid.sigma_t * float(np.exp(random.normal(0.0, LOOKED_OFF[0])))
+    g = liquid.g + float(random.normal(0.0, LOOKED_OFF[1]))
+    return Medium((1.0 - liquid.albedo) * sigma_t, liquid.albedo * sigma_t, g)
+
+
 def fitted(scene_file: Path, gain: str, model: str) -> dict[str, Any]:
     """One fit, as a line of the results."""
     scene = tankrig.load_scene(scene_file)
     # Each fit has noise of its own: one noise for all would push fits of like scenes the same way.
     image, noise = observed(scene_file.with_suffix(".npz"), zlib.crc32(f"{scene_file.stem} {gain}".encode()))
+    used = model if model != "dose" else model_for(scene, box_for(looked(scene, scene_file.name)))
     began = time.process_time()
     known = (1.0, 0.0) if gain == "known" else ("free", "free")
-    found = tankrig.estimate(image, scene, *known, noise=noise, model=model, phase="hg")
+    found = tankrig.estimate(image, scene, *known, noise=noise, model=used, phase="hg")
     cpu_s = time.process_time() - began
     truth = np.array(scene.medium.coefficients)
     sd = np.sqrt(np.diag(found.covariance))
@@ -126,8 +142,8 @@ def main() -> None:
     given.add_argument("folder", type=Path)
     given.add_argument("results", type=Path)
     given.add_argument("--gain", choices=("known", "free", "both"), default="both")
-    given.add_argument("--model", choices=("tank", "prepared"), default="tank")
-    given.add_argument("--only", default="", help="what names of scenes must contain")
+    given.add_argument("--model", choices=("tank", "prepared", "dose"), default="tank")
+    given.add_argument("--only", nargs="*", default=[""], help="one of which names of scenes must contain")
     given.add_argument("--limit", type=int, default=1_000_000, help="fits to add at most")
     options = given.parse_args()
     known = options.results.read_text().splitlines() if options.results.exists() else []
@@ -136,7 +152,7 @@ def main() -> None:
     gains = ("known", "free") if options.gain == "both" else (options.gain,)
     for scene_file in sorted(options.folder.glob("*.toml")):
         for gain in gains:
-            if options.only not in scene_file.stem:
+            if not any(part in scene_file.stem for part in options.only):
                 continue
             wanted = scene_file.stem, gain, options.model
             if wanted in done or not scene_file.with_suffix(".npz").exists() or options.limit <= 0:

@@ -14,14 +14,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tankrig.estimation.astray import gamma
 from tankrig.estimation.coordinates import Range, to_coordinates
 from tankrig.estimation.differences import Forward, slopes_of
 from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import Models, image_of
+from tankrig.estimation.misfit import shown
 from tankrig.estimation.observation import observe
 from tankrig.estimation.optimiser import solve, without_noise
 from tankrig.estimation.parameters import Block, MediumBlock, Values
-from tankrig.estimation.problem import Problem, View
+from tankrig.estimation.problem import Evaluation, Problem, View
 from tankrig.estimation.result import Linearity
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.shots import Fit, Shot
@@ -160,6 +162,35 @@ def test_noise_of_derivatives_is_no_knowledge_and_holds_no_step_back() -> None:
     assert moved == pytest.approx(1.0, abs=0.1)
     assert more > 1.5
     assert told_by == pytest.approx(1.0, abs=0.1)
+
+
+def test_noise_that_image_and_residual_share_is_no_fault() -> None:
+    """Photographs without any showed "counts not in proportion to the light" by 13 deviations."""
+    random, scaling = np.random.default_rng(8), Scaling.given("free", "free")
+    clean, at = tank_like(MEDIUM).image, to_coordinates(MEDIUM)
+    noise = np.full(clean.shape, 0.002 * float(clean.max()))
+    sd = 0.02 * np.sqrt(clean * clean.max())
+    of_paths = random.normal(0.0, sd)
+    seen = observe(clean + random.normal(0.0, noise), clean.shape, noise)
+
+    def by_paths(medium: Medium) -> Array:
+        return np.asarray(tank_like(medium).image + of_paths)
+
+    view = View(seen, by_paths, slopes_of(image_of(tank_like), 240.0), SmoothError(sd, 60.0))
+    best = Problem((view,), (MediumBlock(RANGE),), scaling).at(at)
+    fit = Fit(best, (tank_like,), (of_paths,))
+
+    def deviations(place: Evaluation) -> Array:
+        (image,) = place.images
+        (own,) = place.problem.views
+        faults = place.project_out(own.whitened(np.stack([gamma(SCENE, image), image.mean() - image])))
+        both, none = np.hypot(noise, sd), SmoothError(np.zeros_like(clean), 60.0)
+        sizes, chances, _ = shown(place.sensitivity, place.left, faults[:, : clean.size], [both], [none])
+        return np.abs(sizes / chances)
+
+    assert deviations(best).max() > 5.0
+    assert deviations(fit.calm).max() < 3.0
+    assert np.sqrt(np.mean((fit.calm.left - best.left) ** 2)) < 0.2
 
 
 def problem_of(image: Array, noise: Array, forward: Forward, slopes: Array) -> Problem:
