@@ -18,9 +18,9 @@ PATHS_RATE = (3.0, 2.6)
 """The same of orders ≥ 3, whose noise weighs more than their polynomials' error: 7 and 6 over the whole box."""
 ALBEDO_RATE = 1.9
 EXACT_SHARE, PATHS_SHARE = 0.06, 0.17
-"""Of the tolerance, what the logarithm of 1 − g or of 1 + g, which all light goes with where g is near an end, may be
-off by as a polynomial: near ±1 that takes more degrees than the width of the box says. Beams in water of σt .0093 and
-g .954 were 1 % too dim, in all orders alike."""
+"""Of the usual tolerance, or a rough one, what the logarithm of 1 − g or of 1 + g, which all light goes with where g is
+near an end, may be off by as a polynomial: near ±1 that takes more degrees than the width of the box says. Beams in
+water of σt .0093 and g .954 were 1 % too dim, in all orders alike."""
 MOST_MORE = 3
 """Degrees that this adds."""
 ROUGH, ROUGHLY = 0.1, 0.6
@@ -93,7 +93,8 @@ class PreparationPlan:
     def _degrees(self, rates: tuple[float, float], share: float) -> tuple[int, int]:
         spans = self.coordinates.spans * (ROUGHLY if self.tolerance >= ROUGH else 1.0)
         by_sigma_t, by_g = (max(2, math.ceil(rate * span)) for rate, span in zip(rates, spans[[0, 2]], strict=True))
-        near_an_end = self._degree_of_logarithm(share * self.tolerance, by_g + MOST_MORE)
+        enough = share * (self.tolerance if self.tolerance >= ROUGH else min(self.tolerance, USUAL_TOLERANCE))
+        near_an_end = self._degree_of_logarithm(enough, by_g + MOST_MORE)
         return by_sigma_t, max(by_g, near_an_end)
 
     def _degree_of_logarithm(self, enough: float, most: int) -> int:
