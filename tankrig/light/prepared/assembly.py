@@ -142,8 +142,8 @@ def _patterns(plan: PreparationPlan, exact: list[Term], rest: list[Term], every:
     if not every or room <= 0:
         return np.asarray(patterns)
     noise = 0.5 * np.linalg.norm(one - other, axis=1)
-    rest = _without(both, patterns) / np.hypot(1.0, noise / enough)[:, None]
-    return np.asarray(np.linalg.qr(np.concatenate([patterns, leading(rest, enough)[:room]]).T)[0].T)
+    unshared = _without(both, patterns) / np.hypot(1.0, noise / enough)[:, None]
+    return np.asarray(np.linalg.qr(np.concatenate([patterns, leading(unshared, enough)[:room]]).T)[0].T)
 
 
 def _without(images: Array, patterns: Array) -> Array:
