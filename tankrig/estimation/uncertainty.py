@@ -10,10 +10,11 @@ covariance is then
 where P' is 1, or t for what is believed t times as firmly as it is known, see `overconfidence`. It needs two small
 matrices of each image and nothing else of it, so that what another image would add is known without fitting anything.
 
-The model's error is taken to be random, of the size that the model states pixel by pixel (or that the residual shows,
-where that is more, in proportion to the image), counted twice, and smooth: one third of its power at each of the
-correlation lengths 1/32, 1/8 and 1/2 of the tank's length. White errors of that size would average out over thousands
-of pixels, which errors of a model don't; intervals that leave it out are fiction.
+Of a model's error, noise of light paths and what prepared models err by are known as they lie (`PatternedError`). The
+rest is taken to be random, of the size that the model states pixel by pixel (or that the residual shows, where that is
+more, in proportion to the image), counted twice, and smooth: one third of its power at each of the correlation lengths
+1/32, 1/8 and 1/2 of the tank's length. White errors of that size would average out over thousands of pixels, which
+errors of a model don't; intervals that leave it out are fiction.
 """
 
 import functools
@@ -37,7 +38,8 @@ CORRELATION_LENGTHS = (1.0 / 32.0, 1.0 / 8.0, 1.0 / 2.0)
 """Of the model's error, as shares of the tank's length."""
 PATTERN = 2.0
 """A model's error is no random draw: where it looks like a change of the medium it moves coefficients further than
-random patterns of its size do (two to three times on dense reference images). It is counted with this factor."""
+random patterns of its size do (two to three times on dense reference images). It is counted with this factor, where
+nothing is known of how it lies."""
 
 DETERMINED = 0.2
 """Relative standard deviation of a coefficient up to which it counts as determined."""
@@ -141,7 +143,7 @@ class SmoothError:
 
 @dataclass(frozen=True)
 class PatternedError:
-    """Noise of which the patterns are known, as light paths show theirs, besides a smooth error.
+    """Noise of which the patterns are known, as light paths and prepared models show theirs, besides a smooth error.
 
     Parameters
     ----------
