@@ -15,23 +15,27 @@ from numpy.typing import NDArray
 from tankrig.errors import SceneError
 from tankrig.estimation.parameters import Block, Values
 from tankrig.scene import Beam, Medium, Scene
-from tankrig.scene.optics import MOST_HALO, MOST_VEIL, Blur, Face, WideLens
+from tankrig.scene.optics import MOST_HALO, MOST_VEIL, NO_HALO, Blur, Face, WideLens
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 Pattern = Callable[[Scene, Image], Array]
 """What an image gains per unit of a size: of a scene with the fitted liquid, and its image."""
 
-ASTRAY = {"halo": 0.01, "veil": 0.01, "blur_mm2": 0.1, "floor": 0.05, "black_level": 0.001}
+ASTRAY = {
+    "halo": 0.01, "veil": 0.01, "blur_mm2": 0.1,
+    "floor": 0.05, "pane": 1.0, "black_level": 0.001, "projector_halo": 0.02,
+}  # fmt: skip
 """What may go astray, and by how much on a common bench: shares of the light in the camera's halo and veil, variance by
-which its picture is blurred more than described, diffuse reflectance of the floor, W/mm² on the wall."""
+which its picture is blurred more than described; diffuse reflectance of the floor, what the entry pane's outer side
+sends back as a share of what glass does, W/mm² on the wall, share of the light in the projector's halo."""
 BLUR_PARTS, BLUR_MM2 = 0.5, 0.1
 """Width of the blur that stands for any of what is smooth, in pixels; variance of that of edges."""
 BENDING = 0.2
 """Share of itself by which a blur is changed to see how that changes the image."""
 LENS_MM = 10.0
 """Width of the projector's lens that stands for any."""
-FLOOR, PANE_LATTICES, SEED = 0.05, 2, 7
+FLOOR, FACE_LATTICES, SEED = 0.05, 4, 7
 """Reflectance that stands for any; lattices of paths for a pattern, and their seed."""
 ROUGH, BATCHES = 0.05, 4
 """Tolerance and lattices of the image that a dark picture's light makes."""
@@ -95,21 +99,27 @@ def floor(scene: Scene, _: Image) -> Array:
 
 def panes(scene: Scene, _: Image) -> Array:
     """Light that glass with air behind it sends back at the entry wall."""
-    return _by_faces(scene, "entry", Face("glass"))
+    return _by_faces(scene, "entry", replace(scene.tank.faces.entry, kind="glass"))
 
 
 def black_level(scene: Scene, _: Image) -> Array:
     """Light all over the wall, per W/mm²."""
-    return _lit_all_over(scene)
+    width, height = scene.tank.size_mm[1:]
+    return _lit_by(scene, (Beam((-0.5 * width, 0.5 * width), (0.0, height)),))
+
+
+def projector_halo(scene: Scene, _: Image) -> Array:
+    """More light in the projector's halo, of the width that the scene says."""
+    from tankrig.light.entering import in_halo
+
+    return _lit_by(scene, tuple(in_halo(scene, 1.0, fine=True))) - _lit_by(scene, scene.projector.beams)
 
 
 @lru_cache(maxsize=KEPT)
-def _lit_all_over(scene: Scene) -> Array:
+def _lit_by(scene: Scene, beams: tuple[Beam, ...]) -> Array:
     from tankrig.light.tank import tank_image
 
-    width, height = scene.tank.size_mm[1:]
-    whole = Beam((-0.5 * width, 0.5 * width), (0.0, height))
-    lit = replace(scene, projector=replace(scene.projector, beams=(whole,), black_level=0.0))
+    lit = replace(scene, projector=replace(scene.projector, beams=beams, halo=NO_HALO, black_level=0.0))
     return np.asarray(tank_image(lit, ROUGH, batches=BATCHES).image, float)
 
 
@@ -121,7 +131,8 @@ def gamma(_: Scene, image: Image) -> Array:
 
 
 PATTERNS: dict[str, Pattern] = {
-    "halo": halo, "veil": veil, "blur_mm2": blur, "floor": floor, "black_level": black_level,
+    "halo": halo, "veil": veil, "blur_mm2": blur,
+    "floor": floor, "pane": panes, "black_level": black_level, "projector_halo": projector_halo,
 }  # fmt: skip
 
 
@@ -227,8 +238,7 @@ class Astray:
 
     def __post_init__(self) -> None:
         for name, sd in self.sd.items():
-            if not (isinstance(sd, float | int) and np.isfinite(sd) and sd > 0.0):
-                raise SceneError(f"nuisance {name} = {sd!r} is no standard deviation; give a positive number")
+            require_sd(name, sd)
 
     def at(self, medium: Medium, image: Image, sizes: Array) -> "Astray":
         """The same with the patterns of a liquid and its image, at sizes in standard deviations."""
@@ -309,6 +319,18 @@ def unmeasured(scene: Scene) -> dict[str, float]:
     return {name: ASTRAY[name] for name in ("halo", "veil")}
 
 
+def require_sd(name: str, sd: object) -> None:
+    """Complain about what is no standard deviation of what may go astray.
+
+    Raises
+    ------
+    SceneError
+        In one sentence.
+    """
+    if not (isinstance(sd, float | int) and np.isfinite(sd) and sd > 0.0):
+        raise SceneError(f"nuisance {name} = {sd!r} is no standard deviation; give a positive number")
+
+
 def _blurred(scene: Scene, image: Image, sigma_mm: float) -> Array:
     from scipy.ndimage import correlate1d, gaussian_filter1d
 
@@ -331,4 +353,4 @@ def _by_faces(scene: Scene, name: str, face: Face) -> Array:
     faces = replace(scene.tank.faces, **{name: face})
     without = replace(scene.tank.faces, **{name: Face()})
     lit, dark = (replace(scene, tank=replace(scene.tank, faces=one)) for one in (faces, without))
-    return by_faces(lit, SEED, PANE_LATTICES) - by_faces(dark, SEED, PANE_LATTICES)
+    return by_faces(lit, SEED, FACE_LATTICES) - by_faces(dark, SEED, FACE_LATTICES)

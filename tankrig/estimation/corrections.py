@@ -78,11 +78,11 @@ def corrected_fit(
         seen = [shot.models.exact(one, times) for shot, one in zip(shots, media, strict=True) if shot.models.exact]
         last = tuple(corrected(*one) for one in zip(models, media, seen, strict=True))
         weighed = weighed_problem(
-            problem, shots, [image_of(model) for model in last], [_always(slope) for slope in slopes], seen
+            problem, shots, [image_of(model) for model in last], [_always(one) for one in slopes], seen, centre.added
         ).with_slopes_noise(noise)
         near = [model(medium) for model, medium in zip(models, media, strict=True)]
         smooth = [one.image for one in near]
-        bent = _without_noise_in_gain(weighed, smooth, seen).by([image_of(model) for model in models])
+        bent = _without_noise_in_gain(weighed, smooth, seen, centre.added).by([image_of(model) for model in models])
         families = [shot.models.family for shot in shots]
         straight = [
             _linear(image, medium, slope, family)
@@ -115,14 +115,16 @@ def corrected_fit(
     return replace(fit, optimum=whole.at(end.coordinates))
 
 
-def _without_noise_in_gain(problem: Problem, smooth: Sequence[Image], seen: Sequence[Prediction]) -> Problem:
+def _without_noise_in_gain(
+    problem: Problem, smooth: Sequence[Image], seen: Sequence[Prediction], added: Sequence[Image | float]
+) -> Problem:
     """The problem with what exact images differ by from smooth ones taken off what was observed, not put on the models.
 
     Of a free gain the image itself is the derivative. With the paths' noise in it the gain is drawn towards 0 (errors
     in variables; Fuller 1987): for 2·10⁵ paths and a thin liquid by 4 %, and σs by 1.7, where nothing else tells the
     gain from the liquid.
     """
-    gain, _ = problem.scale(problem.whitened([one.image for one in seen]))
+    gain, _ = problem.scale(problem.whitened([one.image + more for one, more in zip(seen, added, strict=True)]))
     views = []
     for view, image, one in zip(problem.views, smooth, seen, strict=True):
         observation = view.observation

@@ -23,6 +23,7 @@ from tankrig.estimation.left_over import (
     spread_of,
     stated_errors,
 )
+from tankrig.estimation.light_beside import BESIDE, BesideBlock
 from tankrig.estimation.misfit import moved_unseen
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
@@ -57,6 +58,7 @@ from tankrig.estimation.verdict import (
     what_was_left_out,
 )
 from tankrig.light.rays import shift_invariant
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -126,7 +128,9 @@ def estimate(
         moved up, and along y), "tilt_mrad" (light turned about the vertical, towards +y), "scale" (share by which a
         pixel is larger than described); and what may go astray: "halo" and "veil" (shares of the light in the camera's,
         more than described), "blur_mm2" (variance of the camera's blur, likewise), "floor" (its diffuse reflectance),
-        "black_level" (irradiance of a dark picture, W/mm²).
+        "pane" (what the entry pane's outer side sends back, as a share of what glass with air behind it does),
+        "black_level" (irradiance of a dark picture, W/mm²), "projector_halo" (share of the light in the projector's, of
+        the width that the scene says).
     progress
         Told in a few words what is being done, now and then.
 
@@ -149,10 +153,13 @@ def estimate(
     off = {name: sd for name, sd in (nuisance or {}).items() if name not in ASTRAY}
     misalignment = Misalignment(scene, off, 1 if model == "single" else max_order) if off else None
     stray = {name: sd for name, sd in (nuisance or {}).items() if name in ASTRAY}
-    astray = Astray(scene, stray) if stray else None
+    beside = {name: sd for name, sd in stray.items() if name in BESIDE} if asked.family is None else {}
+    lenses = {name: sd for name, sd in stray.items() if name not in beside}
+    astray = Astray(scene, lenses) if lenses else None
+    block = BesideBlock.of(scene, beside) if beside else None
     observation = observe(image, scene.camera.shape, noise, mask)
     models = models_of(scene, model, max_order, asked.family, checked=True)
-    return fit_models(observation, scene, scaling, models, progress or _silently, misalignment, asked, astray)
+    return fit_models(observation, scene, scaling, models, progress or _silently, misalignment, asked, astray, block)
 
 
 def fit_models(
@@ -164,6 +171,7 @@ def fit_models(
     misalignment: Misalignment | None = None,
     asked: Asked = Asked(),  # noqa: B008
     astray: Astray | None = None,
+    beside: BesideBlock | None = None,
 ) -> Estimate:
     """Fit one image by any forward model: a series of one.
 
@@ -183,11 +191,16 @@ def fit_models(
         Which phase functions are.
     astray
         What light may go astray; None where nothing is fitted of that.
+    beside
+        Light beside the beams' own that is fitted from the first look on, with Henyey–Greenstein's phase function;
+        None where there is none.
     """
     blocks_of = liquid_blocks(models.range or Range.of_tank(max(scene.tank.size_mm)))
     shot = Shot(observation, scene, models)
     if asked.family is None:
-        fit = fitted([shot], blocks_of(None), scaling, progress, sharper=True)
+        blocks = (*blocks_of(None), beside) if beside is not None else blocks_of(None)
+        fit = fitted([shot], blocks, scaling, progress, sharper=True)
+        fit = fit if beside is None else weighed(fit, beside)
     else:
         fit = fit_phase([shot], asked, blocks_of, scaling, progress, sharper=True)
     if misalignment is not None:
@@ -203,8 +216,10 @@ def fit_models(
         return found
     progress("weighing other phase functions")
     other = models.of(asked.further.family)
-    weighed = fit_models(observation, scene, scaling, other, progress, misalignment, asked.further, astray)
-    return replace(weighed, verdict=f"{what_did_not_hold(explained)} {weighed.verdict}")
+    if beside is not None:
+        astray = Astray(scene, {**beside.sd, **(astray.sd if astray else {})})
+    free = fit_models(observation, scene, scaling, other, progress, misalignment, asked.further, astray)
+    return replace(free, verdict=f"{what_did_not_hold(explained)} {free.verdict}")
 
 
 def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
@@ -221,6 +236,25 @@ def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
         if before - best.cost < ALIGNED:
             break
     return replace(fit, optimum=best)
+
+
+def weighed(fit: Fit, block: BesideBlock) -> Fit:
+    """The fit with beliefs in light beside weighed as the model's error wants it, and with that light's own error."""
+    best = fit.optimum
+    errors = [view.error for view in best.problem.views]
+    noise = [view.observation.noise for view in best.problem.views]
+    weight = overconfidence(best.sensitivity, best.problem.believed(block), noise, errors)
+    blocks = tuple(replace(block, weight=weight) if one is block else one for one in best.problem.blocks)
+    found = polish(replace(best.problem, blocks=blocks), best.coordinates)
+    error = block.stderr(found.values, found.media[0])
+    models = tuple(partial(_less_sure, model, error) for model in fit.models)
+    return replace(fit, optimum=found, models=models)
+
+
+def _less_sure(model: Callable[[Medium], Prediction], error: Array, liquid: Medium) -> Prediction:
+    found = model(liquid)
+    known = 0.0 if found.stderr is None else np.asarray(found.stderr, float)
+    return replace(found, stderr=np.hypot(known, error))
 
 
 def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
@@ -342,7 +376,7 @@ def nuisances_of(best: Evaluation, spread: Array) -> dict[str, tuple[float, floa
     """Value and standard deviation of each term that was fitted along, in its unit."""
     found = {}
     for block in best.problem.blocks:
-        if not isinstance(block, SetUpBlock | AstrayBlock):
+        if not isinstance(block, SetUpBlock | AstrayBlock | BesideBlock):
             continue
         units = block.misalignment.sd if isinstance(block, SetUpBlock) else block.sd
         off, sds = best.values[block.name], np.sqrt(np.diag(spread))[best.problem.believed(block)]

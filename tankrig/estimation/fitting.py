@@ -12,7 +12,7 @@ from tankrig.estimation.followed import Model, Solved
 from tankrig.estimation.forward import COARSE, image_of, stated_error
 from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
 from tankrig.estimation.parameters import Block
-from tankrig.estimation.problem import Problem
+from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import RIVAL, Told, by_cost, densities, first_guess, profiled, search
 from tankrig.estimation.shots import Fit, Shot, rough_problem, weighed_problem
@@ -70,7 +70,7 @@ def fitted(
         problem, found = rough_problem(shots, blocks, scaling), [start]
     if all(shot.models.refine for shot in shots):
         progress("refining")
-        problem, versions = _refined(problem, shots, problem.at(found[0]).media, rough=True)
+        problem, versions = _refined(problem, shots, problem.at(found[0]), rough=True)
         enough = SOLVED_ENOUGH if any(isinstance(fine, Solved) for fine, _ in versions) else None
         if any(shot.models.family for shot in shots):
             enough = MANY_ENOUGH
@@ -79,7 +79,7 @@ def fitted(
             for one in found
         )[0]
         if any(isinstance(fine, Solved) for fine, _ in versions):  # for what was found, and not for where it began
-            problem, versions = _refined(problem, shots, best.media)
+            problem, versions = _refined(problem, shots, best)
             best = problem.at(best.coordinates)
     else:
         progress("fitting all images")
@@ -92,19 +92,21 @@ def fitted(
 
 
 def _refined(
-    problem: Problem, shots: Sequence[Shot], media: Sequence[Medium], rough: bool = False
+    problem: Problem, shots: Sequence[Shot], near: Evaluation, rough: bool = False
 ) -> tuple[Problem, list[tuple[Model, Model]]]:
-    """The problem of the accurate models for some media, and these models, each with the one to differentiate.
+    """The problem of the accurate models for media near some place, and these models, each with the one to
+    differentiate.
 
     If `rough`, derivatives are as accurate as the image that they are of, where that costs less.
     """
+    media = near.media
     versions = [shot.models.refined(liquid) for shot, liquid in zip(shots, media, strict=True)]
     seen = [fine(liquid) for (fine, _), liquid in zip(versions, media, strict=True)]
     forwards = [image_of(fine) for fine, _ in versions]
     differentiated = [fine if rough and isinstance(fine, Solved) else slope for fine, slope in versions]
     slopes = [shot.slopes_of(model) for shot, model in zip(shots, differentiated, strict=True)]
     quick = all(shot.models.quick(model) for shot, model in zip(shots, differentiated, strict=True))
-    return replace(weighed_problem(problem, shots, forwards, slopes, seen), quick=quick), versions
+    return replace(weighed_problem(problem, shots, forwards, slopes, seen, near.added), quick=quick), versions
 
 
 def _searched(
@@ -119,6 +121,7 @@ def _searched(
         return problem, search(problem.of(few), starts, progress, enough=SEVERAL_ENOUGH)
     progress("looking at a few media")
     look = [shots[number].looked_at() for number in few]
+    blocks = tuple(block.binned(look[0].binned_by) for block in blocks)
     seen = rough_problem(look, blocks, scaling)
     places = [seen.at(one) for one in densities(seen, look[0].length_mm, PROFILE_FROM)]
     best = min(places, key=lambda one: one.cost)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from tankrig.errors import ImageError
 from tankrig.estimation.astray import PATTERNS, SIGNS, AstrayBlock, causes
 from tankrig.estimation.forward import smooth_error_map, stated_error
+from tankrig.estimation.light_beside import BesideBlock
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
 from tankrig.estimation.observation import structure
 from tankrig.estimation.problem import Evaluation
@@ -201,7 +202,7 @@ def astray_shown(
     name
         Of the only cause that is asked for; None: all.
     """
-    stray = [block for block in best.problem.blocks if isinstance(block, AstrayBlock)]
+    stray = [block for block in best.problem.blocks if isinstance(block, AstrayBlock | BesideBlock)]
     fitted_along = {PATTERNS[one] for block in stray for one in block.names}
     gain, _ = best.scale
     looked_for = causes(scene, left.smooth / gain, quick=name is None and left.prediction.model == "prepared")

@@ -118,6 +118,14 @@ class Block(Protocol):
         """
         raise NotImplementedError
 
+    def turned(self, values: Values, liquid: Medium) -> Image | float:
+        """(3, rows, columns) derivatives of `added` by the liquid's σa, σs and g; none where it stays what it is."""
+        return 0.0
+
+    def binned(self, by: int) -> "Block":
+        """The same of images whose pixels are blocks of this one's, `by` along a side, as a search looks at them."""
+        return self
+
     def added_in(self, view: int, values: Values, liquid: Medium) -> Image | float:
         """`added` in a view of that number; the same in all."""
         return self.added(values, liquid)

@@ -236,13 +236,20 @@ class Evaluation:
         """Radiance, (rows, columns), of each view."""
 
         def image(view: View) -> Image:
-            liquid = self.liquids[view.dose]
-            found = view.forward(liquid)
-            for block in self.problem.blocks:
-                found = found + block.added_in(view.number, self.values, liquid)
-            return found
+            return view.forward(self.liquids[view.dose]) + self._added_to(view)
 
         return self.problem.of_views(image)
+
+    @cached_property
+    def added(self) -> list[Image | float]:
+        """What blocks add to the models' images of each view."""
+        return [self._added_to(view) for view in self.problem.views]
+
+    def _added_to(self, view: View) -> Image | float:
+        liquid, found = self.liquids[view.dose], 0.0
+        for block in self.problem.blocks:
+            found = found + block.added_in(view.number, self.values, liquid)
+        return found
 
     @cached_property
     def models(self) -> list[Array]:
@@ -296,6 +303,8 @@ class Evaluation:
         def changes(view: View) -> Array:
             liquid = self.liquids[view.dose]
             by_liquid = view.slopes(liquid)
+            for block in self.problem.blocks:
+                by_liquid = by_liquid + block.turned(self.values, liquid)
             found = [
                 block.changes_in(view.number, self.values, view.dose, liquid, by_liquid)
                 for block in self.problem.blocks

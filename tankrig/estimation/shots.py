@@ -34,6 +34,11 @@ class Shot:
         """Longest side of the tank."""
         return max(self.scene.tank.size_mm)
 
+    @property
+    def binned_by(self) -> int:
+        """Pixels along the side of a block that the search takes for one."""
+        return 1 if self.models.look is None else self.models.look[0]
+
     def looked_at(self) -> "Shot":
         """It as a search looks at it: differences to one side do."""
         if self.models.look is None:
@@ -122,15 +127,19 @@ def rough_problem(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Sca
 
 def weighed_problem(
     problem: Problem, shots: Sequence[Shot], forwards: Sequence[Forward], slopes: Sequence[Slopes],
-    seen: Sequence[Prediction],
+    seen: Sequence[Prediction], added: Sequence[Image | float],
 ) -> Problem:  # fmt: skip
-    """The problem with other models, weighed by the errors that their images state and the noise that these leave."""
-    gain, offsets = problem.scale(problem.whitened([one.image for one in seen]))
+    """The problem with other models, weighed by the errors that their images state and the noise that these leave.
+
+    To these images blocks have added what `Evaluation.added` holds.
+    """
+    images = [one.image + more for one, more in zip(seen, added, strict=True)]
+    gain, offsets = problem.scale(problem.whitened(images))
     views = []
-    for shot, view, forward, slope, one, offset in zip(
-        shots, problem.views, forwards, slopes, seen, offsets, strict=True
+    for shot, view, forward, slope, one, image, offset in zip(
+        shots, problem.views, forwards, slopes, seen, images, offsets, strict=True
     ):
-        left = view.observation.image - gain * one.image - offset
+        left = view.observation.image - gain * image - offset
         observation = view.observation.with_noise_of(left, by_level=True)
         error = shot.error(counted_error(one, gain))
         changed = replace(view, forward=forward, slopes=slope, slopes_noise=None)

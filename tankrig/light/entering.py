@@ -65,14 +65,30 @@ def entering(scene: Scene, fine: bool) -> Scene:
     pixel = scene.camera.sides_mm[0] if fine else math.inf
     beams = _spread(light.beams, 1.0 - share, light.blur.sigma_mm, pixel, (width, height))
     if share > 0.0:
-        sigma_mm = math.hypot(light.halo.sigma_mm, light.blur.sigma_mm)
-        if light.halo.sigma_mm < WIDE * width:
-            beams += _spread(light.beams, share, sigma_mm, pixel, (width, height))
-        else:
-            beams += _on_cells(light.beams, share, sigma_mm, (width, height), fine)
+        beams += in_halo(scene, share, fine)
     if light.black_level > 0.0:
         beams.append(Beam((-0.5 * width, 0.5 * width), (0.0, height), light.black_level))
     return replace(scene, projector=replace(light, beams=tuple(beams), blur=SHARP, halo=NO_HALO, black_level=0.0))
+
+
+def in_halo(scene: Scene, share: float, fine: bool) -> list[Beam]:
+    """A share of the light as the projector's halo spreads it, in sharp beams; 1 is all light.
+
+    Parameters
+    ----------
+    scene
+        Gives beams, and the width of halo and blur; how much light it says that the halo takes does not matter.
+    share
+        Of the light.
+    fine
+        As for `entering`.
+    """
+    light, (_, width, height) = scene.projector, scene.tank.size_mm
+    sigma_mm = math.hypot(light.halo.sigma_mm, light.blur.sigma_mm)
+    if light.halo.sigma_mm < WIDE * width:
+        pixel = scene.camera.sides_mm[0] if fine else math.inf
+        return _spread(light.beams, share, sigma_mm, pixel, (width, height))
+    return _on_cells(light.beams, share, sigma_mm, (width, height), fine)
 
 
 def through_lens(scene: Scene, fine: bool) -> list[tuple[float, Scene]]:

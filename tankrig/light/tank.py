@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from tankrig.light.compiled_beside import paths_compiled_beside
 from tankrig.light.double import double_scattering, table_error
 from tankrig.light.entering import entering, is_plain, through_lens
-from tankrig.light.high_orders import MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
+from tankrig.light.high_orders import LOST_USUALLY, MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
 from tankrig.light.leaving import CameraLens
 from tankrig.light.moments.plan import moment_plan
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
-from tankrig.light.paths.smoothing import FEWEST, smoothed
+from tankrig.light.paths.smoothing import smoothed
 from tankrig.light.single import MOST_PARTS, single_scattering
 from tankrig.light.surface import lookup_error
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
@@ -120,23 +120,29 @@ def low_orders(scene: Scene, tolerance: float, highest: int = 2) -> Array:
 
 
 def by_faces(described: Scene, seed: int, lattices: int) -> Array:
-    """What walls and floor add to the image of an ideal camera, by so many lattices of paths, smoothed."""
+    """What walls and floor add to the image of an ideal camera, by so many lattices of paths; four are smoothed."""
+    return by_faces_within(described, seed, lattices)[0]
+
+
+def by_faces_within(described: Scene, seed: int, lattices: int) -> tuple[Array, Array]:
+    """The same, and its standard error by pixel; 0 where one lattice does not tell."""
     from tankrig.light.walls.once import once_by_walls
     from tankrig.light.walls.paths import wall_images
 
     if described.tank.faces.dark:
-        return np.zeros(described.camera.shape)
+        return np.zeros(described.camera.shape), np.zeros(described.camera.shape)
     scene = entering(described, fine=False)
     grid = CellGrid.of(scene)
     bins = np.zeros(MOST_ORDERS_OF_A_PATTERN + 1, np.int64)
     batches = np.array(
         [
             wall_images(scene, grid, (seed, batch), bins, MOST_ORDERS_OF_A_PATTERN, 1e-3, 1)[0]
-            for batch in range(max(lattices, FEWEST))
+            for batch in range(lattices)
         ]
     )  # fmt: skip
     found = smoothed(grid.folded(batches), seen=grid.seen, steady=True)
-    return once_by_walls(scene) + grid.to_pixels(grid.unfolded(found.image[None])[0])
+    stderr = np.sqrt(grid.variance_to_pixels((1.0 + LOST_USUALLY) * found.variance))
+    return once_by_walls(scene) + grid.to_pixels(grid.unfolded(found.image[None])[0]), np.asarray(stderr)
 
 
 MOST_ORDERS_OF_A_PATTERN = 200
