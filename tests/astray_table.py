@@ -3,10 +3,10 @@ that finds it along: the table of decision 234 anew, effect by effect.
 
 python tests/astray_table.py --out table
 
-Prints a line for each effect as soon as it is done, most of them after one to six minutes of a core, four clear walls
-after 76. What a folder holds already is read, the rest is worked out, so it can be stopped at any time. Images are the
-tank model's along other paths than the fit's, of a pinhole camera and two beams of 8 mm; gain and offset are known, as
-after calibration. Fits are told of noise of .2 % of the peak, but none is drawn: what they are off by is bias, beside
+Prints a line for each effect as soon as it is done, most of them after one to three minutes of a core. What a folder
+holds already is read, the rest is worked out, so it can be stopped at any time. Images are the tank model's along other
+paths than the fit's, of a pinhole camera and two beams of 8 mm; gain and offset are known, as after calibration. Fits
+are told of noise of .2 % of the peak, but none is drawn unless a seed is given: what they are off by is bias, beside
 standard deviations of such noise.
 """
 
@@ -45,6 +45,8 @@ class Effect:
         What of the scene is otherwise.
     along
         What is fitted along where it was not measured; none where it has to be measured.
+    pane_mm, halo_mm
+        What fits along are told of it all the same: the entry pane's thickness, and the width of the projector's halo.
     """
 
     name: str
@@ -52,6 +54,17 @@ class Effect:
     camera: tuple[tuple[str, object], ...] = ()
     light: tuple[tuple[str, object], ...] = ()
     along: tuple[tuple[str, float], ...] = ()
+    pane_mm: float | None = None
+    halo_mm: float | None = None
+
+    def in_part(self, scene: Scene) -> Scene:
+        """A scene that says so much of it."""
+        tank, light = scene.tank, scene.projector
+        if self.pane_mm is not None:
+            tank = replace(tank, faces=Faces(entry=Face(thickness_mm=self.pane_mm)))
+        if self.halo_mm is not None:
+            light = replace(light, halo=Halo(0.0, self.halo_mm))
+        return replace(scene, tank=tank, projector=light)
 
     def of(self, scene: Scene) -> Scene:
         """A scene that has it."""
@@ -69,11 +82,16 @@ EFFECTS = (
     Effect("camera blur .6 mm", camera=(("blur", Blur(0.6)),), along=(("blur_mm2", 0.4),)),
     Effect("camera blur 1 mm", camera=(("blur", Blur(1.0)),), along=(("blur_mm2", 1.0),)),
     Effect("projector blur .3 mm", light=(("blur", Blur(0.3)),)),
-    Effect("projector halo of 2 %, 20 mm", light=(("halo", Halo(0.02, 20.0)),)),
+    Effect(
+        "projector halo of 2 %, 20 mm",
+        light=(("halo", Halo(0.02, 20.0)),),
+        along=(("projector_halo", 0.02),),
+        halo_mm=20.0,
+    ),
     Effect("projector lens 16 mm wide", light=(("wide_lens", WideLens(16.0, 100.0)),)),
     Effect("black level of .001", light=(("black_level", 0.001),), along=(("black_level", 0.001),)),
     Effect("floor of 4 %", tank=Faces(floor=Face("diffuse", 0.04)), along=(("floor", 0.05),)),
-    Effect("entry pane", tank=Faces(entry=GLASS)),
+    Effect("entry pane", tank=Faces(entry=GLASS), along=(("pane", 1.0),), pane_mm=6.0),
     Effect("four clear walls", tank=Faces(GLASS, GLASS, GLASS, GLASS)),
 )
 
@@ -86,20 +104,23 @@ def bench() -> Scene:
     return Scene(Tank(surface="fresnel"), TRUTH, light, camera)
 
 
-def row(effect: Effect) -> dict[str, object]:
+def row(effect: Effect, noise_seed: int | None = None) -> dict[str, object]:
     """σs, g and σa of fits that do not know an effect, are told it, and find it along: off, and in deviations."""
     plain = bench()
     seen = effect.of(plain)
     began = cpu_s()
     truth = tank_image(seen, 0.005, seed=SEED, batches=LATTICES)
     image = np.asarray(truth.image, float)
-    known = {"gain": 1.0, "offset": 0.0, "noise": NOISE * float(image.max()), "phase": "hg"}
+    noise = NOISE * float(image.max())
+    if noise_seed is not None:
+        image = image + np.random.default_rng(noise_seed).normal(0.0, noise, image.shape)
+    known = {"gain": 1.0, "offset": 0.0, "noise": noise, "phase": "hg"}
     found: dict[str, object] = {"effect": effect.name, "truth": float(truth.error), "truth_cpu_s": cpu_s() - began}
     ways: dict[str, tuple[Scene, dict[str, float] | None]] = {"unaware": (plain, None)}
     if seen != plain:
         ways["told"] = seen, None
     if effect.along:
-        ways["along"] = plain, dict(effect.along)
+        ways["along"] = effect.in_part(plain), dict(effect.along)
     for way, (scene, nuisance) in ways.items():
         began = cpu_s()
         fit = tankrig.estimate(image, scene, nuisance=nuisance, **known)
@@ -136,6 +157,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of what was worked out")
     parser.add_argument("--only", default="", help="effects whose names begin with this, and no others")
+    parser.add_argument("--noise-seed", type=int, help="draw noise; give every seed a folder of its own")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     for number, effect in enumerate(EFFECTS):
@@ -143,7 +165,7 @@ def main() -> int:
             continue
         kept = given.out / f"{number:02d}.json"
         if not kept.exists():
-            kept.write_text(json.dumps(row(effect), ensure_ascii=False), encoding="utf-8")
+            kept.write_text(json.dumps(row(effect, given.noise_seed), ensure_ascii=False), encoding="utf-8")
         print(line(json.loads(kept.read_text(encoding="utf-8"))), flush=True)
     return 0
 

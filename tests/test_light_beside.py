@@ -9,7 +9,8 @@ import pytest
 
 import tankrig
 from tankrig.estimation.coordinates import Range, to_coordinates
-from tankrig.estimation.light_beside import BESIDE, BesideBlock, Expanded
+from tankrig.estimation.forward import is_ideal
+from tankrig.estimation.light_beside import BESIDE, BesideBlock, Expanded, described_beside, light_beside
 from tankrig.estimation.observation import observe
 from tankrig.estimation.parameters import Block, MediumBlock
 from tankrig.estimation.problem import Problem, View
@@ -22,29 +23,36 @@ from tankrig.scene.optics import Face, Faces, Halo
 TRUTH = Medium(0.0012, 0.0108, 0.4)
 
 
+def plain_bench() -> Scene:
+    """Parallel light, and nothing else."""
+    beams = (Beam((-14.0, -6.0), (54.0, 62.0)), Beam((10.0, 18.0), (54.0, 62.0)))
+    return Scene(Tank(), TRUTH, Projector("collimated", beams), Camera("orthographic", (20, 30), 8.0))
+
+
 @cache
 def bench() -> tuple[Scene, np.ndarray]:
-    """A plain scene of parallel light, and its image along other paths than a fit's."""
-    beams = (Beam((-14.0, -6.0), (54.0, 62.0)), Beam((10.0, 18.0), (54.0, 62.0)))
-    scene = Scene(Tank(), TRUTH, Projector("collimated", beams), Camera("orthographic", (20, 30), 8.0))
+    """The same, and its image along other paths than a fit's."""
+    scene = plain_bench()
     return scene, np.asarray(tank_image(scene, seed=91, batches=64).image, float)
 
 
-def with_light_of(name: str) -> np.ndarray:
-    """What the camera sees of the bench with light beside its beams."""
-    scene, image = bench()
-    if name == "pane":
-        return image + by_faces(replace(scene, tank=replace(scene.tank, faces=Faces(Face("glass")))), 99, 16)
-    changes = {"black_level": {"black_level": 0.001}, "projector_halo": {"halo": Halo(0.02, 30.0)}}[name]
-    lit = replace(scene, projector=replace(scene.projector, **changes))
-    return np.asarray(tank_image(lit, seed=91, batches=64).image, float)
+def with_more(scene: Scene, name: str, size: float) -> Scene:
+    """A scene with more light of some cause."""
+    if name in ("floor", "pane"):
+        faces = Faces(floor=Face("diffuse", size)) if name == "floor" else Faces(entry=Face("glass"))
+        return replace(scene, tank=replace(scene.tank, faces=faces))
+    changes = {"black_level": size} if name == "black_level" else {"halo": Halo(size, 30.0)}
+    return replace(scene, projector=replace(scene.projector, **changes))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "size", "sd"), [("black_level", 0.001, 0.001), ("pane", 1.0, 1.0)])
 def test_light_beside_the_beams_is_fitted_along_from_the_first_look_on(name: str, size: float, sd: float) -> None:
     """A black level set free at the end of a fit only stayed in a valley of light that turns back: σs +11 to +18 %."""
-    scene, _ = bench()
-    image = with_light_of(name)
+    scene, image = bench()
+    lit = with_more(scene, name, size)
+    more = by_faces(lit, 99, 16) if name == "pane" else tank_image(lit, seed=91, batches=64).image - image
+    image = image + np.asarray(more, float)
     asked = {"gain": 1.0, "offset": 0.0, "noise": 0.002 * image.max(), "phase": "hg"}
     found = tankrig.estimate(image, scene, nuisance={name: sd}, **asked)
     value, error = found.nuisance[name]
@@ -56,6 +64,25 @@ def test_light_beside_the_beams_is_fitted_along_from_the_first_look_on(name: str
     assert (off < 2.5 * np.sqrt(np.diag(found.covariance))[:3]).all()
     assert found.identifiable["sigma_s"]
     assert found.identifiable["g"]
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "off"),
+    [("black_level", 0.001, 0.05), ("projector_halo", 0.2, 0.25), ("floor", 0.2, 0.3), ("pane", 1.0, 0.3)],
+)
+def test_light_beside_is_what_a_scene_with_it_has_more(name: str, size: float, off: float) -> None:
+    """By few paths, as a search looks at it; a scene told of it is taken apart into just that and the rest."""
+    scene = plain_bench()
+    lit = with_more(scene, name, size)
+    whole, plain = (np.asarray(tank_image(one, 0.05, seed=5, batches=6).image, float) for one in (lit, scene))
+    more = size * light_beside(scene, name, rough=True).image(TRUTH)
+    assert np.linalg.norm(more - (whole - plain)) < off * np.linalg.norm(whole - plain)
+    bare, beside = described_beside(lit, rough=True)
+    assert is_ideal(bare)
+    rest = np.asarray(tank_image(bare, 0.05, seed=5, batches=6).image, float)
+    assert np.linalg.norm(rest + beside.image(TRUTH) - whole) < 0.03 * np.linalg.norm(whole)
+    halved = scene.camera.binned(2)
+    assert BesideBlock.of(scene, {name: size}).binned(2).lights[0].image(TRUTH).shape == halved.shape
 
 
 def test_an_image_is_expanded_to_liquids_nearby_and_computed_for_others() -> None:
@@ -88,8 +115,8 @@ class Glow(Block):
     def added(self, values, liquid):
         return values[self.name][0] * liquid.sigma_s * np.ones((4, 6))
 
-    def turned(self, values, liquid):
-        return values[self.name][0] * np.array([0.0, 1.0, 0.0])[:, None, None] * np.ones((4, 6))
+    def turned(self, *asked):
+        return asked[0][self.name][0] * np.array([0.0, 1.0, 0.0])[:, None, None] * np.ones((4, 6))
 
     def changes(self, *asked):
         _, _, liquid, _ = asked
@@ -116,7 +143,7 @@ def test_derivatives_by_the_liquid_hold_what_its_light_beside_changes_by() -> No
 
 
 def test_what_may_be_beside_has_sizes_from_none_on() -> None:
-    scene, _ = bench()
+    scene = plain_bench()
     dim = replace(scene, projector=replace(scene.projector, black_level=0.002))
     block = BesideBlock.of(dim, {"black_level": 0.001, "floor": 0.05})
     assert block.low.tolist() == [-2.0, 0.0]

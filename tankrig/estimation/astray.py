@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tankrig.errors import SceneError
 from tankrig.estimation.parameters import Block, Values
 from tankrig.scene import Beam, Medium, Scene
-from tankrig.scene.optics import MOST_HALO, MOST_VEIL, NO_HALO, Blur, Face, WideLens
+from tankrig.scene.optics import MOST_HALO, MOST_VEIL, NO_HALO, PINHOLE, Blur, Face, WideLens
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -88,8 +88,9 @@ def wide_lens(scene: Scene, _: Image) -> Array:
     from tankrig.light.tank import low_orders
 
     lens = WideLens(LENS_MM, 0.5 * scene.tank.size_mm[0])
-    wide = replace(scene, projector=replace(scene.projector, wide_lens=lens))
-    return low_orders(wide, ROUGH) - low_orders(scene, ROUGH)
+    sharp = replace(scene.projector, halo=NO_HALO, black_level=0.0)  # what is smooth stays what it is
+    narrow, wide = (replace(scene, projector=replace(sharp, wide_lens=one)) for one in (PINHOLE, lens))
+    return low_orders(wide, ROUGH) - low_orders(narrow, ROUGH)
 
 
 def floor(scene: Scene, _: Image) -> Array:

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes, values_of
-from tankrig.estimation.followed import Model, Solved
+from tankrig.estimation.followed import Model
 from tankrig.estimation.forward import corrected, image_of, stated_error
+from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.optimiser import LAST_STEPS, solve, without_noise
 from tankrig.estimation.phase_block import PhaseBlock
 from tankrig.estimation.phase_families import Family
@@ -68,7 +69,7 @@ def corrected_fit(
     problem = best.problem
     many = any(shot.models.family for shot in shots)
     bent_enough, steps = (MANY_ENOUGH, FEW_STEPS) if many else (BENT_ENOUGH, BENT_STEPS)
-    solved = any(isinstance(model, Solved) for model in models)
+    solved = any(is_solved(model) for model in models)
     slopes_noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, models, strict=True)]
 
     def about(centre: Evaluation, start: Evaluation, times: int) -> Fit:

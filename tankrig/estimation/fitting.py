@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.corrections import FEW_STEPS, MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit
-from tankrig.estimation.followed import Model, Solved
+from tankrig.estimation.followed import Model
 from tankrig.estimation.forward import COARSE, image_of, stated_error
+from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
 from tankrig.estimation.parameters import Block
 from tankrig.estimation.problem import Evaluation, Problem
@@ -71,14 +72,14 @@ def fitted(
     if all(shot.models.refine for shot in shots):
         progress("refining")
         problem, versions = _refined(problem, shots, problem.at(found[0]), rough=True)
-        enough = SOLVED_ENOUGH if any(isinstance(fine, Solved) for fine, _ in versions) else None
+        enough = SOLVED_ENOUGH if any(is_solved(fine) for fine, _ in versions) else None
         if any(shot.models.family for shot in shots):
             enough = MANY_ENOUGH
         best = by_cost(
             polish(problem, one) if enough is None else solve(problem, one, enough, FEW_STEPS, damping=0.0)
             for one in found
         )[0]
-        if any(isinstance(fine, Solved) for fine, _ in versions):  # for what was found, and not for where it began
+        if any(is_solved(fine) for fine, _ in versions):  # for what was found, and not for where it began
             problem, versions = _refined(problem, shots, best)
             best = problem.at(best.coordinates)
     else:
@@ -103,7 +104,7 @@ def _refined(
     versions = [shot.models.refined(liquid) for shot, liquid in zip(shots, media, strict=True)]
     seen = [fine(liquid) for (fine, _), liquid in zip(versions, media, strict=True)]
     forwards = [image_of(fine) for fine, _ in versions]
-    differentiated = [fine if rough and isinstance(fine, Solved) else slope for fine, slope in versions]
+    differentiated = [fine if rough and is_solved(fine) else slope for fine, slope in versions]
     slopes = [shot.slopes_of(model) for shot, model in zip(shots, differentiated, strict=True)]
     quick = all(shot.models.quick(model) for shot, model in zip(shots, differentiated, strict=True))
     return replace(weighed_problem(problem, shots, forwards, slopes, seen, near.added), quick=quick), versions

@@ -35,6 +35,7 @@ from tankrig.estimation.followed import (
     remembered,
     tank_along,
 )
+from tankrig.estimation.light_beside import WithBeside, described_beside, with_light
 from tankrig.estimation.phase_families import Family
 from tankrig.image.predict import predict
 from tankrig.prediction import Prediction, Skipped
@@ -143,19 +144,20 @@ class Models:
         if self.family is not None:
             low = None if self.low is None else image_of(self.low)
             return liquid_slopes_of(image_of(model), length_mm, self.family, self.central, low=low)
-        if isinstance(model, Followed | Solved):
+        if isinstance(model, Followed | Solved | WithBeside):
             return model.slopes
         return self.slopes or slopes_of(image_of(model), length_mm, self.central)
 
     def slopes_noise_of(self, model: Model) -> Slopes | None:
         """Patterns of these derivatives' noise, (n, 3, rows, columns); None where they are not known."""
-        if self.family is None and isinstance(model, Followed | Solved):
+        if self.family is None and isinstance(model, Followed | Solved | WithBeside):
             return model.slopes_noise
         return self.slopes_noise if self.family is None else None
 
     def quick(self, model: Model) -> bool:
         """Whether a version's derivatives come with its images, for less than their own price."""
-        return self.slopes is not None or (self.family is None and isinstance(model, Followed))
+        beams = model.main if isinstance(model, WithBeside) else model
+        return self.slopes is not None or (self.family is None and isinstance(beams, Followed))
 
     def refined(self, medium: Medium) -> tuple[Model, Model]:
         """See `refine`."""
@@ -202,7 +204,10 @@ def models_of(
         return _prepared_models(scene, model, max_order, checked)
     if model == "tank":
         # Derivatives come along the paths where lenses and walls are ideal; others are differences of whole images.
-        return _followed_models(scene, max_order) if is_ideal(scene) else _tank_models(scene, max_order)
+        if is_ideal(scene):
+            return _followed_models(scene, max_order)
+        bare, _ = described_beside(scene)
+        return _models_with_beside(scene) if max_order is None and is_ideal(bare) else _tank_models(scene, max_order)
 
     def within(tolerance: float) -> Model:
         return remembered(lambda medium: predict(replace(scene, medium=medium), model, tolerance, max_order))
@@ -356,6 +361,41 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
         return tank_accurate(replace(scene, medium=medium), count * LARGE.points, 3, max_order)
 
     return Models(coarse, refine, exact=exact, look=look, different=_tank_models(scene, max_order))
+
+
+def _models_with_beside(scene: Scene) -> Models:
+    """Of a scene whose beams' own light meets nothing but ideal lenses and dark walls, and of the light beside that.
+
+    The other light is smooth and mostly a few per cent: all of it by as many paths, and computed as often as the
+    beams' light, took ten times as long.
+    """
+    bare, rough = described_beside(scene, rough=True)
+    main = _followed_models(bare, None)
+    _, fine = described_beside(scene)
+    refine, exact, look = main.refine, main.exact, main.look
+    assert refine is not None
+    assert exact is not None
+    assert look is not None
+    by, seen = look
+    looked_at = replace(scene, camera=scene.camera.binned(by))
+
+    def with_rough(model: Model) -> Model:
+        assert isinstance(model, Followed | Solved)
+        return WithBeside(model, rough)
+
+    def refined(medium: Medium) -> tuple[Model, Model]:
+        best, differentiated = refine(medium)
+        return with_rough(best), with_rough(differentiated)
+
+    def exactly(medium: Medium, times: int) -> Prediction:
+        return with_light(exact(medium, times), fine, medium)
+
+    assert isinstance(seen, Followed)
+    rougher = WithBeside(seen, described_beside(looked_at, rough=True)[1])
+    return replace(
+        main, coarse=with_rough(main.coarse), refine=refined, exact=exactly, look=(by, rougher),
+        different=_tank_models(scene, None),
+    )  # fmt: skip
 
 
 def series_models(

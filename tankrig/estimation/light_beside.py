@@ -7,15 +7,18 @@ few per cent, so that few paths do, and one liquid's image and derivatives do fo
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.astray import FLOOR, require_sd
+from tankrig.estimation.followed import Followed, Model, Solved
 from tankrig.estimation.parameters import FURTHEST_OFF, Block, Values
+from tankrig.prediction import Prediction
 from tankrig.scene import Beam, Medium, Scene
-from tankrig.scene.optics import NO_HALO, SHARP, Face
+from tankrig.scene.optics import ALL_BLACK, NO_HALO, PINHOLE, SHARP, Face, Faces
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -115,7 +118,7 @@ class Beside:
 
     def stderr(self, liquid: Medium) -> Array:
         """(rows, columns) standard error of the image."""
-        return np.sqrt(np.asarray(sum((times * part.stderr(liquid)) ** 2 for times, part in self.parts)))
+        return np.asarray(np.sqrt(sum((times * part.stderr(liquid)) ** 2 for times, part in self.parts)))
 
 
 def light_beside(scene: Scene, name: str, rough: bool = False) -> Beside:
@@ -147,6 +150,33 @@ def light_beside(scene: Scene, name: str, rough: bool = False) -> Beside:
     return Beside(((1.0, _sent_back(scene, "entry", pane, rough, ROUGH_BY_FACES if rough else BY_FACES)),))
 
 
+def described_beside(scene: Scene, rough: bool = False) -> tuple[Scene, Beside]:
+    """A scene without the light beside that it describes, and that light.
+
+    Parameters
+    ----------
+    scene
+        Its medium does not matter.
+    rough
+        Whether the light is only looked at.
+    """
+    light, tank = scene.projector, scene.tank
+    share, (_, width, height) = light.halo.share, tank.size_mm
+    beams = tuple(replace(beam, irradiance=(1.0 - share) * beam.irradiance) for beam in light.beams)
+    bare = replace(light, beams=beams, halo=NO_HALO, black_level=0.0)
+    parts: list[tuple[float, Expanded]] = []
+    if share > 0.0:
+        parts.append((share, _entered(replace(scene, projector=bare), in_its_halo(scene, rough), rough)))
+    if light.black_level > 0.0:
+        whole = Beam((-0.5 * width, 0.5 * width), (0.0, height))
+        parts.append((light.black_level, _entered(replace(scene, projector=bare), (whole,), rough)))
+    if not tank.faces.dark:
+        clear = any(face.kind in ("glass", "clear") for face in tank.faces.all)
+        few = ROUGH_BY_FACES if clear else FAINT_ROUGH
+        parts.append((1.0, _by_way_of(scene, tank.faces, ALL_BLACK, rough, few if rough else BY_FACES)))
+    return replace(scene, tank=replace(tank, faces=ALL_BLACK), projector=bare), Beside(tuple(parts))
+
+
 def in_its_halo(scene: Scene, rough: bool) -> tuple[Beam, ...]:
     """All light of a projector as its halo spreads it."""
     from tankrig.light.entering import in_halo
@@ -159,7 +189,6 @@ def _entered(scene: Scene, beams: Sequence[Beam], rough: bool) -> Expanded:
     from tankrig.light.paths.block import SMALL
     from tankrig.light.tangent import tank_tangent
     from tankrig.light.tank import tank_image
-    from tankrig.scene.optics import ALL_BLACK, PINHOLE
 
     light = replace(scene.projector, beams=tuple(beams), wide_lens=PINHOLE, blur=SHARP)
     lit = replace(scene, projector=light, tank=replace(scene.tank, faces=ALL_BLACK))
@@ -176,12 +205,15 @@ def _entered(scene: Scene, beams: Sequence[Beam], rough: bool) -> Expanded:
 
 def _sent_back(scene: Scene, name: str, face: Face, rough: bool, lattices: int) -> Expanded:
     """Of light by way of one face that is not described, and by the others besides."""
+    faces = scene.tank.faces
+    return _by_way_of(scene, replace(faces, **{name: face}), replace(faces, **{name: Face()}), rough, lattices)
+
+
+def _by_way_of(scene: Scene, with_it: Faces, without: Faces, rough: bool, lattices: int) -> Expanded:
+    """Of light by way of faces, less that by way of others."""
     from tankrig.light.tank import by_faces, by_faces_within
 
-    faces = scene.tank.faces
-    lit, dark = (
-        replace(scene, tank=replace(scene.tank, faces=replace(faces, **{name: one}))) for one in (face, Face())
-    )
+    lit, dark = (replace(scene, tank=replace(scene.tank, faces=faces)) for faces in (with_it, without))
     length_mm = max(scene.tank.size_mm)
     few = min(lattices, FAINT_ROUGH)
 
@@ -206,6 +238,46 @@ def _sent_back(scene: Scene, name: str, face: Face, rough: bool, lattices: int) 
         return here, np.stack(slopes), stderr
 
     return Expanded(told, length_mm, ROUGHLY_NEAR if rough else NEAR)
+
+
+@dataclass(frozen=True, eq=False)
+class WithBeside:
+    """A model of the light of a scene's beams, with the light beside it that the scene describes.
+
+    Parameters
+    ----------
+    main
+        Of the beams' own, with derivatives along its paths.
+    light
+        The other.
+    """
+
+    main: Followed | Solved
+    light: Beside
+
+    def __call__(self, medium: Medium) -> Prediction:
+        """The image."""
+        return with_light(self.main(medium), self.light, medium)
+
+    def slopes(self, medium: Medium) -> Array:
+        """(3, rows, columns) derivatives by σa, σs and g."""
+        return np.asarray(self.main.slopes(medium) + self.light.slopes(medium))
+
+    def slopes_noise(self, medium: Medium) -> Array:
+        """(n, 3, rows, columns) patterns of their noise, without the little that the other light has."""
+        return np.asarray(self.main.slopes_noise(medium))
+
+
+def is_solved(model: Model) -> bool:
+    """Whether high orders of its beams' own light are solved for."""
+    return isinstance(model.main if isinstance(model, WithBeside) else model, Solved)
+
+
+def with_light(main: Prediction, light: Beside, medium: Medium) -> Prediction:
+    """A prediction with the image of light beside added, and its error."""
+    known = 0.0 if main.stderr is None else np.asarray(main.stderr, float)
+    stderr = np.hypot(known, light.stderr(medium))
+    return replace(main, image=main.image + light.image(medium), orders=MappingProxyType({}), stderr=stderr)
 
 
 @dataclass(frozen=True)
@@ -272,7 +344,7 @@ class BesideBlock(Block):
     def stderr(self, values: Values, liquid: Medium) -> Array:
         """(rows, columns) standard error of what is added."""
         parts = zip(values[self.name], self.sd.values(), self.lights, strict=True)
-        return np.sqrt(np.asarray(sum((size * sd * light.stderr(liquid)) ** 2 for size, sd, light in parts)))
+        return np.asarray(np.sqrt(sum((size * sd * light.stderr(liquid)) ** 2 for size, sd, light in parts)))
 
     def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
         """The images."""

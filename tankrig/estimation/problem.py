@@ -246,7 +246,8 @@ class Evaluation:
         return [self._added_to(view) for view in self.problem.views]
 
     def _added_to(self, view: View) -> Image | float:
-        liquid, found = self.liquids[view.dose], 0.0
+        liquid = self.liquids[view.dose]
+        found: Image | float = 0.0
         for block in self.problem.blocks:
             found = found + block.added_in(view.number, self.values, liquid)
         return found
