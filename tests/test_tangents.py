@@ -1,5 +1,6 @@
 """Derivatives along the paths are those of the image, and noise that is kept apart is the image's."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,9 +12,11 @@ from tankrig.light import tangent
 from tankrig.light.paths.block import SMALL
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.tangents import traced_tangents
-from tankrig.light.tangent import tank_accurate, tank_tangent
+from tankrig.light.tangent import Turning, tank_accurate, tank_steady, tank_tangent
 from tankrig.light.tank import tank_image
 from tankrig.scene import Medium, Scene
+from tankrig.scene.phase_functions import Mixture, TwoTerm
+from tankrig.scene.phase_table import PhaseFunction
 from tests.stress_scenes import medium_of, scene_of
 
 Array = NDArray[np.float64]
@@ -65,6 +68,36 @@ def test_derivatives_are_those_of_the_light(name: str) -> None:
         difference = (above - below) / (2.0 * step)
         mine, other = (one.reshape(4, 6, 4, 9).sum(axis=(1, 3)) for one in (slope, difference))
         assert np.linalg.norm(mine - other) < 0.04 * np.linalg.norm(other), coefficient
+
+
+@pytest.mark.parametrize("name", ["parallel", "pinholes"])
+def test_derivatives_towards_another_phase_function_are_those_of_the_light(name: str) -> None:
+    """Of any phase function they come along the paths too; fits of emulsions and beads step by them."""
+    scene, phase, other = SCENES[name], TwoTerm(0.7, -0.3, 0.9), TwoTerm(0.72, -0.28, 0.88)
+    coefficients = scene.medium.coefficients[:2]
+
+    def lit(by: float, phase: PhaseFunction) -> Scene:
+        return replace(scene, medium=Medium(coefficients[0], by * coefficients[1], phase=phase))
+
+    turning = Turning([other, phase], [other], np.array([[1.0], [0.0]]))
+    found = tank_tangent(lit(1.0, phase), 8, seed=5, turning=turning)
+    mixed = Mixture((phase, other), (0.5, 0.5))  # half of the way
+    low, middle, high, more = (
+        tank_image(one, tolerance=0.001, seed=5, batches=8).image
+        for one in (lit(1.0, phase), lit(1.0, mixed), lit(1.0, other), lit(1.01, phase))
+    )
+    assert np.linalg.norm(found.prediction.image - low) < 1e-3 * np.linalg.norm(low)
+    by_phase = 4.0 * middle - 3.0 * low - high
+    for slope, difference, off in (
+        (found.slopes[2], by_phase, 0.05),
+        (found.slopes[1], (more - low) / (0.01 * coefficients[1]), 0.08),
+    ):
+        mine, seen = (one.reshape(4, 6, 4, 9).sum(axis=(1, 3)) for one in (slope, difference))
+        assert np.linalg.norm(mine - seen) < off * np.linalg.norm(seen)
+    assert not found.slopes[3].any()  # where it is, there is no way
+    assert found.noise.shape[1:] == found.slopes.shape
+    alone = tank_steady(lit(1.0, phase), 8, seed=5)
+    assert np.allclose(alone.image, found.prediction.image, rtol=1e-6, atol=0.0)
 
 
 @pytest.mark.parametrize("name", ["parallel", "pinholes"])

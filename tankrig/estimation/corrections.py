@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes, values_of
-from tankrig.estimation.followed import Model
+from tankrig.estimation.followed import Followed, Model
 from tankrig.estimation.forward import corrected, image_of, stated_error
 from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.optimiser import LAST_STEPS, solve, without_noise
@@ -40,6 +40,9 @@ SETTLED_SHARE = 0.5
 """Share of its standard deviation by which each value may have moved besides."""
 NOISY = 0.1
 """Share of noise in the derivatives' products from which on only that counts: they say no more how far it is."""
+FIRST = 0.25
+"""Share of the light paths in the first exact image, where a phase function's coordinates are fitted: from where that
+is made they move by several standard deviations, and more would not be worth it."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 
@@ -70,20 +73,22 @@ def corrected_fit(
     many = any(shot.models.family for shot in shots)
     bent_enough, steps = (MANY_ENOUGH, FEW_STEPS) if many else (BENT_ENOUGH, BENT_STEPS)
     solved = any(is_solved(model) for model in models)
+    along = many and all(isinstance(model, Followed) for model in models)
     slopes_noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, models, strict=True)]
 
-    def about(centre: Evaluation, start: Evaluation, times: int) -> Fit:
+    def about(centre: Evaluation, start: Evaluation, times: float) -> Fit:
         media, liquids = centre.media, centre.liquids
         slopes = problem.of_views(lambda view: view.slopes(liquids[view.dose]))
         noise = [one and _always(one(medium)) for one, medium in zip(slopes_noise, media, strict=True)]
         seen = [shot.models.exact(one, times) for shot, one in zip(shots, media, strict=True) if shot.models.exact]
-        last = tuple(corrected(*one) for one in zip(models, media, seen, strict=True))
+        near = [_about(*one) for one in zip(models, media, strict=True)]
+        last = tuple(corrected(*one) for one in zip(near, media, seen, strict=True))
         weighed = weighed_problem(
             problem, shots, [image_of(model) for model in last], [_always(one) for one in slopes], seen, centre.added
         ).with_slopes_noise(noise)
-        near = [model(medium) for model, medium in zip(models, media, strict=True)]
-        smooth = [one.image for one in near]
-        bent = _without_noise_in_gain(weighed, smooth, seen, centre.added).by([image_of(model) for model in models])
+        shown = [model(medium) for model, medium in zip(near, media, strict=True)]
+        smooth = [one.image for one in shown]
+        bent = _without_noise_in_gain(weighed, smooth, seen, centre.added).by([image_of(model) for model in near])
         families = [shot.models.family for shot in shots]
         straight = [
             _linear(image, medium, slope, family)
@@ -96,16 +101,16 @@ def corrected_fit(
         further = without_noise(line.at(centre.coordinates))
         apart = (
             exact.image - one.image if stated_error(one) < stated_error(exact) else None
-            for one, exact in zip(near, seen, strict=True)
+            for one, exact in zip(shown, seen, strict=True)
         )  # fmt: skip
         return Fit(weighed.at(np.clip(end.coordinates + further, *line.box)), last, tuple(apart))
 
-    for _ in range(CORRECTIONS):
+    for number in range(CORRECTIONS):
         progress("correcting by accurate images")
-        centre = best
-        fit = about(centre, centre, 1)
+        centre, rough = best, number == 0 and along
+        fit = about(centre, centre, FIRST if rough else 1.0)
         best = fit.optimum
-        if _settled(best, centre, SETTLED * problem.looseness):
+        if not rough and _settled(best, centre, SETTLED * problem.looseness):
             break
     if sharper and _held_back(best):
         progress("correcting by images as accurate as the photographs")
@@ -150,6 +155,11 @@ def _linear(image: Image, centre: Medium, slopes: Image, family: Family | None) 
     """An image, and changes of it to first order."""
     at = values_of(centre, family)
     return lambda medium: np.asarray(image + np.tensordot(values_of(medium, family) - at, slopes, 1))
+
+
+def _about(model: Model, centre: Medium) -> Model:
+    """A model as it bends about a medium."""
+    return model.about(centre) if isinstance(model, Followed) else model
 
 
 def _always(slopes: Image) -> Slopes:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import NAMES
 from tankrig.estimation.phase_families import Family
+from tankrig.light.tangent import Turning
 from tankrig.scene import Medium
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -30,6 +31,8 @@ MOMENTS = 5
 """How many moments of p tell what orders ≥ 3 do: of their derivatives by a free phase function's coordinates (beads of
 .5 µm at σs .01, an emulsion at .03) three leave 3 and 5 % unexplained, five 1.5 and 2 %; p(90°) besides explains
 nothing."""
+ALONG = 0.2
+"""Share of a family's steps that derivatives along paths have, which no noise asks to be larger."""
 NEAR = 5.0
 """Steps within which derivatives by a phase function's coordinates are used again: it bends little."""
 
@@ -166,6 +169,27 @@ def family_slopes_of(along: Callable[[Medium, Sequence[PhaseFunction]], Image], 
         return found
 
     return slopes
+
+
+def turning_of(medium: Medium, family: Family) -> tuple[Turning, NDArray[np.float64]]:
+    """Where a family's coordinates turn a liquid's phase function, for derivatives along paths, and (k,) their steps.
+
+    Of a family of many coordinates paths have the scores of `MOMENTS` ways, as in `liquid_slopes_of`.
+    """
+    coordinates = values_of(medium, family)[2:]
+    sizes = ALONG * np.where(family.high - coordinates < family.difference, -family.difference, family.difference)
+    others = [family.phase(coordinates + off) for off in np.diag(sizes)]
+    if len(others) <= MOMENTS:
+        return Turning(others, others, np.eye(len(others))), sizes
+
+    def moments(phase: PhaseFunction) -> NDArray[np.float64]:
+        return phase.moments(MOMENTS)[1:] - middle
+
+    middle = medium.phase_function.moments(MOMENTS)[1:]
+    towards = np.array([moments(one) for one in others])
+    ways = [family.phase(coordinates + way * sizes) for way in np.linalg.svd(towards, full_matrices=False)[0].T]
+    by_ways = towards @ np.linalg.inv(np.array([moments(one) for one in ways]))
+    return Turning(others, ways, by_ways), sizes
 
 
 def _turned(medium: Medium, family: Family, coordinates: NDArray[np.float64]) -> Medium:

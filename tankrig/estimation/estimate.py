@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import SceneError
 from tankrig.estimation.astray import ASTRAY, SIGNS, Astray, AstrayBlock, floor
 from tankrig.estimation.coordinates import Range
-from tankrig.estimation.fitting import fitted, without_outliers
+from tankrig.estimation.fitting import Searched, fitted_on, searched, without_outliers
 from tankrig.estimation.forward import Models, error_map, models_of
 from tankrig.estimation.left_over import (
     Left,
@@ -27,11 +27,21 @@ from tankrig.estimation.light_beside import BESIDE, BesideBlock
 from tankrig.estimation.misfit import moved_unseen
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
-from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, liquid_blocks, phase_instead
+from tankrig.estimation.phase_answer import (
+    Asked,
+    Instead,
+    answer_of,
+    asked_for,
+    fit_phase,
+    liquid_blocks,
+    phase_instead,
+    rougher,
+)
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import (
     PHASE,
     WHOLE,
+    Cause,
     cause_of,
     misalignment_left_out,
     misalignments,
@@ -42,7 +52,7 @@ from tankrig.estimation.result import Estimate as Estimate
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
-from tankrig.estimation.shots import Fit, Shot
+from tankrig.estimation.shots import Fit, Shot, weighed_problem
 from tankrig.estimation.uncertainty import (
     identifiable,
     overconfidence,
@@ -55,6 +65,7 @@ from tankrig.estimation.verdict import (
     what_is_misaligned,
     what_is_shown,
     what_is_unseen,
+    what_no_phase_describes,
     what_was_left_out,
 )
 from tankrig.light.rays import shift_invariant
@@ -73,6 +84,12 @@ ALIGNINGS, ALIGNED = 5, 2.0
 """Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
 LIKE_TANK = ("tank", "prepared")
 """Models of the whole tank that the cheap one can stand in for."""
+DOUBTED, EARLY = 1.5, 0.9
+"""Mean squared residual that the cheap model with Henyey–Greenstein's leaves, in standard deviations that count its own
+error, from which on other phase functions are looked at at once (where they are Henyey–Greenstein's it leaves .8 to
+1.2, an emulsion of σs .03 1.7), and share of it that another one explains before a fit goes on with that."""
+FREE = "free"
+"""Name of the family that holds any smooth phase function."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 
@@ -199,10 +216,15 @@ def fit_models(
     shot = Shot(observation, scene, models)
     if asked.family is None:
         blocks = (*blocks_of(None), beside) if beside is not None else blocks_of(None)
-        fit = fitted([shot], blocks, scaling, progress, sharper=True)
+        looked = searched([shot], blocks, scaling, progress)
+        if asked.further is not None and misalignment is None and astray is None and beside is None:
+            early = _told_early(shot, looked, asked, progress)
+            if early is not None:
+                return _further(observation, scene, scaling, models, progress, None, asked.further, None, early)
+        fit = fitted_on([shot], looked, progress, sharper=True)
         fit = fit if beside is None else weighed(fit, beside)
     else:
-        fit = fit_phase([shot], asked, blocks_of, scaling, progress, sharper=True)
+        fit = fit_phase([shot], asked, blocks_of, scaling, progress, sharper=not asked.averaged)
     if misalignment is not None:
         progress("aligning")
         fit = _aligned(fit, misalignment)
@@ -211,15 +233,44 @@ def fit_models(
         fit = with_astray(fit, [astray])
     fit = without_outliers(fit)
     progress("finding the errors")
-    found, explained = _built(fit, scene, models, asked)
-    if explained == 0.0 or asked.further is None:
+    found, instead = _built(fit, scene, models, asked)
+    if instead is None or asked.further is None:
         return found
-    progress("weighing other phase functions")
-    other = models.of(asked.further.family)
     if beside is not None:
         astray = Astray(scene, {**beside.sd, **(astray.sd if astray else {})})
-    free = fit_models(observation, scene, scaling, other, progress, misalignment, asked.further, astray)
-    return replace(free, verdict=f"{what_did_not_hold(explained)} {free.verdict}")
+    return _further(observation, scene, scaling, models, progress, misalignment, asked.further, astray, instead)
+
+
+def _further(
+    observation: Observation, scene: Scene, scaling: Scaling, models: Models, progress: Told,
+    misalignment: Misalignment | None, asked: Asked, astray: Astray | None, instead: Instead,
+) -> Estimate:  # fmt: skip
+    """The estimate by further phase functions, begun where a look at them ended."""
+    progress("weighing other phase functions")
+    other, asked = models.of(asked.family), replace(asked, near=instead.liquid)
+    free = fit_models(observation, scene, scaling, other, progress, misalignment, asked, astray)
+    return replace(free, verdict=f"{what_did_not_hold(instead.share)} {free.verdict}")
+
+
+def _told_early(shot: Shot, looked: Searched, asked: Asked, progress: Told) -> Instead | None:
+    """What another phase function explains, where the search's end with Henyey–Greenstein's leaves so much that it is
+    not worth going on from; None where that is not so."""
+    scene, (problem, (start, *_)) = shot.scene, looked
+    end, views = problem.at(start), problem.views
+    (medium,) = end.media
+    seen = shot.models.coarse(medium)
+    counted = weighed_problem(
+        problem, [shot], [view.forward for view in views], [view.slopes for view in views], [seen], end.added
+    )
+    best = counted.at(start)
+    if 2.0 * best.cost < DOUBTED * counted.pixels:
+        return None
+    progress("looking at other phase functions")
+    instead = phase_instead(best, scene, shot.models, asked, rough=True)
+    if instead is None or instead.share < EARLY:
+        return None
+    likely = cause_of(best, scene, cache(partial(misalignments, scene, medium)), instead.share)
+    return instead if likely and likely[0].name == PHASE else None
 
 
 def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
@@ -279,9 +330,9 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
     return replace(fit, optimum=best)
 
 
-def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, float]:
-    """The estimate at an optimum: its errors, what the residual says, and the verdict; and the share of what is left
-    that another phase function explains, where that is more than anything else does, else 0."""
+def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, Instead | None]:
+    """The estimate at an optimum: its errors, what the residual says, and the verdict; and what another phase function
+    would say, where that explains more of what is left than anything else does."""
     best, calm = fit.optimum, fit.calm
     gain, (offset,), (left,) = left_over(fit)
     observation, prediction = best.problem.views[0].observation, left.prediction
@@ -294,10 +345,19 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     held = left.unexplained <= stated and place is None
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
     misaligned = cache(partial(misalignments, scene, best.media[0]))  # eight images, and two may ask
-    instead = phase_instead(best, scene, models, asked) if not held and prediction.model in LIKE_TANK else None
-    likely = cause_of(best, scene, misaligned, instead.share if instead else None) if not held and whole else []
+    instead: Instead | None = None
+    likely: list[Cause] = []
+    misled = False
+    # That a rough look explains more than other causes is enough where families are weighed next.
+    for rough in (True, False) if asked.further is not None else (False,):
+        if held or misled:
+            break
+        if prediction.model in LIKE_TANK:
+            near = None if instead is None else instead.liquid
+            instead = phase_instead(best, scene, models, asked, rough, near)
+        likely = cause_of(best, scene, misaligned, instead.share if instead else None) if whole else []
+        misled = bool(likely) and instead is not None and likely[0].name == PHASE
     cause = likely[0] if likely else None
-    misled = cause is not None and instead is not None and cause.name == PHASE
     own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
     counted = error_of(prediction, gain, left.beyond, scene)
     bare = calm.sensitivity.covariance([left.noise], [counted])
@@ -313,8 +373,11 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     if instead is not None:
         spread = spread + instead.share * np.outer(instead.moved, instead.moved)
     edges = best.at_edge
+    freed = asked.family if asked.family is not None and asked.family.name == FREE else None
+    rough = freed is not None and rougher(best.values["phase"], freed)
+    undescribed = freed is not None and (left.beyond > 0.0 or rough)
     known = {
-        name: yes and name not in edges and not (misled and name != "sigma_a")
+        name: yes and name not in edges and not ((misled or undescribed) and name != "sigma_a")
         for name, yes in determined(medium, spread, [left]).items()
     }
     aside = whole and misalignment_left_out(observation, left.image, gain, misaligned)
@@ -331,6 +394,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
             sign is not None,
             [one.name for one in likely[1:]],
         ),
+        what_no_phase_describes(undescribed, rough),
         what_is_misaligned(off),
         what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], bare) if sign else "",
         what_is_unseen(medium, moved_by_halos(calm, [left])[:own], spread, known) if "halo" not in off else "",
@@ -343,7 +407,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         noise=rms(left.noise[used]), model_error=left.counted, nuisance=off, structure=structure_map(whitened, used),
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
-    return found, instead.share if instead is not None and misled else 0.0
+    return found, instead if misled else None
 
 
 def _unseen_floor(

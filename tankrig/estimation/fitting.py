@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.corrections import FEW_STEPS, MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit
-from tankrig.estimation.followed import Model
+from tankrig.estimation.followed import Followed, Model
 from tankrig.estimation.forward import COARSE, image_of, stated_error
 from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
@@ -66,9 +66,19 @@ def fitted(
         problem = rough_problem(shots, blocks, scaling)
         found = search(problem.of(few), starts, progress, enough=COARSE_ENOUGH if len(few) == 1 else SEVERAL_ENOUGH)
     elif start is None:
-        problem, found = _searched(shots, blocks, scaling, progress, few)
+        problem, found = searched(shots, blocks, scaling, progress, few)
     else:
         problem, found = rough_problem(shots, blocks, scaling), [start]
+    return fitted_on(shots, (problem, found), progress, sharper)
+
+
+Searched = tuple[Problem, list[Vector]]
+"""The problem of the cheap models, and the ends of a search of it, best first."""
+
+
+def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: bool = False) -> Fit:
+    """The same from where a search has ended."""
+    problem, found = looked
     if all(shot.models.refine for shot in shots):
         progress("refining")
         problem, versions = _refined(problem, shots, problem.at(found[0]), rough=True)
@@ -98,21 +108,25 @@ def _refined(
     """The problem of the accurate models for media near some place, and these models, each with the one to
     differentiate.
 
-    If `rough`, derivatives are as accurate as the image that they are of, where that costs less.
+    If `rough`, derivatives are as accurate as the image that they are of, where that costs less: of orders that are
+    solved for, or by a family's coordinates.
     """
     media = near.media
     versions = [shot.models.refined(liquid) for shot, liquid in zip(shots, media, strict=True)]
     seen = [fine(liquid) for (fine, _), liquid in zip(versions, media, strict=True)]
     forwards = [image_of(fine) for fine, _ in versions]
-    differentiated = [fine if rough and is_solved(fine) else slope for fine, slope in versions]
+    differentiated = [
+        fine if rough and (is_solved(fine) or (isinstance(fine, Followed) and fine.family)) else slope
+        for fine, slope in versions
+    ]
     slopes = [shot.slopes_of(model) for shot, model in zip(shots, differentiated, strict=True)]
     quick = all(shot.models.quick(model) for shot, model in zip(shots, differentiated, strict=True))
     return replace(weighed_problem(problem, shots, forwards, slopes, seen, near.added), quick=quick), versions
 
 
-def _searched(
-    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told, few: Sequence[int]
-) -> tuple[Problem, list[Vector]]:
+def searched(
+    shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, progress: Told, few: Sequence[int] = (0,)
+) -> Searched:
     """The problem of the cheap models, and the ends of a search of it that looks at few images, best first."""
     problem = rough_problem(shots, blocks, scaling)
     if len(few) > 1:  # they have no twins, and need no reserve
@@ -137,7 +151,7 @@ def guessed(
 ) -> Medium:
     """About what the liquid of the last of a few images is, by the cheap models alone."""
     if len(few) > 1:
-        problem, found = _searched(shots, blocks, scaling, progress, few)
+        problem, found = searched(shots, blocks, scaling, progress, few)
         return problem.of(few).at(found[0]).media[-1]
     problem = rough_problem(shots, blocks, scaling).of(few)
     progress("looking at a few media")

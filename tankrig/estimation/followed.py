@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.phase_families import Family
 from tankrig.light.moments.plan import MomentPlan
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
@@ -31,6 +32,10 @@ SLOPE_BLUR_MM = 4.0
 image: paths take other ways in another medium, and the noise of the difference passes for knowledge."""
 ABSORPTION_STEP, STEP = 0.01, 0.005
 """By which the solution for moments is differenced: σa times the tank's length; of σs, and of 1 − g²."""
+LOW_ORDERS = 2
+"""That are computed without paths."""
+FAINT, FURTHEST = 1e-3, 1.0
+"""Share of the brightest light of high orders below which there is no logarithm of it, and how far that may change."""
 SOLVED_BATCHES = 16
 """Lattices of paths for the orders that are left to them where the others are solved for."""
 
@@ -49,6 +54,10 @@ class Followed:
         Whether lattices are of a quarter as many paths.
     rough
         Whether order 2 is left to the paths as well.
+    family
+        Of the media's phase functions; None: Henyey–Greenstein.
+    smooth
+        Whether orders ≥ 3 of a family's images are averaged as those of derivatives are.
     """
 
     scene: Scene
@@ -57,24 +66,79 @@ class Followed:
     max_order: int | None
     small: bool = False
     rough: bool = False
+    family: Family | None = None
+    smooth: bool = False
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image; of another phase function than Henyey–Greenstein's by itself."""
         return self._whole(medium).prediction if medium.phase is None else self._alone(medium)
 
     def slopes(self, medium: Medium) -> Image:
-        """(3, rows, columns) derivatives by σa, σs and g."""
-        return self._whole(medium).slopes
+        """(3, rows, columns) derivatives by σa, σs and g, or (2 + k, rows, columns) by a family's coordinates."""
+        return self._whole(medium).slopes if self.family is None else self._of_family(medium)[0]
 
     def slopes_noise(self, medium: Medium) -> Image:
         """(n, 3, rows, columns) patterns of their noise, see `Tangent`."""
-        return self._whole(medium).noise
+        return self._whole(medium).noise if self.family is None else self._of_family(medium)[1]
+
+    def about(self, centre: Medium) -> Model:
+        """The same near a medium: orders 1 and 2 as they are, and changes of the others' logarithm to first order.
+
+        How that bends is less than what the others' noise differs by between two media.
+        """
+        from tankrig.estimation.differences import values_of
+        from tankrig.light.tangent import tank_steady
+
+        family = self.family
+        if family is None:
+            return self
+        here, at, slopes = self(centre), values_of(centre, family), self._of_family(centre)[2]
+
+        def low(medium: Medium) -> Image:
+            return tank_steady(replace(self.scene, medium=medium), 0, max_order=LOW_ORDERS).image
+
+        others = here.image - low(centre)
+        shares = slopes / np.maximum(others, FAINT * float(others.max(initial=0.0)) + 1e-300)
+
+        def near(medium: Medium) -> Prediction:
+            by = np.tensordot(values_of(medium, family) - at, shares, 1)
+            return replace(here, image=low(medium) + others * np.exp(np.clip(by, -FURTHEST, FURTHEST)))
+
+        return remembered(near)
 
     @cached_property
     def _alone(self) -> Model:
-        return remembered(
-            lambda medium: tank_along(replace(self.scene, medium=medium), self.max_order, self.batches, self.seed, 0.0)
-        )
+        from tankrig.light.paths.block import LARGE, SMALL
+        from tankrig.light.tangent import tank_steady
+
+        lattice = SMALL if self.small and self.family is not None else LARGE
+
+        def alone(medium: Medium) -> Prediction:
+            scene = replace(self.scene, medium=medium)
+            blur_mm = SLOPE_BLUR_MM if self.smooth else 0.0
+            return tank_steady(scene, self.batches, self.seed, self.max_order, lattice, blur_mm)
+
+        return remembered(alone)
+
+    @cached_property
+    def _of_family(self) -> Callable[[Medium], tuple[Image, Image, Image]]:
+        from tankrig.estimation.differences import turning_of
+        from tankrig.light.paths.block import LARGE, SMALL
+        from tankrig.light.tangent import tank_tangent
+
+        assert self.family is not None
+        family, lattice = self.family, SMALL if self.small else LARGE
+
+        def slopes(medium: Medium) -> tuple[Image, Image, Image]:
+            turning, sizes = turning_of(medium, family)
+            found = tank_tangent(
+                replace(self.scene, medium=medium), self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM,
+                self.rough, turning,
+            )  # fmt: skip
+            per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
+            return found.slopes * per_step, found.noise * per_step, found.high * per_step
+
+        return remembered(slopes)
 
     @cached_property
     def _whole(self) -> "Callable[[Medium], Tangent]":

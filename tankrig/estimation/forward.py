@@ -46,7 +46,7 @@ from tankrig.scene.phase_table import PhaseFunction
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
 
-Exact = Callable[[Medium, int], Prediction]
+Exact = Callable[[Medium, float], Prediction]
 """The same as accurately as can be, with so many times as many light paths."""
 ModelOf = Callable[[Scene, int, int], Model]
 """From a scene, a number of batches and a seed to a model; many batches are accurate, and few are quick."""
@@ -59,6 +59,8 @@ it does not and noise is told from light by their scatter (two of them err by 7 
 FINE_NOISE, FINE_BATCHES = 0.003, 32
 SLOPE_NOISE, SLOPE_BATCHES = 0.006, 16
 """Noise (relative L2) that the images for the last steps and for derivatives aim for, and their lattices at most."""
+ALIKE_NOISE, ALIKE_BATCHES = 0.0014, 32
+"""The same of images for derivatives by a family's coordinates, of which many change an image nearly alike."""
 CHECK_BATCHES = 32
 """Lattices of the image that a prepared model of light or sight that slant is compared with."""
 LOOK_PIXELS, LOOK_BATCHES = 2400, 2
@@ -115,7 +117,7 @@ class Models:
         Derivatives by σa, σs and the shares of the ways to other phase functions, of a model that has them for less
         than images; None to take differences.
     different
-        Versions for media of other families; None: these.
+        Gives versions for media of another family; None: these.
     slopes_noise
         Patterns of the noise of `slopes`, (n, 3, rows, columns); None where it is not known.
     """
@@ -130,17 +132,20 @@ class Models:
     look: tuple[int, Model] | None = None
     low: Model | None = None
     along: "Callable[[Medium, Sequence[PhaseFunction]], Image] | None" = None
-    different: "Models | None" = None
+    different: "Callable[[Family], Models] | None" = None
     slopes_noise: Slopes | None = None
 
     def of(self, family: Family | None) -> "Models":
         """Versions for media of a family's phase functions."""
-        return replace(self.different or self, family=family)
+        own = self if self.different is None or family is None else self.different(family)
+        return replace(own, family=family)
 
     def slopes_of(self, model: Model, length_mm: float) -> Slopes:
         """Derivatives: the model's own, or by differences of one of its versions."""
         if self.family is not None and self.along is not None:
             return family_slopes_of(self.along, self.family)
+        if isinstance(model, Followed) and model.family is self.family:
+            return model.slopes
         if self.family is not None:
             low = None if self.low is None else image_of(self.low)
             return liquid_slopes_of(image_of(model), length_mm, self.family, self.central, low=low)
@@ -150,7 +155,9 @@ class Models:
 
     def slopes_noise_of(self, model: Model) -> Slopes | None:
         """Patterns of these derivatives' noise, (n, 3, rows, columns); None where they are not known."""
-        if self.family is None and isinstance(model, Followed | Solved | WithBeside):
+        if isinstance(model, Followed):
+            return model.slopes_noise if model.family is self.family else None
+        if self.family is None and isinstance(model, Solved | WithBeside):
             return model.slopes_noise
         return self.slopes_noise if self.family is None else None
 
@@ -194,8 +201,7 @@ def models_of(
                 f'phase = "{family.name}" needs model = "tank", or a model that was prepared for any phase function '
                 '(tankrig.prepare(…, phases = "any")): other prepared models know Henyey–Greenstein only'
             )
-        different = _tank_models(scene, max_order) if model == "tank" else models_of(scene, model, max_order)
-        return replace(different, family=family)
+        return models_of(scene, model, max_order).of(family)
     if model == "prepared":
         from tankrig.image.prepare import prepare
 
@@ -275,11 +281,13 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
     def along(medium: Medium, others: Sequence[PhaseFunction]) -> Image:
         return model.slopes(box.nearest(medium), others)[1]
 
-    def compared(medium: Medium, times: int) -> Prediction:
+    def compared(medium: Medium, times: float) -> Prediction:
         from tankrig.light.paths.block import LARGE
         from tankrig.light.tangent import tank_accurate
 
-        found = tank_accurate(replace(scene, medium=box.nearest(medium)), times * CHECK_BATCHES * LARGE.points, 3)
+        found = tank_accurate(
+            replace(scene, medium=box.nearest(medium)), math.ceil(times * CHECK_BATCHES * LARGE.points), 3
+        )
         return replace(found, model="prepared")
 
     albedo, g = ((edges[0], min(edges[1], 1.0 - 1e-6)) for edges in (box.albedo, box.g))
@@ -310,8 +318,8 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
         fine, slope = batches(medium, FINE_NOISE, FINE_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
         return following(fine, 1), following(slope, 2, SLOPE_BLUR_MM)
 
-    def exact(medium: Medium, times: int) -> Prediction:
-        return following(times * batches(medium, EXACT_NOISE, EXACT_BATCHES), 3)(medium)
+    def exact(medium: Medium, times: float) -> Prediction:
+        return following(max(math.ceil(times * batches(medium, EXACT_NOISE, EXACT_BATCHES)), fewest), 3)(medium)
 
     return Models(coarse, refine, exact=exact, low=_low_orders(scene, max_order))
 
@@ -328,7 +336,7 @@ def _low_orders(scene: Scene, max_order: int | None = None) -> Model | None:
 def _followed_models(scene: Scene, max_order: int | None) -> Models:
     """Of Henyey–Greenstein's media, whose derivatives come along the paths.
 
-    Of others they are differences, in which all that is noise passes for knowledge: these have versions of their own.
+    Families of others have versions of their own.
     """
     from tankrig.light.rays import shift_invariant
 
@@ -353,14 +361,44 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
         return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
 
-    def exact(medium: Medium, times: int) -> Prediction:
+    def exact(medium: Medium, times: float) -> Prediction:
         from tankrig.light.paths.block import LARGE
         from tankrig.light.tangent import tank_accurate
 
-        count = times * batches(medium, EXACT_NOISE, EXACT_BATCHES)
-        return tank_accurate(replace(scene, medium=medium), count * LARGE.points, 3, max_order)
+        paths = math.ceil(times * batches(medium, EXACT_NOISE, EXACT_BATCHES) * LARGE.points)
+        return tank_accurate(replace(scene, medium=medium), paths, 3, max_order)
 
-    return Models(coarse, refine, exact=exact, look=look, different=_tank_models(scene, max_order))
+    return Models(
+        coarse, refine, exact=exact, look=look, different=lambda family: _family_models(scene, max_order, family)
+    )
+
+
+def _family_models(scene: Scene, max_order: int | None, family: Family) -> Models:
+    """Of a family's media, whose derivatives come along the paths as well."""
+    from tankrig.light.rays import shift_invariant
+
+    fewest = COARSE_BATCHES if shift_invariant(scene) else SMOOTHED_BATCHES
+    coarse = Followed(scene, fewest, 0, max_order, family=family)
+
+    def batches(medium: Medium, noise: float, most: int) -> int:
+        need = fewest * stated_error(coarse(medium)) ** 2
+        return int(np.clip(need / noise**2, fewest, most))
+
+    def refine(medium: Medium) -> tuple[Model, Model]:
+        fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
+        return (
+            Followed(scene, fine, 1, max_order, family=family),
+            Followed(scene, slope, 2, max_order, family=family, smooth=True),
+        )
+
+    def exact(medium: Medium, times: float) -> Prediction:
+        from tankrig.light.paths.block import LARGE
+        from tankrig.light.tangent import tank_accurate
+
+        paths = math.ceil(times * batches(medium, EXACT_NOISE, EXACT_BATCHES) * LARGE.points)
+        return tank_accurate(replace(scene, medium=medium), paths, 3, max_order)
+
+    return Models(coarse, refine, exact=exact, family=family)
 
 
 def _models_with_beside(scene: Scene) -> Models:
@@ -387,7 +425,7 @@ def _models_with_beside(scene: Scene) -> Models:
         best, differentiated = refine(medium)
         return with_rough(best), with_rough(differentiated)
 
-    def exactly(medium: Medium, times: int) -> Prediction:
+    def exactly(medium: Medium, times: float) -> Prediction:
         return with_light(exact(medium, times), fine, medium)
 
     # By way of faces 40 lattices were not enough: g of a pane's image came out 2.0 standard deviations off.
@@ -398,7 +436,7 @@ def _models_with_beside(scene: Scene) -> Models:
     rougher = WithBeside(seen, described_beside(looked_at, rough=True)[1])
     return replace(
         main, coarse=with_rough(main.coarse), refine=refined, exact=accurate, look=(by, rougher),
-        different=whole,
+        different=whole.of,
     )  # fmt: skip
 
 

@@ -31,6 +31,10 @@ MOST_RUNGS = 6
 """Places on a family's ladder that a search begins from, at most."""
 SEARCH_STEPS = 30
 """Of the cheap fit of another phase function, at most."""
+CHANCE = 3.0
+"""Standard deviations of a sum of squares that are no chance."""
+ROUGHLY = 0.03
+"""Share of what is left that the way there goes on for, where no more is needed than that."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +51,15 @@ class Asked:
         Phase function to begin from; None: the one that is most like Henyey–Greenstein.
     further
         What is asked next where these leave what another phase function explains; None: nothing.
+    near
+        About what the liquid is, of a phase function of the family; None to look for it.
     """
 
     family: Family | None = None
     averaged: bool = False
     begin: PhaseFunction | None = None
     further: "Asked | None" = None
+    near: Medium | None = None
 
 
 def asked_for(phase: str | PhaseFunction | None, scene: Scene) -> Asked:
@@ -129,6 +136,9 @@ def fit_phase(
     """
     family = asked.family or henyey_greenstein()
     blocks = blocks_of(family)
+    if asked.near is not None:
+        start = np.concatenate([one.start(asked.near) for one in blocks])
+        return fitted(shots, blocks, scaling, progress, start, few, sharper)
     at = densest
     if at is None:
         only = None if asked.begin is None else fixed(asked.begin)
@@ -177,6 +187,22 @@ def answer_of(best: Evaluation, spread: Array, asked: Asked, explained: bool = T
     return scattering_of(coefficients, best.values["phase"], spread[:count, :count], asked.family)
 
 
+def rougher(coordinates: Array, family: Family) -> bool:
+    """Whether amplitudes that are expected to be 0 ± 1 are together larger than chance lets them be.
+
+    Then shapes too fine to be among them are not as small as was expected either, and what a fit says of σs rests on
+    that.
+
+    Examples
+    --------
+    >>> at = np.concatenate([[1.0], np.ones(16)])
+    >>> rougher(at, free()), rougher(1.7 * at, free())
+    (False, True)
+    """
+    expected = coordinates[family.expected]
+    return float(expected @ expected) > expected.size + CHANCE * math.sqrt(2.0 * expected.size)
+
+
 @dataclass(frozen=True)
 class Instead:
     """What another phase function than the one fitted would say.
@@ -187,17 +213,31 @@ class Instead:
         Of the structure of the residual that it explains.
     moved
         (3,) σa, σs and mean cosine with it, less those that were fitted.
+    liquid
+        With it.
     """
 
     share: float
     moved: Array
+    liquid: Medium
 
 
-def phase_instead(best: Evaluation, scene: Scene, models: Models, asked: Asked) -> Instead | None:
+def phase_instead(
+    best: Evaluation, scene: Scene, models: Models, asked: Asked, rough: bool = False, near: Medium | None = None
+) -> Instead | None:
     """A Henyey–Greenstein fit against one of a free phase function, by the cheap models; None where it is none.
 
     What differs between the two is not small in real liquids (σs by a third and more), so that derivatives at the
     optimum would not tell.
+
+    Parameters
+    ----------
+    best, scene, models, asked
+        The fit, its scene and models, and what was asked for.
+    rough
+        Whether no more is needed than the way there and a share that is explained at least.
+    near
+        Where a rough look has ended.
     """
     if asked.family is not None:
         return None
@@ -213,11 +253,14 @@ def phase_instead(best: Evaluation, scene: Scene, models: Models, asked: Asked) 
     problem = Problem((own,), blocks, best.problem.scaling, quick=False)
     begin = problem.at(np.concatenate([one.start(medium) for one in blocks]))
     # Where pixels count by the cheap model's error the valley is wide; where they count by noise steps only end.
-    rough = replace(own, error=SmoothError.of(scene, COARSE * np.abs(best.scale[0] * best.images[0])))
-    near = solve(replace(problem, views=(rough,)), begin.coordinates, COARSE_ENOUGH, SEARCH_STEPS)
-    end = solve(problem, near.coordinates, COARSE_ENOUGH, SEARCH_STEPS)
+    coarse = SmoothError.of(scene, COARSE * np.abs(best.scale[0] * best.images[0]))
+    wide = replace(problem, views=(replace(own, error=coarse),))
+    start = begin.coordinates if near is None else np.concatenate([one.start(near) for one in blocks])
+    there = solve(wide, start, COARSE_ENOUGH, SEARCH_STEPS, share=ROUGHLY if rough else 0.0).coordinates
+    end = problem.at(there) if rough else solve(problem, there, COARSE_ENOUGH, SEARCH_STEPS)
     excess, left = (2.0 * one.cost - problem.pixels for one in (begin, end))
     if excess <= 0.0:
         return None
     found: Medium = end.media[0]
-    return Instead(min(1.0 - left / excess, 1.0), np.array(found.coefficients) - np.array(medium.coefficients))
+    moved = np.array(found.coefficients) - np.array(medium.coefficients)
+    return Instead(min(1.0 - left / excess, 1.0), moved, found)

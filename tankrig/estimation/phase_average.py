@@ -70,7 +70,7 @@ class Score:
         sensitivity, count = best.sensitivity, len(spread)
         size, weight = sensitivity.widest, sensitivity.weight
         changes, priors = sensitivity.changes * size[:, None], sensitivity.priors * size[:, None]
-        fisher = changes @ changes.T + priors @ priors.T
+        fisher = sensitivity.fisher * np.outer(size, size) + priors @ priors.T
         besides = np.linalg.solve((fisher + np.diag(weight))[count:, count:], fisher[count:, :count])
         fisher = fisher[:count, :count] - fisher[:count, count:] @ besides
         size, weight = size[:count], weight[:count]
@@ -150,8 +150,17 @@ def _family(score: Score, family: Family, near: Medium, discrepancy: float) -> W
     def residual(off: Array) -> Array:
         return np.concatenate([score.misfit(place(off)), off[2:]])
 
+    def changes(off: Array) -> Array:
+        """Shapes are added as they are: only what comes before them is differenced."""
+        by_off = np.zeros((score.at.size, off.size))
+        by_off[3:, own:] = discrepancy * np.eye(shapes)
+        by_off[:, :own] = _slopes(place, off, own)
+        return np.vstack([-score.response @ by_off, np.eye(off.size)[2:]])
+
     lowest = np.concatenate([-(1.0 - LEAST) * middle[:2] / widths - 1e-12, np.full(middle.size - 2, -np.inf)])
-    end = least_squares(residual, np.zeros(middle.size), max_nfev=STEPS, x_scale="jac", bounds=(lowest, np.inf))
+    end = least_squares(
+        residual, np.zeros(middle.size), changes, max_nfev=STEPS, x_scale="jac", bounds=(lowest, np.inf)
+    )
     response = -np.asarray(end.jac)[: score.at.size]
     known = np.diag(np.concatenate([np.zeros(2), np.ones(middle.size - 2)]))
     covariance = np.linalg.inv(response.T @ response + known)
@@ -165,9 +174,9 @@ def _family(score: Score, family: Family, near: Medium, discrepancy: float) -> W
     return Weighed(found, _evidence(score.misfit(at), pulls, response) - unlikely)
 
 
-def _slopes(place: Callable[[Array], Array], at: Array) -> Array:
-    """(k, n) derivatives of a place by what leads to it, by central differences."""
-    units = DIFFERENCE * np.eye(at.size)
+def _slopes(place: Callable[[Array], Array], at: Array, first: int | None = None) -> Array:
+    """(k, n) derivatives of a place by the first n numbers that lead to it, by central differences."""
+    units = DIFFERENCE * np.eye(at.size)[:first]
     return np.array([(place(at + unit) - place(at - unit)) / (2.0 * DIFFERENCE) for unit in units]).T
 
 

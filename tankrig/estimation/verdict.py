@@ -233,6 +233,22 @@ def what_did_not_hold(explained: float) -> str:
     )
 
 
+def what_no_phase_describes(undescribed: bool, rough: bool) -> str:
+    """A sentence for a fit of a free phase function that leaves structure, or is rougher than free ones are expected to
+    be; empty for others."""
+    if not undescribed:
+        return ""
+    why = (
+        "The phase function found is rougher than smooth ones are, and what of it is finer still is not described"
+        if rough
+        else "Not even a free phase function describes the image"
+    )
+    return (
+        f"{why}, so neither σs nor g counts as determined: fit with the particles' label, or look for what else is not "
+        "as described."
+    )
+
+
 def what_may_be_another_phase(doubted: bool) -> str:
     """A sentence for a Henyey–Greenstein fit that leaves more than a bench's usual faults do; empty for others."""
     if not doubted:

@@ -1,6 +1,7 @@
 """The tank's image as fits want it: with its derivatives by the medium, or accurate and with its noise as it lies."""
 
 import math
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -20,12 +21,14 @@ from tankrig.light.paths.tangents import traced_tangents
 from tankrig.light.single import single_scattering
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
+from tankrig.scene.phase_table import PhaseFunction
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 
 TABLES, FINE_TABLES = 0.01, 0.001
-"""Tolerance that order 2 is computed to beside derivatives, where coarse tables do, and in accurate images."""
+"""Tolerance that order 2 is computed to beside derivatives by g, where coarse tables do, and in accurate images. Of
+derivatives by the finer shapes of a free phase function coarse ones get a quarter to three quarters wrong."""
 FEWEST_APART = 12
 """Lattices whose scatter tells what the noise of their mean does."""
 MANY_PIXELS = 40_000
@@ -44,6 +47,25 @@ STEP_LENGTH, STEP_ASYMMETRY = 0.02, 0.015
 
 
 @dataclass(frozen=True, eq=False)
+class Turning:
+    """Ways that a phase function p may change, where it is not Henyey–Greenstein's.
+
+    Parameters
+    ----------
+    others
+        Phase functions q near p: derivatives are by the share t of the way to each, (1 − t) p + t q.
+    ways
+        Phase functions that paths have their scores of: fewer, where their orders know no more of p than these tell.
+    by_ways
+        (others, ways) what the others are of these, for that.
+    """
+
+    others: Sequence[PhaseFunction]
+    ways: Sequence[PhaseFunction]
+    by_ways: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Tangent:
     """An image with its derivatives.
 
@@ -52,27 +74,31 @@ class Tangent:
     prediction
         The image.
     slopes
-        (3, rows, columns) derivatives by σa, σs and g.
+        (3, rows, columns) derivatives by σa, σs and g; of other phase functions (2 + k, rows, columns) by σa, σs and
+        `Turning.others`.
     noise
         (n, 3, rows, columns) patterns of what the paths' noise puts on the derivatives: its covariance is the sum of
         their products. None of them where there is one lattice only.
+    high
+        What paths bring of `slopes`.
     """
 
     prediction: Prediction
     slopes: Array
     noise: Array
+    high: Array
 
 
 def tank_tangent(
     scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE,
-    blur_mm: float = 0.0, rough: bool = False,
+    blur_mm: float = 0.0, rough: bool = False, turning: Turning | None = None,
 ) -> Tangent:  # fmt: skip
     """Image of the finite tank by a fixed number of lattices of paths, and its derivatives along the same paths.
 
     Parameters
     ----------
     scene
-        Any scene with σs > 0 whose phase function is Henyey–Greenstein's.
+        Any scene with σs > 0.
     batches
         Number of shifted lattices.
     seed
@@ -85,6 +111,8 @@ def tank_tangent(
         Standard deviation of a Gaussian that the derivatives of orders ≥ 3 are averaged over.
     rough
         Whether order 2 is left to the paths as well: noisier, and where light or sight slant three times as quick.
+    turning
+        Where the phase function may go; None where it is Henyey–Greenstein's, which is differentiated by g.
 
     Returns
     -------
@@ -101,35 +129,86 @@ def tank_tangent(
     ((3, 40, 60), True)
     """
     lowest = 2 if rough else 3
-    sharp, slopes = _sharp(scene, min(max_order or MOST_ORDERS, lowest - 1))
-    rest, stderr, noise = _from_paths(scene, batches, seed, max_order or MOST_ORDERS, lattice, lowest)
+    others, ways = ((), ()) if turning is None else (turning.others, turning.ways)
+    sharp, slopes = _sharp(scene, min(max_order or MOST_ORDERS, lowest - 1), others)
+    rest, stderr, noise = _from_paths(scene, batches, seed, max_order or MOST_ORDERS, lattice, lowest, ways)
+    if turning is not None:
+        rest = np.concatenate([rest[:3], np.tensordot(turning.by_ways, rest[3:], 1)])
+        noise = np.concatenate([noise[:, :2], np.einsum("kw,nwij->nkij", turning.by_ways, noise[:, 2:])], axis=1)
     if blur_mm > 0.0:
         widths = [0.0, *(blur_mm / side for side in scene.camera.sides_mm)]
         rest[1:] = gaussian_filter(rest[1:], widths, mode="nearest")
         noise = gaussian_filter(noise, [0.0, *widths], mode="nearest")
     image = sharp + np.maximum(rest[0], 0.0)
-    size = float(np.linalg.norm(image)) or 1.0
-    tables = Skipped("tables that order 2 is looked up in", table_error(TABLES) * float(np.linalg.norm(sharp)) / size)
-    return Tangent(Prediction(image, "tank", stderr=stderr, skipped=(tables,)), slopes + rest[1:], noise)
+    found = Prediction(image, "tank", stderr=stderr, skipped=(_looked_up(scene, sharp, image),))
+    return Tangent(found, slopes + rest[1:], noise, rest[1:])
 
 
-def _sharp(scene: Scene, highest: int) -> tuple[Array, Array]:
+def tank_steady(
+    scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE,
+    blur_mm: float = 0.0,
+) -> Prediction:  # fmt: skip
+    """The image of `tank_tangent` without its derivatives; its orders ≥ 3 may be averaged over a Gaussian as well."""
+    first = single_scattering(scene)
+    second = double_scattering(scene, _tables(scene)) if (max_order or 2) >= 2 else np.zeros_like(first)
+    sharp, grid, highest = first + second, CellGrid.of(scene), max_order or MOST_ORDERS
+    if highest < 3:
+        return Prediction(sharp, "tank")
+
+    def followed(number: int) -> Array:
+        limits = PathLimits(highest, FAINTEST, THINNING)
+        return np.asarray(grid.folded(traced(scene, grid, (seed, number), ONE_BIN, limits, lattice))[0])
+
+    with ThreadPoolExecutor(min(THREADS, batches)) as pool:
+        light = np.array(list(pool.map(followed, range(batches))))
+    smooth, stderr = _steadied(light, grid)
+    rest = np.maximum(grid.to_pixels(grid.unfolded(smooth.mean(axis=0))), 0.0)
+    if blur_mm > 0.0:
+        rest = gaussian_filter(rest, [blur_mm / side for side in scene.camera.sides_mm], mode="nearest")
+    image = sharp + rest
+    return Prediction(image, "tank", stderr=stderr, skipped=(_looked_up(scene, sharp, image),))
+
+
+def _steadied(light: Array, grid: CellGrid) -> tuple[Array, Array]:
+    """Images of lattices, smoothed where that is needed, and the standard error of their mean in pixels."""
+    plain = grid.shiftable or len(light) < FEWEST
+    peak = float(np.abs(light).max()) + 1e-300
+    smooth = light if plain else peak * smoothed_batches(light / peak, steady=True)
+    more = 1.0 if plain else 1.0 + LOST_USUALLY
+    return smooth, peak * np.sqrt(grid.variance_to_pixels(more * averaged(smooth / peak, grid.seen).variance))
+
+
+def _tables(scene: Scene) -> float:
+    """Tolerance that order 2 is computed to beside derivatives."""
+    return TABLES if scene.medium.phase is None else FINE_TABLES
+
+
+def _looked_up(scene: Scene, sharp: Array, image: Array) -> Skipped:
+    """What tables of order 2 err by."""
+    off = table_error(_tables(scene)) * float(np.linalg.norm(sharp)) / (float(np.linalg.norm(image)) or 1.0)
+    return Skipped("tables that order 2 is looked up in", off)
+
+
+def _sharp(scene: Scene, highest: int, others: Sequence[PhaseFunction]) -> tuple[Array, Array]:
     """Orders 1 and 2, and their derivatives: they go with σs and σs² at one extinction."""
     medium = scene.medium
 
     def orders(other: Medium) -> tuple[Array, Array]:
         lit = replace(scene, medium=other)
         first = single_scattering(lit)
-        return first, double_scattering(lit, TABLES) if highest >= 2 else np.zeros_like(first)
+        return first, double_scattering(lit, _tables(lit)) if highest >= 2 else np.zeros_like(first)
 
     first, second = orders(medium)
     absorption = STEP_LENGTH / max(scene.tank.size_mm)
-    turning = STEP_ASYMMETRY * (1.0 - medium.g) * (1.0 + medium.g) * (-1.0 if medium.g > 0.0 else 1.0)
     darker = sum(orders(replace(medium, sigma_a=medium.sigma_a + absorption)))
-    turned = sum(orders(replace(medium, g=medium.g + turning)))
     image = first + second
     by_absorption = (darker - image) / absorption
     by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
+    if medium.phase is not None:
+        towards = [sum(orders(Medium(medium.sigma_a, medium.sigma_s, phase=other))) - image for other in others]
+        return image, np.stack([by_absorption, by_scattering, *towards])
+    turning = STEP_ASYMMETRY * (1.0 - medium.g) * (1.0 + medium.g) * (-1.0 if medium.g > 0.0 else 1.0)
+    turned = sum(orders(replace(medium, g=medium.g + turning)))
     return image, np.stack([by_absorption, by_scattering, (turned - image) / turning])
 
 
@@ -182,17 +261,18 @@ def tank_accurate(scene: Scene, paths: int, seed: int = 0, max_order: int | None
 
 
 def _from_paths(
-    scene: Scene, batches: int, seed: int, max_order: int, lattice: Lattice, lowest: int
+    scene: Scene, batches: int, seed: int, max_order: int, lattice: Lattice, lowest: int, ways: Sequence[PhaseFunction]
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Orders from the lowest on and their derivatives, (4, rows, columns), the light's standard error, and patterns of
-    the derivatives' noise, (n, 3, rows, columns)."""
+    the derivatives' noise, (n, 3, rows, columns); of ways that the phase function may go, one for each instead of g."""
     grid = CellGrid.of(scene)
     if max_order < lowest:
-        zero = np.zeros((4, *scene.camera.shape))
+        zero = np.zeros((4 if scene.medium.phase is None else 3 + len(ways), *scene.camera.shape))
         return zero, zero[0], np.zeros((0, *zero[1:].shape))
 
     def followed(number: int) -> Array:
-        return grid.folded(traced_tangents(scene, grid, (seed, number), max_order, FAINTEST, lattice, lowest=lowest))
+        found = traced_tangents(scene, grid, (seed, number), max_order, FAINTEST, lattice, lowest=lowest, others=ways)
+        return grid.folded(found)
 
     with ThreadPoolExecutor(min(THREADS, batches)) as pool:
         layers = np.moveaxis(np.array(list(pool.map(followed, range(batches)))), 1, 0)
@@ -208,7 +288,7 @@ def _from_paths(
     most = FEW_GROUPS if math.prod(scene.camera.shape) > MANY_PIXELS else GROUPS
     scale = 1.0 if plain else math.sqrt(LEARNT)
     noise = [scale * to_pixels(apart) for apart in _apart(np.moveaxis(smooth[1:], 1, 0), most)]
-    shape = (len(noise), 3, *scene.camera.shape)
+    shape = (len(noise), len(layers) - 1, *scene.camera.shape)
     return to_pixels(smooth.mean(axis=1)), float(peaks[0, 0, 0, 0]) * stderr, np.array(noise).reshape(shape)
 
 

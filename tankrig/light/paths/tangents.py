@@ -1,4 +1,4 @@
-"""Derivatives of what paths send to the camera by σa, σs and g, along the very same paths.
+"""Derivatives of what paths send to the camera by σa, σs and the phase function, along the very same paths.
 
 A path of n scatterings and of the length ℓ from x = 0 to the surface brings light in proportion to
 
@@ -8,12 +8,14 @@ so that, with its places held and the density that it was drawn with, its light 
 
     −ℓ by σa,   n/σs − ℓ by σs,   Σ ∂ ln p(cos θₖ)/∂g by g
 
-of itself (the score, or likelihood ratio; Glynn 1990). All three come with the image for less than its own price, and
-have no step: differences between two media have the noise of both images over the step, because paths take other
-ways in another medium.
+of itself (the score, or likelihood ratio; Glynn 1990). Of another phase function than Henyey–Greenstein's the last is
+Σ (q(cos θₖ)/p(cos θₖ) − 1) by the share of the way to a phase function q, for any number of them. All come with the
+image for two or three times its price, and have no step: differences between two media have the noise of both images
+over the step, because paths take other ways in another medium.
 """
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -48,14 +50,17 @@ from tankrig.light.rays import Geometry, geometry_of, sight_line
 from tankrig.light.water import Water, water_of
 from tankrig.scene import Scene
 from tankrig.scene.phase import phase_density
+from tankrig.scene.phase_table import PhaseFunction, PhaseRecord
 
 if TYPE_CHECKING:
     from tankrig.light.paths.cells import CellGrid
 
 Array = NDArray[np.float64]
 
-LAYERS = 4
-"""Of an image: its light, and the light times n, times ℓ and times Σ ∂ ln p/∂g."""
+LAYERS = 3
+"""Of an image: its light, and the light times n and times ℓ; then the light times each score of turning."""
+NO_SCORES = np.zeros((1, 1))
+"""Henyey–Greenstein's one score is a formula."""
 
 
 class Scores(NamedTuple):
@@ -66,15 +71,25 @@ class Scores(NamedTuple):
     way_mm: Array
     """ℓ."""
     turning: Array
-    """Σ ∂ ln p/∂g."""
+    """(n, k) scores of turning."""
+
+
+class Sought(NamedTuple):
+    """What is recorded."""
+
+    lowest: int
+    """Order that is recorded first."""
+    scores: Array
+    """(k, nodes) of turning, see `count_turn`; `NO_SCORES` of Henyey–Greenstein's phase function."""
 
 
 class SoFar(NamedTuple):
-    """What of ℓ and Σ ∂ ln p/∂g is behind each path, by the number of its lattice point after `first`."""
+    """What of ℓ and the scores of turning is behind each path, by the number of its lattice point after `first`."""
 
     first: int
     way_mm: Array
     turning: Array
+    scores: Array
 
 
 @part
@@ -92,21 +107,52 @@ def by_asymmetry(cosine: float, g: float) -> float:
     return -2.0 * g / ((1.0 - g) * (1.0 + g)) - 3.0 * (g - cosine) / spread
 
 
+@part
+def count_turn(turning: Array, at: int, cosine: float, phase: PhaseRecord, scores: Array) -> None:
+    """Add one scattering's scores to those of a path.
+
+    Parameters
+    ----------
+    turning
+        (n, k) of paths.
+    at
+        Number of the path.
+    cosine
+        cos θ.
+    phase
+        Phase function.
+    scores
+        (k, nodes) at even steps of sin(θ/2), of any other phase function than Henyey–Greenstein's.
+    """
+    if len(phase) == 2:
+        turning[at, 0] += by_asymmetry(cosine, phase.g)
+    else:
+        steps = scores.shape[1] - 1
+        place = math.sqrt(max(0.5 - 0.5 * cosine, 0.0)) * steps
+        step = min(int(place), steps - 1)
+        share = place - step
+        for k in range(scores.shape[0]):
+            turning[at, k] += (1.0 - share) * scores[k, step] + share * scores[k, step + 1]
+
+
 @kernel
 def trace_tangents(
     image: Array, cell_mm: tuple[float, float], geometry: Geometry, water: Water, beams: Array, points: Points,
-    limits: PathLimits, lowest: int,
+    limits: PathLimits, sought: Sought,
 ) -> None:  # fmt: skip
     """Follow the paths of lattice points as `trace` does, with the scores of the module's heading, from order `lowest`.
 
     Parameters
     ----------
     image
-        Added to: (2, rows + 2, columns + 2, `LAYERS`) for paths that begin anywhere, ℓ less the place where it is seen
-        along x; (rows, columns, `LAYERS`) for others.
+        Added to: (2, rows + 2, columns + 2, `LAYERS` + k) for paths that begin anywhere, ℓ less the place where it is
+        seen along x; (rows, columns, `LAYERS` + k) for others.
     cell_mm, geometry, water, beams, points, limits
-        As for `trace`; the phase function is Henyey–Greenstein's.
+        As for `trace`.
+    sought
+        What is recorded.
     """
+    lowest, scores = sought
     sigma_t, albedo, phase = water
     lattice, stop = points
     max_order, faintest, first_thinning, turns = limits
@@ -115,11 +161,11 @@ def trace_tangents(
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
     before = np.empty((6, BLOCK))
-    way_mm, turning = np.empty(BLOCK), np.empty(BLOCK)  # of each path, by its lattice point
-    seen_way, seen_turning = np.empty(BLOCK), np.empty(BLOCK)
+    way_mm, turning = np.empty(BLOCK), np.empty((BLOCK, scores.shape[0]))  # of each path, by its lattice point
+    seen_way, seen_turning = np.empty(BLOCK), np.empty((BLOCK, scores.shape[0]))
     for first in range(0, stop, BLOCK):
         n = min(BLOCK, stop - first)
-        so_far = SoFar(first, way_mm, turning)
+        so_far = SoFar(first, way_mm, turning, scores)
         if image.ndim == 4:
             begin_at_origin(block, n, first, geometry, sampling, beams, lattice)
         else:
@@ -127,7 +173,9 @@ def trace_tangents(
             look(block, n, geometry, sigma_t)
         begin(block, n, first, sampling, lattice, faintest)
         for i in range(n):
-            way_mm[i], turning[i] = block.x[i] / block.dx[i], 0.0
+            way_mm[i] = block.x[i] / block.dx[i]
+            for k in range(scores.shape[0]):
+                turning[i, k] = 0.0
         for order in range(1, max_order):
             n = going_on(block, n, order, first_thinning, lattice, image.ndim == 4)
             if n == 0:
@@ -140,7 +188,7 @@ def trace_tangents(
                 _probe(probes, seen, block, so_far, step, n, geometry, sampling)
                 if image.ndim == 4:
                     cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
-                    _end_up(seen, probes, n, geometry, sampling)
+                    _end_up(seen, probes, n, geometry, sampling, scores)
                     _tally_rectangles(image, tally, seen, n, beams, geometry.half_width, cell_mm[1])
                 else:
                     _tally_cells(image, probes.x, probes.y, probes.weight, seen, n, geometry.half_width, cell_mm)
@@ -160,17 +208,19 @@ def trace_tangents(
                 continue
             for i in range(n):
                 at = int(block.point[i]) - first
-                seen_way[i], seen_turning[i] = way_mm[at], turning[at]
+                seen_way[i] = way_mm[at]
+                for k in range(scores.shape[0]):
+                    seen_turning[i, k] = turning[at, k]
             if image.ndim == 4:
                 ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
                 cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
-                _end_up(seen, ends, n, geometry, sampling)
+                _end_up(seen, ends, n, geometry, sampling, scores)
                 _tally_rectangles(image, tally, seen, n, beams, geometry.half_width, cell_mm[1])
             else:
                 arrive(tally, block, n, sampling)
                 for i in range(n):
                     ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
-                    seen_turning[i] += by_asymmetry(ahead, sampling.phase.g)
+                    count_turn(seen_turning, i, ahead, sampling.phase, scores)
                     seen_way[i] += (geometry.height - block.z[i]) / block.sz[i]
                 _tally_cells(image, block.seen_x, block.seen_y, tally.value, seen, n, geometry.half_width, cell_mm)
 
@@ -178,17 +228,17 @@ def trace_tangents(
 @kernel
 def _turn(block: Block, before: Array, so_far: SoFar, n: int, sampling: PathSampling) -> None:
     """Count the scattering that has just turned paths; their vertical directions are kept for the flight."""
-    first, _, turning = so_far
+    first, _, turning, scores = so_far
     for i in range(n):
         cosine = block.dx[i] * before[0, i] + block.dy[i] * before[1, i] + block.dz[i] * before[2, i]
-        turning[int(block.point[i]) - first] += by_asymmetry(cosine, sampling.phase.g)
+        count_turn(turning, int(block.point[i]) - first, cosine, sampling.phase, scores)
         before[2, i] = block.dz[i]
 
 
 @kernel
 def _go(block: Block, before: Array, so_far: SoFar, n: int, geometry: Geometry) -> None:
     """Count the flight that paths have just made."""
-    first, way_mm, _ = so_far
+    first, way_mm, _, _ = so_far
     for i in range(n):
         reflected = block.dz[i] != before[2, i]
         way_mm[int(block.point[i]) - first] += _length(
@@ -221,7 +271,7 @@ def _probe(
     Of the latter x, y and weight are those that the camera sees.
     """
     _, seen_way, seen_turning = seen
-    first, way_mm, turning = so_far
+    first, way_mm, turning, scores = so_far
     shiftable, index = block.x_high[0] > block.x_low[0], geometry.refractive_index
     for i in range(n):
         x, y, z, dx, dy, dz, weight = probed(block, step, i, geometry, sampling, index)
@@ -232,7 +282,9 @@ def _probe(
         cosine = dx * block.dx[i] + dy * block.dy[i] + left * block.dz[i]
         at = int(block.point[i]) - first
         seen_way[i] = way_mm[at] + _length(across, along, block.z[i], z, (dx, dy, dz), reflected, geometry.height)
-        seen_turning[i] = turning[at] + by_asymmetry(cosine, sampling.phase.g)
+        for k in range(scores.shape[0]):
+            seen_turning[i, k] = turning[at, k]
+        count_turn(seen_turning, i, cosine, sampling.phase, scores)
         if shiftable:
             probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
         else:
@@ -241,16 +293,16 @@ def _probe(
             probes.weight[i] = weight * phase_density(ahead, sampling.phase) * factor
             probes.weight[i] *= exponential(-sampling.sigma_t * path)
             seen_way[i] += path
-            seen_turning[i] += by_asymmetry(ahead, sampling.phase.g)
+            count_turn(seen_turning, i, ahead, sampling.phase, scores)
 
 
 @kernel
-def _end_up(seen: Scores, ends: Ends, n: int, geometry: Geometry, sampling: PathSampling) -> None:
+def _end_up(seen: Scores, ends: Ends, n: int, geometry: Geometry, sampling: PathSampling, scores: Array) -> None:
     """The last scattering, into the camera above, and the way up; less the place, which starts add."""
     _, way_mm, turning = seen
     for i in range(n):
         way_mm[i] += geometry.height - ends.z[i] - ends.x[i]
-        turning[i] += by_asymmetry(ends.dz[i], sampling.phase.g)
+        count_turn(turning, i, ends.dz[i], sampling.phase, scores)
 
 
 @kernel
@@ -259,12 +311,14 @@ def _tally_rectangles(
 ) -> None:
     """As `tally_rectangles`, in all layers."""
     scatterings, way_mm, turning = scores
-    factors = np.empty(LAYERS)
+    factors = np.empty(LAYERS + turning.shape[1])
     for i in range(n):
         if not tally.value[i] > 0.0:  # nor NaN, whose place is no index
             continue
         first, last = int(tally.first[i]), int(tally.last[i])
-        factors[0], factors[1], factors[2], factors[3] = 1.0, scatterings, way_mm[i], turning[i]
+        factors[0], factors[1], factors[2] = 1.0, scatterings, way_mm[i]
+        for k in range(turning.shape[1]):
+            factors[LAYERS + k] = turning[i, k]
         for beam in range(beams.shape[0]):
             low, high = max(beams[beam, 0], tally.y_low[i]), min(beams[beam, 1], tally.y_high[i])
             if high <= low:
@@ -275,7 +329,7 @@ def _tally_rectangles(
                 change = beams[beam, 4] if side == 0 else -beams[beam, 4]
                 after = (place - row) * change
                 before = change - after
-                for k in range(LAYERS):
+                for k in range(factors.size):
                     here, below = before * factors[k], after * factors[k]
                     edges[0, row, first, k] += here * tally.first_part[i]
                     edges[0, row + 1, first, k] += below * tally.first_part[i]
@@ -295,7 +349,7 @@ def _tally_cells(
     """As `tally_cells`, in all layers."""
     scatterings, way_mm, turning = scores
     rows, columns, _ = cells.shape
-    factors = np.empty(LAYERS)
+    factors = np.empty(LAYERS + turning.shape[1])
     for i in range(n):
         across, along = x[i] / cell_mm[0], (y[i] + half_width) / cell_mm[1]
         if not (value[i] > 0.0 and 0.0 <= across <= columns and 0.0 <= along <= rows):
@@ -306,8 +360,10 @@ def _tally_cells(
         lower = value[i] * (along - row)
         upper = value[i] - lower
         right = across - column
-        factors[0], factors[1], factors[2], factors[3] = 1.0, scatterings, way_mm[i], turning[i]
-        for k in range(LAYERS):
+        factors[0], factors[1], factors[2] = 1.0, scatterings, way_mm[i]
+        for k in range(turning.shape[1]):
+            factors[LAYERS + k] = turning[i, k]
+        for k in range(factors.size):
             cells[row, column, k] += upper * (1.0 - right) * factors[k]
             cells[row, after, k] += upper * right * factors[k]
             cells[below, column, k] += lower * (1.0 - right) * factors[k]
@@ -316,29 +372,34 @@ def _tally_cells(
 
 def traced_tangents(
     scene: Scene, grid: "CellGrid", seed: tuple[int, int], max_order: int, faintest: float,
-    lattice: Lattice = LARGE, thinning: int = THINNING, lowest: int = 3,
+    lattice: Lattice = LARGE, lowest: int = 3, others: Sequence[PhaseFunction] = (),
 ) -> Array:  # fmt: skip
-    """Image of one shifted lattice of paths, and its derivatives by σa, σs and g.
+    """Image of one shifted lattice of paths, and its derivatives by σa, σs and the phase function.
 
     Parameters
     ----------
-    scene, grid, seed, max_order, faintest, lattice, thinning
-        As for `traced`; the phase function is Henyey–Greenstein's.
+    scene, grid, seed, max_order, faintest, lattice
+        As for `traced`.
     lowest
         Order that is recorded first, 2 or 3.
+    others
+        Phase functions that there is a derivative towards, see `tank_tangent`; none of them where the medium's is
+        Henyey–Greenstein's, of which there is one by g.
 
     Returns
     -------
-    (4, rows, columns) array
+    (3 + k, rows, columns) array
         Orders from `lowest` in W/mm²/sr, from 3 the same as `traced` gives; their derivatives by
-        σa, σs (times mm) and g.
+        σa, σs (times mm) and g, or by the share of the way to each of k others.
     """
     medium, geometry = scene.medium, geometry_of(scene)
     water, points, shiftable = water_of(medium), Points(lattice.shifted(seed), lattice.points), grid.shiftable
-    limits = PathLimits(max_order, faintest, thinning)
+    limits = PathLimits(max_order, faintest, THINNING)
     middles = (np.arange(grid.columns) + 0.5) * grid.cell_mm[0]
-    cells = np.zeros((grid.rows, grid.columns, LAYERS))
-    found = np.zeros((LAYERS, grid.rows, grid.columns))
+    scores = NO_SCORES if medium.phase is None else scores_towards(others, medium.phase)
+    layers = LAYERS + len(scores)
+    cells = np.zeros((grid.rows, grid.columns, layers))
+    found = np.zeros((layers, grid.rows, grid.columns))
     lit = [beam for beam in scene.projector.beams if beam.irradiance > 0.0]
     for z_mm in sorted({beam.z_mm for beam in lit}) if shiftable else [None]:
         beams = [beam for beam in lit if z_mm in (None, beam.z_mm)]
@@ -346,14 +407,27 @@ def traced_tangents(
         table = np.column_stack(
             [np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams]), np.cumsum(power) / power.sum()]
         )
-        edges = np.zeros((2, grid.rows + 2, grid.columns + 2, LAYERS) if shiftable else (0,) * 4)
+        edges = np.zeros((2, grid.rows + 2, grid.columns + 2, layers) if shiftable else (0,) * 4)
         light = edges if shiftable else cells
-        trace_tangents(light, grid.cell_mm, geometry, water, table, points, limits, lowest)
+        trace_tangents(light, grid.cell_mm, geometry, water, table, points, limits, Sought(lowest, scores))
         if z_mm is None:
             found += np.moveaxis(cells, 2, 0) * (power.sum() / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1]))
             break
         image = image_of_edges(np.moveaxis(edges, 3, 0), medium.sigma_t, grid.cell_mm[0])
         image[2] += image[0] * middles  # a start's own way is where its light is seen, less where the path leads
         found += image * (sight_line(geometry, 0.0, 0.0)[3] * (z_mm[1] - z_mm[0]) / lattice.points)
-    light, scattered, far, turned = found
-    return np.array([light, -far, scattered / medium.sigma_s - far, turned])
+    light, scattered, far = found[:LAYERS]
+    return np.array([light, -far, scattered / medium.sigma_s - far, *found[LAYERS:]])
+
+
+def scores_towards(others: Sequence[PhaseFunction], phase: PhaseFunction) -> Array:
+    """(k, nodes) q/p − 1 at the nodes of a table, for k phase functions q.
+
+    Examples
+    --------
+    >>> from tankrig.scene.phase_functions import TwoTerm
+    >>> scores_towards([TwoTerm(0.8, -0.3, 0.9)], TwoTerm(0.8, -0.3, 0.9)).any()
+    np.False_
+    """
+    table = np.maximum(phase.table, 1e-300)
+    return np.array([other.table / table - 1.0 for other in others]).reshape(len(others), table.size)
