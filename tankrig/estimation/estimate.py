@@ -396,7 +396,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         ),
         what_no_phase_describes(undescribed, rough),
         what_is_misaligned(off),
-        what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], bare) if sign else "",
+        what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], bare, sign.others) if sign else "",
         what_is_unseen(medium, moved_by_halos(calm, [left])[:own], spread, known) if "halo" not in off else "",
         _unseen_floor(calm, left, scene, medium, off, spread, known) if whole else "",
         what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),

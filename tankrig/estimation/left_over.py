@@ -14,6 +14,7 @@ from tankrig.estimation.light_beside import BesideBlock
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
 from tankrig.estimation.observation import structure
 from tankrig.estimation.problem import Evaluation
+from tankrig.estimation.residual import ALIKE
 from tankrig.estimation.shots import Fit
 from tankrig.estimation.uncertainty import ModelError, PatternedError, SmoothError
 from tankrig.estimation.verdict import TELLING_MOVE
@@ -170,15 +171,18 @@ class Shown:
     deviations
         By how many standard deviations its size is seen.
     moved
-        (values,) what it moves values by.
+        (values,) what it moves values by, or a cause that is nearly as likely and moves them more.
     explained
         (n,) what it explains of the residual, whitened.
+    others
+        Causes that are nearly as likely.
     """
 
     name: str
     deviations: float
     moved: Array
     explained: Array
+    others: tuple[str, ...] = ()
 
 
 def astray_shown(
@@ -213,16 +217,20 @@ def astray_shown(
     (view,) = best.problem.views
     faults = best.project_out(view.whitened(gain * patterns))[:, : best.left.size]
     sizes, chances, moved = shown(best.sensitivity, best.left, faults, [left.noise], stated_errors(best, [left]))
-    telling = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1) > TELLING_MOVE
+    moves = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1)
     low, high = np.array([SIGNS[one].sizes(scene) for one in names]).T
     believed = (sizes > low) & (sizes - TOLD * chances < high)
     deviations = sizes / chances
-    seen = np.where(telling & believed, np.abs(deviations), 0.0)
+    seen = np.where((moves > TELLING_MOVE) & believed, np.abs(deviations), 0.0)
     most = int(np.argmax(seen))
     if seen[most] <= TOLD:
         return None
     explained = sizes[most] * faults[most] - moved[most] @ best.sensitivity.changes
-    return Shown(names[most], float(deviations[most]), moved[most], explained)
+    # A veil and a floor are told apart by chance: whichever is named, what the other may have done is counted.
+    alike = np.flatnonzero((seen > TOLD) & (seen**2 > seen[most] ** 2 - ALIKE))
+    others = tuple(names[one] for one in alike if one != most)
+    worst = alike[int(np.argmax(moves[alike]))]
+    return Shown(names[most], float(deviations[most]), moved[worst], explained, others)
 
 
 def rms(values: Image) -> float:

@@ -190,8 +190,9 @@ def what_is_unseen(
 
 
 def what_is_shown(
-    medium: Medium, name: str, deviations: float, moved: NDArray[np.float64], spread: NDArray[np.float64]
-) -> str:
+    medium: Medium, name: str, deviations: float, moved: NDArray[np.float64], spread: NDArray[np.float64],
+    others: Sequence[str] = (),
+) -> str:  # fmt: skip
     """A sentence on a cause that a residual shows, although it is no more than noise by its size.
 
     Parameters
@@ -206,6 +207,8 @@ def what_is_shown(
         (3,) what it moves σa, σs and g by.
     spread
         Their covariance without it.
+    others
+        Causes that are nearly as likely; `moved` is of the one that moves them most.
     """
     beyond = [
         (which, abs(float(by)))
@@ -213,7 +216,8 @@ def what_is_shown(
         if abs(by) > TELLING_MOVE * math.sqrt(float(variance))
     ]
     return (
-        f"The residual shows {name} by {abs(deviations):.2g} standard deviations, which the scene does not describe: "
+        f"The residual shows {' or '.join([name, *others])} by {abs(deviations):.2g} standard deviations, which the "
+        "scene does not describe: "
         f"{_moves(medium, beyond)} would be off by it, and the intervals are widened by that. Measure it, or fit it "
         "along."
     )
