@@ -214,14 +214,15 @@ def main() -> None:
     given.add_argument("results", type=Path)
     given.add_argument("--mode", nargs="+", choices=MODES, default=["family", "default", "label", "hg"])
     given.add_argument("--gain", choices=("known", "free", "both"), default="both")
-    given.add_argument("--seeds", default="0-0")
+    given.add_argument("--seeds", default="0", help="one, or the first and the last with a dash between")
     given.add_argument("--only", default="", help="what names must contain")
     given.add_argument("--limit", type=int, default=1_000_000, help="fits to add at most")
     given.add_argument("--summary", action="store_true", help="fit nothing")
     options = given.parse_args()
     lines = [json.loads(line) for line in options.results.read_text().splitlines()] if options.results.exists() else []
     done = {(one["name"], one["gain"], one["mode"], one["seed"]) for one in lines}
-    first, last = map(int, options.seeds.split("-"))
+    first, _, last = options.seeds.partition("-")
+    seeds = range(int(first), int(last or first) + 1)
     gains = ("known", "free") if options.gain == "both" else (options.gain,)
     files = [one for one in sorted(options.folder.glob("*.toml")) if one.with_suffix(".npz").exists()]
     names = {one.stem for one in files}
@@ -237,7 +238,7 @@ def main() -> None:
             of_mode = [one for one in of_mode if len(list(options.folder.glob(f"{one}-0.0??.toml"))) >= 5]
         chosen = [name for name in of_mode if options.only in name]
         wanted += [
-            (name, gain, mode, seed) for seed in range(first, last + 1) for name in chosen for gain in gains
+            (name, gain, mode, seed) for seed in seeds for name in chosen for gain in gains
         ]  # fmt: skip
     for name, gain, mode, seed in [one for one in wanted if one not in done and not options.summary][: options.limit]:
         scene_file = options.folder / f"{name}.toml"
