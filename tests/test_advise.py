@@ -9,8 +9,8 @@ import pytest
 
 from tankrig.advice.expected import Known, Shot, expected
 from tankrig.advice.ranking import Candidate, ranked
-from tankrig.estimation.forward import prepared_model
 from tankrig.estimation.series import estimate_series
+from tankrig.estimation.series_forward import prepared_model
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank

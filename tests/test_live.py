@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 from tankrig.bench import Bench
 from tankrig.devices import CameraSettings, Delivered, Frame
 from tankrig.errors import ImageError
-from tankrig.estimation import forward
+from tankrig.estimation import series_forward
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
 from tankrig.light.tank import tank_image
@@ -651,7 +651,7 @@ def test_a_series_that_steps_beyond_its_models_does_not_follow_light_paths(
     """A step of its search without absorption, which no prepared model holds, took minutes on a bench."""
     scene, model = prepared
     followed: list[Medium] = []
-    monkeypatch.setattr(forward, "tank_model", lambda *_: followed.append)
+    monkeypatch.setattr(series_forward, "tank_model", lambda *_: followed.append)
     answer = fits.nearly_within([model])(scene, 2, 0)
     clear, dense = Medium(0.0, 0.021, 0.55), Medium(0.001, 0.027, 0.66)
     for beyond in (clear, dense):

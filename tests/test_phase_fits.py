@@ -16,7 +16,7 @@ from tankrig.errors import SceneError, SequenceError
 from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.estimate import Estimate, fit_models
 from tankrig.estimation.followed import Model
-from tankrig.estimation.forward import Models, image_of, models_of, tank_model
+from tankrig.estimation.forward import Models, image_of, models_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.phase_answer import Asked, asked_for, rougher
 from tankrig.estimation.phase_families import (
@@ -32,6 +32,7 @@ from tankrig.estimation.phase_families import (
 from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, estimate_series
+from tankrig.estimation.series_forward import tank_model
 from tankrig.live.photograph_plan import phase_of
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, from_fields, to_fields
 from tankrig.prediction import Prediction

@@ -7,11 +7,11 @@ import pytest
 
 import tankrig
 from tankrig.errors import ImageError, SceneError
-from tankrig.estimation.forward import in_water
 from tankrig.estimation.ink_blocks import Doses
 from tankrig.estimation.observation import observe
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, fit_series
+from tankrig.estimation.series_forward import in_water
 from tankrig.light.leaving import CameraLens
 from tankrig.prediction import Prediction
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank

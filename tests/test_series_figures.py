@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tankrig.estimation.forward import prepared_model
 from tankrig.estimation.series import SeriesEstimate, estimate_series
+from tankrig.estimation.series_forward import prepared_model
 from tankrig.image.prepare import prepare
 from tankrig.live.preparing import box_for
 from tankrig.montecarlo import simulate_to

@@ -9,7 +9,6 @@ would look like a way to a better fit.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,7 +39,6 @@ from tankrig.estimation.phase_families import Family
 from tankrig.image.predict import predict
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
-from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture
 from tankrig.scene.phase_table import PhaseFunction
 
 if TYPE_CHECKING:
@@ -48,8 +46,6 @@ if TYPE_CHECKING:
 
 Exact = Callable[[Medium, float], Prediction]
 """The same as accurately as can be, with so many times as many light paths."""
-ModelOf = Callable[[Scene, int, int], Model]
-"""From a scene, a number of batches and a seed to a model; many batches are accurate, and few are quick."""
 
 COARSE, FINE = 0.05, 0.01
 """Tolerance of cheap and of accurate images."""
@@ -73,14 +69,8 @@ NEAR_NOISE, NEAR_BATCHES = 0.01, 8
 EXACT_NOISE, EXACT_BATCHES = 0.0005, 128
 """The same for the one image, at the optimum, that the others are corrected by."""
 
-QUICK_BATCHES, ACCURATE_BATCHES = 2, 8
-"""Lattices of the images of a series: of those that steps are made with, and of those that correct them."""
-LATTICES = 4
-"""Of a series' images, where no prepared model holds a medium."""
 EXACT_ORDERS = 2
 """That are computed without paths."""
-PURE_WATER_SIGMA_S = 1.9e-6
-"""What pure water itself scatters of green light, 1/mm, as much forwards as backwards (Morel 1974)."""
 
 ERROR_PIXELS = 4.0
 """Standard deviation of the Gaussian over which a stated noise is averaged."""
@@ -321,10 +311,10 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
     def exact(medium: Medium, times: float) -> Prediction:
         return following(max(math.ceil(times * batches(medium, EXACT_NOISE, EXACT_BATCHES)), fewest), 3)(medium)
 
-    return Models(coarse, refine, exact=exact, low=_low_orders(scene, max_order))
+    return Models(coarse, refine, exact=exact, low=low_orders_of(scene, max_order))
 
 
-def _low_orders(scene: Scene, max_order: int | None = None) -> Model | None:
+def low_orders_of(scene: Scene, max_order: int | None = None) -> Model | None:
     """Orders 1 and 2 of a scene's media; None where no others are asked for."""
     from tankrig.light.tank import tank_image
 
@@ -438,120 +428,6 @@ def _models_with_beside(scene: Scene) -> Models:
         main, coarse=with_rough(main.coarse), refine=refined, exact=accurate, look=(by, rougher),
         different=whole.of,
     )  # fmt: skip
-
-
-def series_models(
-    scene: Scene, model_of: ModelOf, family: Family | None = None, low_of: ModelOf | None = None
-) -> Models:
-    """A series' models as versions of one: steps by the quick one, corrections by the accurate one.
-
-    What few lattices say about their noise in each pixel is noise itself: it counts in proportion to the image.
-
-    Parameters
-    ----------
-    scene
-        Its medium does not matter.
-    model_of
-        What is fitted.
-    family
-        Of phase functions; None: Henyey–Greenstein.
-    low_of
-        The model's orders 1 and 2, where they are to be had alone.
-    """
-
-    def even(model: Model) -> Model:
-        def image(medium: Medium) -> Prediction:
-            found = model(medium)
-            return replace(found, stderr=None, skipped=(Skipped("noise, and what was left out", stated_error(found)),))
-
-        return lru_cache(maxsize=64)(image)
-
-    quick, accurate = (
-        even(model_of(scene, batches, seed)) for batches, seed in ((QUICK_BATCHES, 0), (ACCURATE_BATCHES, 1))
-    )
-    low = None if low_of is None else remembered(low_of(scene, 0, 0))
-    return Models(quick, None, exact=lambda medium, _: accurate(medium), central=False, family=family, low=low)
-
-
-def tank_model(scene: Scene, batches: int, seed: int) -> Model:
-    """The tank's image by a fixed number of lattices of light paths: a smooth function of the medium."""
-    from tankrig.light.rays import shift_invariant
-    from tankrig.light.tank import tank_image
-
-    if not shift_invariant(scene):
-        batches = max(batches, SMOOTHED_BATCHES)
-
-    def image(medium: Medium) -> Prediction:
-        return tank_image(replace(scene, medium=medium), seed=seed, batches=batches)
-
-    return image
-
-
-def low_orders_model(scene: Scene, _batches: int, _seed: int) -> Model:
-    """Orders 1 and 2 of the tank's image, which follow no paths."""
-    found = _low_orders(scene)
-    assert found is not None
-    return found
-
-
-def in_water(model_of: ModelOf, sigma_s: float) -> ModelOf:
-    """The same of ink in water that scatters by itself: coefficients add up, and p is the mean over what scatters.
-
-    Parameters
-    ----------
-    model_of
-        What is fitted.
-    sigma_s
-        The water's, 1/mm, isotropic.
-    """
-    if sigma_s == 0.0:
-        return model_of
-
-    def mixed(scene: Scene, batches: int, seed: int) -> Model:
-        model = model_of(scene, batches, seed)
-
-        def image(ink: Medium) -> Prediction:
-            whole = ink.sigma_s + sigma_s
-            if ink.phase is None:
-                return model(Medium(ink.sigma_a, whole, ink.g * ink.sigma_s / whole))
-            shares = ink.sigma_s / whole, sigma_s / whole
-            return model(Medium(ink.sigma_a, whole, phase=Mixture((ink.phase, HenyeyGreenstein(0.0)), shares)))
-
-        return image
-
-    return mixed
-
-
-def prepared_model(models: "Sequence[Prepared]") -> ModelOf:
-    """Prepared models as a series' model: each medium by the one whose box holds it best, the tank's where none does.
-
-    Parameters
-    ----------
-    models
-        Of any scenes and boxes; scenes without any are left to the tank model.
-    """
-
-    def model_of(scene: Scene, batches: int, seed: int) -> Model:
-        own = [model for model in models if model.scene == scene]
-        paths = tank_model(scene, batches if not own else LATTICES, seed)
-
-        def image(medium: Medium) -> Prediction:
-            holding = [one for one in own if (medium.phase is None or one.phases == "any") and one.box.holds(medium)]
-            model = min(holding, key=lambda one: _off(one, medium), default=None)
-            if model is None:
-                return paths(medium)
-            error = Skipped("what the prepared model is off by", model.error_at(medium))
-            return Prediction(model.predict(medium), "prepared", skipped=(error,))
-
-        return image
-
-    return model_of
-
-
-def _off(model: "Prepared", medium: Medium) -> float:
-    """Distance from the middle of the box, in halves of its width in log σt."""
-    low, high = (math.log(edge) for edge in model.box.sigma_t)
-    return abs(2.0 * (math.log(medium.sigma_t) - low) / (high - low) - 1.0)
 
 
 def stated_error(prediction: Prediction) -> float:

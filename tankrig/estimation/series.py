@@ -17,7 +17,7 @@ from tankrig.estimation.astray import ASTRAY, Astray
 from tankrig.estimation.coordinates import Range, to_coordinates
 from tankrig.estimation.estimate import Free, determined, nuisances_of, with_astray
 from tankrig.estimation.fitting import fitted
-from tankrig.estimation.forward import ModelOf, Models, in_water, low_orders_model, series_models, tank_model
+from tankrig.estimation.forward import Models
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
 from tankrig.estimation.left_over import Left, error_of, left_over, moved_by_halos, rms, spread_of
 from tankrig.estimation.observation import Observation, observe
@@ -29,6 +29,7 @@ from tankrig.estimation.result import Linearity, LiquidEstimate
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
+from tankrig.estimation.series_forward import ModelOf, in_water, low_orders_model, series_models, tank_model
 from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.uncertainty import PATTERN, ModelError
 from tankrig.estimation.verdict import series_verdict, what_is_misaligned, what_is_unseen, what_may_be_another_phase
