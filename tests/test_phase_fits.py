@@ -33,6 +33,7 @@ from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.estimation.series_forward import tank_model
+from tankrig.light.tank import tank_image
 from tankrig.live.photograph_plan import phase_of
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, from_fields, to_fields
 from tankrig.prediction import Prediction
@@ -312,6 +313,16 @@ def test_families_are_weighed_by_the_models_that_they_are_fitted_with() -> None:
         found.append(models.slopes_of(differentiated, 240.0)(liquid))
     weighed, asked = found
     assert weighed.tolist() == asked.tolist()
+
+
+def test_a_family_is_fitted_by_light_paths_from_nowhere() -> None:
+    """Its first guess is Henyey–Greenstein's, by models that know the family's derivatives."""
+    scene = replace(TANK, camera=Camera("orthographic", (10, 15), 16.0))
+    liquid = Medium(3e-4, 0.01, phase=ReynoldsMcCormick(0.6, 1.2))
+    image = tank_image(replace(scene, medium=liquid), seed=5, batches=8).image
+    found = tankrig.estimate(image, scene, noise=0.005 * image.max(), gain=1.0, phase="reynolds-mccormick")
+    off = np.array(found.medium.coefficients) - liquid.coefficients
+    assert (np.abs(off) < 4.0 * np.sqrt(np.diag(found.covariance))[:3]).all()
 
 
 def test_families_are_weighed_by_what_they_explain() -> None:

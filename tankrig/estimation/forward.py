@@ -139,7 +139,9 @@ class Models:
         if self.family is not None:
             low = None if self.low is None else image_of(self.low)
             return liquid_slopes_of(image_of(model), length_mm, self.family, self.central, low=low)
-        if isinstance(model, Followed | Solved | WithBeside):
+        if isinstance(model, Followed):  # of a family: a first guess is Henyey–Greenstein's
+            return replace(model, family=None).slopes
+        if isinstance(model, Solved | WithBeside):
             return model.slopes
         return self.slopes or slopes_of(image_of(model), length_mm, self.central)
 
