@@ -345,18 +345,10 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     held = left.unexplained <= stated and place is None
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
     misaligned = cache(partial(misalignments, scene, best.media[0]))  # eight images, and two may ask
-    instead: Instead | None = None
-    likely: list[Cause] = []
-    misled = False
-    # That a rough look explains more than other causes is enough where families are weighed next.
-    for rough in (True, False) if asked.further is not None else (False,):
-        if held or misled:
-            break
-        if prediction.model in LIKE_TANK:
-            near = None if instead is None else instead.liquid
-            instead = phase_instead(best, scene, models, asked, rough, near)
-        likely = cause_of(best, scene, misaligned, instead.share if instead else None) if whole else []
-        misled = bool(likely) and instead is not None and likely[0].name == PHASE
+    likely, instead = (
+        _likely_causes(best, scene, models, asked, prediction.model, misaligned) if not held else ([], None)
+    )
+    misled = bool(likely) and instead is not None and likely[0].name == PHASE
     cause = likely[0] if likely else None
     own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
     counted = error_of(prediction, gain, left.beyond, scene)
@@ -408,6 +400,24 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
     return found, instead if misled else None
+
+
+def _likely_causes(
+    best: Evaluation, scene: Scene, models: Models, asked: Asked, model: str, misaligned: Callable[[], Array]
+) -> tuple[list[Cause], Instead | None]:  # fmt: skip
+    """What may explain a residual, likeliest first, and what another phase function would say.
+
+    That a rough look explains more than other causes is enough where families are weighed next.
+    """
+    instead: Instead | None = None
+    likely: list[Cause] = []
+    for rough in (True, False) if asked.further is not None else (False,):
+        if model in LIKE_TANK:
+            instead = phase_instead(best, scene, models, asked, rough, None if instead is None else instead.liquid)
+        likely = cause_of(best, scene, misaligned, instead.share if instead else None) if model in WHOLE else []
+        if likely and instead is not None and likely[0].name == PHASE:
+            break
+    return likely, instead
 
 
 def _unseen_floor(
