@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -80,12 +81,19 @@ def from_afar(scene: Scene, distance_mm: float) -> Scene:
 
 
 @pytest.mark.parametrize("surface", ["matched", "fresnel"])
-def test_pinholes_far_away_see_what_parallel_light_shows(surface: str) -> None:
+def test_pinholes_far_away_see_what_parallel_light_shows(surface: Literal["matched", "fresnel"]) -> None:
     """Two ways to the source, and two to the image."""
-    scene = scene_of(Medium(0.002, 0.148, 0.4), replace(SMALL, surface=surface))  # type: ignore[arg-type]
+    scene = scene_of(Medium(0.002, 0.148, 0.4), replace(SMALL, surface=surface))
     plan = MomentPlan(4, 2, 4.0, 24, 0.01)
     parallel, far = dense_orders(scene, plan).image, dense_orders(from_afar(scene, 1e6), plan).image
     assert relative(blocks(far) - blocks(parallel), blocks(parallel)) < 0.004
+
+
+def test_a_projector_that_is_off_makes_no_source() -> None:
+    scene = from_afar(scene_of(Medium(0.003, 0.147, 0.3)), 250.0)
+    beams = tuple(replace(beam, irradiance=0.0) for beam in scene.projector.beams)
+    dark = replace(scene, projector=replace(scene.projector, beams=beams))
+    assert not emission_moments(dark, Cells.of(scene.tank, 10.0), 1, 4, 1).any()
 
 
 def test_slanted_light_is_solved_for_as_paths_have_it() -> None:

@@ -21,7 +21,7 @@ from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.noise import Noise, signs_of_chance
 from tankrig.light.prepared.plan import PreparationPlan
 from tankrig.light.prepared.polynomials import Plane
-from tankrig.light.prepared.regression import Regression
+from tankrig.light.prepared.regression import Fit, Regression
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.light.tangent import tank_accurate
 from tankrig.light.tank import tank_image
@@ -290,6 +290,14 @@ def test_asymmetries_near_one_get_the_degrees_that_they_take(g: tuple[float, flo
     assert np.abs(np.polynomial.chebyshev.chebval(places, series) - sideways(places)).max() < 0.001
 
 
+def fit_of(products: np.ndarray, images: np.ndarray) -> Fit:
+    """Polynomials fitted to (media, 1, cells) images of one albedo, all alike in brightness and noise."""
+    media, _, cells = images.shape
+    even = np.ones((media, 1))
+    regression = Regression(products, even, np.ones(media), even, images, np.full(cells, 1.0 / cells), 0.0 * even)
+    return regression.fit(np.ones(media, bool))
+
+
 def test_what_noise_hides_is_not_left_out() -> None:
     """Coefficients as small as their noise were drawn to 0, in both halves alike: inks came out up to 2 % too thick."""
     rng, media, cells = np.random.default_rng(3), 48, 30
@@ -300,11 +308,7 @@ def test_what_noise_hides_is_not_left_out() -> None:
     noise, fits = 0.1, []
     for _ in range(200):
         images = (products @ field + noise * rng.normal(size=(media, cells)))[:, None]
-        regression = Regression(
-            products, np.ones((media, 1)), np.ones(media), np.ones((media, 1)), images,
-            np.full(cells, 1.0 / cells), np.zeros((media, 1)),
-        )  # fmt: skip
-        fit = regression.fit(np.ones(media, bool))
+        fit = fit_of(products, images)
         fits.append(np.exp(fit.scale[0, 0]) * fit.fields[0])
     mean, error = np.mean(fits, axis=0), np.std(fits, axis=0) / np.sqrt(len(fits))
     kept = float(np.sum(mean[1:] * field[1:]) / np.sum(field[1:] ** 2))
@@ -322,11 +326,7 @@ def test_what_is_left_of_images_tells_what_their_noise_does_to_answers() -> None
     seen, told, seen_slopes, told_slopes = [], [], [], []
     for _ in range(300):
         images = (products @ field + noise * rng.normal(size=(media, cells)))[:, None]
-        regression = Regression(
-            products, np.ones((media, 1)), np.ones(media), np.ones((media, 1)), images,
-            np.full(cells, 1.0 / cells), np.zeros((media, 1)),
-        )  # fmt: skip
-        fit = regression.fit(np.ones(media, bool))
+        fit = fit_of(products, images)
         known = Noise(0, plane, Plane((0, 0), 1.0), fit.scale, fit.pull, fit.left)
         value, by_u, by_v = plane.values_and_slopes(place[0], place[2]) @ fit.fields[0] * np.exp(fit.scale[0, 0])
         seen.append(weights @ (value - 1.0))

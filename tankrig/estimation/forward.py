@@ -293,6 +293,33 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
     )  # fmt: skip
 
 
+Lattices = Callable[[Medium, float, int], int]
+"""How many lattices a medium's image takes for a noise, at most so many."""
+
+
+def _lattices(rough: Model, fewest: int) -> Lattices:
+    """As told by the noise that an image of the fewest lattices states."""
+
+    def batches(medium: Medium, noise: float, most: int) -> int:
+        need = fewest * stated_error(rough(medium)) ** 2
+        return int(np.clip(need / noise**2, fewest, most))
+
+    return batches
+
+
+def _accurate(scene: Scene, max_order: int | None, batches: Lattices) -> Exact:
+    """The image by many light paths that is not smoothed, with the patterns of its noise."""
+
+    def exact(medium: Medium, times: float) -> Prediction:
+        from tankrig.light.paths.block import LARGE
+        from tankrig.light.tangent import tank_accurate
+
+        paths = math.ceil(times * batches(medium, EXACT_NOISE, EXACT_BATCHES) * LARGE.points)
+        return tank_accurate(replace(scene, medium=medium), paths, 3, max_order)
+
+    return exact
+
+
 def _tank_models(scene: Scene, max_order: int | None) -> Models:
     def following(batches: int, seed: int, blur_mm: float = 0.0) -> Model:
         return remembered(lambda medium: tank_along(replace(scene, medium=medium), max_order, batches, seed, blur_mm))
@@ -302,9 +329,7 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
     fewest = COARSE_BATCHES if shift_invariant(scene) else SMOOTHED_BATCHES
     coarse = following(fewest, 0)
 
-    def batches(medium: Medium, noise: float, most: int) -> int:
-        need = fewest * stated_error(coarse(medium)) ** 2
-        return int(np.clip(need / noise**2, fewest, most))
+    batches = _lattices(coarse, fewest)
 
     def refine(medium: Medium) -> tuple[Model, Model]:
         fine, slope = batches(medium, FINE_NOISE, FINE_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
@@ -326,10 +351,7 @@ def low_orders_of(scene: Scene, max_order: int | None = None) -> Model | None:
 
 
 def _followed_models(scene: Scene, max_order: int | None) -> Models:
-    """Of Henyey–Greenstein's media, whose derivatives come along the paths.
-
-    Families of others have versions of their own.
-    """
+    """Versions for Henyey–Greenstein's media, whose derivatives come along the paths; families have their own."""
     from tankrig.light.rays import shift_invariant
 
     straight = shift_invariant(scene)
@@ -339,9 +361,7 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
     look = by, Followed(replace(scene, camera=scene.camera.binned(by)), LOOK_BATCHES, 0, max_order, True, rough=True)
     slanted = remembered(lambda medium: tank_along(replace(scene, medium=medium), max_order, fewest, 1, 0.0))
 
-    def batches(medium: Medium, noise: float, most: int) -> int:
-        need = fewest * stated_error(slanted(medium)) ** 2
-        return int(np.clip(need / noise**2, fewest, most))
+    batches = _lattices(slanted, fewest)
 
     def refine(medium: Medium) -> tuple[Model, Model]:
         from tankrig.light.moments.plan import plan_of_changes
@@ -353,28 +373,20 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
         return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
 
-    def exact(medium: Medium, times: float) -> Prediction:
-        from tankrig.light.paths.block import LARGE
-        from tankrig.light.tangent import tank_accurate
-
-        paths = math.ceil(times * batches(medium, EXACT_NOISE, EXACT_BATCHES) * LARGE.points)
-        return tank_accurate(replace(scene, medium=medium), paths, 3, max_order)
-
     return Models(
-        coarse, refine, exact=exact, look=look, different=lambda family: _family_models(scene, max_order, family)
-    )
+        coarse, refine, exact=_accurate(scene, max_order, batches), look=look,
+        different=lambda family: _family_models(scene, max_order, family),
+    )  # fmt: skip
 
 
 def _family_models(scene: Scene, max_order: int | None, family: Family) -> Models:
-    """Of a family's media, whose derivatives come along the paths as well."""
+    """Versions for media of a family of phase functions, whose derivatives come along the paths as well."""
     from tankrig.light.rays import shift_invariant
 
     fewest = COARSE_BATCHES if shift_invariant(scene) else SMOOTHED_BATCHES
     coarse = Followed(scene, fewest, 0, max_order, family=family)
 
-    def batches(medium: Medium, noise: float, most: int) -> int:
-        need = fewest * stated_error(coarse(medium)) ** 2
-        return int(np.clip(need / noise**2, fewest, most))
+    batches = _lattices(coarse, fewest)
 
     def refine(medium: Medium) -> tuple[Model, Model]:
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
@@ -383,18 +395,11 @@ def _family_models(scene: Scene, max_order: int | None, family: Family) -> Model
             Followed(scene, slope, 2, max_order, family=family, smooth=True),
         )
 
-    def exact(medium: Medium, times: float) -> Prediction:
-        from tankrig.light.paths.block import LARGE
-        from tankrig.light.tangent import tank_accurate
-
-        paths = math.ceil(times * batches(medium, EXACT_NOISE, EXACT_BATCHES) * LARGE.points)
-        return tank_accurate(replace(scene, medium=medium), paths, 3, max_order)
-
-    return Models(coarse, refine, exact=exact, family=family)
+    return Models(coarse, refine, exact=_accurate(scene, max_order, batches), family=family)
 
 
 def _models_with_beside(scene: Scene) -> Models:
-    """Of a scene whose beams' own light meets nothing but ideal lenses and dark walls, and of the light beside that.
+    """Versions where the beams' own light meets ideal lenses and dark walls only, and other light is beside it.
 
     The other light is smooth and mostly a few per cent: all of it by as many paths, and computed as often as the
     beams' light, took ten times as long.

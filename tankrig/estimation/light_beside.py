@@ -39,7 +39,7 @@ ROUGH_LATTICES, SLOPE_LATTICES, LATTICES = 2, 6, 24
 ROUGH_BY_FACES, BY_FACES = 1, 40
 """The same, large ones all, for light by way of faces; derivatives are as rough as the image looked at."""
 FAINT_ROUGH = 4
-"""Of a faint face's, whose few paths show more noise than light."""
+"""Lattices of light by way of a faint face in what is looked at: one shows more noise than light."""
 TOLERANCE, SEED = 0.05, 17
 STEPS = (0.02, 0.03, 0.03)
 """By which light by faces is differenced: of σa times the tank's length, of σs, and of 1 − g²."""
@@ -137,8 +137,7 @@ def light_beside(scene: Scene, name: str, rough: bool = False) -> Beside:
     light, camera = scene.projector, replace(scene.camera, blur=SHARP, halo=NO_HALO, veil=0.0)
     plain = replace(scene, camera=camera, projector=replace(light, halo=NO_HALO, black_level=0.0))
     if name == "black_level":
-        _, width, height = scene.tank.size_mm
-        return Beside(((1.0, _entered(plain, (Beam((-0.5 * width, 0.5 * width), (0.0, height)),), rough)),))
+        return Beside(((1.0, _entered(plain, (all_over(scene),), rough)),))
     if name == "projector_halo":
         lost = _entered(plain, light.beams, rough)
         return Beside(((1.0, _entered(plain, in_its_halo(scene, rough), rough)), (-1.0, lost)))
@@ -161,20 +160,25 @@ def described_beside(scene: Scene, rough: bool = False) -> tuple[Scene, Beside]:
         Whether the light is only looked at.
     """
     light, tank = scene.projector, scene.tank
-    share, (_, width, height) = light.halo.share, tank.size_mm
+    share = light.halo.share
     beams = tuple(replace(beam, irradiance=(1.0 - share) * beam.irradiance) for beam in light.beams)
     bare = replace(light, beams=beams, halo=NO_HALO, black_level=0.0)
     parts: list[tuple[float, Expanded]] = []
     if share > 0.0:
         parts.append((share, _entered(replace(scene, projector=bare), in_its_halo(scene, rough), rough)))
     if light.black_level > 0.0:
-        whole = Beam((-0.5 * width, 0.5 * width), (0.0, height))
-        parts.append((light.black_level, _entered(replace(scene, projector=bare), (whole,), rough)))
+        parts.append((light.black_level, _entered(replace(scene, projector=bare), (all_over(scene),), rough)))
     if not tank.faces.dark:
         clear = any(face.kind in ("glass", "clear") for face in tank.faces.all)
         few = ROUGH_BY_FACES if clear else FAINT_ROUGH
         parts.append((1.0, _by_way_of(scene, tank.faces, ALL_BLACK, rough, few if rough else BY_FACES)))
     return replace(scene, tank=replace(tank, faces=ALL_BLACK), projector=bare), Beside(tuple(parts))
+
+
+def all_over(scene: Scene) -> Beam:
+    """A beam of irradiance 1 all over the wall that light enters through."""
+    _, width, height = scene.tank.size_mm
+    return Beam((-0.5 * width, 0.5 * width), (0.0, height))
 
 
 def in_its_halo(scene: Scene, rough: bool) -> tuple[Beam, ...]:
@@ -185,7 +189,7 @@ def in_its_halo(scene: Scene, rough: bool) -> tuple[Beam, ...]:
 
 
 def _entered(scene: Scene, beams: Sequence[Beam], rough: bool) -> Expanded:
-    """Of light that enters as other beams than a scene's, and meets dark walls."""
+    """The image of light that enters as other beams than a scene's, and meets dark walls."""
     from tankrig.light.paths.block import SMALL
     from tankrig.light.tangent import tank_tangent
     from tankrig.light.tank import tank_image
@@ -204,13 +208,13 @@ def _entered(scene: Scene, beams: Sequence[Beam], rough: bool) -> Expanded:
 
 
 def _sent_back(scene: Scene, name: str, face: Face, rough: bool, lattices: int) -> Expanded:
-    """Of light by way of one face that is not described, and by the others besides."""
+    """The image of light by way of one face that is not described, alone or by the others besides."""
     faces = scene.tank.faces
     return _by_way_of(scene, replace(faces, **{name: face}), replace(faces, **{name: Face()}), rough, lattices)
 
 
 def _by_way_of(scene: Scene, with_it: Faces, without: Faces, rough: bool, lattices: int) -> Expanded:
-    """Of light by way of faces, less that by way of others."""
+    """The image of light by way of faces, less that by way of others."""
     from tankrig.light.tank import by_faces, by_faces_within
 
     lit, dark = (replace(scene, tank=replace(scene.tank, faces=faces)) for faces in (with_it, without))
@@ -256,7 +260,7 @@ class WithBeside:
     light: Beside
 
     def __call__(self, medium: Medium) -> Prediction:
-        """The image."""
+        """The beams' own light and that beside it."""
         return with_light(self.main(medium), self.light, medium)
 
     def slopes(self, medium: Medium) -> Array:
@@ -304,7 +308,7 @@ class BesideBlock(Block):
 
     @classmethod
     def of(cls, scene: Scene, sd: Mapping[str, float]) -> "BesideBlock":
-        """Of a scene, and with standard deviations of the sizes."""
+        """The block of a scene's images, with the standard deviation of each size."""
         lights = tuple(light_beside(scene, name) for name in sd)
         return cls(scene, sd, lights, np.ones(len(sd)))
 
@@ -347,7 +351,7 @@ class BesideBlock(Block):
         return np.asarray(np.sqrt(sum((size * sd * light.stderr(liquid)) ** 2 for size, sd, light in parts)))
 
     def changes(self, values: Values, dose: int, liquid: Medium, by_liquid: Image) -> Image:
-        """The images."""
+        """(k, rows, columns) images, each of a size of one standard deviation."""
         return self._images(liquid)
 
     def _images(self, liquid: Medium) -> Array:

@@ -24,7 +24,7 @@ is taken as linear."""
 
 
 def seen(scene: Scene, cells: Cells, emission: Single, sigma_t: float, surface: Surface) -> Array:
-    """Radiance that leaves towards the camera.
+    """Radiance that leaves the water towards the camera.
 
     Parameters
     ----------

@@ -23,6 +23,7 @@ from tankrig.light.paths.block import (
     draw_step,
     empty_block,
 )
+from tankrig.light.paths.lattices import beam_table
 from tankrig.light.paths.record import column_of, image_of_edges
 from tankrig.light.paths.trace import advance, narrow, scatter
 from tankrig.light.rays import Geometry, geometry_of
@@ -45,7 +46,7 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
     Parameters
     ----------
     scene
-        Of any projector, σs > 0.
+        Any scene with σs > 0.
     cells
         Of the tank.
     degree
@@ -69,12 +70,11 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
         water, points = water_of(medium), Points(LARGE.shifted((seed, number)), LARGE.points)
         total = np.zeros((up, along, across, moments))
         lit = [beam for beam in scene.projector.beams if beam.irradiance > 0.0]
-        power = np.array([beam.power for beam in lit])
-        table = np.column_stack(
-            [np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in lit]), np.cumsum(power) / power.sum()]
-        )
+        if not lit:
+            return total.transpose(3, 0, 1, 2)
+        table, power = beam_table(lit)
         _follow_from_beams(total, cells.size_mm, geometry, water, table, points, order, degree)
-        result: Array = np.moveaxis(total, -1, 0) * (power.sum() / (LARGE.points * math.prod(cells.size_mm[:2])))
+        result: Array = np.moveaxis(total, -1, 0) * (power / (LARGE.points * math.prod(cells.size_mm[:2])))
         return result
 
     def from_anywhere(number: int) -> Array:
@@ -136,7 +136,7 @@ def _follow_from_beams(
     cells: Array, cell_mm: tuple[float, float, float], geometry: Geometry, water: Water, beams: Array,
     points: Points, last: int, degree: int,
 ) -> None:  # fmt: skip
-    """The same for paths that begin on beams whose light slants.
+    """Follow paths from beams whose light slants, and leave weight · Y_lm in the cell of their last scattering.
 
     `cells` is (nz, ny, nx, moments); `beams` (n, 6), as for `tankrig.light.paths.trace`.
     """

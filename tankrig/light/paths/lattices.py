@@ -1,6 +1,6 @@
 """Shifted lattices of light paths: the images that they make, and as many of them as are wanted, kept in groups."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -12,7 +12,7 @@ from tankrig.light.paths.record import Bins, image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, sight_line
 from tankrig.light.water import water_of
-from tankrig.scene import Scene
+from tankrig.scene import Beam, Scene
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
@@ -87,6 +87,13 @@ class Groups:
             self.size *= 2
 
 
+def beam_table(beams: Sequence[Beam]) -> tuple[Array, float]:
+    """Beams as `tankrig.light.paths.trace` takes them, (n, 6), and the power of all."""
+    power = np.array([beam.power for beam in beams])
+    edges = np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams])
+    return np.column_stack([edges, np.cumsum(power) / power.sum()]), float(power.sum())
+
+
 def traced(
     scene: Scene, grid: CellGrid, seed: tuple[int, int], bins: Bins, limits: PathLimits, lattice: Lattice = LARGE
 ) -> Array:
@@ -122,15 +129,12 @@ def traced(
         beams = [beam for beam in scene.projector.beams if z_mm in (None, beam.z_mm) and beam.irradiance > 0.0]
         if not beams:
             continue
-        power = np.array([beam.power for beam in beams])
-        table = np.column_stack(
-            [np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams]), np.cumsum(power) / power.sum()]
-        )
+        table, power = beam_table(beams)
         if z_mm is not None:
             edges[:] = 0.0
         trace(cells if z_mm is None else edges, bins, grid.cell_mm, geometry, water, table, points, limits)
         if z_mm is None:
-            cells *= power.sum() / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1])
+            cells *= power / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1])
             return cells
         transmission = sight_line(geometry, 0.0, 0.0)[3]
         image = image_of_edges(edges, medium.sigma_t, grid.cell_mm[0])
