@@ -12,9 +12,10 @@ import tankrig
 from tankrig.estimation.followed import Solved
 from tankrig.estimation.forward import models_of
 from tankrig.light.moments.cells import Cells
-from tankrig.light.moments.dense import dense_orders, solved
+from tankrig.light.moments.dense import dense_orders
 from tankrig.light.moments.plan import MomentPlan, moment_plan
 from tankrig.light.moments.propagation import propagation
+from tankrig.light.moments.solution import solved
 from tankrig.light.moments.source import emission_moments
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.tank import tank_image
@@ -139,12 +140,13 @@ def test_noise_tells_no_coefficients_of_dense_water_apart() -> None:
 def test_a_cell_lights_the_tank_as_much_as_the_tank_lights_it() -> None:
     """Reciprocity of the solved field, all orders; what would break is the balance of emission and absorption."""
     cells, sigma_a, sigma_s = Cells((16, 12, 10), (6.0, 6.0, 6.0)), 0.002, 0.098
-    transport = propagation(0, cells, sigma_a + sigma_s, 1.0)
+    coarser = Cells((8, 6, 5), (12.0, 12.0, 12.0))
+    transport, coarse = (propagation(0, these, sigma_a + sigma_s, 1.0) for these in (cells, coarser))
     even = np.ones((1, *cells.counts), np.float32)
     one = np.zeros_like(even)
     one[0, 8, 6, 4] = 1.0
     kept = np.full((1, 1, 1, 1), sigma_s, np.float32)
-    field, seen = (solved(transport, kept, transport(emission), 1e-5) for emission in (even, one))
+    field, seen = (solved(transport, coarse, kept, transport(emission), 1e-5) for emission in (even, one))
     assert float(seen.sum()) == pytest.approx(float(field[0, 8, 6, 4]), rel=5e-3)
     assert float(sigma_a * field.sum()) < float(even.sum())  # the rest leaves
     assert field.min() > 0.0

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.moments.cells import Cells
+from tankrig.light.moments.cells import Cells, averaged_over
 from tankrig.light.moments.harmonics import degrees, parities
 from tankrig.light.moments.plan import MomentPlan
-from tankrig.light.moments.propagation import Propagation, Single, propagation
+from tankrig.light.moments.propagation import Single, propagation
 from tankrig.light.moments.seen import Surface, seen
+from tankrig.light.moments.solution import COARSER, solved
 from tankrig.light.moments.source import emission_moments
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.rays import mirror_symmetric, shift_invariant
@@ -18,7 +19,7 @@ from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
 
-COARSER = 1.5
+FOR_ORDERS = 1.5
 """Sides of the cells on which light is shared out between orders, over those that it is solved for on."""
 
 
@@ -67,7 +68,7 @@ def dense_orders(
     surface = surface or _pixels_of(scene)
     source = _source(scene, plan, seed)
     image = _solved_image(scene, plan, source, residual, surface)
-    coarse = Cells.of(scene.tank, COARSER * plan.side_mm)
+    coarse = Cells.of(scene.tank, FOR_ORDERS * plan.side_mm)
     even = averaged_over(Cells.of(scene.tank, plan.side_mm), coarse, source)
     to_20 = _orders_to(20, scene, coarse, even, plan.above, surface)
     to_20 = np.clip(to_20, 0.0, np.maximum(image, 0.0))
@@ -108,8 +109,11 @@ def _solved_image(scene: Scene, plan: MomentPlan, source: Single, residual: floa
     forward = moments[-1]
     scaled = medium.sigma_t - forward * medium.sigma_s
     scattering_moments = _column(medium.sigma_s * (moments[degrees(plan.degree)] - forward))
-    transport = propagation(plan.degree, cells, scaled, scene.tank.surface_index)
-    field = solved(transport, scattering_moments, transport(source), residual)
+    transport, coarse = (
+        propagation(plan.degree, these, scaled, scene.tank.surface_index)
+        for these in (cells, Cells.of(scene.tank, COARSER * plan.side_mm))
+    )
+    field = solved(transport, coarse, scattering_moments, transport(source), residual)
     whole = seen(scene, cells, scattering_moments * field + source, scaled, surface)
     return whole - seen(scene, cells, source, medium.sigma_t, surface)
 
@@ -128,38 +132,6 @@ def _orders_to(last: int, scene: Scene, cells: Cells, source: Single, above: int
     return seen(scene, cells, total, medium.sigma_t, surface)
 
 
-def averaged_over(fine: Cells, coarse: Cells, emission: Single) -> Single:
-    """(moments, nx, ny, nz) averages over other cells of the same tank.
-
-    Examples
-    --------
-    >>> fine, coarse = Cells((4, 4, 6), (1.0, 1.0, 1.0)), Cells((4, 4, 4), (1.0, 1.0, 1.5))
-    >>> bool(np.allclose(averaged_over(fine, coarse, np.ones((1, 4, 4, 6), np.float32)), 1.0))
-    True
-    """
-    for axis, (before, after) in enumerate(zip(fine.counts, coarse.counts, strict=True), start=1):
-        low, high = np.arange(after)[:, None] * before / after, np.arange(1, after + 1)[:, None] * before / after
-        cell = np.arange(before)
-        shares = np.clip(np.minimum(high, cell + 1) - np.maximum(low, cell), 0.0, None) * after / before
-        emission = np.moveaxis(np.tensordot(shares.astype(np.float32), emission, (1, axis)), 0, axis)
-    return np.ascontiguousarray(emission)
-
-
 def _column(values: NDArray[np.floating]) -> Single:
     """One number per moment, ready to multiply cells."""
     return values.astype(np.float32)[:, None, None, None]
-
-
-def solved(transport: Propagation, scattering_moments: Single, first: Single, residual: float) -> Single:
-    """The field φ = first + K (scattering_moments · φ), by GMRES."""
-    from scipy.sparse.linalg import LinearOperator, gmres
-
-    def remaining(flat: Single) -> Single:
-        field = flat.reshape(first.shape)
-        result: Single = (field - transport(scattering_moments * field)).ravel()
-        return result
-
-    operator = LinearOperator((first.size, first.size), matvec=remaining, dtype=np.float32)
-    flat, _ = gmres(operator, first.ravel(), rtol=residual, restart=60, maxiter=1)
-    field: Single = flat.reshape(first.shape)
-    return field

@@ -1,21 +1,32 @@
 """Whether a scene's high orders are solved for, and on what cells, with how many degrees, from which order on."""
 
 import math
+from bisect import bisect
 from dataclasses import dataclass
 
 from tankrig.light.rays import shift_invariant
 from tankrig.scene import Scene
 
-DENSEST_CELL = 0.5
-"""Sides of cells in free paths; error in the worst case (σt = .1, ϖ = .999, g = 0): .35 % at .5, .1 % at .34."""
-BELOW_FRESNEL = 0.8
-"""Times that, where a Fresnel surface sends light back: there solutions were twice as far off."""
-FEWEST_CELLS = 15
-MOST_CELLS = (50, 38, 32, 28, 26)
-"""Cells along the tank's shortest side, at most by degree: so many take some 10 s of one core and 300 MiB."""
+CELL_SHARE = 0.3
+"""Share of the tolerance that the cells' size may use up."""
+COARSEST_CELL = 0.5
+"""Sides of cells in free paths, at most."""
+OF_CELLS, BELOW_FRESNEL, LEAST_OFF = 0.025, 0.05, 0.0002
+"""What solutions are off by, as a share of the image: times the cube of the sides in free paths, also where a Fresnel
+surface sends light back; and however small cells are. Of four scenes, σt .05 to .064, 1.6 times the most that was seen
+with sides of .25 to .5."""
+FEWEST_CELLS, MOST_LEFT = 15, 16
+MOST_CELLS = (80, 60, 52, 44, 40, 34)
+"""Cells along the tank's shortest side, at most by degree: so many take some 20 s of one core and 800 MiB."""
 NOISE_SHARE, SLANTED_NOISE_SHARE = 0.3, 0.2
 """Share of the tolerance that the source's noise may use up, and where light slants, and paths that correct it cost ten
 times as much."""
+DEGREES_FROM = (0.3, 0.4, 0.8, 0.87)
+"""|g| from which moments go to degree 2, 3, 4, 5."""
+SHALLOWEST = (5.0, 5.0, 7.0, 7.0, 5.5, 5.5)
+"""Least depth of the water in free paths, by degree."""
+STEEPEST, STEEPEST_SLANTED = 0.935, 0.87
+"""g up to which scenes are solved for; where light slants paths of low orders have most of the noise beyond."""
 CHANGES_CELL, CHANGES_BATCHES = 0.8, (6, 6, 6, 12, 48)
 """The same sides where changes of the image are wanted and not the image, and lattices that make each half of the
 source then, by degree: the more light goes on forwards, the more noise."""
@@ -73,28 +84,38 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     """
     medium, g = scene.medium, abs(scene.medium.g)
     shortest = min(scene.tank.size_mm)
-    depth = medium.sigma_t * shortest
     straight, bright = shift_invariant(scene), scene.tank.surface == "fresnel"
-    degree = 0 if g < 0.02 and not bright else 1 if g < 0.3 else 2 if g < 0.4 else 3 if g < 0.8 else 4
-    shallow = depth < (5.0 if degree < 2 else 5.5 if degree > 3 else 7.0) or depth * (1.0 - medium.g) < 0.85
-    if shallow or not -0.5 < medium.g < 0.87:
+    degree = 0 if g < 0.02 and not bright else 1 + bisect(DEGREES_FROM, g)
+    if not _worth_it(scene, degree, tolerance):
         return None
     above = 3 if degree == 0 else 5  # fewer scatterings leave beams narrower than cells
     beyond = float(medium.phase_function.moments(degree + 1)[-1])
-    while above < 12 and abs(beyond) ** above > 0.004:
+    while above < MOST_LEFT and abs(beyond) ** above > 0.004:
         above += 1
     scaled = medium.sigma_t - beyond * medium.sigma_s
-    densest = DENSEST_CELL * (BELOW_FRESNEL if bright else 1.0)
-    side = shortest / min(max(shortest * scaled / densest, FEWEST_CELLS), MOST_CELLS[degree])
+    of_cells = BELOW_FRESNEL if bright else OF_CELLS
+    cell = min((max(CELL_SHARE * tolerance - LEAST_OFF, 0.0) / of_cells) ** (1.0 / 3.0), COARSEST_CELL)
+    side = shortest / min(max(shortest * scaled / max(cell, 1e-3), FEWEST_CELLS), MOST_CELLS[degree])
     noise = (0.02 * (g / 0.85) ** 4 if straight else 0.012 + 0.045 * g**2) * medium.albedo**above  # of one lattice
     share = NOISE_SHARE if straight else SLANTED_NOISE_SHARE
     batches = max(4, math.ceil((noise / (share * tolerance)) ** 2))
-    angular, spatial = 0.6 * abs(beyond) ** above, 0.001 + (0.06 if bright else 0.03) * (side * scaled) ** 3
+    angular, spatial = 0.6 * abs(beyond) ** above, LEAST_OFF + of_cells * (side * scaled) ** 3
     # Light that fades away from the beams like exp(−κr) is spread over cells: 2 % at σt = .2, ϖ = .9, g = .2.
     fading = 3.0 * medium.sigma_a * (medium.sigma_a + medium.sigma_s * (1.0 - medium.g))
     spatial += 0.008 * (0.5 * fading * side * shortest) ** 2
     bound = math.hypot(angular, spatial, noise / math.sqrt(batches))
     return MomentPlan(above, degree, side, batches, bound) if bound <= 0.75 * tolerance else None
+
+
+def _worth_it(scene: Scene, degree: int, tolerance: float) -> bool:
+    """Whether a solution costs less than the light paths that it spares."""
+    medium, straight = scene.medium, shift_invariant(scene)
+    if not -0.5 < medium.g < (STEEPEST if straight else STEEPEST_SLANTED):
+        return False
+    depth = medium.sigma_t * min(scene.tank.size_mm)
+    # The finer the image, the more lattices of slanted light it spares.
+    finer = 1.0 if straight else min(1.0, (tolerance / 0.01) ** 0.45)
+    return depth >= finer * SHALLOWEST[degree] and depth * (1.0 - medium.g) >= finer * 0.85
 
 
 def plan_of_changes(scene: Scene) -> MomentPlan | None:
