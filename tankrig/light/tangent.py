@@ -185,7 +185,7 @@ def _tables(scene: Scene) -> float:
 
 def _looked_up(scene: Scene, sharp: Array, image: Array) -> Skipped:
     """What tables of order 2 err by."""
-    off = table_error(_tables(scene)) * float(np.linalg.norm(sharp)) / (float(np.linalg.norm(image)) or 1.0)
+    off = table_error(scene, _tables(scene)) * float(np.linalg.norm(sharp)) / (float(np.linalg.norm(image)) or 1.0)
     return Skipped("tables that order 2 is looked up in", off)
 
 
@@ -251,7 +251,7 @@ def tank_accurate(scene: Scene, paths: int, seed: int = 0, max_order: int | None
     apart = (batches - mean) / math.sqrt(count * (count - 3.0))  # as Student's t is wider
     patterns = np.array([grid.to_pixels(grid.unfolded(one)) for one in apart])
     size = float(np.linalg.norm(image)) or 1.0
-    tables = table_error(FINE_TABLES) * float(np.linalg.norm(sharp)) / size
+    tables = table_error(scene, FINE_TABLES) * float(np.linalg.norm(sharp)) / size
     skipped = [Skipped("tables that order 2 is looked up in", tables)]
     if scene.camera.kind == "calibrated":
         looked_up = LOOKED_UP * float(np.linalg.norm(second)) / size

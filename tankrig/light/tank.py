@@ -165,7 +165,7 @@ def _ideal_image(
     scene = entering(described, fine=False)
     zero = np.zeros(scene.camera.shape)
     stderr, skipped = zero, [Skipped("light that leaves the tank through its black walls", 0.0)]
-    tables = math.hypot(table_error(tolerance), lookup_error(scene)) if highest >= 2 else 0.0
+    tables = math.hypot(table_error(described, tolerance), lookup_error(scene)) if highest >= 2 else 0.0
     if scene.medium.sigma_t * scene.camera.pixel_mm > MOST_PARTS and scene.camera.kind != "orthographic":
         skipped.append(Skipped(f"how light of order 1 fades within pixels of more than {MOST_PARTS} free paths", 1.0))
     known = sum(orders.values(), zero)

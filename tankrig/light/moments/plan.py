@@ -1,30 +1,30 @@
 """Whether a scene's high orders are solved for, and on what cells, with how many degrees, from which order on."""
 
 import math
-from bisect import bisect
 from dataclasses import dataclass
+
+import numpy as np
 
 from tankrig.light.rays import shift_invariant
 from tankrig.scene import Scene
 
-CELL_SHARE = 0.3
-"""Share of the tolerance that the cells' size may use up."""
-COARSEST_CELL = 0.5
-"""Sides of cells in free paths, at most."""
-OF_CELLS, BELOW_FRESNEL, LEAST_OFF = 0.025, 0.05, 0.0002
-"""What solutions are off by, as a share of the image: times the cube of the sides in free paths, also where a Fresnel
-surface sends light back; and however small cells are. Of four scenes, σt .05 to .064, 1.6 times the most that was seen
-with sides of .25 to .5."""
+CELL_SHARE, DEGREE_SHARE = 0.3, 0.3
+"""Shares of the tolerance that the cells' size may use up, and the degrees that are left out."""
+OF_CELLS, OF_FEW = 0.05, 0.001
+"""What solutions are off by, as a share of the image: times the cube of the cells' sides in free paths; and with
+`FEWEST_CELLS` along the tank's shortest side, whose cells are wider than beams, times the cube of their sides, too. Of
+eleven scenes with sides of .38 to .48 free paths: .022 to .067, where .05 is taken."""
+OF_DEGREES = (0.15, 0.065, 0.05, 0.025, 0.012, 0.009, 0.007)
+"""The same times the first moment that is left out, by degree. Of twelve scenes beside solutions with two degrees more:
+.042 to .066 for degrees 1 and 2, .014 to .024 for 3, .008 for 4. Nobody has measured those for 0, 5 and 6."""
 FEWEST_CELLS, MOST_LEFT = 15, 16
-MOST_CELLS = (80, 60, 52, 44, 40, 34)
+MOST_CELLS = (80, 60, 52, 44, 40, 34, 28)
 """Cells along the tank's shortest side, at most by degree: so many take some 20 s of one core and 800 MiB."""
 NOISE_SHARE, SLANTED_NOISE_SHARE = 0.3, 0.2
 """Share of the tolerance that the source's noise may use up, and where light slants, and paths that correct it cost ten
 times as much."""
-DEGREES_FROM = (0.3, 0.4, 0.8, 0.87)
-"""|g| from which moments go to degree 2, 3, 4, 5."""
-SHALLOWEST = (5.0, 5.0, 7.0, 7.0, 5.5, 5.5)
-"""Least depth of the water in free paths, by degree."""
+SHALLOWEST = ((0.3, 5.0), (0.8, 7.0), (1.0, 5.5))
+"""Least depth of the water in free paths, up to a |g|."""
 STEEPEST, STEEPEST_SLANTED = 0.935, 0.87
 """g up to which scenes are solved for; where light slants paths of low orders have most of the noise beyond."""
 CHANGES_CELL, CHANGES_BATCHES = 0.8, (6, 6, 6, 12, 48)
@@ -84,22 +84,23 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     """
     medium, g = scene.medium, abs(scene.medium.g)
     shortest = min(scene.tank.size_mm)
-    straight, bright = shift_invariant(scene), scene.tank.surface == "fresnel"
-    degree = 0 if g < 0.02 and not bright else 1 + bisect(DEGREES_FROM, g)
-    if not _worth_it(scene, degree, tolerance):
+    straight = shift_invariant(scene)
+    if not _worth_it(scene, tolerance):
         return None
+    degree = _degree(scene, tolerance)
     above = 3 if degree == 0 else 5  # fewer scatterings leave beams narrower than cells
     beyond = float(medium.phase_function.moments(degree + 1)[-1])
     while above < MOST_LEFT and abs(beyond) ** above > 0.004:
         above += 1
     scaled = medium.sigma_t - beyond * medium.sigma_s
-    of_cells = BELOW_FRESNEL if bright else OF_CELLS
-    cell = min((max(CELL_SHARE * tolerance - LEAST_OFF, 0.0) / of_cells) ** (1.0 / 3.0), COARSEST_CELL)
-    side = shortest / min(max(shortest * scaled / max(cell, 1e-3), FEWEST_CELLS), MOST_CELLS[degree])
+    by_side = OF_CELLS * scaled**3 + OF_FEW * (FEWEST_CELLS / shortest) ** 3
+    side = min((CELL_SHARE * tolerance / by_side) ** (1.0 / 3.0), shortest / FEWEST_CELLS)
+    side = max(side, shortest / MOST_CELLS[degree])
     noise = (0.02 * (g / 0.85) ** 4 if straight else 0.012 + 0.045 * g**2) * medium.albedo**above  # of one lattice
     share = NOISE_SHARE if straight else SLANTED_NOISE_SHARE
     batches = max(4, math.ceil((noise / (share * tolerance)) ** 2))
-    angular, spatial = 0.6 * abs(beyond) ** above, LEAST_OFF + of_cells * (side * scaled) ** 3
+    angular = math.hypot(0.6 * abs(beyond) ** above, OF_DEGREES[degree] * abs(beyond))
+    spatial = by_side * side**3
     # Light that fades away from the beams like exp(−κr) is spread over cells: 2 % at σt = .2, ϖ = .9, g = .2.
     fading = 3.0 * medium.sigma_a * (medium.sigma_a + medium.sigma_s * (1.0 - medium.g))
     spatial += 0.008 * (0.5 * fading * side * shortest) ** 2
@@ -107,7 +108,7 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     return MomentPlan(above, degree, side, batches, bound) if bound <= 0.75 * tolerance else None
 
 
-def _worth_it(scene: Scene, degree: int, tolerance: float) -> bool:
+def _worth_it(scene: Scene, tolerance: float) -> bool:
     """Whether a solution costs less than the light paths that it spares."""
     medium, straight = scene.medium, shift_invariant(scene)
     if not -0.5 < medium.g < (STEEPEST if straight else STEEPEST_SLANTED):
@@ -115,7 +116,16 @@ def _worth_it(scene: Scene, degree: int, tolerance: float) -> bool:
     depth = medium.sigma_t * min(scene.tank.size_mm)
     # The finer the image, the more lattices of slanted light it spares.
     finer = 1.0 if straight else min(1.0, (tolerance / 0.01) ** 0.45)
-    return depth >= finer * SHALLOWEST[degree] and depth * (1.0 - medium.g) >= finer * 0.85
+    least = next(free_paths for steepest, free_paths in SHALLOWEST if abs(medium.g) < steepest)
+    return depth >= finer * least and depth * (1.0 - medium.g) >= finer * 0.85
+
+
+def _degree(scene: Scene, tolerance: float) -> int:
+    """The least that leaves out no more than it may."""
+    moments = np.abs(scene.medium.phase_function.moments(len(OF_DEGREES)))
+    lowest = 1 if scene.tank.surface == "fresnel" else 0  # what it sends back depends on the direction
+    enough = (n for n, off in enumerate(OF_DEGREES) if off * moments[n + 1] <= DEGREE_SHARE * tolerance and n >= lowest)
+    return next(enough, len(OF_DEGREES) - 1)
 
 
 def plan_of_changes(scene: Scene) -> MomentPlan | None:

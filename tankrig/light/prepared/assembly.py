@@ -64,7 +64,7 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     patterns = _patterns(plan, exact, rest, every=shift_invariant(sampling.scene))
     terms = tuple(_projected(term, patterns) for term in (*exact, rest[0]))
     misses = _misses(plan, images.checks, terms[:2], patterns)
-    tables = table_error(order_2_tolerance(sampling.scene, plan.tolerance))
+    tables = table_error(sampling.scene, order_2_tolerance(sampling.scene, plan.tolerance))
     fit = fits[0]
     noise = Noise(THIRD, plan.paths_plane, plan.brightness_plane, fit.scale, fit.pull, fit.left)
     signs = math.sqrt(DRAWS) * signs_of_chance(DRAWS, count)
