@@ -331,7 +331,8 @@ COARSE = Fineness(
     more_rays=1, slanted_near=0.05, mirrored=2.0, apart=2.0,
 )  # fmt: skip
 """Errs by 0.1 % at most, in less than half the time, and in a fifth of it where lines slant: there by .05 to .23 % of
-order 2 in eight scenes. With one ray for 4 mm and twice as long a finest length it was .17 to 1.3 % in half the time."""
+order 2 in eight scenes. With one ray for 4 mm and a finest length twice as long it was .17 to 1.3 %, in half the time.
+"""
 STEEP_G = 0.9
 """Mean cosine from which J changes too much with y₀ for that: order 2 would be off by .17 instead of .12 % at g .95."""
 

@@ -3,13 +3,12 @@
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from tankrig.light.rays import shift_invariant
 from tankrig.scene import Scene
 
-CELL_SHARE, DEGREE_SHARE = 0.3, 0.3
-"""Shares of the tolerance that the cells' size may use up, and the degrees that are left out."""
+SHARE, FINE, FINE_SHARE = 0.42, 0.005, 0.32
+"""Share of the tolerance that the cells' size and the degrees that are left out may use up together; below `FINE`, the
+latter, where paths take longer to tell what they are off by."""
 OF_CELLS, OF_FEW = 0.05, 0.001
 """What solutions are off by, as a share of the image: times the cube of the cells' sides in free paths; and with
 `FEWEST_CELLS` along the tank's shortest side, whose cells are wider than beams, times the cube of their sides, too. Of
@@ -85,22 +84,19 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     medium, g = scene.medium, abs(scene.medium.g)
     shortest = min(scene.tank.size_mm)
     straight = shift_invariant(scene)
-    if not _worth_it(scene, tolerance):
+    cheapest = _cheapest(scene, (SHARE if tolerance >= FINE else FINE_SHARE) * tolerance)
+    if cheapest is None or not _worth_it(scene, tolerance):
         return None
-    degree = _degree(scene, tolerance)
+    degree, side = cheapest
     above = 3 if degree == 0 else 5  # fewer scatterings leave beams narrower than cells
     beyond = float(medium.phase_function.moments(degree + 1)[-1])
     while above < MOST_LEFT and abs(beyond) ** above > 0.004:
         above += 1
-    scaled = medium.sigma_t - beyond * medium.sigma_s
-    by_side = OF_CELLS * scaled**3 + OF_FEW * (FEWEST_CELLS / shortest) ** 3
-    side = min((CELL_SHARE * tolerance / by_side) ** (1.0 / 3.0), shortest / FEWEST_CELLS)
-    side = max(side, shortest / MOST_CELLS[degree])
     noise = (0.02 * (g / 0.85) ** 4 if straight else 0.012 + 0.045 * g**2) * medium.albedo**above  # of one lattice
     share = NOISE_SHARE if straight else SLANTED_NOISE_SHARE
     batches = max(4, math.ceil((noise / (share * tolerance)) ** 2))
     angular = math.hypot(0.6 * abs(beyond) ** above, OF_DEGREES[degree] * abs(beyond))
-    spatial = by_side * side**3
+    spatial = _by_side(scene, beyond) * side**3
     # Light that fades away from the beams like exp(−κr) is spread over cells: 2 % at σt = .2, ϖ = .9, g = .2.
     fading = 3.0 * medium.sigma_a * (medium.sigma_a + medium.sigma_s * (1.0 - medium.g))
     spatial += 0.008 * (0.5 * fading * side * shortest) ** 2
@@ -120,12 +116,27 @@ def _worth_it(scene: Scene, tolerance: float) -> bool:
     return depth >= finer * least and depth * (1.0 - medium.g) >= finer * 0.85
 
 
-def _degree(scene: Scene, tolerance: float) -> int:
-    """The least that leaves out no more than it may."""
-    moments = np.abs(scene.medium.phase_function.moments(len(OF_DEGREES)))
+def _cheapest(scene: Scene, off: float) -> tuple[int, float] | None:
+    """Degree and side of the cells in mm that together err by no more than `off`, with the fewest unknowns."""
+    shortest = min(scene.tank.size_mm)
     lowest = 1 if scene.tank.surface == "fresnel" else 0  # what it sends back depends on the direction
-    enough = (n for n, off in enumerate(OF_DEGREES) if off * moments[n + 1] <= DEGREE_SHARE * tolerance and n >= lowest)
-    return next(enough, len(OF_DEGREES) - 1)
+    moments = scene.medium.phase_function.moments(len(OF_DEGREES))
+    found: list[tuple[float, int, float]] = []
+    for degree in range(lowest, len(OF_DEGREES)):
+        beyond = float(moments[degree + 1])
+        left = off**2 - (OF_DEGREES[degree] * beyond) ** 2
+        if left > 0.0:
+            side = min((math.sqrt(left) / _by_side(scene, beyond)) ** (1.0 / 3.0), shortest / FEWEST_CELLS)
+            if side >= shortest / MOST_CELLS[degree]:
+                found.append(((degree + 1) ** 2 / side**3, degree, side))
+    return min(found)[1:] if found else None
+
+
+def _by_side(scene: Scene, beyond: float) -> float:
+    """What solutions err by for the cells' size, over the cube of their sides in mm."""
+    medium = scene.medium
+    scaled = medium.sigma_t - beyond * medium.sigma_s
+    return float(OF_CELLS * scaled**3 + OF_FEW * (FEWEST_CELLS / min(scene.tank.size_mm)) ** 3)
 
 
 def plan_of_changes(scene: Scene) -> MomentPlan | None:

@@ -101,9 +101,12 @@ def _integrals(count: int, size_mm: float) -> Any:
 def _aslant(scene: Scene, cells: Cells, emission: Single, sigma_t: float, surface: Surface) -> Array:
     """Every sight has its own direction: at the centres of the surface's cells."""
     across, along, up = cells.counts
-    fine = np.tensordot(_values(across, cells.size_mm[0]).astype(np.float32), emission, (1, 1))  # x, moments, y, z
-    fine = np.tensordot(_values(along, cells.size_mm[1]).astype(np.float32), fine, (1, 2))  # y, x, moments, z
-    fine = np.ascontiguousarray(fine.transpose(3, 0, 1, 2))
+    to_x = _values(across, cells.size_mm[0]).astype(np.float32)
+    to_y = _values(along, cells.size_mm[1]).astype(np.float32)
+    fine = np.empty((up, len(to_y), len(to_x), len(emission)), np.float32)
+    for layer in range(up):
+        wide = np.tensordot(to_x, emission[..., layer], (1, 1))  # x, moments, y
+        fine[layer] = np.tensordot(to_y, wide, (1, 2)).astype(np.float32)
     shape, cell_mm = surface
     image = np.zeros(shape)
     rule = np.polynomial.legendre.leggauss(NODES)
