@@ -209,6 +209,48 @@ def test_calibrations_that_cannot_be_of_this_bench_are_refused_before_anything_m
     assert any(said in check.finding for check in failed)
 
 
+LENSES: list[tuple[str, dict[str, Any], str]] = [
+    ("camera", {"blur_px": -1.0}, "sigma_mm = -0.3"),
+    ("camera", {"blur_px": "wide"}, "is no calibration of the camera"),
+    ("projector", {"halo_share": 0.4, "halo_sigma_px": 40.0}, "share = 0.4 is outside 0 … 0.2"),
+    ("projector", {"halo_share": 0.1}, "has no 'halo_sigma_px'"),
+    ("projector", {"pane_mm": -6.0}, "wall_mm = -6.0 is negative"),
+    ("stray", {"halo_share": 0.3, "halo_sigma_px": 50.0, "veil": 0.0}, "share = 0.3 is outside 0 … 0.2"),
+    ("stray", {"halo_share": 0.02, "halo_sigma_px": 0.0, "veil": 0.0}, "sigma_mm = 0.0 is not positive"),
+    ("stray", {"halo_share": 0.02, "halo_sigma_px": 50.0, "veil": 2.0}, "veil = 2.0 is outside 0 … 0.5"),
+    ("stray", {"halo_share": "much", "halo_sigma_px": 50.0, "veil": 0.0}, "is no calibration of the stray"),
+    ("stray", {"halo_share": 0.02}, "has no 'halo_sigma_px'"),
+]
+
+
+@pytest.mark.parametrize(("kind", "told", "said"), LENSES)
+def test_a_lens_that_cannot_be_is_refused_with_the_file_that_says_it(
+    rig: Path, capsys: pytest.CaptureFixture[str], kind: str, told: dict[str, Any], said: str
+) -> None:
+    """Whole files of another program, or of an older one: a share of 30 % was refused without saying of what."""
+    folder = Path(load_rig_file(rig).calibration_folder)
+    (camera,) = folder.glob("camera-*.toml")
+    if kind == "stray":
+        one = load(camera)
+        save(replace(one, kind="stray", result=told, arrays={}, rests_on={}), folder, accept=True)
+    else:
+        file = next(folder.glob(f"{kind}-*.toml"))
+        one = load(file)
+        file.unlink()
+        hashes = {"camera": save(replace(one, result={**one.result, **told}), folder, accept=True).hash}
+        for other in ("tank", "projector") if kind == "camera" else ():
+            file = next(folder.glob(f"{other}-*.toml"))
+            follows = load(file)
+            file.unlink()
+            resting = {**follows.rests_on, **{name: hashes[name] for name in follows.rests_on}}
+            hashes[other] = save(replace(follows, rests_on=resting), folder, accept=True).hash
+    assert main(["scene", "--rig", str(rig), "--pattern", "ray", "--sequence", "one.toml"]) == 2
+    told_so = capsys.readouterr().err
+    assert said in told_so
+    assert f"{kind}-" in told_so
+    assert told_so.count("\n") == 1
+
+
 def test_files_from_before_covariances_are_used_and_say_so(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = Path(load_rig_file(rig).calibration_folder)
     hashes: dict[str, str] = {}

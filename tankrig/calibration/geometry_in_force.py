@@ -1,6 +1,7 @@
 """Calibrated geometry read back from files, for other procedures and for scenes."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -183,22 +184,48 @@ def _lenses(bench: Bench, found: Mapping[str, Calibration]) -> Bench:
     camera, projector = bench.camera, bench.projector
     assert projector is not None
     if "blur_px" in found["camera"].result:
-        camera = replace(camera, **_blurs(found["camera"], camera.pixel_mm))
+        with _of_file(found["camera"]):
+            camera = replace(camera, **_blurs(found["camera"], camera.pixel_mm))
     if "stray" in found:
-        told = found["stray"].result
-        halo = Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * camera.pixel_mm)
-        camera = replace(camera, halo=halo, veil=float(told["veil"]))
-    side_mm, told = projector_pixel_mm(projector, bench.tank), found["projector"].result
-    if told.get("lens_mm", 0.0) > 0.0 and "focus_mm" in told:
-        projector = replace(projector, **_wide_lens(found["projector"], projector, bench.tank, side_mm))
-    elif "blur_px" in told:
-        projector = replace(projector, **_blurs(found["projector"], side_mm))
-    if told.get("halo_share", 0.0) > max(LEAST_HALO, 2.0 * found["projector"].sd.get("halo_share", 0.0)):
-        projector = replace(projector, halo=Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * side_mm))
+        with _of_file(found["stray"]):
+            told = found["stray"].result
+            halo = Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * camera.pixel_mm)
+            camera = replace(camera, halo=halo, veil=float(told["veil"]))
+    with _of_file(found["projector"]):
+        projector = _projector_lens(found["projector"], projector, bench.tank)
     if "radiometry" in found:
-        leak = float(found["radiometry"].result["projector"].get("leak", 0.0))
-        projector = replace(projector, black_level=max(leak, 0.0) * white_on_wall(projector, bench.tank))
+        with _of_file(found["radiometry"]):
+            leak = float(found["radiometry"].result["projector"].get("leak", 0.0))
+            projector = replace(projector, black_level=max(leak, 0.0) * white_on_wall(projector, bench.tank))
     return replace(bench, camera=camera, projector=projector)
+
+
+@contextmanager
+def _of_file(calibration: Calibration) -> Iterator[None]:
+    """What cannot be of a calibration is told with its file."""
+    try:
+        yield
+    except SceneError as error:
+        raise SceneError(f"{calibration.path}: {error}") from error
+    except KeyError as error:
+        raise StoreError(f"{calibration.path}: has no {error}; restore it, or calibrate anew") from error
+    except (AttributeError, TypeError, ValueError) as error:
+        raise StoreError(
+            f"{calibration.path}: is no calibration of the {calibration.kind} ({str(error)[:200]}); restore it, or "
+            "calibrate anew"
+        ) from error
+
+
+def _projector_lens(calibration: Calibration, projector: Projector, tank: Tank) -> Projector:
+    """The projector with blur, or a wide lens, and halo as measured."""
+    side_mm, told = projector_pixel_mm(projector, tank), calibration.result
+    if told.get("lens_mm", 0.0) > 0.0 and "focus_mm" in told:
+        projector = replace(projector, **_wide_lens(calibration, projector, tank, side_mm))
+    elif "blur_px" in told:
+        projector = replace(projector, **_blurs(calibration, side_mm))
+    if told.get("halo_share", 0.0) > max(LEAST_HALO, 2.0 * calibration.sd.get("halo_share", 0.0)):
+        projector = replace(projector, halo=Halo(float(told["halo_share"]), float(told["halo_sigma_px"]) * side_mm))
+    return projector
 
 
 def _blurs(calibration: Calibration, side_mm: float) -> dict[str, Any]:
