@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
-from tankrig.estimation.parameters import Block, Values
+from tankrig.estimation.parameters import FURTHEST_OFF, Block, Values
 from tankrig.scene import Beam, Medium, Scene
-from tankrig.scene.optics import MOST_HALO, MOST_VEIL, NO_HALO, PINHOLE, Blur, Face, WideLens
+from tankrig.scene.optics import MOST_HALO, MOST_VEIL, NO_HALO, PINHOLE, Blur, Face, Halo, WideLens
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -24,11 +24,12 @@ Pattern = Callable[[Scene, Image], Array]
 
 ASTRAY = {
     "halo": 0.01, "veil": 0.01, "blur_mm2": 0.1,
-    "floor": 0.05, "pane": 1.0, "black_level": 0.001, "projector_halo": 0.02,
+    "floor": 0.05, "pane": 1.0, "black_level": 0.001, "projector_halo": 0.02, "halo_width": 0.5,
 }  # fmt: skip
 """What may go astray, and by how much on a common bench: shares of the light in the camera's halo and veil, variance by
 which its picture is blurred more than described; diffuse reflectance of the floor, what the entry pane's outer side
-sends back as a share of what glass does, W/mm² on the wall, share of the light in the projector's halo."""
+sends back as a share of what glass does, W/mm² on the wall, share of the light in the projector's halo; natural
+logarithm of the camera's halo's width over what the scene says, which is fitted along wherever a halo is."""
 BLUR_PARTS, BLUR_MM2 = 0.5, 0.1
 """Width of the blur that stands for any of what is smooth, in pixels; variance of that of edges."""
 BENDING = 0.2
@@ -39,7 +40,14 @@ FLOOR, FACE_LATTICES, SEED = 0.05, 4, 7
 """Reflectance that stands for any; lattices of paths for a pattern, and their seed."""
 ROUGH, BATCHES = 0.05, 4
 """Tolerance and lattices of the image that a dark picture's light makes."""
-KEPT = 2
+LEAST_PANE = 0.3
+"""Share of what glass reflects from which on a pane is one."""
+WIDTH_STEP, MOST_WIDER = 0.1, 1.25
+"""By which the logarithm of a halo's width is differenced, and how far it is believed to be off."""
+OTHER_WIDTH, OTHER_MM = 2.0, 3.0
+"""How many times as wide, or as narrow, a halo is that stands for all of another width; how much thicker, or thinner, a
+pane is that stands for all of another thickness. Halves and thirds of these look alike."""
+KEPT = 4
 """Patterns by light paths that are kept: up to three questions about one fit ask for the same ones."""
 
 
@@ -116,6 +124,39 @@ def projector_halo(scene: Scene, _: Image) -> Array:
     return _lit_by(scene, tuple(in_halo(scene, 1.0, fine=True))) - _lit_by(scene, scene.projector.beams)
 
 
+def other_halo(scene: Scene, image: Image, times: float) -> Array:
+    """The camera's halo spread so many times as wide as described."""
+    halo = scene.camera.halo
+    return np.asarray(
+        halo.share * (_blurred(scene, image, times * halo.sigma_mm) - _blurred(scene, image, halo.sigma_mm))
+    )
+
+
+def other_projector_halo(scene: Scene, _: Image, times: float) -> Array:
+    """The same of the projector's."""
+    from tankrig.light.entering import in_halo
+
+    light = scene.projector
+    widths = light.halo.sigma_mm, times * light.halo.sigma_mm
+    lit = (replace(scene, projector=replace(light, halo=Halo(light.halo.share, one))) for one in widths)
+    as_described, other = (_lit_by(one, tuple(in_halo(one, 1.0, fine=True))) for one in lit)
+    return np.asarray(light.halo.share * (other - as_described))
+
+
+def other_pane(scene: Scene, _: Image, more_mm: float) -> Array:
+    """What the entry pane sends back where it is thicker than described, or thinner: per mm."""
+    entry, thickness_mm = scene.tank.faces.entry, pane_mm(scene)
+    more_mm = max(more_mm, -thickness_mm)
+    other = _by_faces(scene, "entry", replace(entry, thickness_mm=thickness_mm + more_mm))
+    return np.asarray((other - _by_faces(scene, "entry", entry)) / abs(more_mm))
+
+
+def pane_mm(scene: Scene) -> float:
+    """Thickness of the entry pane, as described."""
+    described = scene.tank.faces.entry.thickness_mm
+    return scene.tank.wall_mm if described is None else described
+
+
 @lru_cache(maxsize=KEPT)
 def _lit_by(scene: Scene, beams: tuple[Beam, ...]) -> Array:
     from tankrig.light.tank import tank_image
@@ -145,6 +186,8 @@ class Sign:
     ----------
     pattern
         What an image gains per unit of its size.
+    along
+        Name in `ASTRAY` of what it is fitted along as; empty where it is not.
     most
         Size that it has at most; what is larger has another cause.
     least
@@ -155,38 +198,92 @@ class Sign:
         Whether it takes longer than a fit of a prepared model.
     quick
         A pattern that does for such a fit; None where it is not slow, or where none does.
+    asked
+        Whether it is looked for in a scene: what a scene describes is no cause, and no halo has another width where
+        there is none.
+    of_found
+        Whether it is of what was fitted along as well as of what was described.
     """
 
     pattern: Pattern
+    along: str = ""
     most: float = np.inf
     least: float = 0.0
     described: Callable[[Scene], bool] = lambda _: False
     slow: bool = False
     quick: Pattern | None = None
+    asked: Callable[[Scene], bool] = lambda _: True
+    of_found: bool = False
 
     def sizes(self, scene: Scene) -> tuple[float, float]:
         """From and to what it is believed; a floor does not swallow light that is not there."""
         return (-self.most if self.described(scene) else self.least), self.most
 
 
+def _may_be_wide(scene: Scene) -> bool:
+    return scene.projector.kind != "collimated" and scene.projector.wide_lens.diameter_mm == 0.0
+
+
+def _camera_has_halo(scene: Scene) -> bool:
+    return scene.camera.halo.share > 0.0
+
+
+def _projector_has_halo(scene: Scene) -> bool:
+    return scene.projector.halo.share > 0.0
+
+
+def _has_pane(scene: Scene) -> bool:
+    return scene.tank.faces.entry.kind == "glass"
+
+
+MOST_TIMES, MOST_MM = 2.0, 20.0
+"""How far off a halo's width is believed, in steps from it to `OTHER_WIDTH` times it, and a pane's thickness."""
 SIGNS: dict[str, Sign] = {
-    "a halo of the camera's lens": Sign(halo, MOST_HALO, described=lambda scene: scene.camera.halo.share > 0.0),
-    "a veil of the camera's lens": Sign(veil, MOST_VEIL, described=lambda scene: scene.camera.veil > 0.0),
+    "a halo of the camera's lens": Sign(halo, "halo", MOST_HALO, described=lambda scene: scene.camera.halo.share > 0.0),
+    "a veil of the camera's lens": Sign(veil, "veil", MOST_VEIL, described=lambda scene: scene.camera.veil > 0.0),
     "blur that the scene does not describe": Sign(
-        blur, described=lambda scene: scene.camera.blur.widest_mm + scene.projector.blur.sigma_mm > 0.0, quick=_soft
+        blur,
+        "blur_mm2",
+        described=lambda scene: scene.camera.blur.widest_mm + scene.projector.blur.sigma_mm > 0.0,
+        quick=_soft,
     ),
-    "a wide lens of the projector, sharp at one distance only": Sign(wide_lens, slow=True),
-    "light that the floor reflects": Sign(floor, 1.0),
-    "light that the entry pane's outer side reflects": Sign(panes, least=0.3, slow=True),
+    "a wide lens of the projector, sharp at one distance only": Sign(wide_lens, slow=True, asked=_may_be_wide),
+    "light that the floor reflects": Sign(floor, "floor", 1.0, asked=lambda scene: scene.tank.faces.floor.dark),
+    "light that the entry pane's outer side reflects": Sign(
+        panes, "pane", least=LEAST_PANE, slow=True, asked=lambda scene: scene.tank.faces.entry.dark
+    ),
     "light of dark parts of the projector's picture": Sign(
-        black_level, described=lambda scene: scene.projector.black_level > 0.0, slow=True
+        black_level, "black_level", described=lambda scene: scene.projector.black_level > 0.0, slow=True
     ),
-    "counts that are not in proportion to the light": Sign(gamma, 1.0, described=lambda _: True),
-}
+    "counts that are not in proportion to the light": Sign(gamma, most=1.0, described=lambda _: True),
+    "a wider halo of the camera's lens": Sign(
+        partial(other_halo, times=OTHER_WIDTH), "halo_width", MOST_TIMES, asked=_camera_has_halo, of_found=True
+    ),
+    "a narrower halo of the camera's lens": Sign(
+        partial(other_halo, times=1.0 / OTHER_WIDTH), "halo_width", MOST_TIMES, asked=_camera_has_halo, of_found=True
+    ),
+    "a wider halo of the projector's lens": Sign(
+        partial(other_projector_halo, times=OTHER_WIDTH), most=MOST_TIMES, slow=True, asked=_projector_has_halo,
+        of_found=True,
+    ),
+    "a narrower halo of the projector's lens": Sign(
+        partial(other_projector_halo, times=1.0 / OTHER_WIDTH), most=MOST_TIMES, slow=True, asked=_projector_has_halo,
+        of_found=True,
+    ),
+    "a thicker entry pane": Sign(
+        partial(other_pane, more_mm=OTHER_MM), most=MOST_MM, slow=True, asked=_has_pane, of_found=True
+    ),
+    "a thinner entry pane": Sign(
+        partial(other_pane, more_mm=-OTHER_MM), most=MOST_MM, slow=True,
+        asked=lambda scene: _has_pane(scene) and pane_mm(scene) > 0.0, of_found=True,
+    ),
+}  # fmt: skip
 """Causes of structure in a residual, as the verdict names them."""
 
 
-def causes(scene: Scene, image: Image, quick: bool = False) -> dict[str, Callable[[], list[Array]]]:
+def causes(
+    scene: Scene, image: Image, quick: bool = False, found: Scene | None = None
+) -> dict[str, Callable[[], list[Array]]]:
     """Name of each cause and what it changes, for `tankrig.estimation.residual.likely_cause`.
 
     Parameters
@@ -197,23 +294,46 @@ def causes(scene: Scene, image: Image, quick: bool = False) -> dict[str, Callabl
         (rows, columns) that the model gives of it.
     quick
         Leave out what takes longer than a fit of a prepared model.
+    found
+        The scene with what was fitted along, see `as_found`; None where nothing was.
     """
-    light, known = scene.projector, set()
-    if not scene.tank.faces.floor.dark:
-        known.add("light that the floor reflects")
-    if not scene.tank.faces.entry.dark:
-        known.add("light that the entry pane's outer side reflects")
-    if light.kind == "collimated" or light.wide_lens.diameter_mm > 0.0:
-        known.add("a wide lens of the projector, sharp at one distance only")
+    found = scene if found is None else found
 
-    def changes(pattern: Pattern) -> list[Array]:
-        return [pattern(scene, image)]
+    def changes(pattern: Pattern, of: Scene) -> list[Array]:
+        return [pattern(of, image)]
 
     return {
-        name: partial(changes, sign.quick if quick and sign.quick is not None else sign.pattern)
+        name: partial(
+            changes, sign.quick if quick and sign.quick is not None else sign.pattern, found if sign.of_found else scene
+        )
         for name, sign in SIGNS.items()
-        if name not in known and not (quick and sign.slow)
+        if sign.asked(found) and not (quick and sign.slow)
     }
+
+
+def as_found(scene: Scene, sizes: Mapping[str, float]) -> Scene:
+    """A scene with halos and an entry pane as they were fitted along.
+
+    Parameters
+    ----------
+    scene
+        As described.
+    sizes
+        What was fitted beyond that, by its name in `ASTRAY`.
+    """
+    camera, light, faces = scene.camera, scene.projector, scene.tank.faces
+
+    def more(halo: Halo, name: str) -> Halo:
+        return replace(halo, share=float(np.clip(halo.share + sizes.get(name, 0.0), 0.0, MOST_HALO)))
+
+    if sizes.get("pane", 0.0) > LEAST_PANE:
+        faces = replace(faces, entry=replace(faces.entry, kind="glass"))
+    return replace(
+        scene,
+        camera=replace(camera, halo=more(camera.halo, "halo")),
+        projector=replace(light, halo=more(light.halo, "projector_halo")),
+        tank=replace(scene.tank, faces=faces),
+    )
 
 
 @dataclass(frozen=True)
@@ -240,20 +360,29 @@ class Astray:
     def __post_init__(self) -> None:
         for name, sd in self.sd.items():
             require_sd(name, sd)
+        if "halo" in self.sd and "halo_width" not in self.sd:
+            object.__setattr__(self, "sd", {**self.sd, "halo_width": ASTRAY["halo_width"]})
 
     def at(self, medium: Medium, image: Image, sizes: Array) -> "Astray":
         """The same with the patterns of a liquid and its image, at sizes in standard deviations."""
         scene, beside = replace(self.scene, medium=medium), np.zeros(image.shape)
+        found = {name: float(size) * sd for (name, sd), size in zip(self.sd.items(), sizes, strict=True)}
+        wider = _of_width(scene, found.get("halo_width", 0.0))
         patterns = []
-        for (name, sd), size in zip(self.sd.items(), sizes, strict=True):
-            mm2 = float(size) * sd
-            if name == "blur_mm2" and mm2 > BENDING * BLUR_MM2:
+        for name, sd in self.sd.items():
+            mm2 = found[name]
+            if name == "halo_width":
+                slope = _by_width(scene, image, found)
+                described = other_halo(scene, image, np.exp(found[name]))
+                beside = beside + described - found[name] * slope
+                patterns.append(sd * slope)
+            elif name == "blur_mm2" and mm2 > BENDING * BLUR_MM2:
                 here = more_blur(scene, image, mm2)
                 slope = (more_blur(scene, image, (1.0 + BENDING) * mm2) - here) / (BENDING * mm2)
                 beside = beside + here - mm2 * slope
                 patterns.append(sd * slope)
             else:
-                patterns.append(sd * PATTERNS[name](scene, image))
+                patterns.append(sd * PATTERNS[name](wider, image))
         return replace(self, patterns=np.stack(patterns), beside=beside)
 
 
@@ -284,6 +413,16 @@ class AstrayBlock(Block):
     def names(self) -> tuple[str, ...]:
         """Names of the sizes."""
         return tuple(self.sd)
+
+    @property
+    def low(self) -> Array:
+        """As far as is believed."""
+        return -self.high
+
+    @property
+    def high(self) -> Array:
+        """As far as is believed."""
+        return np.array([MOST_WIDER / sd if name == "halo_width" else FURTHEST_OFF for name, sd in self.sd.items()])
 
     @property
     def prior_weight(self) -> Array:
@@ -330,6 +469,19 @@ def require_sd(name: str, sd: object) -> None:
     """
     if not (isinstance(sd, float | int) and np.isfinite(sd) and sd > 0.0):
         raise SceneError(f"nuisance {name} = {sd!r} is no standard deviation; give a positive number")
+
+
+def _of_width(scene: Scene, wider: float) -> Scene:
+    """A scene whose camera's halo has another width, by its logarithm."""
+    halo = scene.camera.halo
+    return replace(scene, camera=replace(scene.camera, halo=replace(halo, sigma_mm=halo.sigma_mm * np.exp(wider))))
+
+
+def _by_width(scene: Scene, image: Image, found: Mapping[str, float]) -> Array:
+    """Derivative of an image by the logarithm of its halo's width, where so much of both was found."""
+    widths = (_of_width(scene, found["halo_width"] + step).camera.halo.sigma_mm for step in (WIDTH_STEP, -WIDTH_STEP))
+    wide, narrow = (_blurred(scene, image, width) for width in widths)
+    return np.asarray((scene.camera.halo.share + found.get("halo", 0.0)) * (wide - narrow) / (2.0 * WIDTH_STEP))
 
 
 def _blurred(scene: Scene, image: Image, sigma_mm: float) -> Array:

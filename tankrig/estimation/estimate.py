@@ -144,7 +144,8 @@ def estimate(
         What may be off in the set-up, each with its standard deviation, and is fitted along: "z_mm", "y_mm" (light
         moved up, and along y), "tilt_mrad" (light turned about the vertical, towards +y), "scale" (share by which a
         pixel is larger than described); and what may go astray: "halo" and "veil" (shares of the light in the camera's,
-        more than described), "blur_mm2" (variance of the camera's blur, likewise), "floor" (its diffuse reflectance),
+        more than described; "halo_width", the logarithm of the halo's width over the scene's, is fitted along with it,
+        ± .5 unless given), "blur_mm2" (variance of the camera's blur, likewise), "floor" (its diffuse reflectance),
         "pane" (what the entry pane's outer side sends back, as a share of what glass with air behind it does),
         "black_level" (irradiance of a dark picture, W/mm²), "projector_halo" (share of the light in the projector's, of
         the width that the scene says).

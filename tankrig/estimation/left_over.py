@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.astray import PATTERNS, SIGNS, AstrayBlock, causes
+from tankrig.estimation.astray import SIGNS, as_found, causes
 from tankrig.estimation.forward import smooth_error_map, stated_error
-from tankrig.estimation.light_beside import BesideBlock
+from tankrig.estimation.light_beside import sizes_along
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
 from tankrig.estimation.observation import structure
 from tankrig.estimation.problem import Evaluation
@@ -206,11 +206,11 @@ def astray_shown(
     name
         Of the only cause that is asked for; None: all.
     """
-    stray = [block for block in best.problem.blocks if isinstance(block, AstrayBlock | BesideBlock)]
-    fitted_along = {PATTERNS[one] for block in stray for one in block.names}
+    along = sizes_along(best.problem.blocks, best.values)
     gain, _ = best.scale
-    looked_for = causes(scene, left.smooth / gain, quick=name is None and left.prediction.model == "prepared")
-    names = [one for one in looked_for if SIGNS[one].pattern not in fitted_along and name in (None, one)]
+    quick = name is None and left.prediction.model == "prepared"
+    looked_for = causes(scene, left.smooth / gain, quick, as_found(scene, along))
+    names = [one for one in looked_for if SIGNS[one].along not in along and name in (None, one)]
     if not names:
         return None
     patterns = np.array([looked_for[one]()[0] for one in names])

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.astray import FLOOR, require_sd
+from tankrig.estimation.astray import FLOOR, AstrayBlock, require_sd
 from tankrig.estimation.followed import Followed, Model, Solved
 from tankrig.estimation.parameters import FURTHEST_OFF, Block, Values
 from tankrig.prediction import Prediction
@@ -367,3 +367,13 @@ def described(scene: Scene, name: str) -> float:
         "floor": faces.floor.reflectance if faces.floor.kind == "diffuse" else 0.0,
         "pane": 0.0 if faces.entry.dark else 1.0,
     }[name]
+
+
+def sizes_along(blocks: Sequence[Block], values: Values) -> dict[str, float]:
+    """Sizes of what went astray as they were fitted along, beyond what is described, by their names in `ASTRAY`."""
+    stray = [block for block in blocks if isinstance(block, AstrayBlock | BesideBlock)]
+    return {
+        name: float(size) * sd
+        for block in stray
+        for (name, sd), size in zip(block.sd.items(), values[block.name], strict=True)
+    }

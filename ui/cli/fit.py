@@ -120,8 +120,8 @@ class Nuisance(click.ParamType[Any]):
     "--nuisance",
     type=Nuisance(),
     multiple=True,
-    help="Fit along what may be off, with its standard deviation: z_mm, y_mm, tilt_mrad, scale; halo, veil, "
-    "blur_mm2, floor, black_level.",
+    help="Fit along what may be off, with its standard deviation: z_mm, y_mm, tilt_mrad, scale; halo, "
+    "halo_width, veil, blur_mm2, floor, pane, black_level, projector_halo.",
 )
 @click.option(
     "--rig",
