@@ -35,6 +35,8 @@ LOOKED_OFF = 0.03, 0.02
 """Standard deviations of a first look's σt, of itself, and of its g."""
 SLOPE_BATCHES = 24
 """Lattices of paths that tell what truths' noise does to coefficients."""
+NAMED = "The residual shows", "It looks most like"
+"""How a verdict begins to name a cause; scenes are as described, so that each is a false alarm."""
 NAMES = ("sigma_a", "sigma_s", "g")
 
 Array = NDArray[np.float64]
@@ -109,6 +111,7 @@ def fitted(scene_file: Path, gain: str, model: str) -> dict[str, Any]:
         "name": scene_file.stem, "gain": gain, "model": model, "sigma_t": scene.medium.sigma_t,
         "albedo": scene.medium.albedo, "g": scene.medium.g, "off": off.tolist(), "sd": sd.tolist(),
         "z": (off / sd).tolist(), "inside": inside, "cpu_s": cpu_s, "model_error": found.model_error,
+        "verdict": found.verdict,
     }  # fmt: skip
 
 
@@ -116,6 +119,12 @@ def spread_of(line: dict[str, Any], factor: Array) -> Array:
     """Stated standard deviations, with the truth's noise as it moves coefficients."""
     more = np.square(line["truth_sd"]) * (np.square(factor) - 1.0) if line.get("truth_sd") else np.zeros(3)
     return np.asarray(np.sqrt(np.square(line["sd"]) + more))
+
+
+def false_alarms(lines: list[dict[str, Any]]) -> str:
+    """How many fits name a cause, of those whose verdict was kept."""
+    told = [one["verdict"] for one in lines if "verdict" in one]
+    return f"{sum(any(words in one for words in NAMED) for one in told)} of {len(told)} verdicts name a cause"
 
 
 def summary(lines: list[dict[str, Any]]) -> str:
@@ -130,6 +139,7 @@ def summary(lines: list[dict[str, Any]]) -> str:
             f"N = {len(lines)}: rms z {np.sqrt(np.mean(z**2)):.2f}, within 1.96 sd {within.mean():.1%}",
             f"worst |z| {np.abs(z).max():.1f}, {np.mean(np.abs(z) > 3.5):.1%} above 3.5",
             *(f"{name} rms z {size:.2f}, within {share:.0%}" for name, size, share in names),
+            false_alarms(lines),
             f"truths' noise moves {', '.join(f'{one:.2f}' for one in factor)} times as far as white noise",
             f"CPU seconds {np.median(cpu_s):.1f} (median), {cpu_s.max():.1f} (worst)",
         ]
