@@ -1,7 +1,7 @@
 """The finite tank: orders 1 and 2 exact, all further orders by as many light paths as the tolerance asks for."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from types import MappingProxyType
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.compiled_beside import paths_compiled_beside
-from tankrig.light.double import double_scattering, table_error
+from tankrig.light.double import double_scattering, double_scattering_of, table_error
 from tankrig.light.entering import entering, is_plain, through_lens
 from tankrig.light.high_orders import LOST_USUALLY, MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
 from tankrig.light.leaving import CameraLens
@@ -21,7 +21,7 @@ from tankrig.light.paths.smoothing import smoothed
 from tankrig.light.single import MOST_PARTS, single_scattering
 from tankrig.light.surface import lookup_error
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
-from tankrig.scene import Scene
+from tankrig.scene import Medium, Scene
 from tankrig.threads import one_blas_thread
 
 Array = NDArray[np.float64]
@@ -108,6 +108,14 @@ def twice(scene: Scene, tolerance: float) -> Array:
         return double_scattering(scene, tolerance)
     parts = through_lens(entering(scene, fine=False), fine=False)
     return np.asarray(sum(share * double_scattering(one, tolerance) for share, one in parts))
+
+
+def twice_of(scene: Scene, media: Sequence[Medium], tolerance: float) -> Array:
+    """The same of several liquids, (media, rows, columns), for little more than what does depend on the liquid."""
+    if is_plain(scene):
+        return double_scattering_of(scene, media, tolerance)
+    parts = through_lens(entering(scene, fine=False), fine=False)
+    return np.asarray(sum(share * double_scattering_of(one, media, tolerance) for share, one in parts))
 
 
 def low_orders(scene: Scene, tolerance: float, highest: int = 2) -> Array:

@@ -6,7 +6,7 @@ the integral is cut at the trapezoid's corners and at δ = 0 and graded about it
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import NamedTuple
@@ -14,23 +14,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.compiled import kernel
+from tankrig.compiled import kernel, part
 from tankrig.light.double.table import (
     COARSE,
     FINE,
     STEEP_G,
+    Stack,
     Table,
     depth_below,
-    fill_table,
+    fill_stack,
     lagrange,
     share_seen,
     y_weights,
 )
+from tankrig.light.elementary import exponential
 from tankrig.light.quadrature import Rule, gauss_legendre
 from tankrig.light.rays import Geometry, light_sources, shift_invariant, sighting_row
 from tankrig.light.sorting import put_in_order
 from tankrig.light.surface import on_surface, to_camera
-from tankrig.scene import Beam, Scene
+from tankrig.scene import Beam, Medium, Scene
 from tankrig.scene.description import Interval
 
 Array = NDArray[np.float64]
@@ -87,21 +89,48 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
     >>> bool(np.allclose(image, image[::-1], rtol=1e-6))  # as symmetric as the beam
     True
     """
+    return np.asarray(double_scattering_of(scene, (scene.medium,), tolerance)[0])
+
+
+def double_scattering_of(scene: Scene, media: Sequence[Medium], tolerance: float = 0.001) -> Array:
+    """The same of several liquids, for little more than the tables of each.
+
+    Where each pixel looks at which beam does not depend on the liquid, and takes most of the time where patterns have
+    many beams. Tables have the nodes that the densest and the steepest of the liquids want.
+
+    Parameters
+    ----------
+    scene
+        Its own medium does not matter.
+    media
+        The liquids.
+    tolerance
+        As for one.
+
+    Returns
+    -------
+    (media, rows, columns) array
+    """
     if scene.camera.kind == "calibrated":
         plain = on_surface(scene)
-        return to_camera(scene, double_scattering(plain, tolerance), (plain.camera.pixel_mm, plain.camera.pixel_mm))
-    medium, camera = scene.medium, scene.camera
-    image = np.zeros(camera.shape)
-    if medium.sigma_s == 0.0:
-        return image
+        cell_mm = plain.camera.pixel_mm, plain.camera.pixel_mm
+        return np.array([to_camera(scene, one, cell_mm) for one in double_scattering_of(plain, media, tolerance)])
+    camera = scene.camera
+    images = np.zeros((len(media), *camera.shape))
+    scattering = np.array([one.sigma_s for one in media])
+    if not scattering.any():
+        return images
     finest = min(camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
     fineness = COARSE if tolerance >= COARSE_FROM else FINE
     for one in lit_heights(scene):
-        table, z0_weights = fill_table(scene, one.geometry, one.z_mm, one.mirrored, finest, fineness, one.shared)
-        rows = np.zeros((camera.shape[0], table.x_mm.size))
-        add_beams(rows, scene, one, table, z0_weights)
-        image += rows @ columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, one.geometry.length).T
-    return np.maximum(image, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
+        given = one.geometry, one.z_mm, one.mirrored, finest, fineness, one.shared
+        table, stack, z0_weights = fill_stack(scene, media, *given)
+        rows = np.zeros((camera.shape[0], table.x_mm.size, len(media)))
+        add_beams(rows, scene, one, table, stack, z0_weights)
+        columns = columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, one.geometry.length)
+        images += np.moveaxis(rows, 2, 0) @ columns.T
+    images *= scattering[:, None, None] ** 2
+    return np.maximum(images, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
 
 
 @dataclass(frozen=True)
@@ -142,19 +171,21 @@ def lit_heights(scene: Scene) -> Iterator[LitHeight]:
             yield LitHeight(geometry, of_height, z_mm, mirrored, shared)
 
 
-def add_beams(rows: Array, scene: Scene, lit: LitHeight, table: Table, z0_weights: Array) -> None:
-    """Add what a table says of its beams to (rows, x) the light of each row of pixels."""
+def add_beams(rows: Array, scene: Scene, lit: LitHeight, table: Table, stack: Stack, z0_weights: Array) -> None:
+    """Add what tables say of their beams, over σs², to (rows, x, liquids) the light of each row of pixels."""
     for beam in lit.beams:
         weights = integral(table.z0_mm, beam.z_mm) if lit.shared else z0_weights
-        _add_beam(rows, scene, lit.geometry, beam, table, weights)
+        _add_beam(rows, scene, lit.geometry, beam, table, stack, weights)
 
 
-def _add_beam(rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, z0_weights: Array) -> None:
+def _add_beam(
+    rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, stack: Stack, z0_weights: Array
+) -> None:
     """Add one beam, cut into parts narrow enough where J is not shift-invariant."""
-    rule, strength = gauss_legendre(4), beam.irradiance * scene.medium.sigma_s**2
+    rule = gauss_legendre(4)
     for low, high in _parts(beam.y_mm, table.inner_mm, shift_invariant(scene)):
-        strip = Strip(low, high, strength, y_weights(table, 0.5 * (low + high)), z0_weights)
-        average_rows(rows, scene.camera.pixel_mm, geometry, table, strip, rule)
+        strip = Strip(low, high, beam.irradiance, y_weights(table, 0.5 * (low + high)), z0_weights)
+        average_rows(rows, scene.camera.pixel_mm, geometry, table, stack, strip, rule)
 
 
 def _parts(y_mm: Interval, inner_mm: Interval, whole: bool) -> list[Interval]:
@@ -213,6 +244,14 @@ FAR = 3.0
 """A beam is far from a pixel at this many times the width of both."""
 
 
+class Even(NamedTuple):
+    """Even steps of ln(f / (1 + margin − f)), at which a table has its nodes."""
+
+    first: float
+    spacing: float
+    margin: float
+
+
 class Strip(NamedTuple):
     """A beam, or a part of it along y, and what its light has of a table's nodes."""
 
@@ -220,7 +259,7 @@ class Strip(NamedTuple):
     """Edges on the plane x = 0, mm; it should not be much wider than the change of J with y₀ allows."""
     high: float
     strength: float
-    """Irradiance times σs²."""
+    """Irradiance."""
     y0_weights: Array
     """(ny,) weights that interpolate the table to its middle."""
     z0_weights: Array
@@ -228,31 +267,35 @@ class Strip(NamedTuple):
 
 
 @kernel
-def average_rows(rows: Array, pixel_mm: float, geometry: Geometry, table: Table, strip: Strip, rule: Rule) -> None:
+def average_rows(
+    rows: Array, pixel_mm: float, geometry: Geometry, table: Table, stack: Stack, strip: Strip, rule: Rule
+) -> None:
     """Add one strip's rows, at every node in x.
 
-        ⟨I₂⟩ = 1/Δy ∫ dδ w(δ) J(δ) · σs² E₀ (y₀ width) / (width as seen)   over each row, w as in the module's heading
+        ⟨I₂⟩/σs² = 1/Δy ∫ dδ w(δ) J(δ) · E₀ (y₀ width) / (width as seen)   over each row, w as in the module's heading
 
     Parameters
     ----------
     rows
-        (rows, nx), added to: radiance averaged over the rows' height, at the nodes in x.
+        (rows, nx, liquids), added to: radiance over σs², averaged over the rows' height, at the nodes in x.
     pixel_mm, geometry
         Of the scene.
-    table
+    table, stack
         Of J.
     strip
         Of light.
     rule
         Gauss–Legendre.
     """
-    x, fractions, margin, _, z0, values, decay, mirrored, _ = table
+    x, fractions, margin, _, z0, _, _, mirrored, _ = table
+    values, decays = stack
     low, high, strength, y0_weights, z0_weights = strip
     nodes, weights = rule
     count = fractions.size
     first = math.log(fractions[0] / (1.0 + margin - fractions[0]))
-    spacing = (-math.log(margin) - first) / (count - 1)
-    profile = np.empty((2, count))
+    even = Even(first, (-math.log(margin) - first) / (count - 1), margin)
+    liquids = decays.size
+    profile, total, fading = np.empty((2, count, liquids)), np.empty(liquids), np.empty(liquids)
     cuts = np.empty(5)
     middle = 0.5 * (low + high)
     for j in range(z0.size):
@@ -261,7 +304,8 @@ def average_rows(rows: Array, pixel_mm: float, geometry: Geometry, table: Table,
                 for k in range(count):
                     profile[side, k] = 0.0
                     for m in range(y0_weights.size):
-                        profile[side, k] += y0_weights[m] * values[j, m, side, i, k]
+                        for n in range(liquids):
+                            profile[side, k, n] += y0_weights[m] * values[j, m, side, i, k, n]
             crossing = sighting_row(geometry, x[i], middle, z0[j])
             beam_low = sighting_row(geometry, x[i], low, z0[j])
             beam_high = sighting_row(geometry, x[i], high, z0[j])
@@ -271,7 +315,9 @@ def average_rows(rows: Array, pixel_mm: float, geometry: Geometry, table: Table,
             if y0_weights.size == 1:  # where only y − y₀ matters
                 spans = (2.0 * geometry.half_width, 2.0 * geometry.half_width)
             # Flux per row seen: the beam's width over its width as seen; per pixel: over the pixel.
-            scale = strength * z0_weights[j] * (high - low) / (seen * pixel_mm) * math.exp(-decay * x[i])
+            scale = strength * z0_weights[j] * (high - low) / (seen * pixel_mm)
+            for n in range(liquids):
+                fading[n] = math.exp(-decays[n] * x[i])
             for row in range(rows.shape[0]):
                 pixel_low = row * pixel_mm - geometry.half_width
                 if pixel_low >= geometry.half_width:
@@ -279,12 +325,12 @@ def average_rows(rows: Array, pixel_mm: float, geometry: Geometry, table: Table,
                 pixel_high = min(pixel_low + pixel_mm, geometry.half_width)
                 pixel = pixel_high - pixel_low
                 centre = 0.5 * (pixel_low + pixel_high) - 0.5 * (beam_low + beam_high)
-                total = 0.0
+                total[:] = 0.0
                 if abs(centre) > FAR * (pixel + seen):
                     spread = math.sqrt((pixel * pixel + seen * seen) / 12.0)
-                    near = _profile(profile, spans, centre - spread, first, spacing, margin, decay)
-                    far = _profile(profile, spans, centre + spread, first, spacing, margin, decay)
-                    total = 0.5 * (near + far) * pixel * seen
+                    half = 0.5 * pixel * seen
+                    _add_profile(total, half, profile, decays, spans, centre - spread, even)
+                    _add_profile(total, half, profile, decays, spans, centre + spread, even)
                 else:
                     cuts[0], cuts[1] = pixel_low - beam_high, pixel_low - beam_low
                     cuts[2], cuts[3] = pixel_high - beam_high, pixel_high - beam_low
@@ -299,16 +345,15 @@ def average_rows(rows: Array, pixel_mm: float, geometry: Geometry, table: Table,
                             for n in range(nodes.size):
                                 delta = panel_start + half * (1.0 + nodes[n])
                                 overlap = min(pixel_high - delta, beam_high) - max(pixel_low - delta, beam_low)
-                                total += (
-                                    half * weights[n] * max(overlap, 0.0)
-                                    * _profile(profile, spans, delta, first, spacing, margin, decay)
-                                )  # fmt: skip
+                                weight = half * weights[n] * max(overlap, 0.0)
+                                _add_profile(total, weight, profile, decays, spans, delta, even)
                             panel_start = panel_end
                 share = 0.0
                 for n in range(nodes.size):
                     y = 0.5 * (pixel_low + pixel_high + pixel * nodes[n])
                     share += 0.5 * weights[n] * share_seen(geometry, x[i], y, abs(y - crossing), below)
-                rows[row, i] += scale * total * share
+                for n in range(liquids):
+                    rows[row, i, n] += scale * share * fading[n] * total[n]
 
 
 @kernel
@@ -323,27 +368,31 @@ def _panel_end(start: float, end: float, pixel: float) -> float:
     return min(end, start + (2.0 / 3.0) * reach)
 
 
-@kernel
-def _profile(
-    profile: Array, spans: tuple[float, float], delta: float, first: float, spacing: float, margin: float, decay: float
-) -> float:
-    """J at δ by cubic interpolation between the nodes; nearer than the first it grows like −ln|δ|."""
+@part
+def _add_profile(
+    total: Array, weight: float, profile: Array, decays: Array, spans: tuple[float, float], delta: float, even: Even
+) -> None:
+    """Add J at δ of all liquids by cubic interpolation between nodes; nearer than the first it grows like −ln|δ|."""
     side = 1 if delta > 0.0 else 0
     distance = abs(delta)
     count = profile.shape[1]
     share = min(max(distance, 1e-12) / spans[side], 1.0)
-    place = (math.log(share / (1.0 + margin - share)) - first) / spacing
-    if place < 0.0:
-        near: float = profile[side, 0] + place * (profile[side, 1] - profile[side, 0])
-        return near * math.exp(-decay * distance)
-    place = min(place, count - 1.0)
-    k = min(max(int(place) - 1, 0), count - 4)
-    t = place - k
-    a, b, c, d = t, t - 1.0, t - 2.0, t - 3.0
-    value: float = (
-        -b * c * d / 6.0 * profile[side, k]
-        + a * c * d / 2.0 * profile[side, k + 1]
-        - a * b * d / 2.0 * profile[side, k + 2]
-        + a * b * c / 6.0 * profile[side, k + 3]
-    )
-    return value * math.exp(-decay * distance)
+    place = (math.log(share / (1.0 + even.margin - share)) - even.first) / even.spacing
+    k, a, b, c, d = 0, 1.0 - place, place, 0.0, 0.0
+    if place >= 0.0:
+        place = min(place, count - 1.0)
+        k = min(max(int(place) - 1, 0), count - 4)
+        t, u, v, w = place - k, place - k - 1.0, place - k - 2.0, place - k - 3.0
+        a, b, c, d = -u * v * w / 6.0, t * v * w / 2.0, -t * u * w / 2.0, t * u * v / 6.0
+    if total.size == 1:  # a loop over one liquid would take half as long again
+        total[0] += weight * _cubic(profile[side], k, 0, (a, b, c, d)) * exponential(-decays[0] * distance)
+    else:
+        for n in range(total.size):
+            total[n] += weight * _cubic(profile[side], k, n, (a, b, c, d)) * exponential(-decays[n] * distance)
+
+
+@part
+def _cubic(profile: Array, k: int, n: int, weights: tuple[float, float, float, float]) -> float:
+    """Four nodes of one liquid, from the k-th on, with their weights."""
+    a, b, c, d = weights
+    return float(a * profile[k, n] + b * profile[k + 1, n] + c * profile[k + 2, n] + d * profile[k + 3, n])

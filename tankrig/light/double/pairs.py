@@ -21,6 +21,7 @@ from tankrig.light.double.table import (
     FINE,
     PANEL,
     Pair,
+    Stack,
     Table,
     cut_at_critical_angle,
     half_circle,
@@ -81,21 +82,22 @@ def double_pairs(scene: Scene, splines: PhaseSplines) -> PairTables:
     splines
         Of the phase functions.
     """
-    camera, medium = scene.camera, scene.medium
+    camera = scene.camera
     finest = min(camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
     found = []
     for one in lit_heights(scene):
         table, z0_weights = laid_out(scene, one.geometry, one.z_mm, one.mirrored, finest, FINE, one.shared)
         nodes = table.z0_mm.size, table.fractions.size
-        rows = np.zeros((*nodes, camera.shape[0], table.x_mm.size))
+        alone = np.zeros((*table.values.shape, *nodes))
         for j, k in np.ndindex(nodes):
-            table.values[:] = 0.0
-            table.values[j, ..., k] = 1.0 / medium.sigma_s**2
-            add_beams(rows[j, k], scene, one, table, z0_weights)
+            alone[j, ..., k, j, k] = 1.0
+        stack = Stack(alone.reshape(*table.values.shape, -1), np.full(math.prod(nodes), table.decay))
+        rows = np.zeros((camera.shape[0], table.x_mm.size, math.prod(nodes)))
+        add_beams(rows, scene, one, table, stack, z0_weights)
         columns = columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, one.geometry.length).T
         found.append((
             _pair_values(scene, one.geometry, table, splines),
-            rows.transpose(2, 0, 3, 1).reshape(camera.shape[0], -1),
+            rows.reshape(*rows.shape[:2], *nodes).transpose(0, 2, 1, 3).reshape(camera.shape[0], -1),
             np.tile(np.repeat(columns, nodes[1], axis=0), (nodes[0], 1)),
         ))  # fmt: skip
     values, by_row, by_column = zip(*found, strict=True)

@@ -17,8 +17,9 @@ are geometric in δ on both sides of the crossing, graded towards the walls in x
 """
 
 import math
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -39,7 +40,7 @@ from tankrig.light.rays import (
     sighting_row,
 )
 from tankrig.light.water import Water, water_of
-from tankrig.scene import Scene
+from tankrig.scene import Medium, Scene
 from tankrig.scene.phase import phase_density
 from tankrig.scene.phase_table import PhaseRecord
 from tankrig.threads import THREADS
@@ -422,33 +423,73 @@ def laid_out(
         edges = [edge for beam in scene.projector.beams for edge in beam.y_mm]
         apart = fineness.apart if scene.medium.g < STEEP_G else 1.0
         y0, inner = _y_nodes(geometry, min(edges), max(edges), 0.5 * (low + high), apart)
-    decay = float(min(sigma_t, STEEPEST / (geometry.length + width)))
+    decay = _decay(sigma_t, geometry)
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
     return Table(x, fractions, margin, y0, z0, values, decay, mirrored, inner), 0.5 * (high - low) * weights
 
 
-def fill_table(
+class Stack(NamedTuple):
+    """J of several liquids at the nodes of one table."""
+
+    values: Array
+    """(nz, ny, 2, nx, nk, liquids), each as `Table.values`: what does not depend on the liquid is then worked out
+    once for all of them."""
+    decays: Array
+    """(liquids,) κ of each."""
+
+
+def fill_stack(
     scene: Scene,
+    media: Sequence[Medium],
     geometry: Geometry,
     z_mm: tuple[float, float],
     mirrored: bool,
     finest_mm: float,
     fineness: Fineness,
     between: bool = False,
-) -> tuple[Table, Array]:
-    """Compute J at the nodes of `laid_out`, which has the same parameters."""
-    table, weights = laid_out(scene, geometry, z_mm, mirrored, finest_mm, fineness, between)
-    y0, values = table.y0_mm, table.values
+) -> tuple[Table, Stack, Array]:
+    """Compute J of several liquids at the nodes of `laid_out`, as close as the densest and the steepest want them.
+
+    Parameters
+    ----------
+    scene
+        Its own medium does not matter.
+    media
+        The liquids.
+    geometry, z_mm, mirrored, finest_mm, fineness, between
+        As for `laid_out`.
+
+    Returns
+    -------
+    table, stack, weights
+        The table has the nodes, and no values; `weights` (nz,) integrate over z₀, mm.
+    """
+    hardest = Medium(0.0, max(one.sigma_t for one in media), max(one.g for one in media))
+    widest = replace(scene, medium=hardest)
+    table, weights = laid_out(widest, geometry, z_mm, mirrored, finest_mm, fineness, between)
+    y0 = table.y0_mm
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     half = y0.size // 2 if mirror_symmetric(scene) else 0
-    one_sided = table._replace(y0_mm=y0[: y0.size - half], values=values[:, : y0.size - half])
-    given = one_sided, geometry, water_of(scene.medium), gauss_legendre(fineness.nodes)
+    decays = np.array([_decay(one.sigma_t, geometry) for one in media])
+    found = np.empty((*table.values.shape, len(media)))
+    rule = gauss_legendre(fineness.nodes)
     with ThreadPoolExecutor(THREADS) as pool:
-        parts = [pool.submit(fill, *given, part, THREADS) for part in range(THREADS)]
-        for part in parts:
-            part.result()
-    values[:, y0.size - half :] = values[:, :half, ::-1][:, ::-1]  # the other side is the mirror image
-    return table, weights
+        for number, medium in enumerate(media):
+            values = np.zeros(table.values.shape)
+            one_sided = table._replace(
+                y0_mm=y0[: y0.size - half], values=values[:, : y0.size - half], decay=float(decays[number])
+            )
+            given = one_sided, geometry, water_of(medium), rule
+            for part in [pool.submit(fill, *given, part, THREADS) for part in range(THREADS)]:
+                part.result()
+            values[:, y0.size - half :] = values[:, :half, ::-1][:, ::-1]  # the other side is the mirror image
+            found[..., number] = values
+    return table, Stack(found, decays), weights
+
+
+def _decay(sigma_t: float, geometry: Geometry) -> float:
+    """κ for `Table.decay`, 1/mm."""
+    return float(min(sigma_t, STEEPEST / (geometry.length + 2.0 * geometry.half_width)))
 
 
 def _more_between(span: float, height: float) -> int:
