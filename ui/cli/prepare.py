@@ -3,9 +3,9 @@
 import json
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,9 @@ from ui.cli.options import json_option, rig_option
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
+
+    from tankrig.light.prepared.box import Box
+    from tankrig.scene import Scene
 
 Ends = tuple[float, float]
 RANGE = (float, float)
@@ -42,6 +45,12 @@ BY_PATHS = "where light or sight slants, other phase functions than Henyey–Gre
 @click.option("--sigma-t", type=RANGE, default=(0.0005, 0.12), show_default=True, help="Extinctions to hold, 1/mm.")
 @click.option("--albedo", type=RANGE, default=(0.5, 0.9999), show_default=True, help="Albedos to hold.")
 @click.option("--g", type=RANGE, default=(-0.4, 0.95), show_default=True, help="Asymmetries to hold.")
+@click.option(
+    "--bench",
+    "learned",
+    is_flag=True,
+    help="First learn what light becomes that enters at these patterns' heights, once for all patterns there.",
+)
 @json_option
 def prepare(
     scene_file: Path | None,
@@ -51,6 +60,7 @@ def prepare(
     sigma_t: Ends,
     albedo: Ends,
     g: Ends,
+    learned: bool,
     as_json: bool,
 ) -> None:
     """Prepare a model of SCENE for every medium: it then predicts images in a millisecond, with derivatives.
@@ -60,24 +70,29 @@ def prepare(
 
     With --rig and --sequence it prepares what a run's live fit can use whatever the ink is, while a person sets up;
     with `ink` in the sequence, the models of its doses too.
+
+    With --bench, and a calibrated bench or pinholes, what light becomes is learned as well, for the same liquids.
+    Models of further patterns at these heights, on the same bench, then follow no light paths.
     """
     if (scene_file is None) == (sequence_file is None):
         raise click.UsageError("give a scene file, or --sequence with --rig")
     if sequence_file is not None:
         if rig is None:
             raise click.UsageError("--sequence needs the bench that it is for; give --rig")
-        _for_a_run(sequence_file, rig, as_json)
+        _for_a_run(sequence_file, rig, learned, as_json)
     elif scene_file is not None:
-        _of_a_scene(scene_file, tolerance, sigma_t, albedo, g, as_json)
+        from tankrig.light.prepared.box import Box
+
+        _of_a_scene(scene_file, tolerance, Box(sigma_t, albedo, g), learned, as_json)
 
 
-def _of_a_scene(scene_file: Path, tolerance: float, sigma_t: Ends, albedo: Ends, g: Ends, as_json: bool) -> None:
+def _of_a_scene(scene_file: Path, tolerance: float, box: "Box", learned: bool, as_json: bool) -> None:
     import tankrig
-    from tankrig.light.prepared.box import Box
 
-    box = Box(sigma_t, albedo, g)
     scene = tankrig.load_scene(scene_file)
     started = time.perf_counter()
+    if learned:
+        _learn([scene], box, tolerance)
     with warnings.catch_warnings(record=True) as said, _progress() as bar:
         warnings.simplefilter("always", UserWarning)
         task = bar.add_task("preparing", total=1.0)
@@ -93,11 +108,22 @@ def _of_a_scene(scene_file: Path, tolerance: float, sigma_t: Ends, albedo: Ends,
         click.echo(f"note     {one.message}")
 
 
-def _for_a_run(sequence_file: Path, rig: Path, as_json: bool) -> None:
+def _learn(scenes: "Sequence[Scene]", box: "Box", tolerance: float) -> None:
+    """What light becomes that enters at the heights of all these scenes of one bench."""
+    from tankrig.light.prepared.entrance import learn
+
+    beams = tuple(beam for scene in scenes for beam in scene.projector.beams)
+    with _progress("learning") as bar:
+        task = bar.add_task("learning", total=1.0)
+        one = replace(scenes[0], projector=replace(scenes[0].projector, beams=beams))
+        learn(one, box, tolerance, lambda share: bar.update(task, completed=share))
+
+
+def _for_a_run(sequence_file: Path, rig: Path, learned: bool, as_json: bool) -> None:
     from drivers.rig import calibrated_bench, load_rig_file
     from tankrig.live.attached import require_fittable
     from tankrig.live.photograph_plan import PhotographPlan
-    from tankrig.live.preparing import foreseen, is_kept, model_for, phases_prepared
+    from tankrig.live.preparing import LOOK, foreseen, is_kept, model_for, phases_prepared, tolerance_for
     from tankrig.sequence import load_sequence
 
     sequence, bench = load_sequence(sequence_file), calibrated_bench(load_rig_file(rig))
@@ -108,6 +134,13 @@ def _for_a_run(sequence_file: Path, rig: Path, as_json: bool) -> None:
     wanted = [(scene, box) for scenes, box in foreseeable for scene in scenes]
     kept = sum(is_kept(*one, phases or "hg") for one in wanted)
     started = time.perf_counter()
+    if learned:
+        boxes = [box for _, box in foreseeable if box != LOOK]  # whose few paths are followed sooner than learned
+        if not boxes:
+            raise click.UsageError(f"--bench learns for liquids that are foreseen; {sequence.name} wants an `ink`")
+        scenes = list(plan.scenes.values())
+        for box in boxes:
+            _learn(scenes, box, tolerance_for(scenes[0], box))
     with _progress() as bar:
         task = bar.add_task("preparing", total=float(len(wanted)))
         for done, (scene, box) in enumerate(wanted):
@@ -131,10 +164,10 @@ def _told(bar: "Progress", task: "TaskID", done: int, share: float) -> None:
 
 
 @contextmanager
-def _progress() -> "Iterator[Progress]":
+def _progress(what: str = "preparing") -> "Iterator[Progress]":
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    columns = TextColumn("preparing"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
+    columns = TextColumn(what), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
     with Progress(*columns, console=Console(stderr=True)) as bar:
         yield bar

@@ -41,11 +41,14 @@ class Images:
         (media, 2, pixels) orders 1 and 2 on the polynomials' grid, and at other media.
     paths
         (media, albedos, rows, degrees) orders ≥ 3.
+    share
+        Of the light of orders ≥ 3 that all of these may be off by alike.
     """
 
     exact: Array
     checks: Array
     paths: Array
+    share: float = 0.0
 
 
 def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape: tuple[int, int]) -> Answer:
@@ -67,7 +70,9 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     tables = table_error(sampling.scene, order_2_tolerance(sampling.scene, plan.tolerance))
     fit = fits[0]
     noise = Noise(THIRD, plan.paths_plane, plan.brightness_plane, fit.scale, fit.pull, fit.left)
-    signs = math.sqrt(DRAWS) * signs_of_chance(DRAWS, count)
+    if images.share > 0.0:
+        noise = noise.and_share(images.share, fit.fields)
+    signs = math.sqrt(DRAWS) * signs_of_chance(DRAWS, len(noise.left))
     draws = [_rest_term(plan, sampling, fit.scale, noise.fields(one)) for one in signs]
     beside = math.hypot(tables, float(np.sqrt(np.mean(np.sum(misses**2, axis=1)))))
     error = _error_over_box(plan, draws, terms, beside)

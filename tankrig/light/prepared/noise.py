@@ -10,7 +10,7 @@ So a fit knows in which directions the model errs, and need not take its size fo
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -93,6 +93,21 @@ class Noise:
         bright = math.exp(logarithm[0]) * (albedo * sigma_t) ** self.power
         signs = signs_of_chance(min(FEW, media), media)
         return np.asarray(bright * np.einsum("kj,daj,jac->kdc", signs, changes, self.left, optimize=True))
+
+    def and_share(self, share: float, fields: Array) -> "Noise":
+        """With one error more: a share of all light of orders ≥ 3, as it lies in the box on average.
+
+        Parameters
+        ----------
+        share
+            Of the light.
+        fields
+            (albedos, polynomials, cells) of the fit, of which the first are constant over the media.
+        """
+        alone = np.zeros((*self.pull.shape[:2], 1))
+        alone[:, 0] = 1.0
+        light = (share * fields[:, 0]).astype(np.float32)[None]
+        return replace(self, pull=np.concatenate([self.pull, alone], axis=2), left=np.concatenate([self.left, light]))
 
     @cached_property
     def _by_degree(self) -> Array:

@@ -14,6 +14,7 @@ from tankrig.light.prepared.answer import Answer
 from tankrig.light.prepared.assembly import Images, assemble
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.cache import Place
+from tankrig.light.prepared.entrance import MOVED, Entrance
 from tankrig.light.prepared.packing import packed, unpacked
 from tankrig.light.prepared.plan import PreparationPlan, Sample
 from tankrig.light.prepared.sampling import PathImages, exact_images
@@ -29,6 +30,8 @@ MOST_PIXELS = 40_000
 """Beyond, the images of all media would take more than a GiB."""
 EXACT_COST = 0.7
 """Time that orders 1 and 2 take at one medium, in batches of paths."""
+TOGETHER = 8
+"""Media at most whose orders 1 and 2 are computed at once: more save little, and are lost where it is interrupted."""
 
 
 def place_of(scene: Scene, box: Box, tolerance: float) -> Place:
@@ -62,7 +65,7 @@ def prepared(
         )
     place = place_of(scene, box, tolerance)
     plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance, not shift_invariant(scene))
-    work = _Work(scene, plan, place)
+    work = _Work(scene, plan, place, Entrance.known_to(scene, box, tolerance))
     known = _kept_answer(place, plan, scene.camera.shape, math.prod(work.sampling.shape[1:]))
     if known is not None:
         progress(1.0)
@@ -90,23 +93,35 @@ def _kept_answer(place: Place, plan: PreparationPlan, shape: tuple[int, int], ce
 class _Job:
     """One file of the preparation."""
 
-    name: str
-    sample: Sample
+    kind: str
+    samples: tuple[Sample, ...]
     cost: float
+
+    @property
+    def name(self) -> str:
+        """Of the file."""
+        return f"{self.kind}{self.samples[0].index}"
+
+
+def _together(kind: str, samples: list[Sample]) -> list[_Job]:
+    """Orders 1 and 2 of media: those of like asymmetry at once, as the steepest of them says how fine tables are."""
+    ordered = sorted(samples, key=lambda one: (one.g, one.index))
+    parts = [tuple(ordered[first : first + TOGETHER]) for first in range(0, len(ordered), TOGETHER)]
+    return [_Job(kind, part, EXACT_COST * len(part)) for part in parts]
 
 
 class _Work:
     """The images that a plan asks for: those that an interrupted preparation has left are not made again."""
 
-    def __init__(self, scene: Scene, plan: PreparationPlan, place: Place) -> None:
-        self._scene, self._plan, self._place = scene, plan, place
+    def __init__(self, scene: Scene, plan: PreparationPlan, place: Place, entrance: Entrance | None) -> None:
+        self._scene, self._plan, self._place, self._entrance = scene, plan, place, entrance
         self.sampling = PathImages(scene, plan.albedos)
         self._pixels = scene.camera.shape[0] * scene.camera.shape[1]
         # What takes longest comes first, so that no core is left with it at the end.
         self._jobs = sorted(
-            [_Job(f"exact{sample.index}", sample, EXACT_COST) for sample in plan.exact]
-            + [_Job(f"check{sample.index}", sample, EXACT_COST) for sample in plan.checks]
-            + [_Job(f"paths{sample.index}", sample, sample.batches) for sample in plan.paths],
+            _together("exact", plan.exact)
+            + _together("check", plan.checks)
+            + [_Job("paths", (sample,), sample.batches) for sample in (() if entrance else plan.paths)],
             key=lambda job: -job.cost,
         )
 
@@ -120,38 +135,39 @@ class _Work:
 
     def images(self, progress: Progress, threads: int) -> Images:
         """Compute, or read, all."""
-        total, done, found = sum(job.cost for job in self._jobs), 0.0, {}
+        total, done = sum(job.cost for job in self._jobs), 0.0
+        found: dict[str, dict[int, NDArray[np.floating]]] = {"exact": {}, "check": {}, "paths": {}}
         pool = ThreadPoolExecutor(threads)
         try:
-            running = {pool.submit(self._image, job): job for job in self._jobs}
+            running = {pool.submit(self._images, job): job for job in self._jobs}
             for future in as_completed(running):
-                found[running[future].name] = future.result()
-                done += running[future].cost
+                job = running[future]
+                found[job.kind] |= {one.index: image for one, image in zip(job.samples, future.result(), strict=True)}
+                done += job.cost
                 progress(0.97 * done / total)
         finally:
             pool.shutdown(cancel_futures=True)
-        stacks = {
-            name: np.array([found[f"{name}{sample.index}"] for sample in samples])
-            for name, samples in (
-                ("exact", self._plan.exact),
-                ("check", self._plan.checks),
-                ("paths", self._plan.paths),
-            )
-        }
-        return Images(stacks["exact"], stacks["check"], stacks["paths"])
+        if self._entrance is not None:
+            found["paths"] = dict(self._entrance.images(self.sampling, self._plan.paths))
+        stacks = {kind: np.array([images[index] for index in sorted(images)]) for kind, images in found.items()}
+        share = MOVED if self._entrance is not None else 0.0
+        return Images(stacks["exact"], stacks["check"], stacks["paths"], share)
 
-    def _image(self, job: _Job) -> NDArray[np.floating]:
+    def _images(self, job: _Job) -> NDArray[np.floating]:
+        """Of each of a job's media."""
         path = self._place.parts / f"{job.name}.npz"
-        sample = job.sample
-        shape = self.sampling.shape if sample.batches else (2, self._pixels)
-        known = (self._place.kept(path) or {}).get("image")
+        paths = job.kind == "paths"
+        shape = (len(job.samples), *(self.sampling.shape if paths else (2, self._pixels)))
+        known = (self._place.kept(path) or {}).get("images")
         if known is not None and known.shape == shape and known.dtype.kind == "f":
             return known.astype(float)
-        image: NDArray[np.floating]
-        if sample.batches:
-            image = self.sampling.sample(Medium(0.0, sample.sigma_t, sample.g), sample.index, sample.batches)
-            image = image.astype(np.float32)
+        images: NDArray[np.floating]
+        if paths:
+            (one,) = job.samples
+            images = self.sampling.sample(Medium(0.0, one.sigma_t, one.g), one.index, one.batches)[None]
+            images = images.astype(np.float32)
         else:
-            image = exact_images(self._scene, sample.sigma_t, sample.g, self._plan.tolerance)
-        self._place.keep(path, {"image": image})
-        return image
+            liquids = [(one.sigma_t, one.g) for one in job.samples]
+            images = exact_images(self._scene, liquids, self._plan.tolerance)
+        self._place.keep(path, {"images": images})
+        return images

@@ -6,6 +6,7 @@ summed for all albedos at once.
 
 import math
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,7 +20,7 @@ from tankrig.light.paths.block import LARGE, PathLimits, Points
 from tankrig.light.paths.record import image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
-from tankrig.light.tank import CellGrid, once, twice
+from tankrig.light.tank import CellGrid, low_orders, twice_of
 from tankrig.light.water import water_of
 from tankrig.scene import Beam, Medium, Scene
 
@@ -50,15 +51,15 @@ def order_2_tolerance(scene: Scene, tolerance: float) -> float:
     return tolerance * (SHARE if shift_invariant(scene) else SLANTED_SHARE)
 
 
-def exact_images(scene: Scene, sigma_t: float, g: float, tolerance: float) -> Array:
-    """Orders 1 and 2 at ϖ = 1, (2, pixels)."""
-    lit = replace(scene, medium=Medium(0.0, sigma_t, g))
-    lens = CameraLens.of(lit)
-    if lens is None:
-        return np.stack([once(lit).ravel(), twice(lit, order_2_tolerance(scene, tolerance)).ravel()])
-    _, first = lens.order_one(once)
-    second = lens.of_wide(twice(lens.wide, order_2_tolerance(scene, tolerance)))
-    return np.stack([first.ravel(), second.ravel()])
+def exact_images(scene: Scene, liquids: Sequence[tuple[float, float]], tolerance: float) -> Array:
+    """Orders 1 and 2 at ϖ = 1 of liquids of some σt and g, (liquids, 2, pixels)."""
+    media = [Medium(0.0, sigma_t, g) for sigma_t, g in liquids]
+    lens, tables = CameraLens.of(scene), order_2_tolerance(scene, tolerance)
+    first = np.array([low_orders(replace(scene, medium=one), tables, highest=1) for one in media])
+    second = twice_of(scene if lens is None else lens.wide, media, tables)
+    if lens is not None:
+        second = np.array([lens.of_wide(one) for one in second])
+    return np.stack([first, second], axis=1).reshape(len(media), 2, -1)
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class PathImages:
         return CameraLens.of(self.scene)
 
     @cached_property
-    def _lit(self) -> Scene:
+    def lit(self) -> Scene:
         """The scene as an ideal camera sees it, and the projector's light as beams."""
         return entering(self.scene if self._lens is None else self._lens.wide, fine=False)
 
@@ -93,7 +94,7 @@ class PathImages:
     @cached_property
     def grid(self) -> CellGrid:
         """Cells that paths are recorded in."""
-        return CellGrid.of(self._lit)
+        return CellGrid.of(self.lit)
 
     @cached_property
     def along(self) -> Array:
@@ -132,7 +133,7 @@ class PathImages:
         Of the medium σt and the phase function matter.
         """
         seed += self._own
-        lit = replace(self._lit, medium=replace(medium, sigma_a=0.0, sigma_s=medium.sigma_t))
+        lit = replace(self.lit, medium=replace(medium, sigma_a=0.0, sigma_s=medium.sigma_t))
         beams = [beam for beam in lit.projector.beams if beam.irradiance > 0.0]
         traced = self._traced_rectangles if self.grid.shiftable else self._traced_points
         images = traced(lit, beams, seed, batches) @ self.along / batches

@@ -1,0 +1,345 @@
+"""What light that enters a bench at one height becomes, learned once: orders ≥ 3 of any pattern there, without paths.
+
+Light is linear in the pattern, and light that enters beside a place makes much the same image, moved with its ray. So
+light paths are followed from narrow strips of the wall, a few mm apart and at two heights of a band, and the image of
+a beam is put together from those of the strips about it: in every column each is moved by as much as the beam's ray is
+seen beside the strip's, at the ray itself wholly and the less the nearer a side wall is, which does not move. Images of
+fixed strips alone would have to be 4 mm apart or less (decision 211).
+
+What a pattern has beside the band, as halo and black level, is followed by paths of its own: it is little.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.errors import SceneError
+from tankrig.light.prepared.box import Box
+from tankrig.light.prepared.cache import Place
+from tankrig.light.prepared.plan import PreparationPlan, Sample
+from tankrig.light.prepared.sampling import PathImages
+from tankrig.light.rays import geometry_of, shift_invariant, sighting_row
+from tankrig.scene import Beam, Medium, Scene
+from tankrig.scene.description import Interval
+from tankrig.threads import THREADS
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+STRIP_MM = 2.0
+"""Width of a strip, and the widest part of a beam that is moved as one."""
+APART_MM = 10.0
+"""From strip to strip, at most. Thirteen millimetres leave .6 % of orders ≥ 3 of three rays, 26 leave 2.3 %."""
+MOVED = 0.004
+"""Of the light of orders ≥ 3: what that may leave, and is counted as an error of every image."""
+LAYERS = 2
+"""Heights of a band: between them the image is linear."""
+PATHS = 3.0
+"""Times as many paths, in all strips together, as one pattern's model takes."""
+MOST_BANDS, HIGHEST_BAND_MM = 3, 16.0
+"""Heights that are learned at once, and how high a band may be."""
+AT_ONCE = 8
+"""Media that are put together at once."""
+ROOM_MM = 1.5
+"""That a band has beyond the beams that it is learned for: others of the same height lie a little beside them."""
+
+
+@dataclass(frozen=True)
+class Entrance:
+    """Strips of the wall that light enters by, and what they are learned for.
+
+    Parameters
+    ----------
+    scene
+        Gives tank, projector and camera; its beams do not matter.
+    band
+        z of the wall, low and high, mm.
+    box, tolerance
+        Of the models that shall be made from it.
+    """
+
+    scene: Scene
+    band: Interval
+    box: Box
+    tolerance: float
+
+    @classmethod
+    def known_to(cls, scene: Scene, box: Box, tolerance: float) -> "Entrance | None":
+        """The one that was learned for the bench of a scene and holds most of its light; None where there is none."""
+        if not can_be_learned(scene):
+            return None
+        lit = PathImages(scene, ()).lit
+        of_all = _place(lit, box, tolerance)
+        found: list[tuple[float, Entrance]] = []
+        for file in sorted(of_all.folder.glob(f"{of_all.name}_*_*.npz")):
+            try:
+                low, high = (float(one) for one in file.stem.split("_")[1:])
+            except ValueError:
+                continue
+            one = cls(lit, (low, high), box, tolerance)
+            if one.is_there:
+                found.append((sum(beam.power for beam in lit.projector.beams if one.holds(beam)), one))
+        share, best = max(found, key=lambda each: each[0], default=(0.0, None))
+        return best if share > 0.0 else None
+
+    @property
+    def place(self) -> Place:
+        """Where the cache keeps it."""
+        of_all = _place(self.scene, self.box, self.tolerance)
+        return replace(of_all, name=f"{of_all.name}_{self.band[0]:g}_{self.band[1]:g}")
+
+    @property
+    def is_there(self) -> bool:
+        """Whether all of it has been learned."""
+        return self.place.kept(self.place.model) is not None
+
+    @property
+    def size(self) -> int:
+        """Bytes that it takes."""
+        numbers = math.prod(PathImages(self.scene, self.plan.albedos).shape)
+        return 2 * len(self.strips) * len(self.plan.paths) * numbers
+
+    @cached_property
+    def plan(self) -> PreparationPlan:
+        """Of the models that shall be made from it."""
+        return PreparationPlan(self.box, self.scene.tank.size_mm[0], self.tolerance, True)
+
+    @cached_property
+    def _y_mm(self) -> Array:
+        """Middles of strips."""
+        reach = 0.5 * (self.scene.tank.size_mm[1] - STRIP_MM)
+        return np.linspace(-reach, reach, 2 + math.ceil(2.0 * reach / APART_MM))
+
+    @cached_property
+    def _layers(self) -> Array:
+        """Edges of the heights."""
+        return np.linspace(*self.band, LAYERS + 1)
+
+    @cached_property
+    def strips(self) -> list[Scene]:
+        """Scenes with one strip each: all heights of the first, then of the next."""
+        half = 0.5 * STRIP_MM
+        beams = [
+            Beam((float(y) - half, float(y) + half), (float(low), float(high)))
+            for y in self._y_mm
+            for low, high in pairwise(self._layers)
+        ]
+        return [replace(self.scene, projector=replace(self.scene.projector, beams=(beam,))) for beam in beams]
+
+    def batches(self, sample: Sample) -> int:
+        """Lattices of paths for each strip."""
+        return max(1, round(PATHS * sample.batches / len(self.strips)))
+
+    def holds(self, beam: Beam) -> bool:
+        """Whether a beam enters by the band."""
+        return self.band[0] - 1e-6 <= beam.z_mm[0] and beam.z_mm[1] <= self.band[1] + 1e-6
+
+    def images(self, sampling: PathImages, samples: Sequence[Sample]) -> Iterator[tuple[int, Array]]:
+        """Orders ≥ 3 of a pattern at media that were learned, each with its number: (albedos, rows, degrees).
+
+        Parameters
+        ----------
+        sampling
+            Of the pattern's scene.
+        samples
+            The plan's media, with the lattices that the pattern alone would take.
+        """
+        beams = sampling.lit.projector.beams
+        used, weights = self.weights([beam for beam in beams if self.holds(beam)])
+        beside = tuple(beam for beam in beams if not self.holds(beam) and beam.power > 0.0)
+        share = sum(beam.power for beam in beside) / sum(beam.power for beam in beams)
+        lit = sampling.lit
+        rest = replace(sampling, scene=replace(lit, projector=replace(lit.projector, beams=beside))) if beside else None
+        for first in range(0, len(samples), AT_ONCE):
+            some = samples[first : first + AT_ONCE]
+            found = _put_together(weights, [self._learned(one, used) for one in some], sampling.along)
+            for sample, image in zip(some, found, strict=True):
+                if rest is not None:
+                    medium = Medium(0.0, sample.sigma_t, sample.g)
+                    image = image + rest.sample(medium, sample.index, max(1, round(share * sample.batches)))
+                yield sample.index, np.asarray(image, float)
+
+    def weights(self, beams: Sequence[Beam]) -> tuple[NDArray[np.int64], Single]:
+        """What of the strips' images the images of beams are.
+
+        Returns
+        -------
+        used
+            Numbers of the strips that count.
+        weights
+            (columns, rows, used · rows): each row of a column as a sum over the rows of the strips' columns.
+        """
+        grid, geometry = PathImages(self.scene, ()).grid, geometry_of(self.scene)
+        half, cell = geometry.half_width, grid.cell_mm[1]
+        x = (np.arange(grid.columns) + 0.5) * grid.cell_mm[0]
+        y = (np.arange(grid.rows) + 0.5) * cell - half
+        middles = 0.5 * (self._layers[:-1] + self._layers[1:])
+        parts = [part for beam in beams for part in _parts(beam)]
+        about = [self._about(0.5 * (part.y_mm[0] + part.y_mm[1])) for part in parts]
+        used = np.unique([number for numbers, _ in about for number in numbers])
+        found = np.zeros((grid.columns, grid.rows, used.size, LAYERS, grid.rows), np.float32)
+        columns, rows = np.arange(grid.columns)[:, None], np.arange(grid.rows)[None]
+        for part, (numbers, shares) in zip(parts, about, strict=True):
+            (low, high), (floor, top) = part.y_mm, part.z_mm
+            at, height = 0.5 * (low + high), 0.5 * (floor + top)
+            upper = (height - middles[0]) / (middles[1] - middles[0])
+            ray = np.array([sighting_row(geometry, float(one), at, height) for one in x])[:, None]
+            to_wall = np.maximum(np.where(y > ray, half - ray, half + ray), 1e-3)
+            moving = np.clip(1.0 - np.abs(y - ray) / to_wall, 0.0, 1.0)
+            light = part.irradiance * (high - low) / STRIP_MM * (top - floor) / (middles[1] - middles[0])
+            for number, share in zip(numbers, shares, strict=True):
+                strip = float(self._y_mm[number])
+                beside = np.array([sighting_row(geometry, float(one), strip, height) for one in x])[:, None] - ray
+                row, between = _between((y + beside * moving + half) / cell - 0.5, grid.rows)
+                place = int(np.searchsorted(used, number))
+                for layer, weight in enumerate((1.0 - upper, upper)):
+                    for step, by_row in enumerate(between):
+                        found[columns, rows, place, layer, row + step] += light * share * weight * by_row
+        numbers_used = (used[:, None] * LAYERS + np.arange(LAYERS)).ravel()
+        return numbers_used, found.reshape(grid.columns, grid.rows, -1)
+
+    def _about(self, y_mm: float) -> tuple[tuple[int, int], tuple[float, float]]:
+        """The two strips about a place, and the share of each."""
+        first = int(np.clip(np.searchsorted(self._y_mm, y_mm) - 1, 0, self._y_mm.size - 2))
+        share = (y_mm - self._y_mm[first]) / (self._y_mm[first + 1] - self._y_mm[first])
+        return (first, first + 1), (1.0 - float(share), float(share))
+
+    def learn_one(self, sample: Sample) -> None:
+        """Follow the paths of all strips in one medium, where that has not been done."""
+        if self._kept(sample) is not None:
+            return
+        medium, batches = Medium(0.0, sample.sigma_t, sample.g), self.batches(sample)
+        images = [PathImages(one, self.plan.albedos).sample(medium, sample.index, batches) for one in self.strips]
+        # Half precision does for a few per cent of noise, once the largest number is 1.
+        size = np.max(np.abs(images), axis=(2, 3)) + 1e-300
+        small = (np.array(images) / size[:, :, None, None]).astype(np.float16)
+        self.place.keep(self._file(sample), {"images": small, "size": size})
+
+    def _learned(self, sample: Sample, used: NDArray[np.int64]) -> Single:
+        """(used strips, albedos, rows, degrees)."""
+        kept = self._kept(sample)
+        if kept is None:
+            self.learn_one(sample)
+            kept = self._kept(sample)
+        assert kept is not None
+        images, size = kept
+        return np.asarray(images[used].astype(np.float32) * size[used].astype(np.float32)[:, :, None, None])
+
+    def _kept(self, sample: Sample) -> tuple[NDArray[np.generic], NDArray[np.generic]] | None:
+        kept = self.place.kept(self._file(sample)) or {}
+        images, size = kept.get("images"), kept.get("size")
+        shape = (len(self.strips), *PathImages(self.scene, self.plan.albedos).shape)
+        if images is None or size is None or images.shape != shape or size.shape != shape[:2]:
+            return None
+        return images, size
+
+    def _file(self, sample: Sample) -> Path:
+        return self.place.parts / f"paths{sample.index}.npz"
+
+
+def learn(
+    scene: Scene, box: Box, tolerance: float, progress: Callable[[float], object], threads: int = THREADS
+) -> list[Entrance]:
+    """Learn what light becomes that enters a bench at the heights of a scene's beams, where that is not known yet.
+
+    Every medium is kept as it comes, so that what was interrupted goes on where it was.
+
+    Raises
+    ------
+    SceneError
+        When light and sight run straight or walls send light back, or the beams have no few heights.
+    CacheError
+        When there is no room for it.
+    """
+    if not can_be_learned(scene):
+        raise SceneError(
+            "light that runs straight under a camera above, or that walls send back, is not learned; "
+            "prepare the pattern by itself"
+        )
+    lit = PathImages(scene, ()).lit
+    entrances = [Entrance(lit, band, box, tolerance) for band in bands(scene)]
+    jobs = [(one, sample) for one in entrances for sample in one.plan.paths if not one.is_there]
+    for one in entrances:
+        one.place.require_room(one.size)
+    total, done = sum(sample.batches for _, sample in jobs), 0
+    pool = ThreadPoolExecutor(threads)
+    try:
+        running = {pool.submit(one.learn_one, sample): sample for one, sample in jobs}
+        for future in as_completed(running):
+            future.result()
+            done += running[future].batches
+            progress(done / total)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    for one in entrances:
+        one.place.keep(one.place.model, {"band": np.array(one.band)})
+    progress(1.0)
+    return entrances
+
+
+def bands(scene: Scene) -> list[Interval]:
+    """The heights of a scene's beams, each with a little room.
+
+    Raises
+    ------
+    SceneError
+        When there are more than can be learned, or one is too high for its image to be linear in the height.
+    """
+    found: list[Interval] = []
+    for low, high in sorted(beam.z_mm for beam in scene.projector.beams if beam.power > 0.0):
+        low, high = math.floor(low - ROOM_MM), math.ceil(high + ROOM_MM)
+        if found and low <= found[-1][1]:
+            found[-1] = found[-1][0], max(found[-1][1], high)
+        else:
+            found.append((low, high))
+    highest = scene.tank.size_mm[2]
+    found = [(max(low, 0.0), min(high, highest)) for low, high in found]
+    if not found or len(found) > MOST_BANDS or max(high - low for low, high in found) > HIGHEST_BAND_MM:
+        raise SceneError(
+            f"light is learned that enters at one to {MOST_BANDS} heights, each within {HIGHEST_BAND_MM:g} mm; "
+            "declare the patterns' light_mm so"
+        )
+    return found
+
+
+def can_be_learned(scene: Scene) -> bool:
+    """Whether light or sight slant and walls are dark: elsewhere a path stands for all starts, or comes back."""
+    return not shift_invariant(scene) and scene.tank.faces.dark
+
+
+def _place(lit: Scene, box: Box, tolerance: float) -> Place:
+    """Of all bands of a bench: whatever its patterns, and however its camera's pixels lie."""
+    grid = PathImages(lit, ()).grid
+    numbers = tuple(geometry_of(lit)), (grid.rows, grid.columns, grid.cell_mm)
+    return Place.of("entrance", numbers, (STRIP_MM, APART_MM, LAYERS), box, float(tolerance))
+
+
+def _parts(beam: Beam) -> list[Beam]:
+    """A beam cut into parts that are moved as one."""
+    edges = np.linspace(*beam.y_mm, 1 + math.ceil((beam.y_mm[1] - beam.y_mm[0]) / STRIP_MM - 1e-9))
+    return [replace(beam, y_mm=(float(low), float(high))) for low, high in pairwise(edges)]
+
+
+def _between(place: Array, count: int) -> tuple[NDArray[np.int64], tuple[Array, Array, Array, Array]]:
+    """Cubic interpolation between rows: the first of four, and their weights; no farther than the outermost."""
+    place = np.clip(place, 0.0, count - 1.0)
+    first = np.clip(place.astype(np.int64) - 1, 0, count - 4)
+    a = place - first
+    b, c, d = a - 1.0, a - 2.0, a - 3.0
+    return first, (-b * c * d / 6.0, 0.5 * a * c * d, -0.5 * a * b * d, a * b * c / 6.0)
+
+
+def _put_together(weights: Single, learned: Sequence[Single], along: Array) -> list[Array]:
+    """(albedos, rows, degrees) of each medium."""
+    media, (strips, albedos, rows, _) = len(learned), learned[0].shape
+    light = np.array(learned) @ along.T.astype(np.float32)  # (media, strips, albedos, rows, columns)
+    by_column = np.ascontiguousarray(light.transpose(4, 1, 3, 0, 2)).reshape(len(along), strips * rows, -1)
+    seen = (weights @ by_column).reshape(len(along), rows, media, albedos)
+    return list(np.asarray(seen.transpose(2, 3, 1, 0).astype(float) @ along))

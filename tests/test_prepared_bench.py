@@ -1,0 +1,178 @@
+"""What is learned of a bench once serves every pattern at its heights: like the tank model, and without light paths."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tankrig
+from tankrig.image.prepare import Prepared
+from tankrig.light.double import double_scattering, double_scattering_of
+from tankrig.light.prepared import entrance
+from tankrig.light.prepared.box import Box
+from tankrig.light.prepared.entrance import Entrance, bands, learn
+from tankrig.light.prepared.sampling import PathImages
+from tankrig.light.tank import tank_image
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tests.stress_scenes import relative
+from ui.cli import main
+
+BOX, TOLERANCE = Box((0.008, 0.011), (0.9, 0.98), (0.5, 0.65)), 0.1
+MEDIUM = Medium(0.0005, 0.009, 0.58)
+LIGHT = Projector("pinhole", (Beam((-4.0, 4.0), (46.0, 50.0)),), (-400.0, 5.0, 50.0))
+BENCH = Scene(
+    Tank((120.0, 80.0, 80.0), "fresnel", 1.33), MEDIUM, LIGHT, Camera("pinhole", (20, 30), 4.0, (60.0, 0.0, 500.0))
+)
+ROLLED = np.random.default_rng(2)
+PATTERNS = {
+    "beams": [Beam((-21.0, -17.0), (46.0, 50.0)), Beam((9.0, 13.0), (46.0, 50.0))],
+    "stripes": [Beam((y, y + 4.0), (46.0, 50.0)) for y in (-30.0, -22.0, -14.0, -6.0, 2.0, 10.0)],
+    "text": [Beam((y, y + 1.5), (z, z + 1.0)) for y in (-9.0, -5.0, 6.0, 7.5) for z in (46.0, 47.5, 49.0)],
+    "noise": [Beam((y, y + 2.0), (46.0, 50.0), float(ROLLED.uniform())) for y in np.arange(-30.0, 30.0, 2.0)],
+}
+
+
+def lit_by(*beams: Beam) -> Scene:
+    return replace(BENCH, projector=replace(LIGHT, beams=beams))
+
+
+def prepare(scene: Scene) -> Prepared:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("warnings.warn", lambda *_, **__: None)
+        return tankrig.prepare(scene, TOLERANCE, box=BOX)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where a bench has been learned."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TANKRIG_CACHE", str(folder))
+        learn(BENCH, BOX, TOLERANCE, lambda _: None)
+    return folder
+
+
+@pytest.fixture
+def followed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
+    """Scenes whose paths are followed."""
+    monkeypatch.setenv("TANKRIG_CACHE", str(folder))
+    scenes: list[Scene] = []
+    sample = PathImages.sample
+
+    def counted(self: PathImages, medium: Medium, seed: int, batches: int) -> np.ndarray:
+        scenes.append(self.scene)
+        return sample(self, medium, seed, batches)
+
+    monkeypatch.setattr(PathImages, "sample", counted)
+    return scenes
+
+
+@pytest.mark.parametrize("name", PATTERNS)
+def test_a_pattern_that_was_never_seen_needs_no_paths_and_is_as_the_tank_model_has_it(
+    followed: list[Scene], name: str
+) -> None:
+    scene = lit_by(*PATTERNS[name])
+    live = prepare(scene)
+    assert not followed
+    truth = np.sum(list(tank_image(scene, batches=40).orders.values()), axis=0)
+    error = relative(live.predict(MEDIUM), truth)
+    assert error < 0.01
+    assert error < 3.0 * live.error_at(MEDIUM)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        replace(BENCH, tank=replace(BENCH.tank, refractive_index=1.36)),
+        replace(BENCH, projector=replace(LIGHT, position_mm=(-390.0, 5.0, 50.0))),
+        replace(BENCH, camera=replace(BENCH.camera, position_mm=(60.0, 4.0, 500.0))),
+        lit_by(Beam((-4.0, 4.0), (20.0, 24.0))),
+    ],
+    ids=["tank", "projector", "camera", "height"],
+)
+def test_what_was_learned_serves_no_other_bench(folder: Path, other: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TANKRIG_CACHE", str(folder))
+    assert Entrance.known_to(other, BOX, TOLERANCE) is None
+    assert Entrance.known_to(BENCH, Box((0.02, 0.03), BOX.albedo, BOX.g), TOLERANCE) is None
+    assert Entrance.known_to(BENCH, BOX, TOLERANCE) is not None
+
+
+def test_light_beside_the_band_is_followed_by_few_paths(followed: list[Scene]) -> None:
+    """Halo and black level reach all of the wall."""
+    beam, weak = Beam((-4.0, 4.0), (46.0, 50.0)), Beam((-40.0, 40.0), (0.0, 80.0), 0.002)
+    known = Entrance.known_to(lit_by(beam, weak), BOX, TOLERANCE)
+    assert known is not None
+    sampling, sample = PathImages(lit_by(beam, weak), known.plan.albedos), known.plan.paths[0]
+    image = dict(known.images(sampling, [sample]))[sample.index]
+    assert [one.projector.beams for one in followed] == [(weak,)]
+    direct = sampling.sample(Medium(0.0, sample.sigma_t, sample.g), 7, 30)
+    light, truth = (float((one[-1] @ sampling.along.T).sum()) for one in (image, direct))
+    assert light == pytest.approx(truth, rel=0.08)
+
+
+class EnoughError(Exception):
+    """Raised to interrupt."""
+
+
+def test_what_was_interrupted_goes_on(followed: list[Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
+
+    def stop(share: float) -> None:
+        if share > 0.4:
+            raise EnoughError
+
+    with pytest.raises(EnoughError):
+        learn(BENCH, BOX, TOLERANCE, stop, 1)
+    assert Entrance.known_to(BENCH, BOX, TOLERANCE) is None
+    first = len(followed)
+    (one,) = learn(BENCH, BOX, TOLERANCE, lambda _: None, 1)
+    assert len(followed) == len(one.plan.paths) * len(one.strips)
+    assert 0 < first < len(followed)
+    followed.clear()
+    learn(BENCH, BOX, TOLERANCE, lambda _: None, 1)
+    assert not followed
+
+
+def test_what_is_not_learned_is_refused_in_one_sentence() -> None:
+    plain = replace(BENCH, projector=Projector("collimated", LIGHT.beams), camera=Camera("orthographic", (20, 30), 4.0))
+    with pytest.raises(tankrig.SceneError, match="prepare the pattern by itself"):
+        learn(plain, BOX, TOLERANCE, lambda _: None)
+    with pytest.raises(tankrig.SceneError, match="one to 3 heights"):
+        bands(lit_by(Beam((-4.0, 4.0), (10.0, 40.0))))
+    heights = [Beam((-4.0, 4.0), (z, z + 4.0)) for z in (10.0, 25.0, 40.0)]
+    assert bands(lit_by(*heights)) == [(8.0, 16.0), (23.0, 31.0), (38.0, 46.0)]
+    assert entrance.MOST_BANDS == 3
+
+
+def test_order_2_of_several_liquids_is_that_of_each() -> None:
+    """Tables are as fine as the steepest and the densest of them wants: they agree to what coarse ones err by."""
+    media = [Medium(0.0, 0.003, 0.2), Medium(0.0, 0.012, 0.7), Medium(0.001, 0.02, 0.92)]
+    scene = lit_by(*PATTERNS["text"])
+    together = double_scattering_of(scene, media, 0.01)
+    for medium, image in zip(media, together, strict=True):
+        assert relative(image, double_scattering(replace(scene, medium=medium), 0.01)) < 0.002
+
+
+def test_the_command_learns_a_bench_before_it_prepares(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
+    learned: list[tuple[Scene, Box, float]] = []
+    monkeypatch.setattr(entrance, "learn", lambda scene, box, tolerance, _: learned.append((scene, box, tolerance)))
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        '[tank]\nsize_mm = [120.0, 80.0, 80.0]\nsurface = "matched"\n'
+        "[medium]\nsigma_a = 0.0005\nsigma_s = 0.009\ng = 0.58\n"
+        '[projector]\nkind = "pinhole"\nposition_mm = [-400.0, 5.0, 50.0]\n'
+        "beams = [{ y_mm = [-4.0, 4.0], z_mm = [46.0, 50.0], irradiance = 1.0 }]\n"
+        '[camera]\nkind = "orthographic"\nshape = [10, 15]\npixel_mm = 8.0\n'
+    )
+    ranges = [f"--{name}" for name in ("sigma-t", "albedo", "g")]
+    ends = (BOX.sigma_t, BOX.albedo, BOX.g)
+    words = [word for name, (low, high) in zip(ranges, ends, strict=True) for word in (name, str(low), str(high))]
+    assert main(["prepare", str(file), "--tolerance", "0.5", "--bench", *words]) == 0
+    ((scene, box, tolerance),) = learned
+    assert (box, tolerance) == (BOX, 0.5)
+    assert scene.projector.beams == (Beam((-4.0, 4.0), (46.0, 50.0)),)
+    assert "ready" in capsys.readouterr().out
