@@ -13,8 +13,10 @@ from tankrig.light.prepared import entrance
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.entrance import Entrance, bands, learn
 from tankrig.light.prepared.sampling import PathImages
+from tankrig.light.surface import many_to_camera, to_camera
 from tankrig.light.tank import tank_image
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tests import bent_scenes as scenes
 from tests.stress_scenes import relative
 from ui.cli import main
 
@@ -176,3 +178,14 @@ def test_the_command_learns_a_bench_before_it_prepares(
     assert (box, tolerance) == (BOX, 0.5)
     assert scene.projector.beams == (Beam((-4.0, 4.0), (46.0, 50.0)),)
     assert "ready" in capsys.readouterr().out
+
+
+def test_many_images_are_looked_up_as_each_is() -> None:
+    scene = scenes.bench(MEDIUM)
+    images = np.random.default_rng(3).random((5, 60, 90)).cumsum(axis=1)
+    cell_mm = scene.tank.size_mm[0] / 90.0, scene.tank.size_mm[1] / 60.0
+    together = many_to_camera(scene, images, cell_mm)
+    for image, found in zip(images, together, strict=True):
+        each = to_camera(scene, image, cell_mm)
+        assert each.any()
+        assert np.allclose(found, each, rtol=1e-9, atol=1e-12)

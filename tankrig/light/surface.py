@@ -7,12 +7,16 @@ its pixels lie elsewhere on the plane.
 import math
 from dataclasses import replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.scene import Camera, Scene, Tank
 from tankrig.scene.footprint import footprints
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 
@@ -86,6 +90,43 @@ def to_camera(scene: Scene, cells: Array, cell_mm: tuple[float, float]) -> Array
     seen = inside > 0.0
     image[seen] = inside[seen] * np.mean(spline.ev(points[..., 1], points[..., 0]), axis=0)
     return image
+
+
+def many_to_camera(scene: Scene, images: Array, cell_mm: tuple[float, float]) -> Array:
+    """`to_camera` of (n, rows, columns) images, by one sparse matrix: for a tenth of the time where there are many."""
+    from scipy.interpolate import make_interp_spline
+
+    length, width, _ = scene.tank.size_mm
+    y, y_cover = _middles(images.shape[1], cell_mm[1], width)
+    x, x_cover = _middles(images.shape[2], cell_mm[0], length)
+    light = images / (y_cover[:, None] * x_cover)
+    down = make_interp_spline(y - 0.5 * width, np.moveaxis(light, 0, 2)).c
+    splines = make_interp_spline(x, np.moveaxis(down, 1, 0)).c.swapaxes(0, 1)  # (rows, columns, n)
+    seen = _splines_seen(scene.camera, scene.tank, images.shape[1:], cell_mm) @ splines.reshape(-1, len(images))
+    return np.asarray(seen.T.reshape(len(images), *scene.camera.shape))
+
+
+@lru_cache(maxsize=4)
+def _splines_seen(camera: Camera, tank: Tank, shape: tuple[int, int], cell_mm: tuple[float, float]) -> "csr_array":
+    """(pixels, splines) what the camera's pixels show of each cubic spline through cells."""
+    from scipy.interpolate import BSpline, make_interp_spline
+    from scipy.sparse import csr_array
+
+    length, width, _ = tank.size_mm
+    points, inside = _looked_up(camera, tank, math.sqrt(cell_mm[0] * cell_mm[1]))
+    middles = _middles(shape[1], cell_mm[0], length)[0], _middles(shape[0], cell_mm[1], width)[0] - 0.5 * width
+    found = []
+    for axis, along in enumerate(middles):
+        knots = make_interp_spline(along, np.zeros(along.size)).t
+        weights = BSpline.design_matrix(points[..., axis].ravel(), knots, 3, extrapolate=True)
+        found.append((weights.indices.reshape(-1, 4), weights.data.reshape(-1, 4)))
+    (column, by_column), (row, by_row) = found
+    pixels = np.flatnonzero(inside.ravel() > 0.0)
+    share = np.tile(inside.ravel()[pixels] / len(points), len(points))
+    weights = share[:, None, None] * by_row[:, :, None] * by_column[:, None, :]
+    splines = row[:, :, None] * shape[1] + column[:, None, :]
+    places = np.broadcast_to(np.tile(pixels, len(points))[:, None, None], splines.shape)
+    return csr_array((weights.ravel(), (places.ravel(), splines.ravel())), (inside.size, shape[0] * shape[1]))
 
 
 def noise_to_camera(scene: Scene, cells: Array, cell_mm: tuple[float, float]) -> Array:

@@ -31,7 +31,7 @@ from tankrig.light.elementary import exponential
 from tankrig.light.quadrature import Rule, gauss_legendre
 from tankrig.light.rays import Geometry, light_sources, shift_invariant, sighting_row
 from tankrig.light.sorting import put_in_order
-from tankrig.light.surface import on_surface, to_camera
+from tankrig.light.surface import many_to_camera, on_surface, to_camera
 from tankrig.scene import Beam, Medium, Scene
 from tankrig.scene.description import Interval
 
@@ -114,7 +114,8 @@ def double_scattering_of(scene: Scene, media: Sequence[Medium], tolerance: float
     if scene.camera.kind == "calibrated":
         plain = on_surface(scene)
         cell_mm = plain.camera.pixel_mm, plain.camera.pixel_mm
-        return np.array([to_camera(scene, one, cell_mm) for one in double_scattering_of(plain, media, tolerance)])
+        images = double_scattering_of(plain, media, tolerance)
+        return many_to_camera(scene, images, cell_mm) if len(media) > 1 else to_camera(scene, images[0], cell_mm)[None]
     camera = scene.camera
     images = np.zeros((len(media), *camera.shape))
     scattering = np.array([one.sigma_s for one in media])

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.rays import mirror_symmetric, shift_invariant
-from tankrig.light.surface import noise_to_camera, to_camera
+from tankrig.light.surface import many_to_camera, noise_to_camera, to_camera
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -106,6 +106,12 @@ class CellGrid:
         # What a pixel has beyond the tank is dark.
         result *= np.clip((width - y) / pixel + 0.5, 0.0, 1.0)[:, None] * np.clip((length - x) / pixel + 0.5, 0.0, 1.0)
         return result
+
+    def many_to_pixels(self, images: Array) -> Array:
+        """(n, rows, columns) of the camera: many images at once."""
+        if self.scene.camera.kind == "calibrated":
+            return many_to_camera(self.scene, images, self.cell_mm)
+        return np.array([self.to_pixels(image) for image in images])
 
     def noise_to_pixels(self, images: Array) -> Array:
         """(n, rows, columns) of the camera: images of noise, which need not be as sharp."""

@@ -192,7 +192,7 @@ class PathImages:
 
     def to_pixels(self, patterns: Array) -> Array:
         """Images of cells (n, rows, degrees) as the camera's pixels, (n, pixels)."""
-        images = [self.grid.to_pixels(pattern @ self.along.T) for pattern in patterns]
+        images = self.grid.many_to_pixels(patterns @ self.along.T)
         return np.array([(image if self._lens is None else self._lens.of_wide(image)).ravel() for image in images])
 
     def noise_to_pixels(self, patterns: Array) -> Array:
