@@ -118,8 +118,8 @@ def _splines_seen(camera: Camera, tank: Tank, shape: tuple[int, int], cell_mm: t
     found = []
     for axis, along in enumerate(middles):
         knots = make_interp_spline(along, np.zeros(along.size)).t
-        weights = BSpline.design_matrix(points[..., axis].ravel(), knots, 3, extrapolate=True)
-        found.append((weights.indices.reshape(-1, 4), weights.data.reshape(-1, 4)))
+        design = BSpline.design_matrix(points[..., axis].ravel(), knots, 3, extrapolate=True)
+        found.append((design.indices.reshape(-1, 4), design.data.reshape(-1, 4)))
     (column, by_column), (row, by_row) = found
     pixels = np.flatnonzero(inside.ravel() > 0.0)
     share = np.tile(inside.ravel()[pixels] / len(points), len(points))
