@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import tankrig
 from tankrig.errors import SceneError, SequenceError
+from tankrig.estimation.corrections import SETTLED
 from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.estimate import Estimate, fit_models
 from tankrig.estimation.followed import Model
@@ -313,6 +314,25 @@ def test_families_are_weighed_by_the_models_that_they_are_fitted_with() -> None:
         found.append(models.slopes_of(differentiated, 240.0)(liquid))
     weighed, asked = found
     assert weighed.tolist() == asked.tolist()
+
+
+def test_a_correction_goes_no_further_than_exact_images_bear_out() -> None:
+    """Models that change .45 times as much as the image does ask for steps that are twice too long."""
+
+    def tank(liquid: Medium) -> Prediction:
+        return replace(many_turns(liquid), model="tank")
+
+    def dull(liquid: Medium) -> Prediction:
+        sigma_s = 0.02 * (liquid.sigma_s / 0.02) ** 0.45
+        return tank(Medium(liquid.sigma_a, sigma_s, phase=liquid.phase_function))
+
+    family, truth = henyey_greenstein(), Medium(0.001, 0.024, phase=HenyeyGreenstein(0.8))
+    image = tank(truth).image
+    noise = 0.003 * float(image.max())
+    seen = observe(image + np.random.default_rng(0).normal(0.0, noise, image.shape), image.shape, noise)
+    models = Models(tank, lambda _: (dull, dull), exact=lambda liquid, _: tank(liquid), family=family)
+    found = fit_models(seen, SCENE, Scaling(1.0, 0.0), models, lambda _: None, asked=Asked(family))
+    assert found.medium.sigma_s == pytest.approx(truth.sigma_s, rel=SETTLED)  # as near as such a fit comes to rest
 
 
 def test_a_family_is_fitted_by_light_paths_from_nowhere() -> None:

@@ -1,7 +1,8 @@
 """An optimum corrected by exact images, about which other models say only how images change."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from tankrig.estimation.phase_block import PhaseBlock
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import coefficients_by
 from tankrig.estimation.problem import Evaluation, Problem
-from tankrig.estimation.search import Told
+from tankrig.estimation.search import Told, by_cost
 from tankrig.estimation.shots import Fit, Shot, weighed_problem
 from tankrig.estimation.uncertainty import identifiable
 from tankrig.prediction import Prediction
@@ -43,6 +44,9 @@ NOISY = 0.1
 FIRST = 0.25
 """Share of the light paths in the first exact image, where a phase function's coordinates are fitted: from where that
 is made they move by several standard deviations, and more would not be worth it."""
+WORSE, HALVINGS = 3.0, 3
+"""By how much more the next exact image may cost, in χ²/2, and times at most that the way to it is halved otherwise,
+where a phase function's coordinates are fitted: of three numbers steps bend little."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 
@@ -76,11 +80,13 @@ def corrected_fit(
     along = many and all(isinstance(model, Followed) for model in models)
     slopes_noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, models, strict=True)]
 
-    def about(centre: Evaluation, start: Evaluation, times: float) -> Fit:
+    def exact(at: Evaluation, times: float) -> list[Prediction]:
+        return [shot.models.exact(one, times) for shot, one in zip(shots, at.media, strict=True) if shot.models.exact]
+
+    def about(centre: Evaluation, seen: Sequence[Prediction], start: Evaluation) -> Fit:
         media, liquids = centre.media, centre.liquids
         slopes = problem.of_views(lambda view: view.slopes(liquids[view.dose]))
         noise = [one and _always(one(medium)) for one, medium in zip(slopes_noise, media, strict=True)]
-        seen = [shot.models.exact(one, times) for shot, one in zip(shots, media, strict=True) if shot.models.exact]
         near = [_about(*one) for one in zip(models, media, strict=True)]
         last = tuple(corrected(*one) for one in zip(near, media, seen, strict=True))
         weighed = weighed_problem(
@@ -97,6 +103,8 @@ def corrected_fit(
         line = replace(bent.by(straight), quick=True)
         end = solve(line, start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
         if not solved:  # or steps as the models bend would cost more than another exact image, and say no more
+            if many:  # along which moments bend
+                end = by_cost(bent.at(one.coordinates) for one in (end, start))[0]
             end = solve(bent, end.coordinates, bent_enough, steps, damping=0.0)
         further = without_noise(line.at(centre.coordinates))
         apart = (
@@ -105,20 +113,39 @@ def corrected_fit(
         )  # fmt: skip
         return Fit(weighed.at(np.clip(end.coordinates + further, *line.box)), last, tuple(apart))
 
-    for number in range(CORRECTIONS):
-        progress("correcting by accurate images")
-        centre, rough = best, number == 0 and along
-        fit = about(centre, centre, FIRST if rough else 1.0)
-        best = fit.optimum
-        if not rough and _settled(best, centre, SETTLED * problem.looseness):
+    progress("correcting by accurate images")
+    centre, rough = best, along
+    fit = about(centre, exact(centre, FIRST if rough else 1.0), centre)
+    for _ in range(CORRECTIONS - 1):
+        if not rough and _settled(fit.optimum, centre, SETTLED * problem.looseness):
             break
-    if sharper and _held_back(best):
+        progress("correcting by accurate images")
+        centre, seen = _borne_out(fit, centre, partial(exact, times=1.0), HALVINGS if many else 0)
+        fit, rough = about(centre, seen, centre), False
+    if sharper and _held_back(fit.optimum):
         progress("correcting by images as accurate as the photographs")
-        fit = about(centre, best, SHARPER)
+        fit = about(centre, exact(centre, SHARPER), fit.optimum)
     end = fit.optimum
     views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
     whole = replace(end.problem, views=tuple(views)).with_slopes_noise(slopes_noise)
     return replace(fit, optimum=whole.at(end.coordinates))
+
+
+def _borne_out(
+    fit: Fit, centre: Evaluation, exact: Callable[[Evaluation], list[Prediction]], halvings: int
+) -> tuple[Evaluation, list[Prediction]]:
+    """Where exact images explain no less than where a fit went from, on the way to where it went; and these images.
+
+    Models that say how images change about a place do not know how far they hold.
+    """
+    weighed, ahead = fit.optimum.problem, fit.optimum
+    most = weighed.at(centre.coordinates).cost + WORSE
+    for _ in range(halvings):
+        seen = exact(ahead)
+        if weighed.by([_always(one.image) for one in seen]).at(ahead.coordinates).cost <= most:
+            return ahead, seen
+        ahead = weighed.at(0.5 * (ahead.coordinates + centre.coordinates))
+    return ahead, exact(ahead)
 
 
 def _without_noise_in_gain(
