@@ -13,6 +13,7 @@ from tankrig.estimation.followed import Solved
 from tankrig.estimation.forward import models_of
 from tankrig.light.moments.cells import Cells
 from tankrig.light.moments.dense import dense_orders
+from tankrig.light.moments.harmonics import parities
 from tankrig.light.moments.plan import MomentPlan, moment_plan
 from tankrig.light.moments.propagation import propagation
 from tankrig.light.moments.solution import solved
@@ -215,3 +216,40 @@ def test_predict_takes_this_way_for_dense_scenes_and_says_so() -> None:
     assert all(image.min() >= 0.0 for image in prediction.orders.values())
     assert moment_plan(scene, 1e-4) is None
     assert moment_plan(replace(scene, medium=Medium(0.001, 0.01, 0.5)), 0.01) is None
+
+
+@pytest.mark.parametrize("index", [1.0, 1.33])
+def test_the_solution_obeys_its_equation(index: float) -> None:
+    """φ = K Q + K S φ: coarser cells may guide the way there, and must not show in where it ends."""
+    cells, rng = Cells((20, 14, 12), (5.0, 5.0, 5.0)), np.random.default_rng(4)
+    transport = propagation(1, cells, 0.1, index)
+    coarse = propagation(1, Cells((10, 7, 6), (10.0, 10.0, 10.0)), 0.1, index)
+    kept = np.array([0.099, 0.03, 0.03, 0.03], np.float32)[:, None, None, None]
+    first = transport(rng.random((4, *cells.counts)).astype(np.float32))
+    field = solved(transport, coarse, kept, first, 1e-5)
+    assert np.linalg.norm(field - first - transport(kept * field)) < 2e-5 * np.linalg.norm(first)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_emission_turned_round_lights_what_is_turned_round(axis: int) -> None:
+    """Below a surface that reflects; kernels are kept for one of four quarters and turned to the others."""
+    cells, rng = Cells((7, 6, 5), (5.0, 6.0, 4.0)), np.random.default_rng(5)
+    emission = rng.normal(size=(9, *cells.counts)).astype(np.float32)
+    signs = parities(2)[axis][:, None, None, None]
+    transport = propagation(2, cells, 0.08, 1.33)
+    turned = transport(np.ascontiguousarray(np.flip(emission, axis + 1) * signs).astype(np.float32))
+    expected = np.flip(transport(emission), axis + 1) * signs
+    assert np.allclose(turned, expected, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("g", [-0.3, 0.3, 0.7, 0.9])
+def test_a_smaller_tolerance_is_solved_more_finely_or_left_to_paths(g: float) -> None:
+    """Else what the solution is off by would be more than what is asked for, and paths would mend it for minutes."""
+    beams = (Beam((-2.0, 2.0), (58.0, 62.0)),)
+    camera = Camera("orthographic", (80, 120), 2.0)
+    scene = Scene(Tank(), Medium(0.0001, 0.0899, g), Projector("collimated", beams), camera)
+    plans = [moment_plan(scene, tolerance) for tolerance in (0.02, 0.01, 0.006, 0.004, 0.003, 0.002, 0.0005)]
+    unknowns = [np.inf if plan is None else (plan.degree + 1) ** 2 / plan.side_mm**3 for plan in plans]
+    assert np.isfinite(unknowns[1])
+    assert unknowns == sorted(unknowns)
+    assert np.isinf(unknowns[-1])

@@ -1,6 +1,7 @@
 """The tank model: orders 1 and 2 exact, the rest within the tolerance, smooth in the medium, honest about its noise."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -256,3 +257,17 @@ def test_order_2_beside_the_walls_is_the_sum_over_rays(beam: tuple[float, float]
                  for y in rows for y0 in rays]  # fmt: skip
         power_per_ray = 0.0098**2 * (beam[1] - beam[0]) * 4.0
         assert image[row, column] == pytest.approx(np.mean(pairs) * power_per_ray, rel=0.1)
+
+
+def test_a_beam_seen_aslant_is_the_sum_of_lower_ones() -> None:
+    """Order 2: one ray for its whole height was .25 % off, since what is higher is seen elsewhere; now it is .08."""
+    camera = Camera("pinhole", (40, 60), 4.0, (110.0, 5.0, 520.0))
+    medium = Medium(0.0003, 0.0247, -0.35)
+
+    def image(low_mm: float, high_mm: float) -> np.ndarray:
+        light = Projector("pinhole", (Beam((-12.0, -8.0), (low_mm, high_mm)),), (-300.0, 4.0, 50.0))
+        return double_scattering(Scene(Tank(), medium, light, camera), tolerance=0.001)
+
+    whole = image(56.0, 60.4)
+    parts = np.sum([image(*part) for part in pairwise(np.linspace(56.0, 60.4, 9).tolist())], axis=0)
+    assert np.linalg.norm(whole - parts) < 0.0015 * np.linalg.norm(parts)
