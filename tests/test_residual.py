@@ -29,3 +29,15 @@ def test_what_stands_out_in_one_place_is_told() -> None:
         assert "holds structure" not in fit(image, KNOWN, noise).verdict
         image[2:6, 30:34] += 3.0 * noise
         assert re.search(r"holds structure around row [34], column 3[0-4]", fit(image, KNOWN, noise).verdict)
+
+
+def test_what_nothing_explains_determines_neither_scattering_nor_asymmetry() -> None:
+    """A liquid like Petzold's left such structure, and its g was told six standard deviations off, as determined."""
+    image, noise = noisy(MEDIUM)
+    x, y = np.arange(image.shape[1]) / image.shape[1], np.arange(image.shape[0]) / image.shape[0]
+    image = image * (1.0 + 0.05 * np.cos(9.0 * x + 1.0) * np.sin(7.0 * y[:, None]))
+    found = fit(image, KNOWN, noise)
+    assert not found.identifiable["sigma_s"]
+    assert not found.identifiable["g"]
+    assert "may well have another phase function" in found.verdict
+    assert "all the same" not in found.verdict

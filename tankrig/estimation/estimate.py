@@ -65,6 +65,7 @@ from tankrig.estimation.verdict import (
     what_is_misaligned,
     what_is_shown,
     what_is_unseen,
+    what_may_be_another_phase,
     what_no_phase_describes,
     what_was_left_out,
 )
@@ -88,6 +89,10 @@ DOUBTED, EARLY = 1.5, 0.9
 """Mean squared residual that the cheap model with Henyey–Greenstein's leaves, in standard deviations that count its own
 error, from which on other phase functions are looked at at once (where they are Henyey–Greenstein's it leaves .8 to
 1.2, an emulsion of σs .03 1.7), and share of it that another one explains before a fit goes on with that."""
+BEYOND, EXPLAINED = 1.5, 0.5
+"""Structure over the model's own error from which on, and share of it below which the likeliest cause explains too
+little, for Henyey–Greenstein's σs and g to count as determined: a liquid like Petzold's left .45 % beside .2, of which
+no cause explained more than .35, with g six standard deviations off."""
 FREE = "free"
 """Name of the family that holds any smooth phase function."""
 HOPELESS = 0.1
@@ -369,14 +374,16 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     freed = asked.family if asked.family is not None and asked.family.name == FREE else None
     rough = freed is not None and rougher(best.values["phase"], freed)
     undescribed = freed is not None and (left.beyond > 0.0 or rough)
+    doubted = asked.family is None and not misled and not held and _unexplained(left.unexplained, stated, cause)
+    bent = misled or undescribed or doubted
     known = {
-        name: yes and name not in edges and not ((misled or undescribed) and name != "sigma_a")
+        name: yes and name not in edges and not (bent and name != "sigma_a")
         for name, yes in determined(medium, spread, [left]).items()
     }
     aside = whole and misalignment_left_out(observation, left.image, gain, misaligned)
     noisier = left.noisier if observation.noise_known else 1.0
     sentences = [
-        what_is_determined(medium, spread, known, edges),
+        what_is_determined(medium, spread, known, edges, combined=not bent),
         what_is_left(
             left.unexplained,
             stated,
@@ -388,6 +395,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
             [one.name for one in likely[1:]],
         ),
         what_no_phase_describes(undescribed, rough),
+        what_may_be_another_phase(doubted),
         what_is_misaligned(off),
         what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], bare, sign.others) if sign else "",
         what_is_unseen(medium, moved_by_halos(calm, [left])[:own], spread, known) if "halo" not in off else "",
@@ -401,6 +409,11 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
     return found, instead if misled else None
+
+
+def _unexplained(structure: float, stated: float, cause: Cause | None) -> bool:
+    """Whether a residual holds structure that nothing known explains half of, beyond doubt about the model's error."""
+    return structure > BEYOND * stated and (cause is None or cause.share < EXPLAINED)
 
 
 def _likely_causes(

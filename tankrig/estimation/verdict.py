@@ -16,9 +16,21 @@ SYMBOLS = {"sigma_a": "σa", "sigma_s": "σs", "g": "g"}
 
 
 def what_is_determined(
-    medium: Medium, spread: NDArray[np.float64], known: Mapping[str, bool], edges: Sequence[str]
+    medium: Medium, spread: NDArray[np.float64], known: Mapping[str, bool], edges: Sequence[str], combined: bool = True
 ) -> str:
-    """One or two sentences: which coefficients the data determine and, where not all, which combination they do."""
+    """One or two sentences: which coefficients the data determine and, where not all, which combination they do.
+
+    Parameters
+    ----------
+    medium, spread
+        What was found, and its covariance.
+    known
+        Which coefficients count as determined.
+    edges
+        Which are as small or large as they may be.
+    combined
+        Whether combinations may count so: what no phase function describes moves them as well.
+    """
     yes = [SYMBOLS[name] for name in NAMES if known[name]]
     no = [SYMBOLS[name] for name in NAMES if not known[name]]
     edge = _at_edges(medium, edges)
@@ -33,7 +45,7 @@ def what_is_determined(
             ("σs(1−g)", reduced_scattering(medium, spread), not (known["sigma_s"] and known["g"])),
             ("σt = σa+σs", extinction(medium, spread), not known["sigma_s"]),
         )
-        if wanted and sd <= DETERMINED * value
+        if combined and wanted and sd <= DETERMINED * value
     ]
     if combinations:
         text += f"; {_listed(combinations)} {'is' if len(combinations) == 1 else 'are'} determined all the same"
