@@ -242,7 +242,7 @@ def test_an_emission_turned_round_lights_what_is_turned_round(axis: int) -> None
     assert np.allclose(turned, expected, atol=1e-5 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("g", [-0.3, 0.3, 0.7, 0.9])
+@pytest.mark.parametrize("g", [0.3, 0.7, 0.9])
 def test_a_smaller_tolerance_is_solved_more_finely_or_left_to_paths(g: float) -> None:
     """Else what the solution is off by would be more than what is asked for, and paths would mend it for minutes."""
     beams = (Beam((-2.0, 2.0), (58.0, 62.0)),)
@@ -253,3 +253,12 @@ def test_a_smaller_tolerance_is_solved_more_finely_or_left_to_paths(g: float) ->
     assert np.isfinite(unknowns[1])
     assert unknowns == sorted(unknowns)
     assert np.isinf(unknowns[-1])
+
+
+def test_backward_scattering_is_left_to_paths_where_light_runs_straight() -> None:
+    """Solutions were .4 % off there where .18 was stated, at .3 % asked for."""
+    beams = (Beam((-2.0, 2.0), (58.0, 62.0)),)
+    camera = Camera("orthographic", (80, 120), 2.0)
+    scene = Scene(Tank(), Medium(0.0003, 0.0927, -0.32), Projector("collimated", beams), camera)
+    assert moment_plan(scene, 0.01) is None
+    assert moment_plan(replace(scene, medium=Medium(0.0003, 0.0927, 0.32)), 0.01) is not None
