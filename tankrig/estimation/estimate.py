@@ -1,5 +1,6 @@
 """`estimate`: from an image of a tank to the coefficients of what is in it."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -15,6 +16,7 @@ from tankrig.estimation.fitting import Searched, fitted_on, searched, without_ou
 from tankrig.estimation.forward import Models, error_map, models_of
 from tankrig.estimation.left_over import (
     Left,
+    Shown,
     astray_shown,
     error_of,
     left_over,
@@ -27,24 +29,19 @@ from tankrig.estimation.light_beside import BESIDE, BesideBlock
 from tankrig.estimation.misfit import moved_unseen
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
-from tankrig.estimation.phase_answer import (
-    Asked,
-    Instead,
-    answer_of,
-    asked_for,
-    fit_phase,
-    liquid_blocks,
-    phase_instead,
-    rougher,
-)
+from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, liquid_blocks, rougher
+from tankrig.estimation.phase_instead import Freed, Instead, freed, phase_instead
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import (
     PHASE,
+    PHASE_TERMS,
     WHOLE,
     Cause,
+    cause_by,
     cause_of,
     misalignment_left_out,
     misalignments,
+    phase_of_share,
     standing_out,
     structure_map,
 )
@@ -60,6 +57,7 @@ from tankrig.estimation.uncertainty import (
 )
 from tankrig.estimation.verdict import (
     what_did_not_hold,
+    what_has_not_settled,
     what_is_determined,
     what_is_left,
     what_is_misaligned,
@@ -67,6 +65,7 @@ from tankrig.estimation.verdict import (
     what_is_unseen,
     what_may_be_another_phase,
     what_no_phase_describes,
+    what_phase_is_shown,
     what_was_left_out,
 )
 from tankrig.light.rays import shift_invariant
@@ -93,6 +92,8 @@ BEYOND, EXPLAINED = 1.5, 0.5
 """Structure over the model's own error from which on, and share of it below which the likeliest cause explains too
 little, for Henyey–Greenstein's σs and g to count as determined: a liquid like Petzold's left .45 % beside .2, of which
 no cause explained more than .35, with g six standard deviations off."""
+BEYOND_DOUBT = 3.0
+"""Logarithm of how many times likelier (20) another phase function is before Henyey–Greenstein's is given up."""
 FREE = "free"
 """Name of the family that holds any smooth phase function."""
 HOPELESS = 0.1
@@ -275,7 +276,8 @@ def _told_early(shot: Shot, looked: Searched, asked: Asked, progress: Told) -> I
     instead = phase_instead(best, scene, shot.models, asked, rough=True)
     if instead is None or instead.share < EARLY:
         return None
-    likely = cause_of(best, scene, cache(partial(misalignments, scene, medium)), instead.share)
+    told = phase_of_share(instead.share, best.left)
+    likely = cause_of(best, scene, cache(partial(misalignments, scene, medium)), told)
     return instead if likely and likely[0].name == PHASE else None
 
 
@@ -351,10 +353,13 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     held = left.unexplained <= stated and place is None
     left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
     misaligned = cache(partial(misalignments, scene, best.media[0]))  # eight images, and two may ask
+    free_too = cache(partial(freed, best, scene, models, [left.noise], stated_errors(best, [left])))
+    asks = asked.family is None and prediction.model in LIKE_TANK
     likely, instead = (
-        _likely_causes(best, scene, models, asked, prediction.model, misaligned) if not held else ([], None)
+        _likely_causes(best, scene, models, asked, whole, misaligned, free_too() if asks else None)
+        if not held
+        else ([], None)
     )
-    misled = bool(likely) and instead is not None and likely[0].name == PHASE
     cause = likely[0] if likely else None
     own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
     counted = error_of(prediction, gain, left.beyond, scene)
@@ -363,19 +368,30 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     if whole and (cause is None or cause.name in SIGNS):
         asked_of = None if cause is None else cause.name
         sign = astray_shown(calm, left, replace(scene, medium=best.media[0]), bare, own, asked_of)
+    asks = asks and held and prediction.model == "tank" and (shift_invariant(scene) or _hinted(left, sign))
+    other = free_too() if asks else None
+    by_phase = other is not None and _told_by_phase(other, sign, best.left.size)
+    if other is not None and by_phase:
+        sign, instead = None, Instead(1.0, other.moved, best.media[0])
+        if asked.further is not None:
+            instead = phase_instead(best, scene, models, asked, rough=True)
+    misled = instead is not None and (by_phase or (cause is not None and cause.name == PHASE))
     spread = spread_of(calm, [left], [counted], None if sign is None else sign.explained)
     if sign is not None:
         spread = spread + np.outer(sign.moved, sign.moved) * (1.0 + 1.0 / sign.deviations**2)
+    spread = fit.unsettled(spread)
     off, answer = nuisances_of(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
     medium, spread = answer.liquid, answer.covariance
     if instead is not None:
         spread = spread + instead.share * np.outer(instead.moved, instead.moved)
+    elif other is not None:
+        spread = other.averaged(spread)
     edges = best.at_edge
-    freed = asked.family if asked.family is not None and asked.family.name == FREE else None
-    rough = freed is not None and rougher(best.values["phase"], freed)
-    undescribed = freed is not None and (left.beyond > 0.0 or rough)
+    any_shape = asked.family if asked.family is not None and asked.family.name == FREE else None
+    rough = any_shape is not None and rougher(best.values["phase"], any_shape)
+    undescribed = any_shape is not None and (left.beyond > 0.0 or rough)
     doubted = asked.family is None and not misled and not held and _unexplained(left.unexplained, stated, cause)
-    bent = misled or undescribed or doubted
+    bent = misled or undescribed or doubted or fit.moved is not None
     known = {
         name: yes and name not in edges and not (bent and name != "sigma_a")
         for name, yes in determined(medium, spread, [left]).items()
@@ -391,10 +407,12 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
             (cause.name, cause.share) if cause else None,
             place,
             aside,
-            sign is not None,
+            sign is not None or by_phase,
             [one.name for one in likely[1:]],
         ),
+        what_phase_is_shown(other.evidence if other else -math.inf, by_phase),
         what_no_phase_describes(undescribed, rough),
+        what_has_not_settled(fit.moved is not None),
         what_may_be_another_phase(doubted),
         what_is_misaligned(off),
         what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], bare, sign.others) if sign else "",
@@ -411,25 +429,48 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     return found, instead if misled else None
 
 
+def _hinted(left: Left, sign: Shown | None) -> bool:
+    """Whether anything about a residual is not as expected, however little."""
+    return sign is not None or left.unexplained > 0.0 or left.noisier > 1.0
+
+
+def _told_by_phase(other: Freed, sign: Shown | None, pixels: int) -> bool:
+    """Whether another phase function is beyond doubt, and likelier than the light astray that an image shows.
+
+    Beads of .2 µm, σs .03, left nothing but what looked like a blur by 3.8 standard deviations, with g .046 off;
+    another phase function is e⁹⁰ times likelier there than Henyey–Greenstein's.
+    """
+    astray = 0.0 if sign is None else 0.5 * (sign.deviations**2 - math.log(pixels))
+    return other.evidence > max(BEYOND_DOUBT, astray)
+
+
 def _unexplained(structure: float, stated: float, cause: Cause | None) -> bool:
     """Whether a residual holds structure that nothing known explains half of, beyond doubt about the model's error."""
     return structure > BEYOND * stated and (cause is None or cause.share < EXPLAINED)
 
 
 def _likely_causes(
-    best: Evaluation, scene: Scene, models: Models, asked: Asked, model: str, misaligned: Callable[[], Array]
+    best: Evaluation, scene: Scene, models: Models, asked: Asked, whole: bool, misaligned: Callable[[], Array],
+    other: Freed | None,
 ) -> tuple[list[Cause], Instead | None]:  # fmt: skip
     """What may explain a residual, likeliest first, and what another phase function would say.
 
-    That a rough look explains more than other causes is enough where families are weighed next.
+    Derivatives tell at once where they explain more than other causes do. Far off they do not; then it is fitted, and
+    that a rough look explains more is enough where families are weighed next.
     """
-    instead: Instead | None = None
-    likely: list[Cause] = []
+    if other is None:
+        return (cause_of(best, scene, misaligned) if whole else []), None
+    told = cause_by(PHASE, best.left, other.pattern, PHASE_TERMS)
+    likely = cause_of(best, scene, misaligned, told)
+    if likely and likely[0].name == PHASE:
+        instead = phase_instead(best, scene, models, asked, asked.further is not None)
+        return likely, instead and replace(instead, share=max(instead.share, told.share))
+    instead = None
     for rough in (True, False) if asked.further is not None else (False,):
-        if model in LIKE_TANK:
-            instead = phase_instead(best, scene, models, asked, rough, None if instead is None else instead.liquid)
-        likely = cause_of(best, scene, misaligned, instead.share if instead else None) if model in WHOLE else []
-        if likely and instead is not None and likely[0].name == PHASE:
+        instead = phase_instead(best, scene, models, asked, rough, None if instead is None else instead.liquid)
+        fitted = phase_of_share(instead.share if instead else 0.0, best.left)
+        likely = cause_of(best, scene, misaligned, max(told, fitted, key=lambda one: one.evidence))
+        if likely and likely[0].name == PHASE:
             break
     return likely, instead
 

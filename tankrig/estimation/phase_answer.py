@@ -9,19 +9,23 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.fitting import fitted, guessed, promising
-from tankrig.estimation.forward import COARSE, Models, image_of, models_of
 from tankrig.estimation.ink_blocks import Doses, DosesBlock, InkBlock
-from tankrig.estimation.optimiser import COARSE_ENOUGH, solve
 from tankrig.estimation.parameters import Block, MediumBlock
 from tankrig.estimation.phase_average import averaged
 from tankrig.estimation.phase_block import CoefficientsBlock, InkCoefficientsBlock, PhaseBlock, WaterBlock
-from tankrig.estimation.phase_families import FAMILIES, Family, family_of, fixed, free, henyey_greenstein
+from tankrig.estimation.phase_families import (
+    FAMILIES,
+    Family,
+    family_of,
+    fixed,
+    free,
+    henyey_greenstein,
+)
 from tankrig.estimation.phase_result import Scattering, scattering_of
-from tankrig.estimation.problem import Evaluation, Problem
+from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
 from tankrig.estimation.shots import Fit, Shot
-from tankrig.estimation.uncertainty import SmoothError
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -29,12 +33,8 @@ Array = NDArray[np.float64]
 
 MOST_RUNGS = 6
 """Places on a family's ladder that a search begins from, at most."""
-SEARCH_STEPS = 30
-"""Of the cheap fit of another phase function, at most."""
 CHANCE = 3.0
 """Standard deviations of a sum of squares that are no chance."""
-ROUGHLY = 0.03
-"""Share of what is left that the way there goes on for, where no more is needed than that."""
 
 
 @dataclass(frozen=True)
@@ -201,66 +201,3 @@ def rougher(coordinates: Array, family: Family) -> bool:
     """
     expected = coordinates[family.expected]
     return float(expected @ expected) > expected.size + CHANCE * math.sqrt(2.0 * expected.size)
-
-
-@dataclass(frozen=True)
-class Instead:
-    """What another phase function than the one fitted would say.
-
-    Parameters
-    ----------
-    share
-        Of the structure of the residual that it explains.
-    moved
-        (3,) σa, σs and mean cosine with it, less those that were fitted.
-    liquid
-        With it.
-    """
-
-    share: float
-    moved: Array
-    liquid: Medium
-
-
-def phase_instead(
-    best: Evaluation, scene: Scene, models: Models, asked: Asked, rough: bool = False, near: Medium | None = None
-) -> Instead | None:
-    """A Henyey–Greenstein fit against one of a free phase function, by the cheap models; None where it is none.
-
-    What differs between the two is not small in real liquids (σs by a third and more), so that derivatives at the
-    optimum would not tell.
-
-    Parameters
-    ----------
-    best, scene, models, asked
-        The fit, its scene and models, and what was asked for.
-    rough
-        Whether no more is needed than the way there and a share that is explained at least.
-    near
-        Where a rough look has ended.
-    """
-    if asked.family is not None:
-        return None
-    (view,), (medium,) = best.problem.views, best.media
-    family = free()
-    cheap = (models if models.slopes is None else models_of(scene, "tank", None)).of(family)
-    seen_besides = best.images[0] - view.forward(medium)  # what may be misaligned
-    image = image_of(cheap.coarse)
-    length_mm = max(scene.tank.size_mm)
-    blocks = (CoefficientsBlock(best.problem.blocks[0].range), PhaseBlock(family))  # type: ignore[attr-defined]
-    slopes = cheap.slopes_of(cheap.coarse, length_mm)
-    own = replace(view, forward=lambda liquid: image(liquid) + seen_besides, slopes=slopes, slopes_noise=None)
-    problem = Problem((own,), blocks, best.problem.scaling, quick=False)
-    begin = problem.at(np.concatenate([one.start(medium) for one in blocks]))
-    # Where pixels count by the cheap model's error the valley is wide; where they count by noise steps only end.
-    coarse = SmoothError.of(scene, COARSE * np.abs(best.scale[0] * best.images[0]))
-    wide = replace(problem, views=(replace(own, error=coarse),))
-    start = begin.coordinates if near is None else np.concatenate([one.start(near) for one in blocks])
-    there = solve(wide, start, COARSE_ENOUGH, SEARCH_STEPS, share=ROUGHLY if rough else 0.0).coordinates
-    end = problem.at(there) if rough else solve(problem, there, COARSE_ENOUGH, SEARCH_STEPS)
-    excess, left = (2.0 * one.cost - problem.pixels for one in (begin, end))
-    if excess <= 0.0:
-        return None
-    found: Medium = end.media[0]
-    moved = np.array(found.coefficients) - np.array(medium.coefficients)
-    return Instead(min(1.0 - left / excess, 1.0), moved, found)

@@ -155,8 +155,21 @@ def likely_cause(
     return [one for one in found if one.evidence > found[0].evidence - ALIKE]
 
 
+def phase_of_share(share: float, residual: Array) -> Cause:
+    """A phase function that was fitted and explains a share of what is left, as a cause."""
+    gained = share * max(float(residual @ residual) - residual.size, 0.0)
+    return Cause(PHASE, share, gained - PHASE_TERMS * math.log(residual.size))
+
+
+def cause_by(name: str, residual: Array, pattern: Array, terms: int) -> Cause:
+    """A cause whose pattern, (n,) whitened and less what the fit explains, was chosen among those of so many terms."""
+    gained = float(residual @ pattern) ** 2 / max(float(pattern @ pattern), 1e-300)
+    excess = max(float(residual @ residual) - residual.size, gained, 1e-300)
+    return Cause(name, max((gained - terms) / excess, 0.0), gained - terms * math.log(residual.size))
+
+
 def cause_of(
-    best: Evaluation, scene: Scene, misaligned: Callable[[], Array], phase: float | None = None
+    best: Evaluation, scene: Scene, misaligned: Callable[[], Array], phase: Cause | None = None
 ) -> list[Cause]:
     """What the structure of the residual looks like, the likeliest first, see `likely_cause`.
 
@@ -169,7 +182,7 @@ def cause_of(
     misaligned
         Gives `misalignments` of that scene with the fitted medium.
     phase
-        Share that a free phase function explains; None where none was fitted.
+        What a free phase function explains; None where none was looked at.
     """
     from tankrig.light.double import double_scattering
     from tankrig.light.single import single_scattering
@@ -203,8 +216,7 @@ def cause_of(
     if phase is None:
         causes[PHASE] = lambda: [single_scattering(scene), double_scattering(scene, 0.01)]
     else:
-        gained = phase * max(float(best.left @ best.left) - best.left.size, 0.0)
-        told.append(Cause(PHASE, phase, gained - PHASE_TERMS * math.log(best.left.size)))
+        told.append(phase)
     gain, _ = best.scale
     sizes = {
         name: (low * gain, high * gain)

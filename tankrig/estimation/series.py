@@ -32,7 +32,13 @@ from tankrig.estimation.search import Told
 from tankrig.estimation.series_forward import ModelOf, in_water, low_orders_model, series_models, tank_model
 from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.uncertainty import PATTERN, ModelError
-from tankrig.estimation.verdict import series_verdict, what_is_misaligned, what_is_unseen, what_may_be_another_phase
+from tankrig.estimation.verdict import (
+    series_verdict,
+    what_has_not_settled,
+    what_is_misaligned,
+    what_is_unseen,
+    what_may_be_another_phase,
+)
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -193,20 +199,21 @@ def fit_liquid(
     within = models[0].range
     if within is not None and {"sigma_s", "g"} & set(best.at_edge):
         return None
-    answer = _answer(best, _spread(best, left, shots), asked, left)
+    answer = _answer(best, fit.unsettled(_spread(best, left, shots)), asked, left)
     medium, spread = answer.liquid, answer.covariance[:3, :3]
     if within is not None and "g" in within.at_edge(medium):
         return None
     return LiquidEstimate(
         medium, spread, gain, rms(np.array([one.rmse for one in left])), rms(np.array([one.counted for one in left])),
-        _known(medium, spread, left, asked), rms(np.array([one.beyond for one in left])), answer,
+        _known(medium, spread, left, asked, fit), rms(np.array([one.beyond for one in left])), answer,
     )  # fmt: skip
 
 
-def _known(medium: Medium, spread: Array, left: Sequence[Left], asked: Asked) -> dict[str, bool]:
-    """Which of σa, σs, g images determine; of a liquid that may not be Henyey–Greenstein's, neither σs nor g."""
+def _known(medium: Medium, spread: Array, left: Sequence[Left], asked: Asked, fit: Fit) -> dict[str, bool]:
+    """Which of σa, σs, g images determine; where a fit has not settled, or of a liquid that may not be
+    Henyey–Greenstein's, neither σs nor g."""
     known = determined(medium, spread, left)
-    return known | {"sigma_s": False, "g": False} if _doubted(left, asked) else known
+    return known | {"sigma_s": False, "g": False} if fit.moved is not None or _doubted(left, asked) else known
 
 
 def _doubted(left: Sequence[Left], asked: Asked) -> bool:
@@ -268,7 +275,7 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
     """The estimate at an optimum: errors, linearity, residuals, verdict."""
     best = fit.optimum
     gain, offsets, left = left_over(fit)
-    blocks, whole = best.problem.blocks, _spread(best, left, shots)
+    blocks, whole = best.problem.blocks, fit.unsettled(_spread(best, left, shots))
     linearity = None
     if doses.ml.size > 2:
         bent = replace(best.problem, blocks=(*blocks, BendBlock(doses))).at(np.append(best.coordinates, 0.0))
@@ -279,7 +286,7 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
     else:
         water, spread = float(best.values["water"][0]), _with_water(best, whole, asked.family, answer)
     liquid = answer.liquid
-    known = _known(liquid, spread[:3, :3], left, asked) | {
+    known = _known(liquid, spread[:3, :3], left, asked, fit) | {
         "water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)
     }
     noise_known = all(view.observation.noise_known for view in best.problem.views)
@@ -295,6 +302,7 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
             filter(None, [
                 series_verdict(water, spread, known, linearity, shares),
                 what_may_be_another_phase(_doubted(left, asked)),
+                what_has_not_settled(fit.moved is not None),
                 what_is_misaligned(off),
                 what_is_unseen(liquid, unseen[: 3 if asked.family is None else 2], spread, known),
             ])

@@ -79,11 +79,21 @@ class Fit:
     apart
         What images of each view's model have that another's, which states less error, have not, W/mm²/sr: noise of
         paths for the most part. None where there is no such model.
+    moved
+        (k,) by how much the first values were still corrected in the end, where the fit has not settled; else None.
     """
 
     optimum: Evaluation
     models: tuple[Model, ...]
     apart: tuple[Image | None, ...] = ()
+    moved: NDArray[np.float64] | None = None
+
+    def unsettled(self, spread: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Covariance of the values with that counted."""
+        if self.moved is None:
+            return spread
+        moved = np.pad(self.moved, (0, len(spread) - self.moved.size))
+        return np.asarray(spread + np.outer(moved, moved))
 
     @property
     def calm(self) -> Evaluation:

@@ -265,6 +265,50 @@ def what_no_phase_describes(undescribed: bool, rough: bool) -> str:
     )
 
 
+def what_phase_is_shown(evidence: float, shown: bool) -> str:
+    """A sentence for a Henyey–Greenstein fit whose residual is noise by its size, where another phase function is
+    likelier all the same, or too likely to be left out; empty for others.
+
+    Parameters
+    ----------
+    evidence
+        Logarithm of how many times likelier a free one is.
+    shown
+        Whether that is beyond doubt.
+    """
+    if shown:
+        return (
+            "The residual shows another phase function than Henyey–Greenstein's, which is "
+            f"{_times(evidence)} less likely, so neither σs nor g counts as determined: fit again with phase free, or "
+            "with the material that it is."
+        )
+    if evidence < TOO_LIKELY:
+        return ""
+    return (
+        f"The image hardly tells Henyey–Greenstein's phase function from others ({_times(abs(evidence))} "
+        f"{'less' if evidence > 0.0 else 'more'} likely), and the intervals count what these would say."
+    )
+
+
+TOO_LIKELY = -3.0
+"""Logarithm of how many times likelier another phase function is from which on a verdict speaks of it."""
+
+
+def _times(evidence: float) -> str:
+    """How many times likelier, in words."""
+    return f"{math.exp(evidence):.2g} times" if evidence < math.log(1000.0) else "more than a thousand times"
+
+
+def what_has_not_settled(unsettled: bool) -> str:
+    """A sentence for a fit of a free phase function that its last exact image still moved; empty for others."""
+    if not unsettled:
+        return ""
+    return (
+        "The fit has not settled: its last exact image still moved it by more than chance, which the intervals count, "
+        "so neither σs nor g counts as determined. Fit with the particles' label or one family's phase function."
+    )
+
+
 def what_may_be_another_phase(doubted: bool) -> str:
     """A sentence for a Henyey–Greenstein fit that leaves more than a bench's usual faults do; empty for others."""
     if not doubted:
