@@ -1,5 +1,7 @@
 """What is learned of a bench once serves every pattern at its heights: like the tank model, and without light paths."""
 
+import json
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +13,15 @@ from tankrig.image.prepare import Prepared
 from tankrig.light.double import double_scattering, double_scattering_of
 from tankrig.light.prepared import entrance
 from tankrig.light.prepared.box import Box
+from tankrig.light.prepared.cache import Place
 from tankrig.light.prepared.entrance import Entrance, bands, learn
 from tankrig.light.prepared.sampling import PathImages
+from tankrig.light.prepared.unlike import Conditions, why_not_learned
 from tankrig.light.surface import many_to_camera, to_camera
 from tankrig.light.tank import tank_image
+from tankrig.live import preparing
+from tankrig.live.formatting import preparation_in_words
+from tankrig.live.preparing import LOOK, Preparing
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tests import bent_scenes as scenes
 from tests.stress_scenes import relative
@@ -100,6 +107,100 @@ def test_what_was_learned_serves_no_other_bench(folder: Path, other: Scene, monk
     assert Entrance.known_to(BENCH, BOX, TOLERANCE) is not None
 
 
+def written(file: Path, **changed: str) -> Path:
+    """The bench as a scene file."""
+    said = {"index": "1.33", "z_mm": "[46.0, 50.0]", "light": "[-400.0, 5.0, 50.0]", "camera": "[60.0, 0.0, 500.0]"}
+    said |= changed
+    file.write_text(
+        f'[tank]\nsize_mm = [120.0, 80.0, 80.0]\nsurface = "fresnel"\nrefractive_index = {said["index"]}\n'
+        "[medium]\nsigma_a = 0.0005\nsigma_s = 0.009\ng = 0.58\n"
+        f'[projector]\nkind = "pinhole"\nposition_mm = {said["light"]}\n'
+        f"beams = [{{ y_mm = [-4.0, 4.0], z_mm = {said['z_mm']}, irradiance = 1.0 }}]\n"
+        f'[camera]\nkind = "pinhole"\nshape = [20, 30]\npixel_mm = 4.0\nposition_mm = {said["camera"]}\n'
+    )
+    return file
+
+
+def ranges(box: Box) -> list[str]:
+    """A box as the command's options."""
+    ends = {"--sigma-t": box.sigma_t, "--albedo": box.albedo, "--g": box.g}
+    return [word for name, (low, high) in ends.items() for word in (name, str(low), str(high))]
+
+
+@pytest.mark.parametrize(
+    ("changed", "box", "said"),
+    [
+        ({"z_mm": "[20.0, 24.0]"}, BOX, "light at heights 44 … 52 mm, not 20 … 24 mm"),
+        ({"index": "1.36"}, BOX, "a surface of refractive index 1.33, not 1.36"),
+        ({"light": "[-390.0, 5.0, 50.0]"}, BOX, "its projector (x, y, z) at -400, 5, 50 mm, not -390, 5, 50 mm"),
+        (
+            {"camera": "[60.0, 0.001, 500.0]"}, BOX,
+            "its camera (x, y, z) at 60, 0, 500 mm, not 60, 0.001, 500 mm",
+        ),
+        (
+            {}, Box((0.02, 0.021), BOX.albedo, (0.5, 0.6)),
+            "σt 0.008 … 0.011/mm, not 0.02 … 0.021/mm; g 0.5 … 0.65, not 0.5 … 0.6",
+        ),
+        ({}, BOX, None),
+    ],
+    ids=["height", "tank", "projector", "camera", "liquid", "learned"],
+)  # fmt: skip
+def test_the_command_says_why_a_learned_bench_does_not_serve_and_prepares_all_the_same(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    changed: dict[str, str], box: Box, said: str | None,
+) -> None:  # fmt: skip
+    """A person who learned a bench waits a minute for every pattern, and would not know why."""
+    monkeypatch.setenv("TANKRIG_CACHE", str(folder))
+    words = ["prepare", str(written(tmp_path / "scene.toml", **changed)), "--tolerance", "0.1", *ranges(box)]
+    sentence = f"the bench that was learned has {said}: this pattern's paths are followed anew"
+    assert main(words) == 0
+    first = capsys.readouterr().out
+    assert "ready" in first
+    assert [line for line in first.splitlines() if "learned" in line] == ([f"note     {sentence}"] if said else [])
+    assert main([*words, "--json"]) == 0  # now it is kept, and nothing is followed
+    assert not [one for one in json.loads(capsys.readouterr().out)["notes"] if "learned" in one]
+
+
+def test_of_several_learned_benches_the_nearest_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
+    lit = PathImages(BENCH, ()).lit
+    assert why_not_learned(lit, BOX, TOLERANCE) == ""
+    moved = replace(lit, camera=replace(lit.camera, position_mm=(60.0, 9.0, 500.0)))
+    for one, box, band in (
+        (moved, BOX, (44.0, 52.0)), (lit, Box((0.02, 0.03)), (44.0, 52.0)), (lit, BOX, (10.0, 20.0)),
+        (lit, BOX, (60.0, 70.0)),
+    ):  # fmt: skip
+        place = Place.of(one, box, band)
+        place = replace(place, name=f"{place.name}_{band[0]:g}_{band[1]:g}")
+        place.keep(place.model, Conditions.of(one, box, TOLERANCE, band).arrays)
+    (place.folder / "0123_4_5.npz").write_bytes(b"no archive")
+    assert "has light at heights 60 … 70 mm, not 46 … 50 mm:" in why_not_learned(lit, BOX, TOLERANCE)
+    denser = why_not_learned(lit, Box((0.02, 0.031)), TOLERANCE)
+    assert "has σt 0.02 … 0.03/mm, not 0.02 … 0.031/mm:" in denser
+
+
+def test_a_run_says_why_a_learned_bench_does_not_serve(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the line that says how long its models still take."""
+    monkeypatch.setenv("TANKRIG_CACHE", str(folder))
+    lower, told, go_on = lit_by(Beam((-4.0, 4.0), (30.0, 34.0))), threading.Event(), threading.Event()
+
+    def prepare(_scene: Scene, _tolerance: float, _progress: object, _box: Box, **_: object) -> str:
+        told.set()
+        go_on.wait(10.0)
+        return "model"
+
+    monkeypatch.setattr(preparing, "prepare", prepare)
+    monkeypatch.setattr(preparing, "tolerance_for", lambda *_: TOLERANCE)
+    run = Preparing()
+    run.want([lower], BOX)
+    assert told.wait(10.0)
+    said = preparation_in_words(run.left)
+    go_on.set()
+    run.close()
+    assert said.startswith("1 model is being prepared for the fit; the bench that was learned has light at heights")
+    assert preparing.unlike_learned(BENCH, BOX) == preparing.unlike_learned(lower, LOOK) == ""
+
+
 def test_light_beside_the_band_is_followed_by_few_paths(followed: list[Scene]) -> None:
     """Halo and black level reach all of the wall."""
     beam, weak = Beam((-4.0, 4.0), (46.0, 50.0)), Beam((-40.0, 40.0), (0.0, 80.0), 0.002)
@@ -162,18 +263,8 @@ def test_the_command_learns_a_bench_before_it_prepares(
     monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
     learned: list[tuple[Scene, Box, float]] = []
     monkeypatch.setattr(entrance, "learn", lambda scene, box, tolerance, _: learned.append((scene, box, tolerance)))
-    file = tmp_path / "scene.toml"
-    file.write_text(
-        '[tank]\nsize_mm = [120.0, 80.0, 80.0]\nsurface = "matched"\n'
-        "[medium]\nsigma_a = 0.0005\nsigma_s = 0.009\ng = 0.58\n"
-        '[projector]\nkind = "pinhole"\nposition_mm = [-400.0, 5.0, 50.0]\n'
-        "beams = [{ y_mm = [-4.0, 4.0], z_mm = [46.0, 50.0], irradiance = 1.0 }]\n"
-        '[camera]\nkind = "orthographic"\nshape = [10, 15]\npixel_mm = 8.0\n'
-    )
-    ranges = [f"--{name}" for name in ("sigma-t", "albedo", "g")]
-    ends = (BOX.sigma_t, BOX.albedo, BOX.g)
-    words = [word for name, (low, high) in zip(ranges, ends, strict=True) for word in (name, str(low), str(high))]
-    assert main(["prepare", str(file), "--tolerance", "0.5", "--bench", *words]) == 0
+    file = written(tmp_path / "scene.toml")
+    assert main(["prepare", str(file), "--tolerance", "0.5", "--bench", *ranges(BOX)]) == 0
     ((scene, box, tolerance),) = learned
     assert (box, tolerance) == (BOX, 0.5)
     assert scene.projector.beams == (Beam((-4.0, 4.0), (46.0, 50.0)),)

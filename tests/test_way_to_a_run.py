@@ -260,7 +260,8 @@ def test_what_is_prepared_before_a_run_is_what_its_fit_asks_for(
     )
     words = ["prepare", "--sequence", str(sequence), "--rig", str(rig)]
     assert main([*words, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) | {"seconds": 0} == {"models": 1, "kept": 0, "seconds": 0}
+    said = json.loads(capsys.readouterr().out)
+    assert said | {"seconds": 0} == {"models": 1, "kept": 0, "seconds": 0, "notes": []}
     devices = open_rig(load_rig_file(rig))
     runner = new_run(load_sequence(sequence), devices, tmp_path / "run")
     runner.give_up(KeyboardInterrupt())

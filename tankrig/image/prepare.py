@@ -274,7 +274,8 @@ def prepare(
     Warns
     -----
     UserWarning
-        When the estimated error is above the tolerance somewhere in the box; it names the largest.
+        When the estimated error is above the tolerance somewhere in the box; it names the largest. When a bench was
+        learned, but another one than the scene's, or for other heights or liquids; it names what differs.
     """
     from tankrig.light.prepared.box import Box
     from tankrig.light.prepared.preparation import prepared

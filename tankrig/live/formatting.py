@@ -81,4 +81,5 @@ def preparation_in_words(left: "Preparation") -> str:
         return ""
     what = "1 model is" if left.models == 1 else f"{left.models} models are"
     how_long = "" if left.seconds_left is None else f", about {left.seconds_left:.0f} s left"
-    return f"{what} being prepared for the fit{how_long}"
+    why = f"; {left.note}" if left.note else ""
+    return f"{what} being prepared for the fit{how_long}{why}"

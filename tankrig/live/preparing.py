@@ -53,10 +53,13 @@ class Preparation:
         That are not ready.
     seconds_left
         That all of them will still take; None where nothing tells yet.
+    note
+        Why what was learned of a bench does not serve the one under way; empty where it does, or nothing was learned.
     """
 
     models: int
     seconds_left: float | None
+    note: str = ""
 
 
 def box_for(liquid: Medium) -> Box:
@@ -137,6 +140,18 @@ def file_of(scene: Scene, box: Box, phases: Phases = "hg") -> Path:
     return place_of(scene, box, tolerance_for(scene, box)).model
 
 
+def unlike_learned(scene: Scene, box: Box, phases: Phases = "hg") -> str:
+    """One sentence on what the nearest learned bench has otherwise than a model that is to be made; empty where none.
+
+    First looks follow fewer paths than learning takes.
+    """
+    from tankrig.light.prepared.entrance import Entrance
+
+    if phases != "hg" or box == LOOK or is_kept(scene, box, phases):
+        return ""
+    return Entrance.unlike(scene, box, tolerance_for(scene, box))
+
+
 def is_kept(scene: Scene, box: Box, phases: Phases = "hg") -> bool:
     """Whether the cache holds the model of a scene for a box, so that a run need not wait for it."""
     return file_of(scene, box, phases).exists()
@@ -166,7 +181,7 @@ class Preparing:
     ) -> None:
         self._told, self._clock, self._phases = told, clock, phases
         self._closing = False
-        self._began_s, self._share = clock(), 0.0
+        self._began_s, self._share, self._note = clock(), 0.0, ""
         self._took_s: dict[tuple[Scene, Box], float] = {}
         self._change = threading.Condition()
         self._waiting: list[tuple[Scene, Box]] = []
@@ -214,6 +229,7 @@ class Preparing:
         """What is still to be prepared, and how long that takes at the pace so far."""
         with self._change:
             waiting, share, spent_s = list(self._waiting), self._share, self._clock() - self._began_s
+            note = self._note
             took_s = dict(self._took_s)
         if not waiting:
             return Preparation(0, 0.0)
@@ -222,8 +238,8 @@ class Preparing:
         each_s = [_like(took_s, *one) for one in waiting]
         known_s = [one for one in each_s if one is not None]
         if len(known_s) < len(each_s):
-            return Preparation(len(waiting), None)
-        return Preparation(len(waiting), known_s[0] * (1.0 - share) + sum(known_s[1:]))
+            return Preparation(len(waiting), None, note)
+        return Preparation(len(waiting), known_s[0] * (1.0 - share) + sum(known_s[1:]), note)
 
     def close(self) -> None:
         """End; the computation under way is finished first, which takes a second or so."""
@@ -239,8 +255,9 @@ class Preparing:
                 if self._closing:
                     return
                 scene, box = wanted = self._waiting[0]
-                self._began_s, self._share = self._clock(), 0.0
+                self._began_s, self._share, self._note = self._clock(), 0.0, ""
             try:
+                self._note = unlike_learned(scene, box, self._phases)
                 model = self._prepared(scene, box)
             except _NotWantedError:
                 continue

@@ -100,7 +100,8 @@ def _of_a_scene(scene_file: Path, tolerance: float, box: "Box", learned: bool, a
     seconds = round(time.perf_counter() - started, 3)
     if as_json:
         found = {"error": live.error, "largest_error": live.largest_error, "tolerance": tolerance, "box": asdict(box)}
-        click.echo(json.dumps({**found, "seconds": seconds, "cache": str(live.path)}))
+        notes = [str(one.message) for one in said]
+        click.echo(json.dumps({**found, "seconds": seconds, "cache": str(live.path), "notes": notes}))
         return
     click.echo(f"ready    in {seconds:.1f} s; error {live.error:.2%} on average, {live.largest_error:.2%} at most")
     click.echo(f"kept     {live.path}")
@@ -123,7 +124,15 @@ def _for_a_run(sequence_file: Path, rig: Path, learned: bool, as_json: bool) -> 
     from drivers.rig import calibrated_bench, load_rig_file
     from tankrig.live.attached import require_fittable
     from tankrig.live.photograph_plan import PhotographPlan
-    from tankrig.live.preparing import LOOK, foreseen, is_kept, model_for, phases_prepared, tolerance_for
+    from tankrig.live.preparing import (
+        LOOK,
+        foreseen,
+        is_kept,
+        model_for,
+        phases_prepared,
+        tolerance_for,
+        unlike_learned,
+    )
     from tankrig.sequence import load_sequence
 
     sequence, bench = load_sequence(sequence_file), calibrated_bench(load_rig_file(rig))
@@ -141,6 +150,7 @@ def _for_a_run(sequence_file: Path, rig: Path, learned: bool, as_json: bool) -> 
         scenes = list(plan.scenes.values())
         for box in boxes:
             _learn(scenes, box, tolerance_for(scenes[0], box))
+    notes = list(filter(None, dict.fromkeys(unlike_learned(*one, phases or "hg") for one in wanted)))
     with _progress() as bar:
         task = bar.add_task("preparing", total=float(len(wanted)))
         for done, (scene, box) in enumerate(wanted):
@@ -148,7 +158,7 @@ def _for_a_run(sequence_file: Path, rig: Path, learned: bool, as_json: bool) -> 
             model_for(scene, box, told, phases or "hg")
     seconds = round(time.perf_counter() - started, 3)
     if as_json:
-        click.echo(json.dumps({"models": len(wanted), "kept": kept, "seconds": seconds}))
+        click.echo(json.dumps({"models": len(wanted), "kept": kept, "seconds": seconds, "notes": notes}))
         return
     if phases is None:
         click.echo(f"{sequence.name}: {BY_PATHS}, so there is nothing to prepare")
@@ -157,6 +167,8 @@ def _for_a_run(sequence_file: Path, rig: Path, learned: bool, as_json: bool) -> 
     found = "was there" if kept == len(wanted) else f"is ready after {seconds:.1f} s"
     rest = "; the run prepares the rest, once a first look has told what ink it is" if plan.ink is None else ""
     click.echo(f"{sequence.name}: what can be prepared for {what} {found}{rest}")
+    for note in notes:
+        click.echo(f"note     {note}")
 
 
 def _told(bar: "Progress", task: "TaskID", done: int, share: float) -> None:

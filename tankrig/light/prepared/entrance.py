@@ -25,6 +25,7 @@ from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.cache import Place
 from tankrig.light.prepared.plan import PreparationPlan, Sample
 from tankrig.light.prepared.sampling import PathImages
+from tankrig.light.prepared.unlike import Conditions, why_not_learned
 from tankrig.light.rays import geometry_of, shift_invariant, sighting_row
 from tankrig.scene import Beam, Medium, Scene
 from tankrig.scene.description import Interval
@@ -88,6 +89,13 @@ class Entrance:
                 found.append((sum(beam.power for beam in lit.projector.beams if one.holds(beam)), one))
         share, best = max(found, key=lambda each: each[0], default=(0.0, None))
         return best if share > 0.0 else None
+
+    @staticmethod
+    def unlike(scene: Scene, box: Box, tolerance: float) -> str:
+        """One sentence on what the nearest learned bench has otherwise; empty where none was, or a scene needs none."""
+        if not can_be_learned(scene) or Entrance.known_to(scene, box, tolerance) is not None:
+            return ""
+        return why_not_learned(PathImages(scene, ()).lit, box, tolerance)
 
     @property
     def place(self) -> Place:
@@ -279,7 +287,7 @@ def learn(
     finally:
         pool.shutdown(cancel_futures=True)
     for one in entrances:
-        one.place.keep(one.place.model, {"band": np.array(one.band)})
+        one.place.keep(one.place.model, Conditions.of(lit, box, tolerance, one.band).arrays)
     progress(1.0)
     return entrances
 

@@ -1,6 +1,7 @@
 """Preparing a model: compute what its plan asks for, keep every image as it comes, and put them together."""
 
 import math
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -55,6 +56,11 @@ def prepared(
         When the camera has more pixels than can be prepared.
     CacheError
         When there is no room for it.
+
+    Warns
+    -----
+    UserWarning
+        When paths are followed although a bench was learned: what that has otherwise.
     """
     scene = _regardless(scene)
     rows, columns = scene.camera.shape
@@ -71,6 +77,9 @@ def prepared(
         progress(1.0)
         return known, place.model
     place.require_room(work.size)
+    unlike = Entrance.unlike(scene, box, tolerance)
+    if unlike:
+        warnings.warn(unlike, stacklevel=3)
     answer = assemble(plan, work.sampling, work.images(progress, threads), scene.camera.shape)
     place.keep(place.model, packed(answer))
     place.clear_parts()
