@@ -1,7 +1,6 @@
 """A prepared model answers like the tank model, keeps what it has done, and never trusts a file that is not its own."""
 
 import json
-import math
 import os
 import signal
 import subprocess
@@ -190,8 +189,7 @@ def test_a_killed_preparation_goes_on_where_it_was(
     shares: list[float] = []
     resumed = tankrig.prepare(SCENE, TOLERANCE, shares.append, BOX)
     plan = preparation.PreparationPlan(BOX, 240.0, TOLERANCE)
-    low = sum(math.ceil(len(some) / preparation.TOGETHER) for some in (plan.exact, plan.checks))
-    assert len(made) == low + len(plan.paths) - left + 1
+    assert len(made) == len(plan.together) + len(plan.paths) - left + 1
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert np.allclose(resumed.predict(MEDIUM), live.predict(MEDIUM), rtol=1e-9)

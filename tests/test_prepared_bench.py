@@ -10,13 +10,23 @@ import pytest
 
 import tankrig
 from tankrig.image.prepare import Prepared
-from tankrig.light.double import double_scattering, double_scattering_of
+from tankrig.light.double import (
+    Tabulated,
+    double_scattering,
+    double_scattering_of,
+    numbers_of_wall,
+    table_error,
+    tables_of_wall,
+)
+from tankrig.light.double import image as order_2
 from tankrig.light.prepared import entrance
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.cache import Place
 from tankrig.light.prepared.entrance import Entrance, bands, learn
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.light.prepared.unlike import Conditions, why_not_learned
+from tankrig.light.prepared.wall_tables import packed_tables, unpacked_tables
+from tankrig.light.single import single_scattering
 from tankrig.light.surface import many_to_camera, to_camera
 from tankrig.light.tank import tank_image
 from tankrig.live import preparing
@@ -77,13 +87,28 @@ def followed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
     return scenes
 
 
+@pytest.fixture
+def tabulated(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
+    """Scenes for which order 2 is tabulated."""
+    scenes: list[Scene] = []
+    fill = order_2.fill_stack
+
+    def counted(scene: Scene, *given: object) -> object:
+        scenes.append(scene)
+        return fill(scene, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(order_2, "fill_stack", counted)
+    return scenes
+
+
 @pytest.mark.parametrize("name", PATTERNS)
 def test_a_pattern_that_was_never_seen_needs_no_paths_and_is_as_the_tank_model_has_it(
-    followed: list[Scene], name: str
+    followed: list[Scene], tabulated: list[Scene], name: str
 ) -> None:
     scene = lit_by(*PATTERNS[name])
     live = prepare(scene)
     assert not followed
+    assert not tabulated
     truth = np.sum(list(tank_image(scene, batches=40).orders.values()), axis=0)
     error = relative(live.predict(MEDIUM), truth)
     assert error < 0.01
@@ -246,6 +271,59 @@ def test_what_is_not_learned_is_refused_in_one_sentence() -> None:
     heights = [Beam((-4.0, 4.0), (z, z + 4.0)) for z in (10.0, 25.0, 40.0)]
     assert bands(lit_by(*heights)) == [(8.0, 16.0), (23.0, 31.0), (38.0, 46.0)]
     assert entrance.MOST_BANDS == 3
+
+
+WALL_MEDIA = [Medium(0.0, 0.003, 0.2), Medium(0.0, 0.012, 0.7), Medium(0.0, 0.012, 0.85)]
+
+
+@pytest.fixture(scope="module")
+def of_wall() -> list[Tabulated]:
+    return tables_of_wall(BENCH, (44.0, 52.0), WALL_MEDIA, 0.005)
+
+
+@pytest.mark.parametrize(
+    "beams",
+    [*PATTERNS.values(), [Beam((-39.0, -36.0), (46.0, 50.0)), Beam((33.0, 37.0), (44.0, 46.0))]],
+    ids=[*PATTERNS, "walls"],
+)
+def test_order_2_from_tables_of_the_wall_is_as_from_fine_ones_of_the_pattern(
+    of_wall: list[Tabulated], tabulated: list[Scene], beams: list[Beam]
+) -> None:
+    """Light that leaves through a side wall is off by up to .6 %, by either."""
+    scene = lit_by(*beams)
+    found = double_scattering_of(scene, WALL_MEDIA, 0.005, of_wall)
+    assert not tabulated
+    own, fine = (double_scattering_of(scene, WALL_MEDIA, tolerance) for tolerance in (0.005, 0.001))
+    for medium, image, of_pattern, truth in zip(WALL_MEDIA, found, own, fine, strict=True):
+        lit = replace(scene, medium=medium)
+        low_orders = float(np.linalg.norm(single_scattering(lit) + truth))
+        stated, as_before = table_error(lit, 0.005) * low_orders, float(np.linalg.norm(of_pattern - truth))
+        assert np.linalg.norm(image - truth) < max(stated, 1.05 * as_before)
+
+
+def test_tables_of_the_wall_serve_no_other_light(of_wall: list[Tabulated], tabulated: list[Scene]) -> None:
+    """What they do not hold has tables of its own, and nothing is taken from those of another bench."""
+    inside, beside = Beam((-4.0, 4.0), (46.0, 50.0)), Beam((-4.0, 4.0), (50.0, 54.0))
+    both = double_scattering_of(lit_by(inside, beside), WALL_MEDIA, 0.005, of_wall)
+    assert {one.projector.beams for one in tabulated} == {(beside,)}
+    alone = [double_scattering_of(lit_by(one), WALL_MEDIA, 0.005) for one in (inside, beside)]
+    for image, sum_of_both in zip(both, np.sum(alone, axis=0), strict=True):
+        assert relative(image, sum_of_both) < 0.002
+    finer = replace(BENCH, camera=Camera("pinhole", (40, 60), 2.0, (60.0, 0.0, 500.0)))
+    for other in (finer, replace(BENCH, projector=replace(LIGHT, position_mm=(-390.0, 5.0, 50.0)))):
+        found = double_scattering_of(other, WALL_MEDIA, 0.005, of_wall)
+        assert np.array_equal(found, double_scattering_of(other, WALL_MEDIA, 0.005))
+
+
+def test_tables_come_back_from_a_file_as_they_were(of_wall: list[Tabulated]) -> None:
+    back = unpacked_tables(packed_tables(of_wall), len(WALL_MEDIA))
+    scene = lit_by(*PATTERNS["beams"])
+    found, once = (double_scattering_of(scene, WALL_MEDIA, 0.005, one) for one in (back, of_wall))
+    assert np.allclose(found, once, rtol=1e-6)
+    numbers = numbers_of_wall(BENCH, (44.0, 52.0), WALL_MEDIA, 0.005)
+    assert numbers == sum(one.stack.values.size for one in of_wall)
+    with pytest.raises(ValueError, match="other liquids"):
+        unpacked_tables(packed_tables(of_wall), 2)
 
 
 def test_order_2_of_several_liquids_is_that_of_each() -> None:

@@ -8,6 +8,9 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tankrig.compiled import kernel
 from tankrig.geometry.optics import crossing_offset, entry_slope, reflectance
 from tankrig.scene import Beam, Scene
@@ -249,6 +252,15 @@ def sighting_row(geometry: Geometry, x: float, y0: float, z0: float) -> float:
         if abs(step) < 1e-11 * (1.0 + abs(now)):
             break
     return now
+
+
+@kernel
+def sighting_rows(geometry: Geometry, x: NDArray[np.float64], y0: float, z0: float) -> NDArray[np.float64]:
+    """`sighting_row` at each of several x."""
+    rows = np.empty(x.size)
+    for i in range(x.size):
+        rows[i] = sighting_row(geometry, x[i], y0, z0)
+    return rows
 
 
 @kernel

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.compiled_beside import paths_compiled_beside
-from tankrig.light.double import double_scattering, double_scattering_of, table_error
+from tankrig.light.double import Tabulated, double_scattering, double_scattering_of, table_error
 from tankrig.light.entering import entering, is_plain, through_lens
 from tankrig.light.high_orders import LOST_USUALLY, MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
 from tankrig.light.leaving import CameraLens
@@ -110,12 +110,15 @@ def twice(scene: Scene, tolerance: float) -> Array:
     return np.asarray(sum(share * double_scattering(one, tolerance) for share, one in parts))
 
 
-def twice_of(scene: Scene, media: Sequence[Medium], tolerance: float) -> Array:
-    """The same of several liquids, (media, rows, columns), for little more than what does depend on the liquid."""
+def twice_of(scene: Scene, media: Sequence[Medium], tolerance: float, known: Sequence[Tabulated] = ()) -> Array:
+    """The same of several liquids, (media, rows, columns), for little more than what does depend on the liquid.
+
+    `known` are tables of these liquids, see `double_scattering_of`.
+    """
     if is_plain(scene):
-        return double_scattering_of(scene, media, tolerance)
+        return double_scattering_of(scene, media, tolerance, known)
     parts = through_lens(entering(scene, fine=False), fine=False)
-    return np.asarray(sum(share * double_scattering_of(one, media, tolerance) for share, one in parts))
+    return np.asarray(sum(share * double_scattering_of(one, media, tolerance, known) for share, one in parts))
 
 
 def low_orders(scene: Scene, tolerance: float, highest: int = 2) -> Array:

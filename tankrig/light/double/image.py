@@ -7,7 +7,7 @@ the integral is cut at the trapezoid's corners and at δ = 0 and graded about it
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from typing import NamedTuple
 
@@ -21,10 +21,14 @@ from tankrig.light.double.table import (
     STEEP_G,
     Stack,
     Table,
+    curvature,
     depth_below,
+    depth_seen,
     fill_stack,
+    hardest,
     lagrange,
-    share_seen,
+    laid_out,
+    share_within,
     y_weights,
 )
 from tankrig.light.elementary import exponential
@@ -48,6 +52,8 @@ MOST_HEIGHTS = 4
 
 COARSE_FROM = 0.005
 """Tolerance from which coarse tables do."""
+EDGE_MM = 1e-6
+"""By which a beam may be beyond a table's height."""
 
 
 def table_error(scene: Scene, tolerance: float) -> float:
@@ -92,11 +98,14 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
     return np.asarray(double_scattering_of(scene, (scene.medium,), tolerance)[0])
 
 
-def double_scattering_of(scene: Scene, media: Sequence[Medium], tolerance: float = 0.001) -> Array:
+def double_scattering_of(
+    scene: Scene, media: Sequence[Medium], tolerance: float = 0.001, known: "Sequence[Tabulated]" = ()
+) -> Array:
     """The same of several liquids, for little more than the tables of each.
 
     Where each pixel looks at which beam does not depend on the liquid, and takes most of the time where patterns have
-    many beams. Tables have the nodes that the densest and the steepest of the liquids want.
+    many beams; nor does it how liquids of one extinction fade, where they follow each other. Tables have the nodes that
+    the densest and the steepest of the liquids want.
 
     Parameters
     ----------
@@ -106,6 +115,9 @@ def double_scattering_of(scene: Scene, media: Sequence[Medium], tolerance: float
         The liquids.
     tolerance
         As for one.
+    known
+        Tables of these liquids, of `tables_of_wall`, for the beams that enter by their heights; where they are of
+        another scene, or too coarse for this one's pixels, nothing is taken from them.
 
     Returns
     -------
@@ -114,24 +126,121 @@ def double_scattering_of(scene: Scene, media: Sequence[Medium], tolerance: float
     if scene.camera.kind == "calibrated":
         plain = on_surface(scene)
         cell_mm = plain.camera.pixel_mm, plain.camera.pixel_mm
-        images = double_scattering_of(plain, media, tolerance)
+        images = double_scattering_of(plain, media, tolerance, known)
         return many_to_camera(scene, images, cell_mm) if len(media) > 1 else to_camera(scene, images[0], cell_mm)[None]
     camera = scene.camera
     images = np.zeros((len(media), *camera.shape))
     scattering = np.array([one.sigma_s for one in media])
     if not scattering.any():
         return images
-    finest = min(camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
-    fineness = COARSE if tolerance >= COARSE_FROM else FINE
-    for one in lit_heights(scene):
-        given = one.geometry, one.z_mm, one.mirrored, finest, fineness, one.shared
-        table, stack, z0_weights = fill_stack(scene, media, *given)
-        rows = np.zeros((camera.shape[0], table.x_mm.size, len(media)))
-        add_beams(rows, scene, one, table, stack, z0_weights)
-        columns = columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, one.geometry.length)
-        images += np.moveaxis(rows, 2, 0) @ columns.T
+    served, rest = _served(scene, known)
+    for one in served:
+        _add_table(images, scene, one.lit, one.table, one.stack, np.empty(0))
+    if rest is not None:
+        for lit in lit_heights(rest):
+            _add_table(images, scene, lit, *_filled(rest, media, lit, tolerance))
     images *= scattering[:, None, None] ** 2
     return np.maximum(images, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
+
+
+def finest_of(scene: Scene) -> float:
+    """Length below which the image of a scene with a plain camera need not be resolved, mm."""
+    return min(scene.camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
+
+
+def _filled(scene: Scene, media: Sequence[Medium], lit: "LitHeight", tolerance: float) -> tuple[Table, Stack, Array]:
+    fineness = COARSE if tolerance >= COARSE_FROM else FINE
+    given = lit.geometry, lit.z_mm, lit.mirrored, finest_of(scene), fineness, lit.shared
+    return fill_stack(scene, media, *given)
+
+
+def _add_table(images: Array, scene: Scene, lit: "LitHeight", table: Table, stack: Stack, z0_weights: Array) -> None:
+    """Add what a table says of its beams, over σs², to (liquids, rows, columns) images."""
+    camera = scene.camera
+    rows = np.zeros((camera.shape[0], table.x_mm.size, len(images)))
+    add_beams(rows, scene, lit, table, stack, z0_weights)
+    columns = columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, lit.geometry.length)
+    images += np.moveaxis(rows, 2, 0) @ columns.T
+
+
+@dataclass(frozen=True)
+class Tabulated:
+    """A table of J, and the beams that it serves.
+
+    Parameters
+    ----------
+    lit
+        The beams, with `shared`.
+    finest_mm
+        Length below which it need not resolve images.
+    table, stack
+        The table.
+    """
+
+    lit: "LitHeight"
+    finest_mm: float
+    table: Table
+    stack: Stack
+
+
+def tables_of_wall(scene: Scene, z_mm: Interval, media: Sequence[Medium], tolerance: float) -> list[Tabulated]:
+    """J of light that enters anywhere within a height of the wall, for `double_scattering_of` of any pattern there.
+
+    Parameters
+    ----------
+    scene
+        Tank, projector and camera; its beams and its medium do not matter.
+    z_mm
+        Low and high.
+    media
+        The liquids.
+    tolerance
+        As for `double_scattering`.
+    """
+    wall, found = _wall_alone(scene, z_mm), []
+    for one in lit_heights(wall):
+        lit = replace(one, shared=True)
+        table, stack, _ = _filled(wall, media, lit, tolerance)
+        found.append(Tabulated(lit, finest_of(wall), table._replace(values=np.zeros((0,) * 5)), stack))
+    return found
+
+
+def numbers_of_wall(scene: Scene, z_mm: Interval, media: Sequence[Medium], tolerance: float) -> int:
+    """How many numbers the tables have that `tables_of_wall` makes of these."""
+    wall = _wall_alone(scene, z_mm)
+    given = [(one.geometry, one.z_mm, one.mirrored) for one in lit_heights(wall)]
+    fineness = COARSE if tolerance >= COARSE_FROM else FINE
+    lit = replace(wall, medium=hardest(media))
+    return len(media) * sum(laid_out(lit, *one, finest_of(wall), fineness, True)[0].values.size for one in given)
+
+
+def _wall_alone(scene: Scene, z_mm: Interval) -> Scene:
+    """The scene with a plain camera, and light from side wall to side wall."""
+    plain = on_surface(scene)
+    half = 0.5 * scene.tank.size_mm[1]
+    return replace(plain, projector=replace(plain.projector, beams=(Beam((-half, half), z_mm),)))
+
+
+def _served(scene: Scene, known: "Sequence[Tabulated]") -> "tuple[list[Tabulated], Scene | None]":
+    """The tables that serve a scene with a plain camera, each with its beams, and the scene with all other beams.
+
+    None where there are no others.
+    """
+    if not known or known[0].finest_mm > (1.0 + 1e-9) * finest_of(scene):
+        return [], scene
+    low, high = known[0].lit.z_mm
+    all_beams = scene.projector.beams
+    inside = tuple(one for one in all_beams if low - EDGE_MM <= one.z_mm[0] and one.z_mm[1] <= high + EDGE_MM)
+    if not inside:
+        return [], scene
+    served = []
+    for geometry, beams in light_sources(replace(scene, projector=replace(scene.projector, beams=inside))):
+        of_source = [replace(one, lit=replace(one.lit, beams=beams)) for one in known if one.lit.geometry == geometry]
+        if not of_source:
+            return [], scene
+        served += of_source
+    outside = tuple(beam for beam in all_beams if beam not in inside)
+    return served, replace(scene, projector=replace(scene.projector, beams=outside)) if outside else None
 
 
 @dataclass(frozen=True)
@@ -174,19 +283,33 @@ def lit_heights(scene: Scene) -> Iterator[LitHeight]:
 
 def add_beams(rows: Array, scene: Scene, lit: LitHeight, table: Table, stack: Stack, z0_weights: Array) -> None:
     """Add what tables say of their beams, over σs², to (rows, x, liquids) the light of each row of pixels."""
-    for beam in lit.beams:
-        weights = integral(table.z0_mm, beam.z_mm) if lit.shared else z0_weights
-        _add_beam(rows, scene, lit.geometry, beam, table, stack, weights)
-
-
-def _add_beam(
-    rows: Array, scene: Scene, geometry: Geometry, beam: Beam, table: Table, stack: Stack, z0_weights: Array
-) -> None:
-    """Add one beam, cut into parts narrow enough where J is not shift-invariant."""
     rule = gauss_legendre(4)
-    for low, high in _parts(beam.y_mm, table.inner_mm, shift_invariant(scene)):
-        strip = Strip(low, high, beam.irradiance, y_weights(table, 0.5 * (low + high)), z0_weights)
-        average_rows(rows, scene.camera.pixel_mm, geometry, table, stack, strip, rule)
+    nodes, _ = rule
+    reached = np.empty((table.x_mm.size, len(rows), nodes.size))
+    _fill_reached(reached, scene.camera.pixel_mm, lit.geometry, table.x_mm, nodes)
+    seen = Seen(scene.camera.pixel_mm, reached)
+    for beam in lit.beams:
+        height = (
+            _across(table, stack, beam.z_mm, lit.geometry.height)
+            if lit.shared
+            else Across(table.z0_mm, z0_weights, np.eye(len(table.z0_mm)))
+        )
+        # Parts narrow enough where J is not shift-invariant.
+        for low, high in _parts(beam.y_mm, table.inner_mm, shift_invariant(scene)):
+            strip = Strip(low, high, beam.irradiance, y_weights(table, 0.5 * (low + high)), height)
+            average_rows(rows, seen, lit.geometry, table, stack, strip, rule)
+
+
+@kernel
+def _fill_reached(reached: Array, pixel_mm: float, geometry: Geometry, x: Array, nodes: Array) -> None:
+    """Fill `Seen.reached_mm`."""
+    for i in range(x.size):
+        for row in range(reached.shape[1]):
+            low = row * pixel_mm - geometry.half_width
+            high = min(low + pixel_mm, geometry.half_width)
+            for n in range(nodes.size):
+                y = 0.5 * (low + high + (high - low) * nodes[n])
+                reached[i, row, n] = depth_seen(geometry, x[i], y)
 
 
 def _parts(y_mm: Interval, inner_mm: Interval, whole: bool) -> list[Interval]:
@@ -202,13 +325,13 @@ def _parts(y_mm: Interval, inner_mm: Interval, whole: bool) -> list[Interval]:
     return parts
 
 
-def integral(nodes: Array, interval: tuple[float, float]) -> Array:
-    """Weights that integrate the polynomial through all `nodes` over an interval."""
-    places, weights = np.polynomial.legendre.leggauss(nodes.size // 2 + 1)
-    half, middle = 0.5 * (interval[1] - interval[0]), 0.5 * (interval[1] + interval[0])
-    return np.asarray(
-        sum(half * w * lagrange(nodes, middle + half * at) for at, w in zip(places, weights, strict=True))
-    )
+def _across(table: Table, stack: Stack, z_mm: Interval, height: float) -> "Across":
+    """Rays for a beam within a table's height: as many as integrate the table's polynomial; one where that does."""
+    half, middle = 0.5 * (z_mm[1] - z_mm[0]), 0.5 * (z_mm[1] + z_mm[0])
+    thin = curvature(2.0 * half, float(stack.decays.max()), height) < FINE.slanted_curvature
+    places, weights = np.polynomial.legendre.leggauss(1 if thin else table.z0_mm.size // 2 + 1)
+    z0 = middle + half * places
+    return Across(z0, half * weights, np.array([lagrange(table.z0_mm, one) for one in z0]))
 
 
 def columns_of(x: Array, columns: int, pixel_mm: float, length: float) -> Array:
@@ -253,6 +376,25 @@ class Even(NamedTuple):
     margin: float
 
 
+class Seen(NamedTuple):
+    """Where the rows of pixels look."""
+
+    pixel_mm: float
+    reached_mm: Array
+    """(nx, rows, nodes) how deep lines of sight get, at a quadrature's nodes across each row: no matter which beam."""
+
+
+class Across(NamedTuple):
+    """Rays that stand for a beam's height."""
+
+    z0_mm: Array
+    """(n,) where they enter."""
+    weights: Array
+    """(n,) that integrate over them, mm."""
+    between: Array
+    """(n, nz) weights that interpolate a table to each."""
+
+
 class Strip(NamedTuple):
     """A beam, or a part of it along y, and what its light has of a table's nodes."""
 
@@ -263,13 +405,13 @@ class Strip(NamedTuple):
     """Irradiance."""
     y0_weights: Array
     """(ny,) weights that interpolate the table to its middle."""
-    z0_weights: Array
-    """(nz,) weights that integrate over its height."""
+    height: Across
+    """The rays that stand for its height."""
 
 
 @kernel
 def average_rows(
-    rows: Array, pixel_mm: float, geometry: Geometry, table: Table, stack: Stack, strip: Strip, rule: Rule
+    rows: Array, seen: Seen, geometry: Geometry, table: Table, stack: Stack, strip: Strip, rule: Rule
 ) -> None:
     """Add one strip's rows, at every node in x.
 
@@ -279,7 +421,9 @@ def average_rows(
     ----------
     rows
         (rows, nx, liquids), added to: radiance over σs², averaged over the rows' height, at the nodes in x.
-    pixel_mm, geometry
+    seen
+        Where rows look, by the same rule.
+    geometry
         Of the scene.
     table, stack
         Of J.
@@ -288,9 +432,9 @@ def average_rows(
     rule
         Gauss–Legendre.
     """
-    x, fractions, margin, _, z0, _, _, mirrored, _ = table
-    values, decays = stack
-    low, high, strength, y0_weights, z0_weights = strip
+    x, fractions, margin, _, _, _, _, mirrored, _ = table
+    (values, decays), (pixel_mm, reached) = stack, seen
+    low, high, strength, y0_weights, (z0, z0_weights, between) = strip
     nodes, weights = rule
     count = fractions.size
     first = math.log(fractions[0] / (1.0 + margin - fractions[0]))
@@ -305,18 +449,21 @@ def average_rows(
                 for k in range(count):
                     profile[side, k] = 0.0
                     for m in range(y0_weights.size):
-                        for n in range(liquids):
-                            profile[side, k, n] += y0_weights[m] * values[j, m, side, i, k, n]
+                        for node in range(values.shape[0]):
+                            weight = y0_weights[m] * between[j, node]
+                            if weight != 0.0:  # of a whole wall's nodes few count
+                                for n in range(liquids):
+                                    profile[side, k, n] += weight * values[node, m, side, i, k, n]
             crossing = sighting_row(geometry, x[i], middle, z0[j])
             beam_low = sighting_row(geometry, x[i], low, z0[j])
             beam_high = sighting_row(geometry, x[i], high, z0[j])
-            seen = beam_high - beam_low
+            wide = beam_high - beam_low
             below = depth_below(geometry, x[i], middle, z0[j], mirrored)
             spans = (max(geometry.half_width + crossing, 1e-6), max(geometry.half_width - crossing, 1e-6))
             if y0_weights.size == 1:  # where only y − y₀ matters
                 spans = (2.0 * geometry.half_width, 2.0 * geometry.half_width)
             # Flux per row seen: the beam's width over its width as seen; per pixel: over the pixel.
-            scale = strength * z0_weights[j] * (high - low) / (seen * pixel_mm)
+            scale = strength * z0_weights[j] * (high - low) / (wide * pixel_mm)
             for n in range(liquids):
                 fading[n] = math.exp(-decays[n] * x[i])
             for row in range(rows.shape[0]):
@@ -327,9 +474,9 @@ def average_rows(
                 pixel = pixel_high - pixel_low
                 centre = 0.5 * (pixel_low + pixel_high) - 0.5 * (beam_low + beam_high)
                 total[:] = 0.0
-                if abs(centre) > FAR * (pixel + seen):
-                    spread = math.sqrt((pixel * pixel + seen * seen) / 12.0)
-                    half = 0.5 * pixel * seen
+                if abs(centre) > FAR * (pixel + wide):
+                    spread = math.sqrt((pixel * pixel + wide * wide) / 12.0)
+                    half = 0.5 * pixel * wide
                     _add_profile(total, half, profile, decays, spans, centre - spread, even)
                     _add_profile(total, half, profile, decays, spans, centre + spread, even)
                 else:
@@ -352,7 +499,8 @@ def average_rows(
                 share = 0.0
                 for n in range(nodes.size):
                     y = 0.5 * (pixel_low + pixel_high + pixel * nodes[n])
-                    share += 0.5 * weights[n] * share_seen(geometry, x[i], y, abs(y - crossing), below)
+                    inside = share_within(geometry.height, reached[i, row, n], abs(y - crossing), below)
+                    share += 0.5 * weights[n] * inside
                 for n in range(liquids):
                     rows[row, i, n] += scale * share * fading[n] * total[n]
 
@@ -388,8 +536,11 @@ def _add_profile(
     if total.size == 1:  # a loop over one liquid would take half as long again
         total[0] += weight * _cubic(profile[side], k, 0, (a, b, c, d)) * exponential(-decays[0] * distance)
     else:
+        fading, of = 1.0, 0.0
         for n in range(total.size):
-            total[n] += weight * _cubic(profile[side], k, n, (a, b, c, d)) * exponential(-decays[n] * distance)
+            if decays[n] != of:  # liquids of one extinction, as they stand side by side, share it
+                fading, of = exponential(-decays[n] * distance), decays[n]
+            total[n] += weight * _cubic(profile[side], k, n, (a, b, c, d)) * fading
 
 
 @part

@@ -192,14 +192,25 @@ def share_seen(geometry: Geometry, x: float, y: float, apart: float, depth: floa
     depth
         Of the ray below the surface, mm; negative where it is seen mirrored in it.
     """
+    return share_within(geometry.height, depth_seen(geometry, x, y), apart, depth)
+
+
+@kernel
+def depth_seen(geometry: Geometry, x: float, y: float) -> float:
+    """How deep the line of sight through (x, y, Lz) gets before it leaves through a wall or the floor, mm."""
     vx, vy, vz, _ = sight_line(geometry, x, y)
     _, t_max = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
-    if t_max * vz >= (1.0 - 1e-12) * geometry.height:
+    return max(t_max, 0.0) * vz
+
+
+@part
+def share_within(height: float, reached: float, apart: float, depth: float) -> float:
+    """`share_seen` of a line of sight that reaches a depth, in water of a height, mm."""
+    if reached >= (1.0 - 1e-12) * height:
         return 1.0  # down to the floor: nearly all lines
-    wide = math.hypot(apart, SPREAD * geometry.height)
+    wide = math.hypot(apart, SPREAD * height)
     top = math.asinh(-depth / wide)
-    seen = math.asinh((max(t_max, 0.0) * vz - depth) / wide) - top
-    return seen / (math.asinh((geometry.height - depth) / wide) - top)
+    return (math.asinh((reached - depth) / wide) - top) / (math.asinh((height - depth) / wide) - top)
 
 
 @kernel
@@ -395,12 +406,10 @@ def laid_out(
     height = scene.tank.size_mm[2]
     low, high = z_mm
     sigma_t = scene.medium.sigma_t
-    # One node across a beam errs by (thickness/scale)²/24 or so, n nodes by its n-th power.
-    curvature = ((high - low) * max(sigma_t, 4.0 / height)) ** 2 / 24.0
     rays = math.ceil((high - low) * max(sigma_t / 3.0, 2.0 / height))
     straight = shift_invariant(scene)
     enough = fineness.curvature if straight else fineness.slanted_curvature
-    count = 1 if curvature < enough else fineness.more_rays + rays
+    count = 1 if curvature(high - low, sigma_t, height) < enough else fineness.more_rays + rays
     nodes, weights = np.polynomial.legendre.leggauss(
         min(count + (_more_between(high - low, height) if between else 0), 40)
     )
@@ -428,6 +437,11 @@ def laid_out(
     return Table(x, fractions, margin, y0, z0, values, decay, mirrored, inner), 0.5 * (high - low) * weights
 
 
+def curvature(high_mm: float, sigma_t: float, height: float) -> float:
+    """What one ray for a beam so high errs by, (thickness/scale)²/24 or so; n rays err by its n-th power."""
+    return (high_mm * max(sigma_t, 4.0 / height)) ** 2 / 24.0
+
+
 class Stack(NamedTuple):
     """J of several liquids at the nodes of one table."""
 
@@ -436,6 +450,11 @@ class Stack(NamedTuple):
     once for all of them."""
     decays: Array
     """(liquids,) κ of each."""
+
+
+def hardest(media: Sequence[Medium]) -> Medium:
+    """As dense as the densest of liquids, and as steep as the steepest."""
+    return Medium(0.0, max(one.sigma_t for one in media), max(one.g for one in media))
 
 
 def fill_stack(
@@ -464,9 +483,9 @@ def fill_stack(
     table, stack, weights
         The table has the nodes, and no values; `weights` (nz,) integrate over z₀, mm.
     """
-    hardest = Medium(0.0, max(one.sigma_t for one in media), max(one.g for one in media))
-    widest = replace(scene, medium=hardest)
-    table, weights = laid_out(widest, geometry, z_mm, mirrored, finest_mm, fineness, between)
+    table, weights = laid_out(
+        replace(scene, medium=hardest(media)), geometry, z_mm, mirrored, finest_mm, fineness, between
+    )
     y0 = table.y0_mm
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     half = y0.size // 2 if mirror_symmetric(scene) else 0

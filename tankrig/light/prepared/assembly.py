@@ -1,7 +1,7 @@
 """From images at chosen media to a model that answers for all between."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,6 +200,13 @@ def _projected(term: Term, patterns: Array) -> Term:
     return Term(term.power, term.plane, term.scale_plane, term.amplitudes @ patterns.T, term.scale)
 
 
+def _only_norms(term: Term) -> Term:
+    """A term of far fewer patterns whose sums have the same norms."""
+    flat = term.amplitudes.reshape(-1, term.amplitudes.shape[-1])
+    factor = np.linalg.qr(flat.T)[1].T
+    return replace(term, amplitudes=factor.reshape(*term.amplitudes.shape[:2], -1))
+
+
 def _misses(plan: PreparationPlan, checks: Array, terms: tuple[Term, ...], patterns: Array) -> Array:
     """(media, pixels) what orders 1 and 2 together are off by at media beside their grid, over their norm."""
     albedo = plan.albedos[0]
@@ -225,7 +232,7 @@ def _error_over_box(plan: PreparationPlan, draws: list[Term], terms: tuple[Term,
         Error of orders 1 and 2, of their norm.
     """
     places = np.random.default_rng(1).uniform(-1.0, 1.0, (UNSEEN, 3))
-    logarithms = []
+    logarithms, draws = [], [_only_norms(draw) for draw in draws]
     for place in places:
         sigma_t, albedo, g = (float(value) for value in plan.coordinates.back(place))
         at = (*plan.coordinates.of(sigma_t, albedo, g), sigma_t, albedo)

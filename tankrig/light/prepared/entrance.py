@@ -1,4 +1,4 @@
-"""What light that enters a bench at one height becomes, learned once: orders ≥ 3 of any pattern there, without paths.
+"""What light that enters a bench at one height becomes, learned once: any pattern there, without paths or tables.
 
 Light is linear in the pattern, and light that enters beside a place makes much the same image, moved with its ray. So
 light paths are followed from narrow strips of the wall, a few mm apart and at two heights of a band, and the image of
@@ -7,13 +7,15 @@ seen beside the strip's, at the ray itself wholly and the less the nearer a side
 fixed strips alone would have to be 4 mm apart or less (decision 211).
 
 What a pattern has beside the band, as halo and black level, is followed by paths of its own: it is little.
+
+Order 2 is put together from tables that reach from side wall to side wall, for all beams of the band (`light.double`).
 """
 
 import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,12 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
+from tankrig.light.double import Tabulated, numbers_of_wall, tables_of_wall
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.cache import Place
 from tankrig.light.prepared.plan import PreparationPlan, Sample
-from tankrig.light.prepared.sampling import PathImages
+from tankrig.light.prepared.sampling import PathImages, order_2_tolerance
 from tankrig.light.prepared.unlike import Conditions, why_not_learned
-from tankrig.light.rays import geometry_of, shift_invariant, sighting_row
+from tankrig.light.prepared.wall_tables import packed_tables, unpacked_tables
+from tankrig.light.rays import geometry_of, shift_invariant, sighting_rows
 from tankrig.scene import Beam, Medium, Scene
 from tankrig.scene.description import Interval
 from tankrig.threads import THREADS
@@ -48,6 +52,8 @@ MOST_BANDS, HIGHEST_BAND_MM = 3, 16.0
 """Heights that are learned at once, and how high a band may be."""
 AT_ONCE = 8
 """Media that are put together at once."""
+TABLES_COST = 9.0
+"""Time that tables of order 2 take at one medium, in lattices that one pattern's model takes of paths."""
 ROOM_MM = 1.5
 """That a band has beyond the beams that it is learned for: others of the same height lie a little beside them."""
 
@@ -112,7 +118,8 @@ class Entrance:
     def size(self) -> int:
         """Bytes that it takes."""
         numbers = math.prod(PathImages(self.scene, self.plan.albedos).shape)
-        return 2 * len(self.strips) * len(self.plan.paths) * numbers
+        tables = sum(numbers_of_wall(*self._wanted(samples)) for samples in self.plan.together)
+        return 2 * len(self.strips) * len(self.plan.paths) * numbers + 4 * tables
 
     @cached_property
     def plan(self) -> PreparationPlan:
@@ -186,7 +193,7 @@ class Entrance:
         """
         grid, geometry = PathImages(self.scene, ()).grid, geometry_of(self.scene)
         half, cell = geometry.half_width, grid.cell_mm[1]
-        x = (np.arange(grid.columns) + 0.5) * grid.cell_mm[0]
+        x: Array = (np.arange(grid.columns, dtype=float) + 0.5) * grid.cell_mm[0]
         y = (np.arange(grid.rows) + 0.5) * cell - half
         middles = 0.5 * (self._layers[:-1] + self._layers[1:])
         parts = [part for beam in beams for part in _parts(beam)]
@@ -198,13 +205,13 @@ class Entrance:
             (low, high), (floor, top) = part.y_mm, part.z_mm
             at, height = 0.5 * (low + high), 0.5 * (floor + top)
             upper = (height - middles[0]) / (middles[1] - middles[0])
-            ray = np.array([sighting_row(geometry, float(one), at, height) for one in x])[:, None]
+            ray = sighting_rows(geometry, x, at, height)[:, None]
             to_wall = np.maximum(np.where(y > ray, half - ray, half + ray), 1e-3)
             moving = np.clip(1.0 - np.abs(y - ray) / to_wall, 0.0, 1.0)
             light = part.irradiance * (high - low) / STRIP_MM * (top - floor) / (middles[1] - middles[0])
             for number, share in zip(numbers, shares, strict=True):
                 strip = float(self._y_mm[number])
-                beside = np.array([sighting_row(geometry, float(one), strip, height) for one in x])[:, None] - ray
+                beside = sighting_rows(geometry, x, strip, height)[:, None] - ray
                 row, between = _between((y + beside * moving + half) / cell - 0.5, grid.rows)
                 place = int(np.searchsorted(used, number))
                 for layer, weight in enumerate((1.0 - upper, upper)):
@@ -229,6 +236,27 @@ class Entrance:
         size = np.max(np.abs(images), axis=(2, 3)) + 1e-300
         small = (np.array(images) / size[:, :, None, None]).astype(np.float16)
         self.place.keep(self._file(sample), {"images": small, "size": size})
+
+    def learn_tables(self, samples: tuple[Sample, ...]) -> None:
+        """Tabulate order 2 of all light in the band for media that are together, where that has not been done."""
+        if not self.tables(samples):
+            self.place.keep(self._tables(samples), packed_tables(tables_of_wall(*self._wanted(samples))))
+
+    def tables(self, samples: tuple[Sample, ...]) -> list[Tabulated]:
+        """What was tabulated for media that the plan has together; nothing where that is not there."""
+        kept = self.place.kept(self._tables(samples))
+        try:
+            return [] if kept is None else unpacked_tables(kept, len(samples))
+        except (KeyError, TypeError, ValueError):
+            return []
+
+    def _tables(self, samples: tuple[Sample, ...]) -> Path:
+        return self.place.parts / f"tables{self.plan.together.index(samples)}.npz"
+
+    def _wanted(self, samples: tuple[Sample, ...]) -> tuple[Scene, Interval, list[Medium], float]:
+        """What `tables_of_wall` is asked for."""
+        media = [Medium(0.0, one.sigma_t, one.g) for one in samples]
+        return self.scene, self.band, media, order_2_tolerance(self.scene, self.tolerance)
 
     def _learned(self, sample: Sample, used: NDArray[np.int64]) -> Single:
         """(used strips, albedos, rows, degrees)."""
@@ -273,16 +301,19 @@ def learn(
         )
     lit = PathImages(scene, ()).lit
     entrances = [Entrance(lit, band, box, tolerance) for band in bands(scene)]
-    jobs = [(one, sample) for one in entrances for sample in one.plan.paths if not one.is_there]
     for one in entrances:
         one.place.require_room(one.size)
-    total, done = sum(sample.batches for _, sample in jobs), 0
+    jobs: list[tuple[Callable[[], None], float]] = []
+    for one in (each for each in entrances if not each.is_there):
+        jobs += [(partial(one.learn_tables, part), TABLES_COST * len(part)) for part in one.plan.together]
+        jobs += [(partial(one.learn_one, sample), sample.batches) for sample in one.plan.paths]
+    total, done = sum(cost for _, cost in jobs), 0.0
     pool = ThreadPoolExecutor(threads)
     try:
-        running = {pool.submit(one.learn_one, sample): sample for one, sample in jobs}
+        running = {pool.submit(job): cost for job, cost in jobs}
         for future in as_completed(running):
             future.result()
-            done += running[future].batches
+            done += running[future]
             progress(done / total)
     finally:
         pool.shutdown(cancel_futures=True)
@@ -346,8 +377,11 @@ def _between(place: Array, count: int) -> tuple[NDArray[np.int64], tuple[Array, 
 
 def _put_together(weights: Single, learned: Sequence[Single], along: Array) -> list[Array]:
     """(albedos, rows, degrees) of each medium."""
-    media, (strips, albedos, rows, _) = len(learned), learned[0].shape
-    light = np.array(learned) @ along.T.astype(np.float32)  # (media, strips, albedos, rows, columns)
-    by_column = np.ascontiguousarray(light.transpose(4, 1, 3, 0, 2)).reshape(len(along), strips * rows, -1)
-    seen = (weights @ by_column).reshape(len(along), rows, media, albedos)
-    return list(np.asarray(seen.transpose(2, 3, 1, 0).astype(float) @ along))
+    media, (strips, albedos, rows, degrees) = len(learned), learned[0].shape
+    columns = len(along)
+    # By degree first: images have four times as many columns, and putting numbers in order is most of the work.
+    light = np.stack(learned).transpose(4, 1, 3, 0, 2).reshape(degrees, -1)
+    by_column = (along.astype(np.float32) @ light).reshape(columns, strips * rows, -1)
+    seen = (weights @ by_column).reshape(columns, -1)
+    found = (along.T.astype(np.float32) @ seen).reshape(degrees, rows, media, albedos)
+    return list(np.asarray(found.transpose(2, 3, 1, 0), float))

@@ -36,6 +36,8 @@ SLANTED_EFFORT = 8.0
 """Times as many lattices where light or sight slant: there a path stands for one start, not for all along a beam."""
 CHECKS, CHECKS_SHARE = 6, 1 / 3
 """Media beside the grid at most, and in media of the grid."""
+TOGETHER = 12
+"""Media at most whose orders 1 and 2 are computed at once: more save little, and are lost where it is interrupted."""
 USUAL_TOLERANCE = 0.01
 SPREAD = (0.7548776662466927, 0.5698402909980532)
 """Steps of the additive sequence that fills a square most evenly (powers of the plastic number's inverse)."""
@@ -141,10 +143,21 @@ class PreparationPlan:
 
     @cached_property
     def checks(self) -> list[Sample]:
-        """Media beside that grid, where its polynomials' error is seen."""
-        count = min(CHECKS, round(CHECKS_SHARE * len(self.exact)))
+        """Media beside that grid, where its polynomials' error is seen; numbered on from those."""
+        first = len(self.exact)
+        count = min(CHECKS, round(CHECKS_SHARE * first))
         even = (np.arange(1, count + 1)[:, None] * SPREAD) % 1.0
-        return [self._sample(index, (u, v)) for index, (u, v) in enumerate((2.0 * even - 1.0).tolist())]
+        return [self._sample(first + index, (u, v)) for index, (u, v) in enumerate((2.0 * even - 1.0).tolist())]
+
+    @cached_property
+    def together(self) -> list[tuple[Sample, ...]]:
+        """Media of both whose orders 1 and 2 are computed at once: the steepest says how fine tables are.
+
+        Those of one extinction follow each other.
+        """
+        ordered = sorted(self.exact + self.checks, key=lambda one: (one.g, one.index))
+        parts = [ordered[first : first + TOGETHER] for first in range(0, len(ordered), TOGETHER)]
+        return [tuple(sorted(part, key=lambda one: (one.sigma_t, one.g))) for part in parts]
 
     @cached_property
     def paths(self) -> list[Sample]:

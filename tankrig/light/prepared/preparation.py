@@ -31,8 +31,6 @@ MOST_PIXELS = 40_000
 """Beyond, the images of all media would take more than a GiB."""
 EXACT_COST = 0.7
 """Time that orders 1 and 2 take at one medium, in batches of paths."""
-TOGETHER = 8
-"""Media at most whose orders 1 and 2 are computed at once: more save little, and are lost where it is interrupted."""
 
 
 def place_of(scene: Scene, box: Box, tolerance: float) -> Place:
@@ -112,13 +110,6 @@ class _Job:
         return f"{self.kind}{self.samples[0].index}"
 
 
-def _together(kind: str, samples: list[Sample]) -> list[_Job]:
-    """Orders 1 and 2 of media: those of like asymmetry at once, as the steepest of them says how fine tables are."""
-    ordered = sorted(samples, key=lambda one: (one.g, one.index))
-    parts = [tuple(ordered[first : first + TOGETHER]) for first in range(0, len(ordered), TOGETHER)]
-    return [_Job(kind, part, EXACT_COST * len(part)) for part in parts]
-
-
 class _Work:
     """The images that a plan asks for: those that an interrupted preparation has left are not made again."""
 
@@ -128,8 +119,7 @@ class _Work:
         self._pixels = scene.camera.shape[0] * scene.camera.shape[1]
         # What takes longest comes first, so that no core is left with it at the end.
         self._jobs = sorted(
-            _together("exact", plan.exact)
-            + _together("check", plan.checks)
+            [_Job("exact", part, EXACT_COST * len(part)) for part in plan.together]
             + [_Job("paths", (sample,), sample.batches) for sample in (() if entrance else plan.paths)],
             key=lambda job: -job.cost,
         )
@@ -145,7 +135,7 @@ class _Work:
     def images(self, progress: Progress, threads: int) -> Images:
         """Compute, or read, all."""
         total, done = sum(job.cost for job in self._jobs), 0.0
-        found: dict[str, dict[int, NDArray[np.floating]]] = {"exact": {}, "check": {}, "paths": {}}
+        found: dict[str, dict[int, NDArray[np.floating]]] = {"exact": {}, "paths": {}}
         pool = ThreadPoolExecutor(threads)
         try:
             running = {pool.submit(self._images, job): job for job in self._jobs}
@@ -160,7 +150,8 @@ class _Work:
             found["paths"] = dict(self._entrance.images(self.sampling, self._plan.paths))
         stacks = {kind: np.array([images[index] for index in sorted(images)]) for kind, images in found.items()}
         share = MOVED if self._entrance is not None else 0.0
-        return Images(stacks["exact"], stacks["check"], stacks["paths"], share)
+        grid, checks = np.split(stacks["exact"], [len(self._plan.exact)])
+        return Images(grid, checks, stacks["paths"], share)
 
     def _images(self, job: _Job) -> NDArray[np.floating]:
         """Of each of a job's media."""
@@ -177,6 +168,7 @@ class _Work:
             images = images.astype(np.float32)
         else:
             liquids = [(one.sigma_t, one.g) for one in job.samples]
-            images = exact_images(self._scene, liquids, self._plan.tolerance)
+            tables = self._entrance.tables(job.samples) if self._entrance is not None else []
+            images = exact_images(self._scene, liquids, self._plan.tolerance, tables)
         self._place.keep(path, {"images": images})
         return images

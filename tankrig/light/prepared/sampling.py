@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from tankrig.light.double import Tabulated
 from tankrig.light.entering import entering
 from tankrig.light.leaving import CameraLens
 from tankrig.light.paths.block import LARGE, PathLimits, Points
@@ -51,12 +52,14 @@ def order_2_tolerance(scene: Scene, tolerance: float) -> float:
     return tolerance * (SHARE if shift_invariant(scene) else SLANTED_SHARE)
 
 
-def exact_images(scene: Scene, liquids: Sequence[tuple[float, float]], tolerance: float) -> Array:
-    """Orders 1 and 2 at ϖ = 1 of liquids of some σt and g, (liquids, 2, pixels)."""
+def exact_images(
+    scene: Scene, liquids: Sequence[tuple[float, float]], tolerance: float, known: Sequence[Tabulated] = ()
+) -> Array:
+    """Orders 1 and 2 at ϖ = 1 of liquids of some σt and g, (liquids, 2, pixels); `known` as for `twice_of`."""
     media = [Medium(0.0, sigma_t, g) for sigma_t, g in liquids]
     lens, tables = CameraLens.of(scene), order_2_tolerance(scene, tolerance)
     first = np.array([low_orders(replace(scene, medium=one), tables, highest=1) for one in media])
-    second = twice_of(scene if lens is None else lens.wide, media, tables)
+    second = twice_of(scene if lens is None else lens.wide, media, tables, known)
     if lens is not None:
         second = np.array([lens.of_wide(one) for one in second])
     return np.stack([first, second], axis=1).reshape(len(media), 2, -1)
