@@ -20,6 +20,7 @@ from tankrig.devices import Delivered
 from tankrig.dosing import TankLedger
 from tankrig.dosing.records import JointCount
 from tankrig.errors import ImageError, SequenceError
+from tankrig.live import preparing as live_preparing
 from tankrig.live.light_seen import require_light_seen
 from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import LOOK, is_kept
@@ -269,5 +270,8 @@ def test_what_is_prepared_before_a_run_is_what_its_fit_asks_for(
     assert [is_kept(scene, LOOK) for scene in plan.scenes.values()] == [True]
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["kept"] == 1
+    monkeypatch.setattr(live_preparing, "unlike_learned", lambda *_: "another bench was learned")
+    assert main(words) == 0
+    assert capsys.readouterr().out.splitlines()[1:] == ["note     another bench was learned"]
     assert main(["prepare", "--sequence", str(sequence)]) == 2
     assert main(["prepare"]) == 2
