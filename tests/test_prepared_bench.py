@@ -26,13 +26,14 @@ from tankrig.light.prepared.entrance import Entrance, bands, learn
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.light.prepared.unlike import Conditions, why_not_learned
 from tankrig.light.prepared.wall_tables import packed_tables, unpacked_tables
-from tankrig.light.single import single_scattering
+from tankrig.light.single import single_scattering, single_scattering_of
 from tankrig.light.surface import many_to_camera, to_camera
 from tankrig.light.tank import tank_image
 from tankrig.live import preparing
 from tankrig.live.formatting import preparation_in_words
 from tankrig.live.preparing import LOOK, Preparing
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tankrig.scene.phase_functions import ReynoldsMcCormick
 from tests import bent_scenes as scenes
 from tests.stress_scenes import relative
 from ui.cli import main
@@ -324,6 +325,19 @@ def test_tables_come_back_from_a_file_as_they_were(of_wall: list[Tabulated]) -> 
     assert numbers == sum(one.stack.values.size for one in of_wall)
     with pytest.raises(ValueError, match="other liquids"):
         unpacked_tables(packed_tables(of_wall), 2)
+
+
+@pytest.mark.parametrize("scene", [scenes.small(MEDIUM), BENCH], ids=["calibrated", "pinholes"])
+def test_order_1_of_several_liquids_is_that_of_each(scene: Scene) -> None:
+    """The densest says how finely lines of sight are cut, the thinnest how far they are followed."""
+    media = [Medium(0.0, 0.003, 0.2), Medium(0.0, 0.05, 0.7), Medium(0.001, 0.02, 0.92)]
+    for medium, image in zip(media, single_scattering_of(scene, media), strict=True):
+        alone = single_scattering(replace(scene, medium=medium))
+        assert alone.any()
+        assert relative(image, alone) < 1e-5
+    mixed = [media[0], Medium(0.0, 0.01, phase=ReynoldsMcCormick(0.5, 1.0))]
+    for medium, image in zip(mixed, single_scattering_of(scene, mixed), strict=True):
+        assert np.array_equal(image, single_scattering(replace(scene, medium=medium)))
 
 
 def test_order_2_of_several_liquids_is_that_of_each() -> None:

@@ -4,32 +4,36 @@ Heights at which the light came in grow along the line of sight, so the line is 
 beam by a search; its other two edges are straight enough over short stretches.
 """
 
-import math
+import numpy as np
+from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
+from tankrig.light.liquids import Liquids, add_scattered
 from tankrig.light.quadrature import Rule
 from tankrig.light.rays import Edges, Geometry, Ray, bent_light, light_kept, path_inside, sight_line
-from tankrig.scene.phase import phase_density
-from tankrig.scene.phase_table import PhaseRecord
+
+Array = NDArray[np.float64]
 
 STRETCH_MM = 20.0
 """Over which a beam's side faces count as planes; they bulge by less than 0.05 mm."""
 
 
 @kernel
-def along_sight_in_bent_light(
-    geometry: Geometry, x: float, y: float, sigma_t: float, phase: PhaseRecord, edges: Edges, rule: Rule
-) -> float:
-    """∫ p exp(−σt (d₁ + d₂)) E/E₀ ds along the line of sight through (x, y, Lz), times the surface's transmission.
+def add_along_sight_in_bent_light(
+    found: Array, factor: float, geometry: Geometry, x: float, y: float, liquids: Liquids, edges: Edges, rule: Rule
+) -> None:
+    """Add ∫ p exp(−σt (d₁ + d₂)) E/E₀ ds along the line of sight through (x, y, Lz), times the surface's transmission.
 
     Parameters
     ----------
+    found, factor
+        (liquids,) that it is added to, times a factor.
     geometry
         Numbers of the scene.
     x, y
         Where the line of sight leaves the surface, mm.
-    sigma_t, phase
-        Extinction in 1/mm, and the phase function.
+    liquids
+        Whose order 1 is asked for.
     edges
         Of the beam.
     rule
@@ -38,33 +42,31 @@ def along_sight_in_bent_light(
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     low, high = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
     if high <= low:
-        return 0.0
+        return
     sight = Ray(x, y, geometry.height, vx, vy, vz)
     top, bottom = _entry(geometry, sight, low)[1], _entry(geometry, sight, high)[1]
     if top <= edges[2] or bottom >= edges[3]:
-        return 0.0
+        return
     start = low if top <= edges[3] else _depth_of(geometry, sight, edges[3], low, high, top, bottom)
     end = high if bottom >= edges[2] else _depth_of(geometry, sight, edges[2], low, high, top, bottom)
     nodes, weights = rule
     stretches = 1 + int((end - start) / STRETCH_MM)
     step = (end - start) / stretches
     after = _entry(geometry, sight, start)[0]
-    total = 0.0
     for stretch in range(stretches):
         before, after = after, _entry(geometry, sight, start + (stretch + 1) * step)[0]
         first, last = _lit_share(before, after, edges[0], edges[1])
         if last <= first:
             continue
-        panels = 1 + int(sigma_t * step * (last - first) / 2.0)
+        panels = 1 + int(liquids.densest * step * (last - first) / 2.0)
         half = 0.5 * step * (last - first) / panels
         for panel in range(panels):
             for k in range(nodes.size):
                 depth = start + (stretch + first) * step + half * (2 * panel + 1.0 + nodes[k])
                 px, py, pz = x - vx * depth, y - vy * depth, geometry.height - vz * depth
                 ux, uy, uz, spread, _ = bent_light(geometry, px, py, pz)
-                value = spread * light_kept(geometry, uz) * math.exp(-sigma_t * (px / ux + depth))
-                total += weights[k] * half * value * phase_density(ux * vx + uy * vy + uz * vz, phase)
-    return transmission * total
+                light = factor * transmission * weights[k] * half * spread * light_kept(geometry, uz)
+                add_scattered(found, light, ux * vx + uy * vy + uz * vz, px / ux + depth, liquids)
 
 
 @kernel

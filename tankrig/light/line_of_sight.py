@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.bent_light import along_sight_in_bent_light
+from tankrig.light.bent_light import add_along_sight_in_bent_light
+from tankrig.light.liquids import Liquids, add_scattered
 from tankrig.light.quadrature import Rule, SightRules
 from tankrig.light.rays import Edges, Geometry, Ray, bent, light_kept, light_ray, path_inside, sight_line
-from tankrig.scene.phase import phase_density
-from tankrig.scene.phase_table import PhaseRecord
+
+Array = NDArray[np.float64]
 
 FAINT = 60.0
 """Free paths after which light is fainter than any rounding."""
@@ -41,27 +42,29 @@ class SharpBeam(NamedTuple):
 
 
 @kernel
-def across_sights(
-    geometry: Geometry, x: float, span: tuple[float, float], ends: NDArray[np.float64], sigma_t: float,
-    phase: PhaseRecord, edges: Edges, rules: SightRules,
-) -> float:  # fmt: skip
-    """∫ dy I₁(x, y)/(σs E₀) over a span, cut at rows where light ends, in order."""
+def add_across_sights(
+    found: Array, factor: float, geometry: Geometry, span: tuple[float, float, float], ends: Array,
+    liquids: Liquids, edges: Edges, rules: SightRules,
+) -> None:  # fmt: skip
+    """Add to (liquids,) a factor times ∫ dy I₁(x, y)/(σs E₀) over a span: x, y low, y high.
+
+    It is cut at rows where light ends, in order.
+    """
     (nodes, weights), depth_rule = rules
-    low, high = span
-    total, start = 0.0, low
+    x, low, high = span
+    start = low
     for k in range(ends.size + 1):
         end = min(max(ends[k], low), high) if k < ends.size else high
         half = 0.5 * (end - start)
         if 0.0 < half <= SHORT * geometry.height:
             for side in (-ROOT_THIRD, ROOT_THIRD):
                 y = start + half * (1.0 + side)
-                total += half * _along_sight(geometry, x, y, sigma_t, phase, edges, depth_rule)
+                _add_along_sight(found, factor * half, geometry, x, y, liquids, edges, depth_rule)
         elif half > 0.0:
             for j in range(nodes.size):
                 y = start + half * (1.0 + nodes[j])
-                total += half * weights[j] * _along_sight(geometry, x, y, sigma_t, phase, edges, depth_rule)
+                _add_along_sight(found, factor * half * weights[j], geometry, x, y, liquids, edges, depth_rule)
         start = max(start, end)
-    return total
 
 
 @kernel
@@ -85,12 +88,16 @@ def kinked(geometry: Geometry, x_left: float, width: float, edges: Edges) -> boo
 
 
 @kernel
-def _along_sight(
-    geometry: Geometry, x: float, y: float, sigma_t: float, phase: PhaseRecord, edges: Edges, rule: Rule
-) -> float:
-    """∫ p exp(−σt (d₁ + d₂)) E/E₀ ds along the line of sight through (x, y, Lz), times the surface's transmission."""
+def _add_along_sight(
+    found: Array, factor: float, geometry: Geometry, x: float, y: float, liquids: Liquids, edges: Edges, rule: Rule
+) -> None:
+    """Add ∫ p exp(−σt (d₁ + d₂)) E/E₀ ds along the line of sight through (x, y, Lz), times the surface's transmission.
+
+    Times a factor, too.
+    """
     if bent(geometry):
-        return along_sight_in_bent_light(geometry, x, y, sigma_t, phase, edges, rule)
+        add_along_sight_in_bent_light(found, factor, geometry, x, y, liquids, edges, rule)
+        return
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     low, high = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
     low, high = _clip_to_beam(geometry, Ray(x, y, geometry.height, vx, vy, vz), edges, low, high)
@@ -100,14 +107,13 @@ def _along_sight(
         az -= geometry.light_z
         along = (ax * vx + ay * vy + az * vz) / math.sqrt(ax * ax + ay * ay + az * az)
     # The way to a point and up to the surface grows by 1 − cos per mm of depth.
-    high = min(high, low + FAINT / (sigma_t * max(1.0 - along, 1e-3)))
+    high = min(high, low + FAINT / (liquids.thinnest * max(1.0 - along, 1e-3)))
     if high <= low:
-        return 0.0
+        return
     nodes, weights = rule
     apex = geometry.light_x
-    panels = 1 + int(sigma_t * (high - low) / 2.0)
+    panels = 1 + int(liquids.densest * (high - low) / 2.0)
     half = 0.5 * (high - low) / panels
-    total = 0.0
     for panel in range(panels):
         for k in range(nodes.size):
             depth = low + half * (2 * panel + 1.0 + nodes[k])
@@ -120,8 +126,8 @@ def _along_sight(
                 path = distance * px / dx
             else:
                 cosine, spread, path = vx, 1.0, px
-            total += weights[k] * half * phase_density(cosine, phase) * spread * math.exp(-sigma_t * (path + depth))
-    return transmission * total
+            light = factor * transmission * weights[k] * half * spread
+            add_scattered(found, light, cosine, path + depth, liquids)
 
 
 @kernel

@@ -6,6 +6,7 @@ all pixels: it is found once for each beam, at even steps of x, and taken from b
 """
 
 import math
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import NamedTuple
@@ -15,11 +16,11 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.cuts import CUTS, rows_of_ends
-from tankrig.light.line_of_sight import SharpBeam, across_sights, kinked
+from tankrig.light.line_of_sight import SharpBeam, add_across_sights, kinked
+from tankrig.light.liquids import Liquids, liquids_of
 from tankrig.light.quadrature import PixelRules, pixel_rules
 from tankrig.light.rays import Edges, Geometry, light_sources
-from tankrig.light.water import Water, water_of
-from tankrig.scene import Scene
+from tankrig.scene import Medium, Scene
 from tankrig.scene.footprint import footprints
 from tankrig.threads import THREADS
 
@@ -39,13 +40,13 @@ MARGIN_MM = 0.5
 """More than a beam's edges bulge between its corners."""
 
 
-def single_scattering_in_quadrangles(scene: Scene) -> Array:
-    """`single_scattering` for a calibrated camera: (rows, columns), W/mm²/sr; 0 where a pixel looks elsewhere."""
-    medium, seen = scene.medium, footprints(scene.camera, scene.tank)
-    image = np.zeros(scene.camera.shape)
-    water, rules = water_of(medium), pixel_rules()
+def single_scattering_in_quadrangles(scene: Scene, media: Sequence[Medium]) -> Array:
+    """`single_scattering_of` for a calibrated camera, W/mm²/sr; 0 where a pixel looks elsewhere."""
+    seen = footprints(scene.camera, scene.tank)
+    images = np.zeros((*scene.camera.shape, len(media)))
+    liquids, rules = liquids_of(media), pixel_rules()
     lit = [
-        _of_source(geometry, SharpBeam((*beam.y_mm, *beam.z_mm), medium.sigma_s * beam.irradiance))
+        _of_source(geometry, SharpBeam((*beam.y_mm, *beam.z_mm), beam.irradiance))
         for geometry, beams in light_sources(scene)
         for beam in beams
         if beam.irradiance > 0.0
@@ -53,11 +54,13 @@ def single_scattering_in_quadrangles(scene: Scene) -> Array:
 
     def add_rows(part: int) -> None:
         for one in lit:
-            _add_beam(image, seen.corners_mm, one, water, rules, part, THREADS)
+            _add_beam(images, seen.corners_mm, one, liquids, rules, part, THREADS)
 
     with ThreadPoolExecutor(THREADS) as pool:
         list(pool.map(add_rows, range(THREADS)))
-    return np.where(seen.areas_mm2 > 0.0, image / seen.areas_mm2, 0.0)
+    images *= np.array([one.sigma_s for one in media])
+    whole = np.moveaxis(images, 2, 0)
+    return np.where(seen.areas_mm2 > 0.0, whole / seen.areas_mm2, 0.0)
 
 
 class _LitBeam(NamedTuple):
@@ -99,12 +102,14 @@ def _ends_at(along: Array, x: float, length: float, ends: Array) -> None:
 
 
 @kernel
-def _add_beam(image: Array, grid: Array, lit: _LitBeam, water: Water, rules: PixelRules, part: int, parts: int) -> None:
+def _add_beam(
+    images: Array, grid: Array, lit: _LitBeam, liquids: Liquids, rules: PixelRules, part: int, parts: int
+) -> None:
     """Add ∫ I₁(x, y) dx dy of one beam, over each pixel's area, to one of so many parts of the rows."""
     geometry, along = lit.geometry, lit.along
     xs, ys, ends = np.empty(4), np.empty(4), np.empty((2, CUTS))
-    for row in range(part, image.shape[0], parts):
-        for column in range(image.shape[1]):
+    for row in range(part, images.shape[0], parts):
+        for column in range(images.shape[1]):
             for k in range(4):  # in turn around the pixel
                 i, j = row + k // 2, column + (k == 1 or k == 2)
                 xs[k], ys[k] = grid[i, j, 0], grid[i, j, 1]
@@ -117,28 +122,28 @@ def _add_beam(image: Array, grid: Array, lit: _LitBeam, water: Water, rules: Pix
             _ends_at(along, slices[3], geometry.length, ends[1])
             if ys.max() < min(ends[0, 0], ends[1, 0]) - MARGIN_MM or ys.min() > ends[:, -1].max() + MARGIN_MM:
                 continue
-            total = 0.0
             for k in range(3):
                 if slices[k + 1] > slices[k]:
-                    total += _slice(lit, water, rules, xs, ys, slices[k], slices[k + 1], ends)
-            image[row, column] += lit.beam.strength * total
+                    _add_slice(images[row, column], lit, liquids, rules, xs, ys, (slices[k], slices[k + 1]), ends)
 
 
 @kernel
-def _slice(
-    lit: _LitBeam, water: Water, rules: PixelRules, xs: Array, ys: Array, left: float, right: float, ends: Array
-) -> float:
-    """∫ dx ∫ dy I₁/(σs E₀) over the part of a pixel between two x, with no corner of it between them."""
+def _add_slice(
+    found: Array, lit: _LitBeam, liquids: Liquids, rules: PixelRules, xs: Array, ys: Array,
+    between: tuple[float, float], ends: Array,
+) -> None:  # fmt: skip
+    """Add ∫ dx ∫ dy I₁/σs over the part of a pixel between two x, with no corner of it between them."""
     geometry, along, edges = lit.geometry, lit.along, lit.beam.edges
-    (sigma_t, _, phase), sights = water, rules.sights
+    sights, strength = rules.sights, lit.beam.strength
+    left, right = between
     width = right - left
     low_left, high_left = _span(geometry, xs, ys, left + 1e-9 * width)
     low_right, high_right = _span(geometry, xs, ys, right - 1e-9 * width)
     _ends_at(along, left, geometry.length, ends[0])
     _ends_at(along, right, geometry.length, ends[1])
     if ends[:, -1].max() < min(low_left, low_right) or ends[:, 0].min() > max(high_left, high_right):
-        return 0.0
-    parts = 1 + int(sigma_t * width)
+        return
+    parts = 1 + int(liquids.densest * width)
     whole = xs.max() - xs.min()  # a narrow slice needs fewer parts
     for k in range(CUTS):
         if (ends[0, k] < low_left) != (ends[1, k] < low_right) or (ends[0, k] < high_left) != (ends[1, k] < high_right):
@@ -148,7 +153,7 @@ def _slice(
         parts = max(parts, min(math.ceil(KINKED_PARTS * width / whole), enough))
     nodes, weights = rules.x
     sliver = width < SLIVER * whole
-    total, cuts = 0.0, ends[0]
+    cuts = ends[0]
     for part in range(parts):
         for i in range(1 if sliver else nodes.size):
             x = left + width * (part + 0.5 + (0.0 if sliver else 0.5 * nodes[i])) / parts
@@ -158,9 +163,8 @@ def _slice(
             _ends_at(along, x, geometry.length, cuts)
             if cuts[-1] <= low or cuts[0] >= high:
                 continue
-            here = across_sights(geometry, x, (low, high), cuts, sigma_t, phase, edges, sights)
-            total += 0.5 * width / parts * (2.0 if sliver else weights[i]) * here
-    return total
+            share = strength * 0.5 * width / parts * (2.0 if sliver else weights[i])
+            add_across_sights(found, share, geometry, (x, low, high), cuts, liquids, edges, sights)
 
 
 @kernel

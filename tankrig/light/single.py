@@ -5,18 +5,20 @@ pixel's width, along lines of sight (`line_of_sight`). A calibrated camera's pix
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.cuts import CUTS, rows_of_ends
-from tankrig.light.line_of_sight import FAINT, SharpBeam, across_sights, kinked
+from tankrig.light.line_of_sight import FAINT, SharpBeam, add_across_sights, kinked
+from tankrig.light.liquids import Liquids, liquids_of
 from tankrig.light.quadrangles import KINKED_PARTS, SLANTED_PARTS, single_scattering_in_quadrangles
 from tankrig.light.quadrature import PixelRules, pixel_rules
 from tankrig.light.rays import Edges, Geometry, light_sources
-from tankrig.light.water import Water, water_of
-from tankrig.scene import Scene
+from tankrig.scene import Medium, Scene
 
 MOST_PARTS = 64
 """Along x; in larger pixels, counted in free paths, order 1 is a guess."""
@@ -49,13 +51,20 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
     if medium.sigma_s == 0.0:
         return image
     if camera.kind == "calibrated":
-        return single_scattering_in_quadrangles(scene)
-    water, rules = water_of(medium), pixel_rules()
+        return np.asarray(single_scattering_in_quadrangles(scene, [medium])[0])
+    liquids, rules = liquids_of([medium]), pixel_rules()
     for geometry, beams in light_sources(scene):
         for beam in beams:
             lit = SharpBeam((*beam.y_mm, *beam.z_mm), medium.sigma_s * beam.irradiance)
-            _add_beam(image, camera.pixel_mm, geometry, water, lit, rules)
+            _add_beam(image, camera.pixel_mm, geometry, liquids, lit, rules)
     return image
+
+
+def single_scattering_of(scene: Scene, media: Sequence[Medium]) -> NDArray[np.float64]:
+    """The same of several liquids, (media, rows, columns); of a calibrated camera for little more than one's."""
+    if scene.camera.kind == "calibrated" and all(one.phase is None for one in media):
+        return single_scattering_in_quadrangles(scene, media)
+    return np.array([single_scattering(replace(scene, medium=one)) for one in media])
 
 
 @kernel
@@ -63,7 +72,7 @@ def _add_beam(
     image: NDArray[np.float64],
     pixel_mm: float,
     geometry: Geometry,
-    water: Water,
+    liquids: Liquids,
     beam: SharpBeam,
     rules: PixelRules,
 ) -> None:
@@ -71,11 +80,11 @@ def _add_beam(
 
     ⟨I₁⟩ = 1/(Δx Δy) ∫ dx ∫ dy I₁(x, y)   over each pixel, I₁ as in `line_of_sight`
     """
-    (edges, strength), (sigma_t, _, phase) = beam, water
+    (edges, strength), sigma_t = beam, liquids.densest
     (x_nodes, x_weights), sights = rules
     rows, columns = image.shape
     y_first = -geometry.half_width
-    ends = np.empty(CUTS)
+    ends, found = np.empty(CUTS), np.zeros(1)
     for column in range(columns):
         x_left = column * pixel_mm
         if x_left >= geometry.length:
@@ -94,8 +103,9 @@ def _add_beam(
                 for row in range(math.floor(top), math.floor(bottom) + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
-                    total = across_sights(geometry, x, (low, high), ends, sigma_t, phase, edges, sights)
-                    image[row, column] += strength * total / pixel_mm * 0.5 * x_weights[i] / parts * reach / pixel_mm
+                    found[0] = 0.0
+                    add_across_sights(found, strength, geometry, (x, low, high), ends, liquids, edges, sights)
+                    image[row, column] += found[0] / pixel_mm * 0.5 * x_weights[i] / parts * reach / pixel_mm
 
 
 @kernel

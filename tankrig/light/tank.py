@@ -18,7 +18,7 @@ from tankrig.light.moments.plan import moment_plan
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
 from tankrig.light.paths.smoothing import smoothed
-from tankrig.light.single import MOST_PARTS, single_scattering
+from tankrig.light.single import MOST_PARTS, single_scattering_of
 from tankrig.light.surface import lookup_error
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Medium, Scene
@@ -89,17 +89,22 @@ def tank_image(
 
 def once(scene: Scene) -> Array:
     """Order 1 with all that the projector's lens and clear faces do to the light."""
+    return np.asarray(once_of(scene, [scene.medium])[0])
+
+
+def once_of(scene: Scene, media: Sequence[Medium]) -> Array:
+    """The same of several liquids, (media, rows, columns)."""
     by_walls = not scene.tank.faces.dark
     if is_plain(scene) and not by_walls:
-        return single_scattering(scene)
+        return single_scattering_of(scene, media)
     from tankrig.light.walls.once import once_by_walls
 
-    image = np.zeros(scene.camera.shape)
+    images = np.zeros((len(media), *scene.camera.shape))
     for share, one in through_lens(entering(scene, fine=True), fine=True):
-        image += share * single_scattering(one)
+        images += share * single_scattering_of(one, media)
         if by_walls:
-            image += share * once_by_walls(one)
-    return image
+            images += [share * once_by_walls(replace(one, medium=medium)) for medium in media]
+    return images
 
 
 def twice(scene: Scene, tolerance: float) -> Array:

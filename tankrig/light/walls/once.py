@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.light.cuts import CUTS, rows_of_ends
-from tankrig.light.line_of_sight import SharpBeam, across_sights
+from tankrig.light.line_of_sight import SharpBeam, add_across_sights
+from tankrig.light.liquids import Liquids, liquids_of
 from tankrig.light.quadrature import PixelRules, pixel_rules
 from tankrig.light.rays import Geometry, Ray, light_ray, light_sources, sight_line
 from tankrig.light.surface import on_surface, to_camera
 from tankrig.light.walls.faces import ENTRY, FAR, FLOOR, LEFT, RIGHT, face_table, sent_back
-from tankrig.light.water import Water, water_of
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ def once_by_walls(scene: Scene) -> Array:
         plain = on_surface(scene)
         return to_camera(scene, once_by_walls(plain), (plain.camera.pixel_mm, plain.camera.pixel_mm))
     medium, pixel_mm = scene.medium, scene.camera.pixel_mm
-    water, rules = water_of(medium), pixel_rules()
+    liquids, rules = liquids_of([medium]), pixel_rules()
     for geometry, beams in light_sources(scene):
         for beam in beams:
             if beam.irradiance == 0.0:
@@ -74,7 +74,7 @@ def once_by_walls(scene: Scene) -> Array:
             for from_far, kept in ((False, 1.0), (True, far)):
                 lit = SharpBeam(edges, kept * medium.sigma_s * beam.irradiance)
                 for way in _ways(geometry, faces, from_far) if kept > 0.0 else ():
-                    _add_mirrored(image, pixel_mm, geometry, faces, water, lit, way, rules)
+                    _add_mirrored(image, pixel_mm, geometry, faces, liquids, lit, way, rules)
     return image
 
 
@@ -93,7 +93,7 @@ def _ways(geometry: Geometry, faces: Array, from_far: bool) -> list[Way]:
 
 @kernel
 def _add_mirrored(
-    image: Array, pixel_mm: float, geometry: Geometry, faces: Array, water: Water, beam: SharpBeam, way: Way,
+    image: Array, pixel_mm: float, geometry: Geometry, faces: Array, liquids: Liquids, beam: SharpBeam, way: Way,
     rules: PixelRules,
 ) -> None:  # fmt: skip
     """Add one beam as lines of sight by way of some faces show it.
@@ -101,9 +101,9 @@ def _add_mirrored(
     ⟨I₁⟩ = 1/(Δx Δy) ∫ dx R ∫ dy I₁(mirrored line of sight)   over each pixel, R what the faces send back
     """
     edges, (from_far, x_wall, y_wall, floor, _) = beam.edges, way
-    (sigma_t, _, phase), sights = water, rules.sights
+    sigma_t, sights = liquids.densest, rules.sights
     nodes, weights = rules.x
-    ends = np.empty(CUTS)
+    ends, found = np.empty(CUTS), np.zeros(1)
     length, half_width, height = geometry.length, geometry.half_width, geometry.height
     for column in range(image.shape[1]):
         for piece in range(PARTS):
@@ -145,12 +145,15 @@ def _add_mirrored(
                     rows_of_ends(mirrored, seen_x, lit, ends)
                     if ends[-1] <= y_low or ends[0] >= y_high:
                         continue
-                    total = across_sights(mirrored, seen_x, (y_low, y_high), ends, sigma_t, phase, lit, sights)
+                    found[0] = 0.0
+                    add_across_sights(found, 1.0, mirrored, (seen_x, y_low, y_high), ends, liquids, lit, sights)
                     if from_far:  # the light beyond the far wall alone: what is in two tanks less what is in one
                         near = _as_long(mirrored, length)
-                        total -= across_sights(near, seen_x, (y_low, y_high), ends, sigma_t, phase, lit, sights)
+                        add_across_sights(found, -1.0, near, (seen_x, y_low, y_high), ends, liquids, lit, sights)
                     gained = math.exp(sigma_t * lift)
-                    image[row, column] += beam.strength * share * gained * total / pixel_mm * 0.5 * weights[i] / PARTS
+                    image[row, column] += (
+                        beam.strength * share * gained * found[0] / pixel_mm * 0.5 * weights[i] / PARTS
+                    )
 
 
 @part
