@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 import tankrig
 from tankrig.errors import SceneError, SequenceError
-from tankrig.estimation.corrections import SETTLED, _beyond
+from tankrig.estimation.corrections import SETTLED
 from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.estimate import Estimate, fit_models
-from tankrig.estimation.followed import Followed, Model
+from tankrig.estimation.followed import Model
 from tankrig.estimation.forward import Models, image_of, models_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.phase_answer import Asked, asked_for, rougher
@@ -29,7 +29,6 @@ from tankrig.estimation.phase_families import (
     free,
     henyey_greenstein,
     labelled,
-    two_term,
 )
 from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
 from tankrig.estimation.scaling import Scaling
@@ -312,48 +311,6 @@ def test_where_hardly_anything_tells_phase_functions_apart_intervals_count_them(
     found = fit_models(seen, SCENE, Scaling(1.0, 0.0), models, lambda _: None)
     assert "hardly tells Henyey–Greenstein's phase function from others" in found.verdict
     assert math.sqrt(found.covariance[2, 2]) > 0.01  # .0047 by Henyey–Greenstein's alone
-
-
-def test_derivatives_along_paths_know_the_finer_shapes_of_a_phase_function() -> None:
-    """Five moments of p had what order 3 does by some shapes wrong by more than it is."""
-    family = free()
-    scene = replace(TANK, camera=Camera("orthographic", (20, 30), 8.0))
-    at = as_free(TwoTerm(0.88, -0.3, 0.94))
-
-    def image(off: Array) -> Array:
-        liquid = Medium(6e-4, 0.02, phase=family.phase(at + off))
-        orders = tank_image(replace(scene, medium=liquid), batches=16, seed=3).orders
-        return np.sum([light for name, light in orders.items() if name not in (1, 2)], axis=0)
-
-    slopes = Followed(scene, 16, 3, None, family=family, sharp=True).high_slopes(
-        Medium(6e-4, 0.02, phase=family.phase(at))
-    )
-    for shape in (5, 6, 9):
-        step = 0.1 * np.eye(at.size)[shape]
-        change = (image(step) - image(-step)) / 0.2
-        assert np.linalg.norm(slopes[2 + shape] - change) < 0.5 * np.linalg.norm(change), shape
-
-
-def test_images_that_a_fit_came_by_are_remembered() -> None:
-    """A model that changes .6 times as much as the image does is right at media that exact images are known of."""
-    family = two_term()
-
-    def dull(liquid: Medium) -> Prediction:
-        return replace(many_turns(liquid), image=0.6 * many_turns(liquid).image)
-
-    def liquid(*values: float) -> Medium:
-        return Medium(values[0], values[1], phase=family.phase(np.array(values[2:])))
-
-    centre = liquid(0.001, 0.02, *family.coordinates(TwoTerm(0.8, -0.3, 0.9)))
-    places = [liquid(0.0012, 0.021, 1.0, -0.3, 2.0), liquid(0.0009, 0.018, 1.2, -0.2, 2.3)]
-    past = [(one, many_turns(one).image - many_turns(centre).image) for one in places]
-    slopes = liquid_slopes_of(lambda one: many_turns(one).image, 240.0, family)(centre)
-    beyond = _beyond(dull, centre, family, slopes, past)
-    assert np.abs(beyond(centre)).max() < 1e-12 * many_turns(centre).image.max()
-    for one, change in past:
-        said = dull(one).image - dull(centre).image
-        assert np.linalg.norm(said - change) > 0.3 * np.linalg.norm(change)
-        assert np.linalg.norm(said + beyond(one) - change) < 0.02 * np.linalg.norm(change)
 
 
 def test_nothing_is_determined_by_a_phase_function_that_does_not_describe_the_image() -> None:

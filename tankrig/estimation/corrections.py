@@ -37,9 +37,6 @@ or high orders are solved for."""
 CORRECTIONS, SETTLED = 4, 0.1
 """Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
 which that is over, see `Block.looseness`."""
-MOST_CORRECTIONS, LITTLE, MUCH = 7, 5.0, 20.0
-"""Exact images at most where a phase function's coordinates are fitted along light paths; how little, in χ²/2, the last
-one may promise to gain for that to be over; and from how much on a fit has not settled in the end."""
 SETTLED_SHARE = 0.5
 """Share of its standard deviation by which each value may have moved besides."""
 NOISY = 0.1
@@ -50,8 +47,9 @@ is made they move by several standard deviations, and more would not be worth it
 WORSE, HALVINGS = 3.0, 3
 """By how much more the next exact image may cost, in χ²/2, and times at most that the way to it is halved otherwise,
 where a phase function's coordinates are fitted: of three numbers steps bend little."""
-ALIKE_WAYS = 1e-3
-"""Share by which the ways to media that a fit has come by are taken to be less alike than they are."""
+MUCH = 20.0
+"""From how much on, in χ²/2, that an optimum promises to gain on its last exact image a fit of a phase function's
+coordinates has not settled in the end."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 
@@ -84,8 +82,6 @@ def corrected_fit(
     solved = any(is_solved(model) for model in models)
     along = many and all(isinstance(model, Followed) for model in models)
     slopes_noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, models, strict=True)]
-    families = [shot.models.family for shot in shots]
-    past: list[tuple[Sequence[Medium], Sequence[Prediction]]] = []
 
     def exact(at: Evaluation, times: float) -> list[Prediction]:
         return [shot.models.exact(one, times) for shot, one in zip(shots, at.media, strict=True) if shot.models.exact]
@@ -95,13 +91,6 @@ def corrected_fit(
         slopes = problem.of_views(lambda view: view.slopes(liquids[view.dose]))
         noise = [one and _always(one(medium)) for one, medium in zip(slopes_noise, media, strict=True)]
         near = [_about(*one) for one in zip(models, media, strict=True)]
-        beyond: list[Forward] = [_nothing for _ in near]
-        if along:
-            for k, now in enumerate(seen):
-                came = [(then_at[k], then[k].image - now.image) for then_at, then in past]
-                beyond[k] = _beyond(near[k], media[k], families[k], slopes[k], came)
-            near = [_with(*one) for one in zip(near, beyond, strict=True)]
-            past.append((media, seen))
         last = tuple(corrected(*one) for one in zip(near, media, seen, strict=True))
         weighed = weighed_problem(
             problem, shots, [image_of(model) for model in last], [_always(one) for one in slopes], seen, centre.added
@@ -109,9 +98,10 @@ def corrected_fit(
         shown = [model(medium) for model, medium in zip(near, media, strict=True)]
         smooth = [one.image for one in shown]
         bent = _without_noise_in_gain(weighed, smooth, seen, centre.added).by([image_of(model) for model in near])
+        families = [shot.models.family for shot in shots]
         straight = [
-            _linear(image, medium, slope, family, more)
-            for image, medium, slope, family, more in zip(smooth, media, slopes, families, beyond, strict=True)
+            _linear(image, medium, slope, family)
+            for image, medium, slope, family in zip(smooth, media, slopes, families, strict=True)
         ]
         line = replace(bent.by(straight), quick=True)
         end = solve(line, start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
@@ -129,14 +119,12 @@ def corrected_fit(
     progress("correcting by accurate images")
     centre, rough = best, along
     fit = about(centre, exact(centre, FIRST if rough else 1.0), centre)
-    for _ in range((MOST_CORRECTIONS if along else CORRECTIONS) - 1):
+    for _ in range(CORRECTIONS - 1):
         if not rough and _settled(fit.optimum, centre, SETTLED * problem.looseness):
             break
         progress("correcting by accurate images")
         centre, seen = _borne_out(fit, centre, partial(exact, times=1.0), HALVINGS if many else 0)
         fit, rough = about(centre, seen, centre), False
-        if along and _promised(fit, centre) < LITTLE:
-            break
     if sharper and _held_back(fit.optimum):
         progress("correcting by images as accurate as the photographs")
         fit = about(centre, exact(centre, SHARPER), fit.optimum)
@@ -144,17 +132,12 @@ def corrected_fit(
     views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
     whole = replace(end.problem, views=tuple(views)).with_slopes_noise(slopes_noise)
     found = whole.at(end.coordinates)
-    unsettled = along and _promised(fit, centre) > MUCH
+    unsettled = along and end.problem.at(centre.coordinates).cost - end.cost > MUCH
     return replace(fit, optimum=found, moved=_values(found) - _values(centre) if unsettled else None)
 
 
 def _values(at: Evaluation) -> Vector:
     return np.concatenate([at.values[block.name] for block in at.problem.blocks])
-
-
-def _promised(fit: Fit, centre: Evaluation) -> float:
-    """By how much less than where its last exact image was made an optimum costs, in χ²/2."""
-    return fit.optimum.problem.at(centre.coordinates).cost - fit.optimum.cost
 
 
 def _borne_out(
@@ -203,53 +186,10 @@ def _settled(best: Evaluation, centre: Evaluation, near: Vector) -> bool:
     return bool((np.abs(_values(best) - _values(centre)) < SETTLED_SHARE * np.sqrt(np.diag(spread))).all())
 
 
-def _linear(image: Image, centre: Medium, slopes: Image, family: Family | None, beyond: Forward) -> Forward:
-    """An image, changes of it to first order, and what there is beyond."""
+def _linear(image: Image, centre: Medium, slopes: Image, family: Family | None) -> Forward:
+    """An image, and changes of it to first order."""
     at = values_of(centre, family)
-    return lambda medium: np.asarray(image + np.tensordot(values_of(medium, family) - at, slopes, 1) + beyond(medium))
-
-
-def _beyond(
-    model: Model, centre: Medium, family: Family | None, slopes: Image, past: Sequence[tuple[Medium, Image]]
-) -> Forward:
-    """What exact images of media that a fit has come by say of changes about its centre beyond what a model says.
-
-    Along the way from there it is what they differ by from the model, in proportion to how far that way is gone;
-    across it nothing (Broyden 1965). Derivatives by a free phase function are noisy, and
-    what a fit finds by them is their noise first.
-
-    Parameters
-    ----------
-    model
-        About the centre.
-    slopes
-        Derivatives there, (k, rows, columns): how much each value matters.
-    past
-        Media, and their exact images less the centre's.
-    """
-    if not past:
-        return _nothing
-    at, here = values_of(centre, family), model(centre).image
-    weight = np.sqrt(np.sum(np.square(slopes), axis=(1, 2)))
-    ways = np.array([weight * (values_of(one, family) - at) for one, _ in past])
-    off = np.array([change - (model(one).image - here) for one, change in past])
-    products = ways @ ways.T
-    shares = np.linalg.solve(products + ALIKE_WAYS * np.diag(np.diag(products)), ways * weight)
-    return lambda medium: np.asarray(np.tensordot(shares @ (values_of(medium, family) - at), off, 1))
-
-
-def _nothing(_: Medium) -> Image:
-    return np.zeros(())
-
-
-def _with(model: Model, beyond: Forward) -> Model:
-    """A model with what it does not say."""
-
-    def found(medium: Medium) -> Prediction:
-        said = model(medium)
-        return replace(said, image=said.image + beyond(medium))
-
-    return found
+    return lambda medium: np.asarray(image + np.tensordot(values_of(medium, family) - at, slopes, 1))
 
 
 def _about(model: Model, centre: Medium) -> Model:

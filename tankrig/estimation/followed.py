@@ -56,8 +56,8 @@ class Followed:
         Whether order 2 is left to the paths as well.
     family
         Of the media's phase functions; None: Henyey–Greenstein.
-    sharp
-        Whether derivatives by a family's coordinates are left as they are, and not averaged as others are.
+    smooth
+        Whether orders ≥ 3 of a family's images are averaged as those of derivatives are.
     """
 
     scene: Scene
@@ -67,7 +67,7 @@ class Followed:
     small: bool = False
     rough: bool = False
     family: Family | None = None
-    sharp: bool = False
+    smooth: bool = False
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image; of another phase function than Henyey–Greenstein's by itself."""
@@ -76,10 +76,6 @@ class Followed:
     def slopes(self, medium: Medium) -> Image:
         """(3, rows, columns) derivatives by σa, σs and g, or (2 + k, rows, columns) by a family's coordinates."""
         return self._whole(medium).slopes if self.family is None else self._of_family(medium)[0]
-
-    def high_slopes(self, medium: Medium) -> Image:
-        """(2 + k, rows, columns) derivatives of what paths bring, orders ≥ 3, by a family's coordinates."""
-        return self._of_family(medium)[2]
 
     def slopes_noise(self, medium: Medium) -> Image:
         """(n, 3, rows, columns) patterns of their noise, see `Tangent`."""
@@ -96,7 +92,7 @@ class Followed:
         family = self.family
         if family is None:
             return self
-        here, at, slopes = self(centre), values_of(centre, family), self.high_slopes(centre)
+        here, at, slopes = self(centre), values_of(centre, family), self._of_family(centre)[2]
 
         def low(medium: Medium) -> Image:
             return tank_steady(replace(self.scene, medium=medium), 0, max_order=LOW_ORDERS).image
@@ -119,7 +115,8 @@ class Followed:
 
         def alone(medium: Medium) -> Prediction:
             scene = replace(self.scene, medium=medium)
-            return tank_steady(scene, self.batches, self.seed, self.max_order, lattice)
+            blur_mm = SLOPE_BLUR_MM if self.smooth else 0.0
+            return tank_steady(scene, self.batches, self.seed, self.max_order, lattice, blur_mm)
 
         return remembered(alone)
 
@@ -135,8 +132,8 @@ class Followed:
         def slopes(medium: Medium) -> tuple[Image, Image, Image]:
             turning, sizes = turning_of(medium, family)
             found = tank_tangent(
-                replace(self.scene, medium=medium), self.batches, self.seed, self.max_order, lattice,
-                0.0 if self.sharp else SLOPE_BLUR_MM, self.rough, turning,
+                replace(self.scene, medium=medium), self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM,
+                self.rough, turning,
             )  # fmt: skip
             per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
             return found.slopes * per_step, found.noise * per_step, found.high * per_step

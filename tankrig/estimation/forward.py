@@ -392,7 +392,7 @@ def _family_models(scene: Scene, max_order: int | None, family: Family) -> Model
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
         return (
             Followed(scene, fine, 1, max_order, family=family),
-            Followed(scene, slope, 2, max_order, family=family, sharp=True),
+            Followed(scene, slope, 2, max_order, family=family, smooth=True),
         )
 
     return Models(coarse, refine, exact=_accurate(scene, max_order, batches), family=family)

@@ -145,9 +145,10 @@ def tank_tangent(
 
 
 def tank_steady(
-    scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE
-) -> Prediction:
-    """The image of `tank_tangent` without its derivatives."""
+    scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE,
+    blur_mm: float = 0.0,
+) -> Prediction:  # fmt: skip
+    """The image of `tank_tangent` without its derivatives; its orders ≥ 3 may be averaged over a Gaussian as well."""
     first = single_scattering(scene)
     second = double_scattering(scene, _tables(scene)) if (max_order or 2) >= 2 else np.zeros_like(first)
     sharp, grid, highest = first + second, CellGrid.of(scene), max_order or MOST_ORDERS
@@ -162,6 +163,8 @@ def tank_steady(
         light = np.array(list(pool.map(followed, range(batches))))
     smooth, stderr = _steadied(light, grid)
     rest = np.maximum(grid.to_pixels(grid.unfolded(smooth.mean(axis=0))), 0.0)
+    if blur_mm > 0.0:
+        rest = gaussian_filter(rest, [blur_mm / side for side in scene.camera.sides_mm], mode="nearest")
     image = sharp + rest
     return Prediction(image, "tank", stderr=stderr, skipped=(_looked_up(scene, sharp, image),))
 
