@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import tankrig
 from tankrig.errors import SceneError, SequenceError
+from tankrig.estimation import phase_answer
 from tankrig.estimation.corrections import SETTLED
 from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.estimate import Estimate, fit_models
@@ -34,6 +35,7 @@ from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.estimation.series_forward import tank_model
+from tankrig.estimation.shots import Fit
 from tankrig.light.tank import tank_image
 from tankrig.live.photograph_plan import phase_of
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, from_fields, to_fields
@@ -311,6 +313,25 @@ def test_where_hardly_anything_tells_phase_functions_apart_intervals_count_them(
     found = fit_models(seen, SCENE, Scaling(1.0, 0.0), models, lambda _: None)
     assert "hardly tells Henyey–Greenstein's phase function from others" in found.verdict
     assert math.sqrt(found.covariance[2, 2]) > 0.01  # .0047 by Henyey–Greenstein's alone
+
+
+def test_a_fit_that_has_not_settled_determines_neither(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A two-term liquid's σs was 7 % off by eight standard deviations; its exact image was not what was promised."""
+    without = phase_answer.fitted
+    moved = np.concatenate([[0.0, 0.001], np.zeros(17)])
+
+    def unsettled(*given: object, **named: object) -> Fit:
+        return replace(without(*given, **named), moved=moved)  # type: ignore[arg-type]
+
+    settled = fit(ReynoldsMcCormick(0.6, 1.2), "any")
+    monkeypatch.setattr(phase_answer, "fitted", unsettled)
+    found = fit(ReynoldsMcCormick(0.6, 1.2), "any")
+    assert "has not settled" in found.verdict
+    assert not found.identifiable["sigma_s"]
+    assert not found.identifiable["g"]
+    assert "settled" not in settled.verdict
+    assert settled.identifiable["sigma_s"]
+    assert found.covariance[1, 1] > 2.0 * settled.covariance[1, 1]
 
 
 def test_nothing_is_determined_by_a_phase_function_that_does_not_describe_the_image() -> None:

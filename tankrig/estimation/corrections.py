@@ -47,9 +47,9 @@ is made they move by several standard deviations, and more would not be worth it
 WORSE, HALVINGS = 3.0, 3
 """By how much more the next exact image may cost, in χ²/2, and times at most that the way to it is halved otherwise,
 where a phase function's coordinates are fitted: of three numbers steps bend little."""
-MUCH = 20.0
-"""From how much on, in χ²/2, that an optimum promises to gain on its last exact image a fit of a phase function's
-coordinates has not settled in the end."""
+MUCH = 10.0
+"""How much more, in χ²/2, the exact image costs than was promised where a fit of a phase function's coordinates ended
+that has not settled."""
 SHARPER = 4
 """Times as many light paths in the last exact image, where the model's error hides what the photograph shows."""
 
@@ -131,9 +131,11 @@ def corrected_fit(
     end = fit.optimum
     views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
     whole = replace(end.problem, views=tuple(views)).with_slopes_noise(slopes_noise)
-    found = whole.at(end.coordinates)
-    unsettled = along and end.problem.at(centre.coordinates).cost - end.cost > MUCH
-    return replace(fit, optimum=found, moved=_values(found) - _values(centre) if unsettled else None)
+    found, moved = whole.at(end.coordinates), None
+    if along and not _settled(end, centre, SETTLED * problem.looseness):
+        there = end.problem.by([_always(one.image) for one in exact(end, 1.0)]).at(end.coordinates)
+        moved = _values(found) - _values(centre) if there.cost - end.cost > MUCH else None
+    return replace(fit, optimum=found, moved=moved)
 
 
 def _values(at: Evaluation) -> Vector:
