@@ -14,13 +14,16 @@ from numpy.typing import NDArray
 import tankrig
 from tankrig.errors import SceneError, SequenceError
 from tankrig.estimation import phase_answer
+from tankrig.estimation.coordinates import Range
 from tankrig.estimation.corrections import SETTLED
 from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.estimate import Estimate, fit_models
-from tankrig.estimation.followed import Model
+from tankrig.estimation.followed import Followed, Model
 from tankrig.estimation.forward import Models, image_of, models_of
 from tankrig.estimation.observation import observe
+from tankrig.estimation.optimiser import solve
 from tankrig.estimation.phase_answer import Asked, asked_for, rougher
+from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
 from tankrig.estimation.phase_families import (
     FAMILIES,
     Family,
@@ -32,10 +35,11 @@ from tankrig.estimation.phase_families import (
     labelled,
 )
 from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
+from tankrig.estimation.problem import Problem
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.estimation.series_forward import tank_model
-from tankrig.estimation.shots import Fit
+from tankrig.estimation.shots import Fit, Shot
 from tankrig.light.tank import tank_image
 from tankrig.live.photograph_plan import phase_of
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, from_fields, to_fields
@@ -313,6 +317,44 @@ def test_where_hardly_anything_tells_phase_functions_apart_intervals_count_them(
     found = fit_models(seen, SCENE, Scaling(1.0, 0.0), models, lambda _: None)
     assert "hardly tells Henyey–Greenstein's phase function from others" in found.verdict
     assert math.sqrt(found.covariance[2, 2]) > 0.01  # .0047 by Henyey–Greenstein's alone
+
+
+def test_models_about_an_image_know_the_finer_shapes_of_a_phase_function() -> None:
+    """By five moments of p some shapes changed orders ≥ 3 by a half of what they do, and fits followed that."""
+    family = free()
+    scene = replace(TANK, camera=Camera("orthographic", (20, 30), 8.0))
+    at = as_free(TwoTerm(0.88, -0.3, 0.94))
+
+    def liquid(off: Array) -> Medium:
+        return Medium(6e-4, 0.02, phase=family.phase(at + off))
+
+    def image(off: Array) -> dict[str, Array]:
+        found = tank_image(replace(scene, medium=liquid(off)), batches=16, seed=3)
+        return {"all": found.image, "high": found.image - found.orders[1] - found.orders[2]}
+
+    model, here = Followed(scene, 16, 3, None, family=family, sharp=True), image(np.zeros(at.size))
+    exact = Prediction(here["all"], "tank")
+    near = model.about(liquid(np.zeros(at.size)), exact, model.shares(liquid(np.zeros(at.size))))
+    assert np.abs(near(liquid(np.zeros(at.size))).image - here["all"]).max() < 1e-3 * here["all"].max()
+    for shape in (5, 6, 9):
+        there = image(step := 0.3 * np.eye(at.size)[shape])
+        off = near(liquid(step)).image - there["all"]
+        assert np.linalg.norm(off) < 0.4 * np.linalg.norm(there["high"] - here["high"]), shape
+
+
+def test_fits_stay_close_to_where_an_exact_image_was_made() -> None:
+    """What an image hardly tells goes where derivatives' noise leads it."""
+    blocks = (CoefficientsBlock(Range.of_tank(240.0)), PhaseBlock(free()))
+    image = np.arange(1.0, 25.0).reshape(4, 6)
+    seen = observe(image, (4, 6), 0.1)
+    shot = Shot(seen, SCENE, Models(many_turns, None, family=free()))
+    view = shot.view(lambda _: image, lambda _: np.zeros((19, 4, 6)), np.full((4, 6), 1e-3))
+    problem = Problem((view,), blocks, Scaling(1.0, 0.0), quick=False)
+    place = np.concatenate([one.start(Medium(0.001, 0.02, 0.8)) for one in blocks])
+    place[3:] = 0.9
+    end = solve(replace(problem, close=(place, 4.0)), place, 1e-9, 30).coordinates
+    assert end[3:] == pytest.approx(np.full(16, 0.72), rel=1e-4)  # 4 · .9/(4 + 1)
+    assert solve(problem, place, 1e-9, 30).coordinates[3:] == pytest.approx(np.zeros(16), abs=1e-4)
 
 
 def test_a_fit_that_has_not_settled_determines_neither(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,6 +37,10 @@ or high orders are solved for."""
 CORRECTIONS, SETTLED = 4, 0.1
 """Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
 which that is over, see `Block.looseness`."""
+MOST_CORRECTIONS, TOLD_AT, CLOSE = 8, (0, 2), 4.0
+"""Where a phase function's coordinates are fitted along light paths: exact images at most, at which of them derivatives
+along paths are told, and how many times as closely as to 0 coordinates that are expected to be 0 ± 1 stay to where an
+exact image was made. What an image hardly tells derivatives' noise does, and without that fits followed it."""
 SETTLED_SHARE = 0.5
 """Share of its standard deviation by which each value may have moved besides."""
 NOISY = 0.1
@@ -82,15 +86,31 @@ def corrected_fit(
     solved = any(is_solved(model) for model in models)
     along = many and all(isinstance(model, Followed) for model in models)
     slopes_noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, models, strict=True)]
+    followed = [model for model in models if along and isinstance(model, Followed)]
+
+    def noise_at(media: Sequence[Medium]) -> list[Slopes | None]:
+        return [one and _always(one(medium)) for one, medium in zip(slopes_noise, media, strict=True)]
+
+    corrected_at: list[Sequence[Medium]] = []
+    told: tuple[list[Image], list[Slopes | None]] = [], []
 
     def exact(at: Evaluation, times: float) -> list[Prediction]:
         return [shot.models.exact(one, times) for shot, one in zip(shots, at.media, strict=True) if shot.models.exact]
 
     def about(centre: Evaluation, seen: Sequence[Prediction], start: Evaluation) -> Fit:
+        nonlocal told
         media, liquids = centre.media, centre.liquids
-        slopes = problem.of_views(lambda view: view.slopes(liquids[view.dose]))
-        noise = [one and _always(one(medium)) for one, medium in zip(slopes_noise, media, strict=True)]
-        near = [_about(*one) for one in zip(models, media, strict=True)]
+        near, slopes = list(models), []
+        if along:
+            if len(corrected_at) in TOLD_AT:
+                told = [model.shares(medium) for model, medium in zip(followed, media, strict=True)], noise_at(media)
+            changes, noise = told
+            parts = list(zip(followed, media, seen, changes, strict=True))
+            near = [model.about(medium, one, share) for model, medium, one, share in parts]
+            slopes = [model.slopes_about(medium, one.image, share) for model, medium, one, share in parts]
+        else:
+            slopes, noise = problem.of_views(lambda view: view.slopes(liquids[view.dose])), noise_at(media)
+        corrected_at.append(media)
         last = tuple(corrected(*one) for one in zip(near, media, seen, strict=True))
         weighed = weighed_problem(
             problem, shots, [image_of(model) for model in last], [_always(one) for one in slopes], seen, centre.added
@@ -103,13 +123,15 @@ def corrected_fit(
             _linear(image, medium, slope, family)
             for image, medium, slope, family in zip(smooth, media, slopes, families, strict=True)
         ]
+        if along:
+            bent = replace(bent, close=(centre.coordinates, CLOSE))
         line = replace(bent.by(straight), quick=True)
         end = solve(line, start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
         if not solved:  # or steps as the models bend would cost more than another exact image, and say no more
             if many:  # along which moments bend
                 end = by_cost(bent.at(one.coordinates) for one in (end, start))[0]
             end = solve(bent, end.coordinates, bent_enough, steps, damping=0.0)
-        further = without_noise(line.at(centre.coordinates))
+        further = 0.0 if along else without_noise(line.at(centre.coordinates))
         apart = (
             exact.image - one.image if stated_error(one) < stated_error(exact) else None
             for one, exact in zip(shown, seen, strict=True)
@@ -119,7 +141,7 @@ def corrected_fit(
     progress("correcting by accurate images")
     centre, rough = best, along
     fit = about(centre, exact(centre, FIRST if rough else 1.0), centre)
-    for _ in range(CORRECTIONS - 1):
+    for _ in range((MOST_CORRECTIONS if along else CORRECTIONS) - 1):
         if not rough and _settled(fit.optimum, centre, SETTLED * problem.looseness):
             break
         progress("correcting by accurate images")
@@ -131,7 +153,7 @@ def corrected_fit(
     end = fit.optimum
     views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
     whole = replace(end.problem, views=tuple(views)).with_slopes_noise(slopes_noise)
-    found, moved = whole.at(end.coordinates), None
+    found, moved = end if along else whole.at(end.coordinates), None
     if along and not _settled(end, centre, SETTLED * problem.looseness):
         there = end.problem.by([_always(one.image) for one in exact(end, 1.0)]).at(end.coordinates)
         moved = _values(found) - _values(centre) if there.cost - end.cost > MUCH else None
@@ -192,11 +214,6 @@ def _linear(image: Image, centre: Medium, slopes: Image, family: Family | None) 
     """An image, and changes of it to first order."""
     at = values_of(centre, family)
     return lambda medium: np.asarray(image + np.tensordot(values_of(medium, family) - at, slopes, 1))
-
-
-def _about(model: Model, centre: Medium) -> Model:
-    """A model as it bends about a medium."""
-    return model.about(centre) if isinstance(model, Followed) else model
 
 
 def _always(slopes: Image) -> Slopes:

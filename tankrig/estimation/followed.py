@@ -56,8 +56,8 @@ class Followed:
         Whether order 2 is left to the paths as well.
     family
         Of the media's phase functions; None: Henyey–Greenstein.
-    smooth
-        Whether orders ≥ 3 of a family's images are averaged as those of derivatives are.
+    sharp
+        Whether derivatives by a family's coordinates are left as they are, and not averaged as others are.
     """
 
     scene: Scene
@@ -67,7 +67,7 @@ class Followed:
     small: bool = False
     rough: bool = False
     family: Family | None = None
-    smooth: bool = False
+    sharp: bool = False
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image; of another phase function than Henyey–Greenstein's by itself."""
@@ -81,30 +81,42 @@ class Followed:
         """(n, 3, rows, columns) patterns of their noise, see `Tangent`."""
         return self._whole(medium).noise if self.family is None else self._of_family(medium)[1]
 
-    def about(self, centre: Medium) -> Model:
-        """The same near a medium: orders 1 and 2 as they are, and changes of the others' logarithm to first order.
+    def shares(self, medium: Medium) -> Image:
+        """(2 + k, rows, columns) derivatives by a family's coordinates of the logarithm of what paths bring."""
+        high, others = self._of_family(medium)[2:]
+        return high / np.maximum(others, FAINT * float(others.max(initial=0.0)) + 1e-300)
+
+    def about(self, centre: Medium, exact: Prediction, shares: Image) -> Model:
+        """The image near a medium where it is known: orders 1 and 2 as they are, and changes of the others' logarithm
+        to first order, see `shares`.
 
         How that bends is less than what the others' noise differs by between two media.
         """
         from tankrig.estimation.differences import values_of
-        from tankrig.light.tangent import tank_steady
 
         family = self.family
-        if family is None:
-            return self
-        here, at, slopes = self(centre), values_of(centre, family), self._of_family(centre)[2]
-
-        def low(medium: Medium) -> Image:
-            return tank_steady(replace(self.scene, medium=medium), 0, max_order=LOW_ORDERS).image
-
-        others = here.image - low(centre)
-        shares = slopes / np.maximum(others, FAINT * float(others.max(initial=0.0)) + 1e-300)
+        at, others = values_of(centre, family), np.maximum(exact.image - self._low(centre), 0.0)
 
         def near(medium: Medium) -> Prediction:
             by = np.tensordot(values_of(medium, family) - at, shares, 1)
-            return replace(here, image=low(medium) + others * np.exp(np.clip(by, -FURTHEST, FURTHEST)))
+            return replace(exact, image=self._low(medium) + others * np.exp(np.clip(by, -FURTHEST, FURTHEST)))
 
         return remembered(near)
+
+    def slopes_about(self, centre: Medium, exact: Image, shares: Image) -> Image:
+        """(2 + k, rows, columns) its derivatives there."""
+        from tankrig.estimation.differences import turning_of
+        from tankrig.light.tangent import low_orders
+
+        assert self.family is not None
+        turning, sizes = turning_of(centre, self.family)
+        low, slopes = low_orders(replace(self.scene, medium=centre), LOW_ORDERS, turning.others)
+        return np.asarray(slopes / np.append(np.ones(2), sizes)[:, None, None] + (exact - low) * shares)
+
+    def _low(self, medium: Medium) -> Image:
+        from tankrig.light.tangent import tank_steady
+
+        return tank_steady(replace(self.scene, medium=medium), 0, max_order=LOW_ORDERS).image
 
     @cached_property
     def _alone(self) -> Model:
@@ -115,13 +127,12 @@ class Followed:
 
         def alone(medium: Medium) -> Prediction:
             scene = replace(self.scene, medium=medium)
-            blur_mm = SLOPE_BLUR_MM if self.smooth else 0.0
-            return tank_steady(scene, self.batches, self.seed, self.max_order, lattice, blur_mm)
+            return tank_steady(scene, self.batches, self.seed, self.max_order, lattice)
 
         return remembered(alone)
 
     @cached_property
-    def _of_family(self) -> Callable[[Medium], tuple[Image, Image, Image]]:
+    def _of_family(self) -> Callable[[Medium], tuple[Image, Image, Image, Image]]:
         from tankrig.estimation.differences import turning_of
         from tankrig.light.paths.block import LARGE, SMALL
         from tankrig.light.tangent import tank_tangent
@@ -129,14 +140,15 @@ class Followed:
         assert self.family is not None
         family, lattice = self.family, SMALL if self.small else LARGE
 
-        def slopes(medium: Medium) -> tuple[Image, Image, Image]:
+        def slopes(medium: Medium) -> tuple[Image, Image, Image, Image]:
+            """Derivatives, patterns of their noise, what of them paths bring, and what of the image."""
             turning, sizes = turning_of(medium, family)
             found = tank_tangent(
-                replace(self.scene, medium=medium), self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM,
-                self.rough, turning,
+                replace(self.scene, medium=medium), self.batches, self.seed, self.max_order, lattice,
+                0.0 if self.sharp else SLOPE_BLUR_MM, self.rough, turning,
             )  # fmt: skip
             per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
-            return found.slopes * per_step, found.noise * per_step, found.high * per_step
+            return found.slopes * per_step, found.noise * per_step, found.high * per_step, found.bright
 
         return remembered(slopes)
 

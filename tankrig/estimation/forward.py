@@ -55,7 +55,7 @@ it does not and noise is told from light by their scatter (two of them err by 7 
 FINE_NOISE, FINE_BATCHES = 0.003, 32
 SLOPE_NOISE, SLOPE_BATCHES = 0.006, 16
 """Noise (relative L2) that the images for the last steps and for derivatives aim for, and their lattices at most."""
-ALIKE_NOISE, ALIKE_BATCHES = 0.0014, 32
+ALIKE_NOISE, ALIKE_BATCHES = 0.001, 64
 """The same of images for derivatives by a family's coordinates, of which many change an image nearly alike."""
 CHECK_BATCHES = 32
 """Lattices of the image that a prepared model of light or sight that slant is compared with."""
@@ -392,7 +392,7 @@ def _family_models(scene: Scene, max_order: int | None, family: Family) -> Model
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
         return (
             Followed(scene, fine, 1, max_order, family=family),
-            Followed(scene, slope, 2, max_order, family=family, smooth=True),
+            Followed(scene, slope, 2, max_order, family=family, sharp=True),
         )
 
     return Models(coarse, refine, exact=_accurate(scene, max_order, batches), family=family)

@@ -1,5 +1,6 @@
 """What a fit minimises: weighted least squares of any number of images, gain and offsets eliminated."""
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -97,6 +98,8 @@ class Problem:
         Whether derivatives come along with the models' images.
     held
         Coordinates that are not searched: number and value of each.
+    close
+        Coordinates that those expected to be 0 ± 1 stay close to, and how many times as much as to 0; None: to none.
     """
 
     views: tuple[View, ...]
@@ -104,6 +107,7 @@ class Problem:
     scaling: Scaling
     quick: bool = True
     held: tuple[tuple[int, float], ...] = ()
+    close: tuple[Array, float] | None = None
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -273,8 +277,11 @@ class Evaluation:
     def residual(self) -> Array:
         """(n + priors,) the same; then expected less found of what is known."""
         weight = self.problem.prior_weight
-        known = (self.coordinates * np.sqrt(weight))[weight > 0.0]
-        return np.concatenate([self.left, self.problem.scaling.prior_residuals(*self.scale), known])
+        known = [(self.coordinates * np.sqrt(weight))[weight > 0.0]]
+        if self.problem.close is not None:
+            place, times = self.problem.close
+            known.append(((self.coordinates - place) * np.sqrt(times * weight))[weight > 0.0])
+        return np.concatenate([self.left, self.problem.scaling.prior_residuals(*self.scale), *known])
 
     @cached_property
     def cost(self) -> float:
@@ -287,7 +294,10 @@ class Evaluation:
         found = self.sensitivity
         by_values = -np.concatenate([found.changes, found.priors], axis=1).T
         weight = self.problem.prior_weight
-        return np.vstack([by_values @ self.chain, np.diag(np.sqrt(weight))[weight > 0.0]])
+        known = [np.diag(np.sqrt(weight))[weight > 0.0]]
+        if self.problem.close is not None:
+            known.append(math.sqrt(self.problem.close[1]) * known[0])
+        return np.vstack([by_values @ self.chain, *known])
 
     @cached_property
     def chain(self) -> Array:

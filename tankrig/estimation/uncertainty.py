@@ -222,9 +222,11 @@ class Information:
             (k,) how many times its own precision each of them weighs.
         """
         scale, weight = np.outer(prior_sd, prior_sd), np.broadcast_to(prior_weight, prior_sd.shape)
-        inverse = np.linalg.inv(self.fisher * scale + np.diag(weight))
-        spread: Array = inverse @ (self.scatter * scale + np.diag(weight**2)) @ inverse * scale
-        return 0.5 * (spread + spread.T)
+        sizes, ways = np.linalg.eigh(self.scatter * scale + np.diag(weight**2))
+        # Of a root of the scatter, so that rounding leaves no variance negative where nothing is determined.
+        root = np.linalg.solve(self.fisher * scale + np.diag(weight), ways * np.sqrt(np.maximum(sizes, 0.0)))
+        spread: Array = (root @ root.T) * scale
+        return spread
 
 
 def total(parts: Iterable[Information]) -> Information:

@@ -79,14 +79,15 @@ class Tangent:
     noise
         (n, 3, rows, columns) patterns of what the paths' noise puts on the derivatives: its covariance is the sum of
         their products. None of them where there is one lattice only.
-    high
-        What paths bring of `slopes`.
+    high, bright
+        What paths bring of `slopes`, and (rows, columns) of the image.
     """
 
     prediction: Prediction
     slopes: Array
     noise: Array
     high: Array
+    bright: Array
 
 
 def tank_tangent(
@@ -130,7 +131,7 @@ def tank_tangent(
     """
     lowest = 2 if rough else 3
     others, ways = ((), ()) if turning is None else (turning.others, turning.ways)
-    sharp, slopes = _sharp(scene, min(max_order or MOST_ORDERS, lowest - 1), others)
+    sharp, slopes = low_orders(scene, min(max_order or MOST_ORDERS, lowest - 1), others)
     rest, stderr, noise = _from_paths(scene, batches, seed, max_order or MOST_ORDERS, lattice, lowest, ways)
     if turning is not None:
         rest = np.concatenate([rest[:3], np.tensordot(turning.by_ways, rest[3:], 1)])
@@ -141,14 +142,13 @@ def tank_tangent(
         noise = gaussian_filter(noise, [0.0, *widths], mode="nearest")
     image = sharp + np.maximum(rest[0], 0.0)
     found = Prediction(image, "tank", stderr=stderr, skipped=(_looked_up(scene, sharp, image),))
-    return Tangent(found, slopes + rest[1:], noise, rest[1:])
+    return Tangent(found, slopes + rest[1:], noise, rest[1:], np.maximum(rest[0], 0.0))
 
 
 def tank_steady(
-    scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE,
-    blur_mm: float = 0.0,
-) -> Prediction:  # fmt: skip
-    """The image of `tank_tangent` without its derivatives; its orders ≥ 3 may be averaged over a Gaussian as well."""
+    scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE
+) -> Prediction:
+    """The image of `tank_tangent` without its derivatives."""
     first = single_scattering(scene)
     second = double_scattering(scene, _tables(scene)) if (max_order or 2) >= 2 else np.zeros_like(first)
     sharp, grid, highest = first + second, CellGrid.of(scene), max_order or MOST_ORDERS
@@ -163,8 +163,6 @@ def tank_steady(
         light = np.array(list(pool.map(followed, range(batches))))
     smooth, stderr = _steadied(light, grid)
     rest = np.maximum(grid.to_pixels(grid.unfolded(smooth.mean(axis=0))), 0.0)
-    if blur_mm > 0.0:
-        rest = gaussian_filter(rest, [blur_mm / side for side in scene.camera.sides_mm], mode="nearest")
     image = sharp + rest
     return Prediction(image, "tank", stderr=stderr, skipped=(_looked_up(scene, sharp, image),))
 
@@ -189,7 +187,7 @@ def _looked_up(scene: Scene, sharp: Array, image: Array) -> Skipped:
     return Skipped("tables that order 2 is looked up in", off)
 
 
-def _sharp(scene: Scene, highest: int, others: Sequence[PhaseFunction]) -> tuple[Array, Array]:
+def low_orders(scene: Scene, highest: int, others: Sequence[PhaseFunction]) -> tuple[Array, Array]:
     """Orders 1 and 2, and their derivatives: they go with σs and σs² at one extinction."""
     medium = scene.medium
 
