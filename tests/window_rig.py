@@ -73,6 +73,7 @@ def window_on(folder: Path, rig: Path | None, sequence: Path | None = None) -> I
     from ui.window.app import application
 
     application()
+    from ui.window.kept_log import KeptLog
     from ui.window.main_window import MainWindow
     from ui.window.rig_file import RigSource
     from ui.window.rig_host import RigHost
@@ -80,7 +81,9 @@ def window_on(folder: Path, rig: Path | None, sequence: Path | None = None) -> I
     settings = QSettings(str(folder / "window.ini"), QSettings.Format.IniFormat)
     if settings.value("theme") is None:
         settings.setValue("theme", "dark")
-    window = MainWindow(RigHost(RigSource(rig, folder / "simulated.rig")), folder / "runs", settings, sequence)
+    log = KeptLog(folder / "runs")
+    host = RigHost(RigSource(rig, folder / "simulated.rig"))
+    window = MainWindow(host, folder / "runs", settings, sequence, log)
     window.build_pages()
     with _garbage_of_the_window_alone():
         window.show()

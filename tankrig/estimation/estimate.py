@@ -374,7 +374,9 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     if other is not None and by_phase:
         sign, instead = None, Instead(1.0, other.moved, best.media[0])
         if asked.further is not None:
-            instead = phase_instead(best, scene, models, asked, rough=True)
+            near = phase_instead(best, scene, models, asked, rough=True)
+            share = cause_by(PHASE, best.left, other.pattern, PHASE_TERMS).share
+            instead = near and replace(near, share=max(near.share, share))
     misled = instead is not None and (by_phase or (cause is not None and cause.name == PHASE))
     spread = spread_of(calm, [left], [counted], None if sign is None else sign.explained)
     if sign is not None:

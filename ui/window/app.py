@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, QTimer, QtMsgType, qInstallMessageHandler
 
+from ui.window.kept_log import KeptLog
 from ui.window.rig_file import RigSource
 from ui.window.rig_host import RigHost
 
@@ -87,6 +88,7 @@ def run_window(rig: Path | None, runs: Path, sequence: Path | None) -> int:
     """
     # Calibrations work in another folder, so that the file is named as it is from anywhere.
     rig = rig.absolute() if rig is not None else None
+    log = KeptLog(runs)  # first: a rig that fails at once has its reason there
     host = RigHost(RigSource(rig, runs / "simulated.rig"))  # opens the rig while all else is imported
     app = application()
     from ui.window import theme
@@ -94,7 +96,7 @@ def run_window(rig: Path | None, runs: Path, sequence: Path | None) -> int:
 
     remembered = settings()
     theme.apply(str(remembered.value("theme") or theme.of_system()))
-    window = MainWindow(host, runs, remembered, sequence)
+    window = MainWindow(host, runs, remembered, sequence, log)
     window.show()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: QTimer.singleShot(0, window.close))

@@ -100,6 +100,8 @@ class MainWindow(QMainWindow):
         Remembers docks, theme and the last sequence.
     sequence
         To open, rather than the last.
+    log
+        That is kept already, since before the rig was opened; None to keep one from now on.
 
     Attributes
     ----------
@@ -119,13 +121,15 @@ class MainWindow(QMainWindow):
     log: "LogPanel"
     on_screen: "OnScreen"
 
-    def __init__(self, host: RigHost, runs: Path, settings: QSettings, sequence: Path | None = None) -> None:
+    def __init__(
+        self, host: RigHost, runs: Path, settings: QSettings, sequence: Path | None = None, log: KeptLog | None = None
+    ) -> None:
         super().__init__()
         self.setObjectName("tankrig")
         self.setWindowTitle("tankrig")
         self.setAcceptDrops(True)
         self._settings, self.folder, self._first_sequence = settings, runs, sequence
-        self._kept_log = KeptLog(runs)
+        self._kept_log = log or KeptLog(runs)
         self.status = RigStatus()
         self.event_loop, self.background, self.host = EventLoopMonitor(), Background(), host
         self._replay: Replay | None = None
