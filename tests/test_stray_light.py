@@ -18,9 +18,11 @@ from tankrig.light import high_orders
 from tankrig.light.double import double_scattering
 from tankrig.light.entering import entering, through_lens
 from tankrig.light.leaving import CameraLens
+from tankrig.light.paths.record import seen_from
 from tankrig.light.prepared.box import Box
-from tankrig.light.tank import by_faces, low_orders, once, tank_image
-from tankrig.light.walls.faces import FAR, face_table, sent_back
+from tankrig.light.rays import geometry_of
+from tankrig.light.tank import by_faces, low_orders, once, once_of, tank_image
+from tankrig.light.walls.faces import FAR, face_table, sent_back, steepest_sights
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.loading import scene_from_table
 from tankrig.scene.optics import Blur, Face, Faces, Halo, WideLens
@@ -191,6 +193,37 @@ def test_a_projectors_lens_moves_light_and_makes_none(sigma_mm, share, halo_mm):
             w = np.array([beam.power for beam in narrow])
             own = np.array([(beam.y_mm[1] - beam.y_mm[0]) ** 2 / 12.0 for beam in narrow])
             assert np.average(y**2 + own, weights=w) == pytest.approx(sigma_mm**2 + 8.0**2 / 12.0, rel=1e-6)
+
+
+@given(
+    st.tuples(*[st.floats(-300.0, 600.0), st.floats(-300.0, 300.0), st.floats(60.0, 2000.0)]),
+    st.tuples(*[st.floats(0.0, 1.0)] * 3),
+    st.sampled_from([1.0, 1.33, 1.5]),
+    st.integers(0, 3),
+)
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+def test_what_is_out_of_a_walls_reach_is_not_seen_mirrored_in_it(above_tank, inside, index, wall):
+    (x, y, above), (u, v, w) = above_tank, inside
+    surface = "matched" if index == 1.0 else "fresnel"
+    scene = a_scene(Camera("pinhole", (20, 30), 8.0, (x, y, 120.0 + above)), surface=surface, refractive_index=index)
+    geometry = geometry_of(scene)
+    px, py, pz = u * geometry.length, (2.0 * v - 1.0) * geometry.half_width, w * geometry.height
+    away = (px, geometry.length - px, geometry.half_width + py, geometry.half_width - py)[wall]
+    mirrored = [(-px, py), (2 * geometry.length - px, py), (px, -2 * geometry.half_width - py),
+                (px, 2 * geometry.half_width - py)][wall]  # fmt: skip
+    seen_x, seen_y, *_ = seen_from(geometry, *mirrored, pz, index)
+    within = 0.0 <= seen_x <= geometry.length and abs(seen_y) <= geometry.half_width
+    assert not within or away <= (geometry.height - pz) * steepest_sights(geometry)[wall]
+
+
+def test_liquids_at_once_are_seen_by_way_of_walls_as_one_by_one():
+    pane = Face("glass", thickness_mm=6.0)
+    camera = Camera("pinhole", (20, 30), 8.0, (120.0, 0.0, 620.0))
+    light = Projector("pinhole", (Beam((-70.0, -50.0), (40.0, 44.0)),), (-400.0, 0.0, 60.0), blur=Blur(1.0))
+    scene = a_scene(camera, light, surface="fresnel", faces=Faces(pane, pane, pane, pane, Face("clear", 0.3)))
+    media = [Medium(0.001, 0.01, 0.6), Medium(0.0, 0.02, 0.2), Medium(0.0, 0.0, 0.0)]
+    for image, medium in zip(once_of(scene, media), media, strict=True):
+        np.testing.assert_allclose(image, once(replace(scene, medium=medium)), rtol=1e-12, atol=1e-20)
 
 
 def test_black_level_is_a_beam_all_over_the_wall():

@@ -97,13 +97,15 @@ def once_of(scene: Scene, media: Sequence[Medium]) -> Array:
     by_walls = not scene.tank.faces.dark
     if is_plain(scene) and not by_walls:
         return single_scattering_of(scene, media)
-    from tankrig.light.walls.once import once_by_walls
+    from tankrig.light.walls.once import once_by_walls_of
 
     images = np.zeros((len(media), *scene.camera.shape))
     for share, one in through_lens(entering(scene, fine=True), fine=True):
         images += share * single_scattering_of(one, media)
         if by_walls:
-            images += [share * once_by_walls(replace(one, medium=medium)) for medium in media]
+            images += share * once_by_walls_of(one, media, faint=False)
+    for share, one in through_lens(entering(scene, fine=False), fine=False) if by_walls else ():
+        images += share * once_by_walls_of(one, media, faint=True)
     return images
 
 
@@ -152,7 +154,7 @@ def by_faces_within(described: Scene, seed: int, lattices: int) -> tuple[Array, 
     bins = np.zeros(MOST_ORDERS_OF_A_PATTERN + 1, np.int64)
     batches = np.array(
         [
-            wall_images(scene, grid, (seed, batch), bins, MOST_ORDERS_OF_A_PATTERN, 1e-3, 1)[0]
+            wall_images(scene, grid, (seed, batch), bins, MOST_ORDERS_OF_A_PATTERN, 1)[0]
             for batch in range(lattices)
         ]
     )  # fmt: skip

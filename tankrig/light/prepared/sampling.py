@@ -153,14 +153,8 @@ class PathImages:
 
         bins = np.concatenate([[0, 1, 2], self._bins[3:] + 3])
         images = np.mean(
-            [
-                wall_images(
-                    lit, self.grid, (seed, batch), bins, HIGHEST_ORDER, FAINTEST,
-                )
-                for batch in range(batches)
-            ],
-            axis=0,
-        )  # fmt: skip
+            [wall_images(lit, self.grid, (seed, batch), bins, HIGHEST_ORDER) for batch in range(batches)], axis=0
+        )
         low = np.array(self.albedos)[:, None] ** np.arange(3)
         return np.tensordot(np.concatenate([low, self._shares], axis=1), images[: 3 + self._shares.shape[1]], 1)
 

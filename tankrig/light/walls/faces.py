@@ -7,12 +7,14 @@ comes out 2 d tan θ_glass farther along the wall, d the pane's thickness.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.geometry.optics import reflectance
+from tankrig.light.rays import Geometry
 from tankrig.scene import Tank
 
 Array = NDArray[np.float64]
@@ -20,6 +22,16 @@ Array = NDArray[np.float64]
 KINDS = {"black": 0.0, "glass": 1.0, "clear": 2.0, "diffuse": 3.0}
 BLACK, GLASS, CLEAR, DIFFUSE = 0, 1, 2, 3
 ENTRY, FAR, LEFT, RIGHT, FLOOR = 0, 1, 2, 3, 4
+ROUNDED_UP = 1.01
+"""Of a slope, so that no light is lost to rounding, or to what panes move."""
+
+
+class ReflectingTank(NamedTuple):
+    """The tank, what its faces send back (`face_table`), and how far they show it to the camera (`steepest_sights`)."""
+
+    geometry: Geometry
+    faces: Array
+    steepest: Array
 
 
 def face_table(tank: Tank) -> Array:
@@ -83,3 +95,25 @@ def sent_back(faces: Array, face: int, cosine: float) -> tuple[float, float, flo
     outer = reflectance(within, glass)
     share = inner + (1.0 - inner) ** 2 * outer / (1.0 - inner * outer)
     return share, 2.0 * faces[face, 2] * sine / within, inner / share if share > 0.0 else 1.0
+
+
+def steepest_sights(geometry: Geometry) -> Array:
+    """(4,) how much a line of sight can move towards the camera per height, where it leaves by each of the walls.
+
+    What is d mm inside of the entry, far, left or right wall, and h mm below the surface, is not seen mirrored in it
+    where d is more than h times this: the line of sight would come out beyond the tank's edge. Negative where the
+    camera is not on the inner side of a wall. Lines of sight that are vertical move nowhere.
+    """
+    if not geometry.camera_pinhole:
+        return np.zeros(4)
+    above = geometry.camera_z - geometry.height
+    ways = np.array(
+        [
+            geometry.camera_x, geometry.length - geometry.camera_x,
+            geometry.half_width + geometry.camera_y, geometry.half_width - geometry.camera_y,
+        ]
+    )  # fmt: skip
+    farthest = math.hypot(max(ways[0], ways[1]), max(ways[2], ways[3]))
+    sines = ways / np.hypot(ways, above) / geometry.refractive_index
+    sine = farthest / math.hypot(farthest, above) / geometry.refractive_index
+    return np.asarray(ROUNDED_UP * sines / math.sqrt(1.0 - sine * sine))

@@ -7,6 +7,8 @@ walls, and of the floor; what is sent back twice between opposite faces is not (
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
 
@@ -18,15 +20,27 @@ from tankrig.light.cuts import CUTS, rows_of_ends
 from tankrig.light.line_of_sight import SharpBeam, add_across_sights
 from tankrig.light.liquids import Liquids, liquids_of
 from tankrig.light.quadrature import PixelRules, pixel_rules
-from tankrig.light.rays import Geometry, Ray, light_ray, light_sources, sight_line
+from tankrig.light.rays import Edges, Geometry, Ray, light_ray, light_sources, sight_line
 from tankrig.light.surface import on_surface, to_camera
-from tankrig.light.walls.faces import ENTRY, FAR, FLOOR, LEFT, RIGHT, face_table, sent_back
-from tankrig.scene import Scene
+from tankrig.light.walls.faces import (
+    ENTRY,
+    FAR,
+    FLOOR,
+    LEFT,
+    RIGHT,
+    ReflectingTank,
+    face_table,
+    sent_back,
+    steepest_sights,
+)
+from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
 
-PARTS = 6
-"""Of a pixel along x: where mirrored light ends is seen to that."""
+PARTS, PART_MM = 6, 0.7
+"""Of a pixel along x at most, and how long they need to be: where mirrored light ends is seen to that."""
+STEEPEST_SINE = 0.99
+"""In a pane, of light that still comes out of it within the water."""
 NONE = -1
 
 
@@ -42,6 +56,11 @@ class Way(NamedTuple):
     outer: bool
     """Whether the light has been to the outer side of a pane, or in none."""
 
+    @property
+    def faint(self) -> bool:
+        """Whether a beam that comes back from the far wall is seen by way of another face."""
+        return self.from_far and (self.x_wall != NONE or self.y_wall != NONE or self.floor)
+
 
 def once_by_walls(scene: Scene) -> Array:
     """Light scattered once that clear faces have sent back before or after, W/mm²/sr.
@@ -55,16 +74,28 @@ def once_by_walls(scene: Scene) -> Array:
     -------
     (rows, columns) array
     """
-    image = np.zeros(scene.camera.shape)
+    return np.asarray(once_by_walls_of(scene, [scene.medium])[0])
+
+
+def once_by_walls_of(scene: Scene, media: Sequence[Medium], faint: bool | None = None) -> Array:
+    """The same of several liquids, (media, rows, columns); of Henyey–Greenstein's for little more than one's.
+
+    Where `faint` is said, only what comes back from the far wall and is then seen by way of another face, .07 % of a
+    tank of glass, or all but that.
+    """
+    images = np.zeros((len(media), *scene.camera.shape))
     faces = face_table(scene.tank)
-    if scene.medium.sigma_s == 0.0 or not (faces[:, 0] % 3.0).any():
-        return image
+    if not (faces[:, 0] % 3.0).any():
+        return images
+    if len(media) > 1 and any(one.phase is not None for one in media):
+        return np.array([once_by_walls_of(replace(scene, medium=one), [one], faint)[0] for one in media])
     if scene.camera.kind == "calibrated":
         plain = on_surface(scene)
-        return to_camera(scene, once_by_walls(plain), (plain.camera.pixel_mm, plain.camera.pixel_mm))
-    medium, pixel_mm = scene.medium, scene.camera.pixel_mm
-    liquids, rules = liquids_of([medium]), pixel_rules()
+        cell_mm = plain.camera.pixel_mm, plain.camera.pixel_mm
+        return np.array([to_camera(scene, image, cell_mm) for image in once_by_walls_of(plain, media, faint)])
+    liquids, rules = liquids_of(media), pixel_rules()
     for geometry, beams in light_sources(scene):
+        steepest = steepest_sights(geometry)
         for beam in beams:
             if beam.irradiance == 0.0:
                 continue
@@ -72,10 +103,11 @@ def once_by_walls(scene: Scene) -> Array:
             ux, _, _ = light_ray(geometry, 0.5 * sum(beam.y_mm), 0.5 * sum(beam.z_mm))
             far = sent_back(faces, FAR, ux)[0]
             for from_far, kept in ((False, 1.0), (True, far)):
-                lit = SharpBeam(edges, kept * medium.sigma_s * beam.irradiance)
+                tank, lit = ReflectingTank(geometry, faces, steepest), SharpBeam(edges, kept * beam.irradiance)
                 for way in _ways(geometry, faces, from_far) if kept > 0.0 else ():
-                    _add_mirrored(image, pixel_mm, geometry, faces, liquids, lit, way, rules)
-    return image
+                    if faint is None or faint == way.faint:
+                        _add_mirrored(images, scene.camera.pixel_mm, tank, liquids, lit, way, rules)
+    return np.asarray(images * np.array([one.sigma_s for one in media])[:, None, None])
 
 
 def _ways(geometry: Geometry, faces: Array, from_far: bool) -> list[Way]:
@@ -93,67 +125,129 @@ def _ways(geometry: Geometry, faces: Array, from_far: bool) -> list[Way]:
 
 @kernel
 def _add_mirrored(
-    image: Array, pixel_mm: float, geometry: Geometry, faces: Array, liquids: Liquids, beam: SharpBeam, way: Way,
-    rules: PixelRules,
-) -> None:  # fmt: skip
-    """Add one beam as lines of sight by way of some faces show it.
+    images: Array, pixel_mm: float, tank: ReflectingTank, liquids: Liquids, beam: SharpBeam, way: Way, rules: PixelRules
+) -> None:
+    """Add one beam as lines of sight by way of some faces show it, for σs of 1/mm.
 
     ⟨I₁⟩ = 1/(Δx Δy) ∫ dx R ∫ dy I₁(mirrored line of sight)   over each pixel, R what the faces send back
     """
-    edges, (from_far, x_wall, y_wall, floor, _) = beam.edges, way
-    sigma_t, sights = liquids.densest, rules.sights
-    nodes, weights = rules.x
-    ends, found = np.empty(CUTS), np.zeros(1)
-    length, half_width, height = geometry.length, geometry.half_width, geometry.height
-    for column in range(image.shape[1]):
-        for piece in range(PARTS):
+    (geometry, faces, _), (from_far, x_wall, y_wall, floor, outer) = tank, way
+    sights, (nodes, weights) = rules.sights, rules.x
+    ends, found = np.empty(CUTS), np.empty(images.shape[0])
+    half_width, height = geometry.half_width, geometry.height
+    still = _mirrored(geometry, way, 0.0, 0.0)
+    lit = _mirrored_edges(beam.edges, height, floor)
+    parts = min(max(math.ceil(pixel_mm / PART_MM), 1), PARTS)
+    aside = _farthest_aside(tank, way)
+    for column in range(images.shape[2]):
+        if not _in_reach(tank, x_wall, column * pixel_mm, pixel_mm, floor):
+            continue
+        for piece in range(parts):
             for i in range(nodes.size):
-                x = (column + (piece + 0.5 + 0.5 * nodes[i]) / PARTS) * pixel_mm
-                if x >= length:
+                x = (column + (piece + 0.5 + 0.5 * nodes[i]) / parts) * pixel_mm
+                if x >= geometry.length:
                     continue
-                for row in range(image.shape[0]):
+                rows_of_ends(still, _mirrored_x(geometry, way, x, 0.0), lit, ends)
+                for row in range(images.shape[1]):
                     low = row * pixel_mm - half_width
                     high = min(low + pixel_mm, half_width)
                     if high <= low:
                         break
+                    if not _in_reach(tank, y_wall, low, pixel_mm, floor):
+                        continue
+                    y_low, y_high = _mirrored_span(geometry, way, low, high)
+                    if ends[-1] + aside <= y_low or ends[0] - aside >= y_high:
+                        continue
                     vx, vy, vz, _ = sight_line(geometry, x, 0.5 * (low + high))
                     sight = Ray(x, 0.5 * (low + high), height, vx, vy, vz)
                     share, x_move, y_move, lift = _by_way(geometry, faces, sight, way)
                     if share <= 0.0:
                         continue
-                    # The faces' mirror images: first of the line and the camera, then of the light by the far wall.
-                    seen_x = x if x_wall == NONE else -x if x_wall == ENTRY else 2.0 * length - x
-                    camera_x = geometry.camera_x
-                    if x_wall != NONE:
-                        camera_x = -camera_x if x_wall == ENTRY else 2.0 * length - camera_x
-                    y_sign = 1.0 if y_wall == NONE else -1.0
-                    y_shift = 0.0 if y_wall == NONE else -2.0 * half_width if y_wall == LEFT else 2.0 * half_width
-                    y_low, y_high = y_sign * low + y_shift, y_sign * high + y_shift
-                    y_low, y_high = min(y_low, y_high) + y_move, max(y_low, y_high) + y_move
-                    seen_x, camera_x = seen_x + x_move, camera_x + x_move
-                    camera_y = y_sign * geometry.camera_y + y_shift + y_move
-                    if from_far:
-                        seen_x, camera_x = 2.0 * length - seen_x, 2.0 * length - camera_x
-                    mirrored = Geometry(
-                        2.0 * length if from_far else length, half_width, height * (2.0 if floor else 1.0),
-                        geometry.refractive_index, geometry.light_pinhole, geometry.light_x, geometry.light_y,
-                        height - geometry.light_z if floor else geometry.light_z, geometry.camera_pinhole,
-                        camera_x, camera_y, geometry.camera_z + (height if floor else 0.0), geometry.entry_index,
-                        geometry.pane, geometry.pane_index, geometry.reflected,
-                    )  # fmt: skip
-                    lit = (edges[0], edges[1], height - edges[3], height - edges[2]) if floor else edges
-                    rows_of_ends(mirrored, seen_x, lit, ends)
-                    if ends[-1] <= y_low or ends[0] >= y_high:
-                        continue
-                    found[0] = 0.0
+                    y_low, y_high = y_low + y_move, y_high + y_move
+                    seen_x = _mirrored_x(geometry, way, x, x_move)
+                    mirrored = _mirrored(geometry, way, x_move, y_move)
+                    if outer:
+                        rows_of_ends(mirrored, seen_x, lit, ends)
+                        if ends[-1] <= y_low or ends[0] >= y_high:
+                            continue
+                    found[:] = 0.0
                     add_across_sights(found, 1.0, mirrored, (seen_x, y_low, y_high), ends, liquids, lit, sights)
                     if from_far:  # the light beyond the far wall alone: what is in two tanks less what is in one
-                        near = _as_long(mirrored, length)
+                        near = _as_long(mirrored, geometry.length)
                         add_across_sights(found, -1.0, near, (seen_x, y_low, y_high), ends, liquids, lit, sights)
-                    gained = math.exp(sigma_t * lift)
-                    image[row, column] += (
-                        beam.strength * share * gained * found[0] / pixel_mm * 0.5 * weights[i] / PARTS
-                    )
+                    kept = beam.strength * share / pixel_mm * 0.5 * weights[i] / parts
+                    for n in range(found.size):
+                        images[n, row, column] += kept * math.exp(liquids.sigma_t[n] * lift) * found[n]
+
+
+@part
+def _farthest_aside(tank: ReflectingTank, way: Way) -> float:
+    """How far panes move light, and beams that widen with depth, along y at most, mm."""
+    if not way.outer:
+        return 0.0
+    along, steepest = 0.0, 0.0
+    for wall in range(tank.faces.shape[0]):
+        if wall == way.x_wall or wall == way.y_wall or (wall == FLOOR and way.floor):
+            sine = min(tank.faces[wall, 4] / tank.faces[wall, 3], STEEPEST_SINE)
+            along += 2.0 * tank.faces[wall, 2] * sine / math.sqrt(1.0 - sine * sine)
+        if wall != FLOOR:
+            steepest = max(steepest, tank.steepest[wall])
+    return 3.0 * along * steepest
+
+
+@part
+def _in_reach(tank: ReflectingTank, wall: int, first_mm: float, pixel_mm: float, floor: bool) -> bool:
+    """Whether lines of sight through a column, or row, of pixels can meet a wall before they end."""
+    if wall == NONE:
+        return True
+    geometry = tank.geometry
+    width = geometry.length if wall <= FAR else 2.0 * geometry.half_width
+    from_low = first_mm if wall <= FAR else first_mm + geometry.half_width
+    away = from_low if wall in (ENTRY, LEFT) else width - from_low - pixel_mm
+    return bool(away <= geometry.height * (2.0 if floor else 1.0) * tank.steepest[wall])
+
+
+@part
+def _mirrored_x(geometry: Geometry, way: Way, x: float, x_move: float) -> float:
+    """Where a line of sight crosses the surface, mirrored in the faces and then in the far wall, by which light comes.
+
+    `x_move` is what panes move it by.
+    """
+    seen_x = x if way.x_wall == NONE else -x if way.x_wall == ENTRY else 2.0 * geometry.length - x
+    seen_x += x_move
+    return 2.0 * geometry.length - seen_x if way.from_far else seen_x
+
+
+@part
+def _mirrored_span(geometry: Geometry, way: Way, low: float, high: float) -> tuple[float, float]:
+    """From y to y across a pixel, mirrored in the faces."""
+    if way.y_wall == NONE:
+        return low, high
+    shift = 2.0 * geometry.half_width * (-1.0 if way.y_wall == LEFT else 1.0)
+    return shift - high, shift - low
+
+
+@part
+def _mirrored_edges(edges: Edges, height: float, floor: bool) -> Edges:
+    """Of a beam, as they lie over a floor that is twice as deep."""
+    return (edges[0], edges[1], height - edges[3], height - edges[2]) if floor else edges
+
+
+@part
+def _mirrored(geometry: Geometry, way: Way, x_move: float, y_move: float) -> Geometry:
+    """The tank and its mirror images, with the camera where the faces show it."""
+    camera_y = geometry.camera_y
+    if way.y_wall != NONE:
+        camera_y = 2.0 * geometry.half_width * (-1.0 if way.y_wall == LEFT else 1.0) - camera_y
+    height, floor = geometry.height, way.floor
+    return Geometry(
+        geometry.length * (2.0 if way.from_far else 1.0), geometry.half_width, height * (2.0 if floor else 1.0),
+        geometry.refractive_index, geometry.light_pinhole, geometry.light_x, geometry.light_y,
+        height - geometry.light_z if floor else geometry.light_z, geometry.camera_pinhole,
+        _mirrored_x(geometry, way, geometry.camera_x, x_move), camera_y + y_move,
+        geometry.camera_z + (height if floor else 0.0), geometry.entry_index, geometry.pane, geometry.pane_index,
+        geometry.reflected,
+    )  # fmt: skip
 
 
 @part

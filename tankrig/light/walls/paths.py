@@ -18,16 +18,31 @@ from tankrig.light.elementary import exponential, log_one_minus, one_minus_expon
 from tankrig.light.paths.block import CHANCE_COORDINATES, LARGE, SPARED, Points, across, coordinate, scattered
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.record import Bins, seen_from
-from tankrig.light.rays import Geometry, Ray, geometry_of, light_ray
-from tankrig.light.walls.faces import DIFFUSE, ENTRY, FAR, FLOOR, LEFT, RIGHT, face_table, sent_back
+from tankrig.light.rays import Ray, geometry_of, light_ray
+from tankrig.light.walls.faces import (
+    DIFFUSE,
+    ENTRY,
+    FAR,
+    FLOOR,
+    LEFT,
+    RIGHT,
+    ReflectingTank,
+    face_table,
+    sent_back,
+    steepest_sights,
+)
 from tankrig.light.water import Water, water_of
 from tankrig.scene import Scene
 from tankrig.scene.phase import drawn_cosine, phase_density
 
 Array = NDArray[np.float64]
 
-LATTICES = 4
-"""Of these paths for one of the others: they are a small part of the image, and take as little time."""
+LATTICES, SLANTED_LATTICES = 4, 2
+"""Of these paths for one of the others. Where light or sight slant, the others have ten times the noise, and a tank of
+glass in a bench (σt .005/mm, g .7) has the least noise for its time with two: .0174²/2 and .03 CPU s for each, beside
+.0162² and .04 CPU s of the others."""
+FAINTEST = 0.1
+"""Share of its weight from which on a path ends by chance. From .0003 on it takes twice as long for the same noise."""
 STRETCHES = 12
 """Straight stretches of one flight at most; light that has met so many faces is faint."""
 FAINT = 1e-4
@@ -41,13 +56,6 @@ SURFACE = 5
 NONE = -1
 
 
-class ReflectingTank(NamedTuple):
-    """The tank, and what its faces send back (`face_table`)."""
-
-    geometry: Geometry
-    faces: Array
-
-
 class CellImages(NamedTuple):
     """What is added to: images on cells of the tank's surface, and which of them the light of an order goes to."""
 
@@ -57,9 +65,8 @@ class CellImages(NamedTuple):
 
 
 def wall_images(
-    scene: Scene, grid: CellGrid, seed: tuple[int, int], bins: Bins, highest: int, faintest: float,
-    lattices: int = LATTICES,
-) -> Array:  # fmt: skip
+    scene: Scene, grid: CellGrid, seed: tuple[int, int], bins: Bins, highest: int, lattices: int | None = None
+) -> Array:
     """What faces add to the image, but for order 1 by way of clear ones, W/mm²/sr.
 
     Parameters
@@ -74,10 +81,8 @@ def wall_images(
         Index of the image that each order 0, 1, 2, … goes to; order 0 is light that a diffuse face shows by itself.
     highest
         Order to follow paths to.
-    faintest
-        Share of its weight at which a path ends.
     lattices
-        To average.
+        To average; None: as many as go with one of the other paths.
 
     Returns
     -------
@@ -87,11 +92,13 @@ def wall_images(
     beams = [beam for beam in scene.projector.beams if beam.irradiance > 0.0]
     power = np.array([beam.power for beam in beams])
     table = np.column_stack([np.array([(*beam.y_mm, *beam.z_mm) for beam in beams]), np.cumsum(power) / power.sum()])
-    tank, water = ReflectingTank(geometry_of(scene), face_table(scene.tank)), water_of(scene.medium)
+    geometry, water = geometry_of(scene), water_of(scene.medium)
+    tank = ReflectingTank(geometry, face_table(scene.tank), steepest_sights(geometry))
+    lattices = lattices or (LATTICES if grid.shiftable else SLANTED_LATTICES)
     for number in range(lattices):
         shifted = LARGE.shifted((seed[0] + WALLS_APART, seed[1] * lattices + number))
         points = Points(shifted, LARGE.points)
-        _trace(CellImages(cells, bins, grid.cell_mm), tank, water, table, points, highest, faintest)
+        _trace(CellImages(cells, bins, grid.cell_mm), tank, water, table, points, highest)
     return cells * (float(power.sum()) / (lattices * LARGE.points * grid.cell_mm[0] * grid.cell_mm[1]))
 
 
@@ -100,9 +107,7 @@ WALLS_APART = 2**30
 
 
 @kernel
-def _trace(
-    seen: CellImages, tank: ReflectingTank, water: Water, beams: Array, points: Points, highest: int, faintest: float
-) -> None:
+def _trace(seen: CellImages, tank: ReflectingTank, water: Water, beams: Array, points: Points, highest: int) -> None:
     """Follow the paths of a lattice; `beams` are edges and the share of the power up to and including each.
 
         I = 1/N Σ_paths Σ_events w p(cos θ) R e^{−σt s} T J / (area of a cell),   w ← w (chance of an event) ϖ
@@ -147,7 +152,7 @@ def _trace(
                 dx, dy, dz, ex, ey, ez = scattered(dx, dy, dz, ex, ey, ez, drawn_cosine(u, phase), v)
             if order >= highest:
                 break
-            if weight < faintest:
+            if weight < FAINTEST:
                 if coordinate(point, CHANCE_COORDINATES + flights, lattice) >= SPARED:
                     break
                 weight *= 1.0 / SPARED
@@ -187,7 +192,7 @@ def _fly(
     face
         The diffuse face, or −1.
     """
-    geometry, faces = tank
+    geometry, faces, _ = tank
     x, y, z, dx, dy, dz = ray
     length, half_width, height, index = (
         geometry.length, geometry.half_width, geometry.height, geometry.refractive_index,
@@ -286,10 +291,11 @@ def _show(
     directly: bool, face: int,
 ) -> None:  # fmt: skip
     """Show the camera what water, or a diffuse face, scatters of light: w p(cos θ) R e^{−σt s} T J."""
-    geometry, faces = tank
+    geometry, faces, steepest = tank
     sigma_t, _, phase = water
     x, y, z, dx, dy, dz = ray
     index = geometry.refractive_index
+    to_faces = x, geometry.length - x, geometry.half_width + y, geometry.half_width - y
     for across_x in range(3):
         if across_x > 0 and not (geometry.camera_pinhole and _clear(faces, across_x - 1)):
             continue
@@ -304,6 +310,11 @@ def _show(
                 px = x if across_x == 0 else -x if across_x == 1 else 2.0 * geometry.length - x
                 py = y if across_y == 0 else (-2.0 if across_y == 1 else 2.0) * geometry.half_width - y
                 pz = z if floor == 0 else -z
+                depth = geometry.height - pz
+                if across_x > 0 and to_faces[across_x - 1] > depth * steepest[across_x - 1]:
+                    continue
+                if across_y > 0 and to_faces[across_y + 1] > depth * steepest[across_y + 1]:
+                    continue
                 for outer in range(2):  # at the inner sides of panes, or by their outer sides
                     seen_x, seen_y, sx, sy, sz, path, factor = seen_from(geometry, px, py, pz, index)
                     if across_x + across_y + floor > 0:
