@@ -1,8 +1,9 @@
 """An optimum corrected by exact images, about which other models say only how images change."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +38,11 @@ or high orders are solved for."""
 CORRECTIONS, SETTLED = 4, 0.1
 """Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
 which that is over, see `Block.looseness`."""
-MOST_CORRECTIONS, TOLD_AT, CLOSE = 8, (0, 2), 4.0
-"""Where a phase function's coordinates are fitted along light paths: exact images at most, at which of them derivatives
-along paths are told, and how many times as closely as to 0 coordinates that are expected to be 0 ± 1 stay to where an
-exact image was made. What an image hardly tells derivatives' noise does, and without that fits followed it."""
+MOST_CORRECTIONS, TOLD_AGAIN, CLOSE = 8, 2, 4.0
+"""Where a phase function's coordinates are fitted along light paths: exact images at most, after how many of them
+derivatives along paths are told again, and how many times as closely as to 0 coordinates that are expected to be 0 ± 1
+stay to where an exact image was made. What an image hardly tells derivatives' noise does, and without that fits
+followed it."""
 SETTLED_SHARE = 0.5
 """Share of its standard deviation by which each value may have moved besides."""
 NOISY = 0.1
@@ -63,10 +65,6 @@ def corrected_fit(
 ) -> Fit:
     """The optimum by exact images, and by how other models change about them.
 
-    To first order at first: what is left of paths' noise in that is smooth. Then as the models bend on the way, which
-    says as much as other exact images there would (of what these gained in a dose's fit from afar, 105 %). Then on by
-    what noise of the derivatives has held back.
-
     Parameters
     ----------
     best
@@ -80,84 +78,195 @@ def corrected_fit(
     sharper
         Whether images follow more paths where the model's error hides what the images show.
     """
+    followed = [model for model in models if isinstance(model, Followed)]
+    if any(shot.models.family for shot in shots) and len(followed) == len(models):
+        return _corrected_by_shares(best, shots, followed, progress, sharper)
+    return _corrected_by_models(best, shots, models, progress, sharper)
+
+
+def _corrected_by_models(
+    best: Evaluation, shots: Sequence[Shot], models: Sequence[Model], progress: Told, sharper: bool
+) -> Fit:
+    """The optimum by exact images, about which models change as they do by themselves.
+
+    To first order at first: what is left of paths' noise in that is smooth. Then as the models bend on the way, which
+    says as much as other exact images there would (of what these gained in a dose's fit from afar, 105 %). Then on by
+    what noise of the derivatives has held back.
+    """
     problem = best.problem
     many = any(shot.models.family for shot in shots)
     bent_enough, steps = (MANY_ENOUGH, FEW_STEPS) if many else (BENT_ENOUGH, BENT_STEPS)
     solved = any(is_solved(model) for model in models)
-    along = many and all(isinstance(model, Followed) for model in models)
     slopes_noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, models, strict=True)]
-    followed = [model for model in models if along and isinstance(model, Followed)]
-
-    def noise_at(media: Sequence[Medium]) -> list[Slopes | None]:
-        return [one and _always(one(medium)) for one, medium in zip(slopes_noise, media, strict=True)]
-
-    corrected_at: list[Sequence[Medium]] = []
-    told: tuple[list[Image], list[Slopes | None]] = [], []
-
-    def exact(at: Evaluation, times: float) -> list[Prediction]:
-        return [shot.models.exact(one, times) for shot, one in zip(shots, at.media, strict=True) if shot.models.exact]
 
     def about(centre: Evaluation, seen: Sequence[Prediction], start: Evaluation) -> Fit:
-        nonlocal told
-        media, liquids = centre.media, centre.liquids
-        near, slopes = list(models), []
-        if along:
-            if len(corrected_at) in TOLD_AT:
-                told = [model.shares(medium) for model, medium in zip(followed, media, strict=True)], noise_at(media)
-            changes, noise = told
-            parts = list(zip(followed, media, seen, changes, strict=True))
-            near = [model.about(medium, one, share) for model, medium, one, share in parts]
-            slopes = [model.slopes_about(medium, one.image, share) for model, medium, one, share in parts]
-        else:
-            slopes, noise = problem.of_views(lambda view: view.slopes(liquids[view.dose])), noise_at(media)
-        corrected_at.append(media)
-        last = tuple(corrected(*one) for one in zip(near, media, seen, strict=True))
-        weighed = weighed_problem(
-            problem, shots, [image_of(model) for model in last], [_always(one) for one in slopes], seen, centre.added
-        ).with_slopes_noise(noise)
-        shown = [model(medium) for model, medium in zip(near, media, strict=True)]
-        smooth = [one.image for one in shown]
-        bent = _without_noise_in_gain(weighed, smooth, seen, centre.added).by([image_of(model) for model in near])
-        families = [shot.models.family for shot in shots]
-        straight = [
-            _linear(image, medium, slope, family)
-            for image, medium, slope, family in zip(smooth, media, slopes, families, strict=True)
-        ]
-        if along:
-            bent = replace(bent, close=(centre.coordinates, CLOSE))
-        line = replace(bent.by(straight), quick=True)
-        end = solve(line, start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
+        slopes = problem.of_views(lambda view: view.slopes(centre.liquids[view.dose]))
+        here = _about(problem, shots, models, slopes, _at_media(slopes_noise, centre.media), centre, seen)
+        end = solve(here.line, start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
         if not solved:  # or steps as the models bend would cost more than another exact image, and say no more
             if many:  # along which moments bend
-                end = by_cost(bent.at(one.coordinates) for one in (end, start))[0]
-            end = solve(bent, end.coordinates, bent_enough, steps, damping=0.0)
-        further = 0.0 if along else without_noise(line.at(centre.coordinates))
-        apart = (
-            exact.image - one.image if stated_error(one) < stated_error(exact) else None
-            for one, exact in zip(shown, seen, strict=True)
-        )  # fmt: skip
-        return Fit(weighed.at(np.clip(end.coordinates + further, *line.box)), last, tuple(apart))
+                end = by_cost(here.bent.at(one.coordinates) for one in (end, start))[0]
+            end = solve(here.bent, end.coordinates, bent_enough, steps, damping=0.0)
+        return here.fit(end.coordinates + without_noise(here.line.at(centre.coordinates)))
 
     progress("correcting by accurate images")
-    centre, rough = best, along
-    fit = about(centre, exact(centre, FIRST if rough else 1.0), centre)
-    for _ in range((MOST_CORRECTIONS if along else CORRECTIONS) - 1):
-        if not rough and _settled(fit.optimum, centre, SETTLED * problem.looseness):
+    centre = best
+    fit = about(centre, _exact(shots, centre), centre)
+    for _ in range(CORRECTIONS - 1):
+        if _settled(fit.optimum, centre, SETTLED * problem.looseness):
             break
         progress("correcting by accurate images")
-        centre, seen = _borne_out(fit, centre, partial(exact, times=1.0), HALVINGS if many else 0)
-        fit, rough = about(centre, seen, centre), False
+        centre, seen = _borne_out(fit, centre, partial(_exact, shots), HALVINGS if many else 0)
+        fit = about(centre, seen, centre)
     if sharper and _held_back(fit.optimum):
         progress("correcting by images as accurate as the photographs")
-        fit = about(centre, exact(centre, SHARPER), fit.optimum)
+        fit = about(centre, _exact(shots, centre, SHARPER), fit.optimum)
     end = fit.optimum
     views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
     whole = replace(end.problem, views=tuple(views)).with_slopes_noise(slopes_noise)
-    found, moved = end if along else whole.at(end.coordinates), None
-    if along and not _settled(end, centre, SETTLED * problem.looseness):
-        there = end.problem.by([_always(one.image) for one in exact(end, 1.0)]).at(end.coordinates)
-        moved = _values(found) - _values(centre) if there.cost - end.cost > MUCH else None
-    return replace(fit, optimum=found, moved=moved)
+    return replace(fit, optimum=whole.at(end.coordinates))
+
+
+def _corrected_by_shares(
+    best: Evaluation, shots: Sequence[Shot], models: Sequence[Followed], progress: Told, sharper: bool
+) -> Fit:
+    """The optimum by exact images, about which a phase function's coordinates change what paths bring by shares of it.
+
+    Orders 1 and 2 are computed as they are, see `Followed.about`. Derivatives along paths are dear, and told twice.
+    """
+    problem = best.problem
+    slopes_noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, models, strict=True)]
+
+    def shares_at(centre: Evaluation) -> _Shares:
+        shares = [model.shares(medium) for model, medium in zip(models, centre.media, strict=True)]
+        return _Shares(shares, _at_media(slopes_noise, centre.media))
+
+    def about(centre: Evaluation, seen: Sequence[Prediction], start: Evaluation, told: _Shares) -> Fit:
+        parts = list(zip(models, centre.media, seen, told.shares, strict=True))
+        near = [model.about(medium, one, share) for model, medium, one, share in parts]
+        slopes = [model.slopes_about(medium, one.image, share) for model, medium, one, share in parts]
+        close = centre.coordinates, CLOSE
+        here = _about(problem, shots, near, slopes, told.noise, centre, seen, close)
+        end = solve(here.line, start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
+        end = by_cost(here.bent.at(one.coordinates) for one in (end, start))[0]  # along which moments bend
+        end = solve(here.bent, end.coordinates, MANY_ENOUGH, FEW_STEPS, damping=0.0)
+        return here.fit(end.coordinates)
+
+    progress("correcting by accurate images")
+    centre, told, made = best, shares_at(best), 1
+    fit = about(centre, _exact(shots, centre, FIRST), centre, told)
+    while made < MOST_CORRECTIONS:
+        if made > 1 and _settled(fit.optimum, centre, SETTLED * problem.looseness):  # the first image is too rough
+            break
+        progress("correcting by accurate images")
+        centre, seen = _borne_out(fit, centre, partial(_exact, shots), HALVINGS)
+        told = shares_at(centre) if made == TOLD_AGAIN else told
+        fit, made = about(centre, seen, centre, told), made + 1
+    if sharper and _held_back(fit.optimum):
+        progress("correcting by images as accurate as the photographs")
+        told = shares_at(centre) if made == TOLD_AGAIN else told
+        fit = about(centre, _exact(shots, centre, SHARPER), fit.optimum, told)
+    return replace(fit, moved=_still_moved(fit.optimum, centre, shots, SETTLED * problem.looseness))
+
+
+def _still_moved(end: Evaluation, centre: Evaluation, shots: Sequence[Shot], near: Vector) -> Vector | None:
+    """By how much the last exact image moved the values, where they have not settled and the exact image at their end
+    costs much more than was promised; else None."""
+    if _settled(end, centre, near):
+        return None
+    there = end.problem.by([_always(one.image) for one in _exact(shots, end)]).at(end.coordinates)
+    return _values(end) - _values(centre) if there.cost - end.cost > MUCH else None
+
+
+class _Shares(NamedTuple):
+    """Derivatives of the logarithm of what paths bring of each image, see `Followed.shares`, and their noise."""
+
+    shares: list[Image]
+    noise: list[Slopes | None]
+
+
+@dataclass(frozen=True)
+class _About:
+    """The problem about a place where exact images are known.
+
+    Parameters
+    ----------
+    weighed
+        By the exact images' errors, with models that agree with them at the place.
+    bent
+        The same with the paths' noise in the exact images taken off what was observed.
+    line
+        That to first order.
+    models
+        Of the views of `weighed`.
+    apart
+        See `Fit`.
+    """
+
+    weighed: Problem
+    bent: Problem
+    line: Problem
+    models: tuple[Model, ...]
+    apart: tuple[Image | None, ...]
+
+    def fit(self, coordinates: Vector) -> Fit:
+        """The fit that ends at coordinates, or next to them in the box."""
+        return Fit(self.weighed.at(np.clip(coordinates, *self.line.box)), self.models, self.apart)
+
+
+def _about(
+    problem: Problem, shots: Sequence[Shot], models: Sequence[Model], slopes: Sequence[Image],
+    noise: Sequence[Slopes | None], centre: Evaluation, seen: Sequence[Prediction],
+    close: tuple[Vector, float] | None = None,
+) -> _About:  # fmt: skip
+    """The problem about a place where exact images are known.
+
+    Parameters
+    ----------
+    problem
+        That is solved.
+    shots
+        The images.
+    models
+        That say how images change about the place.
+    slopes, noise
+        Their derivatives at the place, and patterns of the noise of these.
+    centre
+        The place.
+    seen
+        Exact images there.
+    close
+        See `Problem`.
+    """
+    media = centre.media
+    last = tuple(corrected(*one) for one in zip(models, media, seen, strict=True))
+    weighed = weighed_problem(
+        problem, shots, [image_of(model) for model in last], [_always(one) for one in slopes], seen, centre.added
+    ).with_slopes_noise(noise)
+    shown = [model(medium) for model, medium in zip(models, media, strict=True)]
+    smooth = [one.image for one in shown]
+    calm = _without_noise_in_gain(weighed, smooth, seen, centre.added)
+    bent = replace(calm.by([image_of(model) for model in models]), close=close)
+    families = [shot.models.family for shot in shots]
+    straight = [
+        _linear(image, medium, slope, family)
+        for image, medium, slope, family in zip(smooth, media, slopes, families, strict=True)
+    ]
+    apart = (
+        exact.image - one.image if stated_error(one) < stated_error(exact) else None
+        for one, exact in zip(shown, seen, strict=True)
+    )  # fmt: skip
+    return _About(weighed, bent, replace(bent.by(straight), quick=True), last, tuple(apart))
+
+
+def _exact(shots: Sequence[Shot], at: Evaluation, times: float = 1.0) -> list[Prediction]:
+    """Exact images at a place, with so many times the light paths."""
+    return [shot.models.exact(one, times) for shot, one in zip(shots, at.media, strict=True) if shot.models.exact]
+
+
+def _at_media(noise: Sequence[Slopes | None], media: Sequence[Medium]) -> list[Slopes | None]:
+    """Patterns of the derivatives' noise as they are at media, wherever they are asked for."""
+    return [one and _always(one(medium)) for one, medium in zip(noise, media, strict=True)]
 
 
 def _values(at: Evaluation) -> Vector:
