@@ -3,58 +3,34 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import SceneError
-from tankrig.estimation.astray import ASTRAY, SIGNS, Astray, AstrayBlock, floor
+from tankrig.estimation.astray import ASTRAY, Astray, AstrayBlock, floor
 from tankrig.estimation.coordinates import Range
-from tankrig.estimation.fitting import Searched, fitted_on, searched, without_outliers
-from tankrig.estimation.forward import Models, error_map, models_of
-from tankrig.estimation.left_over import (
-    Left,
-    Shown,
-    astray_shown,
-    error_of,
-    left_over,
-    moved_by_halos,
-    rms,
-    spread_of,
-    stated_errors,
-)
+from tankrig.estimation.findings import Findings, findings_of
+from tankrig.estimation.fitting import fitted_on, searched, without_outliers
+from tankrig.estimation.forward import Models, models_of
+from tankrig.estimation.left_over import Left, left_over, moved_by_halos, rms, stated_errors
 from tankrig.estimation.light_beside import BESIDE, BesideBlock
 from tankrig.estimation.misfit import moved_unseen
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, liquid_blocks, rougher
-from tankrig.estimation.phase_instead import Freed, Instead, freed, phase_instead
+from tankrig.estimation.phase_doubt import told_early
+from tankrig.estimation.phase_instead import Instead
 from tankrig.estimation.problem import Evaluation
-from tankrig.estimation.residual import (
-    PHASE,
-    PHASE_TERMS,
-    WHOLE,
-    Cause,
-    cause_by,
-    cause_of,
-    misalignment_left_out,
-    misalignments,
-    phase_of_share,
-    standing_out,
-    structure_map,
-)
+from tankrig.estimation.residual import WHOLE, structure_map
 from tankrig.estimation.result import Estimate as Estimate
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
-from tankrig.estimation.shots import Fit, Shot, weighed_problem
-from tankrig.estimation.uncertainty import (
-    identifiable,
-    overconfidence,
-    stretches,
-)
+from tankrig.estimation.shots import Fit, Shot
+from tankrig.estimation.uncertainty import identifiable, overconfidence, stretches
 from tankrig.estimation.verdict import (
     what_did_not_hold,
     what_has_not_settled,
@@ -82,22 +58,12 @@ Free = Literal["free"]
 
 ALIGNINGS, ALIGNED = 5, 2.0
 """Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
-LIKE_TANK = ("tank", "prepared")
-"""Models of the whole tank that the cheap one can stand in for."""
-DOUBTED, EARLY = 1.5, 0.9
-"""Mean squared residual that the cheap model with Henyey–Greenstein's leaves, in standard deviations that count its own
-error, from which on other phase functions are looked at at once (where they are Henyey–Greenstein's it leaves .8 to
-1.2, an emulsion of σs .03 1.7), and share of it that another one explains before a fit goes on with that."""
-BEYOND, EXPLAINED = 1.5, 0.5
-"""Structure over the model's own error from which on, and share of it below which the likeliest cause explains too
-little, for Henyey–Greenstein's σs and g to count as determined: a liquid like Petzold's left .45 % beside .2, of which
-no cause explained more than .35, with g six standard deviations off."""
-BEYOND_DOUBT = 3.0
-"""Logarithm of how many times likelier (20) another phase function is before Henyey–Greenstein's is given up."""
 FREE = "free"
 """Name of the family that holds any smooth phase function."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
+COMMON_FLOOR = 0.04
+"""Reflectance of a floor that somebody has painted black."""
 
 
 def estimate(
@@ -225,7 +191,7 @@ def fit_models(
         blocks = (*blocks_of(None), beside) if beside is not None else blocks_of(None)
         looked = searched([shot], blocks, scaling, progress)
         if asked.further is not None and misalignment is None and astray is None and beside is None:
-            early = _told_early(shot, looked, asked, progress)
+            early = told_early(shot, looked, progress)
             if early is not None:
                 return _further(observation, scene, scaling, models, progress, None, asked.further, None, early)
         fit = fitted_on([shot], looked, progress, sharper=True)
@@ -257,28 +223,6 @@ def _further(
     other, asked = models.of(asked.family), replace(asked, near=instead.liquid)
     free = fit_models(observation, scene, scaling, other, progress, misalignment, asked, astray)
     return replace(free, verdict=f"{what_did_not_hold(instead.share)} {free.verdict}")
-
-
-def _told_early(shot: Shot, looked: Searched, asked: Asked, progress: Told) -> Instead | None:
-    """What another phase function explains, where the search's end with Henyey–Greenstein's leaves so much that it is
-    not worth going on from; None where that is not so."""
-    scene, (problem, (start, *_)) = shot.scene, looked
-    end, views = problem.at(start), problem.views
-    (medium,) = end.media
-    seen = shot.models.coarse(medium)
-    counted = weighed_problem(
-        problem, [shot], [view.forward for view in views], [view.slopes for view in views], [seen], end.added
-    )
-    best = counted.at(start)
-    if 2.0 * best.cost < DOUBTED * counted.pixels:
-        return None
-    progress("looking at other phase functions")
-    instead = phase_instead(best, scene, shot.models, asked, rough=True)
-    if instead is None or instead.share < EARLY:
-        return None
-    told = phase_of_share(instead.share, best.left)
-    likely = cause_of(best, scene, cache(partial(misalignments, scene, medium)), told)
-    return instead if likely and likely[0].name == PHASE else None
 
 
 def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
@@ -341,140 +285,85 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
 def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, Instead | None]:
     """The estimate at an optimum: its errors, what the residual says, and the verdict; and what another phase function
     would say, where that explains more of what is left than anything else does."""
-    best, calm = fit.optimum, fit.calm
+    best = fit.optimum
     gain, (offset,), (left,) = left_over(fit)
-    observation, prediction = best.problem.views[0].observation, left.prediction
-    used, stated = observation.used, left.stated
-    # Where the model states its error, it is of the pattern stated; what goes beyond it is in proportion to the image.
-    error = gain * np.hypot(error_map(prediction), left.beyond * np.abs(prediction.image))
-    whitened = np.where(used, left.residual, 0.0) / left.noise
-    place = standing_out(whitened, used, error / left.noise)
-    whole = prediction.model in WHOLE
-    held = left.unexplained <= stated and place is None
-    left_out = max((skipped.bound for skipped in prediction.skipped), default=0.0)
-    misaligned = cache(partial(misalignments, scene, best.media[0]))  # eight images, and two may ask
-    free_too = cache(partial(freed, best, scene, models, [left.noise], stated_errors(best, [left])))
-    asks = asked.family is None and prediction.model in LIKE_TANK
-    likely, instead = (
-        _likely_causes(best, scene, models, asked, whole, misaligned, free_too() if asks else None)
-        if not held
-        else ([], None)
-    )
-    cause = likely[0] if likely else None
-    own = 3 if asked.family is None else 2  # a family's coordinates are not the mean cosine
-    counted = error_of(prediction, gain, left.beyond, scene)
-    bare = calm.sensitivity.covariance([left.noise], [counted])
-    sign = None
-    if whole and (cause is None or cause.name in SIGNS):
-        asked_of = None if cause is None else cause.name
-        sign = astray_shown(calm, left, replace(scene, medium=best.media[0]), bare, own, asked_of)
-    asks = asks and held and prediction.model == "tank" and (shift_invariant(scene) or _hinted(left, sign))
-    other = free_too() if asks else None
-    by_phase = other is not None and _told_by_phase(other, sign, best.left.size)
-    if other is not None and by_phase:
-        sign, instead = None, Instead(1.0, other.moved, best.media[0])
-        if asked.further is not None:
-            near = phase_instead(best, scene, models, asked, rough=True)
-            share = cause_by(PHASE, best.left, other.pattern, PHASE_TERMS).share
-            instead = near and replace(near, share=max(near.share, share))
-    misled = instead is not None and (by_phase or (cause is not None and cause.name == PHASE))
-    spread = spread_of(calm, [left], [counted], None if sign is None else sign.explained)
-    if sign is not None:
-        spread = spread + np.outer(sign.moved, sign.moved) * (1.0 + 1.0 / sign.deviations**2)
-    spread = fit.unsettled(spread)
+    found = findings_of(fit, left, scene, models, asked)
+    phase, spread = found.phase, fit.unsettled(found.spread(left))
     off, answer = nuisances_of(best, spread), answer_of(best, spread, asked, left.beyond == 0.0)
-    medium, spread = answer.liquid, answer.covariance
-    if instead is not None:
-        spread = spread + instead.share * np.outer(instead.moved, instead.moved)
-    elif other is not None:
-        spread = other.averaged(spread)
-    edges = best.at_edge
-    any_shape = asked.family if asked.family is not None and asked.family.name == FREE else None
-    rough = any_shape is not None and rougher(best.values["phase"], any_shape)
-    undescribed = any_shape is not None and (left.beyond > 0.0 or rough)
-    doubted = asked.family is None and not misled and not held and _unexplained(left.unexplained, stated, cause)
-    bent = misled or undescribed or doubted or fit.moved is not None
+    medium, spread = answer.liquid, phase.counted(answer.covariance)
+    undescribed, rough = _undescribed(best, left, asked)
+    bent = phase.misled or phase.doubted or undescribed or fit.moved is not None
     known = {
-        name: yes and name not in edges and not (bent and name != "sigma_a")
+        name: yes and name not in best.at_edge and not (bent and name != "sigma_a")
         for name, yes in determined(medium, spread, [left]).items()
     }
-    aside = whole and misalignment_left_out(observation, left.image, gain, misaligned)
-    noisier = left.noisier if observation.noise_known else 1.0
     sentences = [
-        what_is_determined(medium, spread, known, edges, combined=not bent),
-        what_is_left(
-            left.unexplained,
-            stated,
-            noisier,
-            (cause.name, cause.share) if cause else None,
-            place,
-            aside,
-            sign is not None or by_phase,
-            [one.name for one in likely[1:]],
-        ),
-        what_phase_is_shown(other.evidence if other else -math.inf, by_phase),
+        what_is_determined(medium, spread, known, best.at_edge, combined=not bent),
+        *_on_residual(best, left, found),
         what_no_phase_describes(undescribed, rough),
         what_has_not_settled(fit.moved is not None),
-        what_may_be_another_phase(doubted),
+        what_may_be_another_phase(phase.doubted),
         what_is_misaligned(off),
-        what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], bare, sign.others) if sign else "",
-        what_is_unseen(medium, moved_by_halos(calm, [left])[:own], spread, known) if "halo" not in off else "",
-        _unseen_floor(calm, left, scene, medium, off, spread, known) if whole else "",
-        what_was_left_out(observation.saturated, int(observation.specks.sum()), left_out, prediction.model, aside),
+        *_on_light_astray(left, found, scene, medium, off, spread, known),
+        _on_what_was_left_out(best, left, found),
     ]
-    found = Estimate(
+    used = best.problem.views[0].observation.used
+    built = Estimate(
         medium=medium, covariance=spread, identifiable=known, gain=gain, offset=offset, image=left.image,
-        residual=left.residual, rmse=left.rmse, verdict=" ".join(filter(None, sentences)), model=prediction.model,
-        noise=rms(left.noise[used]), model_error=left.counted, nuisance=off, structure=structure_map(whitened, used),
+        residual=left.residual, rmse=left.rmse, verdict=" ".join(filter(None, sentences)), model=left.prediction.model,
+        noise=rms(left.noise[used]), model_error=left.counted, nuisance=off,
+        structure=structure_map(found.whitened, used),
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
-    return found, instead if misled else None
+    return built, phase.instead if phase.misled else None
 
 
-def _hinted(left: Left, sign: Shown | None) -> bool:
-    """Whether anything about a residual is not as expected, however little."""
-    return sign is not None or left.unexplained > 0.0 or left.noisier > 1.0
+def _undescribed(best: Evaluation, left: Left, asked: Asked) -> tuple[bool, bool]:
+    """Whether a free phase function was fitted that does not describe the image, and whether it is rougher than free
+    ones are expected to be, which is one reason for that."""
+    if asked.family is None or asked.family.name != FREE:
+        return False, False
+    rough = rougher(best.values["phase"], asked.family)
+    return left.beyond > 0.0 or rough, rough
 
 
-def _told_by_phase(other: Freed, sign: Shown | None, pixels: int) -> bool:
-    """Whether another phase function is beyond doubt, and likelier than the light astray that an image shows.
+def _on_residual(best: Evaluation, left: Left, found: Findings) -> list[str]:
+    """What the residual says, and what it shows of phase functions though it is noise by its size: two sentences."""
+    (view,), cause, phase = best.problem.views, found.cause, found.phase
+    return [
+        what_is_left(
+            left.unexplained,
+            left.stated,
+            left.noisier if view.observation.noise_known else 1.0,
+            (cause.name, cause.share) if cause else None,
+            found.place,
+            found.aside,
+            found.sign is not None or phase.shown,
+            [one.name for one in found.likely[1:]],
+        ),
+        what_phase_is_shown(phase.freed.evidence if phase.freed else -math.inf, phase.shown),
+    ]
 
-    Beads of .2 µm, σs .03, left nothing but what looked like a blur by 3.8 standard deviations, with g .046 off;
-    another phase function is e⁹⁰ times likelier there than Henyey–Greenstein's.
-    """
-    astray = 0.0 if sign is None else 0.5 * (sign.deviations**2 - math.log(pixels))
-    return other.evidence > max(BEYOND_DOUBT, astray)
+
+def _on_light_astray(
+    left: Left, found: Findings, scene: Scene, medium: Medium, off: Mapping[str, object], spread: Array,
+    known: Mapping[str, bool],
+) -> list[str]:  # fmt: skip
+    """What the residual shows of light astray, and what light astray it would not show: sentences, or nothing."""
+    sign, own, calm = found.sign, found.own, found.calm
+    whole = left.prediction.model in WHOLE
+    return [
+        what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], found.bare, sign.others) if sign else "",
+        what_is_unseen(medium, moved_by_halos(calm, [left])[:own], spread, known) if "halo" not in off else "",
+        _unseen_floor(calm, left, scene, medium, off, spread, known) if whole else "",
+    ]
 
 
-def _unexplained(structure: float, stated: float, cause: Cause | None) -> bool:
-    """Whether a residual holds structure that nothing known explains half of, beyond doubt about the model's error."""
-    return structure > BEYOND * stated and (cause is None or cause.share < EXPLAINED)
-
-
-def _likely_causes(
-    best: Evaluation, scene: Scene, models: Models, asked: Asked, whole: bool, misaligned: Callable[[], Array],
-    other: Freed | None,
-) -> tuple[list[Cause], Instead | None]:  # fmt: skip
-    """What may explain a residual, likeliest first, and what another phase function would say.
-
-    Derivatives tell at once where they explain more than other causes do. Far off they do not; then it is fitted, and
-    that a rough look explains more is enough where families are weighed next.
-    """
-    if other is None:
-        return (cause_of(best, scene, misaligned) if whole else []), None
-    told = cause_by(PHASE, best.left, other.pattern, PHASE_TERMS)
-    likely = cause_of(best, scene, misaligned, told)
-    if likely and likely[0].name == PHASE:
-        instead = phase_instead(best, scene, models, asked, asked.further is not None)
-        return likely, instead and replace(instead, share=max(instead.share, told.share))
-    instead = None
-    for rough in (True, False) if asked.further is not None else (False,):
-        instead = phase_instead(best, scene, models, asked, rough, None if instead is None else instead.liquid)
-        fitted = phase_of_share(instead.share if instead else 0.0, best.left)
-        likely = cause_of(best, scene, misaligned, max(told, fitted, key=lambda one: one.evidence))
-        if likely and likely[0].name == PHASE:
-            break
-    return likely, instead
+def _on_what_was_left_out(best: Evaluation, left: Left, found: Findings) -> str:
+    """Which pixels and which light do not count: sentences, or nothing."""
+    seen, prediction = best.problem.views[0].observation, left.prediction
+    share = max((skipped.bound for skipped in prediction.skipped), default=0.0)
+    return what_was_left_out(seen.saturated, int(seen.specks.sum()), share, prediction.model, found.aside)
 
 
 def _unseen_floor(
@@ -491,10 +380,6 @@ def _unseen_floor(
     moved = moved_unseen(best.sensitivity, changes, COMMON_FLOOR, [left.noise], stated_errors(best, [left]))
     what = f"the floor sent back {100.0 * COMMON_FLOOR:.0f} % of the light"
     return what_is_unseen(medium, moved[:3], spread, known, what)
-
-
-COMMON_FLOOR = 0.04
-"""Reflectance of a floor that somebody has painted black."""
 
 
 def determined(medium: Medium, spread: Array, left: Sequence[Left]) -> dict[str, bool]:

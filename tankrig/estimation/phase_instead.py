@@ -9,7 +9,7 @@ from scipy.special import expit
 
 from tankrig.estimation.forward import COARSE, Models, image_of, models_of
 from tankrig.estimation.optimiser import COARSE_ENOUGH, solve
-from tankrig.estimation.phase_answer import Asked
+from tankrig.estimation.parameters import MediumBlock
 from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
 from tankrig.estimation.phase_families import free
 from tankrig.estimation.phase_result import coefficients_by
@@ -21,11 +21,12 @@ Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 
 SEARCH_STEPS = 30
-"""Of the cheap fit of another phase function, at most."""
+"""Steps of the cheap fit of another phase function, at most."""
 ROUGHLY = 0.03
-"""Share of what is left that the way there goes on for, where no more is needed than that."""
+"""Share of what is left by which a step must promise to lower it for the way there to go on, where no more is needed
+than that."""
 ROUNDING = 1e-12
-"""Of variances, as a share of the largest, that are no more than rounding."""
+"""Share of the largest variance below which others are no more than rounding."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Instead:
     Parameters
     ----------
     share
-        Of the structure of the residual that it explains.
+        Share of the residual's structure that it explains.
     moved
         (3,) σa, σs and mean cosine with it, less those that were fitted.
     liquid
@@ -47,25 +48,23 @@ class Instead:
     liquid: Medium
 
 
-def phase_instead(
-    best: Evaluation, scene: Scene, models: Models, asked: Asked, rough: bool = False, near: Medium | None = None
-) -> Instead | None:
-    """A Henyey–Greenstein fit against one of a free phase function, by the cheap models; None where it is none.
+def fitted_instead(
+    best: Evaluation, scene: Scene, models: Models, rough: bool = False, near: Medium | None = None
+) -> Instead:
+    """A Henyey–Greenstein fit against one of a free phase function, by the cheap models.
 
     What differs between the two is not small in real liquids (σs by a third and more), so that derivatives at the
     optimum would not tell.
 
     Parameters
     ----------
-    best, scene, models, asked
-        The fit, its scene and models, and what was asked for.
+    best, scene, models
+        The fit, its scene and models.
     rough
         Whether no more is needed than the way there and a share that is explained at least.
     near
         Where a rough look has ended.
     """
-    if asked.family is not None:
-        return None
     problem = with_phase_free(best, scene, models)
     (view,), (medium,) = problem.views, best.media
     begin = problem.at(np.concatenate([one.start(medium) for one in problem.blocks]))
@@ -87,12 +86,12 @@ def with_phase_free(best: Evaluation, scene: Scene, models: Models) -> Problem:
     What else the fit's image has at its end than the cheap model's is added wherever the free one goes: what may be
     misaligned, and what the cheap model is off by.
     """
-    (view,), (medium,) = best.problem.views, best.media
-    family = free()
+    (view,), (medium,), family = best.problem.views, best.media, free()
+    (fitted,) = (block for block in best.problem.blocks if isinstance(block, MediumBlock))
     cheap = (models if models.slopes is None else models_of(scene, "tank", None)).of(family)
     image = image_of(cheap.coarse)
     besides = best.images[0] - image(medium)
-    blocks = (CoefficientsBlock(best.problem.blocks[0].range), PhaseBlock(family))  # type: ignore[attr-defined]
+    blocks = (CoefficientsBlock(fitted.range), PhaseBlock(family))
     slopes = cheap.slopes_of(cheap.coarse, max(scene.tank.size_mm))
     own = replace(view, forward=lambda liquid: image(liquid) + besides, slopes=slopes, slopes_noise=None)
     return Problem((own,), blocks, best.problem.scaling, quick=False)
@@ -122,7 +121,7 @@ class Freed:
 
     @property
     def share(self) -> float:
-        """Of belief, where neither was likelier before."""
+        """How much it is believed, where neither was likelier before: 0 to 1."""
         return float(expit(self.evidence))
 
     def averaged(self, spread: Array) -> Array:
