@@ -26,7 +26,7 @@ Model = Callable[[Medium], Prediction]
 Answer = TypeVar("Answer")
 
 TOLERANCE = 0.01
-"""Of what is computed without paths."""
+"""Tolerance of what is computed without paths."""
 SLOPE_BLUR_MM = 4.0
 """Standard deviation of the Gaussian over which orders ≥ 3 are averaged where changes of the image matter and not the
 image: paths take other ways in another medium, and the noise of the difference passes for knowledge."""

@@ -20,7 +20,7 @@ from tankrig.estimation.outliers import (
 PLATEAU = 4
 """Pixels at exactly the highest value are saturated from so many on, and this times those at any other bright value."""
 BRIGHT = 0.9
-"""Of the highest value: from here on values are bright."""
+"""Share of the highest value from which on values are bright."""
 MOST_SATURATED = 0.5
 """Share of the image beyond which nothing can be made of it."""
 PEAKED = 0.05

@@ -92,12 +92,12 @@ With a family those of σa and σs come first, and that of the phase function ne
 
 
 def liquid_blocks(within: Range) -> BlocksOf:
-    """Of one liquid in all images."""
+    """Blocks of one liquid in all images."""
     return lambda family: (MediumBlock(within),) if family is None else (CoefficientsBlock(within), PhaseBlock(family))
 
 
 def ink_blocks(doses: Doses, length_mm: float) -> BlocksOf:
-    """Of ink in water that absorbs."""
+    """Blocks of ink in water that absorbs."""
     errors = DosesBlock(doses)
     return lambda family: (
         (InkBlock(doses, length_mm), errors)

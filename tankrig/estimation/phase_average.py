@@ -37,10 +37,10 @@ McCormick's or two terms, beads of .2 µm and milk-like droplets are .03 off, an
 NEGLIGIBLE = 1e-3
 """Share of the answer below which a family is left out of it."""
 DIFFERENCE = 1e-3
-"""Of what is expected, by which places are differenced."""
+"""Step of each number, in standard deviations of what is expected, by which places are differenced."""
 STEPS = 40
 LEAST = 1e-3
-"""Of the coefficients that the free fit found, below which no family's are sought."""
+"""Share of the coefficients that the free fit found below which no family's are sought."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Score:
 
     @classmethod
     def of(cls, best: Evaluation, spread: Array) -> "Score":
-        """Of an optimum and the covariance (k, k) of its first k values, whatever that counts.
+        """The score at an optimum with the covariance (k, k) of its first k values, whatever that counts.
 
         Values beyond those (of the set-up, water, doses) follow them wherever they go.
         """

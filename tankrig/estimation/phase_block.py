@@ -216,7 +216,7 @@ class PhaseBlock(Block):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its coordinates."""
+        """Names of its coordinates."""
         return self.family.names
 
     @property
@@ -231,7 +231,7 @@ class PhaseBlock(Block):
 
     @property
     def longest_step(self) -> Array:
-        """Of the family."""
+        """How far the family's coordinates may go in one step."""
         return self.family.longest_step
 
     @property
@@ -253,7 +253,7 @@ class PhaseBlock(Block):
 
     @property
     def prior_weight(self) -> Array:
-        """Of what is expected to be 0 ± 1."""
+        """1 for coordinates that are expected to be 0 ± 1, 0 for others."""
         return np.where(self.family.expected, 1.0, 0.0) if self.family.expected.size else np.zeros(len(self.names))
 
     def liquid(self, values: Values, dose: int, before: Medium) -> Medium:

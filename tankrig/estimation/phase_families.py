@@ -24,8 +24,8 @@ NARROWEST, WIDEST_SPREAD = 0.005, 0.5
 USUAL_G = (0.5, 0.8, 0.93)
 """Asymmetries that searches begin from besides Henyey–Greenstein's, which other phase functions lead astray."""
 DIAMETER_STEP, FURTHEST = 0.02, 2.5
-"""Of the diameters that a search begins from, as a share, and standard deviations of the label's that it goes to: Mie's
-p at a right angle goes up and down within some per cent of the diameter (beads of .5 to 2 µm)."""
+"""Step between diameters that a search begins from, as a share, and standard deviations that it goes from the label's:
+Mie's p at a right angle goes up and down within some per cent of the diameter (beads of .5 to 2 µm)."""
 PLACES_DEG = np.exp(np.linspace(math.log(FORWARD_DEG), math.log(180.0 + FORWARD_DEG), 100)) - FORWARD_DEG
 """Angles at which phase functions are compared with free ones, as dense as the shapes want them."""
 RIDGE = 1e-3

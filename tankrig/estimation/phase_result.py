@@ -20,7 +20,7 @@ RIGHT_ANGLE = int(np.flatnonzero(ANGLES_DEG == 90.0)[0])
 
 
 MOST_LOGARITHM = 300.0
-"""Of a band's width: what is not known at all has one without end, and numbers do not."""
+"""Width of a band at most, as a logarithm: what is not known at all has one without end, and numbers do not."""
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class View:
 
     @cached_property
     def whitening(self) -> Whitening:
-        """Of the errors assumed, on the pixels that are used."""
+        """How errors as large as assumed are made 1, on the pixels that are used."""
         return self.error.whitening(self.observation.noise, self.observation.used)
 
     @cached_property
@@ -119,17 +119,17 @@ class Problem:
 
     @property
     def longest_step(self) -> Array:
-        """Of each coordinate."""
+        """How far each coordinate may go in one step."""
         return np.concatenate([one.longest_step for one in self.blocks])
 
     @property
     def looseness(self) -> Array:
-        """Of each coordinate."""
+        """Times that each coordinate may have moved further than others where a fit has settled."""
         return np.concatenate([one.looseness for one in self.blocks])
 
     @property
     def least_damping(self) -> float:
-        """Of steps, see `Block.least_damping`."""
+        """Share of the curvature that steps are damped by at least, see `Block.least_damping`."""
         return max(one.least_damping for one in self.blocks)
 
     @property
@@ -211,13 +211,13 @@ class Evaluation:
 
     @cached_property
     def values(self) -> dict[str, Array]:
-        """Of each block, by its name."""
+        """Values of each block, by its name."""
         parts = zip(self.problem.blocks, self.problem.split(self.coordinates), strict=True)
         return {block.name: block.values(part) for block, part in parts}
 
     @cached_property
     def liquids(self) -> dict[int, Medium]:
-        """Of the views, by the number of their dose."""
+        """Liquids of the views, by the number of their dose."""
         found = {}
         for dose in {view.dose for view in self.problem.views}:
             found[dose] = UNKNOWN

@@ -25,7 +25,7 @@ ModelOf = Callable[[Scene, int, int], Model]
 QUICK_BATCHES, ACCURATE_BATCHES = 2, 8
 """Lattices of the images of a series: of those that steps are made with, and of those that correct them."""
 LATTICES = 4
-"""Of a series' images, where no prepared model holds a medium."""
+"""Lattices of light paths in each image of a series, where no prepared model holds the medium."""
 PURE_WATER_SIGMA_S = 1.9e-6
 """What pure water itself scatters of green light, 1/mm, as much forwards as backwards (Morel 1974)."""
 

@@ -70,7 +70,7 @@ class Misalignment:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the terms, in the order of every vector of them."""
+        """Names of the terms, in the order of every vector of them."""
         return tuple(self.sd)
 
     def change(self, medium: Medium, off: Array) -> Array:
@@ -139,7 +139,7 @@ class SetUpBlock(Block):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the terms."""
+        """Names of the terms."""
         return self.misalignment.names
 
     @property

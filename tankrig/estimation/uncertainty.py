@@ -35,7 +35,7 @@ Image = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 CORRELATION_LENGTHS = (1.0 / 32.0, 1.0 / 8.0, 1.0 / 2.0)
-"""Of the model's error, as shares of the tank's length."""
+"""Lengths over which the model's error is alike, as shares of the tank's length."""
 PATTERN = 2.0
 """A model's error is no random draw: where it looks like a change of the medium it moves coefficients further than
 random patterns of its size do (two to three times on dense reference images). It is counted with this factor, where
@@ -79,7 +79,7 @@ class ModelError(Protocol):
     """What a model's image may be off by, units of the observed image: a covariance of its pixels."""
 
     def whitening(self, noise: Image, used: Mask) -> Whitening:
-        """Of this error and the camera's noise, (rows, columns), as the fit weighs pixels."""
+        """How this error and the camera's noise, (rows, columns), are made 1, as the fit weighs pixels."""
         ...
 
     def between(self, responses: Array, used: Mask) -> Array:
@@ -123,12 +123,12 @@ class SmoothError:
 
     @classmethod
     def of(cls, scene: Scene, sd: Image, counted: float = PATTERN) -> "SmoothError":
-        """Of a scene's image."""
+        """The error of an image of a scene."""
         tall, wide = scene.camera.sides_mm
         return cls(sd, max(scene.tank.size_mm) / scene.camera.pixel_mm, counted, tall / wide)
 
     def whitening(self, noise: Image, used: Mask) -> Whitening:
-        """Of its size in each pixel."""
+        """By its size in each pixel."""
         return Weights(1.0 / np.hypot(noise[used], np.asarray(self.sd[used], float)))
 
     def between(self, responses: Array, used: Mask) -> Array:
@@ -162,7 +162,7 @@ class PatternedError:
         return np.asarray(np.hypot(np.sqrt(np.sum(np.square(self.patterns), axis=0)), self.smooth.sd))
 
     def whitening(self, noise: Image, used: Mask) -> Whitening:
-        """Of their size in each pixel."""
+        """By their size in each pixel."""
         return Weights(1.0 / np.hypot(noise[used], np.asarray(self.sd[used], float)))
 
     def between(self, responses: Array, used: Mask) -> Array:

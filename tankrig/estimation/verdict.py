@@ -13,6 +13,12 @@ from tankrig.estimation.uncertainty import DETERMINED, END, extinction, reduced_
 from tankrig.scene import Medium
 
 SYMBOLS = {"sigma_a": "σa", "sigma_s": "σs", "g": "g"}
+HALO = f"lens or air spread {100.0 * STRAY:.2g} % of the light into a wide halo"
+"""What nobody has measured on most benches."""
+TOO_LIKELY = -3.0
+"""Logarithm of how many times likelier another phase function is from which on a verdict speaks of it."""
+TELLING_MOVE = 1.0
+"""Standard deviations of a coefficient by which a cause moves it before it is no noise."""
 
 
 def what_is_determined(
@@ -165,10 +171,6 @@ def what_is_misaligned(found: Mapping[str, tuple[float, float]]) -> str:
     return f"The set-up is not as described, and was corrected: {', '.join(off)}." if off else ""
 
 
-HALO = f"lens or air spread {100.0 * STRAY:.2g} % of the light into a wide halo"
-"""What nobody has measured on most benches."""
-
-
 def what_is_unseen(
     medium: Medium, moved: NDArray[np.float64], spread: NDArray[np.float64], known: Mapping[str, bool],
     what: str = HALO,
@@ -290,10 +292,6 @@ def what_phase_is_shown(evidence: float, shown: bool) -> str:
     )
 
 
-TOO_LIKELY = -3.0
-"""Logarithm of how many times likelier another phase function is from which on a verdict speaks of it."""
-
-
 def _times(evidence: float) -> str:
     """How many times likelier, in words."""
     return f"{math.exp(evidence):.2g} times" if evidence < math.log(1000.0) else "more than a thousand times"
@@ -317,10 +315,6 @@ def what_may_be_another_phase(doubted: bool) -> str:
         "The ink may well have another phase function than Henyey–Greenstein's, so neither σs nor g counts as "
         "determined: fit again with phase free, or with the material that it is."
     )
-
-
-TELLING_MOVE = 1.0
-"""Standard deviations of a coefficient by which a cause moves it before it is no noise."""
 
 
 def _moves(medium: Medium, beyond: Sequence[tuple[str, float]]) -> str:
