@@ -16,7 +16,7 @@ from tankrig.geometry.refraction import entry_wall, transmitted
 from tankrig.geometry.view import pixels_of, rays_of
 from tankrig.image.predict import predict
 from tankrig.light.double import double_scattering
-from tankrig.light.double import image as double_image
+from tankrig.light.double import lit as lit_parts
 from tankrig.light.prepared.box import Box
 from tankrig.light.single import single_scattering
 from tankrig.light.surface import on_surface, to_camera
@@ -112,7 +112,7 @@ def test_light_between_many_heights_has_one_table(monkeypatch: pytest.MonkeyPatc
         PLAIN, projector=Projector("pinhole", (*beams, Beam((20.0, 24.0), (10.0, 14.0))), (-250.0, 4.0, 20.0))
     )
     shared = double_scattering(scene, 0.01)
-    monkeypatch.setattr(double_image, "MOST_HEIGHTS", 100)
+    monkeypatch.setattr(lit_parts, "MOST_HEIGHTS", 100)
     each = double_scattering(scene, 0.01)
     assert relative(shared - each, each) < 3e-3
 

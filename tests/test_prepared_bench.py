@@ -18,7 +18,7 @@ from tankrig.light.double import (
     table_error,
     tables_of_wall,
 )
-from tankrig.light.double import image as order_2
+from tankrig.light.double import lit as lit_parts
 from tankrig.light.prepared import entrance
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.cache import Place
@@ -92,13 +92,13 @@ def followed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
 def tabulated(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
     """Scenes for which order 2 is tabulated."""
     scenes: list[Scene] = []
-    fill = order_2.fill_stack
+    fill = lit_parts.fill_stack
 
     def counted(scene: Scene, *given: object) -> object:
         scenes.append(scene)
         return fill(scene, *given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(order_2, "fill_stack", counted)
+    monkeypatch.setattr(lit_parts, "fill_stack", counted)
     return scenes
 
 
@@ -256,7 +256,7 @@ def test_what_was_interrupted_goes_on(followed: list[Scene], tmp_path: Path, mon
     assert Entrance.known_to(BENCH, BOX, TOLERANCE) is None
     first = len(followed)
     (one,) = learn(BENCH, BOX, TOLERANCE, lambda _: None, 1)
-    assert len(followed) == len(one.plan.paths) * len(one.strips)
+    assert len(followed) == len(one.plan.paths) * len(one.strips.scenes)
     assert 0 < first < len(followed)
     followed.clear()
     learn(BENCH, BOX, TOLERANCE, lambda _: None, 1)

@@ -6,17 +6,16 @@ the integral is cut at the trapezoid's corners and at δ = 0 and graded about it
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
+from tankrig.light.double.lit import COARSE_FROM, LitHeight, filled, lit_heights
 from tankrig.light.double.table import (
-    COARSE,
     FINE,
     STEEP_G,
     Stack,
@@ -24,19 +23,17 @@ from tankrig.light.double.table import (
     curvature,
     depth_below,
     depth_seen,
-    fill_stack,
-    hardest,
     lagrange,
-    laid_out,
     share_within,
     y_weights,
 )
+from tankrig.light.double.wall import Tabulated, served
 from tankrig.light.elementary import exponential
 from tankrig.light.quadrature import Rule, gauss_legendre
-from tankrig.light.rays import Geometry, light_sources, shift_invariant, sighting_row
+from tankrig.light.rays import Geometry, shift_invariant, sighting_row
 from tankrig.light.sorting import put_in_order
 from tankrig.light.surface import many_to_camera, on_surface, to_camera
-from tankrig.scene import Beam, Medium, Scene
+from tankrig.scene import Medium, Scene
 from tankrig.scene.description import Interval
 
 Array = NDArray[np.float64]
@@ -45,15 +42,8 @@ WIDEST_MM = 5.0
 """Widest part of a beam over which J's slow change with y₀ is taken as linear."""
 NARROW_MM = 0.75
 """The same where light leaves through a side wall, and J changes at once."""
-
-
-MOST_HEIGHTS = 4
-"""Of beams that have a table each; more share one, as those of a projector's picture do."""
-
-COARSE_FROM = 0.005
-"""Tolerance from which coarse tables do."""
-EDGE_MM = 1e-6
-"""By which a beam may be beyond a table's height."""
+FAR = 3.0
+"""A beam is far from a pixel at this many times the width of both."""
 
 
 def table_error(scene: Scene, tolerance: float) -> float:
@@ -99,7 +89,7 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
 
 
 def double_scattering_of(
-    scene: Scene, media: Sequence[Medium], tolerance: float = 0.001, known: "Sequence[Tabulated]" = ()
+    scene: Scene, media: Sequence[Medium], tolerance: float = 0.001, known: Sequence[Tabulated] = ()
 ) -> Array:
     """The same of several liquids, for little more than the tables of each.
 
@@ -133,152 +123,23 @@ def double_scattering_of(
     scattering = np.array([one.sigma_s for one in media])
     if not scattering.any():
         return images
-    served, rest = _served(scene, known)
-    for one in served:
+    by_wall, rest = served(scene, known)
+    for one in by_wall:
         _add_table(images, scene, one.lit, one.table, one.stack, np.empty(0))
     if rest is not None:
         for lit in lit_heights(rest):
-            _add_table(images, scene, lit, *_filled(rest, media, lit, tolerance))
+            _add_table(images, scene, lit, *filled(rest, media, lit, tolerance))
     images *= scattering[:, None, None] ** 2
     return np.maximum(images, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
 
 
-def finest_of(scene: Scene) -> float:
-    """Length below which the image of a scene with a plain camera need not be resolved, mm."""
-    return min(scene.camera.pixel_mm, scene.tank.size_mm[0] / 20.0)
-
-
-def _filled(scene: Scene, media: Sequence[Medium], lit: "LitHeight", tolerance: float) -> tuple[Table, Stack, Array]:
-    fineness = COARSE if tolerance >= COARSE_FROM else FINE
-    given = lit.geometry, lit.z_mm, lit.mirrored, finest_of(scene), fineness, lit.shared
-    return fill_stack(scene, media, *given)
-
-
-def _add_table(images: Array, scene: Scene, lit: "LitHeight", table: Table, stack: Stack, z0_weights: Array) -> None:
+def _add_table(images: Array, scene: Scene, lit: LitHeight, table: Table, stack: Stack, z0_weights: Array) -> None:
     """Add what a table says of its beams, over σs², to (liquids, rows, columns) images."""
     camera = scene.camera
     rows = np.zeros((camera.shape[0], table.x_mm.size, len(images)))
     add_beams(rows, scene, lit, table, stack, z0_weights)
     columns = columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, lit.geometry.length)
     images += np.moveaxis(rows, 2, 0) @ columns.T
-
-
-@dataclass(frozen=True)
-class Tabulated:
-    """A table of J, and the beams that it serves.
-
-    Parameters
-    ----------
-    lit
-        The beams, with `shared`.
-    finest_mm
-        Length below which it need not resolve images.
-    table, stack
-        The table.
-    """
-
-    lit: "LitHeight"
-    finest_mm: float
-    table: Table
-    stack: Stack
-
-
-def tables_of_wall(scene: Scene, z_mm: Interval, media: Sequence[Medium], tolerance: float) -> list[Tabulated]:
-    """J of light that enters anywhere within a height of the wall, for `double_scattering_of` of any pattern there.
-
-    Parameters
-    ----------
-    scene
-        Tank, projector and camera; its beams and its medium do not matter.
-    z_mm
-        Low and high.
-    media
-        The liquids.
-    tolerance
-        As for `double_scattering`.
-    """
-    wall, found = _wall_alone(scene, z_mm), []
-    for one in lit_heights(wall):
-        lit = replace(one, shared=True)
-        table, stack, _ = _filled(wall, media, lit, tolerance)
-        found.append(Tabulated(lit, finest_of(wall), table._replace(values=np.zeros((0,) * 5)), stack))
-    return found
-
-
-def numbers_of_wall(scene: Scene, z_mm: Interval, media: Sequence[Medium], tolerance: float) -> int:
-    """How many numbers the tables have that `tables_of_wall` makes of these."""
-    wall = _wall_alone(scene, z_mm)
-    given = [(one.geometry, one.z_mm, one.mirrored) for one in lit_heights(wall)]
-    fineness = COARSE if tolerance >= COARSE_FROM else FINE
-    lit = replace(wall, medium=hardest(media))
-    return len(media) * sum(laid_out(lit, *one, finest_of(wall), fineness, True)[0].values.size for one in given)
-
-
-def _wall_alone(scene: Scene, z_mm: Interval) -> Scene:
-    """The scene with a plain camera, and light from side wall to side wall."""
-    plain = on_surface(scene)
-    half = 0.5 * scene.tank.size_mm[1]
-    return replace(plain, projector=replace(plain.projector, beams=(Beam((-half, half), z_mm),)))
-
-
-def _served(scene: Scene, known: "Sequence[Tabulated]") -> "tuple[list[Tabulated], Scene | None]":
-    """The tables that serve a scene with a plain camera, each with its beams, and the scene with all other beams.
-
-    None where there are no others.
-    """
-    if not known or known[0].finest_mm > (1.0 + 1e-9) * finest_of(scene):
-        return [], scene
-    low, high = known[0].lit.z_mm
-    all_beams = scene.projector.beams
-    inside = tuple(one for one in all_beams if low - EDGE_MM <= one.z_mm[0] and one.z_mm[1] <= high + EDGE_MM)
-    if not inside:
-        return [], scene
-    served = []
-    for geometry, beams in light_sources(replace(scene, projector=replace(scene.projector, beams=inside))):
-        of_source = [replace(one, lit=replace(one.lit, beams=beams)) for one in known if one.lit.geometry == geometry]
-        if not of_source:
-            return [], scene
-        served += of_source
-    outside = tuple(beam for beam in all_beams if beam not in inside)
-    return served, replace(scene, projector=replace(scene.projector, beams=outside)) if outside else None
-
-
-@dataclass(frozen=True)
-class LitHeight:
-    """Beams whose order 2 one table serves.
-
-    Parameters
-    ----------
-    geometry
-        Numbers of the scene, of the source that the beams come from.
-    beams
-        Those of the height `z_mm`; where `shared`, all of the source's.
-    z_mm
-        (low, high) of each beam; where `shared`, from the lowest to the highest of them.
-    mirrored
-        Whether the light goes by way of the surface between its two scatterings.
-    shared
-        Whether the beams have different heights, too many for a table each.
-    """
-
-    geometry: Geometry
-    beams: tuple[Beam, ...]
-    z_mm: Interval
-    mirrored: bool
-    shared: bool
-
-
-def lit_heights(scene: Scene) -> Iterator[LitHeight]:
-    """Parts whose sum is a scene's order 2: by source, height, and whether light goes by way of the surface between."""
-    for geometry, beams in light_sources(scene):
-        ways = (False, True) if geometry.refractive_index > 1.0 else (False,)
-        heights = sorted({beam.z_mm for beam in beams})
-        shared = len(heights) > MOST_HEIGHTS
-        if shared:
-            heights = [(heights[0][0], max(top for _, top in heights))]
-        for z_mm, mirrored in product(heights, ways):
-            of_height = tuple(beam for beam in beams if shared or beam.z_mm == z_mm)
-            yield LitHeight(geometry, of_height, z_mm, mirrored, shared)
 
 
 def add_beams(rows: Array, scene: Scene, lit: LitHeight, table: Table, stack: Stack, z0_weights: Array) -> None:
@@ -302,7 +163,7 @@ def add_beams(rows: Array, scene: Scene, lit: LitHeight, table: Table, stack: St
 
 @kernel
 def _fill_reached(reached: Array, pixel_mm: float, geometry: Geometry, x: Array, nodes: Array) -> None:
-    """Fill `Seen.reached_mm`."""
+    """Fill in how deep lines of sight get at a quadrature's nodes across each row of pixels, see `Seen.reached_mm`."""
     for i in range(x.size):
         for row in range(reached.shape[1]):
             low = row * pixel_mm - geometry.half_width
@@ -362,10 +223,6 @@ def _fill_columns(result: Array, x: Array, edges: Array, pixel_mm: float, nodes:
                             weight *= (at - x[other]) / (x[k] - x[other])
                     result[column, k] += weight
             start = end
-
-
-FAR = 3.0
-"""A beam is far from a pixel at this many times the width of both."""
 
 
 class Even(NamedTuple):

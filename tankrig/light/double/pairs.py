@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
-from tankrig.light.double.image import add_beams, columns_of, lit_heights
+from tankrig.light.double.image import add_beams, columns_of
+from tankrig.light.double.lit import lit_heights
 from tankrig.light.double.table import (
     FINE,
     PANEL,

@@ -1,10 +1,7 @@
 """What light that enters a bench at one height becomes, learned once: any pattern there, without paths or tables.
 
-Light is linear in the pattern, and light that enters beside a place makes much the same image, moved with its ray. So
-light paths are followed from narrow strips of the wall, a few mm apart and at two heights of a band, and the image of
-a beam is put together from those of the strips about it: in every column each is moved by as much as the beam's ray is
-seen beside the strip's, at the ray itself wholly and the less the nearer a side wall is, which does not move. Images of
-fixed strips alone would have to be 4 mm apart or less (decision 211).
+Light paths are followed from strips of the wall in each medium of a plan, and kept; the image of a pattern is put
+together from theirs (`tankrig.light.prepared.strips`).
 
 What a pattern has beside the band, as halo and black level, is followed by paths of its own: it is little.
 
@@ -16,7 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -28,9 +24,10 @@ from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.cache import Place
 from tankrig.light.prepared.plan import PreparationPlan, Sample
 from tankrig.light.prepared.sampling import PathImages, order_2_tolerance
+from tankrig.light.prepared.strips import APART_MM, LAYERS, STRIP_MM, Strips, put_together
 from tankrig.light.prepared.unlike import Conditions, why_not_learned
 from tankrig.light.prepared.wall_tables import packed_tables, unpacked_tables
-from tankrig.light.rays import geometry_of, shift_invariant, sighting_rows
+from tankrig.light.rays import geometry_of, shift_invariant
 from tankrig.scene import Beam, Medium, Scene
 from tankrig.scene.description import Interval
 from tankrig.threads import THREADS
@@ -38,14 +35,8 @@ from tankrig.threads import THREADS
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-STRIP_MM = 2.0
-"""Width of a strip, and the widest part of a beam that is moved as one."""
-APART_MM = 10.0
-"""From strip to strip, at most. Thirteen millimetres leave .6 % of orders ≥ 3 of three rays, 26 leave 2.3 %."""
 MOVED = 0.004
-"""Of the light of orders ≥ 3: what that may leave, and is counted as an error of every image."""
-LAYERS = 2
-"""Heights of a band: between them the image is linear."""
+"""Share of the light of orders ≥ 3 that images put together may be off by; counted as an error of every image."""
 PATHS = 3.0
 """Times as many paths, in all strips together, as one pattern's model takes."""
 MOST_BANDS, HIGHEST_BAND_MM = 3, 16.0
@@ -119,38 +110,21 @@ class Entrance:
         """Bytes that it takes."""
         numbers = math.prod(PathImages(self.scene, self.plan.albedos).shape)
         tables = sum(numbers_of_wall(*self._wanted(samples)) for samples in self.plan.together)
-        return 2 * len(self.strips) * len(self.plan.paths) * numbers + 4 * tables
+        return 2 * len(self.strips.scenes) * len(self.plan.paths) * numbers + 4 * tables
 
     @cached_property
     def plan(self) -> PreparationPlan:
-        """Of the models that shall be made from it."""
+        """Plan of the models that shall be made from it."""
         return PreparationPlan(self.box, self.scene.tank.size_mm[0], self.tolerance, True)
 
     @cached_property
-    def _y_mm(self) -> Array:
-        """Middles of strips."""
-        reach = 0.5 * (self.scene.tank.size_mm[1] - STRIP_MM)
-        return np.linspace(-reach, reach, 2 + math.ceil(2.0 * reach / APART_MM))
-
-    @cached_property
-    def _layers(self) -> Array:
-        """Edges of the heights."""
-        return np.linspace(*self.band, LAYERS + 1)
-
-    @cached_property
-    def strips(self) -> list[Scene]:
-        """Scenes with one strip each: all heights of the first, then of the next."""
-        half = 0.5 * STRIP_MM
-        beams = [
-            Beam((float(y) - half, float(y) + half), (float(low), float(high)))
-            for y in self._y_mm
-            for low, high in pairwise(self._layers)
-        ]
-        return [replace(self.scene, projector=replace(self.scene.projector, beams=(beam,))) for beam in beams]
+    def strips(self) -> Strips:
+        """The strips of the wall."""
+        return Strips(self.scene, self.band)
 
     def batches(self, sample: Sample) -> int:
         """Lattices of paths for each strip."""
-        return max(1, round(PATHS * sample.batches / len(self.strips)))
+        return max(1, round(PATHS * sample.batches / len(self.strips.scenes)))
 
     def holds(self, beam: Beam) -> bool:
         """Whether a beam enters by the band."""
@@ -167,71 +141,28 @@ class Entrance:
             The plan's media, with the lattices that the pattern alone would take.
         """
         beams = sampling.lit.projector.beams
-        used, weights = self.weights([beam for beam in beams if self.holds(beam)])
+        used, weights = self.strips.weights([beam for beam in beams if self.holds(beam)])
         beside = tuple(beam for beam in beams if not self.holds(beam) and beam.power > 0.0)
         share = sum(beam.power for beam in beside) / sum(beam.power for beam in beams)
         lit = sampling.lit
         rest = replace(sampling, scene=replace(lit, projector=replace(lit.projector, beams=beside))) if beside else None
         for first in range(0, len(samples), AT_ONCE):
             some = samples[first : first + AT_ONCE]
-            found = _put_together(weights, [self._learned(one, used) for one in some], sampling.along)
+            found = put_together(weights, [self._learned(one, used) for one in some], sampling.along)
             for sample, image in zip(some, found, strict=True):
                 if rest is not None:
                     medium = Medium(0.0, sample.sigma_t, sample.g)
                     image = image + rest.sample(medium, sample.index, max(1, round(share * sample.batches)))
                 yield sample.index, np.asarray(image, float)
 
-    def weights(self, beams: Sequence[Beam]) -> tuple[NDArray[np.int64], Single]:
-        """What of the strips' images the images of beams are.
-
-        Returns
-        -------
-        used
-            Numbers of the strips that count.
-        weights
-            (columns, rows, used · rows): each row of a column as a sum over the rows of the strips' columns.
-        """
-        grid, geometry = PathImages(self.scene, ()).grid, geometry_of(self.scene)
-        half, cell = geometry.half_width, grid.cell_mm[1]
-        x: Array = (np.arange(grid.columns, dtype=float) + 0.5) * grid.cell_mm[0]
-        y = (np.arange(grid.rows) + 0.5) * cell - half
-        middles = 0.5 * (self._layers[:-1] + self._layers[1:])
-        parts = [part for beam in beams for part in _parts(beam)]
-        about = [self._about(0.5 * (part.y_mm[0] + part.y_mm[1])) for part in parts]
-        used = np.unique([number for numbers, _ in about for number in numbers])
-        found = np.zeros((grid.columns, grid.rows, used.size, LAYERS, grid.rows), np.float32)
-        columns, rows = np.arange(grid.columns)[:, None], np.arange(grid.rows)[None]
-        for part, (numbers, shares) in zip(parts, about, strict=True):
-            (low, high), (floor, top) = part.y_mm, part.z_mm
-            at, height = 0.5 * (low + high), 0.5 * (floor + top)
-            upper = (height - middles[0]) / (middles[1] - middles[0])
-            ray = sighting_rows(geometry, x, at, height)[:, None]
-            to_wall = np.maximum(np.where(y > ray, half - ray, half + ray), 1e-3)
-            moving = np.clip(1.0 - np.abs(y - ray) / to_wall, 0.0, 1.0)
-            light = part.irradiance * (high - low) / STRIP_MM * (top - floor) / (middles[1] - middles[0])
-            for number, share in zip(numbers, shares, strict=True):
-                strip = float(self._y_mm[number])
-                beside = sighting_rows(geometry, x, strip, height)[:, None] - ray
-                row, between = _between((y + beside * moving + half) / cell - 0.5, grid.rows)
-                place = int(np.searchsorted(used, number))
-                for layer, weight in enumerate((1.0 - upper, upper)):
-                    for step, by_row in enumerate(between):
-                        found[columns, rows, place, layer, row + step] += light * share * weight * by_row
-        numbers_used = (used[:, None] * LAYERS + np.arange(LAYERS)).ravel()
-        return numbers_used, found.reshape(grid.columns, grid.rows, -1)
-
-    def _about(self, y_mm: float) -> tuple[tuple[int, int], tuple[float, float]]:
-        """The two strips about a place, and the share of each."""
-        first = int(np.clip(np.searchsorted(self._y_mm, y_mm) - 1, 0, self._y_mm.size - 2))
-        share = (y_mm - self._y_mm[first]) / (self._y_mm[first + 1] - self._y_mm[first])
-        return (first, first + 1), (1.0 - float(share), float(share))
-
     def learn_one(self, sample: Sample) -> None:
         """Follow the paths of all strips in one medium, where that has not been done."""
         if self._kept(sample) is not None:
             return
         medium, batches = Medium(0.0, sample.sigma_t, sample.g), self.batches(sample)
-        images = [PathImages(one, self.plan.albedos).sample(medium, sample.index, batches) for one in self.strips]
+        images = [
+            PathImages(one, self.plan.albedos).sample(medium, sample.index, batches) for one in self.strips.scenes
+        ]
         # Half precision does for a few per cent of noise, once the largest number is 1.
         size = np.max(np.abs(images), axis=(2, 3)) + 1e-300
         small = (np.array(images) / size[:, :, None, None]).astype(np.float16)
@@ -271,7 +202,7 @@ class Entrance:
     def _kept(self, sample: Sample) -> tuple[NDArray[np.generic], NDArray[np.generic]] | None:
         kept = self.place.kept(self._file(sample)) or {}
         images, size = kept.get("images"), kept.get("size")
-        shape = (len(self.strips), *PathImages(self.scene, self.plan.albedos).shape)
+        shape = (len(self.strips.scenes), *PathImages(self.scene, self.plan.albedos).shape)
         if images is None or size is None or images.shape != shape or size.shape != shape[:2]:
             return None
         return images, size
@@ -354,34 +285,7 @@ def can_be_learned(scene: Scene) -> bool:
 
 
 def _place(lit: Scene, box: Box, tolerance: float) -> Place:
-    """Of all bands of a bench: whatever its patterns, and however its camera's pixels lie."""
+    """Place of all bands of a bench: the same for all its patterns, and however its camera's pixels lie."""
     grid = PathImages(lit, ()).grid
     numbers = tuple(geometry_of(lit)), (grid.rows, grid.columns, grid.cell_mm)
     return Place.of("entrance", numbers, (STRIP_MM, APART_MM, LAYERS), box, float(tolerance))
-
-
-def _parts(beam: Beam) -> list[Beam]:
-    """A beam cut into parts that are moved as one."""
-    edges = np.linspace(*beam.y_mm, 1 + math.ceil((beam.y_mm[1] - beam.y_mm[0]) / STRIP_MM - 1e-9))
-    return [replace(beam, y_mm=(float(low), float(high))) for low, high in pairwise(edges)]
-
-
-def _between(place: Array, count: int) -> tuple[NDArray[np.int64], tuple[Array, Array, Array, Array]]:
-    """Cubic interpolation between rows: the first of four, and their weights; no farther than the outermost."""
-    place = np.clip(place, 0.0, count - 1.0)
-    first = np.clip(place.astype(np.int64) - 1, 0, count - 4)
-    a = place - first
-    b, c, d = a - 1.0, a - 2.0, a - 3.0
-    return first, (-b * c * d / 6.0, 0.5 * a * c * d, -0.5 * a * b * d, a * b * c / 6.0)
-
-
-def _put_together(weights: Single, learned: Sequence[Single], along: Array) -> list[Array]:
-    """(albedos, rows, degrees) of each medium."""
-    media, (strips, albedos, rows, degrees) = len(learned), learned[0].shape
-    columns = len(along)
-    # By degree first: images have four times as many columns, and putting numbers in order is most of the work.
-    light = np.stack(learned).transpose(4, 1, 3, 0, 2).reshape(degrees, -1)
-    by_column = (along.astype(np.float32) @ light).reshape(columns, strips * rows, -1)
-    seen = (weights @ by_column).reshape(columns, -1)
-    found = (along.T.astype(np.float32) @ seen).reshape(degrees, rows, media, albedos)
-    return list(np.asarray(found.transpose(2, 3, 1, 0), float))

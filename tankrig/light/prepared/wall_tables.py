@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.double import Tabulated
-from tankrig.light.double.image import LitHeight
+from tankrig.light.double.lit import LitHeight
 from tankrig.light.double.table import Stack, Table
 from tankrig.light.rays import Geometry
 
