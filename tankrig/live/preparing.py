@@ -31,7 +31,7 @@ ALBEDOS = (0.8, 0.5, 0.2, 0.02)
 """Lower edges of the albedo, of which the highest is taken that leaves room for twice the absorption foreseen."""
 MOST_ALBEDO = 0.9999
 EDGES = (5e-4, 0.5), (-0.9, 0.97)
-"""Of σt and g, beyond which no model is prepared."""
+"""Lowest and highest σt and g for which models are prepared."""
 WELL_INSIDE = 1.05, 0.02
 """Factor in σt, and distance in g, from its edges within which a box is taken to hold a liquid foreseen."""
 
@@ -257,7 +257,9 @@ class Preparing:
                 scene, box = wanted = self._waiting[0]
                 self._began_s, self._share, self._note = self._clock(), 0.0, ""
             try:
-                self._note = unlike_learned(scene, box, self._phases)
+                note = unlike_learned(scene, box, self._phases)
+                with self._change:
+                    self._note = note
                 model = self._prepared(scene, box)
             except _NotWantedError:
                 continue
