@@ -20,7 +20,7 @@ class Asymmetries(NamedTuple):
 
     g: Array
     width: float
-    """Of the steepest."""
+    """Smallest of their `HenyeyGreensteinRecord.width`."""
 
 
 class Liquids(NamedTuple):

@@ -53,7 +53,7 @@ class Conditions:
 
     @classmethod
     def kept(cls) -> "Iterator[Conditions]":
-        """Of all benches in the cache that were learned to the end."""
+        """Conditions of all benches in the cache that were learned to the end."""
         folder = cache_folder() / "prepared"
         for file in sorted(folder.glob("*_*_*.npz")):
             arrays = Place(folder, file.stem).kept(file)
@@ -74,7 +74,7 @@ class Conditions:
 
     @property
     def arrays(self) -> dict[str, NDArray[np.float64]]:
-        """To be kept."""
+        """The conditions as arrays of a file."""
         given = {"geometry": self.geometry, "cells": self.cells, "tolerance": self.tolerance, "band": self.band}
         return {**{name: np.array(one, float) for name, one in given.items()}, "box": np.array(astuple(self.box))}
 
@@ -91,7 +91,7 @@ class Conditions:
 
     @property
     def facts(self) -> "list[Fact]":
-        """All of them, in words and numbers."""
+        """The conditions one by one, in words and numbers."""
         size = self.geometry.length, 2.0 * self.geometry.half_width, self.geometry.height
         wall = self.geometry.entry_index, self.geometry.pane, self.geometry.pane_index
         return [
