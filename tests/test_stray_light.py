@@ -21,7 +21,7 @@ from tankrig.light.leaving import CameraLens
 from tankrig.light.paths.record import seen_from
 from tankrig.light.prepared.box import Box
 from tankrig.light.rays import geometry_of
-from tankrig.light.tank import by_faces, low_orders, once, once_of, tank_image
+from tankrig.light.tank import by_faces, low_orders, once, once_of, order_one_seen, tank_image
 from tankrig.light.walls.faces import FAR, face_table, sent_back, steepest_sights
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.loading import scene_from_table
@@ -588,9 +588,9 @@ def test_a_calibrated_picture_is_fine_where_light_ends_and_nowhere_else(turned, 
 
     def counted(scene):
         asked.append(math.prod(scene.camera.shape))
-        return once(scene)
+        return once(scene)[None]
 
-    ideal, seen = lens.order_one(counted)
+    (ideal,), (seen,) = lens.order_one(counted)
     everywhere = replace(lens, parts=(lens.parts[0], 16))
     image = once(everywhere.fine)
     assert image.max() > 0.0
@@ -599,6 +599,14 @@ def test_a_calibrated_picture_is_fine_where_light_ends_and_nowhere_else(turned, 
     assert sum(asked) < 0.5 * math.prod(lens.fine.camera.shape)
     coarse = replace(lens, parts=(lens.parts[0], 1))
     assert apart(coarse.of_fine(once(coarse.fine)), everywhere.of_fine(image)) > 0.001
+
+
+def test_liquids_at_once_are_seen_through_a_lens_as_one_by_one():
+    scene = a_calibrated_scene((3.157, 0.0, 0.0), 6.0, (27, 40))
+    media = [Medium(0.001, 0.01, 0.6), Medium(0.0, 0.02, 0.2)]
+    for image, medium in zip(order_one_seen(scene, media), media, strict=True):
+        alone = CameraLens.of(scene).order_one(lambda seen, medium=medium: once(replace(seen, medium=medium))[None])[1]
+        np.testing.assert_allclose(image, alone[0], rtol=1e-12, atol=1e-12 * alone.max())
 
 
 def test_a_camera_that_sees_light_run_down_its_picture_shows_the_same_tank():

@@ -139,22 +139,33 @@ class CameraLens:
         Parameters
         ----------
         once
-            The (rows, columns) picture of order 1 by an ideal camera in a scene.
+            The (n, rows, columns) pictures of order 1 of n liquids by an ideal camera in a scene.
+
+        Returns
+        -------
+        ideal
+            (n, rows, columns) of the wide picture.
+        seen
+            (n, rows, columns) of the camera.
         """
         if not _along_rows(self.scene.camera):
-            image = once(self.fine)
-            return self.means(image), self.of_fine(image)
-        sharp, blurred = np.zeros((2, self.scene.camera.shape[0] + sum(self.beyond[0]), self._columns))
-        for (first, last), across in self._stretches:
-            margin, parts = self.beyond[1][0], (self.parts[0], across)
-            columns = max(first - margin, 0), min(last + margin, self._columns)
-            scene, lens = self._fine(parts, columns), replace(self, parts=parts)
-            image, here = once(scene), slice(first - columns[0], last - columns[0])
-            sharp[:, first:last] = lens.means(image)[:, here]
-            soft = lens._soft(image, scene)  # noqa: SLF001 - another of this class
-            wide = lens._blurred(soft, parts, columns)  # noqa: SLF001
-            blurred[:, first:last] = lens.means(wide)[:, here]
-        return sharp, self._picture(blurred, sharp)
+            images = once(self.fine)
+            return self.means(images), np.array([self.of_fine(one) for one in images])
+        rows = self.scene.camera.shape[0] + sum(self.beyond[0])
+        parts_seen = [self._of_stretch(once, *stretch) for stretch in self._stretches]
+        sharp, blurred = np.zeros((2, parts_seen[0][0].shape[0], rows, self._columns))
+        for ((first, last), _), (ideal, soft) in zip(self._stretches, parts_seen, strict=True):
+            sharp[..., first:last], blurred[..., first:last] = ideal, soft
+        return sharp, np.array([self._picture(*both) for both in zip(blurred, sharp, strict=True)])
+
+    def _of_stretch(self, once: Callable[[Scene], Array], columns: Columns, across: int) -> tuple[Array, Array]:
+        """Order 1 in some columns of the wide picture, ideal and blurred; pixels are parted in so many across."""
+        (first, last), margin, parts = columns, self.beyond[1][0], (self.parts[0], across)
+        seen = max(first - margin, 0), min(last + margin, self._columns)
+        scene, lens = self._fine(parts, seen), replace(self, parts=parts)
+        images, here = once(scene), slice(first - seen[0], last - seen[0])
+        soft = [lens._blurred(lens._soft(one, scene), parts, seen) for one in images]  # noqa: SLF001 - of this class
+        return lens.means(images)[..., here], lens.means(np.array(soft))[..., here]
 
     @property
     def _stretches(self) -> list[tuple[Columns, int]]:

@@ -79,7 +79,7 @@ def tank_image(
     lens = CameraLens.of(scene)
     if lens is None:
         return _ideal_image(scene, None, tolerance, max_order, seed, batches, budget_s, progress)
-    ideal, first = lens.order_one(once)
+    (ideal,), (first,) = lens.order_one(lambda seen: once_of(seen, [scene.medium]))
     found = _ideal_image(lens.wide, ideal, tolerance, max_order, seed, batches, budget_s, progress)
     orders = {key: first if key == 1 else lens.of_wide(np.asarray(one, float)) for key, one in found.orders.items()}
     stderr = None if found.stderr is None else np.sqrt(lens.variance_of_wide(np.square(found.stderr, dtype=float)))
@@ -133,8 +133,17 @@ def low_orders(scene: Scene, tolerance: float, highest: int = 2) -> Array:
     lens = CameraLens.of(scene)
     if lens is None:
         return once(scene) if highest == 1 else once(scene) + twice(scene, tolerance)
-    _, first = lens.order_one(once)
+    first: Array = order_one_seen(scene, [scene.medium])[0]
     return first if highest == 1 else first + lens.of_wide(twice(lens.wide, tolerance))
+
+
+def order_one_seen(scene: Scene, media: Sequence[Medium]) -> Array:
+    """Order 1 of several liquids as the camera's lens shows it, (media, rows, columns)."""
+    lens = CameraLens.of(scene)
+    if lens is None:
+        return once_of(scene, media)
+    _, seen = lens.order_one(lambda one: once_of(one, media))
+    return seen
 
 
 def by_faces(described: Scene, seed: int, lattices: int) -> Array:

@@ -21,7 +21,7 @@ from tankrig.light.paths.block import LARGE, PathLimits, Points
 from tankrig.light.paths.record import image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
-from tankrig.light.tank import CellGrid, low_orders, once_of, twice_of
+from tankrig.light.tank import CellGrid, order_one_seen, twice_of
 from tankrig.light.water import water_of
 from tankrig.scene import Beam, Medium, Scene
 
@@ -58,10 +58,7 @@ def exact_images(
     """Orders 1 and 2 at ϖ = 1 of liquids of some σt and g, (liquids, 2, pixels); `known` as for `twice_of`."""
     media = [Medium(0.0, sigma_t, g) for sigma_t, g in liquids]
     lens, tables = CameraLens.of(scene), order_2_tolerance(scene, tolerance)
-    if lens is None:
-        first = once_of(scene, media)
-    else:
-        first = np.array([low_orders(replace(scene, medium=one), tables, highest=1) for one in media])
+    first = order_one_seen(scene, media)
     second = twice_of(scene if lens is None else lens.wide, media, tables, known)
     if lens is not None:
         second = np.array([lens.of_wide(one) for one in second])
