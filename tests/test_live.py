@@ -497,6 +497,49 @@ def test_a_first_look_tells_which_models_the_first_dose_needs(monkeypatch: pytes
     assert set(boxes.wanted[:2]) == {box_for(liquid), box_for(diluted(liquid, 0.1, 0.2))}
 
 
+class ByPattern(Boxes):
+    """Models are ready by pattern."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ready_scenes: list[Scene] = []
+
+    def models(self, scenes: list[Scene], box: Box) -> list[object] | None:
+        return [box] * len(scenes) if box in self.ready or set(scenes) <= set(self.ready_scenes) else None
+
+
+def test_a_dose_is_fitted_by_the_patterns_whose_models_are_ready(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a bench the first fit of a dose came when the models of all its patterns were there, twice as late."""
+    fitted: list[tuple[str, ...]] = []
+
+    def fit(photographs: list[Photograph], _models: list[Box], start: Medium, *_: object) -> DoseFit:
+        fitted.append(tuple(one.pattern for one in photographs))
+        return DoseFit(0.1, start, frames=sum(one.frames for one in photographs), patterns=fitted[-1], model="prepared")
+
+    monkeypatch.setattr(worker, "fit_dose_prepared", fit)
+    two = Pattern("bar", np.roll(PATTERNS["sheet"].pixels, 3, axis=1))
+    planned = PhotographPlan.of(BENCH, SEQUENCE, [*PATTERNS.values(), two])
+    exposures = Exposures(planned)
+    exposures.take(dosed(100.0), None)
+    for pattern in (PATTERNS["sheet"], two):
+        exposures.take(frame(pattern, 2), np.full((40, 60), 500, np.uint16))
+    models = ByPattern()
+    earlier = DoseFit(0.05, Medium(0.0002, 0.004, 0.6), frames=1)
+    fitter = worker.Fitter([earlier], models, planned)  # type: ignore[arg-type]
+    assert fitter.next(exposures, last=False) is None
+    first, second = exposures.photographs(0)
+    models.ready_scenes = [first.scene]
+    some = fitter.next(exposures, last=False)
+    assert isinstance(some, DoseFit)
+    assert (some.patterns, some.passing, fitter.waiting) == ((first.pattern,), False, True)  # it is recorded
+    assert models.wanted[0] == box_for(some.medium)
+    assert fitter.next(exposures, last=False) is None  # once
+    assert fitter.unfinished is False
+    models.ready_scenes = [first.scene, second.scene]
+    assert isinstance(fitter.next(exposures, last=False), DoseFit)
+    assert fitted == [(first.pattern,), (first.pattern, second.pattern)]
+
+
 def test_all_doses_to_come_are_prepared_for_and_the_next_one_first() -> None:
     """On a bench the last dose's models were begun when its frames were in, and a person waited for minutes."""
     liquid = Medium(0.0004, 0.008, 0.6)

@@ -222,8 +222,10 @@ class Fitter:
         self._series: SeriesFit | None = None
         self._passing: dict[float, tuple[DoseFit, list[Photograph]]] = {}
         self._bare: dict[float, tuple[DoseFit, list[Photograph]]] = {}
+        self._of_patterns: dict[float, int] = {}
         self.waiting = False
         self._awaited = False
+        self._awaited_in: tuple[Box, Medium] = LOOK, LOOK_START
         for fit in earlier:
             if isinstance(fit, DoseFit):
                 self._fitted[fit.dose_ml] = fit.frames + fit.left_out
@@ -288,8 +290,11 @@ class Fitter:
             fit = self._dose(photographs, about)
             if fit is not None:
                 self._fitted[photographs[0].dose_ml] = seen
+                self._of_patterns[photographs[0].dose_ml] = len(photographs)
                 return replace(fit, newest=newest)
             self.waiting = True
+            if (first := self._of_some(photographs, about)) is not None:
+                return first
             if (look := self._look_to_tell(photographs)) is not None:
                 return replace(about(look), newest=ANOTHER_DOSE)
             if not self._foresees:
@@ -361,6 +366,30 @@ class Fitter:
         seen = self._looked[dose_ml]
         return None if seen is None else self._fit_within(self._preparing.box(seen.medium), photographs, seen.medium)
 
+    def _of_some(self, photographs: list[Photograph], about: Callable[[DoseFit], DoseFit]) -> DoseFit | None:
+        """The fit by those patterns whose models are ready while others are prepared, once for each that comes.
+
+        On a bench it comes in half the time of the fit by two patterns, and tells better than a first look which media
+        models are to be prepared for.
+        """
+        dose_ml, (box, start) = photographs[0].dose_ml, self._awaited_in
+        if self._preparing is None or box == LOOK:
+            return None
+        ready = [one for one in photographs if self._preparing.models([one.scene], box) is not None]
+        if len(ready) <= self._of_patterns.get(dose_ml, 0):
+            return None
+        self._of_patterns[dose_ml] = len(ready)
+        models = self._preparing.models([one.scene for one in ready], box)
+        try:
+            fit = None if models is None else fit_dose_prepared(ready, models, start, self._phase)
+        except TankrigError:
+            return None  # the fit of all patterns says why
+        if fit is None:
+            return None
+        fit = about(fit)
+        self._keep(fit)
+        return fit
+
     def _look_to_tell(self, photographs: list[Photograph]) -> DoseFit | None:
         """What a first look says of a dose whose models are being prepared, once; None where there is none to tell.
 
@@ -390,6 +419,7 @@ class Fitter:
         if models is None:
             self._awaited = self._preparing.under_way(scenes, box)
             if self._awaited:
+                self._awaited_in = box, start
                 self._preparing.want(scenes, box)
             return None
         return fit_dose_prepared(photographs, models, start, self._phase)

@@ -36,7 +36,7 @@ SLANTED_EFFORT = 8.0
 """Times as many lattices where light or sight slant: there a path stands for one start, not for all along a beam."""
 CHECKS, CHECKS_SHARE = 6, 1 / 3
 """Media beside the grid at most, and in media of the grid."""
-TOGETHER = 12
+TOGETHER = 16
 """Media at most whose orders 1 and 2 are computed at once: more save little, and are lost where it is interrupted."""
 USUAL_TOLERANCE = 0.01
 SPREAD = (0.7548776662466927, 0.5698402909980532)
