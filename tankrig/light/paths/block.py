@@ -271,6 +271,9 @@ class PathLimits(NamedTuple):
     """From this order on, every doubling of the order halves the paths: later orders are smoother."""
     turns: int = TURNS
     """Paths that turn to the camera do so at one of this many first scatterings."""
+    faintest_mark: float = 0.0
+    """Share of the usual mark of its order below which a mark is left by chance and stands for others, where paths may
+    begin anywhere; with 0 all are left, and the image is a smooth function of the medium."""
 
 
 class Points(NamedTuple):

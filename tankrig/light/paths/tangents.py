@@ -155,7 +155,7 @@ def trace_tangents(
     lowest, scores = sought
     sigma_t, albedo, phase = water
     lattice, stop = points
-    max_order, faintest, first_thinning, turns = limits
+    max_order, faintest, first_thinning, turns, _ = limits
     sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / turns)
     block, tally = empty_block(), empty_record(BLOCK)
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)

@@ -18,6 +18,8 @@ Paths are followed a block at a time, order by order, in loops that compilers ve
 by path).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,6 +40,7 @@ from tankrig.light.paths.block import (
     begin,
     begin_at_origin,
     begin_on_beams,
+    coordinate,
     draw_step,
     empty_block,
     fly,
@@ -64,6 +67,21 @@ from tankrig.scene.phase import (
 )
 
 Array = NDArray[np.float64]
+
+PROBE_CHANCES, END_CHANCES = 2_000_000, 3_000_000
+"""Coordinates of the lattice, far beyond its own and those of any order, that faint marks are chosen by."""
+
+
+class Chances(NamedTuple):
+    """By which some of the faint marks stand for all."""
+
+    share: float
+    """Of the usual mark: what is below is faint."""
+    dimension: int
+    """Of the lattice's coordinate."""
+    lattice: Array
+    usual: Array
+    """Sum of all marks of this order in the blocks before, faint or not, and their number; added to."""
 
 
 @kernel
@@ -102,9 +120,10 @@ def trace(
     """
     sigma_t, albedo, phase = water
     lattice, stop = points
-    max_order, faintest, first_thinning, turns = limits
+    max_order, faintest, first_thinning, turns, faintest_mark = limits
     sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / turns)
     block, tally = empty_block(), empty_record(BLOCK)
+    usual = np.zeros((2, max_order))
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
     for first in range(0, stop, BLOCK):
@@ -127,8 +146,9 @@ def trace(
                 draw_step(step, block.point, n, dimension + 3, lattice)
                 if images.ndim == 4:
                     _probe_anywhere(probes, block, step, n, geometry, sampling)
-                    cover(tally, probes, block, n, geometry, sampling, cell_mm[0])
-                    tally_rectangles(images[image], tally, n, beams, geometry.half_width, cell_mm[1])
+                    chances = Chances(faintest_mark, PROBE_CHANCES + order, lattice, usual[:, order])
+                    marks = _mark(tally, probes, block, n, geometry, sampling, cell_mm[0], chances)
+                    tally_rectangles(images[image], tally, marks, beams, geometry.half_width, cell_mm[1])
                 else:
                     _probe(tally, block, step, n, geometry, sampling)
                     tally_cells(images[image], tally.x, tally.y, tally.value, n, geometry.half_width, cell_mm)
@@ -143,8 +163,9 @@ def trace(
                 continue
             if images.ndim == 4:
                 ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
-                cover(tally, ends, block, n, geometry, sampling, cell_mm[0])
-                tally_rectangles(images[image], tally, n, beams, geometry.half_width, cell_mm[1])
+                chances = Chances(faintest_mark, END_CHANCES + order, lattice, usual[:, order])
+                marks = _mark(tally, ends, block, n, geometry, sampling, cell_mm[0], chances)
+                tally_rectangles(images[image], tally, marks, beams, geometry.half_width, cell_mm[1])
             else:
                 arrive(tally, block, n, sampling)
                 tally_cells(images[image], block.seen_x, block.seen_y, tally.value, n, geometry.half_width, cell_mm)
@@ -282,6 +303,54 @@ def cover(
         tally.y[i] = y
         tally.y_low[i] = max(block.y_low[i], -geometry.half_width - y)
         tally.y_high[i] = min(block.y_high[i], geometry.half_width - y)
+
+
+@kernel
+def _mark(
+    tally: TallyRecord, ends: Ends, block: Block, n: int, geometry: Geometry, sampling: PathSampling, cell_mm: float,
+    chances: Chances,
+) -> int:  # fmt: skip
+    """The same, where faint marks may be left by chance: how many there are to leave."""
+    if chances.share > 0.0:
+        return _cover_some(tally, ends, block, n, geometry, sampling, cell_mm, chances)
+    cover(tally, ends, block, n, geometry, sampling, cell_mm)
+    return n
+
+
+@kernel
+def _cover_some(
+    tally: TallyRecord, ends: Ends, block: Block, n: int, geometry: Geometry, sampling: PathSampling, cell_mm: float,
+    chances: Chances,
+) -> int:  # fmt: skip
+    """All bright marks, and of the faint ones some, each as bright as is usual: a mark takes longer than a step.
+
+    A mark of the value v is left with the chance v/faint, so that nothing is lost on average.
+    """
+    light, marks = chances.usual
+    faint = chances.share * light / marks if marks > 0.0 else 0.0
+    for i in range(n):
+        value = ends.weight[i] * phase_density(ends.dz[i], sampling.phase)
+        tally.value[i] = value * exponential(-sampling.sigma_t * (geometry.height - ends.z[i]))
+    k = 0
+    for i in range(n):
+        x, y, value = ends.x[i], ends.y[i], tally.value[i]
+        low, high = max(block.x_low[i], -x), min(block.x_high[i], geometry.length - x)
+        if high <= low:
+            continue
+        chances.usual[0] += value
+        if value < faint:
+            if coordinate(int(block.point[i]), chances.dimension, chances.lattice) * faint >= value:
+                continue
+            value = faint
+        tally.value[k] = value
+        tally.first[k], tally.first_part[k], tally.first_on[k] = column_of(low, x, sampling.sigma_t, value, cell_mm)
+        tally.last[k], tally.last_part[k], tally.last_on[k] = column_of(high, x, sampling.sigma_t, value, cell_mm)
+        tally.y[k] = y
+        tally.y_low[k] = max(block.y_low[i], -geometry.half_width - y)
+        tally.y_high[k] = min(block.y_high[i], geometry.half_width - y)
+        k += 1
+    chances.usual[1] += n
+    return k
 
 
 @kernel

@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 
 EXACT_RATE = (3.8, 3.4)
 """Degree of the polynomials of orders 1 and 2 per unit of the stretched σt and g: 9 and 8 over the whole box."""
-PATHS_RATE = (3.0, 2.6)
-"""The same of orders ≥ 3, whose noise weighs more than their polynomials' error: 7 and 6 over the whole box."""
+PATHS_RATE = (2.55, 3.4)
+"""The same of orders ≥ 3, whose noise weighs more than their polynomials' error: 6 and 8 over the whole box."""
 ALBEDO_RATE = 1.9
 EXACT_SHARE, PATHS_SHARE = 0.06, 0.17
 """Of the usual tolerance, or a rough one, what the logarithm of 1 − g or of 1 + g, which all light goes with where g is
@@ -34,6 +34,9 @@ EFFORT = 0.6
 """Lattices of paths per medium, of those by `PreparationPlan.paths`: eight media for each coefficient need no more."""
 SLANTED_EFFORT = 8.0
 """Times as many lattices where light or sight slant: there a path stands for one start, not for all along a beam."""
+AT_EDGES = 0.12
+"""Share of the media of orders ≥ 3, about, that lie on the edges of either coordinate: what lies beyond all of them is
+extrapolated to, with twice the noise in a corner."""
 CHECKS, CHECKS_SHARE = 6, 1 / 3
 """Media beside the grid at most, and in media of the grid."""
 TOGETHER = 16
@@ -167,11 +170,15 @@ class PreparationPlan:
         count = math.ceil(self.paths_plane.size * MEDIA_PER_PRODUCT * share)
         effort *= EFFORT / share * (SLANTED_EFFORT if self.slanted else 1.0)
         even = (0.5 + np.arange(count)[:, None] * SPREAD) % 1.0
+        even = np.clip((1.0 + AT_EDGES) * even - 0.5 * AT_EDGES, 0.0, 1.0)
         samples = []
         for index, (u, v) in enumerate(np.cos(np.pi * even)):
             sample = self._sample(index, (float(u), float(v)))
             depth = sample.sigma_t * self.length_mm
-            batches = max(1, round(effort * (1.0 + depth * (0.12 + 0.3 * max(sample.g, 0.0) ** 2))))
+            forward = max(sample.g, 0.0)
+            # As a lattice's noise goes: with the depth, and most where dense water scatters nearly straight on.
+            noisy = 1.0 + depth * (0.12 + 0.3 * forward**2) + depth**2 * (0.006 + 0.08 * forward**16)
+            batches = max(1, round(effort * noisy))
             samples.append(Sample(sample.index, sample.sigma_t, sample.g, sample.place, batches))
         return samples
 

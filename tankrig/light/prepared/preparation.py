@@ -21,7 +21,7 @@ from tankrig.light.prepared.plan import PreparationPlan, Sample
 from tankrig.light.prepared.sampling import PathImages, exact_images
 from tankrig.light.rays import shift_invariant
 from tankrig.scene import Medium, Scene
-from tankrig.threads import THREADS
+from tankrig.threads import THREADS, one_blas_thread
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], object]
@@ -78,7 +78,8 @@ def prepared(
     unlike = Entrance.unlike(scene, box, tolerance)
     if unlike:
         warnings.warn(unlike, stacklevel=3)
-    answer = assemble(plan, work.sampling, work.images(progress, threads), scene.camera.shape)
+    with one_blas_thread():
+        answer = assemble(plan, work.sampling, work.images(progress, threads), scene.camera.shape)
     place.keep(place.model, packed(answer))
     place.clear_parts()
     progress(1.0)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tankrig.light.double import Tabulated
 from tankrig.light.entering import entering
 from tankrig.light.leaving import CameraLens
-from tankrig.light.paths.block import LARGE, PathLimits, Points
+from tankrig.light.paths.block import LARGE, TURNS, PathLimits, Points
 from tankrig.light.paths.record import image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
@@ -32,8 +32,15 @@ BIN_GROWTH = 1.1
 """Ratio of successive orders at which a new image begins; within one, all orders count as equally bright (0.05 %)."""
 FAINTEST = 3e-4
 """Share of its weight at which a path ends."""
+FAINTEST_MARK, DEEP = 0.1, 2.0
+"""Times the square of the tank's height in free paths: share of the usual mark below which some marks stand for all;
+beyond a depth, in shallower water it saves nothing. A lattice takes 35 instead of 78 ms at σt .12 and .08, g .95, and
+42 instead of 81 at .08, .8, with the same noise."""
 THINNING = ((4.0, 8), (8.0, 16), (math.inf, 32))
 """Up to which optical depth of the tank's height every doubling of the order halves the paths, from which order on."""
+FORWARD, TURNS_PER_DEPTH, MOST_TURNS = 0.87, 3.0, 3 * TURNS
+"""Where light runs straight and g is above, paths may turn at one of the first so many scatterings per free path of the
+tank's height, since light goes on for long before it turns: .3 of the variance at σt .12 and .08, g .95, .4 at .05."""
 DEGREES = 30
 """Polynomials along x that keep a noisy image, of an angle that runs fast at both ends.
 
@@ -180,8 +187,12 @@ class PathImages:
         medium, power = lit.medium, np.array([beam.power for beam in beams])
         corners = np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams])
         table = np.column_stack([corners, np.cumsum(power) / power.sum()])
-        thinning = next(order for depth, order in THINNING if medium.sigma_t * lit.tank.size_mm[2] < depth)
-        limits = PathLimits(HIGHEST_ORDER, FAINTEST, thinning)
+        height = medium.sigma_t * lit.tank.size_mm[2]
+        thinning = next(order for depth, order in THINNING if height < depth)
+        forward = medium.g > FORWARD and self.grid.shiftable
+        turns = min(max(TURNS, round(TURNS_PER_DEPTH * height)), MOST_TURNS) if forward else TURNS
+        faintest_mark = FAINTEST_MARK * height**2 if height > DEEP else 0.0
+        limits = PathLimits(HIGHEST_ORDER, FAINTEST, thinning, turns, faintest_mark)
         geometry, water = geometry_of(lit), water_of(medium)._replace(albedo=1.0)
         for batch in range(batches):
             points = Points(LARGE.shifted((seed, batch)), LARGE.points)
