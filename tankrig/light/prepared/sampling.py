@@ -40,7 +40,7 @@ THINNING = ((4.0, 8), (8.0, 16), (math.inf, 32))
 """Up to which optical depth of the tank's height every doubling of the order halves the paths, from which order on."""
 FORWARD, TURNS_PER_DEPTH, MOST_TURNS = 0.87, 3.0, 3 * TURNS
 """Where light runs straight and g is above, paths may turn at one of the first so many scatterings per free path of the
-tank's height, since light goes on for long before it turns: .3 of the variance at σt .12 and .08, g .95, .4 at .05."""
+tank's height, since light goes on for long before it turns: .3 of the variance at σt .05 to .12, g .95."""
 DEGREES = 30
 """Polynomials along x that keep a noisy image, of an angle that runs fast at both ends.
 
