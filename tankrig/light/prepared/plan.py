@@ -178,7 +178,9 @@ class PreparationPlan:
             depth = sample.sigma_t * self.length_mm
             forward = max(sample.g, 0.0)
             # As a lattice's noise goes: with the depth, and most where dense water scatters nearly straight on.
-            noisy = 1.0 + depth * (0.12 + 0.3 * forward**2) + depth**2 * (0.006 + 0.08 * forward**16)
+            noisy = 1.0 + depth * (0.12 + 0.3 * forward**2)
+            if not self.slanted:  # there marks cost as much as ever, and whole boxes took minutes
+                noisy += depth**2 * (0.006 + 0.08 * forward**16)
             batches = max(1, round(effort * noisy))
             samples.append(Sample(sample.index, sample.sigma_t, sample.g, sample.place, batches))
         return samples
