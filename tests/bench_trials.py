@@ -37,8 +37,9 @@ class Trial:
         That it was drawn from.
     sigma_s, g
         (off, stated standard deviation): σs per ml as a share of the truth, g as it is.
-    dose_s
-        Of each dose, from its last frame to the fit of all of its frames, s; NaN where there was none while it ran.
+    dose_s, whole_s
+        Of each dose, from its last frame to the first fit that is made after it, and to that of all of its patterns, s;
+        NaN where there was none while it ran.
     all_s
         From the last frame of all to the series of all doses, s; NaN likewise.
     wall_s, cpu_s
@@ -51,6 +52,7 @@ class Trial:
     sigma_s: tuple[float, float] = (float("nan"), float("nan"))
     g: tuple[float, float] = (float("nan"), float("nan"))
     dose_s: tuple[float, ...] = ()
+    whole_s: tuple[float, ...] = ()
     all_s: float = float("nan")
     wall_s: float = float("nan")
     cpu_s: float = float("nan")
@@ -74,11 +76,11 @@ class Trial:
         if self.error:
             return f"{self.seed:>6}  {self.error}"
         (off_s, _), (off_g, _), (z_s, z_g), (close_s, close_g) = self.sigma_s, self.g, self.sds, self.close
-        doses = " ".join(f"{seconds:.0f}" for seconds in self.dose_s)
+        doses, whole = (" ".join(f"{seconds:.0f}" for seconds in one) for one in (self.dose_s, self.whole_s))
         return (
             f"{self.seed:>6}  σs {100 * off_s:+6.2f} % {z_s:+5.1f} sd {'  ' if close_s else '✗ '} "
             f"g {off_g:+.4f} {z_g:+5.1f} sd {'  ' if close_g else '✗ '} "
-            f"doses {doses} s, all {self.all_s:.0f} s after the last frame; "
+            f"doses first {doses}, whole {whole}, all {self.all_s:.0f} s after the last frame; "
             f"{self.wall_s:.0f} s, {self.cpu_s:.0f} s of CPU"
         )
 
@@ -104,38 +106,43 @@ def _trial(seed: int, found: dict[str, Any], run: Path) -> Trial:
     if "ink_per_ml" not in found:
         return Trial(seed, error="its doses were not fitted together")
     ink, truth, sd = found["ink_per_ml"], found["truth_per_ml"], found["ink_sd"]
-    dose_s, all_s = _times(run)
+    dose_s, whole_s, all_s = _times(run)
     return Trial(
         seed,
         (ink["sigma_s"] / truth["sigma_s"] - 1.0, sd[1] / truth["sigma_s"]),
         (ink["g"] - truth["g"], sd[2]),
         dose_s,
+        whole_s,
         all_s,
         sum(part["wall_s"] for part in found["parts"]),
         sum(part["cpu_s"] for part in found["parts"]),
     )
 
 
-def _times(path: Path) -> tuple[tuple[float, ...], float]:
+def _times(path: Path) -> tuple[tuple[float, ...], tuple[float, ...], float]:
     """See `Trial`; by the journal, as long as the run lasted."""
     run = tankrig.open_run(path)
     last: dict[float, int] = {}
     for event in run.events("frame"):
         last[round(run.conditions[event["index"]].tank.volume_ul / 1000.0, 4)] = event.moment.mono_ns
     fits = [event for event in run.fits if event.get("fit") in ("dose", "series")]
-    dose_s = []
+    dose_s, whole_s = [], []
     for dose_ml, ended_ns in sorted(last.items()):
         after = [
-            event.moment.mono_ns
+            event
             for event in fits
             if event.get("fit") == "dose" and abs(event["dose_ml"] - dose_ml) < 1e-4 and event.moment.mono_ns > ended_ns
         ]
-        dose_s.append((min(after) - ended_ns) / 1e9 if after else float("nan"))
+        most = max((len(event["patterns"]) for event in after), default=0)
+        whole = [event for event in after if len(event["patterns"]) == most]
+        for seconds, some in ((dose_s, after), (whole_s, whole)):
+            first_ns = min((event.moment.mono_ns for event in some), default=float("nan"))
+            seconds.append((first_ns - ended_ns) / 1e9)
     newest_ns = max(last.values())
     series = [
         event.moment.mono_ns for event in fits if event.get("fit") == "series" and event.moment.mono_ns > newest_ns
     ]
-    return tuple(dose_s), (max(series) - newest_ns) / 1e9 if series else float("nan")
+    return tuple(dose_s), tuple(whole_s), (max(series) - newest_ns) / 1e9 if series else float("nan")
 
 
 def walk_all(seeds: list[int], folder: Path, processes: int) -> Iterator[Trial]:

@@ -355,7 +355,7 @@ def _on_light_astray(
     return [
         what_is_shown(medium, sign.name, sign.deviations, sign.moved[:own], found.bare, sign.others) if sign else "",
         what_is_unseen(medium, moved_by_halos(calm, [left])[:own], spread, known) if "halo" not in off else "",
-        _unseen_floor(calm, left, scene, medium, off, spread, known) if whole else "",
+        _unseen_floor(calm, own, left, scene, medium, off, spread, known) if whole else "",
     ]
 
 
@@ -367,10 +367,10 @@ def _on_what_was_left_out(best: Evaluation, left: Left, found: Findings) -> str:
 
 
 def _unseen_floor(
-    best: Evaluation, left: Left, scene: Scene, medium: Medium, off: Mapping[str, object], spread: Array,
+    best: Evaluation, own: int, left: Left, scene: Scene, medium: Medium, off: Mapping[str, object], spread: Array,
     known: Mapping[str, bool],
 ) -> str:  # fmt: skip
-    """What a floor that nobody has described would do: a sentence, or nothing."""
+    """What a floor that nobody has described would do to so many of the coefficients: a sentence, or nothing."""
     if not scene.tank.faces.floor.dark or "floor" in off:
         return ""
     (view,) = best.problem.views
@@ -379,7 +379,7 @@ def _unseen_floor(
     changes = best.project_out(view.whitened(pattern[None]))[:, : best.left.size]
     moved = moved_unseen(best.sensitivity, changes, COMMON_FLOOR, [left.noise], stated_errors(best, [left]))
     what = f"the floor sent back {100.0 * COMMON_FLOOR:.0f} % of the light"
-    return what_is_unseen(medium, moved[:3], spread, known, what)
+    return what_is_unseen(medium, moved[:own], spread, known, what)
 
 
 def determined(medium: Medium, spread: Array, left: Sequence[Left]) -> dict[str, bool]:
