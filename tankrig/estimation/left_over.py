@@ -14,7 +14,7 @@ from tankrig.estimation.light_beside import sizes_along
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
 from tankrig.estimation.observation import structure
 from tankrig.estimation.problem import Evaluation
-from tankrig.estimation.residual import ALIKE
+from tankrig.estimation.residual import ALIKE, COUNTED
 from tankrig.estimation.shots import Fit
 from tankrig.estimation.uncertainty import ModelError, PatternedError, SmoothError
 from tankrig.estimation.verdict import TELLING_MOVE
@@ -229,7 +229,8 @@ def astray_shown(
     # A veil and a floor are told apart by chance: whichever is named, what the other may have done is counted.
     alike = np.flatnonzero((seen > TOLD) & (seen**2 > seen[most] ** 2 - ALIKE))
     others = tuple(names[one] for one in alike if one != most)
-    worst = alike[int(np.argmax(moves[alike]))]
+    counted = np.flatnonzero((seen > TOLD) & (seen**2 > seen[most] ** 2 - COUNTED))
+    worst = counted[int(np.argmax(moves[counted]))]
     return Shown(names[most], float(deviations[most]), moved[worst], explained, others)
 
 

@@ -248,7 +248,7 @@ def _with_walls(images: Array, scene: Scene, grid: CellGrid, seed: tuple[int, in
     from tankrig.light.walls.paths import wall_images
 
     bins = np.where(np.arange(CLASSES.size) <= 2, len(GROUPS), CLASSES)
-    more = wall_images(scene, grid, seed, bins, highest)
+    more = wall_images(scene, grid, seed, bins, highest, FAINTEST)
     return np.concatenate([images + more[: len(GROUPS)], more[len(GROUPS) :]])
 
 

@@ -163,7 +163,7 @@ def by_faces_within(described: Scene, seed: int, lattices: int) -> tuple[Array, 
     bins = np.zeros(MOST_ORDERS_OF_A_PATTERN + 1, np.int64)
     batches = np.array(
         [
-            wall_images(scene, grid, (seed, batch), bins, MOST_ORDERS_OF_A_PATTERN, 1)[0]
+            wall_images(scene, grid, (seed, batch), bins, MOST_ORDERS_OF_A_PATTERN, 1e-3, 1)[0]
             for batch in range(lattices)
         ]
     )  # fmt: skip

@@ -37,12 +37,8 @@ from tankrig.scene.phase import drawn_cosine, phase_density
 
 Array = NDArray[np.float64]
 
-LATTICES, SLANTED_LATTICES = 4, 2
-"""Of these paths for one of the others. Where light or sight slant, the others have ten times the noise, and a tank of
-glass in a bench (σt .005/mm, g .7) has the least noise for its time with two: .0174²/2 and .03 CPU s for each, beside
-.0162² and .04 CPU s of the others."""
-FAINTEST = 0.1
-"""Share of its weight from which on a path ends by chance. From .0003 on it takes twice as long for the same noise."""
+LATTICES = 4
+"""Of these paths for one of the others: they are a small part of the image, and take as little time."""
 STRETCHES = 12
 """Straight stretches of one flight at most; light that has met so many faces is faint."""
 FAINT = 1e-4
@@ -65,8 +61,9 @@ class CellImages(NamedTuple):
 
 
 def wall_images(
-    scene: Scene, grid: CellGrid, seed: tuple[int, int], bins: Bins, highest: int, lattices: int | None = None
-) -> Array:
+    scene: Scene, grid: CellGrid, seed: tuple[int, int], bins: Bins, highest: int, faintest: float,
+    lattices: int = LATTICES,
+) -> Array:  # fmt: skip
     """What faces add to the image, but for order 1 by way of clear ones, W/mm²/sr.
 
     Parameters
@@ -81,8 +78,11 @@ def wall_images(
         Index of the image that each order 0, 1, 2, … goes to; order 0 is light that a diffuse face shows by itself.
     highest
         Order to follow paths to.
+    faintest
+        Share of its weight from which on a path ends by chance. Where images are differenced it has to be small: paths
+        that end at one liquid and not at the next one are noise that grows as the liquids come near.
     lattices
-        To average; None: as many as go with one of the other paths.
+        To average.
 
     Returns
     -------
@@ -94,11 +94,10 @@ def wall_images(
     table = np.column_stack([np.array([(*beam.y_mm, *beam.z_mm) for beam in beams]), np.cumsum(power) / power.sum()])
     geometry, water = geometry_of(scene), water_of(scene.medium)
     tank = ReflectingTank(geometry, face_table(scene.tank), steepest_sights(geometry))
-    lattices = lattices or (LATTICES if grid.shiftable else SLANTED_LATTICES)
     for number in range(lattices):
         shifted = LARGE.shifted((seed[0] + WALLS_APART, seed[1] * lattices + number))
         points = Points(shifted, LARGE.points)
-        _trace(CellImages(cells, bins, grid.cell_mm), tank, water, table, points, highest)
+        _trace(CellImages(cells, bins, grid.cell_mm), tank, water, table, points, highest, faintest)
     return cells * (float(power.sum()) / (lattices * LARGE.points * grid.cell_mm[0] * grid.cell_mm[1]))
 
 
@@ -107,7 +106,9 @@ WALLS_APART = 2**30
 
 
 @kernel
-def _trace(seen: CellImages, tank: ReflectingTank, water: Water, beams: Array, points: Points, highest: int) -> None:
+def _trace(
+    seen: CellImages, tank: ReflectingTank, water: Water, beams: Array, points: Points, highest: int, faintest: float
+) -> None:
     """Follow the paths of a lattice; `beams` are edges and the share of the power up to and including each.
 
         I = 1/N Σ_paths Σ_events w p(cos θ) R e^{−σt s} T J / (area of a cell),   w ← w (chance of an event) ϖ
@@ -152,7 +153,7 @@ def _trace(seen: CellImages, tank: ReflectingTank, water: Water, beams: Array, p
                 dx, dy, dz, ex, ey, ez = scattered(dx, dy, dz, ex, ey, ez, drawn_cosine(u, phase), v)
             if order >= highest:
                 break
-            if weight < FAINTEST:
+            if weight < faintest:
                 if coordinate(point, CHANCE_COORDINATES + flights, lattice) >= SPARED:
                     break
                 weight *= 1.0 / SPARED
