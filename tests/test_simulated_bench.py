@@ -11,10 +11,10 @@ from drivers.registry import open_device
 from drivers.rig import SIMULATED, load_rig_file
 from drivers.simulated import bench_ink, bench_multiple
 from drivers.simulated.bench_multiple import Smoother
-from drivers.simulated.bench_optics import DEPTHS_MM, defocus_px, thrown_in_depth
-from drivers.simulated.bench_single import scattered_once
+from drivers.simulated.bench_optics import BACK_MM, DEPTHS_MM, defocus_px, thrown_in_depth
+from drivers.simulated.bench_single import mirrored_once, scattered_once
 from drivers.simulated.bench_tank import InkInView
-from drivers.simulated.bench_truth import TrueBench, random_bench
+from drivers.simulated.bench_truth import TrueBench, TrueStray, random_bench
 from drivers.simulated.camera import SimulatedCamera
 from drivers.simulated.light import frame_buffer
 from drivers.simulated.picture_store import PictureStore
@@ -82,6 +82,23 @@ def test_order_1_is_the_monte_carlos(bench: TrueBench, monkeypatch: pytest.Monke
         off.append(float(np.linalg.norm(back - forth) / np.linalg.norm(forth)))
     assert off[2] < 0.03
     assert off[2] < 0.6 * off[1] < 0.36 * off[0]
+
+
+@pytest.mark.parametrize("wall", ["entry", "far", "left", "right"])
+def test_what_glass_walls_mirror_of_order_1_is_the_monte_carlos(wall: str) -> None:
+    """Beams and their mirror images have the same edges; the Monte Carlo's went through what smooths its noise, which
+    spread them over millimetres. It sends photons from wall to wall, the twin follows lines of sight back to one; the
+    far one shows mirror images in a few rows of pixels, which have to be small."""
+    glass = replace(random_bench(5, (270, 480), PROJECTOR), stray=TrueStray(glass=(wall,)))
+    light = pattern(LEFT, (slice(30, 60), slice(14, 18)), (slice(30, 60), slice(110, 114)))
+    thrown, come_back = (thrown_in_depth(glass, light, depths_mm=mm) for mm in (DEPTHS_MM, BACK_MM))
+    mirrored = blocks(mirrored_once(glass, thrown, come_back, INK), 6)
+    scene = bench_ink.true_scene(glass, light, INK, 6)
+    tally = simulate(scene, 4_000_000, seed=3, max_order=1)
+    true, noise = tally.image - first_order(scene), float(np.linalg.norm(tally.stderr))
+    assert true.sum() > 0.001 * tally.image.sum()
+    assert mirrored.sum() == pytest.approx(true.sum(), abs=0.02 * true.sum() + 3.0 * noise)
+    assert np.linalg.norm(mirrored - true) < 0.12 * np.linalg.norm(true) + noise
 
 
 @pytest.mark.long
@@ -247,7 +264,7 @@ def test_light_scattered_more_often_is_that_of_all_points_of_a_wide_lens(bench: 
 
     def more(one: TrueBench) -> np.ndarray:
         once = scattered_once(one, thrown_in_depth(one, light), INK)
-        return blocks(bench_multiple.scattered_more(one, light, INK, once, 0.01, 4)[0], 15)
+        return blocks(bench_multiple.scattered_more(one, light, INK, once, 0.0 * once, 0.01, 4)[0], 15)
 
     scene = bench_ink.true_scene(sharp, light, INK, 3)
     before = -bench.projector.centre_mm[0] - bench.pane_mm + bench.pane_mm / bench.pane_index

@@ -37,14 +37,14 @@ _ACROSS = 8
 
 
 def scattered_more(
-    bench: TrueBench, pattern: Pattern, medium: Medium, once: Array, tolerance: float, seed: int
+    bench: TrueBench, pattern: Pattern, medium: Medium, once: Array, mirrored: Array, tolerance: float, seed: int
 ) -> tuple[Array, Array]:
-    """Radiance of orders 2 and up at the camera's pixels, and its standard error; before the lens's blur.
+    """Radiance of all that is not order 1 by way of clear water or walls, and its standard error; before the blur.
 
     Parameters
     ----------
-    once
-        (rows, columns) of order 1.
+    once, mirrored
+        (rows, columns) of order 1, directly and by way of glass walls.
     tolerance
         Relative L2 of the noise, in a picture of all orders with pixels of about 4 mm.
     bench, pattern, medium, seed
@@ -54,13 +54,13 @@ def scattered_more(
     side = max(1, round(_BLOCK_MM / scene.camera.pixel_mm))
     judged = max(1, round(_JUDGED_MM / scene.camera.pixel_mm / side))
     scene = replace(scene, camera=scene.camera.binned(side))
-    coarse = _binned(once, side)
+    coarse, by_walls = _binned(once + mirrored, side), _binned(mirrored, side)
     smoothed, scenes = Smoother(bench, coarse, side, scene.camera.pixel_mm), through_lens(bench, scene)
 
     def seen(photons: int, number: int) -> Array:
         share = math.ceil(photons / len(scenes))
         parts = [
-            smoothed(simulate(one, share, (seed + number + 2**40 * part) % 2**48, min_order=2))
+            smoothed(simulate(one, share, (seed + number + 2**40 * part) % 2**48, min_order=2), by_walls)
             for part, one in enumerate(scenes)
         ]
         return np.asarray(np.mean(parts, axis=0))
@@ -105,10 +105,13 @@ class Smoother:
         normal[np.diag_indices_from(normal)] += 1e-6 * np.trace(normal) / len(normal)  # some hardly look in
         self._factored = cho_factor(normal)
 
-    def __call__(self, tally: Tally) -> Array:
-        """(rows, columns) of blocks: light of the part of each that looks into the tank, as if that were all of it."""
+    def __call__(self, tally: Tally, by_walls: Array | float = 0.0) -> Array:
+        """(rows, columns) of blocks: light of the part of each that looks into the tank, as if that were all of it.
+
+        What the Monte Carlo counts with order 2 is less `by_walls`, order 1 by way of glass walls.
+        """
         more = sum((image for order, image in tally.orders.items() if order != 2), np.zeros_like(tally.orders[2]))
-        return self._share * (self._fitted(tally.orders[2]) + self._fitted(more))
+        return self._share * (self._fitted(tally.orders[2] - by_walls) + self._fitted(more))
 
     def at_pixels(self, blocks: Array, shape: tuple[int, ...]) -> Array:
         """Cubic between the blocks' middles, as if the tank went on beside its walls."""

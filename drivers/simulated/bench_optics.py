@@ -16,7 +16,9 @@ FINER = 2
 """Points of `thrown` along the side of a projector pixel."""
 _STEP_MM = 0.05
 DEPTHS_MM: Array = np.linspace(0.0, TANK_MM[0], 17)
-"""Depths at which pictures of a wide lens are drawn; between them they are interpolated."""
+BACK_MM: Array = 2.0 * TANK_MM[0] - DEPTHS_MM
+"""Depths at which pictures of a wide lens are drawn, between which they are interpolated; and how deep light is there
+that the far wall has sent back."""
 
 
 def camera_rays(bench: TrueBench, pixels: Array, filled: bool) -> tuple[Array, Array]:

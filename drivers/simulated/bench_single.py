@@ -2,7 +2,7 @@
 
 The Monte Carlo's own order 1 spreads beams over pixels; this one asks, all along a pixel's line of sight, how bright
 the projector's picture is there. So every pixel of the projector counts, blurred as its lens blurs it, and the two
-check each other.
+check each other. Glass walls show such light mirrored, and the far one sends beams back.
 """
 
 import math
@@ -17,19 +17,21 @@ from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import fresnel_reflectance
 from tankrig.scene.description import Medium
 
+from .bench_mirrors import Line, Mirror, by_way_of_walls, sides_of, surface_of
 from .bench_optics import DEPTHS_MM, FINER, camera_rays, illumination, projector_pixels
 from .bench_truth import TANK_MM, Array, TrueBench
 
 _NODE_PX, _NODE_MM, _STEP_MM = 15, 4.0, 0.5
 """From node to node across the picture and down the water, and from point to point between those."""
-_TILE = 32
+_TILE, _TIMES = 32, 2
+"""Side of the pieces of a picture that may be dark; how often the way of light by a pane's outer side is looked for."""
 _NOTHING = 1e-30
 
 _U, _V, _Y_WALL, _Z_WALL, _X, _Y, _LN = range(7)
 
 
 class _Sight(NamedTuple):
-    """What does not depend on the medium, at nodes (planes, rows, columns): down the water, or in its mirror image.
+    """What does not depend on the medium, at nodes (planes, rows, columns): down the water, or in a mirror image.
 
     Parameters
     ----------
@@ -37,17 +39,32 @@ class _Sight(NamedTuple):
         (planes, rows, columns, 6): pixel of the projector, y and z where its light crosses the wall, x and y; mm.
     ln_strength
         Logarithm of the fluence by a white pixel there, of that on the wall before the lens, times what the surface
-        lets through, times the line of sight's length per mm of height.
+        lets through and walls send on, times the line of sight's length per mm of height.
     path_mm
         Through water, from the wall and on to the surface.
     cosine
         Of the angle of scattering.
+    reached
+        (rows − 1, columns − 1): where lines of sight may be in the water.
     """
 
     places: Array
     ln_strength: Array
     path_mm: Array
     cosine: Array
+    reached: NDArray[np.bool_]
+
+
+class _Thrown(NamedTuple):
+    """The projector's pictures in the water."""
+
+    light: Array
+    """(depths, rows, columns) as `thrown_in_depth` says."""
+    layers_a_mm: float
+    lit: NDArray[np.bool_]
+    """Pieces of the picture with light nearby."""
+    finer: int
+    """Points along the side of a projector pixel."""
 
 
 class _Water(NamedTuple):
@@ -78,19 +95,39 @@ def scattered_once(bench: TrueBench, thrown: Array, medium: Medium) -> Array:
     array (rows, columns)
         W/mm²/sr.
     """
+    return _gathered(bench, _directly(bench), thrown, medium)
+
+
+def mirrored_once(bench: TrueBench, thrown: Array, thrown_back: Array, medium: Medium) -> Array:
+    """The same of light that glass walls have sent back: on its way to the camera, or from the far wall before.
+
+    Parameters
+    ----------
+    thrown_back
+        The projector's light as `thrown`, at the depths that it has come to when the far wall has sent it back.
+    bench, thrown, medium
+        As for `scattered_once`.
+    """
+    straight, from_far = _by_walls(bench)
+    image = _gathered(bench, straight, thrown, medium)
+    return image + _gathered(bench, from_far, thrown_back, medium)
+
+
+def _gathered(bench: TrueBench, sights: tuple[_Sight, ...], thrown: Array, medium: Medium) -> Array:
     image = np.zeros(bench.camera.shape)
     if medium.sigma_s > 0.0 and thrown.any():
-        lit = _lit_tiles(thrown.max(axis=0))
         layers_a_mm = (len(thrown) - 1) / float(DEPTHS_MM[-1])
+        pictures = _Thrown(thrown, layers_a_mm, _lit_tiles(thrown.max(axis=0)), FINER)
         water = _Water(TANK_MM[0], TANK_MM[1] / 2, bench.level_mm)
-        for sight in _lines_of_sight(bench):
+        for sight in sights:
             ln = sight.ln_strength - medium.sigma_t * sight.path_mm
             ln += np.log(np.pi * bench.full * medium.sigma_s * medium.phase_function.at(sight.cosine))
             nodes = np.concatenate([sight.places, ln[..., None]], axis=-1)
-            _gather(nodes, thrown, layers_a_mm, lit, FINER, water, _STEP_MM, image)
-    return image
+            _gather(nodes, sight.reached, pictures, water, _STEP_MM, image)
+    return image * looks_in(bench)
 
 
+@lru_cache(maxsize=2)
 def looks_in(bench: TrueBench) -> Array:
     """1 for each camera pixel whose middle looks through the water's surface, else 0."""
     rows, columns = bench.camera.shape
@@ -108,50 +145,77 @@ def _lit_tiles(thrown: Array) -> NDArray[np.bool_]:
 
 
 @lru_cache(maxsize=2)
-def _lines_of_sight(bench: TrueBench) -> tuple[_Sight, _Sight]:
+def _directly(bench: TrueBench) -> tuple[_Sight, ...]:
+    """The water, and what the surface throws back down, as they are seen without a wall."""
+    line = _lines_of_sight(bench)
+    return tuple(_sight(bench, line, mirror) for mirror in (None, surface_of(bench)))
+
+
+@lru_cache(maxsize=2)
+def _by_walls(bench: TrueBench) -> tuple[tuple[_Sight, ...], tuple[_Sight, ...]]:
+    """What is seen or lit by way of walls: by light that has not been to the far wall, and by that which has."""
+    line = _lines_of_sight(bench)
+    alone, two = by_way_of_walls(bench, line)
+    aside = [mirror for wall in ("left", "right") for mirror in sides_of(bench, wall)]
+    straight = [_sight(bench, one, mirror) for one in (line, *alone) for mirror in aside]
+    straight += [_sight(bench, one, mirror) for one in alone for mirror in (None, surface_of(bench))]
+    straight += [_sight(bench, one, None) for one in two]
+    from_far = [_sight(bench, one, mirror) for one in (line, *alone) for mirror in sides_of(bench, "far")]
+    seen, from_far = ([one for one in sights if one.reached.any()] for sights in (straight, from_far))
+    return tuple(seen), tuple(from_far)
+
+
+def _lines_of_sight(bench: TrueBench) -> Line:
+    """From nodes of the picture, at even heights of the water."""
     rows, columns = (np.linspace(0.0, n - 1.0, max(2, round(n / _NODE_PX))) for n in bench.camera.shape)
     start, way = camera_rays(bench, np.stack(np.meshgrid(columns, rows), axis=-1), filled=True)
     depths = np.linspace(0.0, bench.level_mm, max(2, round(bench.level_mm / _NODE_MM)) + 1)
     down = (start[..., 2] - bench.level_mm + depths[:, None, None]) / -way[..., 2]
-    points = start + down[..., None] * way
     in_air = np.sqrt(1.0 - bench.water_index**2 * (1.0 - (way @ bench.surface) ** 2))
     through = (1.0 - fresnel_reflectance(in_air, 1.0 / bench.water_index)) / bench.water_index**2
-    offset = (points - start) @ bench.surface
-    mirrored = points - 2.0 * offset[..., None] * bench.surface
-    return (
-        _sight(bench, points, points, way, down, through, False),
-        _sight(bench, mirrored, points, way, down, through, True),
-    )
+    return Line(start + down[..., None] * way, way, down, through)
 
 
-def _sight(
-    bench: TrueBench, lit: Array, points: Array, way: Array, down: Array, through: Array, thrown_back: bool
-) -> _Sight:
-    """The sight of points that are lit as if they were at `lit`, along `way`, `down` mm from the surface."""
-    pixels, strength = illumination(bench, lit, np.eye(3)[1:], filled=True)
+def _sight(bench: TrueBench, line: Line, mirror: Mirror | None) -> _Sight:
+    """The sight of a line's points, lit straight or by way of a mirror."""
+    points = line.points
+    lit = points if mirror is None else mirror.image(points, None)
     _, arriving = projector_pixels(bench, lit, filled=True)
+    if mirror is not None and mirror.aside_mm is not None:
+        for _ in range(_TIMES):
+            lit = mirror.image(points, arriving)
+            _, arriving = projector_pixels(bench, lit, filled=True)
+    pixels, strength = illumination(bench, lit, np.eye(3)[1:], filled=True)
     path = lit[..., 0] / arriving[..., 0]
     wall = lit - path[..., None] * arriving
-    weight = strength / arriving[..., 0] * through / -way[..., 2]
-    if thrown_back:
-        rising = arriving @ bench.surface
-        weight = weight * fresnel_reflectance(np.clip(rising, 0.0, 1.0), bench.water_index)
-        arriving = arriving - 2.0 * rising[..., None] * bench.surface
-    cosine = -np.sum(arriving * way, axis=-1)
+    weight = strength / arriving[..., 0] * line.share / -line.way[..., 2]
+    if mirror is not None:
+        meeting = arriving @ mirror.normal
+        weight = weight * mirror.share(np.clip(meeting, 0.0, 1.0))
+        arriving = arriving - 2.0 * meeting[..., None] * mirror.normal
+    cosine = -np.sum(arriving * line.way, axis=-1)
     places = np.stack([pixels[..., 0], pixels[..., 1], wall[..., 1], wall[..., 2], *np.moveaxis(points, -1, 0)[:2]], -1)
-    return _Sight(places, np.log(np.maximum(weight, _NOTHING)), path + down, cosine)
+    ln_strength = np.log(np.maximum(weight, _NOTHING))
+    return _Sight(places, ln_strength, path + line.path_mm, cosine, _reached(points))
+
+
+def _reached(points: Array) -> NDArray[np.bool_]:
+    """(rows − 1, columns − 1): whether lines of sight between nodes may be in the water anywhere."""
+    beyond_x = np.abs(points[..., 0] - TANK_MM[0] / 2) - TANK_MM[0] / 2
+    beyond_y = np.abs(points[..., 1]) - TANK_MM[1] / 2
+    inside: NDArray[np.bool_] = np.any(np.maximum(beyond_x, beyond_y) < _NODE_MM, axis=0)
+    return inside[1:, 1:] | inside[:-1, 1:] | inside[1:, :-1] | inside[:-1, :-1]
 
 
 @kernel
 def _gather(
-    nodes: Array, thrown: Array, layers_a_mm: float, lit: NDArray[np.bool_], finer: int, water: _Water, step: float,
-    image: Array,
-) -> None:  # fmt: skip
+    nodes: Array, reached: NDArray[np.bool_], thrown: _Thrown, water: _Water, step: float, image: Array
+) -> None:
     """Add to each pixel the light along its line of sight: linear between nodes, but exponential in brightness.
 
     Σ thrown · strength Δz over points of the line at even steps.
     """
-    length, half_width, level = water
+    (length, half_width, level), (pictures, layers_a_mm, lit, finer) = water, thrown
     planes, node_rows, node_columns, count = nodes.shape
     rows, columns = image.shape
     above, here, change = np.empty(count), np.empty(count), np.empty(count)
@@ -165,16 +229,15 @@ def _gather(
             at = column * (node_columns - 1) / max(columns - 1, 1)
             c = min(int(at), node_columns - 2)
             right = at - c
+            if not reached[r, c]:
+                continue
             total = 0.0
             for plane in range(planes):
                 for k in range(count):
                     left_value = (1.0 - lower) * nodes[plane, r, c, k] + lower * nodes[plane, r + 1, c, k]
                     right_value = (1.0 - lower) * nodes[plane, r, c + 1, k] + lower * nodes[plane, r + 1, c + 1, k]
                     here[k] = (1.0 - right) * left_value + right * right_value
-                if plane == 0:
-                    if not (0.0 < here[_X] < length and abs(here[_Y]) < half_width):
-                        break  # it does not look through the surface
-                elif _may_be_lit(above, here, level, length, half_width):
+                if plane > 0 and _may_be_lit(above, here, level, length, half_width):
                     u, v = 0.5 * (above[_U] + here[_U]), 0.5 * (above[_V] + here[_V])
                     far = max(abs(here[_U] - above[_U]), abs(here[_V] - above[_V])) * finer > _TILE
                     if not (far or _tile(lit, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)):
@@ -195,7 +258,7 @@ def _gather(
                         if not (0.0 < z_wall < level and abs(y_wall) < half_width):
                             continue
                         u, v = above[_U] + (point + 0.5) * change[_U], above[_V] + (point + 0.5) * change[_V]
-                        light = _at_depth(thrown, x * layers_a_mm, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)
+                        light = _at_depth(pictures, x * layers_a_mm, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)
                         total += light * strength
                 for k in range(count):
                     above[k] = here[k]

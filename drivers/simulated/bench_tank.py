@@ -7,13 +7,13 @@ import numpy as np
 from tankrig.pattern import Pattern
 from tankrig.scene.description import Medium
 
-from .bench_optics import camera_rays, through_camera_lens, thrown_in_depth, vignetting
+from .bench_optics import BACK_MM, DEPTHS_MM, camera_rays, through_camera_lens, thrown_in_depth, vignetting
 from .bench_truth import TANK_MM, Array, TrueBench, TrueStray, random_bench
 from .picture_store import PictureStore
 from .settings import SimulatedCameraSettings
 from .tank import Radiance, seed_of
 
-_VERSION = 2
+_VERSION = 3
 """To be raised when a picture of the same changes, so that none from before is taken for it."""
 _KEPT = 12
 
@@ -21,8 +21,9 @@ _KEPT = 12
 class InkInView:
     """Pictures of the tank through a bench's own lens, glass and water: a `drivers.simulated.tank.View`.
 
-    Order 1 is followed back from each camera pixel, orders 2 and up are the Monte Carlo's. Light is linear, and that is
-    made use of: a picture of one level is white's times that level's light, and what leaks at level 0 is white's too.
+    Order 1 is followed back from each camera pixel, by way of glass walls too, all else is the Monte Carlo's. Light is
+    linear, and that is made use of: a picture of one level is white's times that level's light, and what leaks at
+    level 0 is white's too.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ class InkInView:
     def computed(self, pattern: Pattern, medium: Medium) -> Radiance:
         """Through the camera's lens."""
         from .bench_multiple import scattered_more  # half a second, which boards need not wait for
-        from .bench_single import looks_in, scattered_once
+        from .bench_single import looks_in, mirrored_once, scattered_once
 
         bench = self._bench
         dark = np.zeros(self.shape)
@@ -96,10 +97,14 @@ class InkInView:
         once = scattered_once(bench, thrown_in_depth(bench, pattern), medium)
         if not once.any():
             return Radiance(dark, dark)
+        mirrored = dark
+        if bench.stray.glass:
+            thrown, come_back = (thrown_in_depth(bench, pattern, depths_mm=mm) for mm in (DEPTHS_MM, BACK_MM))
+            mirrored = mirrored_once(bench, thrown, come_back, medium)
         seed = seed_of(self._seed, pattern, medium)
-        more, stderr = scattered_more(bench, pattern, medium, once, self._tolerance, seed)
+        more, stderr = scattered_more(bench, pattern, medium, once, mirrored, self._tolerance, seed)
         blur_px = np.sqrt(bench.camera.blur_px**2 + 1.0 / 12.0)  # pixels are squares, and were looked at in the middle
-        blurred = through_camera_lens(bench, once + looks_in(bench) * more, float(blur_px))
+        blurred = through_camera_lens(bench, once + mirrored + looks_in(bench) * more, float(blur_px))
         rows, columns = self.shape
         fade = vignetting(bench.camera, *np.meshgrid(np.arange(columns, dtype=float), np.arange(rows, dtype=float)))
         return Radiance(blurred * fade, stderr * fade)

@@ -1,15 +1,16 @@
-"""Order 1 by way of clear walls: beams that the far wall sends back, and what the camera sees mirrored in a wall.
+"""Order 1 by way of clear walls: beams that walls send back, and what the camera sees mirrored in a wall.
 
 Mirrored in the face that it meets, a line of sight runs straight on, and so does a beam: order 1 by way of faces is
 order 1 of a camera, or of beams, that stand elsewhere. A camera with a viewpoint sees walls at such a slant that glass
-sends all of it back. Followed are beams from the projector and from the far wall, seen directly, by way of one or two
-walls, and of the floor; what is sent back twice between opposite faces is not (0.2 % of the beams' light for glass).
+sends all of it back, and so does a beam meet the walls beside it, and the floor. Followed are beams from the projector,
+by way of one of these and from the far wall, seen directly, by way of one or two walls, and of the floor; what is sent
+back twice between opposite faces, or by a side wall and the floor, is not (0.2 % of the beams' light for glass).
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ from tankrig.light.walls.faces import (
     sent_back,
     steepest_sights,
 )
-from tankrig.scene import Medium, Scene
+from tankrig.scene import Beam, Medium, Scene
 
 Array = NDArray[np.float64]
 
@@ -41,12 +42,20 @@ PARTS, PART_MM = 6, 0.7
 """Of a pixel along x at most, and how long they need to be: where mirrored light ends is seen to that."""
 STEEPEST_SINE = 0.99
 """In a pane, of light that still comes out of it within the water."""
+PIECE_MM = 8.0
+"""Of a beam that meets a wall beside it: what the wall's inner side sends back goes with the angle."""
+HALVINGS = 20
+"""Of a pixel at most, until it is known which of its lines of sight meet a wall."""
 NONE = -1
 
 
 class Way(NamedTuple):
     """Faces that send light back, of its beam and then of a line of sight."""
 
+    ahead: float
+    """How far along x the outer side of a pane beside the beam has moved it, mm."""
+    meets_floor: bool
+    """Whether the beam comes to the floor, so that its mirror image goes on above it."""
     from_far: bool
     """Whether the beam comes back from the far wall."""
     x_wall: int
@@ -95,30 +104,97 @@ def once_by_walls_of(scene: Scene, media: Sequence[Medium], faint: bool | None =
         return np.array([to_camera(scene, image, cell_mm) for image in once_by_walls_of(plain, media, faint)])
     liquids, rules = liquids_of(media), pixel_rules()
     for geometry, beams in light_sources(scene):
-        steepest = steepest_sights(geometry)
-        for beam in beams:
-            if beam.irradiance == 0.0:
-                continue
-            edges = (*beam.y_mm, *beam.z_mm)
-            ux, _, _ = light_ray(geometry, 0.5 * sum(beam.y_mm), 0.5 * sum(beam.z_mm))
-            far = sent_back(faces, FAR, ux)[0]
-            for from_far, kept in ((False, 1.0), (True, far)):
-                tank, lit = ReflectingTank(geometry, faces, steepest), SharpBeam(edges, kept * beam.irradiance)
-                for way in _ways(geometry, faces, from_far) if kept > 0.0 else ():
-                    if faint is None or faint == way.faint:
-                        _add_mirrored(images, scene.camera.pixel_mm, tank, liquids, lit, way, rules)
+        lit = [Source(geometry, beam) for beam in beams if beam.irradiance > 0.0]
+        lit += [mirrored for one in lit for mirrored in _sent_aside(one, faces)]
+        for source in lit:
+            _add_source(images, scene.camera.pixel_mm, source, faces, liquids, rules, faint)
     return np.asarray(images * np.array([one.sigma_s for one in media])[:, None, None])
 
 
-def _ways(geometry: Geometry, faces: Array, from_far: bool) -> list[Way]:
+class Source(NamedTuple):
+    """A beam and its projector, or the mirror image of both in a wall beside it or in the floor."""
+
+    geometry: Geometry
+    beam: Beam
+    kept: float = 1.0
+    """Share of its light."""
+    ahead: float = 0.0
+    """See `Way`."""
+    by: int = NONE
+    """The face, if it is a mirror image."""
+
+
+def _sent_aside(source: Source, faces: Array) -> list[Source]:
+    """Mirror images of a beam in the clear faces beside it, of its pieces that meet them."""
+    geometry, beam = source.geometry, source.beam
+    (low, high), (lower, upper) = beam.y_mm, beam.z_mm
+    count = max(1, math.ceil((high - low) / PIECE_MM))
+    edges = np.linspace(low, high, count + 1).tolist()
+    heights = np.linspace(lower, upper, max(1, math.ceil((upper - lower) / PIECE_MM)) + 1).tolist()
+    found = []
+    for face, width in ((LEFT, -geometry.half_width), (RIGHT, geometry.half_width)):
+        turned = geometry._replace(light_y=2.0 * width - geometry.light_y)
+        for span in pairwise(edges):
+            image = replace(beam, y_mm=(2.0 * width - span[1], 2.0 * width - span[0]))
+            found += _by_face(source, faces, face, replace(beam, y_mm=span), Source(turned, image))
+    turned = geometry._replace(light_z=-geometry.light_z)
+    for span in pairwise(heights):
+        image = replace(beam, z_mm=(-span[1], -span[0]))
+        found += _by_face(source, faces, FLOOR, replace(beam, z_mm=span), Source(turned, image))
+    return found
+
+
+def _by_face(source: Source, faces: Array, face: int, piece: Beam, image: Source) -> list[Source]:
+    """The mirror image of a piece of a beam, by the inner and by the outer side of a face; none if it does not meet."""
+    geometry = source.geometry
+    if not faces[face, 0] % 3.0 or not _meets(geometry, piece, face):
+        return []
+    ux, uy, uz = light_ray(geometry, 0.5 * sum(piece.y_mm), 0.5 * sum(piece.z_mm))
+    cosine = abs(uz) if face == FLOOR else abs(uy)
+    share, along, at_once = sent_back(faces, face, cosine)
+    ahead = along * ux / math.sqrt(1.0 - cosine * cosine)
+    sides = ((share * at_once, 0.0), (share * (1.0 - at_once), ahead))
+    return [image._replace(kept=kept, ahead=by, by=face) for kept, by in sides if kept > 0.0]
+
+
+def _meets(geometry: Geometry, beam: Beam, face: int) -> bool:
+    """Whether some of a beam comes to a face beside it."""
+    for y, z in product(beam.y_mm, beam.z_mm):
+        ux, uy, uz = light_ray(geometry, y, z)
+        at_y, at_z = y + uy / ux * geometry.length, z + uz / ux * geometry.length
+        beyond = {LEFT: -geometry.half_width - at_y, RIGHT: at_y - geometry.half_width, FLOOR: -at_z}[face]
+        if beyond > 0.0:
+            return True
+    return False
+
+
+def _add_source(
+    images: Array, pixel_mm: float, source: Source, faces: Array, liquids: Liquids, rules: PixelRules,
+    faint: bool | None,
+) -> None:  # fmt: skip
+    """Add what is seen of a beam by way of faces, or of a mirrored one at all."""
+    geometry, beam = source.geometry, source.beam
+    tank = ReflectingTank(geometry, faces, steepest_sights(geometry))
+    edges = (*beam.y_mm, *beam.z_mm)
+    ux, _, _ = light_ray(geometry, 0.5 * sum(beam.y_mm), 0.5 * sum(beam.z_mm))
+    for from_far, kept in ((False, source.kept), (True, source.kept * sent_back(faces, FAR, ux)[0])):
+        lit = SharpBeam(edges, kept * beam.irradiance)
+        for way in _ways(source, faces, from_far) if kept > 0.0 else ():
+            if faint is None or faint == (way.faint or (from_far and source.by != NONE)):
+                _add_mirrored(images, pixel_mm, tank, liquids, lit, way, rules)
+
+
+def _ways(source: Source, faces: Array, from_far: bool) -> list[Way]:
     """Faces that lines of sight may meet one after the other: one across x, one across y, the floor."""
+    geometry = source.geometry
     clear = [bool(kind % 3.0) for kind in faces[:, 0]]
     across_x = [NONE, *([wall for wall in (ENTRY, FAR) if clear[wall]] if geometry.camera_pinhole else [])]
     across_y = [NONE, *([wall for wall in (LEFT, RIGHT) if clear[wall]] if geometry.camera_pinhole else [])]
     met = list(product(across_x, across_y, (False, True) if clear[FLOOR] else (False,)))
+    meets_floor = source.by == FLOOR or _meets(geometry, source.beam, FLOOR)
     return [
-        Way(from_far, x, y, floor, outer)
-        for x, y, floor in (met if from_far else met[1:])
+        Way(source.ahead, meets_floor, from_far, x, y, floor, outer)
+        for x, y, floor in (met if from_far or source.by != NONE else met[1:])
         for outer in ((False, True) if max(x, y) != NONE or floor else (False,))
     ]
 
@@ -131,12 +207,13 @@ def _add_mirrored(
 
     ⟨I₁⟩ = 1/(Δx Δy) ∫ dx R ∫ dy I₁(mirrored line of sight)   over each pixel, R what the faces send back
     """
-    (geometry, faces, _), (from_far, x_wall, y_wall, floor, outer) = tank, way
+    (geometry, faces, _), (_, meets_floor, from_far, x_wall, y_wall, floor, outer) = tank, way
     sights, (nodes, weights) = rules.sights, rules.x
     ends, found = np.empty(CUTS), np.empty(images.shape[0])
     half_width, height = geometry.half_width, geometry.height
     still = _mirrored(geometry, way, 0.0, 0.0)
     lit = _mirrored_edges(beam.edges, height, floor)
+    above_edges = _mirrored_edges(beam.edges, 0.0, floor)
     parts = min(max(math.ceil(pixel_mm / PART_MM), 1), PARTS)
     aside = _farthest_aside(tank, way)
     for column in range(images.shape[2]):
@@ -155,6 +232,9 @@ def _add_mirrored(
                         break
                     if not _in_reach(tank, y_wall, low, pixel_mm, floor):
                         continue
+                    low, high = _part_in_reach(tank, way, x, low, high)
+                    if high <= low:
+                        continue
                     y_low, y_high = _mirrored_span(geometry, way, low, high)
                     if ends[-1] + aside <= y_low or ends[0] - aside >= y_high:
                         continue
@@ -171,13 +251,51 @@ def _add_mirrored(
                         if ends[-1] <= y_low or ends[0] >= y_high:
                             continue
                     found[:] = 0.0
-                    add_across_sights(found, 1.0, mirrored, (seen_x, y_low, y_high), ends, liquids, lit, sights)
+                    span, length = (seen_x, y_low, y_high), geometry.length - way.ahead
+                    add_across_sights(found, 1.0, mirrored, span, ends, liquids, lit, sights)
                     if from_far:  # the light beyond the far wall alone: what is in two tanks less what is in one
-                        near = _as_long(mirrored, geometry.length)
-                        add_across_sights(found, -1.0, near, (seen_x, y_low, y_high), ends, liquids, lit, sights)
+                        near = _as_long(mirrored, length)
+                        add_across_sights(found, -1.0, near, span, ends, liquids, lit, sights)
+                    if floor and meets_floor:  # the light below the floor alone
+                        above = _above_floor(geometry, way, x_move, y_move)
+                        add_across_sights(found, -1.0, above, span, ends, liquids, above_edges, sights)
+                        if from_far:
+                            near = _as_long(above, length)
+                            add_across_sights(found, 1.0, near, span, ends, liquids, above_edges, sights)
                     kept = beam.strength * share / pixel_mm * 0.5 * weights[i] / parts
                     for n in range(found.size):
                         images[n, row, column] += kept * math.exp(liquids.sigma_t[n] * lift) * found[n]
+
+
+@kernel
+def _part_in_reach(tank: ReflectingTank, way: Way, x: float, low: float, high: float) -> tuple[float, float]:
+    """From y to y across a pixel, of lines of sight that meet a wall across y before they end; none: high ≤ low."""
+    if way.y_wall == NONE:
+        return low, high
+    wall_first = way.y_wall == LEFT
+    near, far = (low, high) if wall_first else (high, low)
+    if not _comes_to(tank, way, x, near):
+        return high, low
+    if _comes_to(tank, way, x, far):
+        return low, high
+    met = near
+    for _ in range(HALVINGS):
+        middle = 0.5 * (met + far)
+        if _comes_to(tank, way, x, middle):
+            met = middle
+        else:
+            far = middle
+    return (low, met) if wall_first else (met, high)
+
+
+@kernel
+def _comes_to(tank: ReflectingTank, way: Way, x: float, y: float) -> bool:
+    """Whether a line of sight comes to a wall across y before it ends."""
+    geometry = tank.geometry
+    _, vy, vz, _ = sight_line(geometry, x, y)
+    outward = vy if way.y_wall == LEFT else -vy
+    away = geometry.half_width + y if way.y_wall == LEFT else geometry.half_width - y
+    return bool(away * vz < outward * geometry.height * (2.0 if way.floor else 1.0))
 
 
 @part
@@ -211,11 +329,12 @@ def _in_reach(tank: ReflectingTank, wall: int, first_mm: float, pixel_mm: float,
 def _mirrored_x(geometry: Geometry, way: Way, x: float, x_move: float) -> float:
     """Where a line of sight crosses the surface, mirrored in the faces and then in the far wall, by which light comes.
 
-    `x_move` is what panes move it by.
+    `x_move` is what panes move it by. Light that a pane has moved ahead is taken to be where it was, and all else is
+    moved back.
     """
     seen_x = x if way.x_wall == NONE else -x if way.x_wall == ENTRY else 2.0 * geometry.length - x
     seen_x += x_move
-    return 2.0 * geometry.length - seen_x if way.from_far else seen_x
+    return (2.0 * geometry.length - seen_x if way.from_far else seen_x) - way.ahead
 
 
 @part
@@ -241,12 +360,25 @@ def _mirrored(geometry: Geometry, way: Way, x_move: float, y_move: float) -> Geo
         camera_y = 2.0 * geometry.half_width * (-1.0 if way.y_wall == LEFT else 1.0) - camera_y
     height, floor = geometry.height, way.floor
     return Geometry(
-        geometry.length * (2.0 if way.from_far else 1.0), geometry.half_width, height * (2.0 if floor else 1.0),
+        geometry.length * (2.0 if way.from_far else 1.0) - way.ahead, geometry.half_width,
+        height * (2.0 if floor else 1.0),
         geometry.refractive_index, geometry.light_pinhole, geometry.light_x, geometry.light_y,
         height - geometry.light_z if floor else geometry.light_z, geometry.camera_pinhole,
         _mirrored_x(geometry, way, geometry.camera_x, x_move), camera_y + y_move,
         geometry.camera_z + (height if floor else 0.0), geometry.entry_index, geometry.pane, geometry.pane_index,
         geometry.reflected,
+    )  # fmt: skip
+
+
+@part
+def _above_floor(geometry: Geometry, way: Way, x_move: float, y_move: float) -> Geometry:
+    """The same where a line of sight has not met the floor yet: lit by the mirror image of the projector."""
+    same = Way(way.ahead, way.meets_floor, way.from_far, way.x_wall, way.y_wall, False, way.outer)
+    one = _mirrored(geometry, same, x_move, y_move)
+    return Geometry(
+        one.length, one.half_width, one.height, one.refractive_index, one.light_pinhole, one.light_x, one.light_y,
+        -one.light_z, one.camera_pinhole, one.camera_x, one.camera_y, one.camera_z, one.entry_index, one.pane,
+        one.pane_index, one.reflected,
     )  # fmt: skip
 
 
