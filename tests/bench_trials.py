@@ -10,7 +10,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,13 +85,13 @@ class Trial:
         )
 
 
-def walked(seed: int, folder: Path) -> Trial:
+def walked(seed: int, folder: Path, optics: Sequence[str] = ()) -> Trial:
     """Walk a bench, or what is left of it, and read what it found."""
     here, kept = folder / f"bench-{seed}", folder / f"bench-{seed}.json"
     if not kept.exists():
         words = ["demo", "--bench", "--out", str(here.absolute()), "--json"]
         if not here.exists():
-            words += ["--seed", str(seed)]
+            words += ["--seed", str(seed), *optics]
         began = time.perf_counter()
         done = typed(words, folder, HOURS_S, TANKRIG_CACHE=str((folder / "cache").absolute()))
         (folder / f"bench-{seed}.log").write_text(done.stderr, encoding="utf-8")
@@ -145,11 +145,11 @@ def _times(path: Path) -> tuple[tuple[float, ...], tuple[float, ...], float]:
     return tuple(dose_s), tuple(whole_s), (max(series) - newest_ns) / 1e9 if series else float("nan")
 
 
-def walk_all(seeds: list[int], folder: Path, processes: int) -> Iterator[Trial]:
+def walk_all(seeds: list[int], folder: Path, processes: int, optics: Sequence[str] = ()) -> Iterator[Trial]:
     """Trials as they are done."""
     folder.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(processes) as pool:
-        for done in as_completed([pool.submit(walked, seed, folder) for seed in seeds]):
+        for done in as_completed([pool.submit(walked, seed, folder, optics) for seed in seeds]):
             yield done.result()
 
 
@@ -189,9 +189,11 @@ def main() -> int:
     parser.add_argument("--seeds", type=seeds_in, required=True, help="such as 101-110")
     parser.add_argument("--out", type=Path, required=True, help="folder of the benches")
     parser.add_argument("--processes", type=int, default=1, help="benches at a time")
+    parser.add_argument("--wide-lens", action="append_const", dest="optics", const="--wide-lens", help="as of demo")
+    parser.add_argument("--walls", action="append_const", dest="optics", const="--walls", help="as of demo")
     given = parser.parse_args()
     trials = []
-    for trial in walk_all(given.seeds, given.out, given.processes):
+    for trial in walk_all(given.seeds, given.out, given.processes, given.optics or ()):
         trials.append(trial)
         print(trial, flush=True)
     print(summary(trials))

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -23,8 +24,9 @@ CTRL_C_HEARD = (
 )
 
 
-def bench(folder: Path, seed: int) -> Path:
-    assert main(["demo", "--bench", "--by-hand", "--seed", str(seed), "--doses", "2", "--out", str(folder)]) == 0
+def bench(folder: Path, seed: int, *optics: str) -> Path:
+    words = ["demo", "--bench", "--by-hand", "--seed", str(seed), "--doses", "2", "--out", str(folder), *optics]
+    assert main(words) == 0
     return folder
 
 
@@ -45,6 +47,20 @@ def test_a_seed_is_a_bench_and_its_ink_and_the_folder_says_what_to_type(
     assert load_sequence(folders[0] / "bench_dilution.toml").ink_ul == 250.0
     assert measured_beside_true(rigs[0]) == [], "nothing is measured yet"
     assert next(left_of(folders[0])) == next(way_of(folders[0]))
+
+
+def test_a_bench_of_glass_says_its_walls_and_hides_the_rest(tmp_path: Path) -> None:
+    """Who owns a tank knows that it is of glass; what lenses and the floor do is to be measured, or fitted along."""
+    files = [bench(tmp_path / name, 3, *more) / "rig.toml" for name, more in (("plain", ()), ("glass", ("--walls",)))]
+    walls = [rig.bench.tank.faces for rig in map(load_rig_file, files) if rig.bench is not None]
+    assert walls[0].dark
+    assert [face.kind for face in walls[1].all] == ["glass"] * 4 + ["black"]
+    plain, glass = (tomllib.loads(file.read_text(encoding="utf-8"))["camera"]["truth"] for file in files)
+    assert glass["stray"]["glass"] == ["entry", "far", "left", "right"]
+    assert 0.0 < glass["stray"]["floor"] < 0.05
+    assert glass["stray"]["projector_halo"] > 0.0
+    assert glass["ink"] == plain["ink"], "the same bench else"
+    assert glass["stray"].items() > plain["stray"].items()
 
 
 def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

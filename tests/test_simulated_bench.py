@@ -12,7 +12,7 @@ from drivers.rig import SIMULATED, load_rig_file
 from drivers.simulated import bench_ink, bench_multiple
 from drivers.simulated.bench_multiple import Smoother
 from drivers.simulated.bench_optics import BACK_MM, DEPTHS_MM, defocus_px, thrown_in_depth
-from drivers.simulated.bench_single import mirrored_once, scattered_once
+from drivers.simulated.bench_single import mirrored_once, scattered_once, shown_by_floor
 from drivers.simulated.bench_tank import InkInView
 from drivers.simulated.bench_truth import TrueBench, TrueStray, random_bench
 from drivers.simulated.camera import SimulatedCamera
@@ -99,6 +99,22 @@ def test_what_glass_walls_mirror_of_order_1_is_the_monte_carlos(wall: str) -> No
     assert true.sum() > 0.001 * tally.image.sum()
     assert mirrored.sum() == pytest.approx(true.sum(), abs=0.02 * true.sum() + 3.0 * noise)
     assert np.linalg.norm(mirrored - true) < 0.12 * np.linalg.norm(true) + noise
+
+
+@pytest.mark.parametrize("walls", [(), ("entry", "far", "left", "right")])
+def test_what_the_floor_shows_is_the_monte_carlos(walls: tuple[str, ...]) -> None:
+    """In clear water the floor is what the camera sees: sharp, and lit once more by way of glass walls. Photons that
+    were never scattered bring it forth, lines of sight back."""
+    matt = replace(random_bench(5, CAMERA, PROJECTOR), stray=TrueStray(floor=0.04, glass=walls))
+    light, clear = pattern((slice(80, 92), slice(8, 120))), Medium(0.001, 0.0, 0.0)
+    thrown, come_back = (thrown_in_depth(matt, light, depths_mm=mm) for mm in (DEPTHS_MM, BACK_MM))
+    shown = blocks(shown_by_floor(matt, thrown, come_back, clear))
+    scene = bench_ink.true_scene(matt, light, clear, 3)
+    tally = simulate(scene, 2_000_000, seed=3)
+    noise = float(np.linalg.norm(tally.stderr))
+    assert shown.sum() == pytest.approx(tally.image.sum(), abs=0.02 * shown.sum() + 3.0 * noise)
+    assert np.linalg.norm(shown - tally.image) < 0.1 * np.linalg.norm(shown) + noise
+    assert simulate(scene, 20_000, min_order=2).image.sum() < 0.05 * shown.sum()  # which the floor shows once more
 
 
 @pytest.mark.long
@@ -264,7 +280,7 @@ def test_light_scattered_more_often_is_that_of_all_points_of_a_wide_lens(bench: 
 
     def more(one: TrueBench) -> np.ndarray:
         once = scattered_once(one, thrown_in_depth(one, light), INK)
-        return blocks(bench_multiple.scattered_more(one, light, INK, once, 0.0 * once, 0.01, 4)[0], 15)
+        return blocks(bench_multiple.scattered_more(one, light, INK, once, 0.01, 4)[0], 15)
 
     scene = bench_ink.true_scene(sharp, light, INK, 3)
     before = -bench.projector.centre_mm[0] - bench.pane_mm + bench.pane_mm / bench.pane_index

@@ -32,6 +32,7 @@ class Bench:
         self.shown = [np.zeros(PROJECTED)] * (late + 1)
         self.random = np.random.default_rng(0)
         self.cover = slice(0, 0), 0.0
+        self.glass = False
         self.projector = self
         self.count = 0
 
@@ -49,9 +50,17 @@ class Bench:
         lit = self.shown[-1 - self.late].mean(axis=0)
         rows = np.interp(np.linspace(0, 1, SEEN[0]), np.linspace(0, 1, lit.size), lit)
         light = gaussian_filter(rows[:, None] * np.exp(-np.arange(SEEN[1]) / 30.0), (self.blur_px, 0.0))
+        if self.glass:
+            light = self.spread(lit)
         counts = 100.0 + self.gain * light + self.noise * self.random.standard_normal(SEEN)
         self.count += 1
         return Frame(np.clip(counts, 0, 4095).astype(np.uint16), after_ns + 1, after_ns + 1, after_ns + 2, self.count)
+
+    def spread(self, lit):
+        """A pinhole's light, ± 1.05 wide at first, between glass walls at ± 1, which send back what comes to them."""
+        y, wider = np.linspace(-1.0, 1.0, SEEN[0])[:, None], 1.0 + 0.8 * np.arange(SEEN[1]) / SEEN[1]
+        came = [y / wider, (2.0 - y) / wider, (-2.0 - y) / wider]
+        return sum(np.interp(place, np.linspace(-1.05, 1.05, lit.size), lit) * (np.abs(place) < 1.0) for place in came)
 
 
 class Projecting:
@@ -81,6 +90,14 @@ def test_whatever_covers_a_whole_band_is_noticed(band, beyond, level):
     bench.cover = slice(start, start + PROJECTED[1] // BANDS + beyond), level
     said = said_by(bench)
     assert said.follows is not True, said
+
+
+def test_bands_are_told_apart_between_walls_that_mirror_the_outer_ones():
+    """Of glass, in clear water over a bright floor: half of the places that are lit see two bands. It was taken for a
+    projector that shows something else, and no run began."""
+    bench = Bench()
+    bench.glass = True
+    assert said_by(bench).follows is True
 
 
 @pytest.mark.parametrize("late", [1, 2, 3])

@@ -37,14 +37,14 @@ _ACROSS = 8
 
 
 def scattered_more(
-    bench: TrueBench, pattern: Pattern, medium: Medium, once: Array, mirrored: Array, tolerance: float, seed: int
+    bench: TrueBench, pattern: Pattern, medium: Medium, sharp: Array, tolerance: float, seed: int
 ) -> tuple[Array, Array]:
-    """Radiance of all that is not order 1 by way of clear water or walls, and its standard error; before the blur.
+    """Radiance of all that is not followed back from the camera, and its standard error; before the blur.
 
     Parameters
     ----------
-    once, mirrored
-        (rows, columns) of order 1, directly and by way of glass walls.
+    sharp
+        (rows, columns) of what is: order 1, and what the floor shows of the projector's picture.
     tolerance
         Relative L2 of the noise, in a picture of all orders with pixels of about 4 mm.
     bench, pattern, medium, seed
@@ -54,13 +54,13 @@ def scattered_more(
     side = max(1, round(_BLOCK_MM / scene.camera.pixel_mm))
     judged = max(1, round(_JUDGED_MM / scene.camera.pixel_mm / side))
     scene = replace(scene, camera=scene.camera.binned(side))
-    coarse, by_walls = _binned(once + mirrored, side), _binned(mirrored, side)
+    coarse = _binned(sharp, side)
     smoothed, scenes = Smoother(bench, coarse, side, scene.camera.pixel_mm), through_lens(bench, scene)
 
     def seen(photons: int, number: int) -> Array:
         share = math.ceil(photons / len(scenes))
         parts = [
-            smoothed(simulate(one, share, (seed + number + 2**40 * part) % 2**48, min_order=2), by_walls)
+            smoothed(simulate(one, share, (seed + number + 2**40 * part) % 2**48, min_order=2))
             for part, one in enumerate(scenes)
         ]
         return np.asarray(np.mean(parts, axis=0))
@@ -74,7 +74,7 @@ def scattered_more(
     if wanted > done:
         image = (done * image + (wanted - done) * seen(wanted - done, _PILOTS)) / wanted
         stderr = stderr * math.sqrt(done / wanted)
-    return smoothed.at_pixels(image, once.shape), smoothed.at_pixels(stderr, once.shape)
+    return smoothed.at_pixels(image, sharp.shape), smoothed.at_pixels(stderr, sharp.shape)
 
 
 class Smoother:
@@ -105,13 +105,10 @@ class Smoother:
         normal[np.diag_indices_from(normal)] += 1e-6 * np.trace(normal) / len(normal)  # some hardly look in
         self._factored = cho_factor(normal)
 
-    def __call__(self, tally: Tally, by_walls: Array | float = 0.0) -> Array:
-        """(rows, columns) of blocks: light of the part of each that looks into the tank, as if that were all of it.
-
-        What the Monte Carlo counts with order 2 is less `by_walls`, order 1 by way of glass walls.
-        """
+    def __call__(self, tally: Tally) -> Array:
+        """(rows, columns) of blocks: light of the part of each that looks into the tank, as if that were all of it."""
         more = sum((image for order, image in tally.orders.items() if order != 2), np.zeros_like(tally.orders[2]))
-        return self._share * (self._fitted(tally.orders[2] - by_walls) + self._fitted(more))
+        return self._share * (self._fitted(tally.orders[2]) + self._fitted(more))
 
     def at_pixels(self, blocks: Array, shape: tuple[int, ...]) -> Array:
         """Cubic between the blocks' middles, as if the tank went on beside its walls."""

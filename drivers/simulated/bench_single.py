@@ -2,10 +2,12 @@
 
 The Monte Carlo's own order 1 spreads beams over pixels; this one asks, all along a pixel's line of sight, how bright
 the projector's picture is there. So every pixel of the projector counts, blurred as its lens blurs it, and the two
-check each other. Glass walls show such light mirrored, and the far one sends beams back.
+check each other. Glass walls show such light mirrored, and the far one sends beams back; a diffuse floor shows what of
+the picture falls on it.
 """
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -114,15 +116,44 @@ def mirrored_once(bench: TrueBench, thrown: Array, thrown_back: Array, medium: M
 
 
 def _gathered(bench: TrueBench, sights: tuple[_Sight, ...], thrown: Array, medium: Medium) -> Array:
+    if medium.sigma_s <= 0.0:
+        return np.zeros(bench.camera.shape)
+
+    def ln_scattered(sight: _Sight) -> Array:
+        ln = np.log(np.pi * bench.full * medium.sigma_s * medium.phase_function.at(sight.cosine))
+        return np.asarray(sight.ln_strength - medium.sigma_t * sight.path_mm + ln)
+
+    return _summed(bench, sights, thrown, ln_scattered)
+
+
+def shown_by_floor(bench: TrueBench, thrown: Array, thrown_back: Array, medium: Medium) -> Array:
+    """What a diffuse floor shows of the projector's picture, by way of glass walls too; W/mm²/sr.
+
+    Parameters
+    ----------
+    bench, thrown, thrown_back, medium
+        As for `mirrored_once`.
+    """
+    if bench.stray.floor <= 0.0:
+        return np.zeros(bench.camera.shape)
+
+    def ln_shown(sight: _Sight) -> Array:
+        return np.asarray(sight.ln_strength - medium.sigma_t * sight.path_mm + math.log(bench.stray.floor * bench.full))
+
+    straight, from_far = _on_floor(bench)
+    image = _summed(bench, straight, thrown, ln_shown)
+    return image + _summed(bench, from_far, thrown_back, ln_shown)
+
+
+def _summed(bench: TrueBench, sights: tuple[_Sight, ...], thrown: Array, ln_of: Callable[[_Sight], Array]) -> Array:
+    """Light along lines of sight, W/mm²/sr; `ln_of` gives the logarithm of what a white pixel's light brings per mm."""
     image = np.zeros(bench.camera.shape)
-    if medium.sigma_s > 0.0 and thrown.any():
+    if thrown.any():
         layers_a_mm = (len(thrown) - 1) / float(DEPTHS_MM[-1])
         pictures = _Thrown(thrown, layers_a_mm, _lit_tiles(thrown.max(axis=0)), FINER)
         water = _Water(TANK_MM[0], TANK_MM[1] / 2, bench.level_mm)
         for sight in sights:
-            ln = sight.ln_strength - medium.sigma_t * sight.path_mm
-            ln += np.log(np.pi * bench.full * medium.sigma_s * medium.phase_function.at(sight.cosine))
-            nodes = np.concatenate([sight.places, ln[..., None]], axis=-1)
+            nodes = np.concatenate([sight.places, ln_of(sight)[..., None]], axis=-1)
             _gather(nodes, sight.reached, pictures, water, _STEP_MM, image)
     return image * looks_in(bench)
 
@@ -165,6 +196,31 @@ def _by_walls(bench: TrueBench) -> tuple[tuple[_Sight, ...], tuple[_Sight, ...]]
     return tuple(seen), tuple(from_far)
 
 
+@lru_cache(maxsize=2)
+def _on_floor(bench: TrueBench) -> tuple[tuple[_Sight, ...], tuple[_Sight, ...]]:
+    """The floor, lit by light that has not been to the far wall, and by that which has."""
+    line = _lines_of_sight(bench)
+    alone, two = by_way_of_walls(bench, line)
+    ends = [_end_of(one) for one in (line, *alone, *two)]
+    mirrors = [None, surface_of(bench), *(mirror for wall in ("left", "right") for mirror in sides_of(bench, wall))]
+    straight = [_floor(bench, one, mirror) for one in ends for mirror in mirrors]
+    from_far = [_floor(bench, one, mirror) for one in ends for mirror in sides_of(bench, "far")]
+    straight, from_far = ([one for one in sights if one.reached.any()] for sights in (straight, from_far))
+    return tuple(straight), tuple(from_far)
+
+
+def _end_of(line: Line) -> Line:
+    """Where lines of sight come to the floor, as a layer without thickness."""
+    return line._replace(points=line.points[[-1, -1]], path_mm=line.path_mm[[-1, -1]])
+
+
+def _floor(bench: TrueBench, end: Line, mirror: Mirror | None) -> _Sight:
+    """The sight of the floor: how much falls on it, as if it were all along a line as long as the water is deep."""
+    sight, arriving = _lit(bench, end, mirror)
+    falls = np.log(np.maximum(-arriving[..., 2], _NOTHING)) + np.log(-end.way[..., 2] / bench.level_mm)
+    return sight._replace(ln_strength=sight.ln_strength + falls)
+
+
 def _lines_of_sight(bench: TrueBench) -> Line:
     """From nodes of the picture, at even heights of the water."""
     rows, columns = (np.linspace(0.0, n - 1.0, max(2, round(n / _NODE_PX))) for n in bench.camera.shape)
@@ -178,6 +234,28 @@ def _lines_of_sight(bench: TrueBench) -> Line:
 
 def _sight(bench: TrueBench, line: Line, mirror: Mirror | None) -> _Sight:
     """The sight of a line's points, lit straight or by way of a mirror."""
+    return _lit(bench, line, mirror)[0]
+
+
+def _lit(bench: TrueBench, line: Line, mirror: Mirror | None) -> tuple[_Sight, Array]:
+    """The same, and the direction in which light arrives there; worked out where lines may be in the water."""
+    planes, rows, columns, _ = line.points.shape
+    reached, near = _reached(line.points), np.zeros((rows, columns), bool)
+    for corner in (np.s_[1:, 1:], np.s_[:-1, 1:], np.s_[1:, :-1], np.s_[:-1, :-1]):
+        near[corner] |= reached
+    some = Line(line.points[:, near], line.way[near], line.path_mm[:, near], line.share[near])
+
+    def everywhere(values: Array) -> Array:
+        found = np.zeros((planes, rows, columns, *values.shape[2:]))
+        found[:, near] = values
+        return found
+
+    places, ln_strength, path_mm, cosine, arriving = map(everywhere, _lit_at(bench, some, mirror))
+    return _Sight(places, ln_strength, path_mm, cosine, reached), arriving
+
+
+def _lit_at(bench: TrueBench, line: Line, mirror: Mirror | None) -> tuple[Array, Array, Array, Array, Array]:
+    """The parts of the sight of a line's points, whatever they are sorted by, and the direction."""
     points = line.points
     lit = points if mirror is None else mirror.image(points, None)
     _, arriving = projector_pixels(bench, lit, filled=True)
@@ -196,7 +274,7 @@ def _sight(bench: TrueBench, line: Line, mirror: Mirror | None) -> _Sight:
     cosine = -np.sum(arriving * line.way, axis=-1)
     places = np.stack([pixels[..., 0], pixels[..., 1], wall[..., 1], wall[..., 2], *np.moveaxis(points, -1, 0)[:2]], -1)
     ln_strength = np.log(np.maximum(weight, _NOTHING))
-    return _Sight(places, ln_strength, path + line.path_mm, cosine, _reached(points))
+    return places, ln_strength, path + line.path_mm, cosine, arriving
 
 
 def _reached(points: Array) -> NDArray[np.bool_]:

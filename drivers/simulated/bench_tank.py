@@ -16,14 +16,16 @@ from .tank import Radiance, seed_of
 _VERSION = 3
 """To be raised when a picture of the same changes, so that none from before is taken for it."""
 _KEPT = 12
+_EVEN = 4.0
+"""Times the tolerance of an evenly lit picture: others have a thousandth of it, which a run subtracts again."""
 
 
 class InkInView:
     """Pictures of the tank through a bench's own lens, glass and water: a `drivers.simulated.tank.View`.
 
-    Order 1 is followed back from each camera pixel, by way of glass walls too, all else is the Monte Carlo's. Light is
-    linear, and that is made use of: a picture of one level is white's times that level's light, and what leaks at
-    level 0 is white's too.
+    Order 1, and what the floor shows of the projector's picture, are followed back from each camera pixel, by way of
+    glass walls too; all else is the Monte Carlo's. Light is linear, and that is made use of: a picture of one level is
+    white's times that level's light, and what leaks at level 0 is white's too.
 
     Parameters
     ----------
@@ -88,23 +90,21 @@ class InkInView:
     def computed(self, pattern: Pattern, medium: Medium) -> Radiance:
         """Through the camera's lens."""
         from .bench_multiple import scattered_more  # half a second, which boards need not wait for
-        from .bench_single import looks_in, mirrored_once, scattered_once
+        from .bench_single import looks_in, mirrored_once, scattered_once, shown_by_floor
 
         bench = self._bench
         dark = np.zeros(self.shape)
         if medium.sigma_s == 0.0:
             return Radiance(dark, dark)
-        once = scattered_once(bench, thrown_in_depth(bench, pattern), medium)
-        if not once.any():
+        thrown, come_back = (thrown_in_depth(bench, pattern, depths_mm=mm) for mm in (DEPTHS_MM, BACK_MM))
+        sharp = scattered_once(bench, thrown, medium)
+        sharp += mirrored_once(bench, thrown, come_back, medium) + shown_by_floor(bench, thrown, come_back, medium)
+        if not sharp.any():
             return Radiance(dark, dark)
-        mirrored = dark
-        if bench.stray.glass:
-            thrown, come_back = (thrown_in_depth(bench, pattern, depths_mm=mm) for mm in (DEPTHS_MM, BACK_MM))
-            mirrored = mirrored_once(bench, thrown, come_back, medium)
-        seed = seed_of(self._seed, pattern, medium)
-        more, stderr = scattered_more(bench, pattern, medium, once, mirrored, self._tolerance, seed)
+        seed, even = seed_of(self._seed, pattern, medium), np.ptp(pattern.pixels) == 0
+        more, stderr = scattered_more(bench, pattern, medium, sharp, self._tolerance * (_EVEN if even else 1.0), seed)
         blur_px = np.sqrt(bench.camera.blur_px**2 + 1.0 / 12.0)  # pixels are squares, and were looked at in the middle
-        blurred = through_camera_lens(bench, once + mirrored + looks_in(bench) * more, float(blur_px))
+        blurred = through_camera_lens(bench, sharp + looks_in(bench) * more, float(blur_px))
         rows, columns = self.shape
         fade = vignetting(bench.camera, *np.meshgrid(np.arange(columns, dtype=float), np.arange(rows, dtype=float)))
         return Radiance(blurred * fade, stderr * fade)

@@ -24,6 +24,8 @@ _LIT = 0.15
 """Part of the brightest light from which on a pixel counts."""
 _FEW = 0.1
 """Part of a band's even share of the pixels, below which it counts as unseen."""
+_NEVER = 1e-6
+"""Weight of a pixel that tells nothing of its band."""
 _BACK = 0.02
 _LONGEST_MS = 200.0
 """Exposure of a flash: a run is to begin soon, and water that is too dark for this tells nothing anyway."""
@@ -102,6 +104,7 @@ def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> 
     gray = sum((part[bit] > 0.5).astype(int) << bit for bit in range(_BITS))
     number = np.asarray(gray) ^ (np.asarray(gray) >> 1) ^ (np.asarray(gray) >> 2)
     rows, columns = np.nonzero(lit)
+    clear = _NEVER + np.prod(np.abs(2.0 * part - 1.0), axis=0)  # glass walls put one band's light upon another's
     share = np.bincount(number, minlength=BANDS) * BANDS / number.size
     missing = [str(band + 1) for band in range(BANDS) if share[band] < _FEW]
     if missing:
@@ -110,7 +113,8 @@ def told_by(light: Image, seen: list[Image], back: Image, saturation: float) -> 
             f"no light of {', '.join(missing)} of {BANDS} bands, counted from the left, is seen; something covers them "
             f"or the camera does not see there",
         )
-    places = [np.array([rows[number == band].mean(), columns[number == band].mean()]) for band in range(BANDS)]
+    pixels_of = [number == band for band in range(BANDS)]
+    places = [np.average([rows[here], columns[here]], axis=1, weights=clear[here]) for here in pixels_of]
     steps = np.diff(places, axis=0)
     across = steps.sum(axis=0)
     if not (steps @ across > 0.0).all():

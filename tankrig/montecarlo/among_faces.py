@@ -19,8 +19,9 @@ from tankrig.scene import Tank
 
 Image = NDArray[np.float64]
 
-IMAGES = 5
-"""Orders up to 1 by way of faces; then orders 2, 3, 4–20 and above 20, all of them."""
+IMAGES = 6
+"""By way of faces: what a first event shows, be it of order 1 or on a diffuse face; other light of orders up to 1; then
+orders 2, 3, 4–20 and above 20."""
 LIGHT, KEPT = 0.05, 0.25
 """Weight below which a photon plays roulette, and the chance that it stays."""
 ROUNDING_MM = 1e-9
@@ -66,7 +67,10 @@ def trace_among_faces(
     scene: KernelScene, faces: KernelFaces, beams: Image, powers: Image, photons: int, max_order: int,
     seed: np.uint64, images: Image,
 ) -> tuple[float, float]:  # fmt: skip
-    """Follow photons; parameters and results as those of `tankrig.montecarlo.transport.trace`, but `IMAGES` images."""
+    """Follow photons, and show what is seen by way of faces; what is not, is as if all of them were black.
+
+    Parameters and results as those of `tankrig.montecarlo.transport.trace`, but `IMAGES` images.
+    """
     per_photon = powers[-1] / photons / (scene.pixel * scene.pixel)
     absorbed = 0.0
     for photon in range(photons):
@@ -78,7 +82,7 @@ def trace_among_faces(
         u, state = draw(state)
         place = (0.0, y, beams[beam, 2] + u * (beams[beam, 3] - beams[beam, 2]))
         way = departure(scene, place[1], place[2])
-        weight, order, by_face = 1.0, 0, False
+        weight, order, by_face, first = 1.0, 0, False, True
         while weight > 0.0:
             u, state = draw(state)
             free = -math.log(1.0 - u) / scene.sigma_t if scene.sigma_t > 0.0 else math.inf
@@ -91,9 +95,10 @@ def trace_among_faces(
                 order += 1
                 absorbed += weight * (1.0 - scene.albedo)
                 weight *= scene.albedo
-            kind = 0 if order < 2 else order - 1 if order < 4 else 3 if order <= 20 else 4
+            kind = 0 if first else 1 if order < 2 else order if order < 4 else 4 if order <= 20 else 5
+            first = False
             light = Scattered(way, matt, weight * per_photon)
-            _show(scene, faces, place, light, order >= 2 or by_face, images[kind])
+            _show(scene, faces, place, light, by_face, images[kind])
             if order >= max_order:
                 break
             if weight < LIGHT:

@@ -25,6 +25,8 @@ Batch = tuple[NDArray[np.float64], tuple[float, float]]
 BATCHES = 64
 """Independent parts of a run, always as many, so that its result doesn't depend on the number of threads; their scatter
 gives the standard error to 1/√(2 · 63) = 9 % per pixel."""
+DIRECTLY = 4
+"""Photons by way of faces for each that shows what is seen without: the latter are led to scatter, for less noise."""
 PILOT_PHOTONS = 32_000
 LOWEST_ORDERS = (1, 2, 3, 4, 21)
 """Of the classes of orders."""
@@ -92,7 +94,8 @@ def simulate(
         Side, in pixels, of the blocks in which orders 2 and up are counted and between which they are interpolated:
         far fewer photons where the camera is finer than multiply scattered light is.
     min_order
-        2: leave order 1 out, for who has it from elsewhere.
+        2: leave out what is sharp, for who has it from elsewhere: order 1, by way of clear faces too, and what a
+        diffuse face shows of light that was not scattered before. Order 1 by way of such a face counts with order 2.
 
     Raises
     ------
@@ -128,18 +131,20 @@ def simulate(
             for counts, fates in _in_order(pool, lambda batch: _batch(lit, per_batch, (seed, batch), highest), threads):
                 if symmetric:
                     counts = 0.5 * (counts + counts[:, ::-1])
+                if images == IMAGES and min_order == 2:
+                    counts[0] = 0.0
                 sums += counts
                 squares += counts.sum(axis=0) ** 2
                 energy += fates
     means = sums / BATCHES
     variance = np.maximum(squares / BATCHES - means.sum(axis=0) ** 2, 0.0) / (BATCHES - 1)
     orders: dict[int | str, Image] = {1: first_order(scene)} if min_order == 1 else {}
-    if images == IMAGES:  # the first is of order 1, by way of faces
+    if images == IMAGES:  # the first two are counted with order 1
         if min_order == 1:
-            orders[1] = orders[1] + _enlarged(means[0], coarsen, scene)
+            orders[1] = orders[1] + _enlarged(means[0] + means[1], coarsen, scene)
         else:
-            means[1] += means[0]
-        means = means[1:]
+            means[2] += means[1]
+        means = means[2:]
     for name, lowest, mean in zip(ORDER_CLASSES[1:], LOWEST_ORDERS[1:], means, strict=True):
         if lowest <= highest:
             orders[name] = _enlarged(mean, coarsen, scene)
@@ -202,12 +207,14 @@ def _batch(lit: _Lit, photons: int, seed: tuple[int, int], highest: int) -> Batc
     """One independent part of a run: images by class of orders, and what became of the light."""
     numbers = np.random.default_rng(seed)
     key = np.uint64(numbers.integers(2**63))
-    if lit.faces is None:
-        images = np.zeros((CLASSES, *lit.shape))
-        fates = trace(lit.scene, lit.beams, lit.powers, photons, highest, key, numbers.random(3), images)
-    else:
-        images = np.zeros((IMAGES, *lit.shape))
+    images = np.zeros((CLASSES, *lit.shape))
+    share = photons if lit.faces is None else math.ceil(photons / DIRECTLY)
+    fates = trace(lit.scene, lit.beams, lit.powers, share, highest, key, numbers.random(3), images)
+    if lit.faces is not None:  # other photons, which chance leads more, show what comes by way of faces
+        directly, images = images, np.zeros((IMAGES, *lit.shape))
+        key = np.uint64(numbers.integers(2**63))
         fates = trace_among_faces(lit.scene, lit.faces, lit.beams, lit.powers, photons, highest, key, images)
+        images[-CLASSES:] += directly
     images *= lit.weights
     return images, fates
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 RIG, SEQUENCE, RUN = "rig.toml", "bench_dilution.toml", "run"
 """What the folder of a bench holds, besides what the commands put there."""
+GLASS = ("entry", "far", "left", "right")
+"""Walls of a tank of glass."""
 TIME_SCALE = 0.02
 """Of all waiting for projector and camera; light is gathered as in the whole exposure."""
 MIXING_S, STEPS_PER_S = 0.3, 200.0
@@ -42,10 +44,11 @@ class Part:
     status: int
 
 
-def make(folder: Path, seed: int, doses: int, wide_lens: bool = False) -> None:
+def make(folder: Path, seed: int, doses: int, wide_lens: bool = False, walls: bool = False) -> None:
     """Make the folder of a bench that is drawn from a seed: its rig file, and a sequence for it.
 
-    With `wide_lens` its projector is sharp at one depth only, as real ones are.
+    With `wide_lens` its projector is sharp at one depth only, as real ones are. With `walls` its tank is of glass, as
+    the rig file says, its floor reflects and its projector has a halo, which nobody is told.
 
     Raises
     ------
@@ -64,10 +67,12 @@ def make(folder: Path, seed: int, doses: int, wide_lens: bool = False) -> None:
     for device in ("projector", "camera"):
         rig[device]["time_scale"] = TIME_SCALE
     rig["camera"]["boards"]["seed"] = seed
-    truth = {"mixing_s": MIXING_S, "ink": _ink(seed), **_optics(seed, wide_lens)}
+    truth = {"mixing_s": MIXING_S, "ink": _ink(seed), **_optics(seed, wide_lens, walls)}
     rig["camera"].setdefault("truth", tomlkit.table()).update(truth)
     rig["doser"]["rate"] = STEPS_PER_S
     rig.setdefault("exposure", tomlkit.table()).setdefault("period_ms", 0.0)
+    if walls:
+        rig["bench"]["tank"]["faces"] = {wall: {"kind": "glass"} for wall in GLASS}
     sequence: Any = tomlkit.parse(SIMULATED.with_name(SEQUENCE).read_text(encoding="utf-8"))
     series = next(step for step in sequence["steps"] if step["do"] == "series")
     series["total_ul"] = series["total_ul"][:doses]
@@ -89,7 +94,7 @@ def _ink(seed: int) -> dict[str, float]:
     return {name: round(value, 6) for name, value in drawn.items()}
 
 
-def _optics(seed: int, wide_lens: bool) -> dict[str, Any]:
+def _optics(seed: int, wide_lens: bool, walls: bool) -> dict[str, Any]:
     """What lenses do besides being ideal, as on a usual bench, and by how much a dark picture is none."""
     import numpy as np
 
@@ -103,7 +108,15 @@ def _optics(seed: int, wide_lens: bool) -> dict[str, Any]:
     leak = round(random.uniform(5e-4, 2e-3), 6)
     if wide_lens:
         stray |= {"projector_lens_mm": random.uniform(8.0, 20.0), "projector_focus_mm": random.uniform(60.0, 180.0)}
-    return {"leak": leak, "stray": {name: round(value, 6) for name, value in stray.items()}}
+    if walls:
+        random = np.random.default_rng((seed, 20))
+        stray |= {
+            "projector_halo": random.uniform(0.003, 0.02),
+            "projector_halo_mm": random.uniform(15.0, 30.0),
+            "floor": random.uniform(0.0, 0.05),
+        }
+    glass = {"glass": list(GLASS)} if walls else {}
+    return {"leak": leak, "stray": {name: round(value, 6) for name, value in stray.items()} | glass}
 
 
 def is_there(folder: Path) -> bool:
