@@ -93,8 +93,8 @@ def test_whatever_covers_a_whole_band_is_noticed(band, beyond, level):
 
 
 def test_bands_are_told_apart_between_walls_that_mirror_the_outer_ones():
-    """Of glass, in clear water over a bright floor: half of the places that are lit see two bands. It was taken for a
-    projector that shows something else, and no run began."""
+    """In clear water over a bright floor, between walls of glass, half of the lit places see two bands. It was taken
+    for a projector that shows something else, and no run began."""
     bench = Bench()
     bench.glass = True
     assert said_by(bench).follows is True

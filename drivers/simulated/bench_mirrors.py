@@ -124,7 +124,7 @@ def _sent_on(bench: TrueBench, line: Line, wall: str, outer: bool) -> Line:
 
 
 def _in_glass(bench: TrueBench, cosine: Array) -> Array:
-    """Cosine of the angle in a pane, of light that comes from the water by another."""
+    """Cosine of the angle to the normal in a pane, by that in the water."""
     return np.asarray(np.sqrt(1.0 - (bench.water_index / bench.pane_index) ** 2 * (1.0 - np.asarray(cosine) ** 2)))
 
 

@@ -216,7 +216,7 @@ def _end_of(line: Line) -> Line:
 
 def _floor(bench: TrueBench, end: Line, mirror: Mirror | None) -> _Sight:
     """The sight of the floor: how much falls on it, as if it were all along a line as long as the water is deep."""
-    sight, arriving = _lit(bench, end, mirror)
+    sight, arriving = _sight_and_way(bench, end, mirror)
     falls = np.log(np.maximum(-arriving[..., 2], _NOTHING)) + np.log(-end.way[..., 2] / bench.level_mm)
     return sight._replace(ln_strength=sight.ln_strength + falls)
 
@@ -234,10 +234,10 @@ def _lines_of_sight(bench: TrueBench) -> Line:
 
 def _sight(bench: TrueBench, line: Line, mirror: Mirror | None) -> _Sight:
     """The sight of a line's points, lit straight or by way of a mirror."""
-    return _lit(bench, line, mirror)[0]
+    return _sight_and_way(bench, line, mirror)[0]
 
 
-def _lit(bench: TrueBench, line: Line, mirror: Mirror | None) -> tuple[_Sight, Array]:
+def _sight_and_way(bench: TrueBench, line: Line, mirror: Mirror | None) -> tuple[_Sight, Array]:
     """The same, and the direction in which light arrives there; worked out where lines may be in the water."""
     planes, rows, columns, _ = line.points.shape
     reached, near = _reached(line.points), np.zeros((rows, columns), bool)

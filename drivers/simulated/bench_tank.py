@@ -96,7 +96,9 @@ class InkInView:
         dark = np.zeros(self.shape)
         if medium.sigma_s == 0.0:
             return Radiance(dark, dark)
-        thrown, come_back = (thrown_in_depth(bench, pattern, depths_mm=mm) for mm in (DEPTHS_MM, BACK_MM))
+        thrown = thrown_in_depth(bench, pattern, depths_mm=DEPTHS_MM)
+        # Without a far wall of glass nothing comes back, and a wide lens's pictures need not be drawn once more.
+        come_back = thrown_in_depth(bench, pattern, depths_mm=BACK_MM) if "far" in bench.stray.glass else thrown
         sharp = scattered_once(bench, thrown, medium)
         sharp += mirrored_once(bench, thrown, come_back, medium) + shown_by_floor(bench, thrown, come_back, medium)
         if not sharp.any():

@@ -43,9 +43,9 @@ PARTS, PART_MM = 6, 0.7
 STEEPEST_SINE = 0.99
 """In a pane, of light that still comes out of it within the water."""
 PIECE_MM = 8.0
-"""Of a beam that meets a wall beside it: what the wall's inner side sends back goes with the angle."""
+"""Width of the pieces of a beam that spreads to a wall: what the wall's inner side sends back goes with the angle."""
 HALVINGS = 20
-"""Of a pixel at most, until it is known which of its lines of sight meet a wall."""
+"""How often a pixel is halved to find which of its lines of sight meet a wall: to a millionth of its side."""
 NONE = -1
 
 
@@ -119,7 +119,7 @@ class Source(NamedTuple):
     kept: float = 1.0
     """Share of its light."""
     ahead: float = 0.0
-    """See `Way`."""
+    """How far along x the outer side of the pane has moved the light, mm."""
     by: int = NONE
     """The face, if it is a mirror image."""
 
