@@ -18,10 +18,11 @@ from tankrig.light import high_orders
 from tankrig.light.double import double_scattering
 from tankrig.light.entering import entering, through_lens
 from tankrig.light.leaving import CameraLens
+from tankrig.light.order_one import once, once_of, once_seen
 from tankrig.light.paths.record import seen_from
 from tankrig.light.prepared.box import Box
 from tankrig.light.rays import geometry_of
-from tankrig.light.tank import by_faces, low_orders, once, once_of, order_one_seen, tank_image
+from tankrig.light.tank import by_faces, low_orders, tank_image
 from tankrig.light.walls.faces import FAR, face_table, sent_back, steepest_sights
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.loading import scene_from_table
@@ -645,7 +646,7 @@ def test_a_calibrated_picture_is_fine_where_light_ends_and_nowhere_else(turned, 
 def test_liquids_at_once_are_seen_through_a_lens_as_one_by_one():
     scene = a_calibrated_scene((3.157, 0.0, 0.0), 6.0, (27, 40))
     media = [Medium(0.001, 0.01, 0.6), Medium(0.0, 0.02, 0.2)]
-    for image, medium in zip(order_one_seen(scene, media), media, strict=True):
+    for image, medium in zip(once_seen(scene, media), media, strict=True):
         alone = CameraLens.of(scene).order_one(lambda seen, medium=medium: once(replace(seen, medium=medium))[None])[1]
         np.testing.assert_allclose(image, alone[0], rtol=1e-12, atol=1e-12 * alone.max())
 

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 FEWEST_COPIES, MOST_COPIES = 12, 24
 """Of a beam with soft edges, where edges are seen; with half as many, rows of pixels at edges were .7 % off."""
+SMOOTH = 2.0
+"""Of a pixel's side down: standard deviation of a halo from which on its light has no edges that are seen."""
 WIDE = 1.0 / 16.0
 """Of the wall's width: standard deviation of a halo from which on it is drawn on cells of the wall."""
 CELL = 1.2
@@ -35,6 +37,37 @@ def is_plain(scene: Scene) -> bool:
     light = scene.projector
     soft = light.blur.sigma_mm > 0.0 or light.halo.share > 0.0 or light.black_level > 0.0
     return not soft and (light.wide_lens.diameter_mm == 0.0 or light.kind == "collimated")
+
+
+def edged_and_smooth(scene: Scene) -> tuple[Scene, Scene | None]:
+    """The scene with the light that has edges, and with that which is smooth over some pixels; None where it has none.
+
+    Smooth are a wide halo and a dark picture's light.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Camera, Medium, Projector, Tank
+    >>> from tankrig.scene.optics import Halo
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),), halo=Halo(0.02, 20.0))
+    >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.0), light, Camera("orthographic", (80, 120), 2.0))
+    >>> edged, smooth = edged_and_smooth(scene)
+    >>> [round(sum(beam.power for beam in entering(one, True).projector.beams), 2) for one in (edged, smooth)]
+    [15.68, 0.32]
+    """
+    light, (_, width, height) = scene.projector, scene.tank.size_mm
+    wide = light.halo.share > 0.0 and light.halo.sigma_mm >= SMOOTH * scene.camera.sides_mm[0]
+    if not wide and light.black_level == 0.0:
+        return scene, None
+    beams, smooth = light.beams, []
+    if wide:
+        beams = tuple(replace(beam, irradiance=(1.0 - light.halo.share) * beam.irradiance) for beam in beams)
+        smooth = in_halo(scene, light.halo.share, fine=True)
+    if light.black_level > 0.0:
+        smooth.append(Beam((-0.5 * width, 0.5 * width), (0.0, height), light.black_level))
+    halo = NO_HALO if wide else light.halo
+    edged = replace(light, beams=beams, halo=halo, black_level=0.0)
+    rest = replace(light, beams=tuple(smooth), halo=NO_HALO, black_level=0.0, blur=SHARP, wide_lens=PINHOLE)
+    return replace(scene, projector=edged), replace(scene, projector=rest)
 
 
 def entering(scene: Scene, fine: bool) -> Scene:

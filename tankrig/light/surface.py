@@ -26,8 +26,15 @@ FINEST = 360
 """Cells along the longer side of the surface, at most."""
 
 
-def on_surface(scene: Scene) -> Scene:
+def on_surface(scene: Scene, cell_mm: float | None = None) -> Scene:
     """The scene with a plain camera, on cells no finer than needed, where it has a calibrated one.
+
+    Parameters
+    ----------
+    scene
+        Any scene.
+    cell_mm
+        Side that cells may have; None: as small as it needs to be for light scattered twice.
 
     Examples
     --------
@@ -40,7 +47,8 @@ def on_surface(scene: Scene) -> Scene:
     if scene.camera.kind != "calibrated":
         return scene
     length, width, _ = scene.tank.size_mm
-    rows = math.ceil(width / max(scene.camera.pixel_mm / PER_PIXEL, max(length, width) / FINEST) - 1e-9)
+    wanted = scene.camera.pixel_mm / PER_PIXEL if cell_mm is None else cell_mm
+    rows = math.ceil(width / max(wanted, max(length, width) / FINEST) - 1e-9)
     cell = width / rows  # whole cells across, so that symmetry is kept
     columns = math.ceil(length / cell - 1e-9)
     return replace(scene, camera=Camera("pinhole", (rows, columns), cell, scene.camera.position_mm))

@@ -15,10 +15,11 @@ from tankrig.light.entering import entering, is_plain, through_lens
 from tankrig.light.high_orders import LOST_USUALLY, MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
 from tankrig.light.leaving import CameraLens
 from tankrig.light.moments.plan import moment_plan
+from tankrig.light.order_one import once, once_seen, once_through
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
 from tankrig.light.paths.smoothing import smoothed
-from tankrig.light.single import MOST_PARTS, single_scattering_of
+from tankrig.light.single import MOST_PARTS
 from tankrig.light.surface import lookup_error
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Medium, Scene
@@ -79,34 +80,12 @@ def tank_image(
     lens = CameraLens.of(scene)
     if lens is None:
         return _ideal_image(scene, None, tolerance, max_order, seed, batches, budget_s, progress)
-    (ideal,), (first,) = lens.order_one(lambda seen: once_of(seen, [scene.medium]))
+    (ideal,), (first,) = once_through(lens, [scene.medium])
     found = _ideal_image(lens.wide, ideal, tolerance, max_order, seed, batches, budget_s, progress)
     orders = {key: first if key == 1 else lens.of_wide(np.asarray(one, float)) for key, one in found.orders.items()}
     stderr = None if found.stderr is None else np.sqrt(lens.variance_of_wide(np.square(found.stderr, dtype=float)))
     image = np.sum(list(orders.values()), axis=0)
     return replace(found, image=image, orders=MappingProxyType(orders), stderr=stderr)
-
-
-def once(scene: Scene) -> Array:
-    """Order 1 with all that the projector's lens and clear faces do to the light."""
-    return np.asarray(once_of(scene, [scene.medium])[0])
-
-
-def once_of(scene: Scene, media: Sequence[Medium]) -> Array:
-    """The same of several liquids, (media, rows, columns)."""
-    by_walls = not scene.tank.faces.dark
-    if is_plain(scene) and not by_walls:
-        return single_scattering_of(scene, media)
-    from tankrig.light.walls.once import once_by_walls_of
-
-    images = np.zeros((len(media), *scene.camera.shape))
-    for share, one in through_lens(entering(scene, fine=True), fine=True):
-        images += share * single_scattering_of(one, media)
-        if by_walls:
-            images += share * once_by_walls_of(one, media, faint=False)
-    for share, one in through_lens(entering(scene, fine=False), fine=False) if by_walls else ():
-        images += share * once_by_walls_of(one, media, faint=True)
-    return images
 
 
 def twice(scene: Scene, tolerance: float) -> Array:
@@ -133,17 +112,8 @@ def low_orders(scene: Scene, tolerance: float, highest: int = 2) -> Array:
     lens = CameraLens.of(scene)
     if lens is None:
         return once(scene) if highest == 1 else once(scene) + twice(scene, tolerance)
-    first: Array = order_one_seen(scene, [scene.medium])[0]
+    first: Array = once_seen(scene, [scene.medium])[0]
     return first if highest == 1 else first + lens.of_wide(twice(lens.wide, tolerance))
-
-
-def order_one_seen(scene: Scene, media: Sequence[Medium]) -> Array:
-    """Order 1 of several liquids as the camera's lens shows it, (media, rows, columns)."""
-    lens = CameraLens.of(scene)
-    if lens is None:
-        return once_of(scene, media)
-    _, seen = lens.order_one(lambda one: once_of(one, media))
-    return seen
 
 
 def by_faces(described: Scene, seed: int, lattices: int) -> Array:

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from tankrig.light.double import Tabulated
 from tankrig.light.entering import entering
 from tankrig.light.leaving import CameraLens
+from tankrig.light.order_one import once_seen
 from tankrig.light.paths.block import LARGE, TURNS, PathLimits, Points
 from tankrig.light.paths.record import image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
-from tankrig.light.tank import CellGrid, order_one_seen, twice_of
+from tankrig.light.tank import CellGrid, twice_of
 from tankrig.light.water import water_of
 from tankrig.scene import Beam, Medium, Scene
 
@@ -69,7 +70,7 @@ def exact_images(
     """Orders 1 and 2 at ϖ = 1 of liquids of some σt and g, (liquids, 2, pixels); `known` as for `twice_of`."""
     media = [Medium(0.0, sigma_t, g) for sigma_t, g in liquids]
     lens, tables = CameraLens.of(scene), order_2_tolerance(scene, tolerance)
-    first = order_one_seen(scene, media)
+    first = once_seen(scene, media)
     second = twice_of(scene if lens is None else lens.wide, media, tables, known)
     if lens is not None:
         second = np.array([lens.of_wide(one) for one in second])

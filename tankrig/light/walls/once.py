@@ -39,10 +39,10 @@ from tankrig.scene import Beam, Medium, Scene
 Array = NDArray[np.float64]
 
 PARTS, PART_MM = 6, 0.7
-"""Of a pixel along x at most, and how long they need to be: where mirrored light ends is seen to that."""
+"""Of a cell along x at most, and how long they need to be: where mirrored light ends is seen to that."""
 STEEPEST_SINE = 0.99
 """In a pane, of light that still comes out of it within the water."""
-PIECE_MM = 8.0
+PIECE_MM, COARSE_PIECE_MM = 8.0, 32.0
 """Width of the pieces of a beam that spreads to a wall: what the wall's inner side sends back goes with the angle."""
 HALVINGS = 20
 """How often a pixel is halved to find which of its lines of sight meet a wall: to a millionth of its side."""
@@ -83,32 +83,81 @@ def once_by_walls(scene: Scene) -> Array:
     -------
     (rows, columns) array
     """
-    return np.asarray(once_by_walls_of(scene, [scene.medium])[0])
+    return np.asarray(by_walls_of(scene, [scene.medium]).seen_by(scene)[0])
 
 
-def once_by_walls_of(scene: Scene, media: Sequence[Medium], faint: bool | None = None) -> Array:
-    """The same of several liquids, (media, rows, columns); of Henyey–Greenstein's for little more than one's.
+class OnSurface(NamedTuple):
+    """Light that leaves the water on its way to a camera, averaged over cells of the surface.
 
-    Where `faint` is said, only what comes back from the far wall and is then seen by way of another face, .07 % of a
-    tank of glass, or all but that.
+    Of a plain camera, whose pixels are such cells, it is the picture.
     """
-    images = np.zeros((len(media), *scene.camera.shape))
-    faces = face_table(scene.tank)
-    if not (faces[:, 0] % 3.0).any():
-        return images
-    if len(media) > 1 and any(one.phase is not None for one in media):
-        return np.array([once_by_walls_of(replace(scene, medium=one), [one], faint)[0] for one in media])
-    if scene.camera.kind == "calibrated":
-        plain = on_surface(scene)
-        cell_mm = plain.camera.pixel_mm, plain.camera.pixel_mm
-        return np.array([to_camera(scene, image, cell_mm) for image in once_by_walls_of(plain, media, faint)])
+
+    images: Array
+    """(media, rows, columns), W/mm²/sr."""
+    cell_mm: float
+
+    def seen_by(self, scene: Scene) -> Array:
+        """(media, rows, columns) of a scene's camera, which sees it from the same viewpoint."""
+        if scene.camera.kind != "calibrated":
+            return self.images
+        return np.array([to_camera(scene, image, (self.cell_mm, self.cell_mm)) for image in self.images])
+
+
+def by_walls_of(
+    scene: Scene, media: Sequence[Medium], faint: bool | None = None, coarse_mm: float | None = None
+) -> OnSurface:
+    """The same of several liquids on the surface; of Henyey–Greenstein's for little more than one's.
+
+    Parameters
+    ----------
+    scene
+        As for `once_by_walls`.
+    media
+        The liquids.
+    faint
+        True: only what comes back from the far wall and is then seen by way of another face, .07 % of a tank of glass;
+        False: all but that; None: all.
+    coarse_mm
+        Side of the cells, where what is seen has no edges.
+    """
+    plain = on_surface(scene, coarse_mm)
+    side_mm, faces = plain.camera.pixel_mm, face_table(scene.tank)
+    images, cells = np.zeros((len(media), *plain.camera.shape)), Cells.of(side_mm, coarse_mm is not None)
+    if (faces[:, 0] % 3.0).any():
+        alike = all(one.phase is None for one in media)
+        for first, some in [(0, media)] if alike else [(n, [one]) for n, one in enumerate(media)]:
+            _add_all(images[first : first + len(some)], cells, replace(plain, medium=some[0]), some, faces, faint)
+    return OnSurface(images, side_mm)
+
+
+class Cells(NamedTuple):
+    """How finely light on cells of the surface is looked at."""
+
+    side_mm: float
+    parts: int
+    """Of a cell along x, which are looked at by themselves."""
+    piece_mm: float
+    """Width of the pieces of a beam that spreads to a wall."""
+
+    @classmethod
+    def of(cls, side_mm: float, coarse: bool) -> "Cells":
+        """Cells with so long sides."""
+        if coarse:
+            return cls(side_mm, 1, COARSE_PIECE_MM)
+        return cls(side_mm, min(max(math.ceil(side_mm / PART_MM), 1), PARTS), PIECE_MM)
+
+
+def _add_all(
+    images: Array, cells: Cells, scene: Scene, media: Sequence[Medium], faces: Array, faint: bool | None
+) -> None:
+    """Add all light of a scene to (media, rows, columns) images of cells."""
     liquids, rules = liquids_of(media), pixel_rules()
     for geometry, beams in light_sources(scene):
         lit = [Source(geometry, beam) for beam in beams if beam.irradiance > 0.0]
-        lit += [mirrored for one in lit for mirrored in _sent_aside(one, faces)]
+        lit += [mirrored for one in lit for mirrored in _sent_aside(one, faces, cells.piece_mm)]
         for source in lit:
-            _add_source(images, scene.camera.pixel_mm, source, faces, liquids, rules, faint)
-    return np.asarray(images * np.array([one.sigma_s for one in media])[:, None, None])
+            _add_source(images, cells, source, faces, liquids, rules, faint)
+    images *= np.array([one.sigma_s for one in media])[:, None, None]
 
 
 class Source(NamedTuple):
@@ -124,13 +173,13 @@ class Source(NamedTuple):
     """The face, if it is a mirror image."""
 
 
-def _sent_aside(source: Source, faces: Array) -> list[Source]:
-    """Mirror images of a beam in the clear faces beside it, of its pieces that meet them."""
+def _sent_aside(source: Source, faces: Array, piece_mm: float) -> list[Source]:
+    """Mirror images of a beam in the clear faces beside it, of its pieces so wide that meet them."""
     geometry, beam = source.geometry, source.beam
     (low, high), (lower, upper) = beam.y_mm, beam.z_mm
-    count = max(1, math.ceil((high - low) / PIECE_MM))
+    count = max(1, math.ceil((high - low) / piece_mm))
     edges = np.linspace(low, high, count + 1).tolist()
-    heights = np.linspace(lower, upper, max(1, math.ceil((upper - lower) / PIECE_MM)) + 1).tolist()
+    heights = np.linspace(lower, upper, max(1, math.ceil((upper - lower) / piece_mm)) + 1).tolist()
     found = []
     for face, width in ((LEFT, -geometry.half_width), (RIGHT, geometry.half_width)):
         turned = geometry._replace(light_y=2.0 * width - geometry.light_y)
@@ -169,7 +218,7 @@ def _meets(geometry: Geometry, beam: Beam, face: int) -> bool:
 
 
 def _add_source(
-    images: Array, pixel_mm: float, source: Source, faces: Array, liquids: Liquids, rules: PixelRules,
+    images: Array, cells: Cells, source: Source, faces: Array, liquids: Liquids, rules: PixelRules,
     faint: bool | None,
 ) -> None:  # fmt: skip
     """Add what is seen of a beam by way of faces, or of a mirrored one at all."""
@@ -181,7 +230,7 @@ def _add_source(
         lit = SharpBeam(edges, kept * beam.irradiance)
         for way in _ways(source, faces, from_far) if kept > 0.0 else ():
             if faint is None or faint == (way.faint or (from_far and source.by != NONE)):
-                _add_mirrored(images, pixel_mm, tank, liquids, lit, way, rules)
+                _add_mirrored(images, cells, tank, liquids, lit, way, rules)
 
 
 def _ways(source: Source, faces: Array, from_far: bool) -> list[Way]:
@@ -201,36 +250,36 @@ def _ways(source: Source, faces: Array, from_far: bool) -> list[Way]:
 
 @kernel
 def _add_mirrored(
-    images: Array, pixel_mm: float, tank: ReflectingTank, liquids: Liquids, beam: SharpBeam, way: Way, rules: PixelRules
-) -> None:
+    images: Array, cells: Cells, tank: ReflectingTank, liquids: Liquids, beam: SharpBeam, way: Way,
+    rules: PixelRules,
+) -> None:  # fmt: skip
     """Add one beam as lines of sight by way of some faces show it, for σs of 1/mm.
 
-    ⟨I₁⟩ = 1/(Δx Δy) ∫ dx R ∫ dy I₁(mirrored line of sight)   over each pixel, R what the faces send back
+    ⟨I₁⟩ = 1/(Δx Δy) ∫ dx R ∫ dy I₁(mirrored line of sight)   over each cell, R what the faces send back
     """
     (geometry, faces, _), (_, meets_floor, from_far, x_wall, y_wall, floor, outer) = tank, way
-    sights, (nodes, weights) = rules.sights, rules.x
+    sights, (nodes, weights), (side_mm, parts, _) = rules.sights, rules.x, cells
     ends, found = np.empty(CUTS), np.empty(images.shape[0])
     half_width, height = geometry.half_width, geometry.height
     still = _mirrored(geometry, way, 0.0, 0.0)
     lit = _mirrored_edges(beam.edges, height, floor)
     above_edges = _mirrored_edges(beam.edges, 0.0, floor)
-    parts = min(max(math.ceil(pixel_mm / PART_MM), 1), PARTS)
     aside = _farthest_aside(tank, way)
     for column in range(images.shape[2]):
-        if not _in_reach(tank, x_wall, column * pixel_mm, pixel_mm, floor):
+        if not _in_reach(tank, x_wall, column * side_mm, side_mm, floor):
             continue
         for piece in range(parts):
             for i in range(nodes.size):
-                x = (column + (piece + 0.5 + 0.5 * nodes[i]) / parts) * pixel_mm
+                x = (column + (piece + 0.5 + 0.5 * nodes[i]) / parts) * side_mm
                 if x >= geometry.length:
                     continue
                 rows_of_ends(still, _mirrored_x(geometry, way, x, 0.0), lit, ends)
                 for row in range(images.shape[1]):
-                    low = row * pixel_mm - half_width
-                    high = min(low + pixel_mm, half_width)
+                    low = row * side_mm - half_width
+                    high = min(low + side_mm, half_width)
                     if high <= low:
                         break
-                    if not _in_reach(tank, y_wall, low, pixel_mm, floor):
+                    if not _in_reach(tank, y_wall, low, side_mm, floor):
                         continue
                     low, high = _part_in_reach(tank, way, x, low, high)
                     if high <= low:
@@ -262,7 +311,7 @@ def _add_mirrored(
                         if from_far:
                             near = _as_long(above, length)
                             add_across_sights(found, 1.0, near, span, ends, liquids, above_edges, sights)
-                    kept = beam.strength * share / pixel_mm * 0.5 * weights[i] / parts
+                    kept = beam.strength * share / side_mm * 0.5 * weights[i] / parts
                     for n in range(found.size):
                         images[n, row, column] += kept * math.exp(liquids.sigma_t[n] * lift) * found[n]
 
