@@ -660,3 +660,20 @@ def test_a_camera_that_sees_light_run_down_its_picture_shows_the_same_tank():
     turned = replace(scene.camera, matrix=((fy, 0.0, cy), (0.0, fx, cx), last))
     image = tankrig.predict(replace(scene, camera=turned), "single").image
     assert apart(image.T[::-1], upright) < 0.005
+
+
+def test_orders_by_way_of_a_diffuse_floor_are_the_monte_carlos():
+    """Its own glow was counted as order 2, and with a highest order, light of that order that then met it was lost."""
+    light = Projector("pinhole", (Beam((-20.0, 24.0), (40.0, 80.0)),), (-300.0, 0.0, 70.0))
+    scene = a_scene(
+        Camera("pinhole", (20, 30), 8.0, (120.0, 0.0, 620.0), blur=Blur(1.0)), light,
+        surface="fresnel", refractive_index=1.33, faces=Faces(floor=Face("diffuse", 0.3)),
+    )  # fmt: skip
+    tank, monte_carlo = (tankrig.predict(scene, model, tolerance=0.01) for model in ("tank", "montecarlo"))
+    dark = tankrig.predict(replace(scene, tank=replace(scene.tank, faces=Faces())), tolerance=0.01)
+    for order in (1, 2):
+        expected = monte_carlo.orders[order].sum()
+        assert tank.orders[order].sum() == pytest.approx(expected, rel=0.004)
+        assert dark.orders[order].sum() < 0.99 * expected
+        once = tankrig.predict(scene, max_order=order, tolerance=0.01).image.sum()
+        assert once == pytest.approx(sum(tank.orders[one].sum() for one in range(1, order + 1)), rel=0.004)

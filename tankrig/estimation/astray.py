@@ -450,13 +450,18 @@ class AstrayBlock(Block):
 def unmeasured(scene: Scene) -> dict[str, float]:
     """What may go astray on a calibrated bench and nobody has measured, with usual standard deviations.
 
-    Halo and veil are known once `tankrig calibrate stray` has found any; of a camera that is only described nothing is
-    expected that its scene does not say.
+    Halo and veil are known once `tankrig calibrate stray` has found any. No calibration measures the floor: it reflects
+    some per cent unless its scene says otherwise, which no residual need show and σa, σs and g follow. Of a camera that
+    is only described nothing is expected that its scene does not say.
     """
-    camera = scene.camera
-    if camera.kind != "calibrated" or camera.halo.share > 0.0 or camera.veil > 0.0:
+    camera, names = scene.camera, []
+    if camera.kind != "calibrated":
         return {}
-    return {name: ASTRAY[name] for name in ("halo", "veil")}
+    if camera.halo.share == 0.0 and camera.veil == 0.0:
+        names += ["halo", "veil"]
+    if scene.tank.faces.floor.dark:
+        names += ["floor"]
+    return {name: ASTRAY[name] for name in names}
 
 
 def require_sd(name: str, sd: object) -> None:
@@ -501,9 +506,10 @@ def _blurred(scene: Scene, image: Image, sigma_mm: float) -> Array:
 @lru_cache(maxsize=KEPT)
 def _by_faces(scene: Scene, name: str, face: Face) -> Array:
     """What one face sends back, the others as described: order 1 and more."""
-    from tankrig.light.tank import by_faces
+    from tankrig.light.tank import by_faces_within, paths_by_faces
 
+    shown = paths_by_faces if face.kind == "diffuse" else by_faces_within
     faces = replace(scene.tank.faces, **{name: face})
     without = replace(scene.tank.faces, **{name: Face()})
     lit, dark = (replace(scene, tank=replace(scene.tank, faces=one)) for one in (faces, without))
-    return by_faces(lit, SEED, FACE_LATTICES) - by_faces(dark, SEED, FACE_LATTICES)
+    return shown(lit, SEED, FACE_LATTICES)[0] - shown(dark, SEED, FACE_LATTICES)[0]

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 FEWEST_COPIES, MOST_COPIES = 12, 24
 """Of a beam with soft edges, where edges are seen; with half as many, rows of pixels at edges were .7 % off."""
 SMOOTH = 2.0
-"""Of a pixel's side down: standard deviation of a halo from which on its light has no edges that are seen."""
+"""Of a pixel's longer side: standard deviation of a halo from which on its light has no edges that are seen."""
 WIDE = 1.0 / 16.0
 """Of the wall's width: standard deviation of a halo from which on it is drawn on cells of the wall."""
 CELL = 1.2
@@ -39,10 +39,17 @@ def is_plain(scene: Scene) -> bool:
     return not soft and (light.wide_lens.diameter_mm == 0.0 or light.kind == "collimated")
 
 
-def edged_and_smooth(scene: Scene) -> tuple[Scene, Scene | None]:
+def edged_and_smooth(scene: Scene, fine: bool = True) -> tuple[Scene, Scene | None]:
     """The scene with the light that has edges, and with that which is smooth over some pixels; None where it has none.
 
     Smooth are a wide halo and a dark picture's light.
+
+    Parameters
+    ----------
+    scene
+        Any scene.
+    fine
+        As for `entering`, of a wide halo.
 
     Examples
     --------
@@ -55,13 +62,13 @@ def edged_and_smooth(scene: Scene) -> tuple[Scene, Scene | None]:
     [15.68, 0.32]
     """
     light, (_, width, height) = scene.projector, scene.tank.size_mm
-    wide = light.halo.share > 0.0 and light.halo.sigma_mm >= SMOOTH * scene.camera.sides_mm[0]
+    wide = light.halo.share > 0.0 and light.halo.sigma_mm >= SMOOTH * max(scene.camera.sides_mm)
     if not wide and light.black_level == 0.0:
         return scene, None
     beams, smooth = light.beams, []
     if wide:
         beams = tuple(replace(beam, irradiance=(1.0 - light.halo.share) * beam.irradiance) for beam in beams)
-        smooth = in_halo(scene, light.halo.share, fine=True)
+        smooth = in_halo(scene, light.halo.share, fine)
     if light.black_level > 0.0:
         smooth.append(Beam((-0.5 * width, 0.5 * width), (0.0, height), light.black_level))
     halo = NO_HALO if wide else light.halo
@@ -124,7 +131,7 @@ def in_halo(scene: Scene, share: float, fine: bool) -> list[Beam]:
     return _on_cells(light.beams, share, sigma_mm, (width, height), fine)
 
 
-def through_lens(scene: Scene, fine: bool) -> list[tuple[float, Scene]]:
+def through_lens(scene: Scene, fine: bool, seen_mm: float | None = None) -> list[tuple[float, Scene]]:
     """Scenes with a pinhole each, and their shares: their sum is the light through the projector's wide lens.
 
     Parameters
@@ -133,6 +140,8 @@ def through_lens(scene: Scene, fine: bool) -> list[tuple[float, Scene]]:
         Any scene; where its lens is no wider than a pinhole, the only one.
     fine
         As for `entering`.
+    seen_mm
+        Width of what is seen where edges are; None: a pixel's side down.
 
     Examples
     --------
@@ -152,7 +161,8 @@ def through_lens(scene: Scene, fine: bool) -> list[tuple[float, Scene]]:
     at_wall = focus / (focus - light.position_mm[0] - wall_mm + wall_mm / wall_index)  # of a move on the lens
     _, width, height = scene.tank.size_mm
     found = []
-    for share, along_y, along_z in _disc(radius, radius * at_wall, scene.camera.sides_mm[0] if fine else math.inf):
+    seen_mm = math.inf if not fine else scene.camera.sides_mm[0] if seen_mm is None else seen_mm
+    for share, along_y, along_z in _disc(radius, radius * at_wall, seen_mm):
         place = (light.position_mm[0], light.position_mm[1] + along_y, light.position_mm[2] + along_z)
         moved = [_moved(beam, along_y * at_wall, along_z * at_wall, (width, height)) for beam in light.beams]
         beams = tuple(beam for beam in moved if beam is not None)
@@ -162,9 +172,9 @@ def through_lens(scene: Scene, fine: bool) -> list[tuple[float, Scene]]:
     return found
 
 
-def _disc(radius: float, seen_mm: float, pixel_mm: float) -> list[tuple[float, float, float]]:
+def _disc(radius: float, at_wall_mm: float, seen_mm: float) -> list[tuple[float, float, float]]:
     """Shares of an even disc, and where they are: Gauss–Chebyshev along y, and one step up or down along z by turns."""
-    count = 2 if pixel_mm == math.inf else int(np.clip(math.ceil(4.0 * seen_mm / pixel_mm), 4, 10)) // 2 * 2
+    count = 2 if seen_mm == math.inf else int(np.clip(math.ceil(4.0 * at_wall_mm / seen_mm), 4, 10)) // 2 * 2
     angles = np.arange(1, count + 1) * math.pi / (count + 1)
     shares, across = np.sin(angles) ** 2 * 2.0 / (count + 1), np.cos(angles)[::-1]
     up = np.sqrt(1.0 - across**2) / math.sqrt(3.0) * (-1.0) ** np.arange(count) if count > 2 else np.zeros(count)

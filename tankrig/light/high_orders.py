@@ -108,7 +108,8 @@ class HighOrders:
     paths
         How many were followed.
     by_walls
-        (rows, columns) of orders up to 2, as far as faces have sent it back; `once_by_walls` left out.
+        (2, rows, columns) of orders up to 1 and of order 2, as far as faces have sent it back; order 1 by way of clear
+        faces left out.
     """
 
     images: Array
@@ -238,16 +239,17 @@ def high_orders(
     if tail is not None:
         classes = np.array([classes[0], classes[1] + classes[2], classes[3]])
     images = np.array([np.maximum(grid.to_pixels(one), 0.0) for one in classes])
-    by_walls = images[len(GROUPS)] if reflecting else np.zeros_like(images[0])
+    by_walls = images[len(GROUPS) :] if reflecting else np.zeros_like(images[:2])
     allowance.progress(1.0)
     return HighOrders(images[: len(GROUPS)], stderr, (groups.lattices + low_groups.lattices) * lattice.points, by_walls)
 
 
 def _with_walls(images: Array, scene: Scene, grid: CellGrid, seed: tuple[int, int], highest: int) -> Array:
-    """Images by class with what walls and floor send back, and one more of that in orders up to 2."""
+    """Images by class with what walls and floor send back, and two more of that in orders up to 1 and in order 2."""
     from tankrig.light.walls.paths import wall_images
 
-    bins = np.where(np.arange(CLASSES.size) <= 2, len(GROUPS), CLASSES)
+    order = np.arange(CLASSES.size)
+    bins = np.where(order <= 2, len(GROUPS) + (order == 2), CLASSES)
     more = wall_images(scene, grid, seed, bins, highest, FAINTEST)
     return np.concatenate([images + more[: len(GROUPS)], more[len(GROUPS) :]])
 
@@ -313,7 +315,7 @@ def _bins_above(above: int) -> Bins:
 def _prior(tail: Tail | None, grid: CellGrid, reflecting: bool) -> Array:
     """What paths are compared with, by class."""
     if tail is None:
-        return grid.folded(np.zeros((len(GROUPS) + reflecting, grid.rows, grid.columns)))
+        return grid.folded(np.zeros((len(GROUPS) + 2 * reflecting, grid.rows, grid.columns)))
     zero = np.zeros_like(tail.to_20)
     return grid.folded(np.array([zero, zero, tail.to_20, tail.beyond_20]))
 

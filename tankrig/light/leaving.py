@@ -117,6 +117,12 @@ class CameraLens:
         return replace(self.scene, camera=ideal)
 
     @property
+    def seen_mm(self) -> float:
+        """Twice the standard deviation, down a picture, by which pixels and the narrowest blur spread a point."""
+        camera = self.scene.camera
+        return 2.0 * math.hypot(camera.sides_mm[0] / math.sqrt(12.0), camera.blur.narrowest_mm)
+
+    @property
     def fine(self) -> Scene:
         """The same with fine pixels."""
         return self._fine(self.parts)

@@ -1,7 +1,7 @@
 """Order 1 of a scene: its light as it comes through the wall, seen directly and by way of clear walls.
 
 Three kinds of it are computed as finely as each can be seen: beams whose edges are seen, light that is smooth over many
-pixels as the projector's halo and dark picture are, and what clear walls send back, a tenth of all or less.
+pixels as the projector's halo and dark picture are, and what clear walls send back, most of it a tenth of all or less.
 """
 
 from collections.abc import Sequence
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tankrig.light.entering import edged_and_smooth, entering, through_lens
 from tankrig.light.leaving import CameraLens
 from tankrig.light.single import single_scattering_of
+from tankrig.light.surface import on_surface, to_camera
 from tankrig.scene import Medium, Scene
 
 if TYPE_CHECKING:
@@ -29,11 +30,12 @@ def once(scene: Scene) -> Array:
 
 def once_of(scene: Scene, media: Sequence[Medium]) -> Array:
     """The same of several liquids, (media, rows, columns)."""
-    edged, smooth = edged_and_smooth(scene)
-    images = _directly(edged, media)
-    for light in _sent_back(edged, media, _coarse_mm(scene)):
+    edged, _ = edged_and_smooth(scene)
+    images = _directly(edged, media, None)
+    for light in _sent_back(edged, media, None, _smooth_cell_mm(scene)):
         images += light.seen_by(edged)
-    return images if smooth is None else images + _smooth(smooth, media)
+    smooth = _smooth(scene, media)
+    return images if smooth is None else images + smooth
 
 
 def once_seen(scene: Scene, media: Sequence[Medium]) -> Array:
@@ -59,47 +61,86 @@ def once_through(lens: CameraLens, media: Sequence[Medium]) -> tuple[Array, Arra
     seen
         (media, rows, columns) of the camera.
     """
-    edged, smooth = edged_and_smooth(lens.scene)
+    edged, _ = edged_and_smooth(lens.scene)
     sharp = replace(lens, scene=edged)
-    back = _sent_back(sharp.fine, media, _coarse_mm(edged))
-    ideal, seen = sharp.order_one(lambda one: sum((light.seen_by(one) for light in back), _directly(one, media)))
+    back = _sent_back(sharp.fine, media, lens.seen_mm, _smooth_cell_mm(edged))
+    ideal, seen = sharp.order_one(
+        lambda one: sum((light.seen_by(one) for light in back), _directly(one, media, lens.seen_mm))
+    )
+    smooth = _smooth(lens.wide, media)
     if smooth is not None:
-        wide = _smooth(replace(lens, scene=smooth).wide, media)
-        ideal, seen = ideal + wide, seen + np.array([lens.of_wide(one) for one in wide])
+        ideal, seen = ideal + smooth, seen + np.array([lens.of_wide(one) for one in smooth])
     return ideal, seen
 
 
-def _directly(scene: Scene, media: Sequence[Medium]) -> Array:
-    """Of beams that no wall has sent back, and lines of sight likewise."""
-    parts = through_lens(entering(scene, fine=True), fine=True)
+def _directly(scene: Scene, media: Sequence[Medium], seen_mm: float | None) -> Array:
+    """Of beams that no wall has sent back, and lines of sight likewise; `seen_mm` as for `through_lens`."""
+    parts = through_lens(entering(scene, fine=True), True, seen_mm)
     return np.asarray(sum(share * single_scattering_of(one, media) for share, one in parts))
 
 
-def _sent_back(scene: Scene, media: Sequence[Medium], coarse_mm: float) -> list["OnSurface"]:
-    """Of beams by way of clear walls, on the surface; what is faint is looked at on cells that are coarse."""
+def _sent_back(
+    scene: Scene, media: Sequence[Medium], seen_mm: float | None, smooth_cell_mm: float
+) -> list["OnSurface"]:
+    """Of beams by way of clear walls, on the surface; the less there is of it, the more coarsely.
+
+    A beam that comes back from the far wall has two pinholes for a wide lens. What is seen of it by way of another wall
+    has no soft edges either, on cells of a pixel's longer side.
+    """
     if scene.tank.faces.dark:
         return []
-    from tankrig.light.walls.once import OnSurface, by_walls_of
+    from tankrig.light.walls.once import OnSurface, SentBack, by_walls_of
 
+    soft, sharp = entering(scene, fine=True), entering(scene, fine=False)
     found = []
-    for faint in (False, True):
-        shares, parts = zip(*through_lens(entering(scene, not faint), not faint), strict=True)
-        lights = [by_walls_of(one, media, faint, coarse_mm if faint else None) for one in parts]
-        image = np.tensordot(shares, np.array([light.images for light in lights]), 1)
-        found.append(OnSurface(image, lights[0].cell_mm))
+    for light, parts, cell_mm in (
+        (SentBack.MIRRORED, through_lens(soft, True, seen_mm), None),
+        (SentBack.FROM_FAR, through_lens(soft, False), None),
+        (SentBack.FAINT, through_lens(sharp, False), smooth_cell_mm),
+    ):
+        each = [by_walls_of(one, media, (light,), cell_mm) for _, one in parts]
+        image = np.tensordot([share for share, _ in parts], np.array([one.images for one in each]), 1)
+        found.append(OnSurface(image, each[0].cell_mm))
     return found
 
 
-def _smooth(scene: Scene, media: Sequence[Medium]) -> Array:
-    """Of smooth light, directly and by way of clear walls."""
-    images = single_scattering_of(scene, media)
-    if scene.tank.faces.dark:
+def once_sent_back(scene: Scene) -> Array:
+    """What clear walls send back of order 1, as an ideal camera sees it, (rows, columns), W/mm²/sr."""
+    edged, _ = edged_and_smooth(scene)
+    parts = [one.seen_by(edged) for one in _sent_back(edged, [scene.medium], None, _smooth_cell_mm(scene))]
+    return np.asarray(sum(parts, _smooth_sent_back(scene, [scene.medium]))[0])
+
+
+def _smooth(described: Scene, media: Sequence[Medium]) -> Array | None:
+    """Of a scene's smooth light, directly and by way of clear walls; None where it has none.
+
+    A calibrated camera looks it up on cells of the surface, which it may do where light has no edges.
+    """
+    _, scene = edged_and_smooth(described)
+    if scene is None:
+        return None
+    plain = on_surface(scene, _smooth_cell_mm(described))
+    images = single_scattering_of(plain, media)
+    if scene.camera.kind == "calibrated":
+        sides_mm = plain.camera.pixel_mm, plain.camera.pixel_mm
+        images = np.array([to_camera(scene, image, sides_mm) for image in images])
+    return np.asarray(images + _smooth_sent_back(described, media))
+
+
+def _smooth_sent_back(described: Scene, media: Sequence[Medium]) -> Array:
+    """Of a scene's smooth light by way of clear walls; 0 where it has none."""
+    _, scene = edged_and_smooth(described)
+    _, coarse = edged_and_smooth(described, fine=False)
+    images = np.zeros((len(media), *described.camera.shape))
+    if scene is None or coarse is None or scene.tank.faces.dark:
         return images
-    from tankrig.light.walls.once import by_walls_of
+    from tankrig.light.walls.once import SentBack, by_walls_of
 
-    return images + by_walls_of(scene, media, coarse_mm=_coarse_mm(scene)).seen_by(scene)
+    for one, light in ((scene, (SentBack.MIRRORED,)), (coarse, (SentBack.FROM_FAR, SentBack.FAINT))):
+        images += by_walls_of(one, media, light, _smooth_cell_mm(described)).seen_by(one)
+    return images
 
 
-def _coarse_mm(scene: Scene) -> float:
+def _smooth_cell_mm(scene: Scene) -> float:
     """Side of cells of the surface that show light without edges."""
     return max(scene.camera.sides_mm)

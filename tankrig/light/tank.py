@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.compiled_beside import paths_compiled_beside
-from tankrig.light.double import Tabulated, double_scattering, double_scattering_of, table_error
-from tankrig.light.entering import entering, is_plain, through_lens
+from tankrig.light.double import Tabulated, double_scattering_of, table_error
+from tankrig.light.entering import edged_and_smooth, entering, is_plain, through_lens
 from tankrig.light.high_orders import LOST_USUALLY, MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
 from tankrig.light.leaving import CameraLens
 from tankrig.light.moments.plan import moment_plan
-from tankrig.light.order_one import once, once_seen, once_through
+from tankrig.light.order_one import once, once_seen, once_sent_back, once_through
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
 from tankrig.light.paths.smoothing import smoothed
 from tankrig.light.single import MOST_PARTS
-from tankrig.light.surface import lookup_error
+from tankrig.light.surface import lookup_error, many_to_camera, on_surface
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Medium, Scene
 from tankrig.threads import one_blas_thread
@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 
 __all__ = ["CellGrid", "tank_image", "traced"]
 
+SMOOTH_CELLS = 24
+"""Across the tank, that order 2 of smooth light is looked up on: it is .2 % of itself off on a bench (a halo of 28 mm,
+with and without a dark picture's light; 1 to 2 % with 12 or 16), where cells for beams take 17 to 48 CPU s, these 3."""
 DOUBTED = 1.25
 """What the bound of a solution for moments is multiplied by: .09/.997/.8 errs by .9 % where it says .68."""
 
@@ -82,7 +85,10 @@ def tank_image(
         return _ideal_image(scene, None, tolerance, max_order, seed, batches, budget_s, progress)
     (ideal,), (first,) = once_through(lens, [scene.medium])
     found = _ideal_image(lens.wide, ideal, tolerance, max_order, seed, batches, budget_s, progress)
-    orders = {key: first if key == 1 else lens.of_wide(np.asarray(one, float)) for key, one in found.orders.items()}
+    orders = {
+        key: lens.of_wide(np.asarray(one, float) - (ideal if key == 1 else 0.0)) for key, one in found.orders.items()
+    }
+    orders[1] = orders[1] + first  # which the lens has blurred finely
     stderr = None if found.stderr is None else np.sqrt(lens.variance_of_wide(np.square(found.stderr, dtype=float)))
     image = np.sum(list(orders.values()), axis=0)
     return replace(found, image=image, orders=MappingProxyType(orders), stderr=stderr)
@@ -90,10 +96,7 @@ def tank_image(
 
 def twice(scene: Scene, tolerance: float) -> Array:
     """Order 2 likewise."""
-    if is_plain(scene):
-        return double_scattering(scene, tolerance)
-    parts = through_lens(entering(scene, fine=False), fine=False)
-    return np.asarray(sum(share * double_scattering(one, tolerance) for share, one in parts))
+    return np.asarray(twice_of(scene, [scene.medium], tolerance)[0])
 
 
 def twice_of(scene: Scene, media: Sequence[Medium], tolerance: float, known: Sequence[Tabulated] = ()) -> Array:
@@ -101,10 +104,26 @@ def twice_of(scene: Scene, media: Sequence[Medium], tolerance: float, known: Seq
 
     `known` are tables of these liquids, see `double_scattering_of`.
     """
+    edged, smooth = edged_and_smooth(scene, fine=False)
+    images = twice_edged_of(edged, media, tolerance, known)
+    return images if smooth is None else images + _twice_smooth_of(smooth, media, tolerance)
+
+
+def twice_edged_of(scene: Scene, media: Sequence[Medium], tolerance: float, known: Sequence[Tabulated] = ()) -> Array:
+    """The same of light that is not smooth, see `edged_and_smooth`."""
     if is_plain(scene):
         return double_scattering_of(scene, media, tolerance, known)
     parts = through_lens(entering(scene, fine=False), fine=False)
     return np.asarray(sum(share * double_scattering_of(one, media, tolerance, known) for share, one in parts))
+
+
+def _twice_smooth_of(scene: Scene, media: Sequence[Medium], tolerance: float) -> Array:
+    """Of smooth light, which a calibrated camera looks up on coarse cells of the surface."""
+    plain = on_surface(scene, scene.tank.size_mm[1] / SMOOTH_CELLS)
+    images = double_scattering_of(plain, media, tolerance)
+    if scene.camera.kind != "calibrated":
+        return images
+    return many_to_camera(scene, images, (plain.camera.pixel_mm, plain.camera.pixel_mm))
 
 
 def low_orders(scene: Scene, tolerance: float, highest: int = 2) -> Array:
@@ -123,7 +142,12 @@ def by_faces(described: Scene, seed: int, lattices: int) -> Array:
 
 def by_faces_within(described: Scene, seed: int, lattices: int) -> tuple[Array, Array]:
     """The same, and its standard error by pixel; 0 where one lattice does not tell."""
-    from tankrig.light.walls.once import once_by_walls
+    image, stderr = paths_by_faces(described, seed, lattices)
+    return once_sent_back(described) + image, stderr
+
+
+def paths_by_faces(described: Scene, seed: int, lattices: int) -> tuple[Array, Array]:
+    """The same without order 1 by way of clear faces, which diffuse ones do not change."""
     from tankrig.light.walls.paths import wall_images
 
     if described.tank.faces.dark:
@@ -139,7 +163,7 @@ def by_faces_within(described: Scene, seed: int, lattices: int) -> tuple[Array, 
     )  # fmt: skip
     found = smoothed(grid.folded(batches), seen=grid.seen, steady=True)
     stderr = np.sqrt(grid.variance_to_pixels((1.0 + LOST_USUALLY) * found.variance))
-    return once_by_walls(scene) + grid.to_pixels(grid.unfolded(found.image[None])[0]), np.asarray(stderr)
+    return np.asarray(grid.to_pixels(grid.unfolded(found.image[None])[0])), np.asarray(stderr)
 
 
 MOST_ORDERS_OF_A_PATTERN = 200
@@ -170,8 +194,8 @@ def _ideal_image(
         tail = None if max_order or batches or reflecting else _tail(scene, tolerance, seed)
         high = high_orders(scene, known, tolerance, max_order, seed, batches, tail, allowance)
         orders |= high.by_class
-        if reflecting:
-            orders[min(highest, 2)] = orders[min(highest, 2)] + high.by_walls
+        for order in range(1, min(highest, 2) + 1):
+            orders[order] = orders[order] + high.by_walls[order - 1]
         stderr = high.stderr
         if tail is not None:
             skipped.append(Skipped(f"{tail.coarse}: what paths don't mend of it is in stderr", 0.0))

@@ -22,6 +22,9 @@ RIG, SEQUENCE, RUN = "rig.toml", "bench_dilution.toml", "run"
 """What the folder of a bench holds, besides what the commands put there."""
 GLASS = ("entry", "far", "left", "right")
 """Walls of a tank of glass."""
+GLASS_MIXED_S = 1800.0
+"""Waited at most until ink has mixed in a tank of glass, whose pictures take the simulated bench a minute each: with
+300 s a busy computer has seen two of them."""
 TIME_SCALE = 0.02
 """Of all waiting for projector and camera; light is gathered as in the whole exposure."""
 MIXING_S, STEPS_PER_S = 0.3, 200.0
@@ -76,6 +79,8 @@ def make(folder: Path, seed: int, doses: int, wide_lens: bool = False, walls: bo
     sequence: Any = tomlkit.parse(SIMULATED.with_name(SEQUENCE).read_text(encoding="utf-8"))
     series = next(step for step in sequence["steps"] if step["do"] == "series")
     series["total_ul"] = series["total_ul"][:doses]
+    if walls:
+        next(step for step in series["steps"] if step["do"] == "mix")["timeout_s"] = GLASS_MIXED_S
     folder.mkdir(parents=True)
     (folder / SEQUENCE).write_text(tomlkit.dumps(sequence), encoding="utf-8")
     (folder / RIG).write_text(tomlkit.dumps(rig), encoding="utf-8")

@@ -274,6 +274,8 @@ class PathLimits(NamedTuple):
     faintest_mark: float = 0.0
     """Share of the usual mark of its order below which a mark is left by chance and stands for others, where paths may
     begin anywhere; with 0 all are left, and the image is a smooth function of the medium."""
+    lowest: int = 3
+    """Order that is recorded first."""
 
 
 class Points(NamedTuple):

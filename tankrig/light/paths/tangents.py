@@ -74,15 +74,6 @@ class Scores(NamedTuple):
     """(n, k) scores of turning."""
 
 
-class Sought(NamedTuple):
-    """What is recorded."""
-
-    lowest: int
-    """Order that is recorded first."""
-    scores: Array
-    """(k, nodes) of turning, see `count_turn`; `NO_SCORES` of Henyey–Greenstein's phase function."""
-
-
 class SoFar(NamedTuple):
     """What of ℓ and the scores of turning is behind each path, by the number of its lattice point after `first`."""
 
@@ -138,9 +129,9 @@ def count_turn(turning: Array, at: int, cosine: float, phase: PhaseRecord, score
 @kernel
 def trace_tangents(
     image: Array, cell_mm: tuple[float, float], geometry: Geometry, water: Water, beams: Array, points: Points,
-    limits: PathLimits, sought: Sought,
+    limits: PathLimits, scores: Array,
 ) -> None:  # fmt: skip
-    """Follow the paths of lattice points as `trace` does, with the scores of the module's heading, from order `lowest`.
+    """Follow the paths of lattice points as `trace` does, with the scores of the module's heading.
 
     Parameters
     ----------
@@ -149,13 +140,12 @@ def trace_tangents(
         seen along x; (rows, columns, `LAYERS` + k) for others.
     cell_mm, geometry, water, beams, points, limits
         As for `trace`.
-    sought
-        What is recorded.
+    scores
+        (k, nodes) of turning, see `count_turn`; `NO_SCORES` of Henyey–Greenstein's phase function.
     """
-    lowest, scores = sought
     sigma_t, albedo, phase = water
     lattice, stop = points
-    max_order, faintest, first_thinning, turns, _ = limits
+    max_order, faintest, first_thinning, turns, _, lowest = limits
     sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / turns)
     block, tally = empty_block(), empty_record(BLOCK)
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
@@ -394,7 +384,7 @@ def traced_tangents(
     """
     medium, geometry = scene.medium, geometry_of(scene)
     water, points, shiftable = water_of(medium), Points(lattice.shifted(seed), lattice.points), grid.shiftable
-    limits = PathLimits(max_order, faintest, THINNING)
+    limits = PathLimits(max_order, faintest, THINNING, lowest=lowest)
     middles = (np.arange(grid.columns) + 0.5) * grid.cell_mm[0]
     scores = NO_SCORES if medium.phase is None else scores_towards(others, medium.phase)
     layers = LAYERS + len(scores)
@@ -409,7 +399,7 @@ def traced_tangents(
         )
         edges = np.zeros((2, grid.rows + 2, grid.columns + 2, layers) if shiftable else (0,) * 4)
         light = edges if shiftable else cells
-        trace_tangents(light, grid.cell_mm, geometry, water, table, points, limits, Sought(lowest, scores))
+        trace_tangents(light, grid.cell_mm, geometry, water, table, points, limits, scores)
         if z_mm is None:
             found += np.moveaxis(cells, 2, 0) * (power.sum() / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1]))
             break

@@ -89,7 +89,7 @@ def trace(
     images: Array, bins: Bins, cell_mm: tuple[float, float], geometry: Geometry, water: Water, beams: Array,
     points: Points, limits: PathLimits,
 ) -> None:  # fmt: skip
-    """Follow the paths of lattice points and record their orders ≥ 3.
+    """Follow the paths of lattice points and record their orders ≥ 3, or from another on.
 
         I_n = 1/N Σ_paths w_n p(cos θ) e^{−σt s} T J / (area of a cell),   w_n = w_{n−1} ϖ (chance to collide) p/q
 
@@ -120,7 +120,7 @@ def trace(
     """
     sigma_t, albedo, phase = water
     lattice, stop = points
-    max_order, faintest, first_thinning, turns, faintest_mark = limits
+    max_order, faintest, first_thinning, turns, faintest_mark, lowest = limits
     sampling = PathSampling(sigma_t, albedo, phase, phase.g > 0.3, (1.0 - UNTURNED) / turns)
     block, tally = empty_block(), empty_record(BLOCK)
     usual = np.zeros((2, max_order))
@@ -159,7 +159,7 @@ def trace(
                 narrow(block, n, geometry)
             else:
                 look(block, n, geometry, sigma_t)
-            if order == 1:
+            if order + 1 < lowest:
                 continue
             if images.ndim == 4:
                 ends = Ends(block.x, block.y, block.z, block.dz, block.seen)

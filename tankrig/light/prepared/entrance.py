@@ -131,7 +131,7 @@ class Entrance:
         return self.band[0] - 1e-6 <= beam.z_mm[0] and beam.z_mm[1] <= self.band[1] + 1e-6
 
     def images(self, sampling: PathImages, samples: Sequence[Sample]) -> Iterator[tuple[int, Array]]:
-        """Orders ≥ 3 of a pattern at media that were learned, each with its number: (albedos, rows, degrees).
+        """What `PathImages.sample` gives of a pattern at media that were learned, each with its number.
 
         Parameters
         ----------
@@ -150,8 +150,9 @@ class Entrance:
             some = samples[first : first + AT_ONCE]
             found = put_together(weights, [self._learned(one, used) for one in some], sampling.along)
             for sample, image in zip(some, found, strict=True):
+                medium = Medium(0.0, sample.sigma_t, sample.g)
+                image = image + sampling.twice_smooth(medium, sample.index, sample.batches)
                 if rest is not None:
-                    medium = Medium(0.0, sample.sigma_t, sample.g)
                     image = image + rest.sample(medium, sample.index, max(1, round(share * sample.batches)))
                 yield sample.index, np.asarray(image, float)
 

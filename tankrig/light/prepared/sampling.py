@@ -15,14 +15,14 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from tankrig.light.double import Tabulated
-from tankrig.light.entering import entering
+from tankrig.light.entering import edged_and_smooth, entering
 from tankrig.light.leaving import CameraLens
 from tankrig.light.order_one import once_seen
 from tankrig.light.paths.block import LARGE, TURNS, PathLimits, Points
 from tankrig.light.paths.record import image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
-from tankrig.light.tank import CellGrid, twice_of
+from tankrig.light.tank import CellGrid, twice_edged_of
 from tankrig.light.water import water_of
 from tankrig.scene import Beam, Medium, Scene
 
@@ -67,11 +67,15 @@ def order_2_tolerance(scene: Scene, tolerance: float) -> float:
 def exact_images(
     scene: Scene, liquids: Sequence[tuple[float, float]], tolerance: float, known: Sequence[Tabulated] = ()
 ) -> Array:
-    """Orders 1 and 2 at ϖ = 1 of liquids of some σt and g, (liquids, 2, pixels); `known` as for `twice_of`."""
+    """Orders 1 and 2 at ϖ = 1 of liquids of some σt and g, (liquids, 2, pixels); `known` as for `twice_of`.
+
+    Order 2 of smooth light is not among it, see `PathImages.twice_smooth`.
+    """
     media = [Medium(0.0, sigma_t, g) for sigma_t, g in liquids]
     lens, tables = CameraLens.of(scene), order_2_tolerance(scene, tolerance)
     first = once_seen(scene, media)
-    second = twice_of(scene if lens is None else lens.wide, media, tables, known)
+    edged, _ = edged_and_smooth(scene if lens is None else lens.wide, fine=False)
+    second = twice_edged_of(edged, media, tables, known)
     if lens is not None:
         second = np.array([lens.of_wide(one) for one in second])
     return np.stack([first, second], axis=1).reshape(len(media), 2, -1)
@@ -102,6 +106,11 @@ class PathImages:
         return entering(self.scene if self._lens is None else self._lens.wide, fine=False)
 
     @cached_property
+    def _smooth(self) -> Scene | None:
+        """The same with its smooth light alone; None where it has none."""
+        return edged_and_smooth(self.scene if self._lens is None else self._lens.wide, fine=False)[1]
+
+    @cached_property
     def _own(self) -> int:
         """Added to seeds: if all scenes shared their lattices' shifts, all would be off the same way."""
         return zlib.crc32(repr(replace(self.scene, source="")).encode())
@@ -121,7 +130,7 @@ class PathImages:
 
     @cached_property
     def _firsts(self) -> list[int]:
-        firsts = [3]
+        firsts = [2, 3]
         while firsts[-1] < HIGHEST_ORDER:
             firsts.append(max(firsts[-1] + 1, round(firsts[-1] * BIN_GROWTH)))
         return firsts
@@ -133,9 +142,9 @@ class PathImages:
     @cached_property
     def _shares(self) -> Array:
         """(albedos, bins) mean of ϖⁿ over the orders of a bin."""
-        orders = np.arange(3, self._bins.size)
+        orders = np.arange(2, self._bins.size)
         powers = np.array(self.albedos)[:, None] ** orders
-        return np.stack([powers[:, self._bins[3:] == one].mean(axis=1) for one in range(len(self._firsts) - 1)], axis=1)
+        return np.stack([powers[:, self._bins[2:] == one].mean(axis=1) for one in range(len(self._firsts) - 1)], axis=1)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -145,22 +154,38 @@ class PathImages:
     def sample(self, medium: Medium, seed: int, batches: int) -> Array:
         """Mean image of several shifted lattices of paths by albedo, in rows of cells and polynomials along x.
 
-        Of the medium σt and the phase function matter.
+        Orders ≥ 3, what walls send back, and order 2 of smooth light. Of the medium σt and the phase function matter.
         """
-        seed += self._own
         lit = replace(self.lit, medium=replace(medium, sigma_a=0.0, sigma_s=medium.sigma_t))
+        images = self._traced(lit, seed, batches)
+        if not lit.tank.faces.dark:
+            images = images + self._by_walls(lit, seed + self._own, batches) @ self.along
+        return self._even(images) + self.twice_smooth(medium, seed, batches)
+
+    def twice_smooth(self, medium: Medium, seed: int, batches: int) -> Array:
+        """Order 2 of light that is smooth as it enters, in the same way; 0 where there is none.
+
+        Tables of it, which light beams so wide at any height want, take many times what those of a pattern do.
+        """
+        if self._smooth is None:
+            return np.zeros(self.shape)
+        lit = replace(self._smooth, medium=replace(medium, sigma_a=0.0, sigma_s=medium.sigma_t))
+        return self._even(self._traced(lit, seed, batches, (2, 2)))
+
+    def _even(self, images: Array) -> Array:
+        return np.asarray(0.5 * (images + images[:, ::-1]) if self.grid.symmetric else images)
+
+    def _traced(self, lit: Scene, seed: int, batches: int, orders: tuple[int, int] = (3, HIGHEST_ORDER)) -> Array:
+        """Mean of light paths' lattices, of the orders from one to another."""
         beams = [beam for beam in lit.projector.beams if beam.irradiance > 0.0]
         traced = self._traced_rectangles if self.grid.shiftable else self._traced_points
-        images = traced(lit, beams, seed, batches) @ self.along / batches
-        if not lit.tank.faces.dark:
-            images = images + self._by_walls(lit, seed, batches) @ self.along
-        return np.asarray(0.5 * (images + images[:, ::-1]) if self.grid.symmetric else images)
+        return np.asarray(traced(lit, beams, seed + self._own, batches, orders) @ self.along / batches)
 
     def _by_walls(self, lit: Scene, seed: int, batches: int) -> Array:
         """Mean over lattices of what walls and floor send back, in all orders but 1 by way of clear faces."""
         from tankrig.light.walls.paths import LATTICES, wall_images
 
-        bins = np.concatenate([[0, 1, 2], self._bins[3:] + 3])
+        bins = np.concatenate([[0, 1], self._bins[2:] + 2])
         lattices = LATTICES if self.grid.shiftable else SLANTED_LATTICES
         images = np.mean(
             [
@@ -169,30 +194,34 @@ class PathImages:
             ],
             axis=0,
         )
-        low = np.array(self.albedos)[:, None] ** np.arange(3)
-        return np.tensordot(np.concatenate([low, self._shares], axis=1), images[: 3 + self._shares.shape[1]], 1)
+        low = np.array(self.albedos)[:, None] ** np.arange(2)
+        return np.tensordot(np.concatenate([low, self._shares], axis=1), images[: 2 + self._shares.shape[1]], 1)
 
-    def _traced_rectangles(self, lit: Scene, beams: list[Beam], seed: int, batches: int) -> Array:
+    def _traced_rectangles(
+        self, lit: Scene, beams: list[Beam], seed: int, batches: int, orders: tuple[int, int]
+    ) -> Array:
         """Sum over lattices where one path stands for every start on beams of one height."""
         total = np.zeros((len(self.albedos), self.grid.rows, self.grid.columns))
         transmission = sight_line(geometry_of(lit), 0.0, 0.0)[3]
         for z_mm in sorted({beam.z_mm for beam in beams}):
             edges = np.zeros((len(self._firsts) - 1, 2, self.grid.rows + 2, self.grid.columns + 2))
-            self._trace(lit, [beam for beam in beams if beam.z_mm == z_mm], seed, batches, edges)
+            self._trace(lit, [beam for beam in beams if beam.z_mm == z_mm], seed, batches, orders, edges)
             by_albedo = np.tensordot(self._shares, edges, 1)  # before edges become images: they are many more
             image = image_of_edges(by_albedo, lit.medium.sigma_t, self.grid.cell_mm[0])
             total += image * (transmission * (z_mm[1] - z_mm[0]) / LARGE.points)
         return total
 
-    def _traced_points(self, lit: Scene, beams: list[Beam], seed: int, batches: int) -> Array:
+    def _traced_points(self, lit: Scene, beams: list[Beam], seed: int, batches: int, orders: tuple[int, int]) -> Array:
         """Sum over lattices of paths that are seen where they are."""
         cells = np.zeros((len(self._firsts) - 1, self.grid.rows, self.grid.columns))
-        self._trace(lit, beams, seed, batches, cells)
+        self._trace(lit, beams, seed, batches, orders, cells)
         power = sum(beam.power for beam in beams)
         area = self.grid.cell_mm[0] * self.grid.cell_mm[1]
         return np.asarray(np.tensordot(self._shares, cells, 1) * (power / (LARGE.points * area)))
 
-    def _trace(self, lit: Scene, beams: list[Beam], seed: int, batches: int, light: Array) -> None:
+    def _trace(
+        self, lit: Scene, beams: list[Beam], seed: int, batches: int, orders: tuple[int, int], light: Array
+    ) -> None:
         """Follow lattices of paths and add them to what `trace` fills."""
         medium, power = lit.medium, np.array([beam.power for beam in beams])
         corners = np.array([(*beam.y_mm, *beam.z_mm, beam.irradiance) for beam in beams])
@@ -202,7 +231,8 @@ class PathImages:
         forward = medium.g > FORWARD and self.grid.shiftable
         turns = min(max(TURNS, round(TURNS_PER_DEPTH * height)), MOST_TURNS) if forward else TURNS
         faintest_mark = FAINTEST_MARK * height**2 if height > DEEP else 0.0
-        limits = PathLimits(HIGHEST_ORDER, FAINTEST, thinning, turns, faintest_mark)
+        lowest, highest = orders
+        limits = PathLimits(highest, FAINTEST, thinning, turns, faintest_mark, lowest)
         geometry, water = geometry_of(lit), water_of(medium)._replace(albedo=1.0)
         for batch in range(batches):
             points = Points(LARGE.shifted((seed, batch)), LARGE.points)

@@ -145,14 +145,14 @@ def _trace(
                 dx, dy, dz = _lambert(face, u, v)
             else:
                 order += 1
+                if order > highest:  # what has been scattered so often still goes to faces
+                    break
                 weight *= albedo
                 if order >= 2 or diffuse:
                     image = cells[bins[min(order, bins.size - 1)]]
                     _show(image, cell_mm, tank, water, Ray(x, y, z, dx, dy, dz), weight, met, NONE)
                 ex, ey, ez = across(dx, dz) if abs(dx) + abs(dz) > 1e-9 else (1.0, 0.0, 0.0)
                 dx, dy, dz, ex, ey, ez = scattered(dx, dy, dz, ex, ey, ez, drawn_cosine(u, phase), v)
-            if order >= highest:
-                break
             if weight < faintest:
                 if coordinate(point, CHANCE_COORDINATES + flights, lattice) >= SPARED:
                     break
