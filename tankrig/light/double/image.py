@@ -17,6 +17,7 @@ from tankrig.compiled import kernel, part
 from tankrig.light.double.lit import COARSE_FROM, LitHeight, filled, lit_heights
 from tankrig.light.double.table import (
     FINE,
+    SPREAD,
     STEEP_G,
     Stack,
     Table,
@@ -43,9 +44,13 @@ WIDEST_MM = (5.0, 0.75)
 wall, and J changes at once."""
 STEEP_WIDEST_MM = (1.25, 0.25)
 """The same of steep light, where tables are fine."""
+MIRRORED_WIDEST_MM, FINE_MIRRORED_WIDEST_MM = (10.0, 4.0), (5.0, 1.5)
+"""The same of light by way of the surface, which comes from afar: where tables are coarse, and where they are fine."""
 PIECES = 4
 """Of a row of pixels whose lines of sight a side wall cuts at different depths: J and the share of light seen change
 together there, so that their product is averaged piece by piece. Beside steep light's edge a row was 10 % off."""
+HALVES = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
+"""Of a piece, where Gauss' two nodes lie."""
 FAR = 3.0
 """A beam is far from a pixel at this many times the width of both."""
 
@@ -126,16 +131,25 @@ def double_scattering_of(
     scattering = np.array([one.sigma_s for one in media])
     if not scattering.any():
         return images
-    steep = tolerance < COARSE_FROM and max(one.g for one in media) >= STEEP_G
-    widest_mm = STEEP_WIDEST_MM if steep else WIDEST_MM
+    steepest = max(one.g for one in media)
     by_wall, rest = served(scene, known)
     for one in by_wall:
+        widest_mm = _widest_mm(one.lit.mirrored, steepest, tolerance)
         _add_table(images, scene, one.lit, one.table, one.stack, np.empty(0), widest_mm)
     if rest is not None:
         for lit in lit_heights(rest):
+            widest_mm = _widest_mm(lit.mirrored, steepest, tolerance)
             _add_table(images, scene, lit, *filled(rest, media, lit, tolerance), widest_mm)
     images *= scattering[:, None, None] ** 2
     return np.maximum(images, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
+
+
+def _widest_mm(mirrored: bool, steepest: float, tolerance: float) -> Interval:
+    """Widest parts of beams, inside and where light leaves, for liquids up to a g."""
+    fine = tolerance < COARSE_FROM
+    if mirrored:
+        return FINE_MIRRORED_WIDEST_MM if fine else MIRRORED_WIDEST_MM
+    return STEEP_WIDEST_MM if fine and steepest >= STEEP_G else WIDEST_MM
 
 
 def _add_table(
@@ -155,9 +169,8 @@ def add_beams(
 ) -> None:  # fmt: skip
     """Add what tables say of their beams, over σs², to (rows, x, liquids) the light of each row of pixels."""
     rule = gauss_legendre(4)
-    nodes, _ = rule
-    reached = np.empty((table.x_mm.size, len(rows), PIECES, nodes.size))
-    _fill_reached(reached, scene.camera.pixel_mm, lit.geometry, table.x_mm, nodes)
+    reached = np.empty((table.x_mm.size, len(rows), PIECES, len(HALVES)))
+    _fill_reached(reached, scene.camera.pixel_mm, lit.geometry, table.x_mm)
     seen = Seen(scene.camera.pixel_mm, reached)
     for beam in lit.beams:
         height = (
@@ -172,16 +185,15 @@ def add_beams(
 
 
 @kernel
-def _fill_reached(reached: Array, pixel_mm: float, geometry: Geometry, x: Array, nodes: Array) -> None:
-    """Fill in how deep lines of sight get at a quadrature's nodes across parts of each row, see `Seen.reached_mm`."""
+def _fill_reached(reached: Array, pixel_mm: float, geometry: Geometry, x: Array) -> None:
+    """Fill in how deep lines of sight get at two places of each piece of a row, see `Seen.reached_mm`."""
     for i in range(x.size):
         for row in range(reached.shape[1]):
             low = row * pixel_mm - geometry.half_width
             wide = (min(low + pixel_mm, geometry.half_width) - low) / PIECES
             for piece in range(PIECES):
-                for n in range(nodes.size):
-                    y = low + wide * (piece + 0.5 + 0.5 * nodes[n])
-                    reached[i, row, piece, n] = depth_seen(geometry, x[i], y)
+                for n in range(len(HALVES)):
+                    reached[i, row, piece, n] = depth_seen(geometry, x[i], low + wide * (piece + HALVES[n]))
 
 
 def _parts(y_mm: Interval, inner_mm: Interval, widest_mm: Interval, whole: bool) -> list[Interval]:
@@ -250,8 +262,7 @@ class Seen(NamedTuple):
 
     pixel_mm: float
     reached_mm: Array
-    """(nx, rows, pieces, nodes) how deep lines of sight get, at nodes across the pieces of each row: no matter
-    which beam."""
+    """(nx, rows, pieces, 2) how deep lines of sight get, at `HALVES` of each row's pieces: no matter which beam."""
 
 
 class Across(NamedTuple):
@@ -312,7 +323,7 @@ def average_rows(
     liquids = decays.size
     profile, total, fading = np.empty((2, count, liquids)), np.empty(liquids), np.empty(liquids)
     cuts = np.empty(5)
-    middle = 0.5 * (low + high)
+    middle, lowest = 0.5 * (low + high), (1.0 - 1e-12) * geometry.height
     for j in range(z0.size):
         for i in range(x.size):
             for side in range(2):
@@ -342,14 +353,19 @@ def average_rows(
                     break
                 row_wide = min(row_low + pixel_mm, geometry.half_width) - row_low
                 depths = reached[i, row]
-                pieces = PIECES if abs(depths[0, 0] - depths[PIECES - 1, nodes.size - 1]) > 1e-9 else 1
+                cut = depths[0, 0] < lowest or depths[PIECES - 1, 1] < lowest
+                far = abs(row_low + 0.5 * row_wide - 0.5 * (beam_low + beam_high)) > FAR * (row_wide + wide)
+                # J and the share change together where lines are cut about as deep as the ray.
+                change = abs(depths[0, 0] - depths[PIECES - 1, 1])
+                apart = abs(0.5 * (depths[0, 0] + depths[PIECES - 1, 1]) - below)
+                pieces = 1 if far or change < 1e-9 or apart > change + 2.0 * SPREAD * geometry.height else PIECES
                 for piece in range(pieces):
                     pixel = row_wide / pieces
                     pixel_low = row_low + piece * pixel
                     pixel_high = pixel_low + pixel
                     total[:] = 0.0
                     centre = 0.5 * (pixel_low + pixel_high) - 0.5 * (beam_low + beam_high)
-                    if abs(centre) > FAR * (pixel + wide):
+                    if far:
                         spread = math.sqrt((pixel * pixel + wide * wide) / 12.0)
                         half = 0.5 * pixel * wide
                         _add_profile(total, half, profile, decays, spans, centre - spread, even)
@@ -371,12 +387,14 @@ def average_rows(
                                     weight = half * weights[n] * max(overlap, 0.0)
                                     _add_profile(total, weight, profile, decays, spans, delta, even)
                                 panel_start = panel_end
-                    share = 0.0
-                    for one in range(piece * PIECES // pieces, (piece + 1) * PIECES // pieces):
-                        for n in range(nodes.size):
-                            y = row_low + row_wide / PIECES * (one + 0.5 + 0.5 * nodes[n])
-                            inside = share_within(geometry.height, depths[one, n], abs(y - crossing), below)
-                            share += 0.5 * weights[n] * inside * pieces / PIECES
+                    share = 1.0
+                    if cut:
+                        share = 0.0
+                        for one in range(piece * PIECES // pieces, (piece + 1) * PIECES // pieces):
+                            for n in range(len(HALVES)):
+                                y = row_low + row_wide / PIECES * (one + HALVES[n])
+                                inside = share_within(geometry.height, depths[one, n], abs(y - crossing), below)
+                                share += 0.5 * inside * pieces / PIECES
                     for n in range(liquids):
                         rows[row, i, n] += scale * share * fading[n] * total[n]
 
