@@ -17,7 +17,6 @@ from tankrig.compiled import kernel, part
 from tankrig.light.double.lit import COARSE_FROM, LitHeight, filled, lit_heights
 from tankrig.light.double.table import (
     FINE,
-    SPREAD,
     STEEP_G,
     Stack,
     Table,
@@ -358,7 +357,7 @@ def average_rows(
                 # J and the share change together where lines are cut about as deep as the ray.
                 change = abs(depths[0, 0] - depths[PIECES - 1, 1])
                 apart = abs(0.5 * (depths[0, 0] + depths[PIECES - 1, 1]) - below)
-                pieces = 1 if far or change < 1e-9 or apart > change + 2.0 * SPREAD * geometry.height else PIECES
+                pieces = 1 if far or change < 1e-9 or apart > change else PIECES
                 for piece in range(pieces):
                     pixel = row_wide / pieces
                     pixel_low = row_low + piece * pixel
@@ -389,12 +388,13 @@ def average_rows(
                                 panel_start = panel_end
                     share = 1.0
                     if cut:
-                        share = 0.0
-                        for one in range(piece * PIECES // pieces, (piece + 1) * PIECES // pieces):
-                            for n in range(len(HALVES)):
-                                y = row_low + row_wide / PIECES * (one + HALVES[n])
-                                inside = share_within(geometry.height, depths[one, n], abs(y - crossing), below)
-                                share += 0.5 * inside * pieces / PIECES
+                        # Of a whole row, two of these places are about where Gauss has his.
+                        one, other = (piece, piece) if pieces > 1 else (0, PIECES - 1)
+                        n, m = (0, 1) if pieces > 1 else (1, 0)
+                        y = row_low + row_wide / PIECES * (one + HALVES[n])
+                        share = 0.5 * share_within(geometry.height, depths[one, n], abs(y - crossing), below)
+                        y = row_low + row_wide / PIECES * (other + HALVES[m])
+                        share += 0.5 * share_within(geometry.height, depths[other, m], abs(y - crossing), below)
                     for n in range(liquids):
                         rows[row, i, n] += scale * share * fading[n] * total[n]
 
