@@ -20,7 +20,7 @@ from tankrig.benchmark.race import race, variations
 from tankrig.benchmark.result import Result
 from tankrig.benchmark.trial import Trial, measure, run_trial
 from tankrig.benchmark.truth import Case, cases_of, own_cases
-from tankrig.benchmark.wide import CLASSES, Truths, measured, summary, truths_of, wide_scene
+from tankrig.benchmark.wide import CLASSES, Truths, measured, squares_over_stated, summary, truths_of, wide_scene
 from tankrig.errors import ImageError, SceneError, TankrigError
 from tankrig.montecarlo import simulate
 from tankrig.scene import Beam, Medium, Scene
@@ -222,6 +222,21 @@ def test_two_noisy_truths_tell_an_error_far_below_their_noise() -> None:
     for each in (truths, known):
         error = np.sqrt(each.squares(1.005 * truth).sum()) / each.size
         assert error == pytest.approx(0.005, rel=0.2)
+
+
+@pytest.mark.parametrize("noise", [0.5, 2.5, 3.5])
+def test_errors_as_large_as_stated_are_told_so_beside_noisy_truths(noise: float) -> None:
+    """Blocks that count for their own small noise told 1.25 (squared) where truths have 3.5 times what is stated."""
+    found = []
+    for seed in range(40):
+        numbers, shape = np.random.default_rng(seed), (80, 120)
+        error = numbers.normal(0.0, 1.0, shape)
+        one, other = (noise * (numbers.gamma(0.2, 0.2**-0.5, shape) - 0.2**0.5) for _ in range(2))  # skew, as of paths
+        squares = (error - one) * (error - other)
+        found.append(squares_over_stated(squares, np.ones(shape), 0.5 * np.square(one - other)))
+    assert sum(blocks for _, blocks in found) > 1000
+    whole = sum(squares * blocks for squares, blocks in found if blocks) / sum(blocks for _, blocks in found)
+    assert whole == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_folder_that_tells_more_is_asked_for_classes_and_times(tmp_path: Path) -> None:

@@ -151,7 +151,7 @@ def crossing_offset(
             slope += pane * pane_reach / (squared * root)
         step = miss / slope
         rho += step
-        if step <= 1e-13 * offset:
+        if step <= 1e-7 * offset:  # what is left then is about the square of that
             break
     return rho
 

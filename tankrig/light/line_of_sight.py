@@ -74,8 +74,9 @@ def kinked(geometry: Geometry, x_left: float, width: float, edges: Edges) -> boo
     middle = 0.5 * (edges[0] + edges[1])
     for k in range(4):
         x = x_left + width * (k // 2)
-        vx, _, vz, _ = sight_line(geometry, x, middle)
-        lit = x - vx / vz * (geometry.height - edges[2 + k % 2])
+        ux, uy, uz = light_ray(geometry, middle, edges[2 + k % 2])
+        vx, _, vz, _ = sight_line(geometry, x, middle + uy / ux * x)
+        lit = x - vx / vz * (geometry.height - min(max(edges[2 + k % 2] + uz / ux * x, 0.0), geometry.height))
         near, far = min(near, lit), max(far, lit)
     for k in range(2):  # where the light meets the surface or the floor
         ux, _, uz = light_ray(geometry, middle, edges[2 + k])

@@ -38,10 +38,18 @@ from tankrig.scene.description import Interval
 
 Array = NDArray[np.float64]
 
-WIDEST_MM = 5.0
-"""Widest part of a beam over which J's slow change with y₀ is taken as linear."""
-NARROW_MM = 0.75
-"""The same where light leaves through a side wall, and J changes at once."""
+WIDEST_MM = (5.0, 0.75)
+"""Widest part of a beam over which J's slow change with y₀ is taken as linear; and where light leaves through a side
+wall, and J changes at once."""
+STEEP_WIDEST_MM = (1.25, 0.25)
+"""The same of steep light, where tables are fine."""
+MIRRORED_WIDEST_MM, FINE_MIRRORED_WIDEST_MM = (10.0, 4.0), (5.0, 1.5)
+"""The same of light by way of the surface, which comes from afar: where tables are coarse, and where they are fine."""
+PIECES = 4
+"""Of a row of pixels whose lines of sight a side wall cuts at different depths: J and the share of light seen change
+together there, so that their product is averaged piece by piece. Beside steep light's edge a row was 10 % off."""
+HALVES = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
+"""Of a piece, where Gauss' two nodes lie."""
 FAR = 3.0
 """A beam is far from a pixel at this many times the width of both."""
 
@@ -51,14 +59,13 @@ def table_error(scene: Scene, tolerance: float) -> float:
 
     Coarse ones were off by .006 (thin) to .055 % (dense, g .85) on a bench, where fine ones are off by a few 1e-5.
     Where lines slant, fine ones are off by .05 % (two pinholes, g −.35, beside order 2 by an independent program),
-    coarse ones by .1; where light of g .95 leaves through a side wall by .31 and .34 %, of which nodes so close that
-    they cost six times as much leave .24.
+    coarse ones by .1; where light of g .95 leaves through a side wall by .07 and .12 % (six beams through glass).
     """
     fine = tolerance < COARSE_FROM
     if shift_invariant(scene):
         return 0.0001 if fine else 0.0005
     if scene.medium.g >= STEEP_G:
-        return 0.003
+        return 0.001 if fine else 0.0015
     return 0.0005 if fine else 0.001
 
 
@@ -123,31 +130,46 @@ def double_scattering_of(
     scattering = np.array([one.sigma_s for one in media])
     if not scattering.any():
         return images
+    steepest = max(one.g for one in media)
     by_wall, rest = served(scene, known)
     for one in by_wall:
-        _add_table(images, scene, one.lit, one.table, one.stack, np.empty(0))
+        widest_mm = _widest_mm(one.lit.mirrored, steepest, tolerance)
+        _add_table(images, scene, one.lit, one.table, one.stack, np.empty(0), widest_mm)
     if rest is not None:
         for lit in lit_heights(rest):
-            _add_table(images, scene, lit, *filled(rest, media, lit, tolerance))
+            widest_mm = _widest_mm(lit.mirrored, steepest, tolerance)
+            _add_table(images, scene, lit, *filled(rest, media, lit, tolerance), widest_mm)
     images *= scattering[:, None, None] ** 2
     return np.maximum(images, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
 
 
-def _add_table(images: Array, scene: Scene, lit: LitHeight, table: Table, stack: Stack, z0_weights: Array) -> None:
+def _widest_mm(mirrored: bool, steepest: float, tolerance: float) -> Interval:
+    """Widest parts of beams, inside and where light leaves, for liquids up to a g."""
+    fine = tolerance < COARSE_FROM
+    if mirrored:
+        return FINE_MIRRORED_WIDEST_MM if fine else MIRRORED_WIDEST_MM
+    return STEEP_WIDEST_MM if fine and steepest >= STEEP_G else WIDEST_MM
+
+
+def _add_table(
+    images: Array, scene: Scene, lit: LitHeight, table: Table, stack: Stack, z0_weights: Array, widest_mm: Interval
+) -> None:
     """Add what a table says of its beams, over σs², to (liquids, rows, columns) images."""
     camera = scene.camera
     rows = np.zeros((camera.shape[0], table.x_mm.size, len(images)))
-    add_beams(rows, scene, lit, table, stack, z0_weights)
+    add_beams(rows, scene, lit, table, stack, z0_weights, widest_mm)
     columns = columns_of(table.x_mm, camera.shape[1], camera.pixel_mm, lit.geometry.length)
     images += np.moveaxis(rows, 2, 0) @ columns.T
 
 
-def add_beams(rows: Array, scene: Scene, lit: LitHeight, table: Table, stack: Stack, z0_weights: Array) -> None:
+def add_beams(
+    rows: Array, scene: Scene, lit: LitHeight, table: Table, stack: Stack, z0_weights: Array,
+    widest_mm: Interval = WIDEST_MM,
+) -> None:  # fmt: skip
     """Add what tables say of their beams, over σs², to (rows, x, liquids) the light of each row of pixels."""
     rule = gauss_legendre(4)
-    nodes, _ = rule
-    reached = np.empty((table.x_mm.size, len(rows), nodes.size))
-    _fill_reached(reached, scene.camera.pixel_mm, lit.geometry, table.x_mm, nodes)
+    reached = np.empty((table.x_mm.size, len(rows), PIECES, len(HALVES)))
+    _fill_reached(reached, scene.camera.pixel_mm, lit.geometry, table.x_mm)
     seen = Seen(scene.camera.pixel_mm, reached)
     for beam in lit.beams:
         height = (
@@ -156,30 +178,31 @@ def add_beams(rows: Array, scene: Scene, lit: LitHeight, table: Table, stack: St
             else Across(table.z0_mm, z0_weights, np.eye(len(table.z0_mm)))
         )
         # Parts narrow enough where J is not shift-invariant.
-        for low, high in _parts(beam.y_mm, table.inner_mm, shift_invariant(scene)):
+        for low, high in _parts(beam.y_mm, table.inner_mm, widest_mm, shift_invariant(scene)):
             strip = Strip(low, high, beam.irradiance, y_weights(table, 0.5 * (low + high)), height)
             average_rows(rows, seen, lit.geometry, table, stack, strip, rule)
 
 
 @kernel
-def _fill_reached(reached: Array, pixel_mm: float, geometry: Geometry, x: Array, nodes: Array) -> None:
-    """Fill in how deep lines of sight get at a quadrature's nodes across each row of pixels, see `Seen.reached_mm`."""
+def _fill_reached(reached: Array, pixel_mm: float, geometry: Geometry, x: Array) -> None:
+    """Fill in how deep lines of sight get at two places of each piece of a row, see `Seen.reached_mm`."""
     for i in range(x.size):
         for row in range(reached.shape[1]):
             low = row * pixel_mm - geometry.half_width
-            high = min(low + pixel_mm, geometry.half_width)
-            for n in range(nodes.size):
-                y = 0.5 * (low + high + (high - low) * nodes[n])
-                reached[i, row, n] = depth_seen(geometry, x[i], y)
+            wide = (min(low + pixel_mm, geometry.half_width) - low) / PIECES
+            for piece in range(PIECES):
+                for n in range(len(HALVES)):
+                    reached[i, row, piece, n] = depth_seen(geometry, x[i], low + wide * (piece + HALVES[n]))
 
 
-def _parts(y_mm: Interval, inner_mm: Interval, whole: bool) -> list[Interval]:
+def _parts(y_mm: Interval, inner_mm: Interval, widest_mm: Interval, whole: bool) -> list[Interval]:
     """A beam cut where its light begins to leave through a side wall, and into parts that are narrow enough."""
     if whole:
         return [y_mm]
     cuts = np.clip([y_mm[0], *inner_mm, y_mm[1]], *y_mm)
     parts: list[Interval] = []
-    for low, high, widest in zip(cuts[:-1], cuts[1:], (NARROW_MM, WIDEST_MM, NARROW_MM), strict=True):
+    inside, leaving = widest_mm
+    for low, high, widest in zip(cuts[:-1], cuts[1:], (leaving, inside, leaving), strict=True):
         if high > low:
             edges = np.linspace(low, high, 1 + math.ceil((high - low) / widest))
             parts += pairwise(edges.tolist())
@@ -238,7 +261,7 @@ class Seen(NamedTuple):
 
     pixel_mm: float
     reached_mm: Array
-    """(nx, rows, nodes) how deep lines of sight get, at a quadrature's nodes across each row: no matter which beam."""
+    """(nx, rows, pieces, 2) how deep lines of sight get, at `HALVES` of each row's pieces: no matter which beam."""
 
 
 class Across(NamedTuple):
@@ -299,7 +322,7 @@ def average_rows(
     liquids = decays.size
     profile, total, fading = np.empty((2, count, liquids)), np.empty(liquids), np.empty(liquids)
     cuts = np.empty(5)
-    middle = 0.5 * (low + high)
+    middle, lowest = 0.5 * (low + high), (1.0 - 1e-12) * geometry.height
     for j in range(z0.size):
         for i in range(x.size):
             for side in range(2):
@@ -324,42 +347,56 @@ def average_rows(
             for n in range(liquids):
                 fading[n] = math.exp(-decays[n] * x[i])
             for row in range(rows.shape[0]):
-                pixel_low = row * pixel_mm - geometry.half_width
-                if pixel_low >= geometry.half_width:
+                row_low = row * pixel_mm - geometry.half_width
+                if row_low >= geometry.half_width:
                     break
-                pixel_high = min(pixel_low + pixel_mm, geometry.half_width)
-                pixel = pixel_high - pixel_low
-                centre = 0.5 * (pixel_low + pixel_high) - 0.5 * (beam_low + beam_high)
-                total[:] = 0.0
-                if abs(centre) > FAR * (pixel + wide):
-                    spread = math.sqrt((pixel * pixel + wide * wide) / 12.0)
-                    half = 0.5 * pixel * wide
-                    _add_profile(total, half, profile, decays, spans, centre - spread, even)
-                    _add_profile(total, half, profile, decays, spans, centre + spread, even)
-                else:
-                    cuts[0], cuts[1] = pixel_low - beam_high, pixel_low - beam_low
-                    cuts[2], cuts[3] = pixel_high - beam_high, pixel_high - beam_low
-                    cuts[4] = min(max(0.0, pixel_low - beam_high), pixel_high - beam_low)
-                    put_in_order(cuts)
-                    for k in range(4):
-                        start, end = cuts[k], cuts[k + 1]
-                        panel_start = start
-                        while end - panel_start > 1e-9:
-                            panel_end = _panel_end(panel_start, end, pixel)
-                            half = 0.5 * (panel_end - panel_start)
-                            for n in range(nodes.size):
-                                delta = panel_start + half * (1.0 + nodes[n])
-                                overlap = min(pixel_high - delta, beam_high) - max(pixel_low - delta, beam_low)
-                                weight = half * weights[n] * max(overlap, 0.0)
-                                _add_profile(total, weight, profile, decays, spans, delta, even)
-                            panel_start = panel_end
-                share = 0.0
-                for n in range(nodes.size):
-                    y = 0.5 * (pixel_low + pixel_high + pixel * nodes[n])
-                    inside = share_within(geometry.height, reached[i, row, n], abs(y - crossing), below)
-                    share += 0.5 * weights[n] * inside
-                for n in range(liquids):
-                    rows[row, i, n] += scale * share * fading[n] * total[n]
+                row_wide = min(row_low + pixel_mm, geometry.half_width) - row_low
+                depths = reached[i, row]
+                cut = depths[0, 0] < lowest or depths[PIECES - 1, 1] < lowest
+                far = abs(row_low + 0.5 * row_wide - 0.5 * (beam_low + beam_high)) > FAR * (row_wide + wide)
+                # J and the share change together where lines are cut about as deep as the ray.
+                change = abs(depths[0, 0] - depths[PIECES - 1, 1])
+                apart = abs(0.5 * (depths[0, 0] + depths[PIECES - 1, 1]) - below)
+                pieces = 1 if far or change < 1e-9 or apart > change else PIECES
+                for piece in range(pieces):
+                    pixel = row_wide / pieces
+                    pixel_low = row_low + piece * pixel
+                    pixel_high = pixel_low + pixel
+                    total[:] = 0.0
+                    centre = 0.5 * (pixel_low + pixel_high) - 0.5 * (beam_low + beam_high)
+                    if far:
+                        spread = math.sqrt((pixel * pixel + wide * wide) / 12.0)
+                        half = 0.5 * pixel * wide
+                        _add_profile(total, half, profile, decays, spans, centre - spread, even)
+                        _add_profile(total, half, profile, decays, spans, centre + spread, even)
+                    else:
+                        cuts[0], cuts[1] = pixel_low - beam_high, pixel_low - beam_low
+                        cuts[2], cuts[3] = pixel_high - beam_high, pixel_high - beam_low
+                        cuts[4] = min(max(0.0, pixel_low - beam_high), pixel_high - beam_low)
+                        put_in_order(cuts)
+                        for k in range(4):
+                            start, end = cuts[k], cuts[k + 1]
+                            panel_start = start
+                            while end - panel_start > 1e-9:
+                                panel_end = _panel_end(panel_start, end, pixel)
+                                half = 0.5 * (panel_end - panel_start)
+                                for n in range(nodes.size):
+                                    delta = panel_start + half * (1.0 + nodes[n])
+                                    overlap = min(pixel_high - delta, beam_high) - max(pixel_low - delta, beam_low)
+                                    weight = half * weights[n] * max(overlap, 0.0)
+                                    _add_profile(total, weight, profile, decays, spans, delta, even)
+                                panel_start = panel_end
+                    share = 1.0
+                    if cut:
+                        # Of a whole row, two of these places are about where Gauss has his.
+                        one, other = (piece, piece) if pieces > 1 else (0, PIECES - 1)
+                        n, m = (0, 1) if pieces > 1 else (1, 0)
+                        y = row_low + row_wide / PIECES * (one + HALVES[n])
+                        share = 0.5 * share_within(geometry.height, depths[one, n], abs(y - crossing), below)
+                        y = row_low + row_wide / PIECES * (other + HALVES[m])
+                        share += 0.5 * share_within(geometry.height, depths[other, m], abs(y - crossing), below)
+                    for n in range(liquids):
+                        rows[row, i, n] += scale * share * fading[n] * total[n]
 
 
 @kernel
