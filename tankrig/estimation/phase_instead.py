@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from tankrig.estimation.followed import Followed
 from tankrig.estimation.forward import COARSE, Models, image_of, models_of
 from tankrig.estimation.optimiser import COARSE_ENOUGH, solve
 from tankrig.estimation.parameters import MediumBlock
@@ -66,7 +65,7 @@ def fitted_instead(
     near
         Where a rough look has ended.
     """
-    problem = with_phase_free(best, scene, models, rough)
+    problem = with_phase_free(best, scene, models)
     (view,), (medium,) = problem.views, best.media
     begin = problem.at(np.concatenate([one.start(medium) for one in problem.blocks]))
     # Where pixels count by the cheap model's error the valley is wide; where they count by noise steps only end.
@@ -81,20 +80,19 @@ def fitted_instead(
     return Instead(min(1.0 - left / excess, 1.0) if excess > 0.0 else 0.0, moved, found)
 
 
-def with_phase_free(best: Evaluation, scene: Scene, models: Models, rough: bool = False) -> Problem:
+def with_phase_free(best: Evaluation, scene: Scene, models: Models) -> Problem:
     """The problem of a Henyey–Greenstein fit with a free phase function, by the cheap models.
 
     What else the fit's image has at its end than the cheap model's is added wherever the free one goes: what may be
-    misaligned, and what the cheap model is off by. If `rough`, lattices of paths are small ones.
+    misaligned, and what the cheap model is off by.
     """
     (view,), (medium,), family = best.problem.views, best.media, free()
     (fitted,) = (block for block in best.problem.blocks if isinstance(block, MediumBlock))
     cheap = (models if models.slopes is None else models_of(scene, "tank", None)).of(family)
-    coarse = replace(cheap.coarse, small=True) if rough and isinstance(cheap.coarse, Followed) else cheap.coarse
-    image = image_of(coarse)
+    image = image_of(cheap.coarse)
     besides = best.images[0] - image(medium)
     blocks = (CoefficientsBlock(fitted.range), PhaseBlock(family))
-    slopes = cheap.slopes_of(coarse, max(scene.tank.size_mm))
+    slopes = cheap.slopes_of(cheap.coarse, max(scene.tank.size_mm))
     own = replace(view, forward=lambda liquid: image(liquid) + besides, slopes=slopes, slopes_noise=None)
     return Problem((own,), blocks, best.problem.scaling, quick=False)
 
