@@ -23,6 +23,7 @@ from tankrig.estimation.forward import Models, image_of, models_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.optimiser import solve
 from tankrig.estimation.phase_answer import Asked, asked_for, rougher
+from tankrig.estimation.phase_average import averaged
 from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
 from tankrig.estimation.phase_families import (
     FAMILIES,
@@ -34,8 +35,8 @@ from tankrig.estimation.phase_families import (
     henyey_greenstein,
     labelled,
 )
-from tankrig.estimation.phase_result import ANGLES_DEG, scattering_of
-from tankrig.estimation.problem import Problem
+from tankrig.estimation.phase_result import ANGLES_DEG, Scattering, scattering_of
+from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.estimation.series_forward import tank_model
@@ -460,6 +461,26 @@ def test_families_are_weighed_by_what_they_explain() -> None:
     strange = fit(lumpy, "any")
     assert strange.covariance[2, 2] > 0.5 * freed.covariance[2, 2]
     assert np.abs(off_in_sd(strange, lumpy)).max() < 4.0
+
+
+def test_families_are_weighed_about_exact_images_of_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Derivatives lead a family astray where its members are far from where the free fit ended."""
+    truth, kept = TwoTerm(0.88, -0.3, 0.94), []
+
+    def seen(best: Evaluation, spread: Array, family: Family, _: object) -> Scattering:
+        kept.append((best, spread, family))
+        return averaged(best, spread, family)
+
+    monkeypatch.setattr(phase_answer, "averaged", seen)
+    fit(truth, "any")
+    ((best, spread, family),) = kept
+    beside = best.coordinates + 0.1 * (np.eye(best.coordinates.size)[0] - np.eye(best.coordinates.size)[2])
+    far, off = best.problem.at(beside), []
+    for exact in (None, lambda liquid, _: many_turns(liquid)):
+        found = averaged(far, spread, family, exact)
+        off.append(abs(found.liquid.sigma_s - 0.02) / math.sqrt(found.covariance[1, 1]))
+    assert off[0] > 5.0
+    assert off[1] < 2.0
 
 
 def test_no_liquid_is_taken_to_be_a_member_of_a_family() -> None:

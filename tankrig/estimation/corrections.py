@@ -38,18 +38,17 @@ or high orders are solved for."""
 CORRECTIONS, SETTLED = 4, 0.1
 """Exact images at most that an optimum is corrected by, each at the last one's, and the move of every coordinate below
 which that is over, see `Block.looseness`."""
-MOST_CORRECTIONS, TOLD_AGAIN, CLOSE = 8, 2, 4.0
-"""Where a phase function's coordinates are fitted along light paths: exact images at most, after how many of them
-derivatives along paths are told again, and how many times as closely as to 0 coordinates that are expected to be 0 ± 1
-stay to where an exact image was made. What an image hardly tells derivatives' noise does, and without that fits
-followed it."""
+MOST_CORRECTIONS, MOST_ROUGH, CLOSE = 8, 4, 4.0
+"""Where a phase function's coordinates are fitted along light paths: exact images at most, so many of them at most by
+fewer paths, and how many times as closely as to 0 coordinates that are expected to be 0 ± 1 stay to where an exact
+image was made. What an image hardly tells derivatives' noise does, and without that fits followed it."""
 SETTLED_SHARE = 0.5
 """Share of its standard deviation by which each value may have moved besides."""
 NOISY = 0.1
 """Share of noise in the derivatives' products from which on only that counts: they say no more how far it is."""
 FIRST = 0.25
-"""Share of the light paths in the first exact image, where a phase function's coordinates are fitted: from where that
-is made they move by several standard deviations, and more would not be worth it."""
+"""Share of the light paths in exact images and derivatives until a fit by these has settled, where a phase function's
+coordinates are fitted: on the way there they move by several standard deviations, and more would not be worth it."""
 WORSE, HALVINGS = 3.0, 3
 """By how much more the next exact image may cost, in χ²/2, and times at most that the way to it is halved otherwise,
 where a phase function's coordinates are fitted: of three numbers steps bend little."""
@@ -132,14 +131,16 @@ def _corrected_by_shares(
 ) -> Fit:
     """The optimum by exact images, about which a phase function's coordinates change what paths bring by shares of it.
 
-    Orders 1 and 2 are computed as they are, see `Followed.about`. Derivatives along paths are dear, and told twice.
+    Orders 1 and 2 are computed as they are, see `Followed.about`. Derivatives along paths are dear, and told twice: by
+    few lattices where the search has ended, and where a fit by fewer paths has settled.
     """
     problem = best.problem
-    slopes_noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, models, strict=True)]
 
-    def shares_at(centre: Evaluation) -> _Shares:
-        shares = [model.shares(medium) for model, medium in zip(models, centre.media, strict=True)]
-        return _Shares(shares, _at_media(slopes_noise, centre.media))
+    def shares_at(centre: Evaluation, share: float) -> _Shares:
+        told = [model.with_share(share) for model in models]
+        shares = [model.shares(medium) for model, medium in zip(told, centre.media, strict=True)]
+        noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, told, strict=True)]
+        return _Shares(shares, _at_media(noise, centre.media))
 
     def about(centre: Evaluation, seen: Sequence[Prediction], start: Evaluation, told: _Shares) -> Fit:
         parts = list(zip(models, centre.media, seen, told.shares, strict=True))
@@ -153,18 +154,20 @@ def _corrected_by_shares(
         return here.fit(end.coordinates)
 
     progress("correcting by accurate images")
-    centre, told, made = best, shares_at(best), 1
-    fit = about(centre, _exact(shots, centre, FIRST), centre, told)
-    while made < MOST_CORRECTIONS:
-        if made > 1 and _settled(fit.optimum, centre, SETTLED * problem.looseness):  # the first image is too rough
+    centre, share, told = best, FIRST, shares_at(best, FIRST)
+    fit = about(centre, _exact(shots, centre, share), centre, told)
+    for made in range(1, MOST_CORRECTIONS):
+        settled = made > 1 and _settled(fit.optimum, centre, SETTLED * problem.looseness)  # the first is too rough
+        if settled and share == 1.0:
             break
+        further = share < 1.0 and (settled or made == MOST_ROUGH)
+        share = 1.0 if further else share
         progress("correcting by accurate images")
-        centre, seen = _borne_out(fit, centre, partial(_exact, shots), HALVINGS)
-        told = shares_at(centre) if made == TOLD_AGAIN else told
-        fit, made = about(centre, seen, centre, told), made + 1
+        centre, seen = _borne_out(fit, centre, partial(_exact, shots, times=share), HALVINGS)
+        told = shares_at(centre, share) if further else told
+        fit = about(centre, seen, centre, told)
     if sharper and _held_back(fit.optimum):
         progress("correcting by images as accurate as the photographs")
-        told = shares_at(centre) if made == TOLD_AGAIN else told
         fit = about(centre, _exact(shots, centre, SHARPER), fit.optimum, told)
     return replace(fit, moved=_still_moved(fit.optimum, centre, shots, SETTLED * problem.looseness))
 

@@ -32,6 +32,8 @@ SLOPE_BLUR_MM = 4.0
 image: paths take other ways in another medium, and the noise of the difference passes for knowledge."""
 ABSORPTION_STEP, STEP = 0.01, 0.005
 """By which the solution for moments is differenced: σa times the tank's length; of σs, and of 1 − g²."""
+FEWEST = 8
+"""Lattices whose scatter tells the noise of derivatives."""
 LOW_ORDERS = 2
 """That are computed without paths."""
 FAINT, FURTHEST = 1e-3, 1.0
@@ -80,6 +82,11 @@ class Followed:
     def slopes_noise(self, medium: Medium) -> Image:
         """(n, 3, rows, columns) patterns of their noise, see `Tangent`."""
         return self._whole(medium).noise if self.family is None else self._of_family(medium)[1]
+
+    def with_share(self, share: float) -> "Followed":
+        """The same by a share of the lattices, but by `FEWEST` if there are as many."""
+        fewer = max(FEWEST, round(share * self.batches))
+        return self if fewer >= self.batches else replace(self, batches=fewer)
 
     def shares(self, medium: Medium) -> Image:
         """(2 + k, rows, columns) derivatives by a family's coordinates of the logarithm of what paths bring."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.fitting import fitted, guessed, promising
+from tankrig.estimation.forward import Exact
 from tankrig.estimation.ink_blocks import Doses, DosesBlock, InkBlock
 from tankrig.estimation.parameters import Block, MediumBlock
 from tankrig.estimation.phase_average import averaged
@@ -157,7 +158,9 @@ def fit_phase(
     return fitted(shots, blocks, scaling, progress, few=few, sharper=sharper, starts=starts)
 
 
-def answer_of(best: Evaluation, spread: Array, asked: Asked, explained: bool = True) -> Scattering:
+def answer_of(
+    best: Evaluation, spread: Array, asked: Asked, explained: bool = True, exact: Exact | None = None
+) -> Scattering:
     """The liquid at an optimum.
 
     Parameters
@@ -171,6 +174,8 @@ def answer_of(best: Evaluation, spread: Array, asked: Asked, explained: bool = T
     explained
         Whether noise and the model's own error explain what is left. Where they do not, the free phase function does
         not hold either, and what is left is no measure of how much worse a stiffer one is.
+    exact
+        See `averaged`.
     """
     if asked.family is None:
         medium, covariance = Medium(*best.values[best.problem.blocks[0].name][:3]), spread[:3, :3]
@@ -181,7 +186,7 @@ def answer_of(best: Evaluation, spread: Array, asked: Asked, explained: bool = T
         )
         return replace(found, liquid=medium, covariance=covariance)
     if asked.averaged and explained:
-        return averaged(best, spread, asked.family)
+        return averaged(best, spread, asked.family, exact)
     count = 2 + len(asked.family.names)
     coefficients = best.values[best.problem.blocks[0].name]
     return scattering_of(coefficients, best.values["phase"], spread[:count, :count], asked.family)

@@ -10,6 +10,10 @@ by least squares in a dozen numbers instead of thousands of pixels, and its evid
 with δ = θ(ψ) − θ̂, G = ∂θ/∂ψ and parameters ψ in standard deviations of what is expected: every parameter costs what it
 could have explained and did not (MacKay 1992).
 
+A family's nearest member may be far from θ̂ along what an image hardly tells, where noise of the derivatives adds up
+to more than anything that is known. So once there are answers an exact image is made where they are, about which the
+families are fitted again, and once more (`AGAIN`).
+
 No liquid is a member of a family. Its ln p is off the nearest member's by amplitudes of the free shapes as well, of a
 standard deviation τ that nobody knows: ψ holds these amplitudes, and `DISCREPANCIES` stand for τ (Kennedy and O'Hagan
 2001). Where an image tells such a discrepancy it is taken off; where it can't, what is said is as unsure as that.
@@ -22,10 +26,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.forward import Exact
 from tankrig.estimation.parameters import WIDEST
-from tankrig.estimation.phase_families import Family, as_free, free, henyey_greenstein, reynolds_mccormick, two_term
+from tankrig.estimation.phase_families import (
+    PLACES,
+    Family,
+    amplitudes_of,
+    free,
+    henyey_greenstein,
+    reynolds_mccormick,
+    two_term,
+)
 from tankrig.estimation.phase_result import PhaseCurve, Scattering, scattering_of
 from tankrig.estimation.problem import Evaluation
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 from tankrig.scene.phase_functions import Mixture
 
@@ -34,8 +48,12 @@ Array = NDArray[np.float64]
 DISCREPANCIES = (0.03, 0.1, 0.3)
 """Root mean squares of amplitudes by which liquids are off a family's nearest member, equally likely. Of Reynolds and
 McCormick's or two terms, beads of .2 µm and milk-like droplets are .03 off, an emulsion .15, beads of .5 µm .6."""
-NEGLIGIBLE = 1e-3
-"""Share of the answer below which a family is left out of it."""
+NEGLIGIBLE, SOME = 1e-3, 0.05
+"""Share of the answer below which a family is left out of it, and that all families must have together for exact images
+to be made where they say the liquid is."""
+AGAIN = (0.25, 1.0)
+"""Light paths of these images, of those in the exact image at the optimum: the first moves families by several standard
+deviations, and the last has the noise that the covariance counts."""
 DIFFERENCE = 1e-3
 """Step of each number, in standard deviations of what is expected, by which places are differenced."""
 STEPS = 40
@@ -55,11 +73,14 @@ class Score:
         (k,) Σ^−½ s.
     response
         (k, k) Σ^−½ F.
+    pulls
+        (k, n) Σ^−½ J W^½: times what images leave, whitened, the first of these.
     """
 
     at: Array
     whitened: Array
     response: Array
+    pulls: Array
 
     @classmethod
     def of(cls, best: Evaluation, spread: Array) -> "Score":
@@ -79,9 +100,13 @@ class Score:
         scatter = whole @ (spread / np.outer(size, size)) @ whole - np.diag(weight**2)
         values, vectors = np.linalg.eigh(0.5 * (scatter + scatter.T))
         root = vectors / np.sqrt(np.maximum(values, 1e-9 * values[-1]))
-        score = changes[:count] @ best.left
+        pulls = root.T @ changes[:count]
         at = np.concatenate([best.values[best.problem.blocks[0].name], best.values["phase"]])
-        return cls(at, root.T @ score, root.T @ fisher / size)
+        return cls(at, pulls @ best.left, root.T @ fisher / size, pulls)
+
+    def about(self, at: Array, left: Array) -> "Score":
+        """The same about another place, where images leave (n,) so much, whitened."""
+        return replace(self, at=at, whitened=self.pulls @ left)
 
     def misfit(self, at: Array) -> Array:
         """(k,) s − F (θ − θ̂), whitened."""
@@ -90,13 +115,14 @@ class Score:
 
 @dataclass(frozen=True)
 class Weighed:
-    """A family's answer, and the logarithm of its evidence."""
+    """A family's answer, where that is as `Score.at`, and the logarithm of its evidence."""
 
     answer: Scattering
+    at: Array
     evidence: float
 
 
-def averaged(best: Evaluation, spread: Array, family: Family) -> Scattering:
+def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | None = None) -> Scattering:
     """What families say together, each with its share of the evidence.
 
     Parameters
@@ -107,21 +133,41 @@ def averaged(best: Evaluation, spread: Array, family: Family) -> Scattering:
         Covariance of its values.
     family
         The free one.
+    exact
+        Gives exact images where the fit is of one image; None where there are none to be had.
     """
     count = 2 + len(family.names)
     spread = spread[:count, :count]
     score = Score.of(best, spread)
-    found = [_free(score, spread, family)]
-    found += [
-        _family(score, stiff, found[0].answer.liquid, discrepancy)
-        for stiff in (henyey_greenstein(), reynolds_mccormick(), two_term())
-        for discrepancy in DISCREPANCIES
-    ]
+    freely = _free(score, spread, family)
+    found = [freely, *_families(score, freely.answer.liquid)]
+    for times in AGAIN:
+        shares = _shares(found)[1:]
+        if exact is None or shares.sum() < SOME:
+            break
+        place = shares @ np.array([one.at for one in found[1:]]) / shares.sum()
+        left = _left_by(exact(Medium(float(place[0]), float(place[1]), phase=family.phase(place[2:])), times), best)
+        found = [freely, *_families(score.about(place, left), freely.answer.liquid)]
+    kept = [(one.answer, float(share)) for one, share in zip(found, _shares(found), strict=True) if share > NEGLIGIBLE]
+    return mixed([one for one, _ in kept], [share for _, share in kept])
+
+
+def _left_by(exact: Prediction, best: Evaluation) -> Array:
+    """(n,) what an image leaves, whitened."""
+    return best.problem.by([lambda _: exact.image]).at(best.coordinates).left
+
+
+def _families(score: Score, near: Medium) -> list[Weighed]:
+    """All stiff ones, with each of the discrepancies."""
+    stiff = henyey_greenstein(), reynolds_mccormick(), two_term()
+    return [_family(score, one, near, discrepancy) for one in stiff for discrepancy in DISCREPANCIES]
+
+
+def _shares(found: Sequence[Weighed]) -> Array:
+    """How much of the evidence each has."""
     evidence = np.array([one.evidence for one in found])
     shares = np.exp(evidence - evidence.max())
-    shares /= shares.sum()
-    kept = [(one.answer, float(share)) for one, share in zip(found, shares, strict=True) if share > NEGLIGIBLE]
-    return mixed([one for one, _ in kept], [share for _, share in kept])
+    return np.asarray(shares / shares.sum())
 
 
 def _free(score: Score, spread: Array, family: Family) -> Weighed:
@@ -129,14 +175,14 @@ def _free(score: Score, spread: Array, family: Family) -> Weighed:
     prior = np.where(family.expected, 1.0, 0.0)
     pulls = float(np.sum(score.at[2:][family.expected] ** 2))
     scale = np.concatenate([_widths(score), np.where(prior > 0.0, 1.0, family.usual)])
-    return Weighed(answer, _evidence(score.misfit(score.at), pulls, score.response * scale))
+    return Weighed(answer, score.at, _evidence(score.misfit(score.at), pulls, score.response * scale))
 
 
 def _family(score: Score, family: Family, near: Medium, discrepancy: float) -> Weighed:
     """A family, and what liquids may be off it, fitted to the score."""
     from scipy.optimize import least_squares
 
-    widths, like = _widths(score), family.like(near.g)
+    widths, like, base = _widths(score), family.like(near.g), float(score.at[2])
     own, shapes = 2 + like.size, score.at.size - 3
     scale = np.concatenate([widths, family.usual, np.full(shapes, discrepancy)])
     middle = np.concatenate([score.at[:2], like, np.zeros(shapes)])
@@ -144,18 +190,21 @@ def _family(score: Score, family: Family, near: Medium, discrepancy: float) -> W
     def place(off: Array) -> Array:
         values = middle + scale * off
         coordinates = np.clip(values[2:own], family.low, family.high)
-        nearest = as_free(family.phase(coordinates), float(score.at[2]))
-        return np.concatenate([values[:2], nearest[:1], nearest[1:] + values[own:]])
+        nearest = amplitudes_of(family.phase(coordinates).density(PLACES), base)
+        return np.concatenate([values[:2], [base], nearest + values[own:]])
 
     def residual(off: Array) -> Array:
         return np.concatenate([score.misfit(place(off)), off[2:]])
 
     def changes(off: Array) -> Array:
-        """Shapes are added as they are: only what comes before them is differenced."""
-        by_off = np.zeros((score.at.size, off.size))
-        by_off[3:, own:] = discrepancy * np.eye(shapes)
-        by_off[:, :own] = _slopes(place, off, own)
-        return np.vstack([-score.response @ by_off, np.eye(off.size)[2:]])
+        return np.vstack([-score.response @ by_numbers(off), np.eye(off.size)[2:]])
+
+    def by_numbers(off: Array) -> Array:
+        """Of the place; shapes are added as they are, so that only what comes before them is differenced."""
+        found = np.zeros((score.at.size, off.size))
+        found[3:, own:] = discrepancy * np.eye(shapes)
+        found[:, :own] = _slopes(place, off, own)
+        return found
 
     lowest = np.concatenate([-(1.0 - LEAST) * middle[:2] / widths - 1e-12, np.full(middle.size - 2, -np.inf)])
     end = least_squares(
@@ -164,17 +213,17 @@ def _family(score: Score, family: Family, near: Medium, discrepancy: float) -> W
     response = -np.asarray(end.jac)[: score.at.size]
     known = np.diag(np.concatenate([np.zeros(2), np.ones(middle.size - 2)]))
     covariance = np.linalg.inv(response.T @ response + known)
-    at, by_off = place(end.x), _slopes(place, end.x)
+    at, by_off = place(end.x), by_numbers(end.x)
     found = scattering_of(at[:2], at[2:], by_off @ covariance @ by_off.T, free())
     values = np.clip((middle + scale * end.x)[2:own], family.low, family.high)
     spread = (covariance * np.outer(scale, scale))[:own, :own]
     plain = scattering_of(at[:2], values, spread, family)
     found = replace(found, parameters=plain.parameters, families=plain.families)
     pulls, unlikely = float(np.sum(end.x[2:] ** 2)), math.log(len(DISCREPANCIES))
-    return Weighed(found, _evidence(score.misfit(at), pulls, response) - unlikely)
+    return Weighed(found, at, _evidence(score.misfit(at), pulls, response) - unlikely)
 
 
-def _slopes(place: Callable[[Array], Array], at: Array, first: int | None = None) -> Array:
+def _slopes(place: Callable[[Array], Array], at: Array, first: int) -> Array:
     """(k, n) derivatives of a place by the first n numbers that lead to it, by central differences."""
     units = DIFFERENCE * np.eye(at.size)[:first]
     return np.array([(place(at + unit) - place(at - unit)) / (2.0 * DIFFERENCE) for unit in units]).T

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,10 @@ USUAL_G = (0.5, 0.8, 0.93)
 DIAMETER_STEP, FURTHEST = 0.02, 2.5
 """Step between diameters that a search begins from, as a share, and standard deviations that it goes from the label's:
 Mie's p at a right angle goes up and down within some per cent of the diameter (beads of .5 to 2 µm)."""
-PLACES_DEG = np.exp(np.linspace(math.log(FORWARD_DEG), math.log(180.0 + FORWARD_DEG), 100)) - FORWARD_DEG
-"""Angles at which phase functions are compared with free ones, as dense as the shapes want them."""
+PLACES = np.cos(
+    np.radians(np.exp(np.linspace(math.log(FORWARD_DEG), math.log(180.0 + FORWARD_DEG), 100)) - FORWARD_DEG)
+)
+"""Cosines at which phase functions are compared with free ones, as dense as the shapes want them."""
 RIDGE = 1e-3
 """Keeps shapes finite that a curve says nothing about."""
 
@@ -182,12 +185,28 @@ def as_free(phase: PhaseFunction, base: float | None = None) -> Array:
     True
     """
     start = float(free().like(phase.mean_cosine)[0]) if base is None else base
-    cosines = np.cos(np.radians(PLACES_DEG))
-    log = np.log(np.maximum(phase.at(cosines) / phase_function(cosines, math.tanh(start)), 1e-300))
-    columns = np.vstack([shapes_at(cosines), np.ones(log.size)]).T
-    ridge = RIDGE * np.eye(columns.shape[1])
-    amplitudes = np.linalg.solve(columns.T @ columns + ridge, columns.T @ log)[:-1]
-    return np.concatenate([[start], amplitudes])
+    return np.concatenate([[start], amplitudes_of(phase.at(PLACES), start)])
+
+
+def amplitudes_of(density: Array, base: float) -> Array:
+    """Amplitudes of the free phase function that is most like a density, up to a factor, at `PLACES`.
+
+    Parameters
+    ----------
+    density
+        (n,) p.
+    base
+        atanh of the asymmetry that it starts from.
+    """
+    log = np.log(np.maximum(density / phase_function(PLACES, math.tanh(base)), 1e-300))
+    return np.asarray(_nearest_shapes() @ log)
+
+
+@lru_cache(maxsize=1)
+def _nearest_shapes() -> Array:
+    """(shapes, n) times ln p over the base's at `PLACES`, the amplitudes that are nearest."""
+    columns = np.vstack([shapes_at(PLACES), np.ones(PLACES.size)]).T
+    return np.asarray(np.linalg.solve(columns.T @ columns + RIDGE * np.eye(columns.shape[1]), columns.T)[:-1])
 
 
 def labelled(label: Mie) -> Family:

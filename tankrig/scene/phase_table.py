@@ -152,12 +152,18 @@ def by_nodes(values: Array) -> Array:
 
 def _straight_on(density: Callable[[Array], Array], first: float) -> float:
     """p at θ = 0 with which the table's first step holds the light that p has there, where p may have a pole."""
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    power = 12.0  # s = h x¹²: a pole like s^−1.9 is smooth in x
-    x = 0.5 + 0.5 * nodes
-    share = x**power
-    light = float(0.5 * weights @ (power * x ** (2.0 * power - 1.0) * density(1.0 - 2.0 * (share / (NODES - 1)) ** 2)))
+    share, weights = _towards_pole()
+    light = float(weights @ density(1.0 - 2.0 * (share / (NODES - 1)) ** 2))
     return max(6.0 * light - 2.0 * first, 0.0)
+
+
+@lru_cache(maxsize=1)
+def _towards_pole() -> tuple[Array, Array]:
+    """Places s in steps of a table, 0 … 1, and weights of ∫ s p ds there: s = x¹², in which a pole like s^−1.9 is
+    smooth."""
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    power, x = 12.0, 0.5 + 0.5 * nodes
+    return x**power, 0.5 * weights * power * x ** (2.0 * power - 1.0)
 
 
 def _light_in_step(table: Array, step: NDArray[np.intp], sine: Array) -> Array:
