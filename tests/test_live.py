@@ -540,6 +540,25 @@ def test_a_dose_is_fitted_by_the_patterns_whose_models_are_ready(monkeypatch: py
     assert fitted == [(first.pattern,), (first.pattern, second.pattern)]
 
 
+def test_a_series_waits_for_the_models_of_doses_that_were_fitted_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that went on did not ask for them, and fitted its series by light paths: 40 minutes on a bench of glass."""
+    monkeypatch.setattr(worker, "fit_all", lambda *_: SeriesFit((), INK, INK))
+    doses_ml, exposures, boxes = (0.1, 0.25), Exposures(plan()), Boxes()
+    for dose_ml in doses_ml:
+        exposures.take(dosed(1000.0 * dose_ml), None)
+        exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 500, np.uint16))
+    before = [DoseFit(dose_ml, diluted(INK, 1.0, dose_ml), frames=1) for dose_ml in doses_ml]
+    fitter = worker.Fitter(before, boxes, plan())  # type: ignore[arg-type]
+    wanted = [box_for(fit.medium) for fit in before]
+    for ready in ([], wanted[:1]):
+        boxes.ready = set(ready)
+        assert fitter.next(exposures, last=True) is None
+        assert fitter.waiting
+    assert set(wanted) <= set(boxes.wanted)
+    boxes.ready = set(wanted)
+    assert isinstance(fitter.next(exposures, last=True), SeriesFit)
+
+
 def test_all_doses_to_come_are_prepared_for_and_the_next_one_first() -> None:
     """On a bench the last dose's models were begun when its frames were in, and a person waited for minutes."""
     liquid = Medium(0.0004, 0.008, 0.6)

@@ -304,8 +304,10 @@ class Fitter:
         ]  # fmt: skip
         doses = len({one.dose_ml for one in over})
         if doses >= 2 and doses > self._in_series and not self.waiting and not self.unfinished:
-            self._in_series = doses
-            return self._all(over)
+            self.waiting = self._awaits_models_of(over)
+            if not self.waiting:
+                self._in_series = doses
+                return self._all(over)
         if not self._foresees:
             for dose in exposures.doses:  # what a first look will begin from, found while there is nothing to fit
                 self._sheets.media(exposures.volume_ml(dose))
@@ -460,6 +462,22 @@ class Fitter:
         """Where a first look begins: at the σt that order 1 by itself tells, or in the middle of all."""
         told = [one for one in self._sheets.media(dose_ml) if LOOK.holds(one)]
         return min(told, key=lambda one: abs(one.g - LOOK_START.g), default=LOOK_START)
+
+    def _awaits_models_of(self, photographs: list[Photograph]) -> bool:
+        """Whether models of some doses are not ready yet, as of those that were fitted before a run went on.
+
+        Without them the series would follow light paths: an image at each step, seconds to minutes on a bench.
+        """
+        awaited = False
+        for dose_ml in sorted({one.dose_ml for one in photographs}):
+            liquid = self._start(dose_ml)
+            if self._preparing is None or liquid is None:
+                continue
+            scenes, box = [one.scene for one in photographs if one.dose_ml == dose_ml], self._preparing.box(liquid)
+            if self._preparing.models(scenes, box) is None and self._preparing.under_way(scenes, box):
+                self._preparing.want(scenes, box)
+                awaited = True
+        return awaited
 
     def _all(self, photographs: list[Photograph]) -> Fit:
         models = self._preparing.all_models if self._preparing else ()
