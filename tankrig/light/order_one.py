@@ -74,7 +74,7 @@ def once_through(lens: CameraLens, media: Sequence[Medium]) -> tuple[Array, Arra
 
 
 def _directly(scene: Scene, media: Sequence[Medium], seen_mm: float | None) -> Array:
-    """Of beams that no wall has sent back, and lines of sight likewise; `seen_mm` as for `through_lens`."""
+    """Order 1 of beams that no wall sends back, seen straight; `seen_mm` as for `through_lens`."""
     parts = through_lens(entering(scene, fine=True), True, seen_mm)
     return np.asarray(sum(share * single_scattering_of(one, media) for share, one in parts))
 
@@ -82,7 +82,7 @@ def _directly(scene: Scene, media: Sequence[Medium], seen_mm: float | None) -> A
 def _sent_back(
     scene: Scene, media: Sequence[Medium], seen_mm: float | None, smooth_cell_mm: float
 ) -> list["OnSurface"]:
-    """Of beams by way of clear walls, on the surface; the less there is of it, the more coarsely.
+    """Order 1 of beams by way of clear walls, on the surface; the less there is of it, the more coarsely.
 
     A beam that comes back from the far wall has two pinholes for a wide lens. What is seen of it by way of another wall
     has no soft edges either, on cells of a pixel's longer side.
@@ -112,7 +112,7 @@ def once_sent_back(scene: Scene) -> Array:
 
 
 def _smooth(described: Scene, media: Sequence[Medium]) -> Array | None:
-    """Of a scene's smooth light, directly and by way of clear walls; None where it has none.
+    """Order 1 of a scene's smooth light, directly and by way of clear walls; None where it has none.
 
     A calibrated camera looks it up on cells of the surface, which it may do where light has no edges.
     """
@@ -128,7 +128,7 @@ def _smooth(described: Scene, media: Sequence[Medium]) -> Array | None:
 
 
 def _smooth_sent_back(described: Scene, media: Sequence[Medium]) -> Array:
-    """Of a scene's smooth light by way of clear walls; 0 where it has none."""
+    """Order 1 of a scene's smooth light by way of clear walls; 0 where it has none."""
     _, scene = edged_and_smooth(described)
     _, coarse = edged_and_smooth(described, fine=False)
     images = np.zeros((len(media), *described.camera.shape))

@@ -118,7 +118,7 @@ def twice_edged_of(scene: Scene, media: Sequence[Medium], tolerance: float, know
 
 
 def _twice_smooth_of(scene: Scene, media: Sequence[Medium], tolerance: float) -> Array:
-    """Of smooth light, which a calibrated camera looks up on coarse cells of the surface."""
+    """Order 2 of smooth light, which a calibrated camera looks up on coarse cells of the surface."""
     plain = on_surface(scene, scene.tank.size_mm[1] / SMOOTH_CELLS)
     images = double_scattering_of(plain, media, tolerance)
     if scene.camera.kind != "calibrated":

@@ -93,21 +93,6 @@ class SentBack(Enum):
         return cls.FROM_FAR if way.direct and by == NONE else cls.FAINT
 
 
-def once_by_walls(scene: Scene) -> Array:
-    """Light scattered once that clear faces have sent back before or after, W/mm²/sr.
-
-    Parameters
-    ----------
-    scene
-        With sharp beams from a pinhole or collimated.
-
-    Returns
-    -------
-    (rows, columns) array
-    """
-    return np.asarray(by_walls_of(scene, [scene.medium]).seen_by(scene)[0])
-
-
 class OnSurface(NamedTuple):
     """Light that leaves the water on its way to a camera, averaged over cells of the surface.
 
@@ -128,12 +113,14 @@ class OnSurface(NamedTuple):
 def by_walls_of(
     scene: Scene, media: Sequence[Medium], light: Collection[SentBack] = tuple(SentBack), coarse_mm: float | None = None
 ) -> OnSurface:
-    """The same of several liquids on the surface; of Henyey–Greenstein's for little more than one's.
+    """Light scattered once that clear faces have sent back before or after, on the surface.
+
+    Of several Henyey–Greenstein liquids it costs little more than of one.
 
     Parameters
     ----------
     scene
-        As for `once_by_walls`.
+        With sharp beams from a pinhole or collimated.
     media
         The liquids.
     light
