@@ -497,6 +497,37 @@ def test_a_first_look_tells_which_models_the_first_dose_needs(monkeypatch: pytes
     assert set(boxes.wanted[:2]) == {box_for(liquid), box_for(diluted(liquid, 0.1, 0.2))}
 
 
+def test_models_are_prepared_by_a_picture_of_ink_that_still_mixes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ink mixes for minutes, in which nothing was prepared as there was no frame: the first fit came later."""
+    looked = Medium(0.0003, 0.009, 0.5)
+    images: list[np.ndarray] = []
+
+    def fit(photographs: list[Photograph], *_: object) -> DoseFit:
+        (one,) = photographs
+        images.append(one.image)
+        return DoseFit(one.dose_ml, looked, model="prepared")
+
+    monkeypatch.setattr(worker, "fit_dose_prepared", fit)
+    boxes, exposures = Boxes(), Exposures(plan())
+    exposures.take(dosed(100.0), None)
+    fitter = worker.Fitter((), boxes, plan())  # type: ignore[arg-type]
+    boxes.ready.add(LOOK)
+    conditions = Conditions(Delivered(100.0, 99.0, 101.0), CameraSettings(10.0))
+    assert not exposures.watch(PATTERNS["dark"], np.full((40, 60), 9, np.uint16), conditions)
+    assert fitter.next(exposures, last=False) is None
+    assert boxes.wanted == [LOOK]
+    assert exposures.watch(PATTERNS["sheet"], np.full((40, 60), 500, np.uint16), conditions)
+    assert not exposures.watch(PATTERNS["sheet"], np.full((40, 60), 600, np.uint16), conditions)  # nothing to wake for
+    for _ in range(2):
+        assert fitter.next(exposures, last=False) is None
+        assert not fitter.waiting  # a run that ends here has nothing to wait for
+    assert [float(image[0, 0]) for image in images] == [60.0]  # the newest, once; counts per ms
+    assert set(boxes.wanted[:2]) == {box_for(looked), box_for(diluted(looked, 0.1, 0.2))}
+    exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 700, np.uint16))
+    assert exposures.while_mixing is None
+    assert exposures.photographs()[0].frames == 1
+
+
 class ByPattern(Boxes):
     """Models are ready by pattern."""
 

@@ -418,6 +418,24 @@ def test_it_waits_until_the_ink_has_mixed_and_records_the_time_scale(tmp_path):
     assert 0.3 < mixed["seconds"] < 2.0
 
 
+def test_pictures_of_ink_that_has_nearly_mixed_are_shown_while_it_mixes_and_are_not_recorded(tmp_path):
+    """By them a live fit has its models prepared before there is a frame, and a fit that fails must not end the run."""
+    rig = memory_rig(tmp_path)
+    rig.camera.mixing_s = 0.15
+    steps = (Dose(10.0), Mix(tolerance=0.01, every_s=0.01, at_least_s=0.1, timeout_s=20.0), Capture("full", 1))
+    runner = new_run(Sequence("mix", steps), rig, tmp_path / "run")
+    shown = []
+    runner.while_mixing.append(lambda *seen: shown.append(seen))
+    assert runner.run().reason is FinishReason.COMPLETED
+    run = tankrig.open_run(tmp_path / "run")
+    (frame,) = run.frames
+    mixed = run.pixels(run.events("frame")[0]).astype(float)
+    pattern, pixels, conditions = shown[0]
+    assert (pattern.hash, conditions.tank.volume_ul) == (frame.pattern_hash, 10.0)
+    assert np.linalg.norm(pixels - mixed) < 0.1 * np.linalg.norm(mixed)
+    assert len(shown) < run.events("step")[-3]["pictures"] - 6
+
+
 def test_ink_that_does_not_mix_in_time_fails_with_what_to_do(tmp_path):
     rig = memory_rig(tmp_path)
     rig.camera.mixing_s = 5.0

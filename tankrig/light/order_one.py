@@ -65,11 +65,12 @@ def once_through(lens: CameraLens, media: Sequence[Medium]) -> tuple[Array, Arra
     sharp = replace(lens, scene=edged)
     back = _sent_back(sharp.fine, media, lens.seen_mm, _smooth_cell_mm(edged))
     ideal, seen = sharp.order_one(
-        lambda one: sum((light.seen_by(one) for light in back), _directly(one, media, lens.seen_mm))
+        lambda one: sum((light.seen_by(one) for light in back[:1]), _directly(one, media, lens.seen_mm))
     )
+    without_edges = [light.seen_by(lens.wide) for light in back[1:]]
     smooth = _smooth(lens.wide, media)
-    if smooth is not None:
-        ideal, seen = ideal + smooth, seen + np.array([lens.of_wide(one) for one in smooth])
+    for wide in (*without_edges, *(() if smooth is None else (smooth,))):
+        ideal, seen = ideal + wide, seen + np.array([lens.of_wide(one) for one in wide])
     return ideal, seen
 
 
@@ -82,8 +83,9 @@ def _directly(scene: Scene, media: Sequence[Medium], seen_mm: float | None) -> A
 def _sent_back(
     scene: Scene, media: Sequence[Medium], seen_mm: float | None, smooth_cell_mm: float
 ) -> list["OnSurface"]:
-    """Order 1 of beams by way of clear walls, on the surface; the less there is of it, the more coarsely.
+    """Order 1 of beams by way of clear walls, on the surface: what has edges, and what is too faint for any.
 
+    The less there is of it, the more coarsely it is computed; nothing at all if no wall is clear.
     A beam that comes back from the far wall has two pinholes for a wide lens. What is seen of it by way of another wall
     has no soft edges either, on cells of a pixel's longer side.
     """
@@ -101,7 +103,8 @@ def _sent_back(
         each = [by_walls_of(one, media, (light,), cell_mm) for _, one in parts]
         image = np.tensordot([share for share, _ in parts], np.array([one.images for one in each]), 1)
         found.append(OnSurface(image, each[0].cell_mm))
-    return found
+    mirrored, from_far, faint = found
+    return [mirrored._replace(images=mirrored.images + from_far.images), faint]
 
 
 def once_sent_back(scene: Scene) -> Array:

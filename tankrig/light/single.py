@@ -46,52 +46,51 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
     >>> bool(abs(image[40, 0] / expected - 1) < 1e-4)
     True
     """
-    medium, camera = scene.medium, scene.camera
-    image = np.zeros(camera.shape)
-    if medium.sigma_s == 0.0:
-        return image
-    if camera.kind == "calibrated":
-        return np.asarray(single_scattering_in_quadrangles(scene, [medium])[0])
-    liquids, rules = liquids_of([medium]), pixel_rules()
-    for geometry, beams in light_sources(scene):
-        for beam in beams:
-            lit = SharpBeam((*beam.y_mm, *beam.z_mm), medium.sigma_s * beam.irradiance)
-            _add_beam(image, camera.pixel_mm, geometry, liquids, lit, rules)
-    return image
+    return np.asarray(single_scattering_of(scene, [scene.medium])[0])
 
 
 def single_scattering_of(scene: Scene, media: Sequence[Medium]) -> NDArray[np.float64]:
-    """The same of several liquids, (media, rows, columns); of a calibrated camera for little more than one's."""
-    if scene.camera.kind == "calibrated" and all(one.phase is None for one in media):
+    """The same of several liquids, (media, rows, columns); of Henyey–Greenstein's for little more than of one."""
+    if len(media) > 1 and any(one.phase is not None for one in media):
+        return np.array([single_scattering(replace(scene, medium=one)) for one in media])
+    if all(one.sigma_s == 0.0 for one in media):
+        return np.zeros((len(media), *scene.camera.shape))
+    if scene.camera.kind == "calibrated":
         return single_scattering_in_quadrangles(scene, media)
-    return np.array([single_scattering(replace(scene, medium=one)) for one in media])
+    images = np.zeros((*scene.camera.shape, len(media)))
+    liquids, rules = liquids_of(media), pixel_rules()
+    for geometry, beams in light_sources(scene):
+        for beam in beams:
+            lit = SharpBeam((*beam.y_mm, *beam.z_mm), beam.irradiance)
+            _add_beam(images, scene.camera.pixel_mm, geometry, liquids, lit, rules)
+    return np.moveaxis(images * np.array([one.sigma_s for one in media]), 2, 0)
 
 
 @kernel
 def _add_beam(
-    image: NDArray[np.float64],
+    images: NDArray[np.float64],
     pixel_mm: float,
     geometry: Geometry,
     liquids: Liquids,
     beam: SharpBeam,
     rules: PixelRules,
 ) -> None:
-    """Add one beam's order-1 image.
+    """Add one beam's order 1 for σs of 1/mm to (rows, columns, liquids) images.
 
     ⟨I₁⟩ = 1/(Δx Δy) ∫ dx ∫ dy I₁(x, y)   over each pixel, I₁ as in `line_of_sight`
     """
-    (edges, strength), sigma_t = beam, liquids.densest
+    edges, strength = beam
     (x_nodes, x_weights), sights = rules
-    rows, columns = image.shape
+    rows, columns, _ = images.shape
     y_first = -geometry.half_width
-    ends, found = np.empty(CUTS), np.zeros(1)
+    ends = np.empty(CUTS)
     for column in range(columns):
         x_left = column * pixel_mm
         if x_left >= geometry.length:
             break
         # Looking straight down, light fades with x as it does on its way.
-        reach = pixel_mm if geometry.camera_pinhole else min(pixel_mm, FAINT / sigma_t)
-        parts = _parts_along_x(geometry, x_left, reach, edges, sigma_t)
+        reach = pixel_mm if geometry.camera_pinhole else min(pixel_mm, FAINT / liquids.thinnest)
+        parts = _parts_along_x(geometry, x_left, reach, edges, liquids.densest)
         for part in range(parts):
             for i in range(x_nodes.size):
                 x = x_left + reach * (part + 0.5 + 0.5 * x_nodes[i]) / parts
@@ -103,9 +102,10 @@ def _add_beam(
                 for row in range(math.floor(top), math.floor(bottom) + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
-                    found[0] = 0.0
-                    add_across_sights(found, strength, geometry, (x, low, high), ends, liquids, edges, sights)
-                    image[row, column] += found[0] / pixel_mm * 0.5 * x_weights[i] / parts * reach / pixel_mm
+                    share = strength * 0.5 * x_weights[i] / parts * reach / (pixel_mm * pixel_mm)
+                    add_across_sights(
+                        images[row, column], share, geometry, (x, low, high), ends, liquids, edges, sights
+                    )
 
 
 @kernel

@@ -81,6 +81,7 @@ def fitted_live(runner: Runner, patience_s: float = PATIENCE_S) -> Iterator[Live
         runner.fitted = True
         runner.latest_fit = next((event.fields for event in reversed(run.fits)), None)
         runner.listen(fit.see)
+        runner.while_mixing.append(fit.watch)
         runner.before_end.append(lambda: fit.finished or time.monotonic() > latest_s())
         yield fit
 

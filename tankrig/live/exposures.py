@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from tankrig.devices import CameraSettings, Delivered, Pixels
 from tankrig.estimation.observation import pixel_noise
-from tankrig.live.photograph_plan import DOSE, PhotographPlan
-from tankrig.run.conditions import JournalFollower
+from tankrig.live.photograph_plan import DOSE, MIXING, PhotographPlan
+from tankrig.pattern import Pattern
+from tankrig.run.conditions import Conditions, JournalFollower
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run
 from tankrig.scene.description import Scene
@@ -84,13 +85,17 @@ class Exposures:
         self.plan = plan
         numbers = np.zeros(plan.size) if numbers is None else numbers
         shape = (plan.doses, len(plan.patterns), *plan.camera.shape)
-        cuts = np.cumsum([3, plan.doses * DOSE, shape[0] * shape[1], *[int(np.prod(shape))] * 2])
+        bins = int(np.prod(plan.camera.shape))
+        sizes = [3, plan.doses * DOSE, shape[0] * shape[1], *[shape[0] * shape[1] * bins] * 3, MIXING, bins]
         # The dose under way, the newest frame, and frames that could not be taken in.
-        self._now, doses, counts, sums, squares, seen = np.split(numbers, cuts)
+        self._now, doses, counts, sums, squares, seen, self._mixing, *mixing = np.split(numbers, np.cumsum(sizes))
         # Of each dose: ml, its standard deviation, frames left out, whether the last one was, whole sheets of waves.
         self._doses, self._counts = doses.reshape(plan.doses, DOSE), counts.reshape(shape[:2])
         # Of each bin: the sum over its frames that are not saturated there, that of their squares, and their number.
         self._sums, self._squares, self._seen = (one.reshape(shape) for one in (sums, squares, seen))
+        # Of ink that has nearly mixed: ml, their standard deviation, the pattern's number and one; the picture itself,
+        # and its bins that are not saturated.
+        self._mixing_image, self._mixing_below = (one.reshape(plan.camera.shape) for one in mixing)
         self._index = {key: index for index, key in enumerate(plan.patterns)}
         self._lit = list(plan.scenes)
         self._conditions = JournalFollower()
@@ -171,6 +176,42 @@ class Exposures:
             return lit
         return False
 
+    def watch(self, pattern: Pattern, pixels: Pixels, conditions: Conditions) -> bool:
+        """Keep a picture of ink that has nearly mixed in place of the one before; whether it is the first of a dose.
+
+        Parameters
+        ----------
+        pattern
+            That is shown; the picture is let go if it lights nothing, or if fits do not know it.
+        pixels
+            Of the picture, which is not recorded.
+        conditions
+            When it was taken.
+        """
+        settings, tank = conditions.camera, conditions.tank
+        known = pattern.hash in self._lit and settings is not None and self._sees(settings)
+        if not known or settings is None or not np.isfinite(tank.high_ul):
+            return False
+        dose_ml, first = tank.volume_ul / 1000.0, not self._mixing[2]
+        first = first or abs(float(self._mixing[0]) - dose_ml) > SAME_ML
+        self._mixing[:] = dose_ml, self._sd_ml(tank), 1.0 + self._index[pattern.hash]
+        self._mixing_image[:], self._mixing_below[:] = self.plan.binned(pixels, settings)
+        return first
+
+    @property
+    def while_mixing(self) -> Photograph | None:
+        """The newest picture of ink that has nearly mixed; None where its dose has frames, or there is none."""
+        dose_ml, sd_ml, number = (float(one) for one in self._mixing)
+        taken = np.any(self._counts, axis=1) & (np.abs(self._doses[:, 0] - dose_ml) <= SAME_ML)
+        if not number or taken.any():
+            return None
+        key = list(self._index)[int(number) - 1]
+        used = self.plan.counts[key] & (self._mixing_below > 0.0)
+        image = self._mixing_image.copy()
+        noise = np.sqrt(_photon_transfer(image, np.zeros_like(image), 1, used if used.any() else image >= 0.0))
+        name, scene = self.plan.patterns[key].name, self.plan.scenes[key]
+        return Photograph(name, dose_ml, sd_ml, scene, image, noise, "free", 1, ~used)
+
     def photographs(self, dose: int | None = None) -> list[Photograph]:
         """What has been photographed with ink in the tank, of one dose or of all, in the order of the doses."""
         doses = sorted(self.doses, key=lambda one: float(self._doses[one, 0])) if dose is None else (dose,)
@@ -184,13 +225,17 @@ class Exposures:
     def _sees(self, settings: CameraSettings) -> bool:
         return self.plan.radiometry is None or self.plan.radiometry.knows(settings.gain)
 
+    @staticmethod
+    def _sd_ml(tank: Delivered) -> float:
+        """Of what the tank holds, which is anywhere between its bounds alike: the width by √12."""
+        return float((tank.high_ul - tank.low_ul) / 1000.0 / np.sqrt(12.0))
+
     def _enter(self, tank: Delivered) -> bool:
         """Make what the tank holds the dose under way; False when nobody knows that, or there is no room for it."""
         if not np.isfinite(tank.high_ul):
             return False
         dose_ml = tank.volume_ul / 1000.0
-        # Anywhere between its bounds alike: the standard deviation is the width by √12.
-        sd_ml = (tank.high_ul - tank.low_ul) / 1000.0 / np.sqrt(12.0)
+        sd_ml = self._sd_ml(tank)
         taken: NDArray[np.bool_] = np.any(self._counts, axis=1)
         if not taken[self.dose] or abs(self.dose_ml - dose_ml) > SAME_ML:
             same = taken & (np.abs(self._doses[:, 0] - dose_ml) <= SAME_ML)

@@ -23,6 +23,8 @@ from tankrig.live.preparing import Preparation
 from tankrig.live.recorded import fits_that_hold
 from tankrig.live.results import Fit, from_fields
 from tankrig.live.worker import Shared, work
+from tankrig.pattern import Pattern
+from tankrig.run.conditions import Conditions
 from tankrig.run.event_dispatcher import EventDispatcher
 from tankrig.run.journal import Event
 from tankrig.run.reading import Run, StoredFrames
@@ -126,6 +128,20 @@ class LiveFit:
     def see(self, event: Event, pixels: Pixels | None) -> None:
         """Take a recorded event of the run in, and return at once; give this to `Runner.listen`."""
         self._taking.dispatch(event, pixels)
+
+    def watch(self, pattern: Pattern, pixels: Pixels, conditions: Conditions) -> None:
+        """Look at a picture of ink that has nearly mixed; give this to `Runner.while_mixing`.
+
+        Models can then be prepared while ink mixes. It returns at once: where the process reads the sums just then, the
+        picture is let go, and the next will do.
+        """
+        if self._closing.is_set() or not self._lock.acquire(block=False):
+            return
+        try:
+            if not self._closing.is_set() and self._exposures.watch(pattern, pixels, conditions):
+                self._news.set()
+        finally:
+            self._lock.release()
 
     def _take(self, event: Event, pixels: Pixels | None) -> None:
         """Add an event to the sums, however long that has to wait for the process that reads them."""

@@ -32,6 +32,8 @@ Mask = NDArray[np.bool_]
 
 DOSE = 5
 """Numbers that are kept of each dose."""
+MIXING = 3
+"""Numbers that are kept of a picture of ink that has nearly mixed."""
 ANY = Medium(0.001, 0.01, 0.5)
 """Of scenes whose medium is to be found."""
 
@@ -199,7 +201,8 @@ class PhotographPlan:
     def size(self) -> int:
         """Numbers that the sums take."""
         rows, columns = self.camera.shape
-        return 3 + self.doses * DOSE + self.doses * len(self.patterns) * (1 + 3 * rows * columns)
+        sums = self.doses * DOSE + self.doses * len(self.patterns) * (1 + 3 * rows * columns)
+        return 3 + sums + MIXING + 2 * rows * columns
 
     def binned(self, pixels: Pixels, settings: CameraSettings) -> tuple[Array, Mask]:
         """A frame as the fit sees it: counts per ms at gain 1, made proportional to radiance where that is known.

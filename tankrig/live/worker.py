@@ -217,6 +217,7 @@ class Fitter:
         self._liquid: dict[float, Medium] = {}
         self._looked: dict[float, DoseFit | None] = {}
         self._told: set[float] = set()
+        self._ahead: set[float] = set()
         self._latest: tuple[Medium, float] | None = None
         self._in_series = 0
         self._series: SeriesFit | None = None
@@ -309,6 +310,7 @@ class Fitter:
                 self._in_series = doses
                 return self._all(over)
         if not self._foresees:
+            self._look_ahead(exposures)
             for dose in exposures.doses:  # what a first look will begin from, found while there is nothing to fit
                 self._sheets.media(exposures.volume_ml(dose))
         return None
@@ -437,6 +439,10 @@ class Fitter:
     def _keep(self, fit: DoseFit) -> None:
         """Remember what a dose is, and have models prepared for it and for all that are to follow."""
         self._liquid[fit.dose_ml], self._latest = fit.medium, (fit.medium, fit.dose_ml)
+        self._prepare_from(fit)
+
+    def _prepare_from(self, fit: DoseFit) -> None:
+        """Have models prepared for a dose as it was found, and for all that are to follow."""
         if self._preparing is None or self._plan is None:
             return
         scenes = list(self._plan.scenes.values())
@@ -444,6 +450,24 @@ class Fitter:
         for dose_ml in reversed(following):  # what is wanted last comes first
             self._preparing.want(scenes, self._preparing.box(diluted(fit.medium, fit.dose_ml, dose_ml)))
         self._preparing.want(scenes, self._preparing.box(fit.medium))
+
+    def _look_ahead(self, exposures: Exposures) -> None:
+        """Have models prepared by a first look at ink that still mixes: it has minutes for that, frames have seconds.
+
+        The dose's own frames are looked at anew, and where the ink was taken for another, its models come first.
+        """
+        photograph = exposures.while_mixing
+        if photograph is None or photograph.dose_ml in self._ahead:
+            return
+        self._awaited = False
+        try:
+            look = self._fit_within(LOOK, [photograph], self._look_start(photograph.dose_ml))
+        except TankrigError:
+            look = None
+        if not self._awaited:
+            self._ahead.add(photograph.dose_ml)
+            if look is not None:
+                self._prepare_from(look)
 
     def _start(self, dose_ml: float) -> Medium | None:
         """Where to begin: the dose's own last fit, what the series foresees, another dose's liquid, diluted, or the ink

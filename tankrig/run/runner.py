@@ -9,9 +9,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
+from tankrig.devices import Pixels
 from tankrig.dosing import DoseDone, DoseIntent, GuardedDoser
 from tankrig.errors import DeviceError, SequenceError, StoreError, TankrigError
 from tankrig.pattern import Pattern
+from tankrig.run.conditions import Conditions
 from tankrig.run.event_dispatcher import EventDispatcher, Listener
 from tankrig.run.mixing import MixingWatch
 from tankrig.run.pattern_display import PatternDisplay
@@ -24,6 +26,8 @@ from tankrig.sequence import Burst, Capture, Dose, DryRun, Mix, Note, Sequence, 
 _log = logging.getLogger(__name__)
 
 _MOST_SATURATED = 0.2
+_NEARLY_MIXED = 0.1
+"""Of the picture, what is still to change: what ink it is can be told to about as much."""
 _POLL_S = 0.1
 _CATCH_UP_S, _LOOK_S = 2.0, 0.01
 """How long, in all, a step without a timeout waits for a fast live fit to have seen its frames; from look to look."""
@@ -151,6 +155,9 @@ class Runner:
         self.before_end: list[Callable[[], bool]] = []
         """After the last step the end is not recorded before each of these has said yes: who still has fits to record
         holds it back. They are asked again and again, and an abort ends the waiting."""
+        self.while_mixing: list[Callable[[Pattern, Pixels, Conditions], object]] = []
+        """Called with pictures of ink that has nearly mixed, which are not recorded, in the thread of the run: who
+        wants to know early what ink it is need not wait for frames. They have to return at once."""
 
     @property
     def state(self) -> RunState:
@@ -353,7 +360,7 @@ class Runner:
         watch, start_s = MixingWatch(), time.monotonic()
         while True:
             self._states.check()
-            frame, _ = self._display.frame()
+            frame, conditions = self._display.frame()
             saturated = float((frame.pixels >= self._rig.camera.saturation).mean())
             if saturated > _MOST_SATURATED:
                 raise SequenceError(
@@ -363,6 +370,9 @@ class Runner:
             mixing = watch.look(frame.pixels, frame.exposure_start_ns / 1e9)
             if mixing.remaining <= mix.tolerance and mixing.seconds >= mix.at_least_s:
                 return {**asdict(mixing), "pattern_hash": pattern.hash}
+            if mixing.remaining <= _NEARLY_MIXED:
+                for see in self.while_mixing:
+                    see(pattern, frame.pixels, conditions)
             if time.monotonic() - start_s > mix.timeout_s:
                 raise DeviceError(
                     f"{label}: up to {min(mixing.remaining, 1.0):.1%} of the picture still changed after "
