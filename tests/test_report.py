@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,13 @@ import pytest
 from tankrig.bench import Bench
 from tankrig.devices import Frame
 from tankrig.light.single import single_scattering
+from tankrig.live.exposures import exposures_of
+from tankrig.live.results import DoseFit, from_fields, to_fields
 from tankrig.pattern.wall import Wall
 from tankrig.report import write_report
+from tankrig.report.pictures import predicted
 from tankrig.run.folder import create_run
+from tankrig.run.reading import open_run
 from tankrig.run.writer import RunWriter
 from tankrig.scene.description import Camera, Medium, Tank
 from tankrig.sequence.loading import sequence_from_table
@@ -73,7 +78,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
             fits.append({"fit": "dose", "dose_ml": dose_ml, **values, "sd": [1e-5, 1e-4, 0.01],
                          "identifiable": dict.fromkeys(values, True), "gain": 2.5e4, "rmse": 1.0, "frames": 2,
                          "single": {"sigma_t": 0.5 * medium.sigma_t + 5e-5, "rmse": 3.0},
-                         "seconds": 2.0})  # fmt: skip
+                         "seconds": 2.0, **({"astray": {"floor": [0.3, 0.01]}} if dose_ml == 0.1 else {})})  # fmt: skip
         fits.append({"fit": "series", "doses_ml": [0.1, 0.2], "ink": {"sigma_a": 0.002, "sigma_s": 0.08, "g": 0.6},
                      "water_sigma_a": 1e-4, "sd": [1e-5, 1e-4, 0.01, 1e-5], "linearity": None, "rmse": [1.0, 2.0],
                      "verdict": "All is determined.", "seconds": 5.0})  # fmt: skip
@@ -107,6 +112,19 @@ def test_the_page_says_what_the_run_found(page: str) -> None:
     assert "3 frames were lost by the camera" in page
     assert "dose to 200 µl" in page
     assert "test rig" in page
+
+
+def test_a_dose_is_rebuilt_with_what_was_fitted_along(run: Path, page: str) -> None:
+    """A floor of 3 % was left out of the pictures: all of the water looked brighter than the model, and nothing was."""
+    photograph = exposures_of(open_run(run)).photographs()[0]
+    dark = DoseFit(0.1, Medium(2e-4, 0.008, 0.6))
+    light = from_fields(to_fields(replace(dark, astray={"floor": (0.3, 0.01)})))
+    assert isinstance(light, DoseFit)
+    assert light.astray == {"floor": (0.3, 0.01)}
+    assert "astray" not in to_fields(dark)
+    brighter = predicted(photograph, light).image / predicted(photograph, dark).image
+    assert np.quantile(brighter, 0.05) > 1.02
+    assert "0.1 ml: floor 0.300 ± 0.010." in page
 
 
 def test_the_page_shows_the_photographs(page: str, run: Path) -> None:

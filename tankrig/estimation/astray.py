@@ -336,6 +336,32 @@ def as_found(scene: Scene, sizes: Mapping[str, float]) -> Scene:
     )
 
 
+def described_with(scene: Scene, sizes: Mapping[str, float]) -> Scene:
+    """A scene with all that fits of a run have along, so that its images have what these had.
+
+    Parameters
+    ----------
+    scene
+        As described.
+    sizes
+        Of halo, veil and floor, see `unmeasured`; a share below none is none.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Camera, Projector, Tank
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.0), light, Camera("orthographic", (80, 120), 2.0))
+    >>> described_with(scene, {"floor": 0.03}).tank.faces.floor.reflectance, described_with(scene, {}) == scene
+    (0.03, True)
+    """
+    found, size = as_found(scene, sizes), max(sizes.get("floor", 0.0), 0.0)
+    veil_share = float(np.clip(scene.camera.veil + sizes.get("veil", 0.0), 0.0, MOST_VEIL))
+    faces = found.tank.faces
+    if size > 0.0 and faces.floor.dark:
+        faces = replace(faces, floor=Face("diffuse", min(size, 1.0)))
+    return replace(found, camera=replace(found.camera, veil=veil_share), tank=replace(found.tank, faces=faces))
+
+
 @dataclass(frozen=True)
 class Astray:
     """What may go astray in a scene.

@@ -165,6 +165,8 @@ class LiquidEstimate:
         Structure of the residuals beyond what the models state, relative L2.
     scattering
         How the liquid scatters, as in an `Estimate`.
+    nuisance
+        Value and standard deviation of each that was fitted along, the same in all images.
     """
 
     medium: Medium
@@ -175,6 +177,7 @@ class LiquidEstimate:
     identifiable: dict[str, bool]
     beyond: float
     scattering: Scattering | None = None
+    nuisance: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

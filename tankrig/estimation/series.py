@@ -199,13 +199,15 @@ def fit_liquid(
     within = models[0].range
     if within is not None and {"sigma_s", "g"} & set(best.at_edge):
         return None
-    answer = _answer(best, fit.unsettled(_spread(best, left, shots)), asked, left)
+    whole = fit.unsettled(_spread(best, left, shots))
+    answer = _answer(best, whole, asked, left)
     medium, spread = answer.liquid, answer.covariance[:3, :3]
     if within is not None and "g" in within.at_edge(medium):
         return None
     return LiquidEstimate(
         medium, spread, gain, rms(np.array([one.rmse for one in left])), rms(np.array([one.counted for one in left])),
         _known(medium, spread, left, asked, fit), rms(np.array([one.beyond for one in left])), answer,
+        nuisances_of(best, whole),
     )  # fmt: skip
 
 

@@ -103,6 +103,7 @@ def _fitted(
         frames=sum(one.frames for one in photographs), patterns=tuple(one.pattern for one in photographs),
         model="prepared" if prepared else "tank", model_error=found.model_error if prepared else None,
         seconds=round(time.perf_counter() - began, 4), scattering=PhaseFound.of(found.scattering),
+        astray=found.nuisance,
     )  # fmt: skip
 
 
@@ -150,6 +151,7 @@ def fit_all(
         identifiable=found.identifiable, gain=found.gain, linearity=found.linearity, rmse=tuple(found.rmse.tolist()),
         patterns=tuple(one.pattern for one in photographs), verdict=found.verdict,
         seconds=round(time.perf_counter() - began, 3), scattering=PhaseFound.of(found.scattering),
+        astray=found.nuisance,
     )  # fmt: skip
 
 

@@ -103,6 +103,9 @@ class DoseFit:
         Of what is left, relative L2, beyond what noise and the model's own error explain; None where there is none.
     scattering
         How it scatters, where another phase function than Henyey–Greenstein's was fitted.
+    astray
+        Value and standard deviation of what nobody has measured and was fitted along: halo and veil of the camera's
+        lens, reflectance of the floor.
     order_one
         A sentence where order 1, separated without a model, disagrees with the fit; empty where it agrees, or where the
         dose was not separated.
@@ -127,6 +130,7 @@ class DoseFit:
     not_seen: int = 0
     structure: float | None = None
     scattering: PhaseFound | None = None
+    astray: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     order_one: str = ""
 
 
@@ -154,6 +158,8 @@ class SeriesFit:
         As in a `SeriesEstimate`; names of the patterns of the photographs.
     scattering
         How the ink scatters, per ml, where another phase function than Henyey–Greenstein's was fitted.
+    astray
+        As in a `DoseFit`, the same at all doses.
     """
 
     doses_ml: tuple[float, ...]
@@ -169,6 +175,7 @@ class SeriesFit:
     covariance: tuple[tuple[float, ...], ...] = ()
     patterns: tuple[str, ...] = ()
     scattering: PhaseFound | None = None
+    astray: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""
@@ -215,7 +222,7 @@ def to_fields(fit: Fit) -> Fields:
         return {"fit": "series", **found}
     found |= {**_coefficients(found.pop("medium")), "single": fit.single and asdict(fit.single)}
     unknown: Fields = {"model_error": None, "single": None, "structure": None, "newest": None, "passing": False}
-    unknown |= {"order_one": ""}
+    unknown |= {"order_one": "", "astray": {}}
     return {"fit": "dose"} | {
         name: value for name, value in found.items() if name not in unknown or value != unknown[name]
     }
@@ -240,6 +247,7 @@ def from_fields(fields: Mapping[str, Any]) -> Fit:
     given: Fields = {name: tuple(value) if isinstance(value, list | tuple) else value for name, value in fields.items()}
     phase, scattering = given.get("phase"), given.get("scattering")
     given["scattering"] = scattering and PhaseFound.from_fields(scattering)
+    given["astray"] = {name: (value, sd) for name, (value, sd) in given.get("astray", {}).items()}
     if of_dose:
         single = given.get("single")
         given["medium"] = _liquid(given, phase)

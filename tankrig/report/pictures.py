@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tankrig.estimation.astray import described_with
 from tankrig.estimation.result import Reconstruction
 from tankrig.figures.fit_figure import draw_reconstructions
 from tankrig.figures.tank_image import FALSE_COLOUR, GREY, brightness, draw, label_outer
 from tankrig.live.exposures import Photograph
+from tankrig.live.results import DoseFit
 from tankrig.prediction import ORDER_CLASSES, Prediction
-from tankrig.scene.description import Medium
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,11 +47,12 @@ def observations(photographs: Sequence[Photograph]) -> "Figure":
     return figure
 
 
-def predicted(photograph: Photograph, medium: Medium) -> Prediction:
-    """The tank model's image of a photograph, with its orders."""
+def predicted(photograph: Photograph, fit: DoseFit) -> Prediction:
+    """The tank model's image of a photograph as a dose's fit has it, with its orders."""
     from tankrig.image.predict import predict
 
-    return predict(replace(photograph.scene, medium=medium), "tank")
+    scene = described_with(photograph.scene, {name: value for name, (value, _) in fit.astray.items()})
+    return predict(replace(scene, medium=fit.medium), "tank")
 
 
 def by_order(photograph: Photograph, prediction: Prediction, gain: float, offset: float) -> list[Reconstruction]:

@@ -95,6 +95,7 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
         pictures=shown,
         separated=separated,
         doses=[_dose_row(one, _sigma_t(results, one)) for one in results.doses],
+        along=[_along(one) for one in results.doses if one.astray],
         compared="the series fit" if results.series else "the tank model",
         shown_pattern=_shown(results.photographs)[0].pattern,
         reconstructions=rebuilt,
@@ -165,6 +166,12 @@ def _dose_row(one: DoseFit, sigma_t: float) -> dict[str, str]:
     }
 
 
+def _along(one: DoseFit) -> str:
+    """What was fitted along at a dose, as nobody has measured it."""
+    sizes = ", ".join(f"{name} {with_error(value, sd)}" for name, (value, sd) in one.astray.items())
+    return f"{one.dose_ml:.4g} ml: {sizes}"
+
+
 def _shown(photographs: list[Photograph]) -> list[Photograph]:
     """Photographs of the pattern with the most edges, on which orders of scattering look most different."""
     beams = {one.pattern: len(one.scene.projector.beams) for one in photographs}
@@ -183,7 +190,7 @@ def _reconstructions(results: Results, progress: Callable[[str], None]) -> tuple
     for one in shown:
         progress(f"rebuilding {one.dose_ml:g} ml by order")
         fit = fits[one.dose_ml]
-        prediction = pictures.predicted(one, fit.medium)
+        prediction = pictures.predicted(one, fit)
         offset = 0.0 if one.offset == 0.0 else float(np.median((one.image - fit.gain * prediction.image)[one.used]))
         steps = pictures.by_order(one, prediction, fit.gain, offset)
         bound = max(bound, *(part.bound for part in prediction.skipped))

@@ -158,7 +158,8 @@ def left_of(folder: Path) -> Iterator[list[str]]:
         yield ["run", "--resume", str(run), "--rig", str(folder / RIG)]
     if unfitted(open_run(run)):
         yield ["refit", str(run), "--rig", str(folder / RIG)]
-    if not (run / "report.html").exists():
+    report, newest = run / "report.html", max(one.stat().st_mtime for one in run.glob("journal*"))
+    if not report.exists() or report.stat().st_mtime < newest:  # fits that came later are not in it
         yield ["report", str(run)]
 
 

@@ -98,6 +98,8 @@ def refit(
         click.echo(f"{'the series' if one.dose_ml is None else f'{one.dose_ml:g} ml'} cannot be fitted: {one.error}")
     done = len(made) - len(failed)
     click.echo(f"{done} fits recorded in {run}" if made else f"{run}: everything is fitted; --all fits it anew")
+    if done and (run / "report.html").exists():
+        click.echo(f"its report is of before: tankrig report {run}")
     return 1 if failed else 0
 
 

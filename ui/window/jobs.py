@@ -121,7 +121,7 @@ def compare(photograph: "Photograph", fit: "DoseFit") -> Comparison:
     """The model's image of a photograph at a fit's coefficients, by orders of scattering."""
     from tankrig.report.pictures import by_order, predicted
 
-    prediction = predicted(photograph, fit.medium)
+    prediction = predicted(photograph, fit)
     gain, peak = fit.gain, float(photograph.image.max())
     left = (photograph.image - gain * prediction.image)[photograph.used]
     offset = 0.0 if photograph.offset == 0.0 else float(np.median(left))
