@@ -170,6 +170,32 @@ def tally_cells(
         cells[below, after] += lower * right
 
 
+def cell_averages(shared: Array) -> Array:
+    """Averages over cells from what was shared out between the nearest ones, which are averages over twice their width.
+
+    What belongs to a cell falls off evenly to the middles of the next ones, and that blurs by a further h²/12. Of a
+    smooth function it is taken back to the fourth order, b = t − δ²t/24, along both sides; beyond a wall is its mirror
+    image. Taken as they were, they had been .17 % of the image off in thin water of g .95 (six beams through glass).
+
+    Parameters
+    ----------
+    shared
+        (…, rows, columns) as `tally_cells` leaves it.
+
+    Examples
+    --------
+    >>> x = np.arange(7.0)
+    >>> over_two_cells = x**2 + 1 / 6  # of x² times what falls off
+    >>> cell_averages(np.array([over_two_cells] * 3))[1, 1:-1] - x[1:-1] ** 2  # and 1/12 is its average over a cell
+    array([0.08333333, 0.08333333, 0.08333333, 0.08333333, 0.08333333])
+    """
+    for axis in (-2, -1):
+        middle = np.moveaxis(shared, axis, -1)
+        wide = np.concatenate([middle[..., :1], middle, middle[..., -1:]], axis=-1)
+        shared = np.moveaxis(middle - (wide[..., :-2] - 2.0 * middle + wide[..., 2:]) / 24.0, -1, axis)
+    return shared
+
+
 @kernel
 def tally_rectangles(edges: Array, tally: TallyRecord, n: int, beams: Array, half_width: float, cell_mm: float) -> None:
     """Add the light of n paths, each moved to all starts on the beams.
