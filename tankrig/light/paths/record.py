@@ -189,11 +189,30 @@ def cell_averages(shared: Array) -> Array:
     >>> cell_averages(np.array([over_two_cells] * 3))[1, 1:-1] - x[1:-1] ** 2  # and 1/12 is its average over a cell
     array([0.08333333, 0.08333333, 0.08333333, 0.08333333, 0.08333333])
     """
-    for axis in (-2, -1):
-        middle = np.moveaxis(shared, axis, -1)
-        wide = np.concatenate([middle[..., :1], middle, middle[..., -1:]], axis=-1)
-        shared = np.moveaxis(middle - (wide[..., :-2] - 2.0 * middle + wide[..., 2:]) / 24.0, -1, axis)
-    return shared
+    rows, columns = shared.shape[-2:]
+    averages = np.array(shared, order="C")
+    _take_back(averages.reshape(-1, rows, columns))
+    return averages
+
+
+@kernel
+def _take_back(images: Array) -> None:
+    """Subtract δ²/24 along columns, then along rows, in place; in numpy it takes a fifth of the paths' own time."""
+    count, rows, columns = images.shape
+    above = np.empty(columns)
+    for k in range(count):
+        above[:] = 0.0  # what the row before has given, (below − above)/24 of the two
+        for row in range(rows):
+            for column in range(columns):
+                step = (images[k, row + 1, column] - images[k, row, column]) / 24.0 if row < rows - 1 else 0.0
+                images[k, row, column] += above[column] - step
+                above[column] = step
+        for row in range(rows):
+            before = 0.0
+            for column in range(columns):
+                after = images[k, row, column + 1] - images[k, row, column] if column < columns - 1 else 0.0
+                images[k, row, column] += (before - after) / 24.0
+                before = after
 
 
 @kernel
