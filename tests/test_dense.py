@@ -120,6 +120,21 @@ def blocks(image: np.ndarray) -> np.ndarray:
     return averages
 
 
+def test_slanted_light_in_shallower_water_is_solved_for_where_it_wants_many_paths() -> None:
+    """The first lattices tell; what light is seen of is then known to what is stated, and orders add up."""
+    light = Projector("pinhole", (Beam((-3.0, 3.0), (36.4, 42.2)),), (-370.0, 0.0, 70.0))
+    camera = Camera("pinhole", (40, 60), 4.0, (97.0, 0.0, 490.0))
+    glass = Tank(surface="fresnel", entry="glass", wall_mm=8.0)
+    deep = Scene(glass, Medium(2e-5, 0.03, 0.0), light, camera)
+    found = tank_image(deep, 0.01)
+    assert any("cells below" in one.what for one in found.skipped)
+    by_paths = tank_image(deep, batches=40)
+    assert relative(found.image - by_paths.image, by_paths.image) < 1.5 * np.hypot(found.error, by_paths.error)
+    lit_near_the_surface = replace(light, beams=(Beam((-3.0, 3.0), (100.0, 106.0)),))
+    few = tank_image(replace(deep, projector=lit_near_the_surface), 0.01)
+    assert not any("cells below" in one.what for one in few.skipped)
+
+
 def test_noise_tells_no_coefficients_of_dense_water_apart() -> None:
     """What changes the image least would seem known where derivatives are noisy, and fits stop far off (g by 8 sd)."""
     beams = tuple(Beam((y, y + 3.5), (62.0, 65.5)) for y in (-58.0, -35.0, -12.0, 11.0, 34.0, 57.0))

@@ -37,6 +37,9 @@ FAINTEST = 2e-4
 """Share of its weight below which only some paths go on."""
 LOST_USUALLY = 5.0
 """Square of what smoothing loses over the variance that it keeps: 3 with 8 lattices, 4 to 7 with 48 (four scenes)."""
+MANY = 120.0
+"""Lattices from which a solution is worth its time in shallow water, as the first eight tell it: they take it for half
+of what it turns out to be."""
 LOW_ONLY = 2**20
 """Number from which lattices are counted that are followed through a tail's low orders only."""
 FURTHER_ORDERS = 30.0
@@ -110,12 +113,15 @@ class HighOrders:
     by_walls
         (2, rows, columns) of orders up to 1 and of order 2, as far as faces have sent it back; order 1 by way of clear
         faces left out.
+    tail
+        The solution that they correct, if there is one.
     """
 
     images: Array
     stderr: Array
     paths: int
     by_walls: Array
+    tail: Tail | None = None
 
     @property
     def by_class(self) -> dict[int | str, Array]:
@@ -130,7 +136,7 @@ def high_orders(
     max_order: int | None = None,
     seed: int = 0,
     batches: int | None = None,
-    tail: Tail | None = None,
+    tail: Tail | Callable[[], Tail] | None = None,
     allowance: Allowance | None = None,
 ) -> HighOrders:
     """Image of the light scattered three times and more.
@@ -151,7 +157,8 @@ def high_orders(
         Follow this many shifted lattices instead of what `tolerance` asks for: then the image is a smooth function of
         the medium.
     tail
-        Solution for the orders above some.
+        Solution for the orders above some; or what solves for them, which is asked where the first lattices tell that
+        so many would be wanted (`MANY`) that it is worth its time.
     allowance
         How long to go on.
 
@@ -161,11 +168,13 @@ def high_orders(
     tolerance are the first ones of a smaller one.
     """
     allowance = allowance or Allowance()
+    solve, tail = (None, tail) if tail is None or isinstance(tail, Tail) else (tail, None)
+    above = 0 if tail is None else tail.above
     grid = CellGrid.of(scene)
     highest = min(max_order or MOST_ORDERS, MOST_ORDERS)
     lattice, thinning = (SMALL, _thinning(scene)) if batches is None else (LARGE, THINNING)
     turns = TURNS if batches is not None else _turns(scene)
-    bins, first = (CLASSES, 0) if tail is None else (_bins_above(tail.above), 2)
+    bins, first = (CLASSES, 0) if tail is None else (_bins_above(above), 2)
     reflecting = not scene.tank.faces.dark
 
     def image_of(number: int) -> Array:
@@ -175,7 +184,7 @@ def high_orders(
         return grid.folded(images)
 
     def low_image_of(number: int) -> Array:
-        limits = PathLimits(tail.above if tail else 0, FAINTEST, thinning)
+        limits = PathLimits(above, FAINTEST, thinning)
         return grid.folded(traced(scene, grid, (seed, LOW_ONLY + number), bins, limits, lattice))[:2]
 
     groups, low_groups, every = Groups(image_of), Groups(low_image_of), 1
@@ -226,8 +235,10 @@ def high_orders(
         missed = math.hypot(noise * math.sqrt(1.0 + found.spread) / noise_share, off / bias_share) / tolerance
         if missed <= 1.0:
             break
+        if solve is not None and before == 0 and groups.lattices * missed**2 > MANY:
+            return high_orders(scene, known, tolerance, max_order, seed, batches, solve(), allowance)
         if tail is not None and before == 0:
-            every = low_per_full(low_means if apart else means[:, :first], means[:, first:], tail.above, apart)
+            every = low_per_full(low_means if apart else means[:, :first], means[:, first:], above, apart)
         followed = low_groups.lattices if apart else groups.lattices + low_groups.lattices
         wanted = math.ceil(followed * min(max(1.1 * missed**2, 1.3), 6.0))
         done = max(done, min(followed / wanted, 0.99))
@@ -241,7 +252,8 @@ def high_orders(
     images = np.array([np.maximum(grid.to_pixels(one), 0.0) for one in classes])
     by_walls = images[len(GROUPS) :] if reflecting else np.zeros_like(images[:2])
     allowance.progress(1.0)
-    return HighOrders(images[: len(GROUPS)], stderr, (groups.lattices + low_groups.lattices) * lattice.points, by_walls)
+    paths = (groups.lattices + low_groups.lattices) * lattice.points
+    return HighOrders(images[: len(GROUPS)], stderr, paths, by_walls, tail)
 
 
 def _with_walls(images: Array, scene: Scene, grid: CellGrid, seed: tuple[int, int], highest: int) -> Array:

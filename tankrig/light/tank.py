@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -14,11 +15,12 @@ from tankrig.light.double import Tabulated, double_scattering_of, table_error
 from tankrig.light.entering import edged_and_smooth, entering, is_plain, through_lens
 from tankrig.light.high_orders import LOST_USUALLY, MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
 from tankrig.light.leaving import CameraLens
-from tankrig.light.moments.plan import moment_plan
+from tankrig.light.moments.plan import FINE, MomentPlan, moment_plan
 from tankrig.light.order_one import once, once_seen, once_sent_back, once_through
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
 from tankrig.light.paths.smoothing import smoothed
+from tankrig.light.rays import shift_invariant
 from tankrig.light.single import MOST_PARTS
 from tankrig.light.surface import lookup_error, many_to_camera, on_surface
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
@@ -32,6 +34,8 @@ __all__ = ["CellGrid", "tank_image", "traced"]
 SMOOTH_CELLS = 24
 """Across the tank, that order 2 of smooth light is looked up on: it is .2 % of itself off on a bench (a halo of 28 mm,
 with and without a dark picture's light; 1 to 2 % with 12 or 16), where cells for beams take 17 to 48 CPU s, these 3."""
+SHALLOWER = 0.55
+"""Share of the usual depth from which on slanted light is solved for if it turns out to want many paths."""
 DOUBTED = 1.25
 """What the bound of a solution for moments is multiplied by: .09/.997/.8 errs by .9 % where it says .68."""
 
@@ -193,6 +197,7 @@ def _ideal_image(
     if followed:
         tail = None if max_order or batches or reflecting else _tail(scene, tolerance, seed)
         high = high_orders(scene, known, tolerance, max_order, seed, batches, tail, allowance)
+        tail = high.tail
         orders |= high.by_class
         for order in range(1, min(highest, 2) + 1):
             orders[order] = orders[order] + high.by_walls[order - 1]
@@ -211,11 +216,16 @@ def _ideal_image(
     return Prediction(image, "tank", MappingProxyType(whole), stderr, tuple(skipped))
 
 
-def _tail(scene: Scene, tolerance: float, seed: int) -> Tail | None:
-    """The high orders solved for at once, where that is worth its time."""
+def _tail(scene: Scene, tolerance: float, seed: int) -> Tail | Callable[[], Tail] | None:
+    """The high orders solved for at once, where that is worth its time; what solves for them, where it may be."""
     plan = moment_plan(scene, tolerance)
-    if plan is None:
-        return None
+    if plan is not None:
+        return _solved(scene, plan, seed)
+    plan = None if shift_invariant(scene) or tolerance < FINE else moment_plan(scene, tolerance, SHALLOWER)
+    return None if plan is None else partial(_solved, scene, plan, seed)
+
+
+def _solved(scene: Scene, plan: MomentPlan, seed: int) -> Tail:
     from tankrig.light.moments.dense import dense_orders
 
     grid = CellGrid.of(scene)

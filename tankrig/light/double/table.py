@@ -41,6 +41,7 @@ from tankrig.light.rays import (
 )
 from tankrig.light.water import Water, water_of
 from tankrig.scene import Medium, Scene
+from tankrig.scene.description import Interval
 from tankrig.scene.phase import phase_density
 from tankrig.scene.phase_table import PhaseRecord
 from tankrig.threads import THREADS
@@ -370,7 +371,7 @@ class Table(NamedTuple):
     """κ in 1/mm: σt, or less where exp(σt x) would overflow."""
     mirrored: bool
     """Whether the light goes by way of the surface."""
-    inner_mm: tuple[float, float]
+    inner_mm: Interval
     """The y₀ between which light doesn't reach the side walls."""
 
 
@@ -432,9 +433,8 @@ def laid_out(
     if straight:
         y0, inner = np.zeros(1), (-math.inf, math.inf)
     else:
-        edges = [edge for beam in scene.projector.beams for edge in beam.y_mm]
         apart = (fineness.apart if scene.medium.g < STEEP_G else 1.0) * (2.0 if mirrored else 1.0)
-        y0, inner = _y_nodes(geometry, min(edges), max(edges), 0.5 * (low + high), apart)
+        y0, inner = _y_nodes(geometry, _lit(scene, geometry, z_mm), 0.5 * (low + high), apart)
     decay = _decay(sigma_t, geometry)
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
     return Table(x, fractions, margin, y0, z0, values, decay, mirrored, inner), 0.5 * (high - low) * weights
@@ -522,23 +522,46 @@ def _more_between(span: float, height: float) -> int:
     return 1 + min(2, int(4.0 * span / height))
 
 
-def _y_nodes(geometry: Geometry, low: float, high: float, z0: float, apart: float) -> tuple[Array, tuple[float, float]]:
+def _lit(scene: Scene, geometry: Geometry, z_mm: Interval) -> list[Interval]:
+    """The y₀ that beams within a height light, ascending."""
+    low, high = z_mm
+    if geometry.reflected:
+        low, high = 2.0 * geometry.height - high, 2.0 * geometry.height - low
+    close = 1e-6 * geometry.height
+    return sorted(
+        beam.y_mm for beam in scene.projector.beams if low - close <= beam.z_mm[0] and beam.z_mm[1] <= high + close
+    )
+
+
+def _y_nodes(geometry: Geometry, lit: list[Interval], z0: float, apart: float) -> tuple[Array, Interval]:
     """Nodes in y₀, ascending, and within which of them light stays between the side walls.
 
     There few nodes make one polynomial. Beyond, J changes at once from what a ray that passes near by scatters to what
-    one does that has left the tank, and nodes are close to each other.
+    one does that has left the tank, and nodes are close to each other, where there is light.
     """
+    low, high = lit[0][0], max(end for _, end in lit)
     inner_low, inner_high = _staying(geometry, low, z0, high), _staying(geometry, high, z0, low)
     spread, middle = inner_high - inner_low, 0.5 * (inner_high + inner_low)
     near_wall = math.sqrt(max(1.0 - max(abs(low), abs(high)) / geometry.half_width, 0.1))
     many = math.ceil(2.0 + (4.0 + 3.0 * spread / geometry.half_width / near_wall) / apart) if spread > 0.0 else 0
     inner = middle - 0.5 * spread * np.cos(np.pi * (np.arange(many) + 0.5) / max(many, 1))
     close = apart * CLOSE * geometry.half_width
-    below = np.linspace(low, inner_low, 2 + math.ceil((inner_low - low) / close))[: None if inner_low > low else 0]
-    above = np.linspace(inner_high, high, 2 + math.ceil((high - inner_high) / close))[
-        : None if inner_high < high else 0
-    ]
+    below = _close_nodes([(start, min(end, inner_low)) for start, end in lit if start < inner_low], close)
+    above = _close_nodes([(max(start, inner_high), end) for start, end in lit if end > inner_high], close)
     return np.concatenate([below, inner, above]), (float(inner_low), float(inner_high))
+
+
+def _close_nodes(lit: list[Interval], close: float) -> Array:
+    """Nodes that are close to each other in intervals, which ascend; those that nearly touch are one."""
+    parts: list[Interval] = []
+    for start, end in lit:
+        if parts and start - parts[-1][1] < close:
+            parts[-1] = parts[-1][0], max(end, parts[-1][1])
+        else:
+            parts.append((start, end))
+    # Two parts that are each other's mirror images have as many, whatever rounding says of their widths.
+    each = [np.linspace(start, end, 2 + math.ceil((end - start) / close - 1e-6)) for start, end in parts]
+    return np.concatenate([np.empty(0), *each])
 
 
 def _staying(geometry: Geometry, edge: float, z0: float, other: float) -> float:

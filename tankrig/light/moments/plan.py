@@ -61,7 +61,7 @@ class MomentPlan:
     bound: float
 
 
-def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
+def moment_plan(scene: Scene, tolerance: float, shallowest: float = 1.0) -> MomentPlan | None:
     """The plan for a scene, or None where paths serve it better.
 
     Solved for are scenes that paths would take seconds for: deep in free paths and in transport free paths. Backward
@@ -73,6 +73,8 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
         Any scene.
     tolerance
         Relative L2 error of the image to stay below.
+    shallowest
+        Of the depths in `SHALLOWEST`, the share from which on a solution is worth its time.
 
     Examples
     --------
@@ -88,7 +90,7 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     shortest = min(scene.tank.size_mm)
     straight = shift_invariant(scene)
     cheapest = _cheapest(scene, (SHARE if tolerance >= FINE else FINE_SHARE) * tolerance)
-    if cheapest is None or not _worth_it(scene, tolerance):
+    if cheapest is None or not _worth_it(scene, tolerance, shallowest):
         return None
     degree, side = cheapest
     above = 3 if degree == 0 else 5  # fewer scatterings leave beams narrower than cells
@@ -107,7 +109,7 @@ def moment_plan(scene: Scene, tolerance: float) -> MomentPlan | None:
     return MomentPlan(above, degree, side, batches, bound) if bound <= 0.75 * tolerance else None
 
 
-def _worth_it(scene: Scene, tolerance: float) -> bool:
+def _worth_it(scene: Scene, tolerance: float, shallowest: float) -> bool:
     """Whether a solution costs less than the light paths that it spares."""
     medium, straight = scene.medium, shift_invariant(scene)
     if not -0.5 < medium.g < (STEEPEST if straight else STEEPEST_SLANTED):
@@ -116,7 +118,7 @@ def _worth_it(scene: Scene, tolerance: float) -> bool:
         return False
     depth = medium.sigma_t * min(scene.tank.size_mm)
     # The finer the image, the more lattices of slanted light it spares.
-    finer = 1.0 if straight else min(1.0, (tolerance / 0.01) ** 0.45)
+    finer = shallowest * (1.0 if straight else min(1.0, (tolerance / 0.01) ** 0.45))
     least = next(free_paths for steepest, free_paths in SHALLOWEST if abs(medium.g) < steepest)
     return depth >= finer * least and depth * (1.0 - medium.g) >= finer * 0.85
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tankrig.light.paths.block import LARGE, Lattice, PathLimits, Points
 from tankrig.light.paths.cells import CellGrid
-from tankrig.light.paths.record import Bins, image_of_edges
+from tankrig.light.paths.record import Bins, cell_averages, image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, sight_line
 from tankrig.light.water import water_of
@@ -134,8 +134,7 @@ def traced(
             edges[:] = 0.0
         trace(cells if z_mm is None else edges, bins, grid.cell_mm, geometry, water, table, points, limits)
         if z_mm is None:
-            cells *= power / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1])
-            return cells
+            return cell_averages(cells * (power / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1])))
         transmission = sight_line(geometry, 0.0, 0.0)[3]
         image = image_of_edges(edges, medium.sigma_t, grid.cell_mm[0])
         cells += image * (transmission * (z_mm[1] - z_mm[0]) / lattice.points)

@@ -44,7 +44,7 @@ from tankrig.light.paths.block import (
     going_on,
 )
 from tankrig.light.paths.lattices import THINNING
-from tankrig.light.paths.record import TallyRecord, empty_record, image_of_edges, seen_from
+from tankrig.light.paths.record import TallyRecord, cell_averages, empty_record, image_of_edges, seen_from
 from tankrig.light.paths.trace import advance, arrive, cover, look, narrow, probed, scatter
 from tankrig.light.rays import Geometry, geometry_of, sight_line
 from tankrig.light.water import Water, water_of
@@ -401,7 +401,8 @@ def traced_tangents(
         light = edges if shiftable else cells
         trace_tangents(light, grid.cell_mm, geometry, water, table, points, limits, scores)
         if z_mm is None:
-            found += np.moveaxis(cells, 2, 0) * (power.sum() / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1]))
+            scale = power.sum() / (lattice.points * grid.cell_mm[0] * grid.cell_mm[1])
+            found += cell_averages(np.moveaxis(cells, 2, 0) * scale)
             break
         image = image_of_edges(np.moveaxis(edges, 3, 0), medium.sigma_t, grid.cell_mm[0])
         image[2] += image[0] * middles  # a start's own way is where its light is seen, less where the path leads

@@ -19,7 +19,7 @@ from tankrig.light.entering import edged_and_smooth, entering
 from tankrig.light.leaving import CameraLens
 from tankrig.light.order_one import once_seen
 from tankrig.light.paths.block import LARGE, TURNS, PathLimits, Points
-from tankrig.light.paths.record import image_of_edges
+from tankrig.light.paths.record import cell_averages, image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
 from tankrig.light.tank import CellGrid, twice_edged_of
@@ -217,7 +217,7 @@ class PathImages:
         self._trace(lit, beams, seed, batches, orders, cells)
         power = sum(beam.power for beam in beams)
         area = self.grid.cell_mm[0] * self.grid.cell_mm[1]
-        return np.asarray(np.tensordot(self._shares, cells, 1) * (power / (LARGE.points * area)))
+        return cell_averages(np.tensordot(self._shares, cells, 1) * (power / (LARGE.points * area)))
 
     def _trace(
         self, lit: Scene, beams: list[Beam], seed: int, batches: int, orders: tuple[int, int], light: Array

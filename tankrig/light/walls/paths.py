@@ -17,7 +17,7 @@ from tankrig.geometry.optics import reflectance
 from tankrig.light.elementary import exponential, log_one_minus, one_minus_exponential
 from tankrig.light.paths.block import CHANCE_COORDINATES, LARGE, SPARED, Points, across, coordinate, scattered
 from tankrig.light.paths.cells import CellGrid
-from tankrig.light.paths.record import Bins, seen_from
+from tankrig.light.paths.record import Bins, cell_averages, seen_from
 from tankrig.light.rays import Ray, geometry_of, light_ray
 from tankrig.light.walls.faces import (
     DIFFUSE,
@@ -98,7 +98,7 @@ def wall_images(
         shifted = LARGE.shifted((seed[0] + WALLS_APART, seed[1] * lattices + number))
         points = Points(shifted, LARGE.points)
         _trace(CellImages(cells, bins, grid.cell_mm), tank, water, table, points, highest, faintest)
-    return cells * (float(power.sum()) / (lattices * LARGE.points * grid.cell_mm[0] * grid.cell_mm[1]))
+    return cell_averages(cells * (float(power.sum()) / (lattices * LARGE.points * grid.cell_mm[0] * grid.cell_mm[1])))
 
 
 WALLS_APART = 2**30
