@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes, values_of
-from tankrig.estimation.followed import Followed, Model
-from tankrig.estimation.forward import corrected, image_of, stated_error
+from tankrig.estimation.followed import Followed, Model, remembered
+from tankrig.estimation.forward import Exact, Nearby, corrected, image_of, stated_error
 from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.optimiser import LAST_STEPS, solve, without_noise
 from tankrig.estimation.phase_block import PhaseBlock
@@ -153,31 +153,58 @@ def _corrected_by_shares(
         end = solve(here.bent, end.coordinates, MANY_ENOUGH, FEW_STEPS, damping=0.0)
         return here.fit(end.coordinates)
 
+    near = SETTLED * problem.looseness
+    parts = [remembered(_by_share(shot.models.exact, FIRST)) for shot in shots if shot.models.exact]
+
+    def roughly(at: Evaluation) -> list[Prediction]:
+        return [one(medium) for one, medium in zip(parts, at.media, strict=True)]
+
     progress("correcting by accurate images")
-    centre, share, told = best, FIRST, shares_at(best, FIRST)
-    fit = about(centre, _exact(shots, centre, share), centre, told)
-    for made in range(1, MOST_CORRECTIONS):
-        settled = made > 1 and _settled(fit.optimum, centre, SETTLED * problem.looseness)  # the first is too rough
-        if settled and share == 1.0:
+    centre, told = best, shares_at(best, FIRST)
+    fit, further = about(centre, roughly(centre), centre, told), best
+    for made in range(1, MOST_ROUGH + 1):
+        if made > 1 and _settled(fit.optimum, centre, near):  # the first is too rough
+            further = fit.optimum
             break
-        further = share < 1.0 and (settled or made == MOST_ROUGH)
-        share = 1.0 if further else share
         progress("correcting by accurate images")
-        centre, seen = _borne_out(fit, centre, partial(_exact, shots, times=share), HALVINGS)
-        told = shares_at(centre, share) if further else told
+        further, seen = _borne_out(fit, centre, roughly, HALVINGS)
+        if made == MOST_ROUGH:
+            break
+        if not _bears_out(fit, centre, further, seen):  # few lattices' derivatives lead nowhere from here
+            further = centre
+            break
+        centre = further
+        fit = about(centre, seen, centre, told)
+    progress("correcting by accurate images")
+    centre, told = further, shares_at(further, 1.0)
+    wholes = _exact(shots, centre)
+    around = [Nearby(*one) for one in zip(parts, centre.media, wholes, strict=True)]
+
+    def exactly(at: Evaluation) -> list[Prediction]:
+        return [one(medium) for one, medium in zip(around, at.media, strict=True)]
+
+    fit = about(centre, wholes, centre, told)
+    for _ in range(MOST_CORRECTIONS - made):
+        if _settled(fit.optimum, centre, near):
+            break
+        progress("correcting by accurate images")
+        centre, seen = _borne_out(fit, centre, exactly, HALVINGS)
         fit = about(centre, seen, centre, told)
     if sharper and _held_back(fit.optimum):
         progress("correcting by images as accurate as the photographs")
         fit = about(centre, _exact(shots, centre, SHARPER), fit.optimum, told)
-    return replace(fit, moved=_still_moved(fit.optimum, centre, shots, SETTLED * problem.looseness))
+    moved = _still_moved(fit.optimum, centre, exactly, near)
+    return replace(fit, moved=moved, exact=around[0] if len(around) == 1 else None)
 
 
-def _still_moved(end: Evaluation, centre: Evaluation, shots: Sequence[Shot], near: Vector) -> Vector | None:
+def _still_moved(
+    end: Evaluation, centre: Evaluation, exact: Callable[[Evaluation], list[Prediction]], near: Vector
+) -> Vector | None:
     """By how much the last exact image moved the values, where they have not settled and the exact image at their end
     costs much more than was promised; else None."""
     if _settled(end, centre, near):
         return None
-    there = end.problem.by([_always(one.image) for one in _exact(shots, end)]).at(end.coordinates)
+    there = end.problem.by([_always(one.image) for one in exact(end)]).at(end.coordinates)
     return _values(end) - _values(centre) if there.cost - end.cost > MUCH else None
 
 
@@ -267,6 +294,11 @@ def _exact(shots: Sequence[Shot], at: Evaluation, times: float = 1.0) -> list[Pr
     return [shot.models.exact(one, times) for shot, one in zip(shots, at.media, strict=True) if shot.models.exact]
 
 
+def _by_share(exact: Exact, share: float) -> Model:
+    """Exact images by a share of their light paths."""
+    return lambda medium: exact(medium, share)
+
+
 def _at_media(noise: Sequence[Slopes | None], media: Sequence[Medium]) -> list[Slopes | None]:
     """Patterns of the derivatives' noise as they are at media, wherever they are asked for."""
     return [one and _always(one(medium)) for one, medium in zip(noise, media, strict=True)]
@@ -283,14 +315,20 @@ def _borne_out(
 
     Models that say how images change about a place do not know how far they hold.
     """
-    weighed, ahead = fit.optimum.problem, fit.optimum
-    most = weighed.at(centre.coordinates).cost + WORSE
+    ahead = fit.optimum
     for _ in range(halvings):
         seen = exact(ahead)
-        if weighed.by([_always(one.image) for one in seen]).at(ahead.coordinates).cost <= most:
+        if _bears_out(fit, centre, ahead, seen):
             return ahead, seen
-        ahead = weighed.at(0.5 * (ahead.coordinates + centre.coordinates))
+        ahead = ahead.problem.at(0.5 * (ahead.coordinates + centre.coordinates))
     return ahead, exact(ahead)
+
+
+def _bears_out(fit: Fit, centre: Evaluation, ahead: Evaluation, seen: Sequence[Prediction]) -> bool:
+    """Whether exact images of a place explain no less than those where a fit went from."""
+    weighed = fit.optimum.problem
+    there = weighed.by([_always(one.image) for one in seen]).at(ahead.coordinates)
+    return there.cost <= weighed.at(centre.coordinates).cost + WORSE
 
 
 def _without_noise_in_gain(

@@ -242,7 +242,8 @@ def probe_weight(
     density = before * (henyey_greenstein(ahead, sampling.phase.g) + plain) + per_turn * (
         _wide_lobe(ahead, sampling.phase.g) - plain
     )
-    return block.weight[i] * chance * sampling.albedo * plain / density
+    weight: float = block.weight[i] * chance * sampling.albedo * plain / density
+    return weight
 
 
 @part
@@ -306,13 +307,14 @@ def _probe_anywhere(probes: Ends, block: Block, step: Step, n: int, geometry: Ge
             for i in range(n):
                 _probe_from_anywhere(probes, block, step, i, geometry, geometry.refractive_index, sampling)
     else:  # see `densities`
-        plain, ahead = np.empty(n), np.empty(n)
+        cosines = np.empty((2, n))
         if geometry.refractive_index == 1.0:
             for i in range(n):
-                _send_probe(probes, plain, ahead, block, step, i, geometry, 1.0, sampling)
+                _send_probe(probes, cosines, block, step, i, geometry, 1.0, sampling)
         else:
             for i in range(n):
-                _send_probe(probes, plain, ahead, block, step, i, geometry, geometry.refractive_index, sampling)
+                _send_probe(probes, cosines, block, step, i, geometry, geometry.refractive_index, sampling)
+        plain, ahead = cosines
         densities(plain, plain, n, sampling.phase)
         for i in range(n):
             probes.weight[i] = probe_weight(block, step, i, sampling, probes.weight[i], plain[i], ahead[i])
@@ -328,11 +330,11 @@ def _probe_from_anywhere(
 
 @part
 def _send_probe(
-    probes: Ends, turn: Array, ahead: Array, block: Block, step: Step, i: int, geometry: Geometry, index: float,
+    probes: Ends, cosines: Array, block: Block, step: Step, i: int, geometry: Geometry, index: float,
     sampling: PathSampling,
 ) -> None:  # fmt: skip
-    """A probe whose weight is no more than its chance so far, and the cosines that the rest depends on."""
-    x, y, z, _, _, dz, chance, turn[i], ahead[i] = probe_way(block, step, i, geometry, sampling, index)
+    """A probe whose weight is no more than its chance so far, and the cosines (2, n) that the rest depends on."""
+    x, y, z, _, _, dz, chance, cosines[0, i], cosines[1, i] = probe_way(block, step, i, geometry, sampling, index)
     probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, chance
 
 
