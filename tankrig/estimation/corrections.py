@@ -46,12 +46,14 @@ SETTLED_SHARE = 0.5
 """Share of its standard deviation by which each value may have moved besides."""
 NOISY = 0.1
 """Share of noise in the derivatives' products from which on only that counts: they say no more how far it is."""
-FIRST = 0.25
-"""Share of the light paths in exact images and derivatives until a fit by these has settled, where a phase function's
-coordinates are fitted: on the way there they move by several standard deviations, and more would not be worth it."""
-WORSE, HALVINGS = 3.0, 3
-"""By how much more the next exact image may cost, in χ²/2, and times at most that the way to it is halved otherwise,
-where a phase function's coordinates are fitted: of three numbers steps bend little."""
+FIRST, ROUGH, NEXT = 0.25, 0.125, 0.25
+"""Shares of the light paths, where a phase function's coordinates are fitted: in derivatives and in exact images until
+a fit by these has settled, for on the way there coordinates move by several standard deviations, and more would not be
+worth it; and in exact images next to one by all of them, see `Nearby`."""
+WORSE, HALVINGS, SHORTEST = 3.0, 3, 0.1
+"""By how much more the next exact image may cost, in χ²/2, times at most that the way to it is shortened otherwise, by
+half or more, and share of it at least that is left each time; where a phase function's coordinates are fitted: of three
+numbers steps bend little."""
 MUCH = 10.0
 """How much more, in χ²/2, the exact image costs than was promised where a fit of a phase function's coordinates ended
 that has not settled."""
@@ -154,10 +156,10 @@ def _corrected_by_shares(
         return here.fit(end.coordinates)
 
     near = SETTLED * problem.looseness
-    parts = [remembered(_by_share(shot.models.exact, FIRST)) for shot in shots if shot.models.exact]
+    exact = [shot.models.exact for shot in shots if shot.models.exact]
 
     def roughly(at: Evaluation) -> list[Prediction]:
-        return [one(medium) for one, medium in zip(parts, at.media, strict=True)]
+        return [one(medium, ROUGH) for one, medium in zip(exact, at.media, strict=True)]
 
     progress("correcting by accurate images")
     centre, told = best, shares_at(best, FIRST)
@@ -168,16 +170,17 @@ def _corrected_by_shares(
             break
         progress("correcting by accurate images")
         further, seen = _borne_out(fit, centre, roughly, HALVINGS)
-        if made == MOST_ROUGH:
-            break
-        if not _bears_out(fit, centre, further, seen):  # few lattices' derivatives lead nowhere from here
-            further = centre
+        gain = fit.optimum.problem.at(centre.coordinates).cost - _cost_by(fit.optimum.problem, further, seen)
+        if gain < WORSE:  # few lattices' derivatives lead nowhere from here
+            further = further if gain > 0.0 else centre
             break
         centre = further
-        fit = about(centre, seen, centre, told)
+        if made < MOST_ROUGH:
+            fit = about(centre, seen, centre, told)
     progress("correcting by accurate images")
     centre, told = further, shares_at(further, 1.0)
     wholes = _exact(shots, centre)
+    parts = [remembered(partial(_by_share, one, NEXT)) for one in exact]
     around = [Nearby(*one) for one in zip(parts, centre.media, wholes, strict=True)]
 
     def exactly(at: Evaluation) -> list[Prediction]:
@@ -294,9 +297,9 @@ def _exact(shots: Sequence[Shot], at: Evaluation, times: float = 1.0) -> list[Pr
     return [shot.models.exact(one, times) for shot, one in zip(shots, at.media, strict=True) if shot.models.exact]
 
 
-def _by_share(exact: Exact, share: float) -> Model:
-    """Exact images by a share of their light paths."""
-    return lambda medium: exact(medium, share)
+def _by_share(exact: Exact, share: float, medium: Medium) -> Prediction:
+    """An exact image by a share of its light paths."""
+    return exact(medium, share)
 
 
 def _at_media(noise: Sequence[Slopes | None], media: Sequence[Medium]) -> list[Slopes | None]:
@@ -316,19 +319,23 @@ def _borne_out(
     Models that say how images change about a place do not know how far they hold.
     """
     ahead = fit.optimum
+    weighed, here = ahead.problem, ahead.problem.at(centre.coordinates).cost
+    promised = max(here - ahead.cost, 0.0)
     for _ in range(halvings):
         seen = exact(ahead)
-        if _bears_out(fit, centre, ahead, seen):
+        worse = _cost_by(weighed, ahead, seen) - here
+        if worse <= WORSE:
             return ahead, seen
-        ahead = ahead.problem.at(0.5 * (ahead.coordinates + centre.coordinates))
+        # Where a parabola has its lowest point that begins as was promised and ends where the exact image is.
+        share = min(max(promised / (2.0 * promised + worse), SHORTEST), 0.5)
+        promised *= share * (2.0 - share)
+        ahead = weighed.at(centre.coordinates + share * (ahead.coordinates - centre.coordinates))
     return ahead, exact(ahead)
 
 
-def _bears_out(fit: Fit, centre: Evaluation, ahead: Evaluation, seen: Sequence[Prediction]) -> bool:
-    """Whether exact images of a place explain no less than those where a fit went from."""
-    weighed = fit.optimum.problem
-    there = weighed.by([_always(one.image) for one in seen]).at(ahead.coordinates)
-    return there.cost <= weighed.at(centre.coordinates).cost + WORSE
+def _cost_by(weighed: Problem, at: Evaluation, seen: Sequence[Prediction]) -> float:
+    """What a place costs by exact images of it."""
+    return weighed.by([_always(one.image) for one in seen]).at(at.coordinates).cost
 
 
 def _without_noise_in_gain(
