@@ -203,10 +203,10 @@ def low_orders(scene: Scene, highest: int, others: Sequence[PhaseFunction]) -> t
     by_absorption = (darker - image) / absorption
     by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
     if medium.phase is not None:
-        turned = [Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others]
-        towards = single_scattering_of(scene, turned) - image if turned else np.zeros((0, *image.shape))
+        nearby = [Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others]
+        towards = single_scattering_of(scene, nearby) - image if nearby else np.zeros((0, *image.shape))
         if highest >= 2:  # all in one, for they fade alike
-            towards = towards + double_scattering_of(scene, turned, _tables(scene))
+            towards = towards + double_scattering_of(scene, nearby, _tables(scene))
         return image, np.stack([by_absorption, by_scattering, *towards])
     turning = STEP_ASYMMETRY * (1.0 - medium.g) * (1.0 + medium.g) * (-1.0 if medium.g > 0.0 else 1.0)
     turned = sum(orders(replace(medium, g=medium.g + turning)))
