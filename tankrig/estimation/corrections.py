@@ -134,7 +134,8 @@ def _corrected_by_shares(
     """The optimum by exact images, about which a phase function's coordinates change what paths bring by shares of it.
 
     Orders 1 and 2 are computed as they are, see `Followed.about`. Derivatives along paths are dear, and told twice: by
-    few lattices where the search has ended, and where a fit by fewer paths has settled.
+    few lattices where the search has ended, and where a fit by few paths has settled, or gains nothing any more. There
+    one exact image is made by all paths, and further ones next to it, see `Nearby`.
     """
     problem = best.problem
 

@@ -102,11 +102,18 @@ class Nearby:
         if medium == self.at:
             return self.whole
         here, there = self.part(self.at), self.part(medium)
-        if self.whole.patterns is None or here.patterns is None or there.patterns is None:
-            return replace(self.whole, image=self.whole.image + there.image - here.image)
-        patterns = np.concatenate([self.whole.patterns, there.patterns - here.patterns])
-        stderr = np.sqrt(np.sum(np.square(patterns), axis=0))
-        return replace(there, image=self.whole.image + there.image - here.image, stderr=stderr, patterns=patterns)
+        image = self.whole.image + there.image - here.image
+        if self.whole.patterns is None:
+            return replace(there, image=image)
+        patterns = np.concatenate([self.whole.patterns, self.more_noise(medium)])
+        return replace(there, image=image, stderr=np.sqrt(np.sum(np.square(patterns), axis=0)), patterns=patterns)
+
+    def more_noise(self, medium: Medium) -> Image:
+        """(n, rows, columns) patterns of what its noise is more than at the place; none where they are not known."""
+        here, there = self.part(self.at).patterns, self.part(medium).patterns
+        if here is None or there is None or medium == self.at:
+            return np.zeros((0, *self.whole.image.shape))
+        return np.asarray(there - here)
 
 
 @dataclass(frozen=True)
