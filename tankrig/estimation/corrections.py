@@ -171,7 +171,7 @@ def _corrected_by_shares(
             break
         progress("correcting by accurate images")
         further, seen = _borne_out(fit, centre, roughly, HALVINGS)
-        gain = fit.optimum.problem.at(centre.coordinates).cost - _cost_by(fit.optimum.problem, further, seen)
+        gain = _gain(fit, centre, further, seen)
         if gain < WORSE:  # few lattices' derivatives lead nowhere from here
             further = further if gain > 0.0 else centre
             break
@@ -192,7 +192,10 @@ def _corrected_by_shares(
         if _settled(fit.optimum, centre, near):
             break
         progress("correcting by accurate images")
-        centre, seen = _borne_out(fit, centre, exactly, HALVINGS)
+        ahead, seen = _borne_out(fit, centre, exactly, HALVINGS)
+        if _gain(fit, centre, ahead, seen) < -WORSE:  # nor do many lattices', and shorter ways would lead no further
+            break
+        centre = ahead
         fit = about(centre, seen, centre, told)
     if sharper and _held_back(fit.optimum):
         progress("correcting by images as accurate as the photographs")
@@ -332,6 +335,12 @@ def _borne_out(
         promised *= share * (2.0 - share)
         ahead = weighed.at(centre.coordinates + share * (ahead.coordinates - centre.coordinates))
     return ahead, exact(ahead)
+
+
+def _gain(fit: Fit, centre: Evaluation, ahead: Evaluation, seen: Sequence[Prediction]) -> float:
+    """By how much less a place costs, by exact images of it, than the one that a fit went from."""
+    weighed = fit.optimum.problem
+    return weighed.at(centre.coordinates).cost - _cost_by(weighed, ahead, seen)
 
 
 def _cost_by(weighed: Problem, at: Evaluation, seen: Sequence[Prediction]) -> float:
