@@ -203,11 +203,12 @@ def low_orders(scene: Scene, highest: int, others: Sequence[PhaseFunction]) -> t
     by_absorption = (darker - image) / absorption
     by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
     if medium.phase is not None:
-        nearby = [Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others]
-        towards = single_scattering_of(scene, nearby) - image if nearby else np.zeros((0, *image.shape))
-        if highest >= 2:  # all in one, for they fade alike
-            towards = towards + double_scattering_of(scene, nearby, _tables(scene))
-        return image, np.stack([by_absorption, by_scattering, *towards])
+        # All in one, for they fade alike; the medium too, for their tables then have the same nodes.
+        media = [medium, *(Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others)]
+        light = single_scattering_of(scene, media)
+        if highest >= 2 and len(media) > 1:
+            light = light + double_scattering_of(scene, media, _tables(scene))
+        return image, np.stack([by_absorption, by_scattering, *(light[1:] - light[0])])
     turning = STEP_ASYMMETRY * (1.0 - medium.g) * (1.0 + medium.g) * (-1.0 if medium.g > 0.0 else 1.0)
     turned = sum(orders(replace(medium, g=medium.g + turning)))
     return image, np.stack([by_absorption, by_scattering, (turned - image) / turning])
