@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes, values_of
-from tankrig.estimation.followed import Followed, Model
-from tankrig.estimation.forward import corrected, image_of, stated_error
+from tankrig.estimation.followed import Followed, Model, remembered
+from tankrig.estimation.forward import Exact, Nearby, corrected, image_of, stated_error
 from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.optimiser import LAST_STEPS, solve, without_noise
 from tankrig.estimation.phase_block import PhaseBlock
@@ -46,12 +46,14 @@ SETTLED_SHARE = 0.5
 """Share of its standard deviation by which each value may have moved besides."""
 NOISY = 0.1
 """Share of noise in the derivatives' products from which on only that counts: they say no more how far it is."""
-FIRST = 0.25
-"""Share of the light paths in exact images and derivatives until a fit by these has settled, where a phase function's
-coordinates are fitted: on the way there they move by several standard deviations, and more would not be worth it."""
-WORSE, HALVINGS = 3.0, 3
-"""By how much more the next exact image may cost, in χ²/2, and times at most that the way to it is halved otherwise,
-where a phase function's coordinates are fitted: of three numbers steps bend little."""
+FIRST, ROUGH, NEXT = 0.25, 0.125, 0.25
+"""Shares of the light paths, where a phase function's coordinates are fitted: in derivatives and in exact images until
+a fit by these has settled, for on the way there coordinates move by several standard deviations, and more would not be
+worth it; and in exact images next to one by all of them, see `Nearby`."""
+WORSE, HALVINGS, SHORTEST = 3.0, 3, 0.1
+"""By how much more the next exact image may cost, in χ²/2, times at most that the way to it is shortened otherwise, by
+half or more, and share of it at least that is left each time; where a phase function's coordinates are fitted: of three
+numbers steps bend little."""
 MUCH = 10.0
 """How much more, in χ²/2, the exact image costs than was promised where a fit of a phase function's coordinates ended
 that has not settled."""
@@ -132,7 +134,8 @@ def _corrected_by_shares(
     """The optimum by exact images, about which a phase function's coordinates change what paths bring by shares of it.
 
     Orders 1 and 2 are computed as they are, see `Followed.about`. Derivatives along paths are dear, and told twice: by
-    few lattices where the search has ended, and where a fit by fewer paths has settled.
+    few lattices where the search has ended, and where a fit by few paths has settled, or gains nothing any more. There
+    one exact image is made by all paths, and further ones next to it, see `Nearby`.
     """
     problem = best.problem
 
@@ -153,31 +156,62 @@ def _corrected_by_shares(
         end = solve(here.bent, end.coordinates, MANY_ENOUGH, FEW_STEPS, damping=0.0)
         return here.fit(end.coordinates)
 
+    near = SETTLED * problem.looseness
+    exact = [shot.models.exact for shot in shots if shot.models.exact]
+
+    def roughly(at: Evaluation) -> list[Prediction]:
+        return [one(medium, ROUGH) for one, medium in zip(exact, at.media, strict=True)]
+
     progress("correcting by accurate images")
-    centre, share, told = best, FIRST, shares_at(best, FIRST)
-    fit = about(centre, _exact(shots, centre, share), centre, told)
-    for made in range(1, MOST_CORRECTIONS):
-        settled = made > 1 and _settled(fit.optimum, centre, SETTLED * problem.looseness)  # the first is too rough
-        if settled and share == 1.0:
+    centre, told = best, shares_at(best, FIRST)
+    fit, further = about(centre, roughly(centre), centre, told), best
+    for made in range(1, MOST_ROUGH + 1):
+        if made > 1 and _settled(fit.optimum, centre, near):  # the first is too rough
+            further = fit.optimum
             break
-        further = share < 1.0 and (settled or made == MOST_ROUGH)
-        share = 1.0 if further else share
         progress("correcting by accurate images")
-        centre, seen = _borne_out(fit, centre, partial(_exact, shots, times=share), HALVINGS)
-        told = shares_at(centre, share) if further else told
+        further, seen = _borne_out(fit, centre, roughly, HALVINGS)
+        gain = _gain(fit, centre, further, seen)
+        if gain < WORSE:  # few lattices' derivatives lead nowhere from here
+            further = further if gain > 0.0 else centre
+            break
+        centre = further
+        if made < MOST_ROUGH:
+            fit = about(centre, seen, centre, told)
+    progress("correcting by accurate images")
+    centre, told = further, shares_at(further, 1.0)
+    wholes = _exact(shots, centre)
+    parts = [remembered(partial(_by_share, one, NEXT)) for one in exact]
+    around = [Nearby(*one) for one in zip(parts, centre.media, wholes, strict=True)]
+
+    def exactly(at: Evaluation) -> list[Prediction]:
+        return [one(medium) for one, medium in zip(around, at.media, strict=True)]
+
+    fit = about(centre, wholes, centre, told)
+    for _ in range(MOST_CORRECTIONS - made):
+        if _settled(fit.optimum, centre, near):
+            break
+        progress("correcting by accurate images")
+        ahead, seen = _borne_out(fit, centre, exactly, HALVINGS)
+        if _gain(fit, centre, ahead, seen) < -WORSE:  # nor do many lattices', and shorter ways would lead no further
+            break
+        centre = ahead
         fit = about(centre, seen, centre, told)
     if sharper and _held_back(fit.optimum):
         progress("correcting by images as accurate as the photographs")
         fit = about(centre, _exact(shots, centre, SHARPER), fit.optimum, told)
-    return replace(fit, moved=_still_moved(fit.optimum, centre, shots, SETTLED * problem.looseness))
+    moved = _still_moved(fit.optimum, centre, exactly, near)
+    return replace(fit, moved=moved, exact=around[0] if len(around) == 1 else None)
 
 
-def _still_moved(end: Evaluation, centre: Evaluation, shots: Sequence[Shot], near: Vector) -> Vector | None:
+def _still_moved(
+    end: Evaluation, centre: Evaluation, exact: Callable[[Evaluation], list[Prediction]], near: Vector
+) -> Vector | None:
     """By how much the last exact image moved the values, where they have not settled and the exact image at their end
     costs much more than was promised; else None."""
     if _settled(end, centre, near):
         return None
-    there = end.problem.by([_always(one.image) for one in _exact(shots, end)]).at(end.coordinates)
+    there = end.problem.by([_always(one.image) for one in exact(end)]).at(end.coordinates)
     return _values(end) - _values(centre) if there.cost - end.cost > MUCH else None
 
 
@@ -267,6 +301,11 @@ def _exact(shots: Sequence[Shot], at: Evaluation, times: float = 1.0) -> list[Pr
     return [shot.models.exact(one, times) for shot, one in zip(shots, at.media, strict=True) if shot.models.exact]
 
 
+def _by_share(exact: Exact, share: float, medium: Medium) -> Prediction:
+    """An exact image by a share of its light paths."""
+    return exact(medium, share)
+
+
 def _at_media(noise: Sequence[Slopes | None], media: Sequence[Medium]) -> list[Slopes | None]:
     """Patterns of the derivatives' noise as they are at media, wherever they are asked for."""
     return [one and _always(one(medium)) for one, medium in zip(noise, media, strict=True)]
@@ -283,14 +322,30 @@ def _borne_out(
 
     Models that say how images change about a place do not know how far they hold.
     """
-    weighed, ahead = fit.optimum.problem, fit.optimum
-    most = weighed.at(centre.coordinates).cost + WORSE
+    ahead = fit.optimum
+    weighed, here = ahead.problem, ahead.problem.at(centre.coordinates).cost
+    promised = max(here - ahead.cost, 0.0)
     for _ in range(halvings):
         seen = exact(ahead)
-        if weighed.by([_always(one.image) for one in seen]).at(ahead.coordinates).cost <= most:
+        worse = _cost_by(weighed, ahead, seen) - here
+        if worse <= WORSE:
             return ahead, seen
-        ahead = weighed.at(0.5 * (ahead.coordinates + centre.coordinates))
+        # Where a parabola has its lowest point that begins as was promised and ends where the exact image is.
+        share = min(max(promised / (2.0 * promised + worse), SHORTEST), 0.5)
+        promised *= share * (2.0 - share)
+        ahead = weighed.at(centre.coordinates + share * (ahead.coordinates - centre.coordinates))
     return ahead, exact(ahead)
+
+
+def _gain(fit: Fit, centre: Evaluation, ahead: Evaluation, seen: Sequence[Prediction]) -> float:
+    """By how much less a place costs, by exact images of it, than the one that a fit went from."""
+    weighed = fit.optimum.problem
+    return weighed.at(centre.coordinates).cost - _cost_by(weighed, ahead, seen)
+
+
+def _cost_by(weighed: Problem, at: Evaluation, seen: Sequence[Prediction]) -> float:
+    """What a place costs by exact images of it."""
+    return weighed.by([_always(one.image) for one in seen]).at(at.coordinates).cost
 
 
 def _without_noise_in_gain(

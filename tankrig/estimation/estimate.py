@@ -289,7 +289,8 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     gain, (offset,), (left,) = left_over(fit)
     found = findings_of(fit, left, scene, models, asked)
     phase, spread = found.phase, fit.unsettled(found.spread(left))
-    off, answer = nuisances_of(best, spread), answer_of(best, spread, asked, left.beyond == 0.0, models.exact)
+    off, exact = nuisances_of(best, spread), fit.exact or models.exact
+    answer = answer_of(best, spread, asked, left.beyond == 0.0, exact)
     medium, spread = answer.liquid, phase.counted(answer.covariance)
     undescribed, rough = _undescribed(best, left, asked)
     bent = phase.misled or phase.doubted or undescribed or fit.moved is not None

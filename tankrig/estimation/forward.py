@@ -76,6 +76,46 @@ ERROR_PIXELS = 4.0
 """Standard deviation of the Gaussian over which a stated noise is averaged."""
 
 
+@dataclass(frozen=True, eq=False)
+class Nearby:
+    """Exact images next to a place where there is one by all light paths.
+
+    Noise of the same lattices is alike at places some standard deviations apart (correlated by .92 to .999), so that a
+    share of them tells what changes from one to the other, for that share of the price.
+
+    Parameters
+    ----------
+    part
+        Images by a share of the paths, the same at every place.
+    at
+        The place.
+    whole
+        The image there.
+    """
+
+    part: Model
+    at: Medium
+    whole: Prediction
+
+    def __call__(self, medium: Medium, _: float = 1.0) -> Prediction:
+        """An exact image, with the patterns of its noise."""
+        if medium == self.at:
+            return self.whole
+        here, there = self.part(self.at), self.part(medium)
+        image = self.whole.image + there.image - here.image
+        if self.whole.patterns is None:
+            return replace(there, image=image)
+        patterns = np.concatenate([self.whole.patterns, self.more_noise(medium)])
+        return replace(there, image=image, stderr=np.sqrt(np.sum(np.square(patterns), axis=0)), patterns=patterns)
+
+    def more_noise(self, medium: Medium) -> Image:
+        """(n, rows, columns) patterns of what its noise is more than at the place; none where they are not known."""
+        here, there = self.part(self.at).patterns, self.part(medium).patterns
+        if here is None or there is None or medium == self.at:
+            return np.zeros((0, *self.whole.image.shape))
+        return np.asarray(there - here)
+
+
 @dataclass(frozen=True)
 class Models:
     """Versions of one forward model.
@@ -307,6 +347,18 @@ def _lattices(rough: Model, fewest: int) -> Lattices:
     return batches
 
 
+def _once(batches: Lattices) -> Lattices:
+    """As many for every medium as for the first, so that noise at places near each other is alike."""
+    chosen: dict[tuple[float, int], int] = {}
+
+    def once(medium: Medium, noise: float, most: int) -> int:
+        if (noise, most) not in chosen:
+            chosen[noise, most] = batches(medium, noise, most)
+        return chosen[noise, most]
+
+    return once
+
+
 def _accurate(scene: Scene, max_order: int | None, batches: Lattices) -> Exact:
     """The image by many light paths that is not smoothed, with the patterns of its noise."""
 
@@ -395,7 +447,7 @@ def _family_models(scene: Scene, max_order: int | None, family: Family) -> Model
             Followed(scene, slope, 2, max_order, family=family, sharp=True),
         )
 
-    return Models(coarse, refine, exact=_accurate(scene, max_order, batches), family=family)
+    return Models(coarse, refine, exact=_accurate(scene, max_order, _once(batches)), family=family)
 
 
 def _models_with_beside(scene: Scene) -> Models:

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import Exact
+from tankrig.estimation.forward import Exact, Nearby
 from tankrig.estimation.parameters import WIDEST
 from tankrig.estimation.phase_families import (
     PLACES,
@@ -53,7 +53,8 @@ NEGLIGIBLE, SOME = 1e-3, 0.05
 to be made where they say the liquid is."""
 AGAIN = (0.25, 1.0)
 """Light paths of these images, of those in the exact image at the optimum: the first moves families by several standard
-deviations, and the last has the noise that the covariance counts."""
+deviations, and the last has the noise that the covariance counts. Next to an optimum that has an exact image by all
+paths both are by the same share of them, see `Nearby`."""
 DIFFERENCE = 1e-3
 """Step of each number, in standard deviations of what is expected, by which places are differenced."""
 STEPS = 40
@@ -75,12 +76,15 @@ class Score:
         (k, k) Σ^−½ F.
     pulls
         (k, n) Σ^−½ J W^½: times what images leave, whitened, the first of these.
+    unlikelier
+        ½ ln det Σ over that of the score that it comes from.
     """
 
     at: Array
     whitened: Array
     response: Array
     pulls: Array
+    unlikelier: float = 0.0
 
     @classmethod
     def of(cls, best: Evaluation, spread: Array) -> "Score":
@@ -104,9 +108,13 @@ class Score:
         at = np.concatenate([best.values[best.problem.blocks[0].name], best.values["phase"]])
         return cls(at, pulls @ best.left, root.T @ fisher / size, pulls)
 
-    def about(self, at: Array, left: Array) -> "Score":
-        """The same about another place, where images leave (n,) so much, whitened."""
-        return replace(self, at=at, whitened=self.pulls @ left)
+    def about(self, at: Array, left: Array, noise: Array) -> "Score":
+        """The same about another place, where images leave (n,) so much, whitened, with (m, n) patterns of noise that
+        the covariance does not count."""
+        moved = self.pulls @ noise.T
+        root = np.linalg.cholesky(np.eye(len(moved)) + moved @ moved.T)
+        pulls, response = np.linalg.solve(root, self.pulls), np.linalg.solve(root, self.response)
+        return Score(at, pulls @ left, response, pulls, float(np.sum(np.log(np.diag(root)))))
 
     def misfit(self, at: Array) -> Array:
         """(k,) s − F (θ − θ̂), whitened."""
@@ -146,8 +154,9 @@ def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | Non
         if exact is None or shares.sum() < SOME:
             break
         place = shares @ np.array([one.at for one in found[1:]]) / shares.sum()
-        left = _left_by(exact(Medium(float(place[0]), float(place[1]), phase=family.phase(place[2:])), times), best)
-        found = [freely, *_families(score.about(place, left), freely.answer.liquid)]
+        liquid = Medium(float(place[0]), float(place[1]), phase=family.phase(place[2:]))
+        left, noise = _left_by(exact(liquid, times), best), _noise_of(exact, liquid, best)
+        found = [freely, *_families(score.about(place, left, noise), freely.answer.liquid)]
     kept = [(one.answer, float(share)) for one, share in zip(found, _shares(found), strict=True) if share > NEGLIGIBLE]
     return mixed([one for one, _ in kept], [share for _, share in kept])
 
@@ -155,6 +164,14 @@ def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | Non
 def _left_by(exact: Prediction, best: Evaluation) -> Array:
     """(n,) what an image leaves, whitened."""
     return best.problem.by([lambda _: exact.image]).at(best.coordinates).left
+
+
+def _noise_of(exact: Exact, liquid: Medium, best: Evaluation) -> Array:
+    """(m, n) patterns, whitened, of what noise an exact image has more than the optimum's."""
+    if not isinstance(exact, Nearby):
+        return np.zeros((0, best.left.size))
+    (view,), (gain, _) = best.problem.views, best.scale
+    return best.project_out(view.whitened(gain * exact.more_noise(liquid)))[:, : best.left.size]
 
 
 def _families(score: Score, near: Medium) -> list[Weighed]:
@@ -219,7 +236,7 @@ def _family(score: Score, family: Family, near: Medium, discrepancy: float) -> W
     spread = (covariance * np.outer(scale, scale))[:own, :own]
     plain = scattering_of(at[:2], values, spread, family)
     found = replace(found, parameters=plain.parameters, families=plain.families)
-    pulls, unlikely = float(np.sum(end.x[2:] ** 2)), math.log(len(DISCREPANCIES))
+    pulls, unlikely = float(np.sum(end.x[2:] ** 2)), math.log(len(DISCREPANCIES)) + score.unlikelier
     return Weighed(found, at, _evidence(score.misfit(at), pulls, response) - unlikely)
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes
 from tankrig.estimation.followed import Model
-from tankrig.estimation.forward import COARSE, Models, counted_error, image_of
+from tankrig.estimation.forward import COARSE, Exact, Models, counted_error, image_of
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import Block
 from tankrig.estimation.problem import Evaluation, Problem, View
@@ -81,12 +81,15 @@ class Fit:
         paths for the most part. None where there is no such model.
     moved
         (k,) by how much the first values were still corrected in the end, where the fit has not settled; else None.
+    exact
+        Gives exact images near the optimum for less than others; None where there are none.
     """
 
     optimum: Evaluation
     models: tuple[Model, ...]
     apart: tuple[Image | None, ...] = ()
     moved: NDArray[np.float64] | None = None
+    exact: Exact | None = None
 
     def unsettled(self, spread: NDArray[np.float64]) -> NDArray[np.float64]:
         """Covariance of the values with that counted."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from tankrig.light.double import double_scattering
+from tankrig.light.double import double_scattering, double_scattering_of
 from tankrig.light.double.image import table_error
 from tankrig.light.high_orders import FAINTEST, LOST_USUALLY, MOST_ORDERS
 from tankrig.light.paths.block import LARGE, SMALL, Lattice, PathLimits
@@ -18,7 +18,7 @@ from tankrig.light.paths.lattices import THINNING, Groups, traced
 from tankrig.light.paths.record import Bins
 from tankrig.light.paths.smoothing import FEWEST, averaged, smoothed_batches
 from tankrig.light.paths.tangents import traced_tangents
-from tankrig.light.single import single_scattering
+from tankrig.light.single import single_scattering, single_scattering_of
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -203,8 +203,12 @@ def low_orders(scene: Scene, highest: int, others: Sequence[PhaseFunction]) -> t
     by_absorption = (darker - image) / absorption
     by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
     if medium.phase is not None:
-        towards = [sum(orders(Medium(medium.sigma_a, medium.sigma_s, phase=other))) - image for other in others]
-        return image, np.stack([by_absorption, by_scattering, *towards])
+        # All in one, for they fade alike; the medium too, for their tables then have the same nodes.
+        media = [medium, *(Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others)]
+        light = single_scattering_of(scene, media)
+        if highest >= 2 and len(media) > 1:
+            light = light + double_scattering_of(scene, media, _tables(scene))
+        return image, np.stack([by_absorption, by_scattering, *(light[1:] - light[0])])
     turning = STEP_ASYMMETRY * (1.0 - medium.g) * (1.0 + medium.g) * (-1.0 if medium.g > 0.0 else 1.0)
     turned = sum(orders(replace(medium, g=medium.g + turning)))
     return image, np.stack([by_absorption, by_scattering, (turned - image) / turning])

@@ -113,17 +113,17 @@ def count_turn(turning: Array, at: int, cosine: float, phase: PhaseRecord, score
     phase
         Phase function.
     scores
-        (k, nodes) at even steps of sin(θ/2), of any other phase function than Henyey–Greenstein's.
+        (nodes, k) at even steps of sin(θ/2), of any other phase function than Henyey–Greenstein's.
     """
     if len(phase) == 2:
         turning[at, 0] += by_asymmetry(cosine, phase.g)
     else:
-        steps = scores.shape[1] - 1
+        steps = scores.shape[0] - 1
         place = math.sqrt(max(0.5 - 0.5 * cosine, 0.0)) * steps
         step = min(int(place), steps - 1)
         share = place - step
-        for k in range(scores.shape[0]):
-            turning[at, k] += (1.0 - share) * scores[k, step] + share * scores[k, step + 1]
+        for k in range(scores.shape[1]):
+            turning[at, k] += (1.0 - share) * scores[step, k] + share * scores[step + 1, k]
 
 
 @kernel
@@ -141,7 +141,7 @@ def trace_tangents(
     cell_mm, geometry, water, beams, points, limits
         As for `trace`.
     scores
-        (k, nodes) of turning, see `count_turn`; `NO_SCORES` of Henyey–Greenstein's phase function.
+        (nodes, k) of turning, see `count_turn`; `NO_SCORES` of Henyey–Greenstein's phase function.
     """
     sigma_t, albedo, phase = water
     lattice, stop = points
@@ -151,8 +151,8 @@ def trace_tangents(
     u, v, w = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     probes = Ends(np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
     before = np.empty((6, BLOCK))
-    way_mm, turning = np.empty(BLOCK), np.empty((BLOCK, scores.shape[0]))  # of each path, by its lattice point
-    seen_way, seen_turning = np.empty(BLOCK), np.empty((BLOCK, scores.shape[0]))
+    way_mm, turning = np.empty(BLOCK), np.empty((BLOCK, scores.shape[1]))  # of each path, by its lattice point
+    seen_way, seen_turning = np.empty(BLOCK), np.empty((BLOCK, scores.shape[1]))
     for first in range(0, stop, BLOCK):
         n = min(BLOCK, stop - first)
         so_far = SoFar(first, way_mm, turning, scores)
@@ -164,7 +164,7 @@ def trace_tangents(
         begin(block, n, first, sampling, lattice, faintest)
         for i in range(n):
             way_mm[i] = block.x[i] / block.dx[i]
-            for k in range(scores.shape[0]):
+            for k in range(scores.shape[1]):
                 turning[i, k] = 0.0
         for order in range(1, max_order):
             n = going_on(block, n, order, first_thinning, lattice, image.ndim == 4)
@@ -199,7 +199,7 @@ def trace_tangents(
             for i in range(n):
                 at = int(block.point[i]) - first
                 seen_way[i] = way_mm[at]
-                for k in range(scores.shape[0]):
+                for k in range(scores.shape[1]):
                     seen_turning[i, k] = turning[at, k]
             if image.ndim == 4:
                 ends = Ends(block.x, block.y, block.z, block.dz, block.seen)
@@ -272,7 +272,7 @@ def _probe(
         cosine = dx * block.dx[i] + dy * block.dy[i] + left * block.dz[i]
         at = int(block.point[i]) - first
         seen_way[i] = way_mm[at] + _length(across, along, block.z[i], z, (dx, dy, dz), reflected, geometry.height)
-        for k in range(scores.shape[0]):
+        for k in range(scores.shape[1]):
             seen_turning[i, k] = turning[at, k]
         count_turn(seen_turning, i, cosine, sampling.phase, scores)
         if shiftable:
@@ -387,7 +387,7 @@ def traced_tangents(
     limits = PathLimits(max_order, faintest, THINNING, lowest=lowest)
     middles = (np.arange(grid.columns) + 0.5) * grid.cell_mm[0]
     scores = NO_SCORES if medium.phase is None else scores_towards(others, medium.phase)
-    layers = LAYERS + len(scores)
+    layers = LAYERS + scores.shape[1]
     cells = np.zeros((grid.rows, grid.columns, layers))
     found = np.zeros((layers, grid.rows, grid.columns))
     lit = [beam for beam in scene.projector.beams if beam.irradiance > 0.0]
@@ -412,7 +412,7 @@ def traced_tangents(
 
 
 def scores_towards(others: Sequence[PhaseFunction], phase: PhaseFunction) -> Array:
-    """(k, nodes) q/p − 1 at the nodes of a table, for k phase functions q.
+    """(nodes, k) q/p − 1 at the nodes of a table, for k phase functions q; those of a node lie side by side.
 
     Examples
     --------
@@ -421,4 +421,4 @@ def scores_towards(others: Sequence[PhaseFunction], phase: PhaseFunction) -> Arr
     np.False_
     """
     table = np.maximum(phase.table, 1e-300)
-    return np.array([other.table / table - 1.0 for other in others]).reshape(len(others), table.size)
+    return np.array([other.table / table - 1.0 for other in others]).reshape(len(others), table.size).T.copy()

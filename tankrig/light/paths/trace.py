@@ -60,7 +60,8 @@ from tankrig.light.paths.record import (
 from tankrig.light.rays import Geometry, Ray
 from tankrig.light.water import Water
 from tankrig.scene.phase import (
-    drawn_cosine,
+    densities,
+    drawn_cosines,
     henyey_greenstein,
     henyey_greenstein_cosine,
     phase_density,
@@ -200,13 +201,17 @@ def narrow(block: Block, n: int, geometry: Geometry) -> None:
 
 
 @part
-def probed(
+def probe_way(
     block: Block, step: Step, i: int, geometry: Geometry, sampling: PathSampling, index: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """A last flight in a direction from the lobe about the line of sight: where to, direction, weight scattered there.
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """A last flight in a direction from the lobe about the line of sight.
 
-    Scattering has yet to turn the light into the camera. With h the lobe, q the wide one, and r what has remained and
-    turned, the weight grows by ϖ (chance to collide) p/(r (h + p) + (share that turns here) (q − p)).
+    Returns
+    -------
+    x, y, z, dx, dy, dz, chance
+        Where it leads, its direction there, and the chance that it collides inside.
+    turn, ahead
+        Cosines of its direction with the path's before, and with the line of sight.
     """
     dx, dy, dz = block.dx[i], block.dy[i], block.dz[i]
     sx, sy, sz = block.sx[i], block.sy[i], block.sz[i]
@@ -214,18 +219,41 @@ def probed(
     px, py, pz, _, _, _ = scattered(
         sx, sy, sz, rx, ry, rz, henyey_greenstein_cosine(step.u[i], sampling.phase.g), step.v[i]
     )  # fmt: skip
-    plain = phase_density(px * dx + py * dy + pz * dz, sampling.phase)
+    turn = px * dx + py * dy + pz * dz
     ahead = px * sx + py * sy + pz * sz
+    qx, qy, qz, pz, chance = fly(
+        _walls(block, i, geometry), geometry.height, index, sampling.sigma_t,
+        Ray(block.x[i], block.y[i], block.z[i], px, py, pz), step.w[i],
+    )  # fmt: skip
+    return qx, qy, qz, px, py, pz, chance, turn, ahead
+
+
+@part
+def probe_weight(
+    block: Block, step: Step, i: int, sampling: PathSampling, chance: float, plain: float, ahead: float
+) -> float:
+    """The weight that is scattered at the end of `probe_way`, `plain` being p of its turn.
+
+    Scattering has yet to turn the light into the camera. With h the lobe, q the wide one, and r what has remained and
+    turned, the weight grows by ϖ (chance to collide) p/(r (h + p) + (share that turns here) (q − p)).
+    """
     before = step.remaining + block.turned[i]
     per_turn = sampling.per_turn if turns_at(step.order, sampling) else 0.0
     density = before * (henyey_greenstein(ahead, sampling.phase.g) + plain) + per_turn * (
         _wide_lobe(ahead, sampling.phase.g) - plain
     )
-    qx, qy, qz, pz, chance = fly(
-        _walls(block, i, geometry), geometry.height, index, sampling.sigma_t,
-        Ray(block.x[i], block.y[i], block.z[i], px, py, pz), step.w[i],
-    )  # fmt: skip
-    return qx, qy, qz, px, py, pz, block.weight[i] * chance * sampling.albedo * plain / density
+    weight: float = block.weight[i] * chance * sampling.albedo * plain / density
+    return weight
+
+
+@part
+def probed(
+    block: Block, step: Step, i: int, geometry: Geometry, sampling: PathSampling, index: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """A probe: where it leads, its direction there, and the weight that is scattered there."""
+    x, y, z, dx, dy, dz, chance, turn, ahead = probe_way(block, step, i, geometry, sampling, index)
+    weight = probe_weight(block, step, i, sampling, chance, phase_density(turn, sampling.phase), ahead)
+    return x, y, z, dx, dy, dz, weight
 
 
 @part
@@ -262,19 +290,34 @@ def _probe_from(
 def arrive(tally: TallyRecord, block: Block, n: int, sampling: PathSampling) -> None:
     """What the ends of paths send to the camera."""
     for i in range(n):
-        ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
-        tally.value[i] = block.seen[i] * phase_density(ahead, sampling.phase) * block.reaches[i]
+        tally.value[i] = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
+    densities(tally.value, tally.value, n, sampling.phase)
+    for i in range(n):
+        tally.value[i] *= block.seen[i] * block.reaches[i]
 
 
 @kernel
 def _probe_anywhere(probes: Ends, block: Block, step: Step, n: int, geometry: Geometry, sampling: PathSampling) -> None:
     """Probes of paths that may begin anywhere."""
-    if geometry.refractive_index == 1.0:
+    if len(sampling.phase) == 2:
+        if geometry.refractive_index == 1.0:
+            for i in range(n):
+                _probe_from_anywhere(probes, block, step, i, geometry, 1.0, sampling)
+        else:
+            for i in range(n):
+                _probe_from_anywhere(probes, block, step, i, geometry, geometry.refractive_index, sampling)
+    else:  # see `densities`
+        cosines = np.empty((2, n))
+        if geometry.refractive_index == 1.0:
+            for i in range(n):
+                _send_probe(probes, cosines, block, step, i, geometry, 1.0, sampling)
+        else:
+            for i in range(n):
+                _send_probe(probes, cosines, block, step, i, geometry, geometry.refractive_index, sampling)
+        plain, ahead = cosines
+        densities(plain, plain, n, sampling.phase)
         for i in range(n):
-            _probe_from_anywhere(probes, block, step, i, geometry, 1.0, sampling)
-    else:
-        for i in range(n):
-            _probe_from_anywhere(probes, block, step, i, geometry, geometry.refractive_index, sampling)
+            probes.weight[i] = probe_weight(block, step, i, sampling, probes.weight[i], plain[i], ahead[i])
 
 
 @part
@@ -285,15 +328,27 @@ def _probe_from_anywhere(
     probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, weight
 
 
+@part
+def _send_probe(
+    probes: Ends, cosines: Array, block: Block, step: Step, i: int, geometry: Geometry, index: float,
+    sampling: PathSampling,
+) -> None:  # fmt: skip
+    """A probe whose weight is no more than its chance so far, and the cosines (2, n) that the rest depends on."""
+    x, y, z, _, _, dz, chance, cosines[0, i], cosines[1, i] = probe_way(block, step, i, geometry, sampling, index)
+    probes.x[i], probes.y[i], probes.z[i], probes.dz[i], probes.weight[i] = x, y, z, dz, chance
+
+
 @kernel
 def cover(
     tally: TallyRecord, ends: Ends, block: Block, n: int, geometry: Geometry, sampling: PathSampling, cell_mm: float
 ) -> None:
     """What paths send to the camera, for all their starts x', whose light goes with exp(−σt x')."""
+    up = np.empty(n)
+    densities(up, ends.dz, n, sampling.phase)
     for i in range(n):
         x = ends.x[i]
         low, high = max(block.x_low[i], -x), min(block.x_high[i], geometry.length - x)
-        value = ends.weight[i] * phase_density(ends.dz[i], sampling.phase)
+        value = ends.weight[i] * up[i]
         value = value * exponential(-sampling.sigma_t * (geometry.height - ends.z[i])) if high > low else 0.0
         tally.value[i] = value
         tally.first[i], tally.first_part[i], tally.first_on[i] = column_of(low, x, sampling.sigma_t, value, cell_mm)
@@ -328,8 +383,9 @@ def _cover_some(
     """
     light, marks = chances.usual
     faint = chances.share * light / marks if marks > 0.0 else 0.0
+    densities(tally.value, ends.dz, n, sampling.phase)
     for i in range(n):
-        value = ends.weight[i] * phase_density(ends.dz[i], sampling.phase)
+        value = ends.weight[i] * tally.value[i]
         tally.value[i] = value * exponential(-sampling.sigma_t * (geometry.height - ends.z[i]))
     k = 0
     for i in range(n):
@@ -356,29 +412,50 @@ def _cover_some(
 @kernel
 def scatter(block: Block, step: Step, n: int, sampling: PathSampling) -> None:
     """Draw new directions."""
-    order, remaining, u, v, _ = step
-    phase, g = sampling.phase, sampling.phase.g
-    per_turn = sampling.per_turn if sampling.guided and turns_at(order, sampling) else 0.0
-    probed = 1.0 if sampling.guided and order >= 2 else 0.0
-    for i in range(n):
-        sx, sy, sz = block.sx[i], block.sy[i], block.sz[i]
-        ox, oy, oz = block.dx[i], block.dy[i], block.dz[i]
-        turns, wide = block.turn[i] == order, v[i] < 0.5
-        rx, ry, rz = across(sx, sz)
-        dx, dy, dz, ex, ey, ez = scattered(
-            sx if turns else ox, sy if turns else oy, sz if turns else oz,
-            rx if turns else block.ex[i], ry if turns else block.ey[i], rz if turns else block.ez[i],
-            henyey_greenstein_cosine(u[i], g**2 if wide else g**4) if turns else drawn_cosine(u[i], phase),
-            (2.0 * v[i] - (0.0 if wide else 1.0)) if turns else v[i],
-        )  # fmt: skip
-        plain = phase_density(dx * ox + dy * oy + dz * oz, phase)
-        ahead = dx * sx + dy * sy + dz * sz
-        before = remaining + block.turned[i]
-        after = before + per_turn * (_wide_lobe(ahead, g) / plain - 1.0)
-        block.dx[i], block.dy[i], block.dz[i] = dx, dy, dz
-        block.ex[i], block.ey[i], block.ez[i] = ex, ey, ez
-        block.turned[i] = after - (remaining - per_turn)
-        block.share[i] = 1.0 / (after + probed * before * henyey_greenstein(ahead, g) / plain)
+    phase = sampling.phase
+    if len(phase) == 2:
+        for i in range(n):
+            ox, oy, oz = block.dx[i], block.dy[i], block.dz[i]
+            _turn(block, step, i, henyey_greenstein_cosine(step.u[i], phase.g), phase.g)
+            cosine = block.dx[i] * ox + block.dy[i] * oy + block.dz[i] * oz
+            _count_ways(block, step, i, henyey_greenstein(cosine, phase.g), sampling)
+    else:  # see `densities`
+        drawn, plain = np.empty(n), np.empty(n)
+        drawn_cosines(drawn, step.u, n, phase)
+        for i in range(n):
+            ox, oy, oz = block.dx[i], block.dy[i], block.dz[i]
+            _turn(block, step, i, drawn[i], phase.g)
+            plain[i] = block.dx[i] * ox + block.dy[i] * oy + block.dz[i] * oz
+        densities(plain, plain, n, phase)
+        for i in range(n):
+            _count_ways(block, step, i, plain[i], sampling)
+
+
+@part
+def _turn(block: Block, step: Step, i: int, drawn: float, g: float) -> None:
+    """A new direction, at an angle of the cosine `drawn` unless the path turns into a lobe."""
+    sx, sy, sz = block.sx[i], block.sy[i], block.sz[i]
+    turns, wide = block.turn[i] == step.order, step.v[i] < 0.5
+    rx, ry, rz = across(sx, sz)
+    block.dx[i], block.dy[i], block.dz[i], block.ex[i], block.ey[i], block.ez[i] = scattered(
+        sx if turns else block.dx[i], sy if turns else block.dy[i], sz if turns else block.dz[i],
+        rx if turns else block.ex[i], ry if turns else block.ey[i], rz if turns else block.ez[i],
+        henyey_greenstein_cosine(step.u[i], g**2 if wide else g**4) if turns else drawn,
+        (2.0 * step.v[i] - (0.0 if wide else 1.0)) if turns else step.v[i],
+    )  # fmt: skip
+
+
+@part
+def _count_ways(block: Block, step: Step, i: int, plain: float, sampling: PathSampling) -> None:
+    """All ways to draw the new direction, `plain` being p of its turn."""
+    g = sampling.phase.g
+    per_turn = sampling.per_turn if sampling.guided and turns_at(step.order, sampling) else 0.0
+    probed = 1.0 if sampling.guided and step.order >= 2 else 0.0
+    ahead = block.dx[i] * block.sx[i] + block.dy[i] * block.sy[i] + block.dz[i] * block.sz[i]
+    before = step.remaining + block.turned[i]
+    after = before + per_turn * (_wide_lobe(ahead, g) / plain - 1.0)
+    block.turned[i] = after - (step.remaining - per_turn)
+    block.share[i] = 1.0 / (after + probed * before * henyey_greenstein(ahead, g) / plain)
 
 
 @kernel
