@@ -123,7 +123,7 @@ def test_the_count_survives_the_emulators_own_death(emulators: Emulators) -> Non
             doser.clear_stop()
         _, low, high = doser.delivered()
         assert low <= emulators.steps() / 10 <= high <= low + 0.1 * cut + 1e-9
-        killer = threading.Thread(target=kill_when, args=(board, emulators, 300 * cut))
+        killer = threading.Thread(target=kill_when, args=(board, emulators, emulators.steps() + 300))
         killer.start()
         with pytest.raises(UndecidedError):
             doser.dose_to(1000.0)

@@ -333,7 +333,7 @@ def test_a_refit_with_a_free_background_has_it_in_all_orders():
     pattern = draw(Sheet((-60.0, 60.0), (50.0, 70.0)), BENCH.wall)
     scene = BENCH.scene(pattern, Medium(1e-4, 0.004, 0.5))
     bare = Photograph("sheet", 0.1, 0.0, scene, np.zeros(scene.camera.shape), np.ones(scene.camera.shape), 0.0, 1)
-    light = predicted(bare, Medium(1e-4, 0.004, 0.5)).image
+    light = predicted(bare, DoseFit(0.1, Medium(1e-4, 0.004, 0.5))).image
     image = 100.0 * light + 0.3 * 100.0 * light.max()
     fit = DoseFit(0.1, Medium(1e-4, 0.004, 0.5), gain=100.0)
     free = Photograph("sheet", 0.1, 0.0, scene, image, np.ones_like(image), "free", 1)

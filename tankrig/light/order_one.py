@@ -64,10 +64,12 @@ def once_through(lens: CameraLens, media: Sequence[Medium]) -> tuple[Array, Arra
     edged, _ = edged_and_smooth(lens.scene)
     sharp = replace(lens, scene=edged)
     back = _sent_back(sharp.fine, media, lens.seen_mm, _smooth_cell_mm(edged))
+    # Light by way of walls is computed on cells of the surface, which are a plain camera's own pixels.
+    fine = back[:1] if lens.scene.camera.kind == "calibrated" else back
     ideal, seen = sharp.order_one(
-        lambda one: sum((light.seen_by(one) for light in back[:1]), _directly(one, media, lens.seen_mm))
+        lambda one: sum((light.seen_by(one) for light in fine), _directly(one, media, lens.seen_mm))
     )
-    without_edges = [light.seen_by(lens.wide) for light in back[1:]]
+    without_edges = [light.seen_by(lens.wide) for light in back[len(fine) :]]
     smooth = _smooth(lens.wide, media)
     for wide in (*without_edges, *(() if smooth is None else (smooth,))):
         ideal, seen = ideal + wide, seen + np.array([lens.of_wide(one) for one in wide])
