@@ -528,6 +528,15 @@ def test_models_are_prepared_by_a_picture_of_ink_that_still_mixes(monkeypatch: p
     assert exposures.photographs()[0].frames == 1
 
 
+def test_a_picture_of_mixing_ink_that_cannot_be_read_does_not_end_the_run(caplog: pytest.LogCaptureFixture) -> None:
+    """It is shown to the live fit in the run's own thread: what it raises there would stop the experiment."""
+    conditions = Conditions(Delivered(100.0, 99.0, 101.0), CameraSettings(10.0))
+    with LiveFit(plan(), lambda _: None) as fit:
+        fit.watch(PATTERNS["sheet"], np.zeros((7, 5), np.uint16), conditions)
+        assert "could not look at ink that mixes" in caplog.text
+        assert fit.pid is not None
+
+
 class ByPattern(Boxes):
     """Models are ready by pattern."""
 

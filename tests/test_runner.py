@@ -419,7 +419,7 @@ def test_it_waits_until_the_ink_has_mixed_and_records_the_time_scale(tmp_path):
 
 
 def test_pictures_of_ink_that_has_nearly_mixed_are_shown_while_it_mixes_and_are_not_recorded(tmp_path):
-    """By them a live fit has its models prepared before there is a frame, and a fit that fails must not end the run."""
+    """By them a live fit has its models prepared before there is a frame."""
     rig = memory_rig(tmp_path)
     rig.camera.mixing_s = 0.15
     steps = (Dose(10.0), Mix(tolerance=0.01, every_s=0.01, at_least_s=0.1, timeout_s=20.0), Capture("full", 1))

@@ -344,7 +344,7 @@ def described_with(scene: Scene, sizes: Mapping[str, float]) -> Scene:
     scene
         As described.
     sizes
-        Of halo, veil and floor, see `unmeasured`; a share below none is none.
+        Of halo, its width, veil and floor, see `unmeasured`; a share below none is none.
 
     Examples
     --------
@@ -354,7 +354,8 @@ def described_with(scene: Scene, sizes: Mapping[str, float]) -> Scene:
     >>> described_with(scene, {"floor": 0.03}).tank.faces.floor.reflectance, described_with(scene, {}) == scene
     (0.03, True)
     """
-    found, size = as_found(scene, sizes), max(sizes.get("floor", 0.0), 0.0)
+    found = _of_width(as_found(scene, sizes), sizes.get("halo_width", 0.0))
+    size = max(sizes.get("floor", 0.0), 0.0)
     veil_share = float(np.clip(scene.camera.veil + sizes.get("veil", 0.0), 0.0, MOST_VEIL))
     faces = found.tank.faces
     if size > 0.0 and faces.floor.dark:
@@ -505,7 +506,8 @@ def require_sd(name: str, sd: object) -> None:
 def _of_width(scene: Scene, wider: float) -> Scene:
     """A scene whose camera's halo has another width, by its logarithm."""
     halo = scene.camera.halo
-    return replace(scene, camera=replace(scene.camera, halo=replace(halo, sigma_mm=halo.sigma_mm * np.exp(wider))))
+    wide = replace(halo, sigma_mm=halo.sigma_mm * float(np.exp(wider)))
+    return replace(scene, camera=replace(scene.camera, halo=wide))
 
 
 def _by_width(scene: Scene, image: Image, found: Mapping[str, float]) -> Array:

@@ -157,10 +157,7 @@ def _corrected_by_shares(
         return here.fit(end.coordinates)
 
     near = SETTLED * problem.looseness
-    exact = [shot.models.exact for shot in shots if shot.models.exact]
-
-    def roughly(at: Evaluation) -> list[Prediction]:
-        return [one(medium, ROUGH) for one, medium in zip(exact, at.media, strict=True)]
+    roughly = partial(_exact, shots, times=ROUGH)
 
     progress("correcting by accurate images")
     centre, told = best, shares_at(best, FIRST)
@@ -181,7 +178,7 @@ def _corrected_by_shares(
     progress("correcting by accurate images")
     centre, told = further, shares_at(further, 1.0)
     wholes = _exact(shots, centre)
-    parts = [remembered(partial(_by_share, one, NEXT)) for one in exact]
+    parts = [remembered(partial(_by_share, shot.models.exact, NEXT)) for shot in shots if shot.models.exact]
     around = [Nearby(*one) for one in zip(parts, centre.media, wholes, strict=True)]
 
     def exactly(at: Evaluation) -> list[Prediction]:

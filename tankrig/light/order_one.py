@@ -87,9 +87,9 @@ def _sent_back(
 ) -> list["OnSurface"]:
     """Order 1 of beams by way of clear walls, on the surface: what has edges, and what is too faint for any.
 
-    The less there is of it, the more coarsely it is computed; nothing at all if no wall is clear.
-    A beam that comes back from the far wall has two pinholes for a wide lens. What is seen of it by way of another wall
-    has no soft edges either, on cells of a pixel's longer side.
+    The less there is of it, the more coarsely it is computed; nothing at all if no wall is clear. A beam that comes
+    back from the far wall has two pinholes for a wide lens. What is seen of it by way of another wall has no soft edges
+    either, on cells of a pixel's longer side.
     """
     if scene.tank.faces.dark:
         return []

@@ -189,8 +189,9 @@ class Exposures:
             When it was taken.
         """
         settings, tank = conditions.camera, conditions.tank
-        known = pattern.hash in self._lit and settings is not None and self._sees(settings)
-        if not known or settings is None or not np.isfinite(tank.high_ul):
+        if settings is None or not self._sees(settings):
+            return False
+        if pattern.hash not in self._lit or not np.isfinite(tank.high_ul):
             return False
         dose_ml, first = tank.volume_ul / 1000.0, not self._mixing[2]
         first = first or abs(float(self._mixing[0]) - dose_ml) > SAME_ML
@@ -227,7 +228,7 @@ class Exposures:
 
     @staticmethod
     def _sd_ml(tank: Delivered) -> float:
-        """Of what the tank holds, which is anywhere between its bounds alike: the width by √12."""
+        """Standard deviation of what the tank holds, anywhere between its bounds alike: their distance by √12."""
         return float((tank.high_ul - tank.low_ul) / 1000.0 / np.sqrt(12.0))
 
     def _enter(self, tank: Delivered) -> bool:

@@ -133,13 +133,15 @@ class LiveFit:
         """Look at a picture of ink that has nearly mixed; give this to `Runner.while_mixing`.
 
         Models can then be prepared while ink mixes. It returns at once: where the process reads the sums just then, the
-        picture is let go, and the next will do.
+        picture is let go, and the next will do. The run goes on whatever is wrong with a picture.
         """
         if self._closing.is_set() or not self._lock.acquire(block=False):
             return
         try:
             if not self._closing.is_set() and self._exposures.watch(pattern, pixels, conditions):
                 self._news.set()
+        except Exception:
+            _log.exception("the live fit could not look at ink that mixes")
         finally:
             self._lock.release()
 

@@ -27,6 +27,8 @@ from tankrig.separation.recorded import separations_of_run
 if TYPE_CHECKING:
     pass
 
+ALONG = {"halo_width": "logarithm of the halo's width"}
+"""What is fitted along, where its name in the journal is no word."""
 WORDS = {"1": "order 1", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders"}
 
 
@@ -168,7 +170,7 @@ def _dose_row(one: DoseFit, sigma_t: float) -> dict[str, str]:
 
 def _along(one: DoseFit) -> str:
     """What was fitted along at a dose, as nobody has measured it."""
-    sizes = ", ".join(f"{name} {with_error(value, sd)}" for name, (value, sd) in one.astray.items())
+    sizes = ", ".join(f"{ALONG.get(name, name)} {with_error(value, sd)}" for name, (value, sd) in one.astray.items())
     return f"{one.dose_ml:.4g} ml: {sizes}"
 
 

@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 _MOST_SATURATED = 0.2
 _NEARLY_MIXED = 0.1
-"""Of the picture, what is still to change: what ink it is can be told to about as much."""
+"""Share of the picture that is still to change, from which on it tells about as well what ink it is."""
 _POLL_S = 0.1
 _CATCH_UP_S, _LOOK_S = 2.0, 0.01
 """How long, in all, a step without a timeout waits for a fast live fit to have seen its frames; from look to look."""

@@ -145,6 +145,7 @@ def left_of(folder: Path) -> Iterator[list[str]]:
     from drivers.rig import load_rig_file
     from tankrig.calibration.file import usable
     from tankrig.live.refit import unfitted
+    from tankrig.run.journal_io import JOURNAL
     from tankrig.run.reading import open_run
 
     description = load_rig_file(folder / RIG)
@@ -158,8 +159,8 @@ def left_of(folder: Path) -> Iterator[list[str]]:
         yield ["run", "--resume", str(run), "--rig", str(folder / RIG)]
     if unfitted(open_run(run)):
         yield ["refit", str(run), "--rig", str(folder / RIG)]
-    report, newest = run / "report.html", max(one.stat().st_mtime for one in run.glob("journal*"))
-    if not report.exists() or report.stat().st_mtime < newest:  # fits that came later are not in it
+    report = run / "report.html"
+    if not report.exists() or report.stat().st_mtime < (run / JOURNAL).stat().st_mtime:  # later fits are not in it
         yield ["report", str(run)]
 
 

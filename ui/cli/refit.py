@@ -99,7 +99,7 @@ def refit(
     done = len(made) - len(failed)
     click.echo(f"{done} fits recorded in {run}" if made else f"{run}: everything is fitted; --all fits it anew")
     if done and (run / "report.html").exists():
-        click.echo(f"its report is of before: tankrig report {run}")
+        click.echo(f"its report does not have them yet; to write it anew: tankrig report {run}")
     return 1 if failed else 0
 
 

@@ -263,7 +263,7 @@ def _projection(batches: Array) -> Array | None:
 
 
 def _products(matrix: Array) -> Array:
-    """Of its columns with each other, or of its rows where they are fewer."""
+    """Products of a matrix's columns with each other, or of its rows where they are fewer."""
     rows, columns = matrix.shape
     products: Array = matrix.T @ matrix if columns <= rows else matrix @ matrix.T
     return products
