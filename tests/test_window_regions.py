@@ -1,7 +1,11 @@
 """Regions on the picture: counted where they lie, kept with the run, and never shown with another run."""
 
+import weakref
+
 import numpy as np
 import pytest
+import shiboken6
+from pyqtgraph.parametertree import Parameter
 from PySide6.QtCore import QRectF, Qt
 from PySide6.QtGui import QGuiApplication
 from PySide6.QtTest import QTest
@@ -16,6 +20,7 @@ from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window.frame_renderer import ViewSettings, statistics_of
 from ui.window.observed_devices import SeenFrame
 from ui.window.palette import Palette
+from ui.window.parameter_tree import parameter_tree
 
 SHORT = (
     'name = "short"\nexposure_ms = 5\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n'
@@ -87,6 +92,16 @@ def test_numbers_of_the_tree_move_the_region_and_follow_it(window):
     row.setName("glass")
     assert [drawn.name for drawn in window.live.regions.drawn] == ["glass", other.name]
     assert [drawn.label.toPlainText() for drawn in window.live.regions.drawn] == ["glass", other.name]
+
+
+@pytest.mark.usefixtures("qapp")
+def test_nothing_of_a_tree_is_left_where_qt_makes_its_next_widget():
+    root = Parameter.create(name="all", type="group", children=[{"name": "x", "type": "float", "value": 1.0}])
+    tree = parameter_tree(root)
+    kept = weakref.ref(tree.invisibleRootItem()._real_item)  # noqa: SLF001 - pyqtgraph's own, which has no other way to it
+    assert kept() is not None
+    shiboken6.delete(tree)
+    assert kept() is None
 
 
 def test_a_line_is_placed_by_its_numbers(window):

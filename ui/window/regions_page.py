@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
-from pyqtgraph.parametertree import Parameter, ParameterTree
+from pyqtgraph.parametertree import Parameter
 from PySide6.QtCore import QRectF, Qt, Signal
 from PySide6.QtGui import QColor, QGuiApplication
 from PySide6.QtWidgets import QComboBox, QLabel, QPushButton, QSplitter, QVBoxLayout, QWidget
@@ -20,6 +20,7 @@ from ui.window.flow import Flow, take_rest
 from ui.window.frame_renderer import RegionNow
 from ui.window.live_curves import LineProfile
 from ui.window.on_screen import OnScreen
+from ui.window.parameter_tree import parameter_tree
 from ui.window.picture_regions import DrawnRegion, PictureRegions
 from ui.window.shown import Shown
 from ui.window.source import Kind
@@ -289,8 +290,7 @@ class RegionsPage(QWidget):
         self._pattern.setMinimumWidth(110)
         self._pattern.activated.connect(lambda _: self._draw())
         self._root = Parameter.create(name="on the picture", type="group")
-        self._tree = ParameterTree(showHeader=False)
-        self._tree.setParameters(self._root, showTop=False)
+        self._tree = parameter_tree(self._root, show_top=False)
         self._tree.setAccessibleName("places of the regions, in mm on the water")
         self._plot = pg.PlotWidget(enableMenu=False)
         self._tree.setMinimumHeight(110)

@@ -5,13 +5,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pyqtgraph.parametertree import Parameter, ParameterTree
+from pyqtgraph.parametertree import Parameter
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import QDialog, QHBoxLayout, QLabel, QPushButton, QSplitter, QVBoxLayout, QWidget
 
 from ui.window import jobs
 from ui.window.on_screen import Worker
+from ui.window.parameter_tree import parameter_tree
 from ui.window.source_frame import SourceFrame
 from ui.window.tank_plot import TankPlot
 from ui.window.tone import Tone
@@ -134,8 +135,7 @@ class SceneWindow(QDialog):
             self.tree_root.child(symbol).sigValueChanged.connect(
                 lambda _, value, name=name: self.change(name, float(value))
             )
-        tree: Any = ParameterTree(showHeader=False)
-        tree.setParameters(self.tree_root)
+        tree = parameter_tree(self.tree_root)
         self._plot, self._says = TankPlot(), QLabel("The picture is being predicted…")
         self._says.setWordWrap(True)
         copy, close = QPushButton("Copy as Python"), QPushButton("Close")
