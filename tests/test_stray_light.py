@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 import tankrig
 from tankrig.errors import SceneError
-from tankrig.estimation.astray import Astray, AstrayBlock, as_found, causes
+from tankrig.estimation.astray import Astray, AstrayBlock, causes
+from tankrig.estimation.found_optics import as_found
 from tankrig.estimation.residual import likely_cause
 from tankrig.light import high_orders
 from tankrig.light.double import double_scattering

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
+from tankrig.estimation.found_optics import LEAST_PANE, of_width
 from tankrig.estimation.parameters import FURTHEST_OFF, Block, Values
 from tankrig.scene import Beam, Medium, Scene
 from tankrig.scene.optics import MOST_HALO, MOST_VEIL, NO_HALO, PINHOLE, Blur, Face, Halo, WideLens
@@ -40,8 +41,6 @@ FLOOR, FACE_LATTICES, SEED = 0.05, 4, 7
 """Reflectance that stands for any; lattices of paths for a pattern, and their seed."""
 ROUGH, BATCHES = 0.05, 4
 """Tolerance and lattices of the image that a dark picture's light makes."""
-LEAST_PANE = 0.3
-"""Share of what glass reflects from which on a pane is one."""
 WIDTH_STEP, MOST_WIDER = 0.1, 1.25
 """By which the logarithm of a halo's width is differenced, and how far it is believed to be off."""
 OTHER_WIDTH, OTHER_MM = 2.0, 3.0
@@ -311,58 +310,6 @@ def causes(
     }
 
 
-def as_found(scene: Scene, sizes: Mapping[str, float]) -> Scene:
-    """A scene with halos and an entry pane as they were fitted along.
-
-    Parameters
-    ----------
-    scene
-        As described.
-    sizes
-        What was fitted beyond that, by its name in `ASTRAY`.
-    """
-    camera, light, faces = scene.camera, scene.projector, scene.tank.faces
-
-    def more(halo: Halo, name: str) -> Halo:
-        return replace(halo, share=float(np.clip(halo.share + sizes.get(name, 0.0), 0.0, MOST_HALO)))
-
-    if sizes.get("pane", 0.0) > LEAST_PANE:
-        faces = replace(faces, entry=replace(faces.entry, kind="glass"))
-    return replace(
-        scene,
-        camera=replace(camera, halo=more(camera.halo, "halo")),
-        projector=replace(light, halo=more(light.halo, "projector_halo")),
-        tank=replace(scene.tank, faces=faces),
-    )
-
-
-def described_with(scene: Scene, sizes: Mapping[str, float]) -> Scene:
-    """A scene with all that fits of a run have along, so that its images have what these had.
-
-    Parameters
-    ----------
-    scene
-        As described.
-    sizes
-        Of halo, its width, veil and floor, see `unmeasured`; a share below none is none.
-
-    Examples
-    --------
-    >>> from tankrig.scene import Beam, Camera, Projector, Tank
-    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
-    >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.0), light, Camera("orthographic", (80, 120), 2.0))
-    >>> described_with(scene, {"floor": 0.03}).tank.faces.floor.reflectance, described_with(scene, {}) == scene
-    (0.03, True)
-    """
-    found = _of_width(as_found(scene, sizes), sizes.get("halo_width", 0.0))
-    size = max(sizes.get("floor", 0.0), 0.0)
-    veil_share = float(np.clip(scene.camera.veil + sizes.get("veil", 0.0), 0.0, MOST_VEIL))
-    faces = found.tank.faces
-    if size > 0.0 and faces.floor.dark:
-        faces = replace(faces, floor=Face("diffuse", min(size, 1.0)))
-    return replace(found, camera=replace(found.camera, veil=veil_share), tank=replace(found.tank, faces=faces))
-
-
 @dataclass(frozen=True)
 class Astray:
     """What may go astray in a scene.
@@ -394,7 +341,7 @@ class Astray:
         """The same with the patterns of a liquid and its image, at sizes in standard deviations."""
         scene, beside = replace(self.scene, medium=medium), np.zeros(image.shape)
         found = {name: float(size) * sd for (name, sd), size in zip(self.sd.items(), sizes, strict=True)}
-        wider = _of_width(scene, found.get("halo_width", 0.0))
+        wider = of_width(scene, found.get("halo_width", 0.0))
         patterns = []
         for name, sd in self.sd.items():
             mm2 = found[name]
@@ -503,16 +450,9 @@ def require_sd(name: str, sd: object) -> None:
         raise SceneError(f"nuisance {name} = {sd!r} is no standard deviation; give a positive number")
 
 
-def _of_width(scene: Scene, wider: float) -> Scene:
-    """A scene whose camera's halo has another width, by its logarithm."""
-    halo = scene.camera.halo
-    wide = replace(halo, sigma_mm=halo.sigma_mm * float(np.exp(wider)))
-    return replace(scene, camera=replace(scene.camera, halo=wide))
-
-
 def _by_width(scene: Scene, image: Image, found: Mapping[str, float]) -> Array:
     """Derivative of an image by the logarithm of its halo's width, where so much of both was found."""
-    widths = (_of_width(scene, found["halo_width"] + step).camera.halo.sigma_mm for step in (WIDTH_STEP, -WIDTH_STEP))
+    widths = (of_width(scene, found["halo_width"] + step).camera.halo.sigma_mm for step in (WIDTH_STEP, -WIDTH_STEP))
     wide, narrow = (_blurred(scene, image, width) for width in widths)
     return np.asarray((scene.camera.halo.share + found.get("halo", 0.0)) * (wide - narrow) / (2.0 * WIDTH_STEP))
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes, values_of
 from tankrig.estimation.followed import Followed, Model, remembered
-from tankrig.estimation.forward import Exact, Nearby, corrected, image_of, stated_error
+from tankrig.estimation.forward import Exact, corrected, image_of, stated_error
 from tankrig.estimation.light_beside import is_solved
+from tankrig.estimation.nearby import Nearby
 from tankrig.estimation.optimiser import LAST_STEPS, solve, without_noise
 from tankrig.estimation.phase_block import PhaseBlock
 from tankrig.estimation.phase_families import Family
@@ -81,7 +82,9 @@ def corrected_fit(
     """
     followed = [model for model in models if isinstance(model, Followed)]
     if any(shot.models.family for shot in shots) and len(followed) == len(models):
-        return _corrected_by_shares(best, shots, followed, progress, sharper)
+        by_shares = _ByShares(best.problem, shots, followed, progress)
+        centre, made = by_shares.by_few_paths(best)
+        return by_shares.by_all_paths(centre, MOST_CORRECTIONS - made, sharper)
     return _corrected_by_models(best, shots, models, progress, sharper)
 
 
@@ -128,77 +131,99 @@ def _corrected_by_models(
     return replace(fit, optimum=whole.at(end.coordinates))
 
 
-def _corrected_by_shares(
-    best: Evaluation, shots: Sequence[Shot], models: Sequence[Followed], progress: Told, sharper: bool
-) -> Fit:
-    """The optimum by exact images, about which a phase function's coordinates change what paths bring by shares of it.
+@dataclass(frozen=True)
+class _ByShares:
+    """A fit about exact images, where a phase function's coordinates change what paths bring by shares of it.
 
     Orders 1 and 2 are computed as they are, see `Followed.about`. Derivatives along paths are dear, and told twice: by
     few lattices where the search has ended, and where a fit by few paths has settled, or gains nothing any more. There
     one exact image is made by all paths, and further ones next to it, see `Nearby`.
-    """
-    problem = best.problem
 
-    def shares_at(centre: Evaluation, share: float) -> _Shares:
-        told = [model.with_share(share) for model in models]
+    Parameters
+    ----------
+    problem
+        That was solved.
+    shots
+        Whose exact images are asked for.
+    models
+        Of their views.
+    progress
+        Told in words what is being done.
+    """
+
+    problem: Problem
+    shots: Sequence[Shot]
+    models: Sequence[Followed]
+    progress: Told
+
+    @property
+    def near(self) -> Vector:
+        """Standard deviations that a settled value stays within."""
+        return SETTLED * self.problem.looseness
+
+    def shares_at(self, centre: Evaluation, share: float) -> "_Shares":
+        """Derivatives by a share of the lattices."""
+        told = [model.with_share(share) for model in self.models]
         shares = [model.shares(medium) for model, medium in zip(told, centre.media, strict=True)]
-        noise = [shot.slopes_noise_of(model) for shot, model in zip(shots, told, strict=True)]
+        noise = [shot.slopes_noise_of(model) for shot, model in zip(self.shots, told, strict=True)]
         return _Shares(shares, _at_media(noise, centre.media))
 
-    def about(centre: Evaluation, seen: Sequence[Prediction], start: Evaluation, told: _Shares) -> Fit:
-        parts = list(zip(models, centre.media, seen, told.shares, strict=True))
+    def about(self, centre: Evaluation, seen: Sequence[Prediction], told: "_Shares", start: Evaluation) -> Fit:
+        """The optimum as models change about the exact images of a place."""
+        parts = list(zip(self.models, centre.media, seen, told.shares, strict=True))
         near = [model.about(medium, one, share) for model, medium, one, share in parts]
         slopes = [model.slopes_about(medium, one.image, share) for model, medium, one, share in parts]
         close = centre.coordinates, CLOSE
-        here = _about(problem, shots, near, slopes, told.noise, centre, seen, close)
+        here = _about(self.problem, self.shots, near, slopes, told.noise, centre, seen, close)
         end = solve(here.line, start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
         end = by_cost(here.bent.at(one.coordinates) for one in (end, start))[0]  # along which moments bend
         end = solve(here.bent, end.coordinates, MANY_ENOUGH, FEW_STEPS, damping=0.0)
         return here.fit(end.coordinates)
 
-    near = SETTLED * problem.looseness
-    roughly = partial(_exact, shots, times=ROUGH)
+    def by_few_paths(self, best: Evaluation) -> tuple[Evaluation, int]:
+        """Where images by few paths lead, and how many of them were made."""
+        roughly = partial(_exact, self.shots, times=ROUGH)
+        self.progress("correcting by accurate images")
+        centre, told = best, self.shares_at(best, FIRST)
+        fit, further = self.about(centre, roughly(centre), told, centre), best
+        for made in range(1, MOST_ROUGH + 1):
+            if made > 1 and _settled(fit.optimum, centre, self.near):  # the first is too rough
+                return fit.optimum, made
+            self.progress("correcting by accurate images")
+            further, seen = _borne_out(fit, centre, roughly, HALVINGS)
+            gain = _gain(fit, centre, further, seen)
+            if gain < WORSE:  # few lattices' derivatives lead nowhere from here
+                return further if gain > 0.0 else centre, made
+            centre = further
+            if made < MOST_ROUGH:
+                fit = self.about(centre, seen, told, centre)
+        return further, MOST_ROUGH
 
-    progress("correcting by accurate images")
-    centre, told = best, shares_at(best, FIRST)
-    fit, further = about(centre, roughly(centre), centre, told), best
-    for made in range(1, MOST_ROUGH + 1):
-        if made > 1 and _settled(fit.optimum, centre, near):  # the first is too rough
-            further = fit.optimum
-            break
-        progress("correcting by accurate images")
-        further, seen = _borne_out(fit, centre, roughly, HALVINGS)
-        gain = _gain(fit, centre, further, seen)
-        if gain < WORSE:  # few lattices' derivatives lead nowhere from here
-            further = further if gain > 0.0 else centre
-            break
-        centre = further
-        if made < MOST_ROUGH:
-            fit = about(centre, seen, centre, told)
-    progress("correcting by accurate images")
-    centre, told = further, shares_at(further, 1.0)
-    wholes = _exact(shots, centre)
-    parts = [remembered(partial(_by_share, shot.models.exact, NEXT)) for shot in shots if shot.models.exact]
-    around = [Nearby(*one) for one in zip(parts, centre.media, wholes, strict=True)]
+    def by_all_paths(self, centre: Evaluation, most: int, sharper: bool) -> Fit:
+        """The optimum about images by all paths, after so many more of them at most."""
+        self.progress("correcting by accurate images")
+        told, wholes = self.shares_at(centre, 1.0), _exact(self.shots, centre)
+        parts = [remembered(partial(_by_share, shot.models.exact, NEXT)) for shot in self.shots if shot.models.exact]
+        around = [Nearby(*one) for one in zip(parts, centre.media, wholes, strict=True)]
 
-    def exactly(at: Evaluation) -> list[Prediction]:
-        return [one(medium) for one, medium in zip(around, at.media, strict=True)]
+        def exactly(at: Evaluation) -> list[Prediction]:
+            return [one(medium) for one, medium in zip(around, at.media, strict=True)]
 
-    fit = about(centre, wholes, centre, told)
-    for _ in range(MOST_CORRECTIONS - made):
-        if _settled(fit.optimum, centre, near):
-            break
-        progress("correcting by accurate images")
-        ahead, seen = _borne_out(fit, centre, exactly, HALVINGS)
-        if _gain(fit, centre, ahead, seen) < -WORSE:  # nor do many lattices', and shorter ways would lead no further
-            break
-        centre = ahead
-        fit = about(centre, seen, centre, told)
-    if sharper and _held_back(fit.optimum):
-        progress("correcting by images as accurate as the photographs")
-        fit = about(centre, _exact(shots, centre, SHARPER), fit.optimum, told)
-    moved = _still_moved(fit.optimum, centre, exactly, near)
-    return replace(fit, moved=moved, exact=around[0] if len(around) == 1 else None)
+        fit = self.about(centre, wholes, told, centre)
+        for _ in range(most):
+            if _settled(fit.optimum, centre, self.near):
+                break
+            self.progress("correcting by accurate images")
+            ahead, seen = _borne_out(fit, centre, exactly, HALVINGS)
+            if _gain(fit, centre, ahead, seen) < -WORSE:  # nor do many lattices', and shorter ways lead no further
+                break
+            centre = ahead
+            fit = self.about(centre, seen, told, centre)
+        if sharper and _held_back(fit.optimum):
+            self.progress("correcting by images as accurate as the photographs")
+            fit = self.about(centre, _exact(self.shots, centre, SHARPER), told, fit.optimum)
+        moved = _still_moved(fit.optimum, centre, exactly, self.near)
+        return replace(fit, moved=moved, exact=around[0] if len(around) == 1 else None)
 
 
 def _still_moved(

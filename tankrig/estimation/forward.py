@@ -76,46 +76,6 @@ ERROR_PIXELS = 4.0
 """Standard deviation of the Gaussian over which a stated noise is averaged."""
 
 
-@dataclass(frozen=True, eq=False)
-class Nearby:
-    """Exact images next to a place where there is one by all light paths.
-
-    Noise of the same lattices is alike at places some standard deviations apart (correlated by .92 to .999), so that a
-    share of them tells what changes from one to the other, for that share of the price.
-
-    Parameters
-    ----------
-    part
-        Images by a share of the paths, the same at every place.
-    at
-        The place.
-    whole
-        The image there.
-    """
-
-    part: Model
-    at: Medium
-    whole: Prediction
-
-    def __call__(self, medium: Medium, _: float = 1.0) -> Prediction:
-        """An exact image, with the patterns of its noise."""
-        if medium == self.at:
-            return self.whole
-        here, there = self.part(self.at), self.part(medium)
-        image = self.whole.image + there.image - here.image
-        if self.whole.patterns is None:
-            return replace(there, image=image)
-        patterns = np.concatenate([self.whole.patterns, self.more_noise(medium)])
-        return replace(there, image=image, stderr=np.sqrt(np.sum(np.square(patterns), axis=0)), patterns=patterns)
-
-    def more_noise(self, medium: Medium) -> Image:
-        """(n, rows, columns) patterns of what its noise is more than at the place; none where they are not known."""
-        here, there = self.part(self.at).patterns, self.part(medium).patterns
-        if here is None or there is None or medium == self.at:
-            return np.zeros((0, *self.whole.image.shape))
-        return np.asarray(there - here)
-
-
 @dataclass(frozen=True)
 class Models:
     """Versions of one forward model.

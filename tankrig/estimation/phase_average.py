@@ -26,7 +26,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import Exact, Nearby
+from tankrig.estimation.forward import Exact
+from tankrig.estimation.nearby import Nearby
 from tankrig.estimation.parameters import WIDEST
 from tankrig.estimation.phase_families import (
     PLACES,

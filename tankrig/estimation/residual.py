@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation import astray
+from tankrig.estimation.found_optics import as_found
 from tankrig.estimation.light_beside import sizes_along
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.problem import Evaluation
@@ -212,7 +213,7 @@ def cause_of(
         "uneven ink": uneven,
         "a misaligned beam or camera": lambda: list(misaligned()),
         "beams of another brightness than described, or missing": beams,
-        **astray.causes(scene, image, found=astray.as_found(scene, sizes_along(best.problem.blocks, best.values))),
+        **astray.causes(scene, image, found=as_found(scene, sizes_along(best.problem.blocks, best.values))),
     }
     told = []
     if phase is None:

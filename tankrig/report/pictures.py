@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tankrig.estimation.astray import described_with
+from tankrig.estimation.found_optics import described_with
 from tankrig.estimation.result import Reconstruction
 from tankrig.figures.fit_figure import draw_reconstructions
 from tankrig.figures.tank_image import FALSE_COLOUR, GREY, brightness, draw, label_outer
