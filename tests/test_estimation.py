@@ -376,6 +376,7 @@ def test_a_calibration_that_is_none_is_refused(value: tuple) -> None:
         tankrig.estimate(GOOD, SCENE, gain=value)
 
 
+@pytest.mark.long
 def test_a_free_gain_is_not_drawn_down_by_the_noise_of_light_paths() -> None:
     """In thin liquids little else tells it from σs: noise in the image itself moved σs by 2.5 deviations."""
     beams = tuple(Beam((y - 4.0, y + 4.0), (60.0, 64.0)) for y in (-50.0, 0.0, 50.0))
