@@ -14,7 +14,8 @@ from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
 from tankrig.estimation.phase_families import free
 from tankrig.estimation.phase_result import coefficients_by
 from tankrig.estimation.problem import Evaluation, Problem
-from tankrig.estimation.uncertainty import ModelError, Sensitivity, SmoothError
+from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.uncertainty import ModelError, PatternedError, Sensitivity, SmoothError
 from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
@@ -138,7 +139,9 @@ def freed(
 
     Shapes of ln p(θ) are 0 ± 1 before. What the image pulls at them, b, less what the coefficients do about it, has
     the covariance S of noise and the model's error by Henyey–Greenstein, and S + F F by a free phase function, F being
-    their Fisher information: the ratio of both densities is the evidence (MacKay 1992).
+    their Fisher information: the ratio of both densities is the evidence (MacKay 1992). What noise of the model's image
+    pulls by way of a free gain is no sign of anything: of random scenes with slanted light every third was told to have
+    another phase function by that.
 
     Parameters
     ----------
@@ -153,7 +156,8 @@ def freed(
     sensitivity = _with_others(here.sensitivity, best.sensitivity, len(best.problem.blocks[0].names))
     shapes = np.flatnonzero(problem.prior_weight)
     own = np.setdiff1d(np.arange(sensitivity.widest.size), shapes)
-    fisher, pulls = sensitivity.fisher + sensitivity.priors @ sensitivity.priors.T, sensitivity.changes @ best.left
+    fisher = sensitivity.fisher + sensitivity.priors @ sensitivity.priors.T
+    pulls = sensitivity.changes @ best.left - _drawn(here, best, errors)
     (response,) = sensitivity.responses
     scatter = response.information(noise[0], errors[0]).scatter
     aside = np.zeros((shapes.size, pulls.size))
@@ -167,6 +171,21 @@ def freed(
         _evidence(b, aside @ scatter @ aside.T, information), by_values @ sensitivity.step(best.left),
         by_values @ sensitivity.covariance(noise, errors) @ by_values.T, amplitudes @ (aside @ sensitivity.changes),
     )  # fmt: skip
+
+
+def _drawn(liquid: Evaluation, all_values: Evaluation, errors: Sequence[ModelError]) -> Array:
+    """What noise of the model's image pulls at each value by drawing a free gain towards 0, see `Scaling.drawn`."""
+    (error,), (view,), (gain, (offset,)) = errors, all_values.problem.views, all_values.scale
+    first = len(all_values.problem.blocks[0].names)
+    if not isinstance(error, PatternedError):
+        return np.zeros(liquid.sensitivity.widest.size + all_values.sensitivity.widest.size - first)
+    fixed = Scaling(gain, offset)
+    whole, others = (
+        replace(one.problem, scaling=fixed).at(one.coordinates).sensitivity.changes for one in (liquid, all_values)
+    )
+    noise = float(np.sum(np.square(view.whitened(error.patterns))))
+    models = [gain * model for model in all_values.models]
+    return all_values.problem.scaling.drawn(np.vstack([whole, others[first:]]), models, [view.one], noise)
 
 
 def _with_others(liquid: Sensitivity, all_values: Sensitivity, first: int) -> Sensitivity:

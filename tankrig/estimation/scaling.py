@@ -90,6 +90,41 @@ class Scaling:
         left[:, : changes.shape[1]] += changes
         return left
 
+    def drawn(self, changes: Array, models: Sequence[Array], ones: Sequence[Array], squared_noise: float) -> Array:
+        """Products of changes and of what is left of the images that a model's noise makes by drawing a gain towards 0.
+
+            ⟨c · (y − γ̂ m)⟩ = c·m ν² / (m·m − ν²),   γ̂ = y·m / m·m,  m = m₀ + noise,  ν² = ⟨noise · noise⟩
+
+        Parameters
+        ----------
+        changes
+            (k, n) of all images, with all that a gain could make of them.
+        models
+            With the gain.
+        ones
+            What an offset of one adds to each.
+        squared_noise
+            Sum of squares of the noise of all models.
+
+        Returns
+        -------
+        (k,) array, of none where the gain is known.
+
+        Examples
+        --------
+        >>> light, noise = np.full(10_000, 3.0), np.random.default_rng(1).normal(size=10_000)
+        >>> model, change, free = light + noise, np.ones((1, 10_000)), Scaling(None, 0.0)
+        >>> gain, _ = free.solve([model], [change[0]], [light])
+        >>> told = change @ (light - gain * model), free.drawn(change, [gain * model], [change[0]], gain**2 * 10_000.0)
+        >>> abs(float(told[0][0] / told[1][0]) - 1.0) < 0.05
+        True
+        """
+        if not self._free_gain:
+            return np.zeros(len(changes))
+        column = self._columns(models, ones)[-1]
+        light = float(column @ column) - squared_noise
+        return changes @ column[: changes.shape[1]] * (squared_noise / max(light, squared_noise, 1e-300))
+
     @property
     def _free_gain(self) -> bool:
         return self.gain is None or self.gain_sd > 0.0
