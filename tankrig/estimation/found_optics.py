@@ -49,7 +49,7 @@ def described_with(scene: Scene, sizes: Mapping[str, float]) -> Scene:
 
     Examples
     --------
-    >>> from tankrig.scene import Beam, Camera, Projector, Tank
+    >>> from tankrig.scene import Beam, Camera, Medium, Projector, Tank
     >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
     >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.0), light, Camera("orthographic", (80, 120), 2.0))
     >>> described_with(scene, {"floor": 0.03}).tank.faces.floor.reflectance, described_with(scene, {}) == scene
