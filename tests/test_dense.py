@@ -135,6 +135,7 @@ def test_slanted_light_in_shallower_water_is_solved_for_where_it_wants_many_path
     assert not any("cells below" in one.what for one in few.skipped)
 
 
+@pytest.mark.long
 def test_noise_tells_no_coefficients_of_dense_water_apart() -> None:
     """What changes the image least would seem known where derivatives are noisy, and fits stop far off (g by 8 sd)."""
     beams = tuple(Beam((y, y + 3.5), (62.0, 65.5)) for y in (-58.0, -35.0, -12.0, 11.0, 34.0, 57.0))

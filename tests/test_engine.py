@@ -19,7 +19,8 @@ from tankrig.estimation.coordinates import Range, to_coordinates
 from tankrig.estimation.differences import Forward, slopes_of
 from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import Models, image_of
-from tankrig.estimation.misfit import shown
+from tankrig.estimation.left_over import left_over, met_by_noise, stated_errors
+from tankrig.estimation.misfit import faults_of, shown
 from tankrig.estimation.observation import observe
 from tankrig.estimation.optimiser import solve, without_noise
 from tankrig.estimation.parameters import Block, MediumBlock, Values
@@ -191,6 +192,36 @@ def test_noise_that_image_and_residual_share_is_no_fault() -> None:
     assert deviations(best).max() > 5.0
     assert deviations(fit.calm).max() < 3.0
     assert np.sqrt(np.mean((fit.calm.left - best.left) ** 2)) < 0.2
+
+
+@pytest.mark.parametrize("gain", ["free", 1.0])
+def test_what_noise_of_paths_makes_of_a_fault_is_taken_off_where_no_better_image_is_at_hand(gain: str | float) -> None:
+    """Bent light of many scatterings showed "blur that the scene does not describe" by three deviations."""
+    random, scaling, count = np.random.default_rng(9), Scaling.given(gain, "free"), 16
+    clean, exact = tank_like(MEDIUM).image, slopes_of(image_of(tank_like), 240.0)
+    noise, sd = np.full(clean.shape, 0.002 * float(clean.max())), 0.01 * np.sqrt(clean * clean.max())
+    found = []
+    for _ in range(30):
+        lattices = random.normal(0.0, sd * np.sqrt(count), (count, *clean.shape))
+        of_paths = lattices.mean(axis=0)
+        patterns = (lattices - of_paths) / np.sqrt(count * (count - 3.0))
+
+        def by_paths(medium: Medium, noise: Array = of_paths, patterns: Array = patterns) -> Prediction:
+            return Prediction(tank_like(medium).image + noise, "tank", patterns=patterns)
+
+        seen = observe(clean + random.normal(0.0, noise), clean.shape, noise)
+        view = View(seen, image_of(by_paths), exact, SmoothError(sd, 60.0))
+        best = solve(Problem((view,), (MediumBlock(RANGE),), scaling), to_coordinates(MEDIUM), 1e-6)
+        _, _, (left,) = left_over(Fit(best, (by_paths,)))
+        changes = view.whitened(faults_of(left.smooth))
+        faults, errors = best.project_out(changes)[:, : clean.size], stated_errors(best, [left])
+        met = met_by_noise(best, [left], [changes], [lambda _, noise: faults_of(noise)])
+        for more in (0.0, met):
+            sizes, chances, _ = shown(best.sensitivity, best.left, faults, [left.noise], errors, more)
+            found.append(sizes / chances)
+    as_it_is, taken_off = np.mean(found[::2], axis=0), np.mean(found[1::2], axis=0)
+    assert np.abs(as_it_is).max() > 5.0
+    assert np.abs(taken_off).max() < 0.25 * np.abs(as_it_is).max()
 
 
 def problem_of(image: Array, noise: Array, forward: Forward, slopes: Array) -> Problem:

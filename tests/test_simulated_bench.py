@@ -101,7 +101,7 @@ def test_what_glass_walls_mirror_of_order_1_is_the_monte_carlos(wall: str) -> No
     assert np.linalg.norm(mirrored - true) < 0.12 * np.linalg.norm(true) + noise
 
 
-@pytest.mark.parametrize("walls", [(), ("entry", "far", "left", "right")])
+@pytest.mark.parametrize("walls", [(), pytest.param(("entry", "far", "left", "right"), marks=pytest.mark.long)])
 def test_what_the_floor_shows_is_the_monte_carlos(walls: tuple[str, ...]) -> None:
     """In clear water the floor is what the camera sees: sharp, and lit once more by way of glass walls. Photons that
     were never scattered bring it forth, lines of sight back."""

@@ -143,8 +143,8 @@ def test_beams_that_spread_to_a_mirror_go_on_as_sharp_as_they_were(face, model):
 @pytest.mark.parametrize(
     "faces",
     [
-        Faces(entry=Face("glass", thickness_mm=6.0)),
-        Faces(far=Face("glass")),
+        pytest.param(Faces(entry=Face("glass", thickness_mm=6.0)), marks=pytest.mark.long),
+        pytest.param(Faces(far=Face("glass")), marks=pytest.mark.long),
         Faces(left=Face("glass", thickness_mm=4.0), right=Face("glass", thickness_mm=4.0)),
         Faces(floor=Face("diffuse", 0.3)),
         pytest.param(
@@ -261,7 +261,7 @@ def test_what_is_out_of_a_walls_reach_is_not_seen_mirrored_in_it(above_tank, ins
 
 def test_liquids_at_once_are_seen_by_way_of_walls_as_one_by_one():
     pane = Face("glass", thickness_mm=6.0)
-    camera = Camera("pinhole", (20, 30), 8.0, (120.0, 0.0, 620.0))
+    camera = Camera("pinhole", (10, 15), 16.0, (120.0, 0.0, 620.0))
     light = Projector("pinhole", (Beam((-70.0, -50.0), (40.0, 44.0)),), (-400.0, 0.0, 60.0), blur=Blur(1.0))
     scene = a_scene(camera, light, surface="fresnel", faces=Faces(pane, pane, pane, pane, Face("clear", 0.3)))
     media = [Medium(0.001, 0.01, 0.6), Medium(0.0, 0.02, 0.2), Medium(0.0, 0.0, 0.0)]
@@ -372,7 +372,7 @@ def lit_by(kind):
 @pytest.mark.parametrize(
     ("kind", "effect", "said"),
     [
-        ("pinhole", "floor", "light that the floor reflects"),
+        pytest.param("pinhole", "floor", "light that the floor reflects", marks=pytest.mark.long),
         ("collimated", "blur", "blur that the scene does not describe"),
         ("collimated", None, None),
     ],
@@ -459,7 +459,9 @@ def test_the_width_of_a_halo_is_fitted_along_with_it(bench, width_mm):
     assert found.medium.sigma_s == pytest.approx(scene.medium.sigma_s, rel=0.005)
 
 
-@pytest.mark.parametrize(("width_mm", "said"), [(60.0, "narrower"), (15.0, "wider")])
+@pytest.mark.parametrize(
+    ("width_mm", "said"), [(60.0, "narrower"), pytest.param(15.0, "wider", marks=pytest.mark.long)]
+)
 def test_a_halo_that_is_described_with_another_width_is_named(width_mm, said):
     scene, image = lit_by("collimated")
     lens = replace(scene.camera, halo=Halo(0.02, 30.0))

@@ -71,17 +71,21 @@ def more_blur(scene: Scene, image: Image, mm2: float) -> Array:
     Order 1 has its edges within pixels, and is blurred there: blur of .3 mm moves light over an edge that pixels of
     4 mm share by another pattern, and ten times as much, as if the pixels themselves had been blurred.
     """
-    from tankrig.light.tank import low_orders
-
     camera = scene.camera
     widths = [
         None if one is None else float(np.hypot(one, np.sqrt(mm2)))
         for one in (camera.blur.sigma_mm, camera.blur.corner_mm)
     ]
     blurred = replace(scene, camera=replace(camera, blur=Blur(widths[0] or 0.0, widths[1])))
-    sharp = low_orders(scene, ROUGH, 1)
-    rest = np.asarray(image - sharp)
-    return low_orders(blurred, ROUGH, 1) - sharp + mm2 * _soft(scene, rest)
+    sharp, soft = _first_order(scene), _first_order(blurred)
+    return soft - sharp + mm2 * _soft(scene, np.asarray(image - sharp))
+
+
+@lru_cache(maxsize=KEPT)
+def _first_order(scene: Scene) -> Array:
+    from tankrig.light.tank import low_orders
+
+    return low_orders(scene, ROUGH, 1)
 
 
 def _soft(scene: Scene, image: Image) -> Array:
@@ -202,6 +206,8 @@ class Sign:
         there is none.
     of_found
         Whether it is of what was fitted along as well as of what was described.
+    of_image
+        Whether it is made of the image, whose noise it then has.
     """
 
     pattern: Pattern
@@ -213,6 +219,7 @@ class Sign:
     quick: Pattern | None = None
     asked: Callable[[Scene], bool] = lambda _: True
     of_found: bool = False
+    of_image: bool = False
 
     def sizes(self, scene: Scene) -> tuple[float, float]:
         """From and to what it is believed; a floor does not swallow light that is not there."""
@@ -238,13 +245,18 @@ def _has_pane(scene: Scene) -> bool:
 MOST_TIMES, MOST_MM = 2.0, 20.0
 """How far off a halo's width is believed, in steps from it to `OTHER_WIDTH` times it, and a pane's thickness."""
 SIGNS: dict[str, Sign] = {
-    "a halo of the camera's lens": Sign(halo, "halo", MOST_HALO, described=lambda scene: scene.camera.halo.share > 0.0),
-    "a veil of the camera's lens": Sign(veil, "veil", MOST_VEIL, described=lambda scene: scene.camera.veil > 0.0),
+    "a halo of the camera's lens": Sign(
+        halo, "halo", MOST_HALO, described=lambda scene: scene.camera.halo.share > 0.0, of_image=True
+    ),
+    "a veil of the camera's lens": Sign(
+        veil, "veil", MOST_VEIL, described=lambda scene: scene.camera.veil > 0.0, of_image=True
+    ),
     "blur that the scene does not describe": Sign(
         blur,
         "blur_mm2",
         described=lambda scene: scene.camera.blur.widest_mm + scene.projector.blur.sigma_mm > 0.0,
         quick=_soft,
+        of_image=True,
     ),
     "a wide lens of the projector, sharp at one distance only": Sign(wide_lens, slow=True, asked=_may_be_wide),
     "light that the floor reflects": Sign(floor, "floor", 1.0, asked=lambda scene: scene.tank.faces.floor.dark),
@@ -254,12 +266,14 @@ SIGNS: dict[str, Sign] = {
     "light of dark parts of the projector's picture": Sign(
         black_level, "black_level", described=lambda scene: scene.projector.black_level > 0.0, slow=True
     ),
-    "counts that are not in proportion to the light": Sign(gamma, most=1.0, described=lambda _: True),
+    "counts that are not in proportion to the light": Sign(gamma, most=1.0, described=lambda _: True, of_image=True),
     "a wider halo of the camera's lens": Sign(
-        partial(other_halo, times=OTHER_WIDTH), "halo_width", MOST_TIMES, asked=_camera_has_halo, of_found=True
+        partial(other_halo, times=OTHER_WIDTH), "halo_width", MOST_TIMES, asked=_camera_has_halo, of_found=True,
+        of_image=True,
     ),
     "a narrower halo of the camera's lens": Sign(
-        partial(other_halo, times=1.0 / OTHER_WIDTH), "halo_width", MOST_TIMES, asked=_camera_has_halo, of_found=True
+        partial(other_halo, times=1.0 / OTHER_WIDTH), "halo_width", MOST_TIMES, asked=_camera_has_halo, of_found=True,
+        of_image=True,
     ),
     "a wider halo of the projector's lens": Sign(
         partial(other_projector_halo, times=OTHER_WIDTH), most=MOST_TIMES, slow=True, asked=_projector_has_halo,

@@ -1,7 +1,7 @@
 """What a fit leaves of each image, what that says of the errors of its values, and which light astray it shows."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_fault
 from tankrig.estimation.observation import structure
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import ALIKE, COUNTED
+from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.shots import Fit
 from tankrig.estimation.uncertainty import ModelError, PatternedError, SmoothError
 from tankrig.estimation.verdict import TELLING_MOVE
@@ -48,6 +49,9 @@ class Left:
         (rows, columns) standard deviation as assumed, or more by a factor where the residual shows that.
     unexplained, stated
         Structure of the residual, and the model's own error, as shares of the image.
+    own
+        (n, rows, columns) patterns, in units of the fitted light, of noise that `smooth` still has, and the residual as
+        well; none where none is known.
     """
 
     prediction: Prediction
@@ -60,6 +64,7 @@ class Left:
     noisier: float
     unexplained: float
     stated: float
+    own: Array
 
     @property
     def counted(self) -> float:
@@ -88,9 +93,11 @@ def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
             "belong together and which way up the image is"
         )
     found = []
-    seen_so = zip(best.problem.views, best.images, fit.calm.images, offsets, fit.predictions, strict=True)
-    for view, image, calm, offset, prediction in seen_so:
+    apart = fit.apart or (None,) * len(offsets)
+    seen_so = zip(best.problem.views, best.images, fit.calm.images, offsets, fit.predictions, apart, strict=True)
+    for view, image, calm, offset, prediction, taken_out in seen_so:
         seen, used = view.observation, view.observation.used
+        own = np.zeros((0, *image.shape)) if taken_out is not None else _unbiased(prediction.patterns, image)
         light = gain * image
         residual = np.where(used, seen.image - light - offset, np.nan)
         rmse, noise, bright = rms(residual[used]), rms(seen.noise[used]), rms(light[used])
@@ -102,9 +109,18 @@ def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
             Left(
                 prediction=prediction, light=light, image=light + offset, residual=residual, smooth=gain * calm,
                 rmse=rmse, noise=noisier * seen.noise, noisier=noisier, unexplained=unexplained, stated=stated,
+                own=gain * own,
             )
         )  # fmt: skip
     return gain, offsets, found
+
+
+def _unbiased(patterns: Image | None, image: Image) -> Array:
+    """Patterns whose products are the noise's covariance, without Student's factor; none where it is not known."""
+    count = 0 if patterns is None else len(patterns)
+    if patterns is None or count <= 3:
+        return np.zeros((0, *image.shape))
+    return np.asarray(patterns * math.sqrt((count - 3.0) / (count - 1.0)))
 
 
 def error_of(prediction: Prediction, gain: float, beyond: float, scene: Scene) -> ModelError:
@@ -130,7 +146,8 @@ def spread_of(
     changes = [view.whitened(faults_of(one.smooth)) for view, one in zip(views, left, strict=True)]
     faults = best.project_out(np.hstack(changes))[:, : residual.size]
     rest = residual if explained is None else residual - explained
-    moved = moved_by_faults(sensitivity, rest, faults, noise, stated_errors(best, left))
+    met = met_by_noise(best, left, changes, [lambda _, noise: faults_of(noise)] * len(views))
+    moved = moved_by_faults(sensitivity, rest, faults, noise, stated_errors(best, left), met)
     disagreeing = residual if any(one.beyond > 0.0 for one in left) else None
     return sensitivity.covariance(noise, errors, disagreeing) + moved
 
@@ -141,6 +158,49 @@ def moved_by_halos(best: Evaluation, left: Sequence[Left]) -> Array:
     changes = [view.whitened(halos_of(one.smooth)) for view, one in zip(views, left, strict=True)]
     halos = best.project_out(np.hstack(changes))[:, : best.left.size]
     return moved_unseen(best.sensitivity, halos, STRAY, [one.noise for one in left], stated_errors(best, left))
+
+
+def met_by_noise(
+    best: Evaluation, left: Sequence[Left], changes: Sequence[Array], gained: Sequence[Callable[[Image, Image], Array]]
+) -> Array:
+    """Products of faults with a residual that noise of the models' images makes by being in both.
+
+    Faults c are made of the fitted image m + e, which the residual y − m − e has as well: ⟨c · residual⟩ has −⟨Δc · e⟩
+    where no fault is, Δc being what e changes of c. And e draws a free gain, see `Scaling.drawn`. In images that light
+    paths' noise dominates, blur was named by three standard deviations that way.
+
+    Parameters
+    ----------
+    best, left
+        Of the fit.
+    changes
+        (faults, n) of each view, whitened, with all that a gain could make of them.
+    gained
+        For each view from its image and noise, in units of the fitted light, to what faults gain by that noise.
+
+    Returns
+    -------
+    (faults,) array.
+    """
+    (views, gain), sizes = (best.problem.views, best.scale[0]), [one.size for one in best.models]
+    found, squared = np.zeros(len(changes[0])), 0.0
+    for number, (view, one, more) in enumerate(zip(views, left, gained, strict=True)):
+        for noise in one.own:
+            parts = [np.zeros(size) for size in sizes]
+            parts[number] = view.whitened(noise)
+            kept = best.project_out(np.concatenate(parts)[None])[0, : sum(sizes)]
+            found -= view.whitened(more(one.smooth, noise)) @ np.split(kept, np.cumsum(sizes)[:-1])[number]
+            squared += float(parts[number] @ parts[number])
+    scaling = best.problem.scaling
+    if squared > 0.0 and scaling.free_gain:
+        models, ones = [gain * model for model in best.models], [view.one for view in views]
+        whole = replace(best.problem, scaling=Scaling(gain, 0.0)).at(best.coordinates).sensitivity.changes
+        faults: Array = np.hstack(changes)
+        values = np.array([best.sensitivity.step(one) for one in best.project_out(faults)[:, : sum(sizes)]])
+        # What values have followed, the residual shows no more.
+        found += scaling.drawn(faults, models, ones, squared)
+        found -= values @ scaling.drawn(whole, models, ones, squared)
+    return found
 
 
 def stated_errors(best: Evaluation, left: Sequence[Left]) -> list[ModelError]:
@@ -216,8 +276,18 @@ def astray_shown(
         return None
     patterns = np.array([looked_for[one]()[0] for one in names])
     (view,) = best.problem.views
-    faults = best.project_out(view.whitened(gain * patterns))[:, : best.left.size]
-    sizes, chances, moved = shown(best.sensitivity, best.left, faults, [left.noise], stated_errors(best, [left]))
+    whole = view.whitened(gain * patterns)
+    faults = best.project_out(whole)[:, : best.left.size]
+
+    def gained(light: Image, noise: Image) -> Array:
+        noisy, found = causes(scene, (light + noise) / gain, quick, as_found(scene, along)), np.zeros_like(patterns)
+        for number, one in enumerate(names):
+            if SIGNS[one].of_image:
+                found[number] = gain * (noisy[one]()[0] - patterns[number])
+        return found
+
+    errors, met = stated_errors(best, [left]), met_by_noise(best, [left], [whole], [gained])
+    sizes, chances, moved = shown(best.sensitivity, best.left, faults, [left.noise], errors, met)
     moves = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1)
     low, high = np.array([SIGNS[one].sizes(scene) for one in names]).T
     believed = (sizes > low) & (sizes - TOLD * chances < high)

@@ -55,8 +55,9 @@ def halos_of(image: Image) -> Array:
 
 
 def moved_by_faults(
-    sensitivity: Sensitivity, residual: Array, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError]
-) -> Array:
+    sensitivity: Sensitivity, residual: Array, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError],
+    met: Array | float = 0.0,
+) -> Array:  # fmt: skip
     """Covariance (k, k) of what faults would have moved the values by, were each what the residual shows of it.
 
     Parameters
@@ -69,9 +70,11 @@ def moved_by_faults(
         (faults, n) changes of all images, whitened, less what gain and offset imitate.
     noise, errors
         Of each image, as for `Sensitivity.covariance`: what may pass for a fault by chance.
+    met
+        (faults,) what of the products of faults and residual no fault makes, see `met_by_noise`.
     """
     values, sized, chance = _told(sensitivity, faults, noise, errors)
-    sizes = sized @ residual
+    sizes = sized @ residual - met * np.sum(sized**2, axis=1)
     moved = (sizes[:, None] * values)[sizes**2 > SEEN**2 * chance]
     return np.asarray(moved.T @ moved)
 
@@ -94,17 +97,18 @@ def moved_unseen(
 
 
 def shown(
-    sensitivity: Sensitivity, residual: Array, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError]
-) -> tuple[Array, Array, Array]:
+    sensitivity: Sensitivity, residual: Array, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError],
+    met: Array | float = 0.0,
+) -> tuple[Array, Array, Array]:  # fmt: skip
     """(faults,) the size of each fault that a residual shows, its standard deviation, and (faults, k) what it moves.
 
     Parameters
     ----------
-    sensitivity, residual, faults, noise, errors
+    sensitivity, residual, faults, noise, errors, met
         As for `moved_by_faults`.
     """
     values, sized, chance = _told(sensitivity, faults, noise, errors)
-    sizes = sized @ residual
+    sizes = sized @ residual - met * np.sum(sized**2, axis=1)
     return np.asarray(sizes), np.sqrt(np.maximum(chance, 1e-300)), np.asarray(sizes[:, None] * values)
 
 

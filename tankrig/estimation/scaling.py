@@ -63,7 +63,7 @@ class Scaling:
         # What is left to explain once gain and offset have their expected values, which priors want to keep.
         left = np.concatenate(observed) - gain * model - offset * np.concatenate(ones)
         columns = self._columns(models, ones)
-        if self._free_gain:
+        if self.free_gain:
             column = columns.pop()
             change = float(left @ column[: left.size]) / max(float(column @ column), 1e-300)
             gain, left = gain + change, left - change * model
@@ -119,14 +119,15 @@ class Scaling:
         >>> abs(float(told[0][0] / told[1][0]) - 1.0) < 0.05
         True
         """
-        if not self._free_gain:
+        if not self.free_gain:
             return np.zeros(len(changes))
         column = self._columns(models, ones)[-1]
         light = float(column @ column) - squared_noise
         return changes @ column[: changes.shape[1]] * (squared_noise / max(light, squared_noise, 1e-300))
 
     @property
-    def _free_gain(self) -> bool:
+    def free_gain(self) -> bool:
+        """Whether the gain is solved for."""
         return self.gain is None or self.gain_sd > 0.0
 
     def _columns(self, models: Sequence[Array], ones: Sequence[Array]) -> list[Array]:
@@ -141,7 +142,7 @@ class Scaling:
             if self.offset_sd > 0.0:
                 column[ends[-1] + own + k] = 1.0 / self.offset_sd
             columns.append(column)
-        if self._free_gain:
+        if self.free_gain:
             column = np.concatenate([*models, np.zeros(priors)])
             if own:
                 column[ends[-1]] = 1.0 / self.gain_sd

@@ -281,8 +281,8 @@ def what_phase_is_shown(evidence: float, shown: bool) -> str:
     if shown:
         return (
             "The residual shows another phase function than Henyey–Greenstein's, which is "
-            f"{_times(evidence)} less likely, so neither σs nor g counts as determined: fit again with phase free, or "
-            "with the material that it is."
+            f"{_times(evidence)} less likely, so neither σs nor g counts as determined: fit again with a free phase "
+            "function (--phase free), or with the material that it is."
         )
     if evidence < TOO_LIKELY:
         return ""
@@ -313,7 +313,7 @@ def what_may_be_another_phase(doubted: bool) -> str:
         return ""
     return (
         "The ink may well have another phase function than Henyey–Greenstein's, so neither σs nor g counts as "
-        "determined: fit again with phase free, or with the material that it is."
+        "determined: fit again with a free phase function (--phase free), or with the material that it is."
     )
 
 
