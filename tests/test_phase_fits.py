@@ -239,6 +239,17 @@ def test_henyey_greenstein_determines_nothing_of_a_series_of_another_liquid() ->
     assert "another phase function" not in honest.verdict
 
 
+def test_a_free_phase_function_determines_nothing_of_a_series_that_it_does_not_describe() -> None:
+    """On a bench σs was 19 % off by one that went up and down by factors, and "determined"."""
+    cosines = np.cos(np.linspace(math.pi, 0.0, 400))
+    bumpy = ReynoldsMcCormick(0.6, 1.2).at(cosines) * np.exp(1.5 * np.cos(24.0 * np.arccos(cosines)))
+    truth = Tabulated(tuple(cosines), tuple(bumpy / (2.0 * math.pi * np.trapezoid(bumpy, cosines))))
+    found = series_of(truth, "free")
+    assert not found.identifiable["sigma_s"]
+    assert not found.identifiable["g"]
+    assert "free phase function" in found.verdict or "rougher than smooth ones" in found.verdict
+
+
 def test_a_series_phase_function_does_not_hide_that_ink_is_not_in_proportion() -> None:
     found = series_of(ReynoldsMcCormick(0.6, 1.2), "reynolds-mccormick", bend=0.1)
     assert found.linearity is not None

@@ -20,7 +20,7 @@ from tankrig.estimation.light_beside import BESIDE, BesideBlock
 from tankrig.estimation.misfit import moved_unseen
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
-from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, liquid_blocks, rougher
+from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, is_rough, liquid_blocks
 from tankrig.estimation.phase_doubt import told_early
 from tankrig.estimation.phase_instead import Instead
 from tankrig.estimation.problem import Evaluation
@@ -58,8 +58,6 @@ Free = Literal["free"]
 
 ALIGNINGS, ALIGNED = 5, 2.0
 """Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
-FREE = "free"
-"""Name of the family that holds any smooth phase function."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 COMMON_FLOOR = 0.04
@@ -322,10 +320,8 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
 def _undescribed(best: Evaluation, left: Left, asked: Asked) -> tuple[bool, bool]:
     """Whether a free phase function was fitted that does not describe the image, and whether it is rougher than free
     ones are expected to be, which is one reason for that."""
-    if asked.family is None or asked.family.name != FREE:
-        return False, False
-    rough = rougher(best.values["phase"], asked.family)
-    return left.beyond > 0.0 or rough, rough
+    rough = is_rough(best, asked)
+    return rough or (asked.is_free and left.beyond > 0.0), rough
 
 
 def _on_residual(best: Evaluation, left: Left, found: Findings) -> list[str]:

@@ -62,6 +62,11 @@ class Asked:
     further: "Asked | None" = None
     near: Medium | None = None
 
+    @property
+    def is_free(self) -> bool:
+        """Whether any smooth phase function is searched."""
+        return self.family is not None and self.family.name == free().name
+
 
 def asked_for(phase: str | PhaseFunction | None, scene: Scene) -> Asked:
     """What `estimate`'s `phase` means for a scene.
@@ -190,6 +195,11 @@ def answer_of(
     count = 2 + len(asked.family.names)
     coefficients = best.values[best.problem.blocks[0].name]
     return scattering_of(coefficients, best.values["phase"], spread[:count, :count], asked.family)
+
+
+def is_rough(best: Evaluation, asked: Asked) -> bool:
+    """Whether a free phase function was fitted, and is rougher than they are expected to be."""
+    return asked.family is not None and asked.is_free and rougher(best.values["phase"], asked.family)
 
 
 def rougher(coordinates: Array, family: Family) -> bool:

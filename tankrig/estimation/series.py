@@ -21,7 +21,15 @@ from tankrig.estimation.forward import Models
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
 from tankrig.estimation.left_over import Left, error_of, left_over, moved_by_halos, rms, spread_of
 from tankrig.estimation.observation import Observation, observe
-from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, ink_blocks, liquid_blocks
+from tankrig.estimation.phase_answer import (
+    Asked,
+    answer_of,
+    asked_for,
+    fit_phase,
+    ink_blocks,
+    is_rough,
+    liquid_blocks,
+)
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import Scattering, coefficients_by
 from tankrig.estimation.problem import Evaluation
@@ -38,6 +46,7 @@ from tankrig.estimation.verdict import (
     what_is_misaligned,
     what_is_unseen,
     what_may_be_another_phase,
+    what_no_phase_describes,
 )
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -212,15 +221,16 @@ def fit_liquid(
 
 
 def _known(medium: Medium, spread: Array, left: Sequence[Left], asked: Asked, fit: Fit) -> dict[str, bool]:
-    """Which of σa, σs, g images determine; where a fit has not settled, or of a liquid that may not be
-    Henyey–Greenstein's, neither σs nor g."""
+    """Which of σa, σs, g images determine; where a fit has not settled, or of a liquid that may have another phase
+    function than those searched, neither σs nor g."""
     known = determined(medium, spread, left)
-    return known | {"sigma_s": False, "g": False} if fit.moved is not None or _doubted(left, asked) else known
+    doubted = fit.moved is not None or _leaves_much(left, asked) or is_rough(fit.optimum, asked)
+    return known | {"sigma_s": False, "g": False} if doubted else known
 
 
-def _doubted(left: Sequence[Left], asked: Asked) -> bool:
-    """Whether Henyey–Greenstein leaves so much that the liquid may have another phase function."""
-    return asked.family is None and max(one.beyond for one in left) > DOUBTED
+def _leaves_much(left: Sequence[Left], asked: Asked) -> bool:
+    """Whether Henyey–Greenstein, or a free phase function, leaves so much that the liquid may have another one."""
+    return (asked.family is None or asked.is_free) and max(one.beyond for one in left) > DOUBTED
 
 
 def _answer(best: Evaluation, spread: Array, asked: Asked, left: Sequence[Left]) -> Scattering:
@@ -294,7 +304,7 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
     noise_known = all(view.observation.noise_known for view in best.problem.views)
     beyond = float(np.median([one.noisier for one in left])) if noise_known else 1.0
     shares = rms(np.array([one.unexplained for one in left])), rms(np.array([one.stated for one in left])), beyond
-    off = nuisances_of(best, whole)
+    off, rough = nuisances_of(best, whole), is_rough(best, asked)
     unseen = np.zeros(3) if "halo" in off else moved_by_halos(best, left)
     return SeriesEstimate(
         ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=known, gain=gain,
@@ -303,7 +313,8 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
         verdict=" ".join(
             filter(None, [
                 series_verdict(water, spread, known, linearity, shares),
-                what_may_be_another_phase(_doubted(left, asked)),
+                what_may_be_another_phase(asked.family is None and _leaves_much(left, asked)),
+                what_no_phase_describes(asked.is_free and (_leaves_much(left, asked) or rough), rough),
                 what_has_not_settled(fit.moved is not None),
                 what_is_misaligned(off),
                 what_is_unseen(liquid, unseen[: 3 if asked.family is None else 2], spread, known),
