@@ -83,11 +83,11 @@ def asked_for(phase: str | PhaseFunction | None, scene: Scene) -> Asked:
         phase = described.kind if described.kind in FAMILIES else described
     if phase == "any":
         return Asked(free(), averaged=True)
-    family = family_of(phase, described)
+    asked = Asked(family_of(phase, described))
     begin = phase if isinstance(phase, PhaseFunction) else described
-    return Asked(
-        family, begin=begin if begin is not None and family is not None and begin.kind == family.name else None
-    )
+    if begin is None or asked.family is None or not (asked.is_free or begin.kind == asked.family.name):
+        return asked
+    return replace(asked, begin=begin)
 
 
 BlocksOf = Callable[[Family | None], tuple[Block, ...]]

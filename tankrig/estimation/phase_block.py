@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from tankrig.estimation.coordinates import LONGEST_STEP, NAMES, Range, slopes, to_coordinates, to_medium
 from tankrig.estimation.ink_blocks import MOST_WATER, Doses, InkBlock
 from tankrig.estimation.parameters import WIDEST, Block, Values
-from tankrig.estimation.phase_families import Family
+from tankrig.estimation.phase_families import Family, as_free
 from tankrig.scene import Medium
+from tankrig.scene.free_phase import FreePhase
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -245,10 +246,12 @@ class PhaseBlock(Block):
         return DAMPED
 
     def start(self, densest: Medium) -> Array:
-        """As much like the liquid's as the family can be."""
+        """As much like the liquid's as the family can be; of a family that is not free, like its mean cosine."""
         phase = densest.phase
         if phase is not None and phase.kind == self.family.name:
             return np.clip(self.family.coordinates(phase), self.low, self.high)
+        if phase is not None and self.family.name == FreePhase.kind:
+            return np.clip(as_free(phase), self.low, self.high)
         return np.clip(self.family.like(densest.g), self.low, self.high)
 
     @property

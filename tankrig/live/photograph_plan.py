@@ -262,6 +262,7 @@ def ink_expected(sequence: Sequence, tank: Tank) -> Medium | None:
     """
     if sequence.ink is not None or not sequence.material or sequence.wavelength_nm is None:
         return sequence.ink
-    stock = optics(material(sequence.material), sequence.wavelength_nm).medium
-    tank_ml = tank_volume_ml(tank)
-    return Medium(stock.sigma_a / tank_ml, stock.sigma_s / tank_ml, stock.g)
+    known, tank_ml = optics(material(sequence.material), sequence.wavelength_nm), tank_volume_ml(tank)
+    stock = replace(known.medium, sigma_a=known.medium.sigma_a / tank_ml, sigma_s=known.medium.sigma_s / tank_ml)
+    # Spheres are searched all about their label, not next to it.
+    return Medium(*stock.coefficients) if isinstance(known.searched, PhaseFunction) else stock

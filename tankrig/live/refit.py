@@ -147,19 +147,21 @@ def fits_made(
         progress(words, nothing)
 
     if model == "tank":
-        return _by_tank_model(exposures, plan.phase, doses, series, sheets, told)
+        return _by_tank_model(exposures, plan, doses, series, sheets, told)
     return _as_live(plan, exposures, doses, sheets, progress)
 
 
 def _by_tank_model(
     exposures: Exposures,
-    phase: str | PhaseFunction,
+    plan: PhotographPlan,
     doses: list[DoseFit],
     series: SeriesFit | None,
     sheets: SheetsSoFar,
     progress: Callable[[str], None],
 ) -> Iterator[Fit]:
     sheets.look(exposures)
+    # Henyey–Greenstein's three numbers are found from anywhere; other phase functions from what is expected.
+    expected = None if plan.phase == "hg" or plan.ink is None or plan.ink.phase is None else plan.ink
     known = {one.dose_ml: one for one in doses}
     photographs = exposures.photographs()
     doses_ml = sorted({one.dose_ml for one in photographs})
@@ -168,19 +170,19 @@ def _by_tank_model(
         here = [one for one in photographs if one.dose_ml == dose_ml]
         fit = known.get(dose_ml)
         if fit is None or fit.frames < sum(one.frames for one in here):
-            start = None if near is None else diluted(near.medium, near.dose_ml, dose_ml)
+            start = None if expected is None else diluted(expected, 1.0, dose_ml)
+            start = start if near is None else diluted(near.medium, near.dose_ml, dose_ml)
             progress(f"fitting {dose_ml:g} ml")
             told = () if start is not None else sheets.media(dose_ml)
-            fit = sheets.beside(fit_dose(here, start, progress, phase, told))
+            fit = sheets.beside(fit_dose(here, start, progress, plan.phase, told))
             yield fit
         near = fit
     if len(doses_ml) > 1 and (series is None or series.doses_ml != tuple(doses_ml)):
         progress("fitting the series")
-        # Henyey–Greenstein's three numbers are found from anywhere; other phase functions from what a dose has found.
-        start = None
+        start = None  # as before, but from what a dose has found
         if near is not None and near.medium.phase is not None:
             start = diluted(near.medium, near.dose_ml, 1.0)
-        yield sheets.beside_series(fit_all(photographs, start, progress=progress, phase=phase))
+        yield sheets.beside_series(fit_all(photographs, start, progress=progress, phase=plan.phase))
 
 
 def _as_live(
