@@ -215,7 +215,7 @@ def test_what_noise_of_paths_makes_of_a_fault_is_taken_off_where_no_better_image
         _, _, (left,) = left_over(Fit(best, (by_paths,)))
         changes = view.whitened(faults_of(left.smooth))
         faults, errors = best.project_out(changes)[:, : clean.size], stated_errors(best, [left])
-        met = met_by_noise(best, [left], [changes], [lambda _, noise: faults_of(noise)])
+        met = met_by_noise(best, left, changes, lambda _, noise: faults_of(noise))
         for more in (0.0, met):
             sizes, chances, _ = shown(best.sensitivity, best.left, faults, [left.noise], errors, more)
             found.append(sizes / chances)

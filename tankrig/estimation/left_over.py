@@ -146,8 +146,7 @@ def spread_of(
     changes = [view.whitened(faults_of(one.smooth)) for view, one in zip(views, left, strict=True)]
     faults = best.project_out(np.hstack(changes))[:, : residual.size]
     rest = residual if explained is None else residual - explained
-    met = met_by_noise(best, left, changes, [lambda _, noise: faults_of(noise)] * len(views))
-    moved = moved_by_faults(sensitivity, rest, faults, noise, stated_errors(best, left), met)
+    moved = moved_by_faults(sensitivity, rest, faults, noise, stated_errors(best, left))
     disagreeing = residual if any(one.beyond > 0.0 for one in left) else None
     return sensitivity.covariance(noise, errors, disagreeing) + moved
 
@@ -160,10 +159,8 @@ def moved_by_halos(best: Evaluation, left: Sequence[Left]) -> Array:
     return moved_unseen(best.sensitivity, halos, STRAY, [one.noise for one in left], stated_errors(best, left))
 
 
-def met_by_noise(
-    best: Evaluation, left: Sequence[Left], changes: Sequence[Array], gained: Sequence[Callable[[Image, Image], Array]]
-) -> Array:
-    """Products of faults with a residual that noise of the models' images makes by being in both.
+def met_by_noise(best: Evaluation, left: Left, changes: Array, gained: Callable[[Image, Image], Array]) -> Array:
+    """Products of faults with a residual that noise of the model's image makes by being in both.
 
     Faults c are made of the fitted image m + e, which the residual y − m − e has as well: ⟨c · residual⟩ has −⟨Δc · e⟩
     where no fault is, Δc being what e changes of c. And e draws a free gain, see `Scaling.drawn`. In images that light
@@ -172,34 +169,30 @@ def met_by_noise(
     Parameters
     ----------
     best, left
-        Of the fit.
+        Of the fit of one image.
     changes
-        (faults, n) of each view, whitened, with all that a gain could make of them.
+        (faults, n) whitened, with all that a gain could make of them.
     gained
-        For each view from its image and noise, in units of the fitted light, to what faults gain by that noise.
+        From the image and noise, in units of the fitted light, to what faults gain by that noise.
 
     Returns
     -------
     (faults,) array.
     """
-    (views, gain), sizes = (best.problem.views, best.scale[0]), [one.size for one in best.models]
-    found, squared = np.zeros(len(changes[0])), 0.0
-    for number, (view, one, more) in enumerate(zip(views, left, gained, strict=True)):
-        for noise in one.own:
-            parts = [np.zeros(size) for size in sizes]
-            parts[number] = view.whitened(noise)
-            kept = best.project_out(np.concatenate(parts)[None])[0, : sum(sizes)]
-            found -= view.whitened(more(one.smooth, noise)) @ np.split(kept, np.cumsum(sizes)[:-1])[number]
-            squared += float(parts[number] @ parts[number])
-    scaling = best.problem.scaling
+    (view,), gain, scaling = best.problem.views, best.scale[0], best.problem.scaling
+    found, squared, pixels = np.zeros(len(changes)), 0.0, best.left.size
+    for noise in left.own:
+        whole = view.whitened(noise)
+        kept = best.project_out(whole[None])[0, :pixels]
+        found -= view.whitened(gained(left.smooth, noise)) @ kept
+        squared += float(whole @ whole)
     if squared > 0.0 and scaling.free_gain:
-        models, ones = [gain * model for model in best.models], [view.one for view in views]
-        whole = replace(best.problem, scaling=Scaling(gain, 0.0)).at(best.coordinates).sensitivity.changes
-        faults: Array = np.hstack(changes)
-        values = np.array([best.sensitivity.step(one) for one in best.project_out(faults)[:, : sum(sizes)]])
+        models, ones = [gain * model for model in best.models], [view.one]
+        by_values = replace(best.problem, scaling=Scaling(gain, 0.0)).at(best.coordinates).sensitivity.changes
+        values = np.array([best.sensitivity.step(one) for one in best.project_out(changes)[:, :pixels]])
         # What values have followed, the residual shows no more.
-        found += scaling.drawn(faults, models, ones, squared)
-        found -= values @ scaling.drawn(whole, models, ones, squared)
+        found += scaling.drawn(changes, models, ones, squared)
+        found -= values @ scaling.drawn(by_values, models, ones, squared)
     return found
 
 
@@ -286,7 +279,7 @@ def astray_shown(
                 found[number] = gain * (noisy[one]()[0] - patterns[number])
         return found
 
-    errors, met = stated_errors(best, [left]), met_by_noise(best, [left], [whole], [gained])
+    errors, met = stated_errors(best, [left]), met_by_noise(best, left, whole, gained)
     sizes, chances, moved = shown(best.sensitivity, best.left, faults, [left.noise], errors, met)
     moves = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1)
     low, high = np.array([SIGNS[one].sizes(scene) for one in names]).T

@@ -55,9 +55,8 @@ def halos_of(image: Image) -> Array:
 
 
 def moved_by_faults(
-    sensitivity: Sensitivity, residual: Array, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError],
-    met: Array | float = 0.0,
-) -> Array:  # fmt: skip
+    sensitivity: Sensitivity, residual: Array, faults: Array, noise: Sequence[Image], errors: Sequence[ModelError]
+) -> Array:
     """Covariance (k, k) of what faults would have moved the values by, were each what the residual shows of it.
 
     Parameters
@@ -70,11 +69,9 @@ def moved_by_faults(
         (faults, n) changes of all images, whitened, less what gain and offset imitate.
     noise, errors
         Of each image, as for `Sensitivity.covariance`: what may pass for a fault by chance.
-    met
-        (faults,) what of the products of faults and residual no fault makes, see `met_by_noise`.
     """
     values, sized, chance = _told(sensitivity, faults, noise, errors)
-    sizes = sized @ residual - met * np.sum(sized**2, axis=1)
+    sizes = sized @ residual
     moved = (sizes[:, None] * values)[sizes**2 > SEEN**2 * chance]
     return np.asarray(moved.T @ moved)
 
@@ -104,8 +101,10 @@ def shown(
 
     Parameters
     ----------
-    sensitivity, residual, faults, noise, errors, met
+    sensitivity, residual, faults, noise, errors
         As for `moved_by_faults`.
+    met
+        (faults,) what of the products of faults and residual no fault makes, see `met_by_noise`.
     """
     values, sized, chance = _told(sensitivity, faults, noise, errors)
     sizes = sized @ residual - met * np.sum(sized**2, axis=1)
