@@ -48,6 +48,15 @@ def test_the_other_process_finds_the_program_and_ends_by_itself() -> None:
     assert other.wait(200.0) == 0
 
 
+def test_a_process_asks_for_another_once_however_many_images_it_makes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first fit after an installation started one for each of its images, and took four minutes for ten seconds."""
+    monkeypatch.setattr(compiled_beside, "THREADS", 2)
+    monkeypatch.setattr(compiled_beside, "kept", lambda _: False)
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1})
+    compiled_beside._first.cache_clear()
+    assert [compiled_beside.wanted() for _ in range(3)] == [True, False, False]
+
+
 @pytest.fixture
 def sleeping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Path]:
     """The first time, with a program in place of Python that never ends: where the system tells of its process."""

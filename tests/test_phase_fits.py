@@ -431,7 +431,7 @@ def test_nothing_is_determined_by_a_phase_function_rougher_than_expected(monkeyp
     finer = [1.0, 1.0, -1.0, -1.1, -0.2, 0.4, -0.8, -0.1, 0.6, -0.9, 0.1, 0.4, 0.0, 0.6, 0.8, -0.3, -0.8]
     assert rougher(np.array(beads), free())
     assert not rougher(np.array(finer), free())
-    monkeypatch.setattr("tankrig.estimation.estimate.rougher", lambda *_: rougher(np.array(beads), free()))
+    monkeypatch.setattr("tankrig.estimation.phase_answer.rougher", lambda *_: rougher(np.array(beads), free()))
     found = fit(ReynoldsMcCormick(0.6, 1.2), "any")
     assert "rougher than smooth ones" in found.verdict
     assert not found.identifiable["sigma_s"]

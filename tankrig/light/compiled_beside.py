@@ -49,10 +49,18 @@ def paths_compiled_beside(scene: Scene) -> Iterator[None]:
         other.wait()
 
 
-@cache
 def wanted() -> bool:
-    """Asked once in a process: whether paths are still to be compiled, and there is a second processor for it."""
-    return THREADS > 1 and len(os.sched_getaffinity(0)) > 1 and not kept(trace)
+    """Whether paths are still to be compiled, and there is a second processor for it; no more than once in a process.
+
+    A fit makes hundreds of images, and this one compiles for itself what it has not read before it was kept on disk.
+    """
+    return next(_first(), False) and THREADS > 1 and len(os.sched_getaffinity(0)) > 1 and not kept(trace)
+
+
+@cache
+def _first() -> Iterator[bool]:
+    """True, and then no more."""
+    return iter((True,))
 
 
 def begun(scene: Scene) -> "subprocess.Popen[bytes] | None":
