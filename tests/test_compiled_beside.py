@@ -53,7 +53,7 @@ def test_a_process_asks_for_another_once_however_many_images_it_makes(monkeypatc
     monkeypatch.setattr(compiled_beside, "THREADS", 2)
     monkeypatch.setattr(compiled_beside, "kept", lambda _: False)
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1})
-    compiled_beside._first.cache_clear()
+    compiled_beside.first_time.cache_clear()
     assert [compiled_beside.wanted() for _ in range(3)] == [True, False, False]
 
 

@@ -54,11 +54,11 @@ def wanted() -> bool:
 
     A fit makes hundreds of images, and this one compiles for itself what it has not read before it was kept on disk.
     """
-    return next(_first(), False) and THREADS > 1 and len(os.sched_getaffinity(0)) > 1 and not kept(trace)
+    return next(first_time(), False) and THREADS > 1 and len(os.sched_getaffinity(0)) > 1 and not kept(trace)
 
 
 @cache
-def _first() -> Iterator[bool]:
+def first_time() -> Iterator[bool]:
     """True, and then no more."""
     return iter((True,))
 
