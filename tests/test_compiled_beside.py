@@ -49,7 +49,7 @@ def test_the_other_process_finds_the_program_and_ends_by_itself() -> None:
 
 
 def test_a_process_asks_for_another_once_however_many_images_it_makes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first fit after an installation started one for each of its images, and took four minutes for ten seconds."""
+    """The first fit after an installation started one for each image, and took three minutes for six seconds."""
     monkeypatch.setattr(compiled_beside, "THREADS", 2)
     monkeypatch.setattr(compiled_beside, "kept", lambda _: False)
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1})

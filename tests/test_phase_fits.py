@@ -247,8 +247,7 @@ def test_a_free_phase_function_is_looked_for_about_what_is_said_of_it() -> None:
     described = replace(SCENE, medium=Medium(0.001, 0.02, phase=table))
     assert asked_for("free", described).begin == table
     assert asked_for("two-term", described).begin is None
-    (start,) = (PhaseBlock(free()).start(described.medium),)
-    begun = free().phase(start)
+    begun = free().phase(PhaseBlock(free()).start(described.medium))
     seen = np.cos(np.radians(np.arange(20.0, 165.0, 5.0)))
     assert np.log(begun.at(seen) / emulsion.at(seen)) == pytest.approx(0.0, abs=0.03)
     of_material = {"name": "x", "steps": [{"do": "capture", "pattern": "full"}], "wavelength_nm": 633.0}

@@ -81,7 +81,7 @@ def _family(found: PhaseFunction | None, asked: str | PhaseFunction, scene: Scen
 def _member(ink: Medium, family: Family) -> PhaseFunction:
     """The ink's phase function, or the free one that is most like it."""
     phase = ink.phase_function
-    return family.phase(as_free(phase)) if family.name == "free" and phase.kind != "free" else phase
+    return family.phase(as_free(phase)) if family.is_free and phase.kind != family.name else phase
 
 
 def from_guess(ink: Medium, gain: float, noise: float) -> Known:

@@ -16,7 +16,6 @@ from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_fault
 from tankrig.estimation.observation import structure
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import ALIKE, COUNTED
-from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.shots import Fit
 from tankrig.estimation.uncertainty import ModelError, PatternedError, SmoothError
 from tankrig.estimation.verdict import TELLING_MOVE
@@ -188,11 +187,10 @@ def met_by_noise(best: Evaluation, left: Left, changes: Array, gained: Callable[
         squared += float(whole @ whole)
     if squared > 0.0 and scaling.free_gain:
         models, ones = [gain * model for model in best.models], [view.one]
-        by_values = replace(best.problem, scaling=Scaling(gain, 0.0)).at(best.coordinates).sensitivity.changes
         values = np.array([best.sensitivity.step(one) for one in best.project_out(changes)[:, :pixels]])
         # What values have followed, the residual shows no more.
         found += scaling.drawn(changes, models, ones, squared)
-        found -= values @ scaling.drawn(by_values, models, ones, squared)
+        found -= values @ scaling.drawn(best.changes_at(gain), models, ones, squared)
     return found
 
 
@@ -263,7 +261,8 @@ def astray_shown(
     along = sizes_along(best.problem.blocks, best.values)
     gain, _ = best.scale
     quick = name is None and left.prediction.model == "prepared"
-    looked_for = causes(scene, left.smooth / gain, quick, as_found(scene, along))
+    found_along = as_found(scene, along)
+    looked_for = causes(scene, left.smooth / gain, quick, found_along)
     names = [one for one in looked_for if SIGNS[one].along not in along and name in (None, one)]
     if not names:
         return None
@@ -273,7 +272,7 @@ def astray_shown(
     faults = best.project_out(whole)[:, : best.left.size]
 
     def gained(light: Image, noise: Image) -> Array:
-        noisy, found = causes(scene, (light + noise) / gain, quick, as_found(scene, along)), np.zeros_like(patterns)
+        noisy, found = causes(scene, (light + noise) / gain, quick, found_along), np.zeros_like(patterns)
         for number, one in enumerate(names):
             if SIGNS[one].of_image:
                 found[number] = gain * (noisy[one]()[0] - patterns[number])

@@ -65,7 +65,7 @@ class Asked:
     @property
     def is_free(self) -> bool:
         """Whether any smooth phase function is searched."""
-        return self.family is not None and self.family.name == free().name
+        return self.family is not None and self.family.is_free
 
 
 def asked_for(phase: str | PhaseFunction | None, scene: Scene) -> Asked:

@@ -15,7 +15,6 @@ from tankrig.estimation.ink_blocks import MOST_WATER, Doses, InkBlock
 from tankrig.estimation.parameters import WIDEST, Block, Values
 from tankrig.estimation.phase_families import Family, as_free
 from tankrig.scene import Medium
-from tankrig.scene.free_phase import FreePhase
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -250,7 +249,7 @@ class PhaseBlock(Block):
         phase = densest.phase
         if phase is not None and phase.kind == self.family.name:
             return np.clip(self.family.coordinates(phase), self.low, self.high)
-        if phase is not None and self.family.name == FreePhase.kind:
+        if phase is not None and self.family.is_free:
             return np.clip(as_free(phase), self.low, self.high)
         return np.clip(self.family.like(densest.g), self.low, self.high)
 

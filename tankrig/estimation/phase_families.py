@@ -81,6 +81,11 @@ class Family:
     others: Callable[[Array], Sequence[Array]] = lambda _: ()
     ladder: Array = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def is_free(self) -> bool:
+        """Whether it holds any smooth phase function."""
+        return self.name == FreePhase.kind
+
     def phase(self, coordinates: Array) -> PhaseFunction:
         """The member at coordinates, which are moved into what is searched."""
         return self.member(np.clip(coordinates, self.low, self.high))

@@ -14,7 +14,6 @@ from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
 from tankrig.estimation.phase_families import free
 from tankrig.estimation.phase_result import coefficients_by
 from tankrig.estimation.problem import Evaluation, Problem
-from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.uncertainty import ModelError, PatternedError, Sensitivity, SmoothError
 from tankrig.scene import Medium, Scene
 
@@ -175,14 +174,11 @@ def freed(
 
 def _drawn(liquid: Evaluation, all_values: Evaluation, errors: Sequence[ModelError]) -> Array:
     """What noise of the model's image pulls at each value by drawing a free gain towards 0, see `Scaling.drawn`."""
-    (error,), (view,), (gain, (offset,)) = errors, all_values.problem.views, all_values.scale
+    (error,), (view,), (gain, _) = errors, all_values.problem.views, all_values.scale
     first = len(all_values.problem.blocks[0].names)
     if not isinstance(error, PatternedError):
         return np.zeros(liquid.sensitivity.widest.size + all_values.sensitivity.widest.size - first)
-    fixed = Scaling(gain, offset)
-    whole, others = (
-        replace(one.problem, scaling=fixed).at(one.coordinates).sensitivity.changes for one in (liquid, all_values)
-    )
+    whole, others = (one.changes_at(gain) for one in (liquid, all_values))
     noise = float(np.sum(np.square(view.whitened(error.patterns))))
     models = [gain * model for model in all_values.models]
     return all_values.problem.scaling.drawn(np.vstack([whole, others[first:]]), models, [view.one], noise)

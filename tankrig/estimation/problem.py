@@ -356,6 +356,10 @@ class Evaluation:
             found += left @ left.T
         return found
 
+    def changes_at(self, gain: float) -> Array:
+        """(k, n) whitened derivatives of the images times a gain, with all that gain and offsets could make of them."""
+        return replace(self.problem, scaling=Scaling(gain, 0.0)).at(self.coordinates).sensitivity.changes
+
     def project_out(self, changes: Array) -> Array:
         """Part of whitened changes (k, n) that no gain and no offset could make of the images, then of priors."""
         return self.problem.scaling.project_out(changes, self.models, [view.one for view in self.problem.views])

@@ -161,27 +161,25 @@ def _by_tank_model(
 ) -> Iterator[Fit]:
     sheets.look(exposures)
     # Henyey–Greenstein's three numbers are found from anywhere; other phase functions from what is expected.
-    expected = None if plan.phase == "hg" or plan.ink is None or plan.ink.phase is None else plan.ink
+    # A label's spheres are searched all about it, and not begun from.
+    named = isinstance(plan.phase, str) and plan.phase != "hg"
+    latest = (plan.ink, 1.0) if named and plan.ink is not None and plan.ink.phase is not None else None
     known = {one.dose_ml: one for one in doses}
     photographs = exposures.photographs()
     doses_ml = sorted({one.dose_ml for one in photographs})
-    near: DoseFit | None = None
     for dose_ml in doses_ml:
         here = [one for one in photographs if one.dose_ml == dose_ml]
         fit = known.get(dose_ml)
         if fit is None or fit.frames < sum(one.frames for one in here):
-            start = None if expected is None else diluted(expected, 1.0, dose_ml)
-            start = start if near is None else diluted(near.medium, near.dose_ml, dose_ml)
+            start = None if latest is None else diluted(*latest, dose_ml)
             progress(f"fitting {dose_ml:g} ml")
             told = () if start is not None else sheets.media(dose_ml)
             fit = sheets.beside(fit_dose(here, start, progress, plan.phase, told))
             yield fit
-        near = fit
+        latest = fit.medium, fit.dose_ml
     if len(doses_ml) > 1 and (series is None or series.doses_ml != tuple(doses_ml)):
         progress("fitting the series")
-        start = None  # as before, but from what a dose has found
-        if near is not None and near.medium.phase is not None:
-            start = diluted(near.medium, near.dose_ml, 1.0)
+        start = None if latest is None or latest[0].phase is None else diluted(*latest, 1.0)
         yield sheets.beside_series(fit_all(photographs, start, progress=progress, phase=plan.phase))
 
 
