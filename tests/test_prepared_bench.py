@@ -329,7 +329,8 @@ def test_tables_come_back_from_a_file_as_they_were(of_wall: list[Tabulated]) -> 
 
 @pytest.mark.parametrize("scene", [scenes.small(MEDIUM), BENCH], ids=["calibrated", "pinholes"])
 def test_order_1_of_several_liquids_is_that_of_each(scene: Scene) -> None:
-    """The densest says how finely lines of sight are cut, the thinnest how far they are followed."""
+    """The densest says how finely lines of sight are cut, the thinnest how far they are followed; where one has another
+    phase function, they are all read from tables."""
     media = [Medium(0.0, 0.003, 0.2), Medium(0.0, 0.05, 0.7), Medium(0.001, 0.02, 0.92)]
     for medium, image in zip(media, single_scattering_of(scene, media), strict=True):
         alone = single_scattering(replace(scene, medium=medium))
@@ -337,7 +338,7 @@ def test_order_1_of_several_liquids_is_that_of_each(scene: Scene) -> None:
         assert relative(image, alone) < 1e-5
     mixed = [media[0], Medium(0.0, 0.01, phase=ReynoldsMcCormick(0.5, 1.0))]
     for medium, image in zip(mixed, single_scattering_of(scene, mixed), strict=True):
-        assert np.array_equal(image, single_scattering(replace(scene, medium=medium)))
+        assert relative(image, single_scattering(replace(scene, medium=medium))) < 1e-5
 
 
 def test_order_2_of_several_liquids_is_that_of_each() -> None:

@@ -7,11 +7,12 @@ import pytest
 
 import tankrig
 from tankrig.errors import ImageError, SceneError
+from tankrig.estimation.forward import Models
 from tankrig.estimation.ink_blocks import Doses
 from tankrig.estimation.observation import observe
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, fit_series
-from tankrig.estimation.series_forward import in_water
+from tankrig.estimation.series_forward import ModelOf, modelled_in_water, series_models
 from tankrig.light.leaving import CameraLens
 from tankrig.prediction import Prediction
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
@@ -51,6 +52,10 @@ def photographs(doses_ml: np.ndarray, seed: int) -> tuple[list[np.ndarray], list
     return [image + rng.normal(0.0, sd, image.shape) for image, sd in zip(images, noises, strict=True)], noises
 
 
+def models(model_of: ModelOf = lambda *_: tank_like) -> list[Models]:
+    return [series_models(SCENE, model_of)] * DOSES_ML.size
+
+
 def fit(
     images: list[np.ndarray], noises: list[float], doses_ml: np.ndarray = DOSES_ML, sd_ml: np.ndarray | None = None
 ) -> SeriesEstimate:
@@ -59,7 +64,7 @@ def fit(
     doses = Doses(doses_ml, sd, np.arange(doses_ml.size))
     scenes = [SCENE] * doses_ml.size
     return fit_series(
-        observations, scenes, doses, Scaling(None, None), lambda *_: tank_like, None, lambda _: None
+        observations, scenes, doses, Scaling(None, None), models(), None, lambda _: None
     )  # fmt: skip
 
 
@@ -74,8 +79,8 @@ def test_water_that_scatters_by_itself_does_not_pass_for_ink(said: bool) -> None
     noises = [1e-4 * float(image.max()) for image in clear]
     observations = [observe(image, (40, 60), noise) for image, noise in zip(images, noises, strict=True)]
     doses = Doses(DOSES_ML, np.zeros(5), np.arange(5))
-    model_of = in_water(lambda *_: tank_like, 1e-5 if said else 0.0)
-    found = fit_series(observations, [SCENE] * 5, doses, Scaling(None, None), model_of, None, lambda _: None)
+    known = models(modelled_in_water(lambda *_: tank_like, 1e-5 if said else 0.0))
+    found = fit_series(observations, [SCENE] * 5, doses, Scaling(None, None), known, None, lambda _: None)
     off = abs(found.ink.sigma_a / INK.sigma_a - 1.0)
     assert off < 0.002 if said else off > 0.01
 
@@ -184,7 +189,7 @@ def test_a_halo_and_a_veil_that_nobody_measured_are_fitted_along(seed: int) -> N
 
     def found_with(nuisance: dict[str, float] | None) -> SeriesEstimate:
         return fit_series(
-            observations, [SCENE] * DOSES_ML.size, doses, Scaling(None, 0.0), lambda *_: tank_like, None,
+            observations, [SCENE] * DOSES_ML.size, doses, Scaling(None, 0.0), models(), None,
             lambda _: None, nuisance=nuisance,
         )  # fmt: skip
 

@@ -153,8 +153,9 @@ def guessed(
     if len(few) > 1:
         problem, found = searched(shots, blocks, scaling, progress, few)
         return problem.of(few).at(found[0]).media[-1]
-    problem = rough_problem(shots, blocks, scaling).of(few)
     progress("looking at a few media")
+    look = [shots[number].looked_at() for number in few]
+    problem = rough_problem(look, tuple(block.binned(look[0].binned_by) for block in blocks), scaling)
     first, _ = first_guess(problem, shots[0].length_mm)
     return problem.at(search(problem, [look.coordinates for look in first], progress)[0]).media[0]
 

@@ -16,6 +16,7 @@ from tankrig.estimation.phase_families import Family
 from tankrig.light.moments.plan import MomentPlan
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
+from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture
 
 if TYPE_CHECKING:
     from tankrig.light.tangent import Tangent
@@ -42,6 +43,30 @@ SOLVED_BATCHES = 16
 """Lattices of paths for the orders that are left to them where the others are solved for."""
 
 
+def in_water(ink: Medium, sigma_s: float) -> Medium:
+    """Ink in water that scatters by itself: coefficients add up, and p is the mean over what scatters.
+
+    Parameters
+    ----------
+    ink
+        In the tank.
+    sigma_s
+        The water's, 1/mm, isotropic.
+
+    Examples
+    --------
+    >>> in_water(Medium(0.001, 0.009, 0.8), 0.001)
+    Medium(sigma_a=0.001, sigma_s=0.01, g=0.72)
+    """
+    whole = ink.sigma_s + sigma_s
+    if sigma_s == 0.0 or whole == 0.0:
+        return ink
+    if ink.phase is None:
+        return Medium(ink.sigma_a, whole, ink.g * ink.sigma_s / whole)
+    shares = ink.sigma_s / whole, sigma_s / whole
+    return Medium(ink.sigma_a, whole, phase=Mixture((ink.phase, HenyeyGreenstein(0.0)), shares))
+
+
 @dataclass(frozen=True, eq=False)
 class Followed:
     """The tank's image by a fixed number of lattices of paths, and its derivatives along them.
@@ -59,7 +84,12 @@ class Followed:
     family
         Of the media's phase functions; None: Henyey–Greenstein.
     sharp
-        Whether derivatives by a family's coordinates are left as they are, and not averaged as others are.
+        Whether derivatives by a family's coordinates are left as they are, and not averaged as others are; their order
+        2 is then as fine as those by the finer shapes of a phase function want it.
+    tables
+        Tolerance that order 2 is computed to; None: as accurate images want it.
+    water_sigma_s
+        What water scatters besides, of media of a family, see `in_water`; their derivatives are those without it.
     """
 
     scene: Scene
@@ -70,6 +100,8 @@ class Followed:
     rough: bool = False
     family: Family | None = None
     sharp: bool = False
+    tables: float | None = None
+    water_sigma_s: float = 0.0
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image; of another phase function than Henyey–Greenstein's by itself."""
@@ -117,13 +149,22 @@ class Followed:
 
         assert self.family is not None
         turning, sizes = turning_of(centre, self.family)
-        low, slopes = low_orders(replace(self.scene, medium=centre), LOW_ORDERS, turning.others)
+        tables = None if self.sharp else self.tables
+        low, slopes = low_orders(replace(self.scene, medium=centre), LOW_ORDERS, turning.others, tables)
         return np.asarray(slopes / np.append(np.ones(2), sizes)[:, None, None] + (exact - low) * shares)
 
     def _low(self, medium: Medium) -> Image:
         from tankrig.light.tangent import tank_steady
 
-        return tank_steady(replace(self.scene, medium=medium), 0, max_order=LOW_ORDERS).image
+        scene = replace(self.scene, medium=in_water(medium, self.water_sigma_s))
+        return tank_steady(scene, 0, max_order=LOW_ORDERS, tables=self.tables).image
+
+    @property
+    def _tables(self) -> float | None:
+        """As for `tank_tangent`."""
+        from tankrig.light.tangent import BY_PATHS
+
+        return BY_PATHS if self.rough else self.tables
 
     @cached_property
     def _alone(self) -> Model:
@@ -133,8 +174,8 @@ class Followed:
         lattice = SMALL if self.small and self.family is not None else LARGE
 
         def alone(medium: Medium) -> Prediction:
-            scene = replace(self.scene, medium=medium)
-            return tank_steady(scene, self.batches, self.seed, self.max_order, lattice)
+            scene = replace(self.scene, medium=in_water(medium, self.water_sigma_s))
+            return tank_steady(scene, self.batches, self.seed, self.max_order, lattice, self.tables)
 
         return remembered(alone)
 
@@ -152,7 +193,7 @@ class Followed:
             turning, sizes = turning_of(medium, family)
             found = tank_tangent(
                 replace(self.scene, medium=medium), self.batches, self.seed, self.max_order, lattice,
-                0.0 if self.sharp else SLOPE_BLUR_MM, self.rough, turning,
+                0.0 if self.sharp else SLOPE_BLUR_MM, turning, None if self.sharp else self._tables,
             )  # fmt: skip
             per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
             return found.slopes * per_step, found.noise * per_step, found.high * per_step, found.bright
@@ -168,7 +209,9 @@ class Followed:
 
         def whole(medium: Medium) -> "Tangent":
             scene = replace(self.scene, medium=medium)
-            return tank_tangent(scene, self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM, self.rough)
+            return tank_tangent(
+                scene, self.batches, self.seed, self.max_order, lattice, SLOPE_BLUR_MM, tables=self._tables
+            )
 
         return remembered(whole)
 
@@ -223,10 +266,15 @@ class Solved:
 
     @cached_property
     def _parts(self) -> list[Callable[[Medium], Image]]:
+        from tankrig.light.behind_lenses import BehindLenses
         from tankrig.light.moments.dense import dense_image
 
+        def image(seed: int, medium: Medium) -> Image:
+            behind = BehindLenses(replace(self.low.scene, medium=medium))
+            return behind.seen(dense_image(behind.of_paths, self.plan, seed))
+
         def part(seed: int) -> Callable[[Medium], Image]:
-            return remembered(lambda medium: dense_image(replace(self.low.scene, medium=medium), self.plan, seed))
+            return remembered(partial(image, seed))
 
         return [part(self.low.seed + number) for number in range(self.parts)]
 

@@ -9,6 +9,7 @@ would look like a way to a better fit.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +32,7 @@ from tankrig.estimation.followed import (
     Image,
     Model,
     Solved,
+    in_water,
     remembered,
     tank_along,
 )
@@ -171,6 +173,12 @@ def is_ideal(scene: Scene) -> bool:
     return is_plain(scene) and CameraLens.of(scene) is None and scene.tank.faces.dark
 
 
+def has_light_beside(scene: Scene) -> bool:
+    """Whether there is more light than its beams', or walls send some of it back."""
+    light = scene.projector
+    return light.halo.share > 0.0 or light.black_level > 0.0 or not scene.tank.faces.dark
+
+
 def models_of(
     scene: Scene, model: "str | Prepared", max_order: int | None, family: Family | None = None, checked: bool = False
 ) -> Models:
@@ -201,11 +209,10 @@ def models_of(
     if not isinstance(model, str):
         return _prepared_models(scene, model, max_order, checked)
     if model == "tank":
-        # Derivatives come along the paths where lenses and walls are ideal; others are differences of whole images.
-        if is_ideal(scene):
-            return _followed_models(scene, max_order)
-        bare, _ = described_beside(scene)
-        return _models_with_beside(scene) if max_order is None and is_ideal(bare) else _tank_models(scene, max_order)
+        # Derivatives come along the paths where walls are dark; others are differences of whole images.
+        if has_light_beside(scene):
+            return _models_with_beside(scene) if max_order is None else _tank_models(scene, max_order)
+        return _followed_models(scene, max_order)
 
     def within(tolerance: float) -> Model:
         return remembered(lambda medium: predict(replace(scene, medium=medium), model, tolerance, max_order))
@@ -369,16 +376,15 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
     straight = shift_invariant(scene)
     fewest = COARSE_BATCHES if straight else SMOOTHED_BATCHES
     coarse = Followed(scene, fewest, 0, max_order, small=True)
-    by = max(1, int(math.sqrt(math.prod(scene.camera.shape) / LOOK_PIXELS)))
-    look = by, Followed(replace(scene, camera=scene.camera.binned(by)), LOOK_BATCHES, 0, max_order, True, rough=True)
     slanted = remembered(lambda medium: tank_along(replace(scene, medium=medium), max_order, fewest, 1, 0.0))
 
     batches = _lattices(slanted, fewest)
 
     def refine(medium: Medium) -> tuple[Model, Model]:
+        from tankrig.light.behind_lenses import BehindLenses
         from tankrig.light.moments.plan import plan_of_changes
 
-        plan = None if max_order else plan_of_changes(replace(scene, medium=medium))
+        plan = None if max_order else plan_of_changes(BehindLenses(replace(scene, medium=medium)).of_paths)
         if plan is not None:
             low = Followed(scene, SOLVED_BATCHES, 1, plan.above)
             return Solved(low, replace(plan, batches=ROUGH_SOURCE)), Solved(low, plan, parts=2)
@@ -386,32 +392,58 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
         return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
 
     return Models(
-        coarse, refine, exact=_accurate(scene, max_order, batches), look=look,
-        different=lambda family: _family_models(scene, max_order, family),
+        coarse, refine, exact=_accurate(scene, max_order, batches), look=_look(scene, max_order),
+        different=partial(family_models, scene, max_order=max_order),
     )  # fmt: skip
 
 
-def _family_models(scene: Scene, max_order: int | None, family: Family) -> Models:
-    """Versions for media of a family of phase functions, whose derivatives come along the paths as well."""
+def _look(scene: Scene, max_order: int | None) -> tuple[int, Followed]:
+    """See `Models.look`."""
+    by = max(1, int(math.sqrt(math.prod(scene.camera.shape) / LOOK_PIXELS)))
+    binned = replace(scene, camera=scene.camera.binned(by))
+    return by, Followed(binned, LOOK_BATCHES, 0, max_order, small=True, rough=True, tables=COARSE)
+
+
+def family_models(scene: Scene, family: Family, max_order: int | None = None, water_sigma_s: float = 0.0) -> Models:
+    """Versions for media of a family of phase functions, whose derivatives come along the paths as well.
+
+    Parameters
+    ----------
+    scene
+        Whose walls are dark.
+    family
+        Of phase functions.
+    max_order
+        As for `models_of`.
+    water_sigma_s
+        What water scatters besides, 1/mm, see `in_water`.
+    """
     from tankrig.light.rays import shift_invariant
 
-    fewest = COARSE_BATCHES if shift_invariant(scene) else SMOOTHED_BATCHES
-    coarse = Followed(scene, fewest, 0, max_order, family=family)
+    straight = shift_invariant(scene)
+    fewest = COARSE_BATCHES if straight else SMOOTHED_BATCHES
+    followed = partial(
+        Followed, scene, max_order=max_order, family=family, tables=None if straight else COARSE,
+        water_sigma_s=water_sigma_s,
+    )  # fmt: skip
+    coarse = followed(fewest, 0)
 
     batches = _lattices(coarse, fewest)
 
     def refine(medium: Medium) -> tuple[Model, Model]:
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
-        return (
-            Followed(scene, fine, 1, max_order, family=family),
-            Followed(scene, slope, 2, max_order, family=family, sharp=True),
-        )
+        return followed(fine, 1), followed(slope, 2, sharp=True)
 
-    return Models(coarse, refine, exact=_accurate(scene, max_order, _once(batches)), family=family)
+    accurate = _accurate(scene, max_order, _once(batches))
+
+    def exact(medium: Medium, times: float) -> Prediction:
+        return accurate(in_water(medium, water_sigma_s), times)
+
+    return Models(coarse, refine, exact=exact, family=family, look=_look(scene, max_order))
 
 
 def _models_with_beside(scene: Scene) -> Models:
-    """Versions where the beams' own light meets ideal lenses and dark walls only, and other light is beside it.
+    """Versions where derivatives are of the beams' own light that meets dark walls, and other light is beside it.
 
     The other light is smooth and mostly a few per cent: all of it by as many paths, and computed as often as the
     beams' light, took ten times as long.
@@ -445,7 +477,7 @@ def _models_with_beside(scene: Scene) -> Models:
     rougher = WithBeside(seen, described_beside(looked_at, rough=True)[1])
     return replace(
         main, coarse=with_rough(main.coarse), refine=refined, exact=accurate, look=(by, rougher),
-        different=whole.of,
+        different=partial(family_models, scene) if scene.tank.faces.dark else whole.of,
     )  # fmt: skip
 
 

@@ -196,7 +196,7 @@ def in_its_halo(scene: Scene, rough: bool) -> tuple[Beam, ...]:
 def _entered(scene: Scene, beams: Sequence[Beam], rough: bool) -> Expanded:
     """The image of light that enters as other beams than a scene's, and meets dark walls."""
     from tankrig.light.paths.block import SMALL
-    from tankrig.light.tangent import tank_tangent
+    from tankrig.light.tangent import BY_PATHS, tank_tangent
     from tankrig.light.tank import tank_image
 
     light = replace(scene.projector, beams=tuple(beams), wide_lens=PINHOLE, blur=SHARP)
@@ -204,7 +204,7 @@ def _entered(scene: Scene, beams: Sequence[Beam], rough: bool) -> Expanded:
 
     def told(liquid: Medium) -> Told:
         one = replace(lit, medium=liquid)
-        found = tank_tangent(one, ROUGH_LATTICES if rough else SLOPE_LATTICES, SEED, None, SMALL, 0.0, rough=True)
+        found = tank_tangent(one, ROUGH_LATTICES if rough else SLOPE_LATTICES, SEED, None, SMALL, tables=BY_PATHS)
         image = found.prediction if rough else tank_image(one, TOLERANCE, seed=SEED, batches=LATTICES)
         stderr = np.zeros(lit.camera.shape) if image.stderr is None else np.asarray(image.stderr, float)
         return np.asarray(image.image, float), found.slopes, stderr

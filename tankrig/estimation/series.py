@@ -17,7 +17,7 @@ from tankrig.estimation.astray import ASTRAY, Astray
 from tankrig.estimation.coordinates import Range, to_coordinates
 from tankrig.estimation.estimate import Free, determined, nuisances_of, with_astray
 from tankrig.estimation.fitting import fitted
-from tankrig.estimation.forward import Models
+from tankrig.estimation.forward import Models, family_models
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
 from tankrig.estimation.left_over import Left, error_of, left_over, moved_by_halos, rms, spread_of
 from tankrig.estimation.observation import Observation, observe
@@ -37,7 +37,13 @@ from tankrig.estimation.result import Linearity, LiquidEstimate
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
-from tankrig.estimation.series_forward import ModelOf, in_water, low_orders_model, series_models, tank_model
+from tankrig.estimation.series_forward import (
+    ModelOf,
+    low_orders_model,
+    modelled_in_water,
+    series_models,
+    tank_model,
+)
 from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.uncertainty import PATTERN, ModelError
 from tankrig.estimation.verdict import (
@@ -145,11 +151,13 @@ def estimate_series(
     doses = doses_of(doses_ml, doses_sd_ml, len(images))
     asked = asked_for(phase, scenes[0])
     observations = observed(images, scenes, noise, masks)
-    low_of = in_water(low_orders_model, water_sigma_s) if model_of is None else None
-    model_of = in_water(model_of or tank_model, water_sigma_s)
+    if model_of is None:
+        models = _models_of_tank(scenes, asked.family, water_sigma_s)
+    else:
+        models = _models(scenes, modelled_in_water(model_of, water_sigma_s), asked.family)
     told = progress or (lambda _: None)
     scaling = Scaling.given(gain, offset)
-    return fit_series(observations, scenes, doses, scaling, model_of, start, told, asked, low_of, nuisance)
+    return fit_series(observations, scenes, doses, scaling, models, start, told, asked, nuisance)
 
 
 def fit_liquid(
@@ -191,7 +199,7 @@ def fit_liquid(
     ImageError
         When the images are dark where the scenes are bright.
     """
-    models = models or _models(scenes, tank_model, asked.family, low_orders_model)
+    models = models or _models_of_tank(scenes, asked.family)
     blocks_of = liquid_blocks(models[0].range or Range.of_tank(max(max(scene.tank.size_mm) for scene in scenes)))
     shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
     known = start if isinstance(start, Medium) else None
@@ -243,17 +251,15 @@ def fit_series(
     scenes: Sequence[Scene],
     doses: Doses,
     scaling: Scaling,
-    model_of: ModelOf,
+    models: Sequence[Models],
     start: InkAndWater | Medium | None,
     progress: Told,
     asked: Asked = Asked(),  # noqa: B008
-    low_of: ModelOf | None = None,
     nuisance: Mapping[str, float] | None = None,
 ) -> SeriesEstimate:
-    """Fit a series with any model, whose orders 1 and 2 may be had alone; see `estimate_series`."""
+    """Fit a series with any models, one of each image; see `estimate_series`."""
     length_mm = max(max(scene.tank.size_mm) for scene in scenes)
     blocks_of = ink_blocks(doses, length_mm)
-    models = _models(scenes, model_of, asked.family, low_of)
     shots = [Shot(*one) for one in zip(observations, scenes, models, doses.of_image.tolist(), strict=True)]
     ink, water = (start, 0.0) if start is None or isinstance(start, Medium) else (start.ink, start.water.sigma_a)
     highest = doses.ml.size - 1
@@ -277,10 +283,26 @@ def _with_nuisance(fit: Fit, scenes: Sequence[Scene], nuisance: Mapping[str, flo
     return with_astray(fit, [Astray(scene, nuisance) for scene in scenes]) if nuisance else fit
 
 
-def _models(scenes: Sequence[Scene], model_of: ModelOf, family: Family | None, low_of: ModelOf | None) -> list[Models]:
-    """One for each image; images of one scene share theirs, and what it has computed."""
+def _models(
+    scenes: Sequence[Scene], model_of: ModelOf, family: Family | None, low_of: ModelOf | None = None
+) -> list[Models]:
+    """One for each image, whose orders 1 and 2 may be had alone; images of one scene share theirs, and what it has
+    computed."""
     by_scene = {scene: series_models(scene, model_of, family, low_of) for scene in dict.fromkeys(scenes)}
     return [by_scene[scene] for scene in scenes]
+
+
+def _models_of_tank(scenes: Sequence[Scene], family: Family | None, water_sigma_s: float = 0.0) -> list[Models]:
+    """The tank's of each image.
+
+    A phase function's coordinates, which change images nearly alike, want derivatives along paths, and exact images, as
+    walls that are dark allow; Henyey–Greenstein's three numbers do with differences.
+    """
+    if family is not None and all(scene.tank.faces.dark for scene in scenes):
+        by_scene = {one: family_models(one, family, water_sigma_s=water_sigma_s) for one in dict.fromkeys(scenes)}
+        return [by_scene[scene] for scene in scenes]
+    model_of, low_of = (modelled_in_water(one, water_sigma_s) for one in (tank_model, low_orders_model))
+    return _models(scenes, model_of, family, low_of)
 
 
 def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> SeriesEstimate:

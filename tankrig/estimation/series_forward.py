@@ -9,12 +9,11 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from tankrig.estimation.followed import Model, remembered
+from tankrig.estimation.followed import Model, in_water, remembered
 from tankrig.estimation.forward import SMOOTHED_BATCHES, Models, low_orders_of, stated_error
 from tankrig.estimation.phase_families import Family
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
-from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture
 
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
@@ -84,30 +83,14 @@ def low_orders_model(scene: Scene, _batches: int, _seed: int) -> Model:
     return found
 
 
-def in_water(model_of: ModelOf, sigma_s: float) -> ModelOf:
-    """The same of ink in water that scatters by itself: coefficients add up, and p is the mean over what scatters.
-
-    Parameters
-    ----------
-    model_of
-        What is fitted.
-    sigma_s
-        The water's, 1/mm, isotropic.
-    """
+def modelled_in_water(model_of: ModelOf, sigma_s: float) -> ModelOf:
+    """A series' model of ink in water that scatters by itself, see `in_water`."""
     if sigma_s == 0.0:
         return model_of
 
     def mixed(scene: Scene, batches: int, seed: int) -> Model:
         model = model_of(scene, batches, seed)
-
-        def image(ink: Medium) -> Prediction:
-            whole = ink.sigma_s + sigma_s
-            if ink.phase is None:
-                return model(Medium(ink.sigma_a, whole, ink.g * ink.sigma_s / whole))
-            shares = ink.sigma_s / whole, sigma_s / whole
-            return model(Medium(ink.sigma_a, whole, phase=Mixture((ink.phase, HenyeyGreenstein(0.0)), shares)))
-
-        return image
+        return lambda ink: model(in_water(ink, sigma_s))
 
     return mixed
 

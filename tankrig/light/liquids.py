@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import part
 from tankrig.scene import Medium
-from tankrig.scene.phase import henyey_greenstein, phase_density
-from tankrig.scene.phase_table import TableRecord
+from tankrig.scene.phase import henyey_greenstein
+from tankrig.scene.phase_table import HenyeyGreensteinRecord
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,13 @@ class Asymmetries(NamedTuple):
     """Smallest of their `HenyeyGreensteinRecord.width`."""
 
 
+class Tables(NamedTuple):
+    """Any phase functions of several liquids, for kernels."""
+
+    density: Array
+    """(nodes, n) as `TableRecord.density`, side by side: where an angle lies in them is looked up once."""
+
+
 class Liquids(NamedTuple):
     """Several media for kernels."""
 
@@ -30,12 +37,11 @@ class Liquids(NamedTuple):
     """(n,) extinctions, 1/mm."""
     thinnest: float
     densest: float
-    phases: Asymmetries | TableRecord
-    """Any other phase function than Henyey–Greenstein's is that of one liquid."""
+    phases: Asymmetries | Tables
 
 
 def liquids_of(media: Sequence[Medium]) -> Liquids:
-    """Media for kernels; several must be Henyey–Greenstein's.
+    """Media for kernels; as tables where one of them is not Henyey–Greenstein's.
 
     Examples
     --------
@@ -44,25 +50,39 @@ def liquids_of(media: Sequence[Medium]) -> Liquids:
     """
     sigma_t = np.array([one.sigma_t for one in media], float)
     records = [one.phase_function.record for one in media]
-    phases: Asymmetries | TableRecord
-    first = records[0]
-    if isinstance(first, TableRecord):
-        assert len(records) == 1, "several liquids of another phase function than Henyey–Greenstein's"
-        phases = first
+    known = [one for one in records if isinstance(one, HenyeyGreensteinRecord)]
+    phases: Asymmetries | Tables
+    if len(known) == len(records):
+        phases = Asymmetries(np.array([one.g for one in known], float), min(one.width for one in known))
     else:
-        phases = Asymmetries(np.array([one.g for one in records], float), min(one.width for one in records))
+        phases = Tables(np.ascontiguousarray(np.array([one.phase_function.table for one in media]).T))
     return Liquids(sigma_t, float(sigma_t.min()), float(sigma_t.max()), phases)
 
 
 @part
 def add_scattered(found: Array, light: float, cosine: float, way: float, liquids: Liquids) -> None:
     """Add to (n,) what each liquid scatters by an angle, after so long a way in all, mm."""
-    for n in range(found.size):
-        found[n] += light * _density(n, cosine, liquids.phases) * math.exp(-liquids.sigma_t[n] * way)
+    _add_turned(found, light, cosine, way, liquids.sigma_t, liquids.phases)
 
 
 @part
-def _density(number: int, cosine: float, phases: Asymmetries | TableRecord) -> float:
+def _add_turned(
+    found: Array, light: float, cosine: float, way: float, sigma_t: Array, phases: Asymmetries | Tables
+) -> None:
+    """The same; how light fades is worked out once for liquids of one extinction that follow each other."""
+    kept = 0.0
     if len(phases) == 2:
-        return henyey_greenstein(cosine, phases.g[number])
-    return phase_density(cosine, phases)
+        for n in range(found.size):
+            if n == 0 or sigma_t[n] != sigma_t[n - 1]:
+                kept = light * math.exp(-sigma_t[n] * way)
+            found[n] += kept * henyey_greenstein(cosine, phases.g[n])
+    else:
+        steps = phases.density.shape[0] - 1
+        place = math.sqrt(max(0.5 - 0.5 * cosine, 0.0)) * steps
+        step = min(int(place), steps - 1)
+        share = place - step
+        before, after = phases.density[step], phases.density[step + 1]
+        for n in range(found.size):
+            if n == 0 or sigma_t[n] != sigma_t[n - 1]:
+                kept = light * math.exp(-sigma_t[n] * way)
+            found[n] += kept * ((1.0 - share) * before[n] + share * after[n])

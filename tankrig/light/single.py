@@ -6,7 +6,6 @@ pixel's width, along lines of sight (`line_of_sight`). A calibrated camera's pix
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,9 +49,7 @@ def single_scattering(scene: Scene) -> NDArray[np.float64]:
 
 
 def single_scattering_of(scene: Scene, media: Sequence[Medium]) -> NDArray[np.float64]:
-    """The same of several liquids, (media, rows, columns); of Henyey–Greenstein's for little more than of one."""
-    if len(media) > 1 and any(one.phase is not None for one in media):
-        return np.array([single_scattering(replace(scene, medium=one)) for one in media])
+    """The same of several liquids, (media, rows, columns), for little more than of one."""
     if all(one.sigma_s == 0.0 for one in media):
         return np.zeros((len(media), *scene.camera.shape))
     if scene.camera.kind == "calibrated":

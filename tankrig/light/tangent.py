@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from tankrig.light.double import double_scattering, double_scattering_of
+from tankrig.light.behind_lenses import BehindLenses
 from tankrig.light.double.image import table_error
 from tankrig.light.high_orders import FAINTEST, LOST_USUALLY, MOST_ORDERS
 from tankrig.light.paths.block import LARGE, SMALL, Lattice, PathLimits
@@ -18,7 +18,6 @@ from tankrig.light.paths.lattices import THINNING, Groups, traced
 from tankrig.light.paths.record import Bins
 from tankrig.light.paths.smoothing import FEWEST, averaged, smoothed_batches
 from tankrig.light.paths.tangents import traced_tangents
-from tankrig.light.single import single_scattering, single_scattering_of
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -26,6 +25,8 @@ from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
 
+BY_PATHS = math.inf
+"""See `tank_tangent`."""
 TABLES, FINE_TABLES = 0.01, 0.001
 """Tolerance that order 2 is computed to beside derivatives by g, where coarse tables do, and in accurate images. Of
 derivatives by the finer shapes of a free phase function coarse ones get a quarter to three quarters wrong."""
@@ -92,14 +93,14 @@ class Tangent:
 
 def tank_tangent(
     scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE,
-    blur_mm: float = 0.0, rough: bool = False, turning: Turning | None = None,
+    blur_mm: float = 0.0, turning: Turning | None = None, tables: float | None = None,
 ) -> Tangent:  # fmt: skip
     """Image of the finite tank by a fixed number of lattices of paths, and its derivatives along the same paths.
 
     Parameters
     ----------
     scene
-        Any scene with σs > 0.
+        Any scene with σs > 0; light that its faces send back is none of it.
     batches
         Number of shifted lattices.
     seed
@@ -110,10 +111,12 @@ def tank_tangent(
         Of the paths.
     blur_mm
         Standard deviation of a Gaussian that the derivatives of orders ≥ 3 are averaged over.
-    rough
-        Whether order 2 is left to the paths as well: noisier, and where light or sight slant three times as quick.
     turning
         Where the phase function may go; None where it is Henyey–Greenstein's, which is differentiated by g.
+    tables
+        Tolerance that order 2 is computed to; None: as derivatives by the finer shapes of a phase function want it;
+        `BY_PATHS`: it is left to the paths as well, which is noisier, and where light or sight slant three times as
+        quick.
 
     Returns
     -------
@@ -129,9 +132,10 @@ def tank_tangent(
     >>> slopes.shape, bool((slopes[0].sum() < 0.0) & (slopes[1].sum() > 0.0))
     ((3, 40, 60), True)
     """
-    lowest = 2 if rough else 3
+    lowest = 2 if tables == BY_PATHS else 3
     others, ways = ((), ()) if turning is None else (turning.others, turning.ways)
-    sharp, slopes = low_orders(scene, min(max_order or MOST_ORDERS, lowest - 1), others)
+    tables = _tables(scene) if tables is None else tables
+    sharp, slopes = low_orders(scene, min(max_order or MOST_ORDERS, lowest - 1), others, tables)
     rest, stderr, noise = _from_paths(scene, batches, seed, max_order or MOST_ORDERS, lattice, lowest, ways)
     if turning is not None:
         rest = np.concatenate([rest[:3], np.tensordot(turning.by_ways, rest[3:], 1)])
@@ -141,30 +145,35 @@ def tank_tangent(
         rest[1:] = gaussian_filter(rest[1:], widths, mode="nearest")
         noise = gaussian_filter(noise, [0.0, *widths], mode="nearest")
     image = sharp + np.maximum(rest[0], 0.0)
-    found = Prediction(image, "tank", stderr=stderr, skipped=(_looked_up(scene, sharp, image),))
+    found = Prediction(image, "tank", stderr=stderr, skipped=(_looked_up(scene, sharp, image, tables),))
     return Tangent(found, slopes + rest[1:], noise, rest[1:], np.maximum(rest[0], 0.0))
 
 
 def tank_steady(
-    scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE
-) -> Prediction:
+    scene: Scene, batches: int, seed: int = 0, max_order: int | None = None, lattice: Lattice = LARGE,
+    tables: float | None = None,
+) -> Prediction:  # fmt: skip
     """The image of `tank_tangent` without its derivatives."""
-    first = single_scattering(scene)
-    second = double_scattering(scene, _tables(scene)) if (max_order or 2) >= 2 else np.zeros_like(first)
-    sharp, grid, highest = first + second, CellGrid.of(scene), max_order or MOST_ORDERS
+    tables = _tables(scene) if tables is None else tables
+    behind, highest = BehindLenses(scene), max_order or MOST_ORDERS
+    sharp = behind.once([scene.medium])[0]
+    if highest >= 2:
+        sharp = sharp + behind.twice([scene.medium], tables)[0]
     if highest < 3:
         return Prediction(sharp, "tank")
+    lit = behind.of_paths
+    grid = CellGrid.of(lit)
 
     def followed(number: int) -> Array:
         limits = PathLimits(highest, FAINTEST, THINNING)
-        return np.asarray(grid.folded(traced(scene, grid, (seed, number), ONE_BIN, limits, lattice))[0])
+        return np.asarray(grid.folded(traced(lit, grid, (seed, number), ONE_BIN, limits, lattice))[0])
 
     with ThreadPoolExecutor(min(THREADS, batches)) as pool:
         light = np.array(list(pool.map(followed, range(batches))))
     smooth, stderr = _steadied(light, grid)
-    rest = np.maximum(grid.to_pixels(grid.unfolded(smooth.mean(axis=0))), 0.0)
-    image = sharp + rest
-    return Prediction(image, "tank", stderr=stderr, skipped=(_looked_up(scene, sharp, image),))
+    image = sharp + np.maximum(behind.seen(grid.to_pixels(grid.unfolded(smooth.mean(axis=0)))), 0.0)
+    stderr = behind.error_seen(stderr)
+    return Prediction(image, "tank", stderr=stderr, skipped=(_looked_up(scene, sharp, image, tables),))
 
 
 def _steadied(light: Array, grid: CellGrid) -> tuple[Array, Array]:
@@ -181,37 +190,41 @@ def _tables(scene: Scene) -> float:
     return TABLES if scene.medium.phase is None else FINE_TABLES
 
 
-def _looked_up(scene: Scene, sharp: Array, image: Array) -> Skipped:
+def _looked_up(scene: Scene, sharp: Array, image: Array, tables: float) -> Skipped:
     """What tables of order 2 err by."""
-    off = table_error(scene, _tables(scene)) * float(np.linalg.norm(sharp)) / (float(np.linalg.norm(image)) or 1.0)
+    off = table_error(scene, tables) * float(np.linalg.norm(sharp)) / (float(np.linalg.norm(image)) or 1.0)
     return Skipped("tables that order 2 is looked up in", off)
 
 
-def low_orders(scene: Scene, highest: int, others: Sequence[PhaseFunction]) -> tuple[Array, Array]:
+def low_orders(
+    scene: Scene, highest: int, others: Sequence[PhaseFunction], tables: float | None = None
+) -> tuple[Array, Array]:
     """Orders 1 and 2, and their derivatives: they go with σs and σs² at one extinction."""
-    medium = scene.medium
+    medium, behind, tables = scene.medium, BehindLenses(scene), _tables(scene) if tables is None else tables
 
-    def orders(other: Medium) -> tuple[Array, Array]:
-        lit = replace(scene, medium=other)
-        first = single_scattering(lit)
-        return first, double_scattering(lit, _tables(lit)) if highest >= 2 else np.zeros_like(first)
+    def second_of(others: Sequence[Medium]) -> Array:
+        return behind.twice(others, tables) if highest >= 2 else np.zeros((len(others), *scene.camera.shape))
 
-    first, second = orders(medium)
     absorption = STEP_LENGTH / max(scene.tank.size_mm)
-    darker = sum(orders(replace(medium, sigma_a=medium.sigma_a + absorption)))
-    image = first + second
-    by_absorption = (darker - image) / absorption
-    by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
-    if medium.phase is not None:
-        # All in one, for they fade alike; the medium too, for their tables then have the same nodes.
-        media = [medium, *(Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others)]
-        light = single_scattering_of(scene, media)
-        if highest >= 2 and len(media) > 1:
-            light = light + double_scattering_of(scene, media, _tables(scene))
-        return image, np.stack([by_absorption, by_scattering, *(light[1:] - light[0])])
+    stepped = [medium, replace(medium, sigma_a=medium.sigma_a + absorption)]
     turning = STEP_ASYMMETRY * (1.0 - medium.g) * (1.0 + medium.g) * (-1.0 if medium.g > 0.0 else 1.0)
-    turned = sum(orders(replace(medium, g=medium.g + turning)))
-    return image, np.stack([by_absorption, by_scattering, (turned - image) / turning])
+    if medium.phase is None:
+        stepped.append(replace(medium, g=medium.g + turning))
+    # Order 2 of each by itself, for tables of several have the nodes that one of them wants.
+    ones, twos = behind.once(stepped), np.array([second_of([one])[0] for one in stepped])
+    first, second = ones[0], twos[0]
+    image = first + second
+    by_absorption = (ones[1] + twos[1] - image) / absorption
+    by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
+    if medium.phase is None:
+        return image, np.stack([by_absorption, by_scattering, (ones[2] + twos[2] - image) / turning])
+    if not others:
+        return image, np.stack([by_absorption, by_scattering])
+    light = behind.once([medium, *(Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others)])
+    by_others = light[1:] - light[0]
+    if highest >= 2:
+        by_others = by_others + behind.twice([medium], tables, others)[1:]
+    return image, np.stack([by_absorption, by_scattering, *by_others])
 
 
 def tank_accurate(scene: Scene, paths: int, seed: int = 0, max_order: int | None = None) -> Prediction:
@@ -230,28 +243,30 @@ def tank_accurate(scene: Scene, paths: int, seed: int = 0, max_order: int | None
     seed, max_order
         As for `tank_tangent`.
     """
-    first = single_scattering(scene)
-    second = double_scattering(scene, FINE_TABLES) if (max_order or 2) >= 2 else np.zeros_like(first)
-    sharp, grid, highest = first + second, CellGrid.of(scene), max_order or MOST_ORDERS
+    behind, highest = BehindLenses(scene), max_order or MOST_ORDERS
+    first = behind.once([scene.medium])[0]
+    second = behind.twice([scene.medium], FINE_TABLES)[0] if highest >= 2 else np.zeros_like(first)
+    sharp, lit = first + second, behind.of_paths
     if highest < 3:
         return Prediction(sharp, "tank")
+    grid = CellGrid.of(lit)
     count = max(FEWEST_APART, math.ceil(paths / SMALL.points))
 
     def followed(number: int) -> Array:
-        found = traced(scene, grid, (seed, number), ONE_BIN, PathLimits(highest, FAINTEST, THINNING), SMALL)
+        found = traced(lit, grid, (seed, number), ONE_BIN, PathLimits(highest, FAINTEST, THINNING), SMALL)
         return np.asarray(grid.folded(found)[0])
 
     groups = Groups(lambda number: followed(number)[None])
     groups.follow(count, lambda _: True)
     batches = groups.means[:, 0]
     mean, count = batches.mean(axis=0), len(batches)
-    image = sharp + np.maximum(grid.to_pixels(grid.unfolded(mean)), 0.0)
+    image = sharp + np.maximum(behind.seen(grid.to_pixels(grid.unfolded(mean))), 0.0)
     if math.prod(scene.camera.shape) > MANY_PIXELS and count > FEWEST_APART:  # or patterns would take a GiB
         whole = batches[: count // FEWEST_APART * FEWEST_APART]
         batches = np.array([part.mean(axis=0) for part in np.split(whole, FEWEST_APART)])
     count = len(batches)
     apart = (batches - mean) / math.sqrt(count * (count - 3.0))  # as Student's t is wider
-    patterns = np.array([grid.to_pixels(grid.unfolded(one)) for one in apart])
+    patterns = behind.seen(np.array([grid.to_pixels(grid.unfolded(one)) for one in apart]))
     size = float(np.linalg.norm(image)) or 1.0
     tables = table_error(scene, FINE_TABLES) * float(np.linalg.norm(sharp)) / size
     skipped = [Skipped("tables that order 2 is looked up in", tables)]
@@ -267,13 +282,15 @@ def _from_paths(
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Orders from the lowest on and their derivatives, (4, rows, columns), the light's standard error, and patterns of
     the derivatives' noise, (n, 3, rows, columns); of ways that the phase function may go, one for each instead of g."""
-    grid = CellGrid.of(scene)
+    behind = BehindLenses(scene)
+    lit = behind.of_paths
+    grid = CellGrid.of(lit)
     if max_order < lowest:
         zero = np.zeros((4 if scene.medium.phase is None else 3 + len(ways), *scene.camera.shape))
         return zero, zero[0], np.zeros((0, *zero[1:].shape))
 
     def followed(number: int) -> Array:
-        found = traced_tangents(scene, grid, (seed, number), max_order, FAINTEST, lattice, lowest=lowest, others=ways)
+        found = traced_tangents(lit, grid, (seed, number), max_order, FAINTEST, lattice, lowest=lowest, others=ways)
         return grid.folded(found)
 
     with ThreadPoolExecutor(min(THREADS, batches)) as pool:
@@ -283,7 +300,7 @@ def _from_paths(
     smooth = layers if plain else peaks * np.array([smoothed_batches(one, steady=True) for one in layers / peaks])
 
     def to_pixels(images: Array) -> Array:
-        return np.array([grid.to_pixels(grid.unfolded(one)) for one in images])
+        return behind.seen(np.array([grid.to_pixels(grid.unfolded(one)) for one in images]))
 
     more = 1.0 if plain else 1.0 + LOST_USUALLY
     stderr = np.sqrt(grid.variance_to_pixels(more * averaged(smooth[0] / peaks[0], grid.seen).variance))
@@ -291,7 +308,8 @@ def _from_paths(
     scale = 1.0 if plain else math.sqrt(LEARNT)
     noise = [scale * to_pixels(apart) for apart in _apart(np.moveaxis(smooth[1:], 1, 0), most)]
     shape = (len(noise), len(layers) - 1, *scene.camera.shape)
-    return to_pixels(smooth.mean(axis=1)), float(peaks[0, 0, 0, 0]) * stderr, np.array(noise).reshape(shape)
+    error = float(peaks[0, 0, 0, 0]) * behind.error_seen(stderr)
+    return to_pixels(smooth.mean(axis=1)), error, np.array(noise).reshape(shape)
 
 
 def _apart(batches: Array, most: int) -> list[Array]:

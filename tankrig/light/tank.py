@@ -25,6 +25,7 @@ from tankrig.light.single import MOST_PARTS
 from tankrig.light.surface import lookup_error, many_to_camera, on_surface
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Medium, Scene
+from tankrig.scene.phase_table import PhaseFunction
 from tankrig.threads import one_blas_thread
 
 Array = NDArray[np.float64]
@@ -103,28 +104,37 @@ def twice(scene: Scene, tolerance: float) -> Array:
     return np.asarray(twice_of(scene, [scene.medium], tolerance)[0])
 
 
-def twice_of(scene: Scene, media: Sequence[Medium], tolerance: float, known: Sequence[Tabulated] = ()) -> Array:
+def twice_of(
+    scene: Scene, media: Sequence[Medium], tolerance: float, known: Sequence[Tabulated] = (),
+    others: Sequence[PhaseFunction] = (),
+) -> Array:  # fmt: skip
     """The same of several liquids, (media, rows, columns), for little more than what does depend on the liquid.
 
-    `known` are tables of these liquids, see `double_scattering_of`.
+    `known` are tables of these liquids, and `others` phase functions that one liquid is turned towards, see
+    `double_scattering_of`.
     """
     edged, smooth = edged_and_smooth(scene, fine=False)
-    images = twice_edged_of(edged, media, tolerance, known)
-    return images if smooth is None else images + _twice_smooth_of(smooth, media, tolerance)
+    images = twice_edged_of(edged, media, tolerance, known, others)
+    return images if smooth is None else images + _twice_smooth_of(smooth, media, tolerance, others)
 
 
-def twice_edged_of(scene: Scene, media: Sequence[Medium], tolerance: float, known: Sequence[Tabulated] = ()) -> Array:
+def twice_edged_of(
+    scene: Scene, media: Sequence[Medium], tolerance: float, known: Sequence[Tabulated] = (),
+    others: Sequence[PhaseFunction] = (),
+) -> Array:  # fmt: skip
     """The same of light that is not smooth, see `edged_and_smooth`."""
     if is_plain(scene):
-        return double_scattering_of(scene, media, tolerance, known)
+        return double_scattering_of(scene, media, tolerance, known, others)
     parts = through_lens(entering(scene, fine=False), fine=False)
-    return np.asarray(sum(share * double_scattering_of(one, media, tolerance, known) for share, one in parts))
+    return np.asarray(sum(share * double_scattering_of(one, media, tolerance, known, others) for share, one in parts))
 
 
-def _twice_smooth_of(scene: Scene, media: Sequence[Medium], tolerance: float) -> Array:
+def _twice_smooth_of(
+    scene: Scene, media: Sequence[Medium], tolerance: float, others: Sequence[PhaseFunction] = ()
+) -> Array:
     """Order 2 of smooth light, which a calibrated camera looks up on coarse cells of the surface."""
     plain = on_surface(scene, scene.tank.size_mm[1] / SMOOTH_CELLS)
-    images = double_scattering_of(plain, media, tolerance)
+    images = double_scattering_of(plain, media, tolerance, others=others)
     if scene.camera.kind != "calibrated":
         return images
     return many_to_camera(scene, images, (plain.camera.pixel_mm, plain.camera.pixel_mm))

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.light.double.lit import COARSE_FROM, LitHeight, filled, lit_heights
+from tankrig.light.double.lit import COARSE_FROM, filled, lit_heights
 from tankrig.light.double.table import (
     FINE,
     STEEP_G,
+    LitHeight,
     Stack,
     Table,
     curvature,
@@ -35,6 +36,7 @@ from tankrig.light.sorting import put_in_order
 from tankrig.light.surface import many_to_camera, on_surface, to_camera
 from tankrig.scene import Medium, Scene
 from tankrig.scene.description import Interval
+from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
 
@@ -96,8 +98,9 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
 
 
 def double_scattering_of(
-    scene: Scene, media: Sequence[Medium], tolerance: float = 0.001, known: Sequence[Tabulated] = ()
-) -> Array:
+    scene: Scene, media: Sequence[Medium], tolerance: float = 0.001, known: Sequence[Tabulated] = (),
+    others: Sequence[PhaseFunction] = (),
+) -> Array:  # fmt: skip
     """The same of several liquids, for little more than the tables of each.
 
     Where each pixel looks at which beam does not depend on the liquid, and takes most of the time where patterns have
@@ -115,19 +118,22 @@ def double_scattering_of(
     known
         Tables of these liquids, of `tables_of_wall`, for the beams that enter by their heights; where they are of
         another scene, or too coarse for this one's pixels, nothing is taken from them.
+    others
+        Phase functions near that of the one liquid there is then.
 
     Returns
     -------
-    (media, rows, columns) array
+    (media, rows, columns) array, or (1 + others, rows, columns): after the image its derivatives by the share of the
+    way to each of the other phase functions, for little more than the image
     """
     if scene.camera.kind == "calibrated":
         plain = on_surface(scene)
         cell_mm = plain.camera.pixel_mm, plain.camera.pixel_mm
-        images = double_scattering_of(plain, media, tolerance, known)
-        return many_to_camera(scene, images, cell_mm) if len(media) > 1 else to_camera(scene, images[0], cell_mm)[None]
+        images = double_scattering_of(plain, media, tolerance, known, others)
+        return many_to_camera(scene, images, cell_mm) if len(images) > 1 else to_camera(scene, images[0], cell_mm)[None]
     camera = scene.camera
-    images = np.zeros((len(media), *camera.shape))
-    scattering = np.array([one.sigma_s for one in media])
+    scattering = np.array([one.sigma_s for one in media]).repeat(1 + len(others))
+    images = np.zeros((scattering.size, *camera.shape))
     if not scattering.any():
         return images
     steepest = max(one.g for one in media)
@@ -138,9 +144,11 @@ def double_scattering_of(
     if rest is not None:
         for lit in lit_heights(rest):
             widest_mm = _widest_mm(lit.mirrored, steepest, tolerance)
-            _add_table(images, scene, lit, *filled(rest, media, lit, tolerance), widest_mm)
+            _add_table(images, scene, lit, *filled(rest, media, lit, tolerance, others), widest_mm)
     images *= scattering[:, None, None] ** 2
-    return np.maximum(images, 0.0)  # where it is fainter than its own rounding, an interpolant may dip below
+    light = images[:: 1 + len(others)]
+    np.maximum(light, 0.0, out=light)  # where it is fainter than its own rounding, an interpolant may dip below
+    return images
 
 
 def _widest_mm(mirrored: bool, steepest: float, tolerance: float) -> Interval:

@@ -40,10 +40,10 @@ from tankrig.light.rays import (
     sighting_row,
 )
 from tankrig.light.water import Water, water_of
-from tankrig.scene import Medium, Scene
+from tankrig.scene import Beam, Medium, Scene
 from tankrig.scene.description import Interval
 from tankrig.scene.phase import phase_density
-from tankrig.scene.phase_table import PhaseRecord
+from tankrig.scene.phase_table import PhaseFunction, PhaseRecord
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
@@ -94,13 +94,37 @@ def pair_radiance(
     nodes, weights
         Gauss–Legendre rule on [−1, 1] used in every panel.
     """
+    found: Array = np.zeros(1)
+    add_pair(found, geometry, sigma_t, phase, None, pair, (nodes, weights))
+    radiance: float = found[0]
+    return radiance
+
+
+@kernel
+def add_pair(
+    found: Array, geometry: Geometry, sigma_t: float, phase: PhaseRecord, others: Array | None, pair: Pair,
+    rule: Rule,
+) -> None:  # fmt: skip
+    """Add the same to the first of (1 + k,), and to the others how it changes with p.
+
+    Parameters
+    ----------
+    found
+        By the share t of the way to each of k phase functions q, (1 − t) p + t q, J changes by J(q, p) + J(p, q) less
+        twice J(p, p).
+    geometry, sigma_t, phase, pair, rule
+        As for `pair_radiance`.
+    others
+        (nodes, k) q as `TableRecord.density`; None where there are none, for kernels are compiled without them then.
+    """
+    nodes, weights = rule
     x, y, y0, z0, mirrored = pair
     ux, uy, uz = light_ray(geometry, y0, z0)
     vx, vy, vz, transmission = sight_line(geometry, x, y)
     s_min, s_max = path_inside(geometry, 0.0, y0, z0, ux, uy, uz)
     _, t_max = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
     if s_max <= s_min or t_max <= 0.0:
-        return 0.0
+        return
     flip = -1.0 if mirrored else 1.0
     wx, wy, wz = -vx, -vy, -vz * flip  # how C moves with t
     ax, ay, az = vx, vy, vz * flip  # direction in which the light must leave, unfolded
@@ -111,7 +135,7 @@ def pair_radiance(
     foot0 = bx * ux + by * uy + bz * uz
     qx, qy, qz = bx - foot0 * ux, by - foot0 * uy, bz - foot0 * uz
     if sine2 < 1e-12:
-        return 0.0  # looking along the light: no camera above the water does
+        return  # looking along the light: no camera above the water does
     t0 = -(qx * px + qy * py + qz * pz) / sine2
     sine = math.sqrt(sine2)
     nx, ny, nz = qx + t0 * px, qy + t0 * py, qz + t0 * pz
@@ -121,6 +145,8 @@ def pair_radiance(
     cuts = np.empty(MOST_CUTS)
     at, share = np.empty(MOST_CUTS * nodes.size), np.empty(MOST_CUTS * nodes.size)
     total = 0.0
+    if others is not None:
+        turned, by_others = np.zeros(others.shape[1]), np.zeros(others.shape[1])
     for side in range(2):
         start = tau_low if side == 0 else max(0.0, tau_low)
         end = min(0.0, tau_high) if side == 0 else tau_high
@@ -157,9 +183,37 @@ def pair_radiance(
                     value = phase_density(s, phase) * phase_density(s * cos_out + c * lobe, phase)
                     kept = exponential(-sigma_t * distance * (1.0 - at[k]) / (1.0 + at[k]))
                     inner += share[k] * 2.0 / (1.0 + at[k] * at[k]) * value * kept
-                if inner > 0.0:  # or 0 times infinity in water that is opaque over a mm, where light's foot is behind
-                    total += half * weights[i] * inner * math.exp(min(-sigma_t * (foot + t), LARGEST_EXPONENT))
-    return transmission * light_kept(geometry, uz) * total / sine
+                if not inner > 0.0:  # or 0 times infinity in water that is opaque over a mm, where the foot is behind
+                    continue
+                kept = half * weights[i] * math.exp(min(-sigma_t * (foot + t), LARGEST_EXPONENT))
+                total += kept * inner
+                if others is not None:
+                    by_others[:] = 0.0
+                    for k in range(used):
+                        s, c = half_circle(at[k])
+                        kept_between = exponential(-sigma_t * distance * (1.0 - at[k]) / (1.0 + at[k]))
+                        light = share[k] * 2.0 / (1.0 + at[k] * at[k]) * kept_between
+                        _add_turned(by_others, light, s, s * cos_out + c * lobe, phase, others)
+                    turned += kept * by_others
+    radiance = transmission * light_kept(geometry, uz) / sine
+    found[0] += radiance * total
+    if others is not None:
+        for m in range(turned.size):
+            found[1 + m] += radiance * (turned[m] - 2.0 * total)
+
+
+@part
+def _add_turned(found: Array, light: float, first: float, second: float, phase: PhaseRecord, others: Array) -> None:
+    """Add to (k,) light times q(first) p(second) + p(first) q(second), of cosines."""
+    steps = others.shape[0] - 1
+    one = math.sqrt(max(0.5 - 0.5 * first, 0.0)) * steps
+    other = math.sqrt(max(0.5 - 0.5 * second, 0.0)) * steps
+    i, j = min(int(one), steps - 1), min(int(other), steps - 1)
+    to_second, to_first = light * phase_density(second, phase), light * phase_density(first, phase)
+    a, b = to_second * (1.0 - (one - i)), to_second * (one - i)
+    c, d = to_first * (1.0 - (other - j)), to_first * (other - j)
+    for k in range(found.size):
+        found[k] += a * others[i, k] + b * others[i + 1, k] + c * others[j, k] + d * others[j + 1, k]
 
 
 @part
@@ -375,6 +429,31 @@ class Table(NamedTuple):
     """The y₀ between which light doesn't reach the side walls."""
 
 
+@dataclass(frozen=True)
+class LitHeight:
+    """Beams whose order 2 one table serves.
+
+    Parameters
+    ----------
+    geometry
+        Numbers of the scene, of the source that the beams come from.
+    beams
+        Those of the height `z_mm`; where `shared`, all of the source's.
+    z_mm
+        (low, high) of each beam; where `shared`, from the lowest to the highest of them.
+    mirrored
+        Whether the light goes by way of the surface between its two scatterings.
+    shared
+        Whether the beams have different heights, too many for a table each.
+    """
+
+    geometry: Geometry
+    beams: tuple[Beam, ...]
+    z_mm: Interval
+    mirrored: bool
+    shared: bool
+
+
 def laid_out(
     scene: Scene,
     geometry: Geometry,
@@ -463,12 +542,10 @@ def hardest(media: Sequence[Medium]) -> Medium:
 def fill_stack(
     scene: Scene,
     media: Sequence[Medium],
-    geometry: Geometry,
-    z_mm: tuple[float, float],
-    mirrored: bool,
+    lit: LitHeight,
     finest_mm: float,
     fineness: Fineness,
-    between: bool = False,
+    others: Sequence[PhaseFunction] = (),
 ) -> tuple[Table, Stack, Array]:
     """Compute J of several liquids at the nodes of `laid_out`, as close as the densest and the steepest want them.
 
@@ -478,34 +555,39 @@ def fill_stack(
         Its own medium does not matter.
     media
         The liquids.
-    geometry, z_mm, mirrored, finest_mm, fineness, between
+    lit
+        The beams that the table is for.
+    finest_mm, fineness
         As for `laid_out`.
+    others
+        Phase functions near that of the one liquid there is then; after J the stack holds how it changes by the share
+        of the way to each.
 
     Returns
     -------
     table, stack, weights
         The table has the nodes, and no values; `weights` (nz,) integrate over z₀, mm.
     """
+    geometry = lit.geometry
     table, weights = laid_out(
-        replace(scene, medium=hardest(media)), geometry, z_mm, mirrored, finest_mm, fineness, between
+        replace(scene, medium=hardest(media)), geometry, lit.z_mm, lit.mirrored, finest_mm, fineness, lit.shared
     )
     y0 = table.y0_mm
     fill = _fill_shifted if shift_invariant(scene) else _fill_slanted
     half = y0.size // 2 if mirror_symmetric(scene) else 0
-    decays = np.array([_decay(one.sigma_t, geometry) for one in media])
-    found = np.empty((*table.values.shape, len(media)))
-    rule = gauss_legendre(fineness.nodes)
+    decays = np.array([_decay(one.sigma_t, geometry) for one in media]).repeat(1 + len(others))
+    found = np.empty((*table.values.shape, decays.size))
+    densities = np.ascontiguousarray(np.array([one.table for one in others]).T) if others else None
+    rule, each = gauss_legendre(fineness.nodes), 1 + len(others)
     with ThreadPoolExecutor(THREADS) as pool:
         for number, medium in enumerate(media):
-            values = np.zeros(table.values.shape)
-            one_sided = table._replace(
-                y0_mm=y0[: y0.size - half], values=values[:, : y0.size - half], decay=float(decays[number])
-            )
-            given = one_sided, geometry, water_of(medium), rule
+            values = np.zeros((*table.values.shape, each))
+            one_sided = table._replace(y0_mm=y0[: y0.size - half], decay=float(decays[number * each]))
+            given = values[:, : y0.size - half], one_sided, geometry, water_of(medium), densities, rule
             for part in [pool.submit(fill, *given, part, THREADS) for part in range(THREADS)]:
                 part.result()
             values[:, y0.size - half :] = values[:, :half, ::-1][:, ::-1]  # the other side is the mirror image
-            found[..., number] = values
+            found[..., number * each : (number + 1) * each] = values
     return table, Stack(found, decays), weights
 
 
@@ -639,26 +721,32 @@ def lagrange(nodes: Array, at: float) -> Array:
 
 
 @kernel
-def _fill_shifted(table: Table, geometry: Geometry, water: Water, rule: Rule, part: int, parts: int) -> None:
+def _fill_shifted(
+    values: Array, table: Table, geometry: Geometry, water: Water, others: Array | None, rule: Rule, part: int,
+    parts: int,
+) -> None:  # fmt: skip
     """Every second x, where only y − y₀ matters: both lines are put symmetrically about y = 0, inside the tank."""
-    x, fractions, _, y0, z0, values, decay, mirrored, _ = table
-    (sigma_t, _, phase), (nodes, weights) = water, rule
+    x, fractions, _, y0, z0, _, decay, mirrored, _ = table
+    sigma_t, _, phase = water
     for i in range(part, x.size, parts):
         for j in range(z0.size):
             for k in range(fractions.size):
                 delta = 2.0 * geometry.half_width * fractions[k]
                 pair = Pair(x[i], y0[0] + 0.5 * delta, y0[0] - 0.5 * delta, z0[j], mirrored)
-                value = pair_radiance(geometry, sigma_t, phase, pair, nodes, weights)
-                value *= math.exp(decay * (x[i] + delta))
-                values[j, 0, 0, i, k] = value
-                values[j, 0, 1, i, k] = value
+                found = values[j, 0, 0, i, k]
+                add_pair(found, geometry, sigma_t, phase, others, pair, rule)
+                found *= math.exp(decay * (x[i] + delta))
+                values[j, 0, 1, i, k] = found
 
 
 @kernel
-def _fill_slanted(table: Table, geometry: Geometry, water: Water, rule: Rule, part: int, parts: int) -> None:
+def _fill_slanted(
+    values: Array, table: Table, geometry: Geometry, water: Water, others: Array | None, rule: Rule, part: int,
+    parts: int,
+) -> None:  # fmt: skip
     """Every second x, with nodes between the crossing and either side wall; J over `share_seen`."""
-    x, fractions, _, y0, z0, values, decay, mirrored, _ = table
-    (sigma_t, _, phase), (nodes, weights) = water, rule
+    x, fractions, _, y0, z0, _, decay, mirrored, _ = table
+    sigma_t, _, phase = water
     inside = 0.999 * geometry.half_width  # at the wall itself both are 0
     for i in range(part, x.size, parts):
         for j in range(z0.size):
@@ -672,7 +760,7 @@ def _fill_slanted(table: Table, geometry: Geometry, water: Water, rule: Rule, pa
                         y = crossing + delta if side == 1 else crossing - delta
                         y = min(max(y, -inside), inside)
                         pair = Pair(x[i], y, y0[m], z0[j], mirrored)
-                        value = pair_radiance(geometry, sigma_t, phase, pair, nodes, weights)
+                        found = values[j, m, side, i, k]
+                        add_pair(found, geometry, sigma_t, phase, others, pair, rule)
                         share = max(share_seen(geometry, x[i], y, abs(y - crossing), depth), 1e-9)
-                        value *= math.exp(decay * (x[i] + delta)) / share
-                        values[j, m, side, i, k] = value
+                        found *= math.exp(decay * (x[i] + delta)) / share

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.double import Tabulated
-from tankrig.light.double.lit import LitHeight
-from tankrig.light.double.table import Stack, Table
+from tankrig.light.double.table import LitHeight, Stack, Table
 from tankrig.light.rays import Geometry
 
 FIELDS = "x_mm", "fractions", "y0_mm", "z0_mm", "values", "decays", "numbers", "geometry"

@@ -115,7 +115,7 @@ def by_walls_of(
 ) -> OnSurface:
     """Light scattered once that clear faces have sent back before or after, on the surface.
 
-    Of several Henyey–Greenstein liquids it costs little more than of one.
+    Of several liquids it costs little more than of one.
 
     Parameters
     ----------
@@ -132,9 +132,7 @@ def by_walls_of(
     side_mm, faces = plain.camera.pixel_mm, face_table(scene.tank)
     images, cells = np.zeros((len(media), *plain.camera.shape)), Cells.of(side_mm, coarse_mm is not None)
     if (faces[:, 0] % 3.0).any():
-        alike = all(one.phase is None for one in media)
-        for first, some in [(0, media)] if alike else [(n, [one]) for n, one in enumerate(media)]:
-            _add_all(images[first : first + len(some)], cells, replace(plain, medium=some[0]), some, faces, light)
+        _add_all(images, cells, replace(plain, medium=media[0]), media, faces, light)
     return OnSurface(images, side_mm)
 
 

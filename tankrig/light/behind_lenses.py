@@ -1,0 +1,69 @@
+"""A scene's orders of scattering as its camera's lens shows them, of its light as the projector's lens throws it.
+
+Light that faces of the tank send back is none of it (see `tankrig.light.tank.by_faces`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.light.entering import entering
+from tankrig.light.leaving import CameraLens
+from tankrig.light.order_one import once_seen
+from tankrig.light.tank import twice_of
+from tankrig.scene import Medium, Scene
+from tankrig.scene.phase_table import PhaseFunction
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BehindLenses:
+    """A scene as described, and the one that light paths are followed in.
+
+    Parameters
+    ----------
+    scene
+        Any; its faces send nothing back here.
+    """
+
+    scene: Scene
+
+    @cached_property
+    def lens(self) -> CameraLens | None:
+        """The camera's; None where it is ideal."""
+        return CameraLens.of(self.scene)
+
+    @cached_property
+    def of_paths(self) -> Scene:
+        """Sharp beams, and an ideal camera that sees as far as light comes from."""
+        return entering(self.scene if self.lens is None else self.lens.wide, fine=False)
+
+    def once(self, media: Sequence[Medium]) -> Array:
+        """(media, rows, columns) of order 1."""
+        return once_seen(self.scene, media)
+
+    def twice(self, media: Sequence[Medium], tolerance: float, others: Sequence[PhaseFunction] = ()) -> Array:
+        """(media, rows, columns) of order 2, or (1 + others, …); as `tankrig.light.double.double_scattering_of`."""
+        scene = self.scene if self.lens is None else self.lens.wide
+        return self.seen(twice_of(scene, media, tolerance, others=others))
+
+    def seen(self, images: Array) -> Array:
+        """(…, rows, columns) of the camera, of images by the camera of `of_paths`."""
+        lens = self.lens
+        if lens is None or images.size == 0:
+            return images if lens is None else np.zeros((*images.shape[:-2], *self.scene.camera.shape))
+        flat = images.reshape(-1, *images.shape[-2:])
+        seen = np.array([lens.of_wide(one) for one in flat])
+        return seen.reshape(*images.shape[:-2], *seen.shape[-2:])
+
+    def error_seen(self, stderr: Array) -> Array:
+        """(rows, columns) standard error of what is seen at most, of that of an image by the camera of `of_paths`."""
+        return stderr if self.lens is None else np.sqrt(self.lens.variance_of_wide(np.square(stderr)))
+
+    def holding(self, medium: Medium) -> "BehindLenses":
+        """The same with another liquid."""
+        return BehindLenses(replace(self.scene, medium=medium))
