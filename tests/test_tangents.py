@@ -9,17 +9,26 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.uncertainty import PatternedError, SmoothError
 from tankrig.light import behind_lenses
+from tankrig.light.double import double_scattering_of
 from tankrig.light.paths.block import SMALL
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.tangents import traced_tangents
 from tankrig.light.tangent import Turning, tank_accurate, tank_steady, tank_tangent
 from tankrig.light.tank import tank_image, twice_of
 from tankrig.scene import Medium, Scene
+from tankrig.scene.optics import Blur, Halo
 from tankrig.scene.phase_functions import Mixture, TwoTerm
 from tankrig.scene.phase_table import PhaseFunction
 from tests.stress_scenes import medium_of, scene_of
 
 Array = NDArray[np.float64]
+
+
+def behind_lenses_that_blur(scene: Scene) -> Scene:
+    """The same with soft beams, and a camera that blurs and has a halo and a veil."""
+    camera = replace(scene.camera, blur=Blur(1.5), halo=Halo(0.03, 25.0), veil=0.01)
+    return replace(scene, camera=camera, projector=replace(scene.projector, blur=Blur(1.0)))
+
 
 SCENES = {
     "parallel": scene_of(medium_of(1.0, 0.05, 0.6), "parallel"),
@@ -27,6 +36,7 @@ SCENES = {
     "mirror": scene_of(medium_of(1.0, 0.05, 0.2), "parallel", surface="fresnel"),
     "backward": scene_of(medium_of(2.0, 0.02, -0.4), "parallel"),
 }
+SCENES["lenses"] = behind_lenses_that_blur(SCENES["pinholes"])
 COEFFICIENTS = ("sigma_a", "sigma_s", "g")
 
 
@@ -71,7 +81,7 @@ def test_derivatives_are_those_of_the_light(name: str) -> None:
         assert np.linalg.norm(mine - other) < 0.04 * np.linalg.norm(other), coefficient
 
 
-@pytest.mark.parametrize("name", ["parallel", "pinholes"])
+@pytest.mark.parametrize("name", ["parallel", "pinholes", "lenses"])
 def test_derivatives_towards_another_phase_function_are_those_of_the_light(name: str) -> None:
     """Of any phase function they come along the paths too; fits of emulsions and beads step by them."""
     scene, phase, other = SCENES[name], TwoTerm(0.7, -0.3, 0.9), TwoTerm(0.72, -0.28, 0.88)
@@ -102,6 +112,22 @@ def test_derivatives_towards_another_phase_function_are_those_of_the_light(name:
 
 
 @pytest.mark.parametrize("name", ["parallel", "pinholes"])
+@pytest.mark.parametrize("tolerance", [0.01, 0.001])
+def test_order_2_is_quadratic_in_the_phase_function_and_knows_its_slope(name: str, tolerance: float) -> None:
+    """A fit of a free phase function has seventeen of these slopes on each image: they come along, for no tables of
+    their own."""
+    scene, phase, other = SCENES[name], TwoTerm(0.7, -0.3, 0.9), TwoTerm(0.4, -0.1, 0.7)
+    sigma_a, sigma_s, _ = scene.medium.coefficients
+    media = [Medium(sigma_a, sigma_s, phase=one) for one in (phase, Mixture((phase, other), (0.5, 0.5)), other)]
+    start, middle, end = double_scattering_of(scene, media, tolerance)
+    image, slope, none = double_scattering_of(scene, media[:1], tolerance, others=[other, phase])
+    assert np.linalg.norm(image - start) < 3e-3 * np.linalg.norm(start)  # tables of several are as fine as one wants
+    by_differences = 4.0 * middle - 3.0 * start - end
+    assert np.linalg.norm(slope - by_differences) < 0.01 * np.linalg.norm(by_differences)
+    assert np.linalg.norm(none) < 1e-12 * np.linalg.norm(start)
+
+
+@pytest.mark.parametrize("name", ["parallel", "pinholes", "lenses"])
 def test_patterns_of_noise_are_how_images_scatter(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What noise does to a fitted number is what its patterns do: for sums over any part of an image too."""
     scene = SCENES[name]

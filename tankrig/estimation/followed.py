@@ -84,8 +84,9 @@ class Followed:
     family
         Of the media's phase functions; None: Henyey–Greenstein.
     sharp
-        Whether derivatives by a family's coordinates are left as they are, and not averaged as others are; their order
-        2 is then as fine as those by the finer shapes of a phase function want it.
+        Whether derivatives by a family's coordinates are left as they are, and not averaged as others are.
+    fine
+        Whether their order 2 is as fine as those by the finer shapes of a phase function want it, and not as images'.
     tables
         Tolerance that order 2 is computed to; None: as accurate images want it.
     water_sigma_s
@@ -100,6 +101,7 @@ class Followed:
     rough: bool = False
     family: Family | None = None
     sharp: bool = False
+    fine: bool = False
     tables: float | None = None
     water_sigma_s: float = 0.0
 
@@ -116,9 +118,9 @@ class Followed:
         return self._whole(medium).noise if self.family is None else self._of_family(medium)[1]
 
     def with_share(self, share: float) -> "Followed":
-        """The same by a share of the lattices, but by `FEWEST` if there are as many."""
-        fewer = max(FEWEST, round(share * self.batches))
-        return self if fewer >= self.batches else replace(self, batches=fewer)
+        """The same by a share of the lattices, but by `FEWEST` if there are as many; not as fine if not by all."""
+        fewer = min(max(FEWEST, round(share * self.batches)), self.batches)
+        return replace(self, batches=fewer, fine=self.fine and share >= 1.0)
 
     def shares(self, medium: Medium) -> Image:
         """(2 + k, rows, columns) derivatives by a family's coordinates of the logarithm of what paths bring."""
@@ -149,7 +151,7 @@ class Followed:
 
         assert self.family is not None
         turning, sizes = turning_of(centre, self.family)
-        tables = None if self.sharp else self.tables
+        tables = None if self.fine else self.tables
         low, slopes = low_orders(replace(self.scene, medium=centre), LOW_ORDERS, turning.others, tables)
         return np.asarray(slopes / np.append(np.ones(2), sizes)[:, None, None] + (exact - low) * shares)
 
@@ -193,7 +195,7 @@ class Followed:
             turning, sizes = turning_of(medium, family)
             found = tank_tangent(
                 replace(self.scene, medium=medium), self.batches, self.seed, self.max_order, lattice,
-                0.0 if self.sharp else SLOPE_BLUR_MM, turning, None if self.sharp else self._tables,
+                0.0 if self.sharp else SLOPE_BLUR_MM, turning, None if self.fine else self._tables,
             )  # fmt: skip
             per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
             return found.slopes * per_step, found.noise * per_step, found.high * per_step, found.bright

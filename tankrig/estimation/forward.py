@@ -432,7 +432,7 @@ def family_models(scene: Scene, family: Family, max_order: int | None = None, wa
 
     def refine(medium: Medium) -> tuple[Model, Model]:
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
-        return followed(fine, 1), followed(slope, 2, sharp=True)
+        return followed(fine, 1), followed(slope, 2, sharp=True, fine=True)
 
     accurate = _accurate(scene, max_order, _once(batches))
 

@@ -223,6 +223,8 @@ class SeriesEstimate:
         How the ink scatters, per ml, as in an `Estimate`.
     nuisance
         Value and standard deviation of each that was fitted along, the same in all images.
+    doubted
+        Whether Henyey–Greenstein's was fitted and leaves so much that the ink may well have another phase function.
     """
 
     ink: Medium
@@ -239,6 +241,7 @@ class SeriesEstimate:
     verdict: str
     scattering: Scattering | None = None
     nuisance: dict[str, tuple[float, float]] = field(default_factory=dict)
+    doubted: bool = False
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""

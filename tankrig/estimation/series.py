@@ -327,6 +327,7 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
     beyond = float(np.median([one.noisier for one in left])) if noise_known else 1.0
     shares = rms(np.array([one.unexplained for one in left])), rms(np.array([one.stated for one in left])), beyond
     off, rough = nuisances_of(best, whole), is_rough(best, asked)
+    doubted = asked.family is None and _leaves_much(left, asked)
     unseen = np.zeros(3) if "halo" in off else moved_by_halos(best, left)
     return SeriesEstimate(
         ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=known, gain=gain,
@@ -335,14 +336,14 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
         verdict=" ".join(
             filter(None, [
                 series_verdict(water, spread, known, linearity, shares),
-                what_may_be_another_phase(asked.family is None and _leaves_much(left, asked)),
+                what_may_be_another_phase(doubted),
                 what_no_phase_describes(asked.is_free and (_leaves_much(left, asked) or rough), rough),
                 what_has_not_settled(fit.moved is not None),
                 what_is_misaligned(off),
                 what_is_unseen(liquid, unseen[: 3 if asked.family is None else 2], spread, known),
             ])
         ),
-        scattering=answer, nuisance=off,
+        scattering=answer, nuisance=off, doubted=doubted,
     )  # fmt: skip
 
 

@@ -151,7 +151,7 @@ def fit_all(
         identifiable=found.identifiable, gain=found.gain, linearity=found.linearity, rmse=tuple(found.rmse.tolist()),
         patterns=tuple(one.pattern for one in photographs), verdict=found.verdict,
         seconds=round(time.perf_counter() - began, 3), scattering=PhaseFound.of(found.scattering),
-        astray=found.nuisance,
+        astray=found.nuisance, doubted=found.doubted,
     )  # fmt: skip
 
 

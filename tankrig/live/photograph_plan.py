@@ -62,6 +62,8 @@ class PhotographPlan:
         What is expected of it, per mm and ml; None where nothing is. Only which models are prepared rests on it.
     phase
         Which phase functions are fitted, as in `tankrig.estimate`.
+    phase_said
+        Whether somebody said so, or said what the ink is.
     sheet_ends
         Numbers of the steps after which all waves of a sheet are recorded.
     """
@@ -75,6 +77,7 @@ class PhotographPlan:
     saturation: float | None = None
     ink: Medium | None = None
     phase: str | PhaseFunction = "hg"
+    phase_said: bool = False
     sheet_ends: frozenset[int] = frozenset()
 
     @classmethod
@@ -103,7 +106,7 @@ class PhotographPlan:
         return cls(
             bench, {pattern.hash: pattern for pattern in patterns}, doses, settings, radiometry,
             ink=ink_expected(sequence, bench.tank), phase=phase_of(sequence),
-            sheet_ends=sequence.sheet_ends,
+            phase_said=sequence.phase is not None or phase_of(sequence) != "hg", sheet_ends=sequence.sheet_ends,
         )  # fmt: skip
 
     @classmethod

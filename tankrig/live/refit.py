@@ -35,13 +35,17 @@ class Unfitted:
         Rising.
     series
         Whether it has two doses or more, and no fit of all of them together.
+    phase
+        Whether the series' fit shows that the ink has another phase function than Henyey–Greenstein's, nobody has said
+        which to fit, and a free one has not been fitted.
     """
 
     doses_ml: tuple[float, ...] = ()
     series: bool = False
+    phase: bool = False
 
     def __bool__(self) -> bool:
-        return bool(self.doses_ml) or self.series
+        return bool(self.doses_ml) or self.series or self.phase
 
     def __str__(self) -> str:
         """In words.
@@ -50,11 +54,13 @@ class Unfitted:
         '0.1 ml, 0.4 ml and the series'
         """
         names = [f"{dose_ml:g} ml" for dose_ml in self.doses_ml] + ["the series"] * self.series
+        names += ["the ink's own phase function"] * self.phase
         return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
     def sentence(self, path: Path) -> str:
         """What is missing, and how to get it."""
-        return f"{self} {'are' if len(self.doses_ml) + self.series > 1 else 'is'} not fitted: tankrig refit {path}"
+        several = len(self.doses_ml) + self.series + self.phase > 1
+        return f"{self} {'are' if several else 'is'} not fitted: tankrig refit {path}"
 
 
 def unfitted(run: Run) -> Unfitted:
@@ -75,7 +81,8 @@ def unfitted(run: Run) -> Unfitted:
     fitted = {one.dose_ml: math.inf if one.dose_ml in since else one.frames + one.left_out for one in doses}
     missing = tuple(dose_ml for dose_ml in sorted(frames) if fitted.get(dose_ml, 0) < frames[dose_ml])
     whole = series is not None and len(series.doses_ml) >= len(frames)
-    return Unfitted(missing, len(frames) > 1 and not whole)
+    further = whole and series is not None and series.doubted and not PhotographPlan.of_run(run).phase_said
+    return Unfitted(missing, len(frames) > 1 and not whole, further)
 
 
 def refit(
@@ -86,6 +93,9 @@ def refit(
     phase: str | PhaseFunction | None = None,
 ) -> list[Fit]:
     """Fit what a run lacks, or everything anew, and record each fit in its journal as soon as it is made.
+
+    Where the series' fit shows that the ink has another phase function than Henyey–Greenstein's, and nobody has said
+    which to search, the series is fitted with a free one too, by light paths.
 
     What ends it, be it an error, Ctrl-C or what `progress` raises, loses no fit that was made: the next call goes on.
 
@@ -140,15 +150,24 @@ def fits_made(
     nothing = Preparation(0, 0.0)
     progress("reading the frames", nothing)
     exposures, plan, sheets = exposures_of(run), PhotographPlan.of_run(run), SheetsSoFar(run.path)
-    plan = plan if phase is None else replace(plan, phase=phase)
+    plan = plan if phase is None else replace(plan, phase=phase, phase_said=True)
     doses, series = ([], None) if everything else fits_in([event.fields for event in fits_that_hold(run)])
 
     def told(words: str) -> None:
         progress(words, nothing)
 
-    if model == "tank":
-        return _by_tank_model(exposures, plan, doses, series, sheets, told)
-    return _as_live(plan, exposures, doses, sheets, progress)
+    missing = unfitted(run)
+    if everything or missing.doses_ml or missing.series:
+        by_tank = model == "tank"
+        made = _by_tank_model(exposures, plan, doses, series, sheets, told) if by_tank else _as_live(
+            plan, exposures, doses, sheets, progress
+        )  # fmt: skip
+        for fit in made:
+            series = fit if isinstance(fit, SeriesFit) else series
+            yield fit
+    if series is not None and series.doubted and not plan.phase_said:
+        told("fitting the series with a free phase function")
+        yield sheets.beside_series(fit_all(exposures.photographs(), series, progress=told, phase="free"))
 
 
 def _by_tank_model(

@@ -160,6 +160,8 @@ class SeriesFit:
         How the ink scatters, per ml, where another phase function than Henyey–Greenstein's was fitted.
     astray
         As in a `DoseFit`, the same at all doses.
+    doubted
+        Whether Henyey–Greenstein's was fitted and leaves so much that the ink may well have another phase function.
     """
 
     doses_ml: tuple[float, ...]
@@ -176,6 +178,7 @@ class SeriesFit:
     patterns: tuple[str, ...] = ()
     scattering: PhaseFound | None = None
     astray: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    doubted: bool = False
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""
