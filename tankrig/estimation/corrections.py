@@ -17,6 +17,7 @@ from tankrig.estimation.optimiser import LAST_STEPS, solve, without_noise
 from tankrig.estimation.phase_block import PhaseBlock
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import coefficients_by
+from tankrig.estimation.prior_weight import believing, weight_of_priors
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.search import Told, by_cost
 from tankrig.estimation.shots import Fit, Shot, weighed_problem
@@ -174,8 +175,12 @@ class _ByShares:
         near = [model.about(medium, one, share) for model, medium, one, share in parts]
         slopes = [model.slopes_about(medium, one.image, share) for model, medium, one, share in parts]
         close = centre.coordinates, CLOSE
-        here = _about(self.problem, self.shots, near, slopes, told.noise, centre, seen, close)
+        here = _about(believing(self.problem, 1.0), self.shots, near, slopes, told.noise, centre, seen, close)
         end = solve(here.line, start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
+        weight = weight_of_priors(end, seen, [shot.scene for shot in self.shots])
+        if weight > 1.0:
+            here = here.believing(weight)
+            end = solve(here.line, end.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
         end = by_cost(here.bent.at(one.coordinates) for one in (end, start))[0]  # along which moments bend
         end = solve(here.bent, end.coordinates, MANY_ENOUGH, FEW_STEPS, damping=0.0)
         return here.fit(end.coordinates)
@@ -267,6 +272,11 @@ class _About:
     line: Problem
     models: tuple[Model, ...]
     apart: tuple[Image | None, ...]
+
+    def believing(self, weight: float) -> "_About":
+        """With phase functions expected to be smooth so many times as firmly, see `weight_of_priors`."""
+        weighed, bent, line = (believing(one, weight) for one in (self.weighed, self.bent, self.line))
+        return replace(self, weighed=weighed, bent=bent, line=line)
 
     def fit(self, coordinates: Vector) -> Fit:
         """The fit that ends at coordinates, or next to them in the box."""

@@ -13,6 +13,7 @@ from tankrig.estimation.forward import COARSE, image_of, stated_error
 from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
 from tankrig.estimation.parameters import Block
+from tankrig.estimation.prior_weight import believing, weight_of_priors
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import RIVAL, Told, by_cost, densities, first_guess, profiled, search
@@ -89,6 +90,11 @@ def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: 
             polish(problem, one) if enough is None else solve(problem, one, enough, FEW_STEPS, damping=0.0)
             for one in found
         )[0]
+        if any(shot.models.family for shot in shots):
+            seen = [fine(liquid) for (fine, _), liquid in zip(versions, best.media, strict=True)]
+            weight = weight_of_priors(best, seen, [shot.scene for shot in shots])
+            if weight > 1.0:  # what followed structure goes back
+                best = solve(believing(problem, weight), best.coordinates, MANY_ENOUGH, FEW_STEPS, damping=0.0)
         if any(is_solved(fine) for fine, _ in versions):  # for what was found, and not for where it began
             problem, versions = _refined(problem, shots, best)
             best = problem.at(best.coordinates)

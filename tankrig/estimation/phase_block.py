@@ -208,9 +208,12 @@ class PhaseBlock(Block):
     ----------
     family
         That is searched.
+    weight
+        How many times as firmly coordinates are expected to be 0 ± 1, see `weight_of_priors`.
     """
 
     family: Family
+    weight: float = 1.0
     name: ClassVar[str] = "phase"
     of_liquid = True
 
@@ -255,8 +258,10 @@ class PhaseBlock(Block):
 
     @property
     def prior_weight(self) -> Array:
-        """1 for coordinates that are expected to be 0 ± 1, 0 for others."""
-        return np.where(self.family.expected, 1.0, 0.0) if self.family.expected.size else np.zeros(len(self.names))
+        """For coordinates that are expected to be 0 ± 1; 0 for others."""
+        return (
+            np.where(self.family.expected, self.weight, 0.0) if self.family.expected.size else np.zeros(len(self.names))
+        )
 
     def liquid(self, values: Values, dose: int, before: Medium) -> Medium:
         """The same with this phase function."""

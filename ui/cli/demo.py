@@ -49,6 +49,11 @@ BENCH_DOSES = 3
     is_flag=True,
     help="Give it a tank of glass whose floor reflects, and its projector a halo; takes far longer.",
 )
+@click.option(
+    "--emulsion",
+    is_flag=True,
+    help="Give it an ink of oil droplets in water, whose phase function nobody says; takes far longer.",
+)
 @click.option("--by-hand", is_flag=True, help="Only make the bench's folder, and say what to type.")
 @click.option("--material", metavar="NAME", help="Pump a reference liquid (tankrig materials), and validate the run.")
 @click.option("--wavelength", "wavelength_nm", type=float, default=633.0, show_default=True, metavar="NM",
@@ -56,7 +61,7 @@ BENCH_DOSES = 3
 @out_option(None, "Folder of the run, or of the bench; default: runs/ and the time.")
 @json_option
 def demo(
-    doses: int | None, bench: bool, seed: int | None, wide_lens: bool, walls: bool, by_hand: bool,
+    doses: int | None, bench: bool, seed: int | None, wide_lens: bool, walls: bool, emulsion: bool, by_hand: bool,
     material: str | None, wavelength_nm: float, out: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Run a dilution series on the simulated rig, fit it while it runs, and write a report.
@@ -74,26 +79,29 @@ def demo(
     if bench and material is not None:
         raise click.UsageError("--material is for the rig that needs no calibration; leave --bench out")
     if bench:
-        return _bench(doses, seed, wide_lens, walls, by_hand, out, as_json)
-    if seed is not None or by_hand or wide_lens or walls:
-        raise click.UsageError("--seed, --wide-lens, --walls and --by-hand are for the bench; give --bench too")
+        return _bench(doses, seed, (wide_lens, walls, emulsion), by_hand, out, as_json)
+    if seed is not None or by_hand or wide_lens or walls or emulsion:
+        raise click.UsageError(
+            "--seed, --wide-lens, --walls, --emulsion and --by-hand are for the bench; give --bench too"
+        )
     liquid = None if material is None else liquid_planned(material, wavelength_nm)
     return _series(doses or (len(DOSES_UL) if liquid is None else MATERIAL_DOSES), liquid, out, as_json)
 
 
 def _bench(
-    doses: int | None, seed: int | None, wide_lens: bool, walls: bool, by_hand: bool, out: Path | None, as_json: bool
+    doses: int | None, seed: int | None, kinds: tuple[bool, bool, bool], by_hand: bool, out: Path | None, as_json: bool
 ) -> int:
+    """`kinds` says whether the lens is wide, the tank of glass, and the ink an emulsion."""
     from ui.cli.demo_bench import is_there, make, walk, way_of
 
     folder = out or Path("runs") / datetime.now(UTC).strftime("bench-%Y-%m-%dT%H-%M-%S")
     if is_there(folder):
-        if doses is not None or seed is not None or wide_lens or walls or by_hand:
+        if doses is not None or seed is not None or any(kinds) or by_hand:
             raise click.UsageError(f"{folder} holds a bench already; give only --bench --out {folder} to go on with it")
     else:
         if doses is not None and doses > BENCH_DOSES:
             raise click.UsageError(f"the bench's sequence has {BENCH_DOSES} doses; give --doses 2 or {BENCH_DOSES}")
-        make(folder, seed or 0, doses or BENCH_DOSES, wide_lens, walls)
+        make(folder, seed or 0, doses or BENCH_DOSES, *kinds)
     if not by_hand:
         click.echo("a simulated bench, in a hurry; nothing real moves", err=True)
         return walk(folder, as_json)

@@ -29,6 +29,8 @@ TIME_SCALE = 0.02
 """Of all waiting for projector and camera; light is gathered as in the whole exposure."""
 MIXING_S, STEPS_PER_S = 0.3, 200.0
 """A stirrer in a hurry; ink comes at 20 µl/s as on a bench, since models are prepared while it does."""
+OIL_IN_WATER = {"particle_index": 1.465, "water_index": 1.333, "wavelength_nm": 532.0}
+"""Of the droplets of an emulsion, in green light."""
 _SET_ASIDE = 3
 """Exit status of a calibration with doubts."""
 _TOO_BUSY = (
@@ -47,11 +49,14 @@ class Part:
     status: int
 
 
-def make(folder: Path, seed: int, doses: int, wide_lens: bool = False, walls: bool = False) -> None:
+def make(
+    folder: Path, seed: int, doses: int, wide_lens: bool = False, walls: bool = False, emulsion: bool = False
+) -> None:
     """Make the folder of a bench that is drawn from a seed: its rig file, and a sequence for it.
 
     With `wide_lens` its projector is sharp at one depth only, as real ones are. With `walls` its tank is of glass, as
-    the rig file says, its floor reflects and its projector has a halo, which nobody is told.
+    the rig file says, its floor reflects and its projector has a halo, which nobody is told. With `emulsion` its ink's
+    phase function is none of Henyey–Greenstein's, which nobody is told either.
 
     Raises
     ------
@@ -70,7 +75,7 @@ def make(folder: Path, seed: int, doses: int, wide_lens: bool = False, walls: bo
     for device in ("projector", "camera"):
         rig[device]["time_scale"] = TIME_SCALE
     rig["camera"]["boards"]["seed"] = seed
-    truth = {"mixing_s": MIXING_S, "ink": _ink(seed), **_optics(seed, wide_lens, walls)}
+    truth = {"mixing_s": MIXING_S, "ink": _ink(seed, emulsion), **_optics(seed, wide_lens, walls)}
     rig["camera"].setdefault("truth", tomlkit.table()).update(truth)
     rig["doser"]["rate"] = STEPS_PER_S
     rig.setdefault("exposure", tomlkit.table()).setdefault("period_ms", 0.0)
@@ -86,8 +91,9 @@ def make(folder: Path, seed: int, doses: int, wide_lens: bool = False, walls: bo
     (folder / RIG).write_text(tomlkit.dumps(rig), encoding="utf-8")
 
 
-def _ink(seed: int) -> dict[str, float]:
-    """A Henyey–Greenstein ink, per mm and ml, which the sequence makes thin, medium and thick."""
+def _ink(seed: int, emulsion: bool) -> dict[str, Any]:
+    """An ink, per mm and ml, which the sequence makes thin, medium and thick: of Henyey–Greenstein's phase function, or
+    droplets of oil of many sizes, as Intralipid has."""
     import numpy as np
 
     random = np.random.default_rng((seed, 16))
@@ -96,7 +102,12 @@ def _ink(seed: int) -> dict[str, float]:
         "sigma_s": random.uniform(0.018, 0.022),
         "g": random.uniform(0.5, 0.85),
     }
-    return {name: round(value, 6) for name, value in drawn.items()}
+    ink: dict[str, Any] = {name: round(value, 6) for name, value in drawn.items()}
+    if emulsion:
+        del ink["g"]
+        droplets = {"diameter_um": random.uniform(0.16, 0.28), "spread": random.uniform(0.3, 0.4)}
+        ink["phase"] = {"kind": "mie", **{name: round(value, 6) for name, value in droplets.items()}, **OIL_IN_WATER}
+    return ink
 
 
 def _optics(seed: int, wide_lens: bool, walls: bool) -> dict[str, Any]:

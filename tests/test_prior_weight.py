@@ -1,0 +1,79 @@
+"""A free phase function follows no faults of a bench: where residuals show structure, its prior weighs more."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from tankrig.estimation.coordinates import Range
+from tankrig.estimation.differences import liquid_slopes_of
+from tankrig.estimation.observation import observe
+from tankrig.estimation.optimiser import solve
+from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
+from tankrig.estimation.phase_families import PLACES, free
+from tankrig.estimation.prior_weight import believing, weight_of_priors
+from tankrig.estimation.problem import Evaluation, Problem, View
+from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.uncertainty import SmoothError
+from tankrig.prediction import Prediction
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tankrig.scene.mie import Mie
+
+SHAPE, NOISE = (24, 60), 2e-4
+DROPLETS = Mie(0.25, 1.465, 1.333, 532.0, 0.35)
+TRUTH = Medium(0.001, 0.02, phase=DROPLETS)
+SCENE = Scene(
+    Tank(), Medium(0.0, 0.02, 0.7), Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),)),
+    Camera("orthographic", SHAPE, 4.0),
+)  # fmt: skip
+WAY_MM, ANGLE = np.linspace(10.0, 240.0, SHAPE[0])[:, None], np.linspace(0.3, 2.8, SHAPE[1])
+
+
+def seen(medium: Medium) -> np.ndarray:
+    """A camera whose columns see light that has turned once, each by another angle, and whose rows see it fade."""
+    turned = medium.phase_function.at(np.cos(ANGLE))
+    return np.asarray(medium.sigma_s * turned * np.exp(-medium.sigma_t * WAY_MM))
+
+
+def fitted(fault: float, weight: float | None = None, seed: int = 4) -> tuple[Evaluation, float]:
+    """The fit of an image with a fault, a share of its light that goes up and down over it, and the weight it wants."""
+    rng, clear = np.random.default_rng(seed), seen(TRUTH)
+    uneven = gaussian_filter(rng.normal(size=SHAPE), (3.0, 1.5))
+    image = clear * (1.0 + fault * uneven / uneven.std()) + rng.normal(0.0, NOISE * clear.max(), SHAPE)
+    error = SmoothError.of(SCENE, np.full(SHAPE, 1e-6 * clear.max()))
+    slopes = liquid_slopes_of(seen, 240.0, free())
+    view = View(observe(image, SHAPE, NOISE * clear.max()), seen, slopes, error, 0)
+    problem = Problem((view,), (CoefficientsBlock(Range.of_tank(240.0)), PhaseBlock(free())), Scaling(1.0, 0.0))
+    problem = problem if weight is None else believing(problem, weight)
+    start = np.concatenate([one.start(Medium(0.001, 0.02, 0.7)) for one in problem.blocks])
+    end = solve(problem, start, 0.01, 60)
+    told = Prediction(seen(end.media[0]), "tank", stderr=np.full(SHAPE, 1e-6 * clear.max()))
+    return end, weight_of_priors(end, [told], [SCENE])
+
+
+def off(end: Evaluation) -> float:
+    """How far ln p is from the truth's, RMS over the angles that are seen."""
+    cosines = PLACES[(np.arccos(PLACES) > ANGLE[0]) & (np.arccos(PLACES) < ANGLE[-1])]
+    phase = end.media[0].phase_function
+    return float(np.sqrt(np.mean(np.log(phase.at(cosines) / DROPLETS.at(cosines)) ** 2)))
+
+
+def test_camera_noise_alone_leaves_priors_as_they_are() -> None:
+    """Of ideal images a free phase function takes all that there is."""
+    end, weight = fitted(0.0)
+    assert weight == 1.0
+    assert off(end) < 0.04
+
+
+@pytest.mark.parametrize("fault", [0.03, 0.06])
+def test_where_residuals_hold_structure_priors_hold_by_as_much_as_images_seem_to_tell(fault: float) -> None:
+    """Structure of .6 % made ink's p go up and down by a factor of fifteen between 100 and 140 degrees."""
+    ends = [(fitted(fault, None, seed), seed) for seed in (4, 5, 6)]
+    held = [fitted(fault, weight, seed) for (_, weight), seed in ends]
+    assert min(weight for (_, weight), _ in ends) > 100.0
+    rough, smooth = (sum(float(np.sum(one.values["phase"][1:] ** 2)) for one in many) for many in (
+        [one for (one, _), _ in ends], [one for one, _ in held]
+    ))  # fmt: skip
+    assert smooth < 0.5 * rough
+    assert sum(off(one) for one, _ in held) < 0.95 * sum(off(one) for (one, _), _ in ends)
+    for ((_, weight), _), (_, again) in zip(ends, held, strict=True):
+        assert 0.3 < again / weight < 3.0  # what the fit leaves with it wants it again
