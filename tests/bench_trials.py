@@ -191,6 +191,7 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=1, help="benches at a time")
     parser.add_argument("--wide-lens", action="append_const", dest="optics", const="--wide-lens", help="as of demo")
     parser.add_argument("--walls", action="append_const", dest="optics", const="--walls", help="as of demo")
+    parser.add_argument("--emulsion", action="append_const", dest="optics", const="--emulsion", help="as of demo")
     given = parser.parse_args()
     trials = []
     for trial in walk_all(given.seeds, given.out, given.processes, given.optics or ()):

@@ -63,6 +63,19 @@ def test_a_bench_of_glass_says_its_walls_and_hides_the_rest(tmp_path: Path) -> N
     assert glass["stray"].items() > plain["stray"].items()
 
 
+def test_a_bench_with_an_emulsion_hides_its_phase_function(tmp_path: Path) -> None:
+    """No liquid of a lab is Henyey–Greenstein; who walks the demo finds what a lab would."""
+    files = [bench(tmp_path / name, 3, *more) / "rig.toml" for name, more in (("ink", ()), ("oil", ("--emulsion",)))]
+    for file in files:
+        assert load_sequence(file.with_name("bench_dilution.toml")).phase is None
+    ink, oil = (liquids[1] for file in files if (liquids := true_liquids(load_rig_file(file))))
+    assert ink.phase is None
+    assert oil.phase is not None
+    assert oil.phase.kind == "mie"
+    assert 0.6 < oil.g < 0.87
+    assert (oil.sigma_a, oil.sigma_s) == (ink.sigma_a, ink.sigma_s), "the same bench else"
+
+
 def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "keep").write_text("this")

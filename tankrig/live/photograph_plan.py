@@ -201,6 +201,15 @@ class PhotographPlan:
                 )
 
     @property
+    def may_go_further(self) -> bool:
+        """Whether another phase function is fitted where Henyey–Greenstein's does not hold.
+
+        Unless somebody has said which to fit; and not in a tank of glass, where that follows light by way of walls for
+        each of its coordinates, and takes hours.
+        """
+        return not self.phase_said and self.bench.tank.faces.dark
+
+    @property
     def size(self) -> int:
         """Numbers that the sums take."""
         rows, columns = self.camera.shape

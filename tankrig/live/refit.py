@@ -81,7 +81,7 @@ def unfitted(run: Run) -> Unfitted:
     fitted = {one.dose_ml: math.inf if one.dose_ml in since else one.frames + one.left_out for one in doses}
     missing = tuple(dose_ml for dose_ml in sorted(frames) if fitted.get(dose_ml, 0) < frames[dose_ml])
     whole = series is not None and len(series.doses_ml) >= len(frames)
-    further = whole and series is not None and series.doubted and not PhotographPlan.of_run(run).phase_said
+    further = whole and series is not None and series.doubted and PhotographPlan.of_run(run).may_go_further
     return Unfitted(missing, len(frames) > 1 and not whole, further)
 
 
@@ -165,7 +165,7 @@ def fits_made(
         for fit in made:
             series = fit if isinstance(fit, SeriesFit) else series
             yield fit
-    if series is not None and series.doubted and not plan.phase_said:
+    if series is not None and series.doubted and plan.may_go_further:
         told("fitting the series with a free phase function")
         yield sheets.beside_series(fit_all(exposures.photographs(), series, progress=told, phase="free"))
 
