@@ -55,8 +55,9 @@ def in_water(ink: Medium, sigma_s: float) -> Medium:
 
     Examples
     --------
-    >>> in_water(Medium(0.001, 0.009, 0.8), 0.001)
-    Medium(sigma_a=0.001, sigma_s=0.01, g=0.72)
+    >>> found = in_water(Medium(0.001, 0.009, 0.8), 0.001)
+    >>> round(found.sigma_s, 6), round(found.g, 6)
+    (0.01, 0.72)
     """
     whole = ink.sigma_s + sigma_s
     if sigma_s == 0.0 or whole == 0.0:
