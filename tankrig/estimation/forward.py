@@ -173,12 +173,6 @@ def is_ideal(scene: Scene) -> bool:
     return is_plain(scene) and CameraLens.of(scene) is None and scene.tank.faces.dark
 
 
-def has_light_beside(scene: Scene) -> bool:
-    """Whether there is more light than its beams', or walls send some of it back."""
-    light = scene.projector
-    return light.halo.share > 0.0 or light.black_level > 0.0 or not scene.tank.faces.dark
-
-
 def models_of(
     scene: Scene, model: "str | Prepared", max_order: int | None, family: Family | None = None, checked: bool = False
 ) -> Models:
@@ -209,10 +203,12 @@ def models_of(
     if not isinstance(model, str):
         return _prepared_models(scene, model, max_order, checked)
     if model == "tank":
-        # Derivatives come along the paths where walls are dark; others are differences of whole images.
-        if has_light_beside(scene):
-            return _models_with_beside(scene) if max_order is None else _tank_models(scene, max_order)
-        return _followed_models(scene, max_order)
+        # Derivatives come along the paths where lenses and walls are ideal; others are differences of whole images.
+        # A lens would let them come, too: their noise then left σa ten times as unsure where the gain is free.
+        if is_ideal(scene):
+            return _followed_models(scene, max_order)
+        bare, _ = described_beside(scene)
+        return _models_with_beside(scene) if max_order is None and is_ideal(bare) else _tank_models(scene, max_order)
 
     def within(tolerance: float) -> Model:
         return remembered(lambda medium: predict(replace(scene, medium=medium), model, tolerance, max_order))
@@ -357,7 +353,8 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
     def exact(medium: Medium, times: float) -> Prediction:
         return following(max(math.ceil(times * batches(medium, EXACT_NOISE, EXACT_BATCHES)), fewest), 3)(medium)
 
-    return Models(coarse, refine, exact=exact, low=low_orders_of(scene, max_order))
+    different = partial(family_models, scene, max_order=max_order) if scene.tank.faces.dark else None
+    return Models(coarse, refine, exact=exact, low=low_orders_of(scene, max_order), different=different)
 
 
 def low_orders_of(scene: Scene, max_order: int | None = None) -> Model | None:
@@ -443,7 +440,7 @@ def family_models(scene: Scene, family: Family, max_order: int | None = None, wa
 
 
 def _models_with_beside(scene: Scene) -> Models:
-    """Versions where derivatives are of the beams' own light that meets dark walls, and other light is beside it.
+    """Versions where the beams' own light meets ideal lenses and dark walls only, and other light is beside it.
 
     The other light is smooth and mostly a few per cent: all of it by as many paths, and computed as often as the
     beams' light, took ten times as long.
