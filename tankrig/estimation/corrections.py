@@ -162,9 +162,14 @@ class _ByShares:
         """Standard deviations that a settled value stays within."""
         return SETTLED * self.problem.looseness
 
+    @property
+    def each(self) -> float:
+        """Share of all paths that each of several images follows: together they tell as much as one by all of them."""
+        return 1.0 / len(self.shots)
+
     def shares_at(self, centre: Evaluation, share: float) -> "_Shares":
-        """Derivatives by a share of the lattices."""
-        told = [model.with_share(share) for model in self.models]
+        """Derivatives by a share of the lattices, or by all that each of several images follows."""
+        told = [model.with_share(share, self.each) for model in self.models]
         shares = [model.shares(medium) for model, medium in zip(told, centre.media, strict=True)]
         noise = [shot.slopes_noise_of(model) for shot, model in zip(self.shots, told, strict=True)]
         return _Shares(shares, _at_media(noise, centre.media))
@@ -182,7 +187,9 @@ class _ByShares:
             here = here.believing(weight)
             end = solve(here.line, end.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
         end = by_cost(here.bent.at(one.coordinates) for one in (end, start))[0]  # along which moments bend
-        end = solve(here.bent, end.coordinates, MANY_ENOUGH, FEW_STEPS, damping=0.0)
+        end = solve(
+            here.bent, end.coordinates, MANY_ENOUGH, FEW_STEPS if len(self.shots) == 1 else BENT_STEPS, damping=0.0
+        )
         return here.fit(end.coordinates)
 
     def by_few_paths(self, best: Evaluation) -> tuple[Evaluation, int]:
@@ -207,8 +214,9 @@ class _ByShares:
     def by_all_paths(self, centre: Evaluation, most: int, sharper: bool) -> Fit:
         """The optimum about images by all paths, after so many more of them at most."""
         self.progress("correcting by accurate images")
-        told, wholes = self.shares_at(centre, 1.0), _exact(self.shots, centre)
-        parts = [remembered(partial(_by_share, shot.models.exact, NEXT)) for shot in self.shots if shot.models.exact]
+        told, wholes = self.shares_at(centre, 1.0), _exact(self.shots, centre, self.each)
+        next_to = self.each * NEXT
+        parts = [remembered(partial(_by_share, shot.models.exact, next_to)) for shot in self.shots if shot.models.exact]
         around = [Nearby(*one) for one in zip(parts, centre.media, wholes, strict=True)]
 
         def exactly(at: Evaluation) -> list[Prediction]:
@@ -226,7 +234,7 @@ class _ByShares:
             fit = self.about(centre, seen, told, centre)
         if sharper and _held_back(fit.optimum):
             self.progress("correcting by images as accurate as the photographs")
-            fit = self.about(centre, _exact(self.shots, centre, SHARPER), told, fit.optimum)
+            fit = self.about(centre, _exact(self.shots, centre, SHARPER * self.each), told, fit.optimum)
         moved = _still_moved(fit.optimum, centre, exactly, self.near)
         return replace(fit, moved=moved, exact=around[0] if len(around) == 1 else None)
 

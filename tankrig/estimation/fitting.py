@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.corrections import FEW_STEPS, MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit
+from tankrig.estimation.corrections import BENT_STEPS, FEW_STEPS, MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit
 from tankrig.estimation.followed import Followed, Model
 from tankrig.estimation.forward import COARSE, image_of, stated_error
 from tankrig.estimation.light_beside import is_solved
@@ -84,17 +84,17 @@ def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: 
         progress("refining")
         problem, versions = _refined(problem, shots, problem.at(found[0]), rough=True)
         enough = SOLVED_ENOUGH if any(is_solved(fine) for fine, _ in versions) else None
+        steps = FEW_STEPS if len(shots) == 1 else BENT_STEPS
         if any(shot.models.family for shot in shots):
             enough = MANY_ENOUGH
         best = by_cost(
-            polish(problem, one) if enough is None else solve(problem, one, enough, FEW_STEPS, damping=0.0)
-            for one in found
+            polish(problem, one) if enough is None else solve(problem, one, enough, steps, damping=0.0) for one in found
         )[0]
         if any(shot.models.family for shot in shots):
             seen = [fine(liquid) for (fine, _), liquid in zip(versions, best.media, strict=True)]
             weight = weight_of_priors(best, seen, [shot.scene for shot in shots])
             if weight > 1.0:  # what followed structure goes back
-                best = solve(believing(problem, weight), best.coordinates, MANY_ENOUGH, FEW_STEPS, damping=0.0)
+                best = solve(believing(problem, weight), best.coordinates, MANY_ENOUGH, steps, damping=0.0)
         if any(is_solved(fine) for fine, _ in versions):  # for what was found, and not for where it began
             problem, versions = _refined(problem, shots, best)
             best = problem.at(best.coordinates)
