@@ -291,8 +291,7 @@ class Evaluation:
     @cached_property
     def jacobian(self) -> Array:
         """(n + priors, k) derivatives of the residual by the coordinates."""
-        found = self.sensitivity
-        by_values = -np.concatenate([found.changes, found.priors], axis=1).T
+        by_values = -self._changes.T
         weight = self.problem.prior_weight
         known = [np.diag(np.sqrt(weight))[weight > 0.0]]
         if self.problem.close is not None:
@@ -307,8 +306,8 @@ class Evaluation:
         return np.asarray(block_diag(*slopes))
 
     @cached_property
-    def sensitivity(self) -> Sensitivity:
-        """What the fit responds to."""
+    def _changes(self) -> Array:
+        """(k, n + priors) whitened derivatives by the values, less what gain and offsets can make of them."""
         gain, _ = self.scale
 
         def changes(view: View) -> Array:
@@ -322,8 +321,12 @@ class Evaluation:
             ]
             return view.whitened(gain * np.concatenate(found))
 
-        left = self.project_out(np.hstack(self.problem.of_views(changes)))
-        *parts, priors = np.split(left, np.cumsum([model.size for model in self.models]), axis=1)
+        return self.project_out(np.hstack(self.problem.of_views(changes)))
+
+    @cached_property
+    def sensitivity(self) -> Sensitivity:
+        """What the fit responds to; steps need no more of it than `_changes`."""
+        *parts, priors = np.split(self._changes, np.cumsum([model.size for model in self.models]), axis=1)
         noise = [self._products_of_noise(number) for number in range(len(parts))]
         responses = tuple(
             Response(part, view.whitening, view.observation.used, products)

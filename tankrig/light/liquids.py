@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tankrig.compiled import part
 from tankrig.scene import Medium
 from tankrig.scene.phase import henyey_greenstein
-from tankrig.scene.phase_table import HenyeyGreensteinRecord
+from tankrig.scene.phase_table import HenyeyGreensteinRecord, TableRecord
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,11 @@ def liquids_of(media: Sequence[Medium]) -> Liquids:
     if len(known) == len(records):
         phases = Asymmetries(np.array([one.g for one in known], float), min(one.width for one in known))
     else:
-        phases = Tables(np.ascontiguousarray(np.array([one.phase_function.table for one in media]).T))
+        tables = [
+            one.density if isinstance(one, TableRecord) else medium.phase_function.table
+            for one, medium in zip(records, media, strict=True)
+        ]
+        phases = Tables(np.ascontiguousarray(np.array(tables).T))
     return Liquids(sigma_t, float(sigma_t.min()), float(sigma_t.max()), phases)
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tankrig.light.double.pairs import PairTables, double_pairs
 from tankrig.light.prepared.phases.plan import PhasePlan
 from tankrig.light.prepared.phases.traits import PhaseTraits, splines
-from tankrig.light.single import single_scattering
+from tankrig.light.single import single_scattering_of
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_functions import HenyeyGreenstein
 from tankrig.scene.phase_splines import PhaseSplines
@@ -63,8 +63,6 @@ def low_orders_at(scene: Scene, plan: PhasePlan, sigma_t: float) -> LowOrders:
     """Orders 1 and 2 at one σt."""
     fine, coarse = splines(plan.traits.once_deg), splines(plan.traits.twice_deg)
     at_all = replace(scene, medium=Medium(0.0, sigma_t, phase=HenyeyGreenstein(0.0)))
-    images = [
-        single_scattering(replace(at_all, medium=Medium(0.0, sigma_t, phase=_Spline(fine, number)))) / sigma_t
-        for number in range(fine.count)
-    ]
-    return LowOrders(plan.traits, np.array(images).reshape(fine.count, -1), double_pairs(at_all, coarse))
+    media = [Medium(0.0, sigma_t, phase=_Spline(fine, number)) for number in range(fine.count)]
+    images = single_scattering_of(at_all, media) / sigma_t
+    return LowOrders(plan.traits, images.reshape(fine.count, -1), double_pairs(at_all, coarse))
