@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from tankrig.light.tank import tank_image
 from tankrig.live import refit as refitting
 from tankrig.live.preparing import Preparation
 from tankrig.live.refit import Unfitted, refit, unfitted
-from tankrig.live.results import DoseFit, SeriesFit, diluted
+from tankrig.live.results import DoseFit, SeriesFit, diluted, fits_in, to_fields
 from tankrig.pattern.wall import Wall
 from tankrig.report import write_report
 from tankrig.report.timing import spans_of
@@ -100,6 +100,36 @@ def test_a_run_that_ended_too_early_for_its_fits_gets_them_by_one_command(
     assert len(open_run(run).journal) == lines
     page = write_report(run).read_text(encoding="utf-8")
     assert "not fitted" not in page
+
+
+def test_a_series_that_shows_another_phase_function_is_gone_on_with(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whoever has said nothing about phase functions gets his ink's all the same, by the command that is told him."""
+    refit(run)
+    _, series = fits_in([event.fields for event in open_run(run).fits])
+    assert series is not None
+    assert not series.doubted
+    with RunWriter(run) as writer:
+        writer.put("fit", **to_fields(replace(series, doubted=True)))
+    missing = unfitted(open_run(run))
+    assert missing == Unfitted(phase=True)
+    assert missing.sentence(run).startswith("the ink's own phase function is not fitted: tankrig refit")
+    asked: list[object] = []
+
+    def fitted(_: object, start: object, **how: object) -> SeriesFit:
+        asked.append((start, how["phase"]))
+        return series
+
+    monkeypatch.setattr(refitting, "fit_all", fitted)
+    assert main(["report", str(run)]) == 0  # which waits for no search of half an hour, and says what is missing
+    assert refit(run, further=False) == []
+    assert asked == []
+    assert "own phase function is not fitted" in (run / "report.html").read_text(encoding="utf-8")
+    capsys.readouterr()
+    assert main(["refit", str(run)]) == 0
+    assert asked == [(replace(series, doubted=True), "free")]
+    assert not unfitted(open_run(run))
 
 
 def test_what_was_fitted_before_an_interruption_is_kept_and_the_next_call_goes_on(

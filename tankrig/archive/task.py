@@ -125,7 +125,7 @@ def fits_of_archived(run: Run, refitting: Refitting, progress: Callable[[str], N
             f"{run.path}: has no photograph of a lit pattern with ink in the tank, so there is no fit of it"
         )
     if refitting.model == "tank":
-        fits = list(fits_made(run, everything=True, model="tank"))
+        fits = list(fits_made(run, everything=True, model="tank", further=False))
     else:
         plan = PhotographPlan.of_run(run)
         fitter = Fitter((), ModelsOnDemand(progress, phases_prepared(plan) or "hg"), plan, progress)

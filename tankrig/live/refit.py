@@ -91,6 +91,7 @@ def refit(
     model: str = "prepared",
     progress: Told = lambda *_: None,
     phase: str | PhaseFunction | None = None,
+    further: bool = True,
 ) -> list[Fit]:
     """Fit what a run lacks, or everything anew, and record each fit in its journal as soon as it is made.
 
@@ -111,6 +112,8 @@ def refit(
         Told what is being done, in this thread.
     phase
         Which phase functions are searched, as in `tankrig.estimate`; None: those of the run's sequence.
+    further
+        Whether a series that shows another phase function is fitted with a free one, which takes half an hour and more.
 
     Returns
     -------
@@ -124,11 +127,12 @@ def refit(
     """
     made: list[Fit] = []
     path = Path(path)
-    if not everything and not unfitted(open_run(path)):
+    missing = unfitted(open_run(path))
+    if not everything and not (missing if further else missing.doses_ml or missing.series):
         return made
     with RunWriter(path) as writer:
         run = open_run(path)
-        for fit in fits_made(run, everything, model, progress, phase):
+        for fit in fits_made(run, everything, model, progress, phase, further):
             writer.put("fit", **to_fields(fit))
             writer.flush()
             made.append(fit)
@@ -141,6 +145,7 @@ def fits_made(
     model: str = "prepared",
     progress: Told = lambda *_: None,
     phase: str | PhaseFunction | None = None,
+    further: bool = True,
 ) -> Iterator[Fit]:
     """The fits that a run lacks, or all of them, one after the other; see `refit`.
 
@@ -165,7 +170,7 @@ def fits_made(
         for fit in made:
             series = fit if isinstance(fit, SeriesFit) else series
             yield fit
-    if series is not None and series.doubted and plan.may_go_further:
+    if further and series is not None and series.doubted and plan.may_go_further:
         told("fitting the series with a free phase function")
         yield sheets.beside_series(fit_all(exposures.photographs(), series, progress=told, phase="free"))
 

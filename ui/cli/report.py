@@ -17,7 +17,8 @@ from ui.cli.refit import progress_shown
 def report(run: Path, out: Path | None, quick: bool, as_json: bool) -> None:
     """Write what RUN has shown as one HTML file: photographs, fits with error bars, reconstructions, timing.
 
-    What RUN has not fitted is fitted first and recorded in it, as tankrig refit does; Ctrl-C keeps what is made.
+    What RUN has not fitted is fitted first and recorded in it, as tankrig refit does, but for an ink's own phase
+    function, which takes half an hour and more; Ctrl-C keeps what is made.
     """
     from rich.console import Console
 
@@ -26,7 +27,7 @@ def report(run: Path, out: Path | None, quick: bool, as_json: bool) -> None:
 
     if not quick:
         with progress_shown() as told:
-            refit(run, progress=told)
+            refit(run, progress=told, further=False)
     with Console(stderr=True).status("reading") as status:
         file = write_report(run, out, status.update)
     click.echo(json.dumps({"report": str(file)}) if as_json else f"written  {file}")
