@@ -168,8 +168,8 @@ class _ByShares:
         return 1.0 / len(self.shots)
 
     def shares_at(self, centre: Evaluation, share: float) -> "_Shares":
-        """Derivatives by a share of the lattices, or by all that each of several images follows."""
-        told = [model.with_share(share, self.each) for model in self.models]
+        """Derivatives by a share of the lattices, or all that each of several images follows; fine by all of them."""
+        told = [model.with_share(min(share, self.each), share >= 1.0) for model in self.models]
         shares = [model.shares(medium) for model, medium in zip(told, centre.media, strict=True)]
         noise = [shot.slopes_noise_of(model) for shot, model in zip(self.shots, told, strict=True)]
         return _Shares(shares, _at_media(noise, centre.media))
@@ -187,9 +187,7 @@ class _ByShares:
             here = here.believing(weight)
             end = solve(here.line, end.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
         end = by_cost(here.bent.at(one.coordinates) for one in (end, start))[0]  # along which moments bend
-        end = solve(
-            here.bent, end.coordinates, MANY_ENOUGH, FEW_STEPS if len(self.shots) == 1 else BENT_STEPS, damping=0.0
-        )
+        end = solve(here.bent, end.coordinates, MANY_ENOUGH, few_steps(self.shots), damping=0.0)
         return here.fit(end.coordinates)
 
     def by_few_paths(self, best: Evaluation) -> tuple[Evaluation, int]:
@@ -237,6 +235,11 @@ class _ByShares:
             fit = self.about(centre, _exact(self.shots, centre, SHARPER * self.each), told, fit.optimum)
         moved = _still_moved(fit.optimum, centre, exactly, self.near)
         return replace(fit, moved=moved, exact=around[0] if len(around) == 1 else None)
+
+
+def few_steps(shots: Sequence[Shot]) -> int:
+    """Steps at most where each computes orders 1 and 2 of all images anew: fewer of several."""
+    return FEW_STEPS if len(shots) == 1 else BENT_STEPS
 
 
 def _still_moved(

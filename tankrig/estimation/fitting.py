@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.corrections import BENT_STEPS, FEW_STEPS, MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit
+from tankrig.estimation.corrections import MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit, few_steps
 from tankrig.estimation.followed import Followed, Model
 from tankrig.estimation.forward import COARSE, image_of, stated_error
 from tankrig.estimation.light_beside import is_solved
@@ -84,7 +84,7 @@ def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: 
         progress("refining")
         problem, versions = _refined(problem, shots, problem.at(found[0]), rough=True)
         enough = SOLVED_ENOUGH if any(is_solved(fine) for fine, _ in versions) else None
-        steps = FEW_STEPS if len(shots) == 1 else BENT_STEPS
+        steps = few_steps(shots)
         if any(shot.models.family for shot in shots):
             enough = MANY_ENOUGH
         best = by_cost(
@@ -163,7 +163,7 @@ def guessed(
     look = [shots[number].looked_at() for number in few]
     problem = rough_problem(look, tuple(block.binned(look[0].binned_by) for block in blocks), scaling)
     first, _ = first_guess(problem, shots[0].length_mm)
-    return problem.at(search(problem, [look.coordinates for look in first], progress)[0]).media[0]
+    return problem.at(search(problem, [one.coordinates for one in first], progress)[0]).media[0]
 
 
 def promising(

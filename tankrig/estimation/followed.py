@@ -118,11 +118,10 @@ class Followed:
         """(n, 3, rows, columns) patterns of their noise, see `Tangent`."""
         return self._whole(medium).noise if self.family is None else self._of_family(medium)[1]
 
-    def with_share(self, share: float, all_of_it: float = 1.0) -> "Followed":
-        """The same by a share of the lattices, but by `FEWEST` if there are as many, and by no more than all of it; not
-        as fine if by less than that."""
-        fewer = min(max(FEWEST, round(min(share, all_of_it) * self.batches)), self.batches)
-        return replace(self, batches=fewer, fine=self.fine and share >= all_of_it)
+    def with_share(self, share: float, fine: bool) -> "Followed":
+        """The same by a share of the lattices, but by `FEWEST` if there are as many, and as `fine` as it is or not."""
+        fewer = min(max(FEWEST, round(share * self.batches)), self.batches)
+        return replace(self, batches=fewer, fine=self.fine and fine)
 
     def shares(self, medium: Medium) -> Image:
         """(2 + k, rows, columns) derivatives by a family's coordinates of the logarithm of what paths bring."""

@@ -395,7 +395,7 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
 
 
 def _look(scene: Scene, max_order: int | None) -> tuple[int, Followed]:
-    """See `Models.look`."""
+    """Pixels of a block and the cheap model of such blocks that a search looks at, see `Models.look`."""
     by = max(1, int(math.sqrt(math.prod(scene.camera.shape) / LOOK_PIXELS)))
     binned = replace(scene, camera=scene.camera.binned(by))
     return by, Followed(binned, LOOK_BATCHES, 0, max_order, small=True, rough=True, tables=COARSE)

@@ -26,7 +26,7 @@ from tankrig.threads import THREADS
 Array = NDArray[np.float64]
 
 BY_PATHS = math.inf
-"""See `tank_tangent`."""
+"""Tolerance of order 2 that leaves it to the paths, see `tank_tangent`."""
 TABLES, FINE_TABLES = 0.01, 0.001
 """Tolerance that order 2 is computed to beside derivatives by g, where coarse tables do, and in accurate images. Of
 derivatives by the finer shapes of a free phase function coarse ones get a quarter to three quarters wrong."""
@@ -202,8 +202,8 @@ def low_orders(
     """Orders 1 and 2, and their derivatives: they go with σs and σs² at one extinction."""
     medium, behind, tables = scene.medium, BehindLenses(scene), _tables(scene) if tables is None else tables
 
-    def second_of(others: Sequence[Medium]) -> Array:
-        return behind.twice(others, tables) if highest >= 2 else np.zeros((len(others), *scene.camera.shape))
+    def second_of(one: Medium) -> Array:
+        return np.asarray(behind.twice([one], tables)[0]) if highest >= 2 else np.zeros(scene.camera.shape)
 
     absorption = STEP_LENGTH / max(scene.tank.size_mm)
     stepped = [medium, replace(medium, sigma_a=medium.sigma_a + absorption)]
@@ -211,7 +211,7 @@ def low_orders(
     if medium.phase is None:
         stepped.append(replace(medium, g=medium.g + turning))
     # Order 2 of each by itself, for tables of several have the nodes that one of them wants.
-    ones, twos = behind.once(stepped), np.array([second_of([one])[0] for one in stepped])
+    ones, twos = behind.once(stepped), np.array([second_of(one) for one in stepped])
     first, second = ones[0], twos[0]
     image = first + second
     by_absorption = (ones[1] + twos[1] - image) / absorption

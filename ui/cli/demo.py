@@ -79,7 +79,9 @@ def demo(
     if bench and material is not None:
         raise click.UsageError("--material is for the rig that needs no calibration; leave --bench out")
     if bench:
-        return _bench(doses, seed, (wide_lens, walls, emulsion), by_hand, out, as_json)
+        return _bench(
+            doses, seed, {"wide_lens": wide_lens, "walls": walls, "emulsion": emulsion}, by_hand, out, as_json
+        )
     if seed is not None or by_hand or wide_lens or walls or emulsion:
         raise click.UsageError(
             "--seed, --wide-lens, --walls, --emulsion and --by-hand are for the bench; give --bench too"
@@ -89,19 +91,19 @@ def demo(
 
 
 def _bench(
-    doses: int | None, seed: int | None, kinds: tuple[bool, bool, bool], by_hand: bool, out: Path | None, as_json: bool
+    doses: int | None, seed: int | None, kinds: dict[str, bool], by_hand: bool, out: Path | None, as_json: bool
 ) -> int:
-    """`kinds` says whether the lens is wide, the tank of glass, and the ink an emulsion."""
+    """Of some kinds, see `make`."""
     from ui.cli.demo_bench import is_there, make, walk, way_of
 
     folder = out or Path("runs") / datetime.now(UTC).strftime("bench-%Y-%m-%dT%H-%M-%S")
     if is_there(folder):
-        if doses is not None or seed is not None or any(kinds) or by_hand:
+        if doses is not None or seed is not None or any(kinds.values()) or by_hand:
             raise click.UsageError(f"{folder} holds a bench already; give only --bench --out {folder} to go on with it")
     else:
         if doses is not None and doses > BENCH_DOSES:
             raise click.UsageError(f"the bench's sequence has {BENCH_DOSES} doses; give --doses 2 or {BENCH_DOSES}")
-        make(folder, seed or 0, doses or BENCH_DOSES, *kinds)
+        make(folder, seed or 0, doses or BENCH_DOSES, **kinds)
     if not by_hand:
         click.echo("a simulated bench, in a hurry; nothing real moves", err=True)
         return walk(folder, as_json)

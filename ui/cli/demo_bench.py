@@ -30,7 +30,7 @@ TIME_SCALE = 0.02
 MIXING_S, STEPS_PER_S = 0.3, 200.0
 """A stirrer in a hurry; ink comes at 20 µl/s as on a bench, since models are prepared while it does."""
 OIL_IN_WATER = {"particle_index": 1.465, "water_index": 1.333, "wavelength_nm": 532.0}
-"""Of the droplets of an emulsion, in green light."""
+"""What the droplets of an emulsion are, and the green light that they are seen in."""
 _SET_ASIDE = 3
 """Exit status of a calibration with doubts."""
 _TOO_BUSY = (
