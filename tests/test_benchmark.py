@@ -241,7 +241,7 @@ def test_errors_as_large_as_stated_are_told_so_beside_noisy_truths(noise: float)
 
 def test_a_folder_that_tells_more_is_asked_for_classes_and_times(tmp_path: Path) -> None:
     """The truths' program takes 1/error² as long: without its own noise in that, any factor could be claimed."""
-    wide = wide_scene(1)
+    wide = wide_scene(6)  # one of thin ink
     prediction = predict(wide.scene, tolerance=0.03)
     orders = {key: np.asarray(image) for key, image in prediction.orders.items()}
     size = float(np.linalg.norm(prediction.image))

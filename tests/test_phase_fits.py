@@ -570,8 +570,9 @@ def test_many_scatterings_remember_of_a_phase_function_only_its_first_moments() 
     assert np.linalg.norm(off) < 0.03 * np.linalg.norm(sizes)
 
 
+@pytest.mark.long
 def test_a_given_phase_function_is_taken_as_it_is() -> None:
-    """Nothing of it is fitted, so that an image tells σa and σs only."""
+    """Nothing of it is fitted, so that an image tells σa and σs only; by light paths."""
     scene = replace(TANK, camera=Camera("orthographic", (20, 30), 8.0))
     truth = Medium(3e-4, 0.01, phase=TwoTerm(0.88, -0.3, 0.94))
     image = tankrig.predict(replace(scene, medium=truth), tolerance=0.005).image

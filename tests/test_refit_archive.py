@@ -141,6 +141,7 @@ def test_damaged_unfinished_and_empty_runs_are_rows_with_a_sentence_and_the_othe
     assert "failed" not in found(out)["twin-01-001"]
 
 
+@pytest.mark.long
 def test_two_refits_of_one_archive_share_it(archive: Path, tmp_path: Path) -> None:
     """Each run is fitted by one of them, none is half-written, and both end when all is done."""
     out = tmp_path / "results"

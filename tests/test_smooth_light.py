@@ -1,6 +1,7 @@
 """Light without edges, and what clear walls send back, are computed coarsely: nothing that a camera sees is lost."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -17,40 +18,48 @@ from tankrig.scene.optics import NO_HALO, Face, Faces, Halo, WideLens
 from tests.test_stray_light import a_calibrated_scene, apart
 
 GLASS = Face("glass")
+MEDIUM = Medium(0.0, 0.012, 0.6)
 
 
 def a_dim_scene(shape=(27, 40)):
     """Three beams on a calibrated bench, with a projector's halo and a dark picture that is none."""
     scene = a_calibrated_scene((3.157, 0.0, 0.0), 6.0, shape)
-    return replace(scene, projector=replace(scene.projector, halo=Halo(0.02, 25.0), black_level=0.0005))
+    light = replace(scene.projector, halo=Halo(0.02, 25.0), black_level=0.0005)
+    return replace(scene, projector=light, medium=MEDIUM)
+
+
+@cache  # two tests look at it
+def smooth_by_tables():
+    """Order 2 of light without edges, by tables of coarse cells."""
+    _, smooth = edged_and_smooth(CameraLens.of(a_dim_scene()).wide, fine=False)
+    return double_scattering_of(smooth, [MEDIUM], 0.01)[0]
 
 
 def test_smooth_light_is_looked_up_on_coarse_cells_and_shows_the_same():
     """In fine pixels it took most of a bench's order 1, and by tables of fine cells 20 to 40 times what rays do."""
     wide = CameraLens.of(a_dim_scene()).wide
-    edged, smooth = edged_and_smooth(wide, fine=False)
+    edged, _ = edged_and_smooth(wide, fine=False)
     first, second = once(wide), twice_of(wide, [wide.medium], 0.01)[0]
     size = np.linalg.norm(first + second)
     _, finely = edged_and_smooth(wide)
     assert np.linalg.norm(first - once(edged_and_smooth(wide)[0]) - single_scattering(finely)) < 0.0005 * size
-    by_tables = double_scattering_of(smooth, [wide.medium], 0.01)[0]
+    by_tables = smooth_by_tables()
     assert np.linalg.norm(by_tables) > 0.005 * size  # there is something to be missed
     assert np.linalg.norm(second - twice(edged, 0.01) - by_tables) < 0.0005 * size
 
 
 def test_a_prepared_models_order_2_of_smooth_light_comes_along_paths():
-    scene, medium = a_dim_scene(), Medium(0.0, 0.012, 0.6)
-    paths, lens = PathImages(scene, (1.0, 0.8)), CameraLens.of(replace(scene, medium=medium))
-    found = paths.to_pixels(paths.twice_smooth(medium, 1, 24))
+    scene = a_dim_scene()
+    paths, lens = PathImages(scene, (1.0, 0.8)), CameraLens.of(scene)
+    found = paths.to_pixels(paths.twice_smooth(MEDIUM, 1, 24))
     np.testing.assert_allclose(found[1], 0.64 * found[0], rtol=1e-9)
-    _, smooth = edged_and_smooth(lens.wide, fine=False)
-    expected = lens.of_wide(double_scattering_of(smooth, [medium], 0.01)[0])
+    expected = lens.of_wide(smooth_by_tables())
     bright = expected > 0.2 * expected.max()
     off = (found[0].reshape(expected.shape) - expected)[bright] / expected[bright].mean()
     assert abs(off.mean()) < 0.01
     assert np.sqrt(np.mean(off**2)) < 0.1  # by so few paths
     rays = replace(scene, projector=replace(scene.projector, halo=NO_HALO, black_level=0.0))
-    assert not PathImages(rays, (1.0,)).twice_smooth(medium, 1, 1).any()
+    assert not PathImages(rays, (1.0,)).twice_smooth(MEDIUM, 1, 1).any()
 
 
 def test_few_pinholes_and_coarse_cells_do_for_what_walls_send_back():

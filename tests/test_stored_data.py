@@ -96,7 +96,15 @@ def test_a_run_that_was_killed_in_a_dose_goes_on_to_its_target(stored: Path) -> 
     assert tankrig.open_run(folder / "run").frames.delivered_ul.values.tolist() == [0.0] * 2 + [200.0] * 3 + [900.0] * 3
 
 
-@pytest.mark.parametrize("name", ["finished", "in-a-wait"])
+@pytest.mark.parametrize(
+    ("stored", "name"),
+    [
+        *((version, "finished") for version in VERSIONS),
+        (VERSIONS[0], "in-a-wait"),
+        *(pytest.param(version, "in-a-wait", marks=pytest.mark.long) for version in VERSIONS[1:]),
+    ],
+    indirect=["stored"],
+)
 def test_runs_are_fitted_and_reported(stored: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """One with the fits that were recorded, one that was recorded without."""
     monkeypatch.chdir(stored / name)

@@ -159,7 +159,7 @@ def test_tank_and_monte_carlo_agree_on_walls(faces, monkeypatch):
     light = Projector("pinhole", (Beam((-20.0, 24.0), (40.0, 80.0)),), (-400.0, 10.0, 60.0))
     scene = a_scene(camera, light, surface="fresnel", faces=faces)
     tank = tankrig.predict(scene, tolerance=0.022)
-    paths = tankrig.predict(scene, "montecarlo", tolerance=0.005, seed=3)
+    paths = tankrig.predict(scene, "montecarlo", tolerance=0.007, seed=3)
     assert tank.image.sum() == pytest.approx(paths.image.sum(), rel=0.006)
     assert apart(tank.image, paths.image) < 0.03
     black = predicted(replace(scene, tank=replace(scene.tank, faces=Faces())), 0.02)
@@ -656,9 +656,9 @@ def test_liquids_at_once_are_seen_through_a_lens_as_one_by_one():
 
 def test_a_camera_that_sees_light_run_down_its_picture_shows_the_same_tank():
     """Edges of beams then lie along its columns, where an upright one's picture is coarse."""
-    upright = tankrig.predict(a_calibrated_scene((math.pi, 0.0, 0.0), 0.0, (60, 60)), "single").image
+    upright = tankrig.predict(a_calibrated_scene((math.pi, 0.0, 0.0), 0.0, (36, 36)), "single").image
     half = math.pi / math.sqrt(2.0)
-    scene = a_calibrated_scene((half, half, 0.0), 0.0, (60, 60))
+    scene = a_calibrated_scene((half, half, 0.0), 0.0, (36, 36))
     (fx, _, cx), (_, fy, cy), last = scene.camera.matrix
     turned = replace(scene.camera, matrix=((fy, 0.0, cy), (0.0, fx, cx), last))
     image = tankrig.predict(replace(scene, camera=turned), "single").image
@@ -672,11 +672,14 @@ def test_orders_by_way_of_a_diffuse_floor_are_the_monte_carlos():
         Camera("pinhole", (20, 30), 8.0, (120.0, 0.0, 620.0), blur=Blur(1.0)), light,
         surface="fresnel", refractive_index=1.33, faces=Faces(floor=Face("diffuse", 0.3)),
     )  # fmt: skip
-    tank, monte_carlo = (tankrig.predict(scene, model, tolerance=0.01) for model in ("tank", "montecarlo"))
-    dark = tankrig.predict(replace(scene, tank=replace(scene.tank, faces=Faces())), tolerance=0.01)
+    tank = tankrig.predict(scene, tolerance=0.03)  # of the orders above, whose paths take most of the time
+    monte_carlo = tankrig.predict(scene, "montecarlo", tolerance=0.01)
+    dark = tankrig.predict(replace(scene, tank=replace(scene.tank, faces=Faces())), max_order=2, tolerance=0.01)
     for order in (1, 2):
         expected = monte_carlo.orders[order].sum()
         assert tank.orders[order].sum() == pytest.approx(expected, rel=0.004)
         assert dark.orders[order].sum() < 0.99 * expected
         once = tankrig.predict(scene, max_order=order, tolerance=0.01).image.sum()
         assert once == pytest.approx(sum(tank.orders[one].sum() for one in range(1, order + 1)), rel=0.004)
+    cut = tankrig.predict(scene, "montecarlo", tolerance=0.01, max_order=2, seed=7)
+    assert cut.orders[2].sum() == pytest.approx(monte_carlo.orders[2].sum(), rel=0.008)  # it was 1.8 % less

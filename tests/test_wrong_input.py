@@ -31,6 +31,7 @@ OF_RUNS = {"journal", "settings", "frames-metadata", "patterns-metadata", "chunk
 """Formats of which reading one means reading a run."""
 MANY = int(os.environ.get("TANKRIG_FUZZ", "100000"))
 FEW = 40
+"""Mutated files of a cheap format that are read by the test that everybody runs; of others a half or a quarter."""
 
 
 def share(name: str, of: int) -> int:
@@ -75,7 +76,8 @@ ONCE_FAILED = [
 
 def test_a_few_mutated_files_and_those_that_once_failed_are_read_or_refused_in_a_sentence(tmp_path: Path) -> None:
     """In one process, which takes longer to start than to read a few; when it ends early, we are told where."""
-    batches = [*((name, 0, FEW) for name in FORMATS), *((name, number, 1) for name, number in ONCE_FAILED)]
+    few = {name: FEW if name in CHEAP else FEW // 4 if name in OF_RUNS else FEW // 2 for name in FORMATS}
+    batches = [*((name, 0, count) for name, count in few.items()), *((name, number, 1) for name, number in ONCE_FAILED)]
     words = [sys.executable, str(Path(__file__).with_name("fuzz_batch.py")), str(tmp_path)]
     words += [str(word) for batch in batches for word in batch]
     ended = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False, timeout=250)

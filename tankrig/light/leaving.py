@@ -355,7 +355,6 @@ def _finer(camera: Camera, parts: tuple[int, int]) -> Camera:
 def _gaussian(image: Array, widths: list[float]) -> Array:
     """Blurred along rows' and columns' numbers, by standard deviations in pixels; dark beyond the picture."""
     from scipy.ndimage import correlate1d
-    from scipy.signal import oaconvolve
 
     for axis, width in enumerate(widths):
         if width <= 0.0:
@@ -364,6 +363,8 @@ def _gaussian(image: Array, widths: list[float]) -> Array:
         if weights.size < 64:
             image = correlate1d(image, weights, axis=axis, mode="constant")
         else:
+            from scipy.signal import oaconvolve  # half a second, for few pictures
+
             shape = [1, 1]
             shape[axis] = weights.size
             image = oaconvolve(image, weights.reshape(shape), mode="same", axes=axis)

@@ -93,14 +93,14 @@ def trace_among_faces(
                 break
             if matt < 0:
                 order += 1
+                if order > max_order:  # only here, for on its way the last order may have come to a diffuse face
+                    break
                 absorbed += weight * (1.0 - scene.albedo)
                 weight *= scene.albedo
             kind = 0 if first else 1 if order < 2 else order if order < 4 else 4 if order <= 20 else 5
             first = False
             light = Scattered(way, matt, weight * per_photon)
             _show(scene, faces, place, light, by_face, images[kind])
-            if order >= max_order:
-                break
             if weight < LIGHT:
                 u, state = draw(state)
                 if u >= KEPT:
