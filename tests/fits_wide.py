@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import tankrig
+from tankrig.light.prepared.about import box_for
 from tankrig.light.tangent import tank_tangent
-from tankrig.live.preparing import box_for, model_for
+from tankrig.live.preparing import model_for
 from tankrig.scene import Medium
 
 NOISE = 0.002

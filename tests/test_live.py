@@ -28,6 +28,7 @@ from tankrig.devices import CameraSettings, Delivered, Frame
 from tankrig.errors import ImageError
 from tankrig.estimation import series_forward
 from tankrig.image.prepare import Prepared
+from tankrig.light.prepared.about import box_for
 from tankrig.light.prepared.box import Box
 from tankrig.light.tank import tank_image
 from tankrig.live import fits, worker
@@ -36,7 +37,7 @@ from tankrig.live.exposures import Exposures, Photograph
 from tankrig.live.fits import fit_dose_prepared
 from tankrig.live.live_fit import LiveFit
 from tankrig.live.photograph_plan import PhotographPlan
-from tankrig.live.preparing import LOOK, Preparation, Preparing, box_for
+from tankrig.live.preparing import LOOK, Preparation, Preparing
 from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, SingleScattering, diluted, to_fields
 from tankrig.pattern import Pattern
 from tankrig.pattern.kinds import Sheet

@@ -11,7 +11,7 @@ import pytest
 from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.estimation.series_forward import prepared_model
 from tankrig.image.prepare import prepare
-from tankrig.live.preparing import box_for
+from tankrig.light.prepared.about import box_for
 from tankrig.montecarlo import simulate_to
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 

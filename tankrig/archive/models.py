@@ -9,8 +9,9 @@ from pathlib import Path
 
 from tankrig.errors import TankrigError
 from tankrig.image.prepare import Prepared
+from tankrig.light.prepared.about import box_for, holds
 from tankrig.light.prepared.box import Box
-from tankrig.live.preparing import LOOK, Phases, Preparation, Preparing, box_for, file_of, holds, model_for
+from tankrig.live.preparing import LOOK, Phases, Preparation, Preparing, file_of, model_for
 from tankrig.scene.description import Medium, Scene
 
 KEPT = 24

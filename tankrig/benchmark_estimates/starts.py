@@ -77,11 +77,11 @@ def _started(records: Records, prepared: Prepared, name: str, gain: str, starts:
     shot = Shot(observation, STRIPES, models)
     problem = Problem((shot.view(forward, models.slopes, error),), (MediumBlock(reach),), scaling)
     random = np.random.default_rng(2)
-    reserve = [look.coordinates for part in first_guess(problem, shot.length_mm) for look in part]
+    looks = [look.coordinates for part in first_guess(problem, shot.length_mm) for look in part]
     costs, found = [], []
     for _ in range(starts):
         start = random.uniform(reach.low, reach.high)
-        ends = [search(problem, [start], _silently, others)[0] for others in ((), reserve)]
+        ends = [search(problem, [start, *others], _silently)[0] for others in ((), looks)]
         polished = [polish(problem, end) for end in ends]
         costs.append([end.cost for end in polished])
         found.append([to_medium(end.coordinates).coefficients for end in polished])

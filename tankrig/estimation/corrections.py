@@ -168,17 +168,23 @@ class _ByShares:
         return 1.0 / len(self.shots)
 
     def shares_at(self, centre: Evaluation, share: float) -> "_Shares":
-        """Derivatives by a share of the lattices, or all that each of several images follows; fine by all of them."""
-        told = [model.with_share(min(share, self.each), share >= 1.0) for model in self.models]
-        shares = [model.shares(medium) for model, medium in zip(told, centre.media, strict=True)]
+        """Derivatives by a share of the lattices, or all that each of several images follows.
+
+        By all of them they are fine, those of orders 1 and 2 too, and told once: these are dear.
+        """
+        fine = share >= 1.0
+        told = [model.with_share(min(share, self.each), fine) for model in self.models]
+        of_media = list(zip(told, centre.media, strict=True))
+        shares = [model.shares(medium) for model, medium in of_media]
+        low = [model.low_shares(medium) if fine else None for model, medium in of_media]
         noise = [shot.slopes_noise_of(model) for shot, model in zip(self.shots, told, strict=True)]
-        return _Shares(shares, _at_media(noise, centre.media))
+        return _Shares(told, shares, low, _at_media(noise, centre.media))
 
     def about(self, centre: Evaluation, seen: Sequence[Prediction], told: "_Shares", start: Evaluation) -> Fit:
         """The optimum as models change about the exact images of a place."""
-        parts = list(zip(self.models, centre.media, seen, told.shares, strict=True))
-        near = [model.about(medium, one, share) for model, medium, one, share in parts]
-        slopes = [model.slopes_about(medium, one.image, share) for model, medium, one, share in parts]
+        parts = list(zip(told.models, centre.media, seen, told.shares, told.low, strict=True))
+        near = [model.about(medium, one, share) for model, medium, one, share, _ in parts]
+        slopes = [model.slopes_about(medium, one.image, share, low) for model, medium, one, share, low in parts]
         close = centre.coordinates, CLOSE
         here = _about(believing(self.problem, 1.0), self.shots, near, slopes, told.noise, centre, seen, close)
         end = solve(here.line, start.coordinates, NEAR_ENOUGH, LAST_STEPS, damping=0.0)
@@ -254,10 +260,16 @@ def _still_moved(
 
 
 class _Shares(NamedTuple):
-    """Derivatives of the logarithm of what paths bring of each image, see `Followed.shares`, and their noise."""
+    """Derivatives of the logarithm of each image's parts at a place."""
 
+    models: list[Followed]
+    """That told them."""
     shares: list[Image]
+    """Of what paths bring, see `Followed.shares`."""
+    low: list[Image | None]
+    """Of orders 1 and 2, see `Followed.low_shares`; None where they are told anew at each place."""
     noise: list[Slopes | None]
+    """Of the paths."""
 
 
 @dataclass(frozen=True)

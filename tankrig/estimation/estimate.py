@@ -21,7 +21,7 @@ from tankrig.estimation.misfit import moved_unseen
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, is_rough, liquid_blocks
-from tankrig.estimation.phase_doubt import told_early
+from tankrig.estimation.phase_doubt import PhaseTold, told_early
 from tankrig.estimation.phase_instead import Instead
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import WHOLE, structure_map
@@ -58,6 +58,9 @@ Free = Literal["free"]
 
 ALIGNINGS, ALIGNED = 5, 2.0
 """Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
+FAR_LESS = 0.5
+"""Share of what Henyey–Greenstein's leaves, squared, below which a fit of other phase functions is believed that was
+begun from anywhere."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 COMMON_FLOOR = 0.04
@@ -204,23 +207,30 @@ def fit_models(
         fit = with_astray(fit, [astray])
     fit = without_outliers(fit)
     progress("finding the errors")
-    found, instead = _built(fit, scene, models, asked)
-    if instead is None or asked.further is None:
+    found, phase = _built(fit, scene, models, asked)
+    instead = phase.instead if phase.misled else None
+    if asked.further is None or not (phase.misled or phase.doubted):
         return found
     if beside is not None:
         astray = Astray(scene, {**beside.sd, **(astray.sd if astray else {})})
-    return _further(observation, scene, scaling, models, progress, misalignment, asked.further, astray, instead)
+    other = _further(observation, scene, scaling, models, progress, misalignment, asked.further, astray, instead)
+    if instead is not None:
+        return other
+    # From where Henyey–Greenstein's has gone astray no look leads back: what explains far more is begun from anywhere.
+    left = (other.rmse / found.rmse) ** 2
+    return replace(other, verdict=f"{what_did_not_hold(1.0 - left)} {other.verdict}") if left < FAR_LESS else found
 
 
 def _further(
     observation: Observation, scene: Scene, scaling: Scaling, models: Models, progress: Told,
-    misalignment: Misalignment | None, asked: Asked, astray: Astray | None, instead: Instead,
+    misalignment: Misalignment | None, asked: Asked, astray: Astray | None, instead: Instead | None,
 ) -> Estimate:  # fmt: skip
-    """The estimate by further phase functions, begun where a look at them ended."""
+    """The estimate by further phase functions, begun where a look at them ended, or from anywhere."""
     progress("weighing other phase functions")
-    other, asked = models.of(asked.family), replace(asked, near=instead.liquid)
+    other, near = models.of(asked.family), None if instead is None else instead.liquid
+    asked = replace(asked, near=near)
     free = fit_models(observation, scene, scaling, other, progress, misalignment, asked, astray)
-    return replace(free, verdict=f"{what_did_not_hold(instead.share)} {free.verdict}")
+    return free if instead is None else replace(free, verdict=f"{what_did_not_hold(instead.share)} {free.verdict}")
 
 
 def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:
@@ -280,9 +290,9 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
     return replace(fit, optimum=best)
 
 
-def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, Instead | None]:
-    """The estimate at an optimum: its errors, what the residual says, and the verdict; and what another phase function
-    would say, where that explains more of what is left than anything else does."""
+def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, PhaseTold]:
+    """The estimate at an optimum: its errors, what the residual says, and the verdict; and what it tells of other phase
+    functions."""
     best = fit.optimum
     gain, (offset,), (left,) = left_over(fit)
     found = findings_of(fit, left, scene, models, asked)
@@ -314,7 +324,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         structure=structure_map(found.whitened, used),
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
-    return built, phase.instead if phase.misled else None
+    return built, phase
 
 
 def _undescribed(best: Evaluation, left: Left, asked: Asked) -> tuple[bool, bool]:

@@ -112,11 +112,11 @@ class Followed:
 
     def slopes(self, medium: Medium) -> Image:
         """(3, rows, columns) derivatives by σa, σs and g, or (2 + k, rows, columns) by a family's coordinates."""
-        return self._whole(medium).slopes if self.family is None else self._of_family(medium)[0]
+        return self._whole(medium).slopes if self.family is None else self._by_family(medium)
 
     def slopes_noise(self, medium: Medium) -> Image:
         """(n, 3, rows, columns) patterns of their noise, see `Tangent`."""
-        return self._whole(medium).noise if self.family is None else self._of_family(medium)[1]
+        return self._whole(medium).noise if self.family is None else self._paths_by_family(medium).noise
 
     def with_share(self, share: float, fine: bool) -> "Followed":
         """The same by a share of the lattices, but by `FEWEST` if there are as many, and as `fine` as it is or not."""
@@ -125,8 +125,9 @@ class Followed:
 
     def shares(self, medium: Medium) -> Image:
         """(2 + k, rows, columns) derivatives by a family's coordinates of the logarithm of what paths bring."""
-        high, others = self._of_family(medium)[2:]
-        return high / np.maximum(others, FAINT * float(others.max(initial=0.0)) + 1e-300)
+        found = self._paths_by_family(medium)
+        bright = found.prediction.image
+        return found.slopes / np.maximum(bright, FAINT * float(bright.max(initial=0.0)) + 1e-300)
 
     def about(self, centre: Medium, exact: Prediction, shares: Image) -> Model:
         """The image near a medium where it is known: orders 1 and 2 as they are, and changes of the others' logarithm
@@ -145,22 +146,33 @@ class Followed:
 
         return remembered(near)
 
-    def slopes_about(self, centre: Medium, exact: Image, shares: Image) -> Image:
-        """(2 + k, rows, columns) its derivatives there."""
-        from tankrig.estimation.differences import turning_of
-        from tankrig.light.tangent import low_orders
+    def low_shares(self, medium: Medium) -> Image:
+        """(2 + k, rows, columns) derivatives by a family's coordinates of the logarithm of orders 1 and 2."""
+        low, slopes = self.low_slopes(medium)
+        return np.asarray(slopes / np.maximum(low, FAINT * float(low.max(initial=0.0)) + 1e-300))
 
-        assert self.family is not None
-        turning, sizes = turning_of(centre, self.family)
-        tables = None if self.fine else self.tables
-        low, slopes = low_orders(replace(self.scene, medium=centre), LOW_ORDERS, turning.others, tables)
-        return np.asarray(slopes / np.append(np.ones(2), sizes)[:, None, None] + (exact - low) * shares)
+    def slopes_about(self, centre: Medium, exact: Image, shares: Image, low_shares: Image | None = None) -> Image:
+        """(2 + k, rows, columns) its derivatives there; of orders 1 and 2 by `low_shares` from next to it, or anew."""
+        if low_shares is None:
+            low, slopes = self.low_slopes(centre)
+        else:
+            low = self._low(centre)
+            slopes = low * low_shares
+        return np.asarray(slopes + (exact - low) * shares)
 
-    def _low(self, medium: Medium) -> Image:
+    def low_image(self, medium: Medium) -> Image:
+        """Orders 1 and 2."""
+        return self._low(medium)
+
+    @cached_property
+    def _low(self) -> Callable[[Medium], Image]:
         from tankrig.light.tangent import tank_steady
 
-        scene = replace(self.scene, medium=in_water(medium, self.water_sigma_s))
-        return tank_steady(scene, 0, max_order=LOW_ORDERS, tables=self.tables).image
+        def low(medium: Medium) -> Image:
+            scene = replace(self.scene, medium=in_water(medium, self.water_sigma_s))
+            return tank_steady(scene, 0, max_order=LOW_ORDERS, tables=self.tables).image
+
+        return remembered(low)
 
     @property
     def _tables(self) -> float | None:
@@ -183,25 +195,47 @@ class Followed:
         return remembered(alone)
 
     @cached_property
-    def _of_family(self) -> Callable[[Medium], tuple[Image, Image, Image, Image]]:
-        from tankrig.estimation.differences import turning_of
-        from tankrig.light.paths.block import LARGE, SMALL
-        from tankrig.light.tangent import tank_tangent
+    def _by_family(self) -> Callable[[Medium], Image]:
+        lowest = LOW_ORDERS if self.rough else LOW_ORDERS + 1
 
-        assert self.family is not None
-        family, lattice = self.family, SMALL if self.small else LARGE
-
-        def slopes(medium: Medium) -> tuple[Image, Image, Image, Image]:
-            """Derivatives, patterns of their noise, what of them paths bring, and what of the image."""
-            turning, sizes = turning_of(medium, family)
-            found = tank_tangent(
-                replace(self.scene, medium=medium), self.batches, self.seed, self.max_order, lattice,
-                0.0 if self.sharp else SLOPE_BLUR_MM, turning, None if self.fine else self._tables,
-            )  # fmt: skip
-            per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
-            return found.slopes * per_step, found.noise * per_step, found.high * per_step, found.bright
+        def slopes(medium: Medium) -> Image:
+            low, paths = self.low_slopes(medium, lowest - 1)[1], self._paths_by_family(medium).slopes
+            return np.asarray(low + paths)
 
         return remembered(slopes)
+
+    def low_slopes(self, medium: Medium, highest: int = LOW_ORDERS) -> tuple[Image, Image]:
+        """The image of orders up to one that follows no paths, and its derivatives by a family's coordinates."""
+        from tankrig.estimation.differences import turning_of
+        from tankrig.light.tangent import low_orders
+
+        assert self.family is not None
+        turning, sizes = turning_of(medium, self.family)
+        tables = None if self.fine else self._tables
+        highest = min(highest, self.max_order or highest)
+        low, slopes = low_orders(replace(self.scene, medium=medium), highest, turning.others, tables)
+        return low, slopes / np.append(np.ones(2), sizes)[:, None, None]
+
+    @cached_property
+    def _paths_by_family(self) -> "Callable[[Medium], Tangent]":
+        """What paths bring of the image, and of its derivatives by a family's coordinates."""
+        from tankrig.estimation.differences import turning_of
+        from tankrig.light.paths.block import LARGE, SMALL
+        from tankrig.light.tangent import by_paths
+
+        family, lattice = self.family, SMALL if self.small else LARGE
+        assert family is not None
+
+        def paths(medium: Medium) -> "Tangent":
+            turning, sizes = turning_of(medium, family)
+            found = by_paths(
+                replace(self.scene, medium=medium), self.batches, self.seed, self.max_order, lattice,
+                0.0 if self.sharp else SLOPE_BLUR_MM, turning, LOW_ORDERS if self.rough else LOW_ORDERS + 1,
+            )  # fmt: skip
+            per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
+            return replace(found, slopes=found.slopes * per_step, noise=found.noise * per_step)
+
+        return remembered(paths)
 
     @cached_property
     def _whole(self) -> "Callable[[Medium], Tangent]":

@@ -38,6 +38,7 @@ from tankrig.estimation.followed import (
 )
 from tankrig.estimation.light_beside import WithBeside, described_beside, with_light
 from tankrig.estimation.phase_families import Family
+from tankrig.estimation.with_prepared import WithPrepared
 from tankrig.image.predict import predict
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
@@ -112,6 +113,8 @@ class Models:
         Gives versions for media of another family; None: these.
     slopes_noise
         Patterns of the noise of `slopes`, (n, 3, rows, columns); None where it is not known.
+    prepares
+        Whether accurate versions are prepared about a medium, so that they answer for its neighbourhood only.
     """
 
     coarse: Model
@@ -126,6 +129,7 @@ class Models:
     along: "Callable[[Medium, Sequence[PhaseFunction]], Image] | None" = None
     different: "Callable[[Family], Models] | None" = None
     slopes_noise: Slopes | None = None
+    prepares: bool = False
 
     def of(self, family: Family | None) -> "Models":
         """Versions for media of a family's phase functions."""
@@ -136,7 +140,7 @@ class Models:
         """Derivatives: the model's own, or by differences of one of its versions."""
         if self.family is not None and self.along is not None:
             return family_slopes_of(self.along, self.family)
-        if isinstance(model, Followed) and model.family is self.family:
+        if isinstance(model, WithPrepared) or (isinstance(model, Followed) and model.family is self.family):
             return model.slopes
         if self.family is not None:
             low = None if self.low is None else image_of(self.low)
@@ -156,7 +160,9 @@ class Models:
         return self.slopes_noise if self.family is None else None
 
     def quick(self, model: Model) -> bool:
-        """Whether a version's derivatives come with its images, for less than their own price."""
+        """Whether a version's derivatives come with its images, for less than their own price, or save many of them."""
+        if isinstance(model, WithPrepared):
+            return True
         beams = model.main if isinstance(model, WithBeside) else model
         return self.slopes is not None or (self.family is None and isinstance(beams, Followed))
 
@@ -401,7 +407,9 @@ def _look(scene: Scene, max_order: int | None) -> tuple[int, Followed]:
     return by, Followed(binned, LOOK_BATCHES, 0, max_order, small=True, rough=True, tables=COARSE)
 
 
-def family_models(scene: Scene, family: Family, max_order: int | None = None, water_sigma_s: float = 0.0) -> Models:
+def family_models(
+    scene: Scene, family: Family, max_order: int | None = None, water_sigma_s: float = 0.0, prepared: bool = False
+) -> Models:
     """Versions for media of a family of phase functions, whose derivatives come along the paths as well.
 
     Parameters
@@ -414,6 +422,9 @@ def family_models(scene: Scene, family: Family, max_order: int | None = None, wa
         As for `models_of`.
     water_sigma_s
         What water scatters besides, 1/mm, see `in_water`.
+    prepared
+        Whether accurate versions are prepared for the medium's neighbourhood, see `WithPrepared`, in place of following
+        paths for each medium.
     """
     from tankrig.light.rays import shift_invariant
 
@@ -428,6 +439,9 @@ def family_models(scene: Scene, family: Family, max_order: int | None = None, wa
     batches = _lattices(coarse, fewest)
 
     def refine(medium: Medium) -> tuple[Model, Model]:
+        if prepared:
+            about = WithPrepared.about(coarse, medium)
+            return about, about.fine()
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
         return followed(fine, 1), followed(slope, 2, sharp=True, fine=True)
 
@@ -436,7 +450,10 @@ def family_models(scene: Scene, family: Family, max_order: int | None = None, wa
     def exact(medium: Medium, times: float) -> Prediction:
         return accurate(in_water(medium, water_sigma_s), times)
 
-    return Models(coarse, refine, exact=exact, family=family, look=_look(scene, max_order))
+    return Models(
+        coarse, refine, exact=None if prepared else exact, family=family, look=_look(scene, max_order),
+        prepares=prepared,
+    )  # fmt: skip
 
 
 def _models_with_beside(scene: Scene) -> Models:

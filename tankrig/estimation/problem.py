@@ -100,6 +100,8 @@ class Problem:
         Coordinates that are not searched: number and value of each.
     close
         Coordinates that those expected to be 0 ± 1 stay close to, and how many times as much as to 0; None: to none.
+    slow
+        Whether images take so long though they are quick that several at a time are worth it.
     """
 
     views: tuple[View, ...]
@@ -108,6 +110,7 @@ class Problem:
     quick: bool = True
     held: tuple[tuple[int, float], ...] = ()
     close: tuple[Array, float] | None = None
+    slow: bool = False
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -188,7 +191,7 @@ class Problem:
 
     def of_views(self, answer: Callable[[View], Answer]) -> list[Answer]:
         """What a function says of each view; of several at a time."""
-        if self.quick or len(self.views) == 1:
+        if (self.quick and not self.slow) or len(self.views) == 1:
             return [answer(view) for view in self.views]
         with ThreadPoolExecutor(THREADS) as pool:
             return list(pool.map(answer, self.views))

@@ -33,8 +33,6 @@ FIRST_STEPS = 5
 RIVAL, DISTINCT, EQUAL = 2.0, 0.2, 30.0
 """Starts go on whose cost is less than RIVAL times the best; ends that differ by DISTINCT in a coordinate, and in cost
 by less than EQUAL, are left for the accurate model to tell apart."""
-MISFIT = 4.0
-"""Mean squared residual, in standard deviations that count the cheap model's error, that a good optimum stays below."""
 
 
 def first_guess(problem: Problem, length_mm: float) -> tuple[list[Evaluation], list[Evaluation]]:
@@ -105,9 +103,8 @@ def by_cost(places: Iterable[Evaluation]) -> list[Evaluation]:
 
 
 def search(
-    problem: Problem, starts: Sequence[Vector], seen: Told, reserve: Sequence[Vector] = (),
-    enough: float = COARSE_ENOUGH,
-) -> list[Vector]:  # fmt: skip
+    problem: Problem, starts: Sequence[Vector], seen: Told, enough: float = COARSE_ENOUGH, share: float = 0.0
+) -> list[Vector]:
     """Best coordinates over the whole allowed range, and others that are as good as far as this problem can tell.
 
     Parameters
@@ -115,43 +112,27 @@ def search(
     problem
         To minimise; a cheap forward model will do.
     starts
-        Where to begin.
+        Where to begin; the least promising are given up early.
     seen
         Told in words what is being done.
-    reserve
-        Where to begin, one after another, as long as the best ended at an edge of the range in σs or g, in a valley
-        that leads out of it (measured: up to one in four of single starts from anywhere does), or leaves `MISFIT` and
-        nothing else has ended there (a thin liquid's g = 0.25 has a twin at −0.31).
-    enough
+    enough, share
         Where to stop, see `solve`.
     """
-    ends, agreed = _descend(problem, starts, seen, enough), False
-    for other in reserve:
-        at_edge = {"sigma_s", "g"} & set(ends[0].at_edge)
-        misfit = 2.0 * ends[0].cost > MISFIT * problem.pixels
-        if not at_edge and (agreed or not misfit):
-            break
-        more = _descend(problem, [other], seen, enough)
-        agreed = not _distinct(more[0], ends[0])
-        ends = by_cost([*ends, *more])
-    return [end.coordinates for end in ends if end.cost < ends[0].cost + EQUAL]
-
-
-def _descend(problem: Problem, starts: Sequence[Vector], seen: Told, enough: float) -> list[Evaluation]:
-    """Distinct optima below some starts, best first; the least promising starts are given up early."""
-    tried = []
+    begun = []
     for number, start in enumerate(starts, 1):
         seen(f"searching from start {number} of {len(starts)}")
-        tried.append(solve(problem, start, enough, FIRST_STEPS))
+        one = problem.at(np.clip(start, *problem.box))
+        begun.append(one if len(starts) == 1 else solve(problem, start, enough, FIRST_STEPS, share=share))
     seen("searching from the best")
     ends: list[Evaluation] = []
-    for one in by_cost(tried):
+    for one in by_cost(begun):
         if ends and one.cost > RIVAL * ends[0].cost:
             break
-        end = solve(problem, one.coordinates, enough)
+        end = solve(problem, one.coordinates, enough, share=share)
         if all(_distinct(end, other) for other in ends):
             ends.append(end)
-    return by_cost(ends)
+    ends = by_cost(ends)
+    return [end.coordinates for end in ends if end.cost < ends[0].cost + EQUAL]
 
 
 def _distinct(one: Evaluation, other: Evaluation) -> bool:

@@ -54,6 +54,7 @@ from tankrig.estimation.verdict import (
     what_may_be_another_phase,
     what_no_phase_describes,
 )
+from tankrig.light.rays import shift_invariant
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -296,10 +297,14 @@ def _models_of_tank(scenes: Sequence[Scene], family: Family | None, water_sigma_
     """The tank's of each image.
 
     A phase function's coordinates, which change images nearly alike, want derivatives along paths, and exact images, as
-    walls that are dark allow; Henyey–Greenstein's three numbers do with differences.
+    walls that are dark allow, or prepared ones, where light or sight slants and paths are noisy; Henyey–Greenstein's
+    three numbers do with differences.
     """
     if family is not None and all(scene.tank.faces.dark for scene in scenes):
-        by_scene = {one: family_models(one, family, water_sigma_s=water_sigma_s) for one in dict.fromkeys(scenes)}
+        by_scene = {
+            one: family_models(one, family, water_sigma_s=water_sigma_s, prepared=not shift_invariant(one))
+            for one in dict.fromkeys(scenes)
+        }
         return [by_scene[scene] for scene in scenes]
     model_of, low_of = (modelled_in_water(one, water_sigma_s) for one in (tank_model, low_orders_model))
     return _models(scenes, model_of, family, low_of)

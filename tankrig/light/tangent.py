@@ -80,15 +80,11 @@ class Tangent:
     noise
         (n, 3, rows, columns) patterns of what the paths' noise puts on the derivatives: its covariance is the sum of
         their products. None of them where there is one lattice only.
-    high, bright
-        What paths bring of `slopes`, and (rows, columns) of the image.
     """
 
     prediction: Prediction
     slopes: Array
     noise: Array
-    high: Array
-    bright: Array
 
 
 def tank_tangent(
@@ -133,9 +129,21 @@ def tank_tangent(
     ((3, 40, 60), True)
     """
     lowest = 2 if tables == BY_PATHS else 3
-    others, ways = ((), ()) if turning is None else (turning.others, turning.ways)
+    others = () if turning is None else turning.others
     tables = _tables(scene) if tables is None else tables
     sharp, slopes = low_orders(scene, min(max_order or MOST_ORDERS, lowest - 1), others, tables)
+    high = by_paths(scene, batches, seed, max_order, lattice, blur_mm, turning, lowest)
+    image = sharp + high.prediction.image
+    skipped = (_looked_up(scene, sharp, image, tables),)
+    return Tangent(replace(high.prediction, image=image, skipped=skipped), slopes + high.slopes, high.noise)
+
+
+def by_paths(
+    scene: Scene, batches: int, seed: int, max_order: int | None, lattice: Lattice, blur_mm: float,
+    turning: Turning | None, lowest: int = 3,
+) -> Tangent:  # fmt: skip
+    """What of `tank_tangent` paths bring: orders from the lowest on."""
+    ways = () if turning is None else turning.ways
     rest, stderr, noise = _from_paths(scene, batches, seed, max_order or MOST_ORDERS, lattice, lowest, ways)
     if turning is not None:
         rest = np.concatenate([rest[:3], np.tensordot(turning.by_ways, rest[3:], 1)])
@@ -144,9 +152,7 @@ def tank_tangent(
         widths = [0.0, *(blur_mm / side for side in scene.camera.sides_mm)]
         rest[1:] = gaussian_filter(rest[1:], widths, mode="nearest")
         noise = gaussian_filter(noise, [0.0, *widths], mode="nearest")
-    image = sharp + np.maximum(rest[0], 0.0)
-    found = Prediction(image, "tank", stderr=stderr, skipped=(_looked_up(scene, sharp, image, tables),))
-    return Tangent(found, slopes + rest[1:], noise, rest[1:], np.maximum(rest[0], 0.0))
+    return Tangent(Prediction(np.maximum(rest[0], 0.0), "tank", stderr=stderr), rest[1:], noise)
 
 
 def tank_steady(
@@ -201,28 +207,25 @@ def low_orders(
 ) -> tuple[Array, Array]:
     """Orders 1 and 2, and their derivatives: they go with σs and σs² at one extinction."""
     medium, behind, tables = scene.medium, BehindLenses(scene), _tables(scene) if tables is None else tables
-
-    def second_of(one: Medium) -> Array:
-        return np.asarray(behind.twice([one], tables)[0]) if highest >= 2 else np.zeros(scene.camera.shape)
-
     absorption = STEP_LENGTH / max(scene.tank.size_mm)
     stepped = [medium, replace(medium, sigma_a=medium.sigma_a + absorption)]
     turning = STEP_ASYMMETRY * (1.0 - medium.g) * (1.0 + medium.g) * (-1.0 if medium.g > 0.0 else 1.0)
     if medium.phase is None:
         stepped.append(replace(medium, g=medium.g + turning))
+    count = len(stepped)
+    ones = behind.once([*stepped, *(Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others)])
     # Order 2 of each by itself, for tables of several have the nodes that one of them wants.
-    ones, twos = behind.once(stepped), np.array([second_of(one) for one in stepped])
+    twos = np.zeros((count, *scene.camera.shape))
+    if highest >= 2:
+        twos = np.array([behind.twice([one], tables)[0] for one in stepped])
     first, second = ones[0], twos[0]
     image = first + second
     by_absorption = (ones[1] + twos[1] - image) / absorption
     by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
     if medium.phase is None:
         return image, np.stack([by_absorption, by_scattering, (ones[2] + twos[2] - image) / turning])
-    if not others:
-        return image, np.stack([by_absorption, by_scattering])
-    light = behind.once([medium, *(Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others)])
-    by_others = light[1:] - light[0]
-    if highest >= 2:
+    by_others = ones[count:] - first
+    if others and highest >= 2:
         by_others = by_others + behind.twice([medium], tables, others)[1:]
     return image, np.stack([by_absorption, by_scattering, *by_others])
 

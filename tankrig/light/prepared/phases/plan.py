@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 MEDIA_PER_PRODUCT = 12
 """Media at which paths are followed, per coefficient to be found from them, each by two lattices of its own."""
+SLANTED_EFFORT = 1.0
+"""Lattices of paths for each of them in thin water, where light or sight slant."""
 CHECKS = 6
 """Media beside those of orders 1 and 2, where these are computed as a prediction does."""
 
@@ -60,11 +62,15 @@ class PhasePlan:
         Of the tank.
     tolerance
         Relative L2 error to aim for.
+    slanted
+        Whether light or sight slant: one image of each medium then, since what they differ by from the fit of all tells
+        their noise.
     """
 
     box: Box
     length_mm: float
     tolerance: float
+    slanted: bool = False
 
     @cached_property
     def base(self) -> PreparationPlan:
@@ -106,7 +112,8 @@ class PhasePlan:
     @cached_property
     def paths(self) -> list[PhaseSample]:
         """Media for orders ≥ 3."""
-        count, effort = self._count, 0.5 * EFFORT * (USUAL_TOLERANCE / self.tolerance) ** 2 / self._share
+        each = SLANTED_EFFORT if self.slanted else 0.5 * EFFORT
+        count, effort = self._count, each * (USUAL_TOLERANCE / self.tolerance) ** 2 / self._share
         even = np.cos(np.pi * ((0.5 + np.arange(count) * SPREAD[0]) % 1.0))
         samples = []
         for index, (u, phase) in enumerate(zip(even.tolist(), self._phases[:count], strict=True)):

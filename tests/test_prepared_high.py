@@ -1,0 +1,127 @@
+"""Orders ≥ 3 that were prepared for any phase function, where light and sight slant, are as the tank model has them."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tankrig.estimation.differences import values_of
+from tankrig.estimation.followed import Followed, in_water
+from tankrig.estimation.phase_families import as_free, free
+from tankrig.estimation.with_prepared import WithPrepared
+from tankrig.light.behind_lenses import BehindLenses
+from tankrig.light.prepared.box import Box
+from tankrig.light.prepared.phases import plan
+from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
+from tankrig.light.tangent import tank_accurate
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+from tankrig.scene.mie import Mie
+from tankrig.scene.optics import Blur
+from tankrig.scene.phase_functions import Mixture, ReynoldsMcCormick, TwoTerm
+
+BEAMS = (Beam((-30.0, -10.0), (50.0, 58.0)), Beam((20.0, 28.0), (50.0, 58.0)))
+LIGHT = Projector("pinhole", BEAMS, (-400.0, 0.0, 55.0))
+CAMERA = Camera("pinhole", (20, 30), 8.0, (120.0, 0.0, 620.0), blur=Blur(1.5))
+SCENE = Scene(Tank(surface="fresnel", refractive_index=1.33), Medium(0.0, 0.01, 0.8), LIGHT, CAMERA)
+BOX = Box((0.0085, 0.0137), (0.8, 0.9999), (0.7, 0.87))
+TOLERANCE = 0.05
+BEAD = Mie(0.5, 1.5868, 1.3317, 633.0)
+LIQUIDS = (
+    Medium(0.0004, 0.0102, phase=BEAD),
+    Medium(0.001, 0.009, phase=ReynoldsMcCormick(0.65, 1.0)),
+    Medium(0.0001, 0.0123, phase=TwoTerm(0.85, -0.3, 0.96)),
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Where they are kept; a third of the media, for so small a tank's box."""
+    kept = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TANKRIG_CACHE", str(kept))
+        patch.setattr(plan, "FEWEST", 0.3)
+        yield kept
+
+
+@pytest.fixture(scope="module")
+def prepared(folder: Path) -> HighAnswer:
+    assert folder.is_dir()
+    return high_orders_prepared(SCENE, BOX, TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    "liquid",
+    [LIQUIDS[0], pytest.param(LIQUIDS[1], marks=pytest.mark.long), LIQUIDS[2]],
+    ids=["bead", "gegenbauer", "two"],
+)
+def test_they_are_those_of_light_paths_and_err_as_they_say(prepared: HighAnswer, liquid: Medium) -> None:
+    """Two images with noise of their own tell what the prepared one is off by without it."""
+    scene = replace(SCENE, medium=liquid)
+    behind = BehindLenses(scene)
+    low = behind.once([liquid])[0] + behind.twice([liquid], 0.001)[0]
+    found, errors = prepared.image(liquid), prepared.errors_at(liquid)
+    size = np.linalg.norm(low + found)
+    assert np.linalg.norm(found) > 0.15 * size  # there is something to be wrong
+    one, other = (found - (tank_accurate(scene, 200_000, seed).image - low) for seed in (11, 12))
+    off = float(np.sqrt(max(np.sum(one * other), 0.0)) / size)
+    stated = float(np.sqrt(np.sum(errors**2)) / size)
+    assert stated < 0.05
+    assert off < 1.5 * stated
+    assert abs(float(one.sum() + other.sum())) < 0.02 * 2.0 * float(found.sum())
+
+
+def test_derivatives_are_those_of_the_image(prepared: HighAnswer) -> None:
+    liquid, towards = LIQUIDS[0], ReynoldsMcCormick(0.7, 1.0)
+    _, slopes = prepared.image_and_slopes(liquid, [towards])
+
+    def image(more: float = 0.0, scattered: float = 0.0, share: float = 0.0) -> np.ndarray:
+        phase = Mixture((BEAD, towards), (1.0 - share, share))
+        return prepared.image(Medium(liquid.sigma_a + more, liquid.sigma_s + scattered, phase=phase))
+
+    for slope, step, name in ((slopes[0], 2e-5, "more"), (slopes[1], 2e-5, "scattered"), (slopes[2], 1e-3, "share")):
+        change = (image(**{name: step}) - image(**({name: -step} if name != "share" else {}))) / step
+        change *= 0.5 if name != "share" else 1.0
+        assert np.linalg.norm(change - slope) < 0.02 * np.linalg.norm(slope), name
+
+
+def nothing_new(_: float) -> None:
+    raise AssertionError("it was prepared once more")
+
+
+def test_they_are_read_again_as_they_were_made(prepared: HighAnswer) -> None:
+    again = high_orders_prepared(replace(SCENE, medium=Medium(0.0, 0.02, 0.1)), BOX, TOLERANCE, nothing_new)
+    np.testing.assert_array_equal(again.image(LIQUIDS[0]), prepared.image(LIQUIDS[0]))
+    np.testing.assert_allclose(again.errors_at(LIQUIDS[0]), prepared.errors_at(LIQUIDS[0]), rtol=1e-6)
+
+
+def test_media_beyond_the_box_are_answered_as_the_nearest(prepared: HighAnswer) -> None:
+    """A step of a search may lead anywhere."""
+    dense = prepared.image(Medium(0.001, 0.08, phase=BEAD))
+    assert np.isfinite(dense).all()
+    assert dense.sum() > prepared.image(LIQUIDS[0]).sum()
+    assert np.isfinite(prepared.image_and_slopes(Medium(0.5, 0.001, phase=TwoTerm(0.98, -0.1, 0.99)), [BEAD])[1]).all()
+
+
+def test_a_model_about_a_medium_has_all_orders_and_its_derivatives(prepared: HighAnswer) -> None:
+    """Low orders as they are, the others as prepared; in water that scatters by itself."""
+    family, water = free(), 1e-4
+    centre = Medium(0.0004, 0.0102, phase=family.phase(as_free(BEAD)))
+    model = WithPrepared(Followed(SCENE, 1, 0, None, family=family, tables=0.02, water_sigma_s=water), prepared, centre)
+    found = model(centre)
+    assert found.patterns is not None
+    assert model.holds(centre)
+    assert not model.holds(Medium(0.0004, 0.02, phase=centre.phase))
+    assert found.stderr is not None
+    expected = tank_accurate(replace(SCENE, medium=in_water(centre, water)), 200_000, 5)
+    assert expected.stderr is not None
+    noise = np.hypot(found.stderr, expected.stderr)
+    assert np.linalg.norm(found.image - expected.image) < 1.5 * np.linalg.norm(noise)
+    assert found.image.sum() == pytest.approx(expected.image.sum(), rel=0.005)
+    slopes, at = model.slopes(centre), values_of(centre, family)
+    for number, step in ((1, 1e-4), (2, 0.05), (4, 0.1)):
+        moved = at + step * np.eye(at.size)[number]
+        ahead = model(Medium(float(moved[0]), float(moved[1]), phase=family.phase(moved[2:]))).image
+        change = (ahead - found.image) / step
+        assert np.linalg.norm(change - slopes[number]) < 0.1 * np.linalg.norm(change), number
