@@ -105,7 +105,7 @@ def test_media_beyond_the_box_are_answered_as_the_nearest(prepared: HighAnswer) 
 
 
 def test_a_model_about_a_medium_has_all_orders_and_its_derivatives(prepared: HighAnswer) -> None:
-    """Low orders as they are, the others as prepared; in water that scatters by itself."""
+    """Low orders as they are, the others as prepared; in water that scatters by itself, which derivatives leave out."""
     family, water = free(), 1e-4
     centre = Medium(0.0004, 0.0102, phase=family.phase(as_free(BEAD)))
     model = WithPrepared(Followed(SCENE, 1, 0, None, family=family, tables=0.02, water_sigma_s=water), prepared, centre)
@@ -120,8 +120,8 @@ def test_a_model_about_a_medium_has_all_orders_and_its_derivatives(prepared: Hig
     assert np.linalg.norm(found.image - expected.image) < 1.5 * np.linalg.norm(noise)
     assert found.image.sum() == pytest.approx(expected.image.sum(), rel=0.005)
     slopes, at = model.slopes(centre), values_of(centre, family)
-    for number, step in ((1, 1e-4), (2, 0.05), (4, 0.1)):
+    for number, step in ((1, 2e-5), (2, 0.01), (4, 0.02)):
         moved = at + step * np.eye(at.size)[number]
         ahead = model(Medium(float(moved[0]), float(moved[1]), phase=family.phase(moved[2:]))).image
         change = (ahead - found.image) / step
-        assert np.linalg.norm(change - slopes[number]) < 0.1 * np.linalg.norm(change), number
+        assert np.linalg.norm(change - slopes[number]) < 0.12 * np.linalg.norm(change), number

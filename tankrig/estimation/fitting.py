@@ -30,10 +30,9 @@ VALLEYS = 3
 SEVERAL_ENOUGH, SEVERAL_SHARE = 20.0, 0.02
 """Where the cheap models' fit of several images stops, and a search of phase functions by them, see `solve`: what these
 promise below that they do not keep. Of a bench's series 30 further steps lowered the cost by .35 %."""
-MOST_PREPARED, FIRST_STEPS, PREPARED_STEPS = 3, 4, 20
-"""Times that models are prepared at most, each about where the last ones led; and steps by them, until it is told how
-firmly a phase function is expected to be smooth, and then: no exact image comes after them that would correct where
-they stop."""
+MOST_PREPARED, FIRST_STEPS, PREPARED_STEPS, LAST_STEPS = 3, 4, 20, 4
+"""Times that models are prepared at most, each about where the last ones led; and steps by them: until it is told how
+firmly a phase function is expected to be smooth, then, and with fine derivatives."""
 CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
 
@@ -147,8 +146,7 @@ def _by_prepared(
         ):
             break
     last, versions = _refined(best.problem, shots, best)
-    last = replace(last, quick=False)  # fine derivatives cost as much as ten images, and are told once
-    return solve(last, best.coordinates, weight * MANY_ENOUGH, few_steps(shots), damping=0.0), versions
+    return solve(last, best.coordinates, weight * MANY_ENOUGH, LAST_STEPS, damping=0.0), versions
 
 
 def _weight(shots: Sequence[Shot], best: Evaluation, versions: Sequence[tuple[Model, Model]]) -> float:

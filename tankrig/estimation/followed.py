@@ -37,8 +37,9 @@ FEWEST = 8
 """Lattices whose scatter tells the noise of derivatives."""
 LOW_ORDERS = 2
 """That are computed without paths."""
-FAINT, FURTHEST = 1e-3, 1.0
-"""Share of the brightest light of high orders below which there is no logarithm of it, and how far that may change."""
+FAINT, FAINT_LOW, FURTHEST = 1e-3, 1e-7, 1.0
+"""Share of the brightest light of high orders below which there is no logarithm of it; the same of orders 1 and 2,
+which have no noise; and how far the first may change."""
 SOLVED_BATCHES = 16
 """Lattices of paths for the orders that are left to them where the others are solved for."""
 
@@ -149,7 +150,7 @@ class Followed:
     def low_shares(self, medium: Medium) -> Image:
         """(2 + k, rows, columns) derivatives by a family's coordinates of the logarithm of orders 1 and 2."""
         low, slopes = self.low_slopes(medium)
-        return np.asarray(slopes / np.maximum(low, FAINT * float(low.max(initial=0.0)) + 1e-300))
+        return np.asarray(slopes / np.maximum(low, FAINT_LOW * float(low.max(initial=0.0)) + 1e-300))
 
     def slopes_about(self, centre: Medium, exact: Image, shares: Image, low_shares: Image | None = None) -> Image:
         """(2 + k, rows, columns) its derivatives there; of orders 1 and 2 by `low_shares` from next to it, or anew."""

@@ -4,6 +4,7 @@ Where light or sight slants, an image by 3·10⁵ light paths has 1 to 5 % of no
 20 to 50 CPU s has .2 to .3 %, for every medium nearby.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.differences import turning_of
 from tankrig.estimation.followed import Followed, Model, in_water, remembered
+from tankrig.estimation.phase_families import Family
 from tankrig.light.double.image import table_error
 from tankrig.light.prepared.about import box_for, holds
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
@@ -23,6 +25,9 @@ Image = NDArray[np.floating]
 
 TOLERANCE = 0.01
 """That is asked of what is prepared."""
+FAR = 0.1, 0.7
+"""In the logarithm of σt or σs, and in a coordinate that is expected to be 0 ± 1: how far from where they were told
+derivatives of the logarithm of orders 1 and 2 are used again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +94,26 @@ class WithPrepared:
     def _slopes(self) -> Callable[[Medium], Image]:
         family = self.low.family
         assert family is not None
+        told: list[tuple[NDArray[np.float64], Image]] = []
+
+        def shares(medium: Medium) -> Image:
+            """Derivatives of the logarithm of orders 1 and 2, which cost as much as four images; fine ones, which are
+            told once, as ten."""
+            at = _place(medium, family)
+            if not told or not (self.low.fine or (np.abs(at - told[0][0]) < 1.0).all()):
+                told[:] = [(at, self.low.low_shares(medium))]
+            return told[0][1]
 
         def slopes(medium: Medium) -> Image:
             turning, sizes = turning_of(medium, family)
             _, high = self.high.image_and_slopes(medium, turning.others)
             per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
-            return np.asarray(self.low.low_slopes(medium)[1] + high * per_step)
+            return np.asarray(self.low.low_image(medium) * shares(medium) + high * per_step)
 
         return remembered(slopes)
+
+
+def _place(medium: Medium, family: Family) -> NDArray[np.float64]:
+    """Logarithms of σt and σs, and the family's coordinates, over how far derivatives are used again."""
+    sigma_t, sigma_s = math.log(medium.sigma_t), math.log(medium.sigma_s)
+    return np.array([sigma_t / FAR[0], sigma_s / FAR[0], *(family.coordinates(medium.phase_function) / FAR[1])])
