@@ -38,7 +38,7 @@ Line = dict[str, Any]
 
 NOISE = 0.003
 """Of the camera, of the image's peak."""
-CONE_DEG = {"petzold": 5.0}
+CONE_DEG = {"petzold": 5.0, "fournier-forand": 5.0}
 """What a liquid scatters into less than this stays in its beam and passes for light that was not scattered: σs is
 compared without it."""
 LABEL_OFF = (0.05, 0.002)

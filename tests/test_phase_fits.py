@@ -26,6 +26,7 @@ from tankrig.estimation.optimiser import solve
 from tankrig.estimation.phase_answer import Asked, asked_for, rougher
 from tankrig.estimation.phase_average import averaged
 from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
+from tankrig.estimation.phase_doubt import Doubt, PhaseTold
 from tankrig.estimation.phase_families import (
     FAMILIES,
     Family,
@@ -38,6 +39,7 @@ from tankrig.estimation.phase_families import (
 )
 from tankrig.estimation.phase_result import ANGLES_DEG, Scattering, scattering_of
 from tankrig.estimation.problem import Evaluation, Problem
+from tankrig.estimation.residual import Cause
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.estimation.series_forward import tank_model
@@ -309,6 +311,39 @@ def test_a_fit_left_alone_weighs_families_where_henyey_greenstein_does_not_hold(
     assert np.abs(off_in_sd(found, truth)).max() < 4.0
     assert found.medium.sigma_s == pytest.approx(0.02, rel=0.03)
     assert found.identifiable["sigma_s"]
+
+
+@pytest.mark.parametrize("faulty", [False, True], ids=["another liquid", "a fault"])
+def test_what_looks_miss_and_nothing_explains_is_fitted_by_other_phase_functions(
+    faulty: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where Henyey–Greenstein's has gone astray looks from there lead nowhere: 1 µm beads ended at four times their σs.
+
+    What is no phase function's fault is told as before.
+    """
+
+    def tank(liquid: Medium) -> Prediction:
+        return replace(many_turns(liquid), model="tank")
+
+    def nothing(self: Doubt, _misaligned: object) -> tuple[list[Cause], PhaseTold]:
+        return [], PhaseTold(doubted=self.asked.family is None)
+
+    monkeypatch.setattr("tankrig.estimation.estimate.told_early", lambda *_: None)
+    monkeypatch.setattr(Doubt, "causes", nothing)
+    truth = HenyeyGreenstein(0.8) if faulty else ReynoldsMcCormick(0.6, 1.2)
+    image = many_turns(Medium(0.001, 0.02, phase=truth)).image
+    if faulty:
+        image = image * (1.0 + 0.3 * np.sin(X / 15.0) * np.sin(Y / 9.0))
+    noise = 0.003 * float(image.max())
+    seen = observe(image + np.random.default_rng(0).normal(0.0, noise, image.shape), image.shape, noise)
+    models, asked = Models(tank, lambda _: (tank, tank)), Asked(further=Asked(free(), averaged=True))
+    found = fit_models(seen, SCENE, Scaling(1.0, 0.0), models, lambda _: None, asked=asked)
+    assert found.scattering is not None
+    assert (set(found.scattering.families) == {"hg"}) == faulty
+    assert found.identifiable["sigma_s"] != faulty
+    if not faulty:
+        assert "another phase function explains" in found.verdict.lower()
+        assert np.abs(off_in_sd(found, truth)).max() < 4.0
 
 
 def rough_tank(liquid: Medium) -> Prediction:

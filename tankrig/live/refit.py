@@ -113,7 +113,7 @@ def refit(
     phase
         Which phase functions are searched, as in `tankrig.estimate`; None: those of the run's sequence.
     further
-        Whether a series that shows another phase function is fitted with a free one, which takes half an hour and more.
+        Whether a series that shows another phase function is fitted with a free one, which takes ten minutes and more.
 
     Returns
     -------

@@ -18,7 +18,7 @@ def report(run: Path, out: Path | None, quick: bool, as_json: bool) -> None:
     """Write what RUN has shown as one HTML file: photographs, fits with error bars, reconstructions, timing.
 
     What RUN has not fitted is fitted first and recorded in it, as tankrig refit does, but for an ink's own phase
-    function, which takes half an hour and more; Ctrl-C keeps what is made.
+    function, which takes ten minutes and more; Ctrl-C keeps what is made.
     """
     from rich.console import Console
 
