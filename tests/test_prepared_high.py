@@ -13,12 +13,13 @@ from tankrig.estimation.phase_families import as_free, free
 from tankrig.estimation.with_prepared import WithPrepared
 from tankrig.light.behind_lenses import BehindLenses
 from tankrig.light.prepared.box import Box
-from tankrig.light.prepared.phases import plan
+from tankrig.light.prepared.phases import high, plan
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
+from tankrig.light.prepared.sampling import PathImages
 from tankrig.light.tangent import tank_accurate
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.mie import Mie
-from tankrig.scene.optics import Blur
+from tankrig.scene.optics import Blur, Halo
 from tankrig.scene.phase_functions import Mixture, ReynoldsMcCormick, TwoTerm
 
 BEAMS = (Beam((-30.0, -10.0), (50.0, 58.0)), Beam((20.0, 28.0), (50.0, 58.0)))
@@ -70,6 +71,20 @@ def test_they_are_those_of_light_paths_and_err_as_they_say(prepared: HighAnswer,
     assert stated < 0.05
     assert off < 1.5 * stated
     assert abs(float(one.sum() + other.sum())) < 0.02 * 2.0 * float(found.sum())
+
+
+def test_order_2_of_light_without_edges_is_not_counted_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever computes orders 1 and 2 has it; models of Henyey–Greenstein's have it from paths."""
+    scene = replace(SCENE, projector=replace(LIGHT, halo=Halo(0.02, 30.0)))
+    monkeypatch.setattr(plan, "FEWEST", 0.01)
+    few = plan.PhasePlan(BOX, 240.0, 1.0, slanted=True)
+    assert PathImages(scene, (1.0,)).twice_smooth(LIQUIDS[0], 1, 1).any()
+
+    def asked(*_: object) -> None:
+        raise AssertionError("order 2 was asked of the paths")
+
+    monkeypatch.setattr(PathImages, "twice_smooth", asked)
+    assert high._followed(few, PathImages(scene, few.base.albedos), lambda _: None, 1).any()  # noqa: SLF001
 
 
 def test_derivatives_are_those_of_the_image(prepared: HighAnswer) -> None:

@@ -156,11 +156,15 @@ class PathImages:
 
         Orders ≥ 3, what walls send back, and order 2 of smooth light. Of the medium σt and the phase function matter.
         """
+        return self.beyond_two(medium, seed, batches) + self.twice_smooth(medium, seed, batches)
+
+    def beyond_two(self, medium: Medium, seed: int, batches: int) -> Array:
+        """The same without order 2 of smooth light."""
         lit = replace(self.lit, medium=replace(medium, sigma_a=0.0, sigma_s=medium.sigma_t))
         images = self._traced(lit, seed, batches)
         if not lit.tank.faces.dark:
             images = images + self._by_walls(lit, seed + self._own, batches) @ self.along
-        return self._even(images) + self.twice_smooth(medium, seed, batches)
+        return self._even(images)
 
     def twice_smooth(self, medium: Medium, seed: int, batches: int) -> Array:
         """Order 2 of light that is smooth as it enters, in the same way; 0 where there is none.

@@ -176,7 +176,7 @@ def _followed(plan: PhasePlan, sampling: PathImages, progress: Progress, threads
     def one(index: int) -> int:
         sample = plan.paths[index]
         medium = Medium(0.0, sample.sigma_t, phase=sample.phase)
-        images[index] = sampling.sample(medium, index, sample.batches)
+        images[index] = sampling.beyond_two(medium, index, sample.batches)
         return sample.batches
 
     pool = ThreadPoolExecutor(threads)
