@@ -254,7 +254,7 @@ class EnoughError(Exception):
 
 
 def test_what_was_interrupted_goes_on(followed: list[Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a bench half as large in each direction."""
+    """A bench half as large in each direction says it sooner."""
     monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))
     light = Projector("pinhole", (Beam((-4.0, 4.0), (18.0, 22.0)),), (-400.0, 5.0, 20.0))
     camera = Camera("pinhole", (10, 15), 4.0, (30.0, 0.0, 460.0))

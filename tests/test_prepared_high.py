@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tankrig.estimation import with_prepared
 from tankrig.estimation.differences import values_of
 from tankrig.estimation.followed import Followed, in_water
+from tankrig.estimation.forward import family_models
 from tankrig.estimation.phase_families import as_free, free
 from tankrig.estimation.with_prepared import WithPrepared
 from tankrig.light.behind_lenses import BehindLenses
@@ -140,3 +142,27 @@ def test_a_model_about_a_medium_has_all_orders_and_its_derivatives(prepared: Hig
         ahead = model(Medium(float(moved[0]), float(moved[1]), phase=family.phase(moved[2:]))).image
         change = (ahead - found.image) / step
         assert np.linalg.norm(change - slopes[number]) < 0.12 * np.linalg.norm(change), number
+
+
+def test_what_was_prepared_is_used_again_where_it_holds_the_liquid(
+    prepared: HighAnswer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A series asks once more where its fit has ended, and another box, whose edges are rounded, would take minutes."""
+    asked: list[Box] = []
+
+    def counted(_: Scene, box: Box, __: float) -> HighAnswer:
+        asked.append(box)
+        return prepared
+
+    monkeypatch.setattr(with_prepared, "high_orders_prepared", counted)
+    models = family_models(SCENE, free(), prepared=True)
+    phase = free().phase(as_free(BEAD))
+    found, fine = models.refined(Medium(0.0004, 0.0102, phase=phase))
+    again, _ = models.refined(Medium(0.0004, 0.0112, phase=phase))
+    assert len(asked) == 1
+    assert isinstance(found, WithPrepared)
+    assert isinstance(fine, WithPrepared)
+    assert isinstance(again, WithPrepared)
+    assert (found.fine, fine.fine, again.centre.sigma_s) == (False, True, 0.0112)
+    models.refined(Medium(0.0004, 0.02, phase=phase))
+    assert len(asked) == 2

@@ -263,13 +263,13 @@ class _Shares(NamedTuple):
     """Derivatives of the logarithm of each image's parts at a place."""
 
     models: list[Followed]
-    """That told them."""
+    """Models that told them."""
     shares: list[Image]
-    """Of what paths bring, see `Followed.shares`."""
+    """Derivatives of what paths bring, see `Followed.shares`."""
     low: list[Image | None]
-    """Of orders 1 and 2, see `Followed.low_shares`; None where they are told anew at each place."""
+    """Those of orders 1 and 2, see `Followed.low_shares`; None where they are told anew at each place."""
     noise: list[Slopes | None]
-    """Of the paths."""
+    """Patterns of the paths' noise in the former."""
 
 
 @dataclass(frozen=True)

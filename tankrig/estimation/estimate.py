@@ -22,7 +22,6 @@ from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, is_rough, liquid_blocks
 from tankrig.estimation.phase_doubt import PhaseTold, told_early
-from tankrig.estimation.phase_instead import Instead
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import WHOLE, structure_map
 from tankrig.estimation.result import Estimate as Estimate
@@ -58,9 +57,9 @@ Free = Literal["free"]
 
 ALIGNINGS, ALIGNED = 5, 2.0
 """Times at most that misalignments are searched for, and the gain in χ²/2 below which that is over."""
-FAR_LESS = 0.5
-"""Share of what Henyey–Greenstein's leaves, squared, below which a fit of other phase functions is believed that was
-begun from anywhere."""
+FAR_MORE = 0.5
+"""Share of what Henyey–Greenstein's leaves, squared, that a fit of other phase functions has to explain which was begun
+from anywhere."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 COMMON_FLOOR = 0.04
@@ -194,7 +193,9 @@ def fit_models(
         if asked.further is not None and misalignment is None and astray is None and beside is None:
             early = told_early(shot, looked, progress)
             if early is not None:
-                return _further(observation, scene, scaling, models, progress, None, asked.further, None, early)
+                liquid = early.liquid
+                other = _further(observation, scene, scaling, models, progress, None, asked.further, None, liquid)
+                return _in_place(other, early.share)
         fit = fitted_on([shot], looked, progress, sharper=True)
         fit = fit if beside is None else weighed(fit, beside)
     else:
@@ -208,29 +209,33 @@ def fit_models(
     fit = without_outliers(fit)
     progress("finding the errors")
     found, phase = _built(fit, scene, models, asked)
-    instead = phase.instead if phase.misled else None
     if asked.further is None or not (phase.misled or phase.doubted):
         return found
     if beside is not None:
         astray = Astray(scene, {**beside.sd, **(astray.sd if astray else {})})
-    other = _further(observation, scene, scaling, models, progress, misalignment, asked.further, astray, instead)
+    instead = phase.instead if phase.misled else None
+    near = None if instead is None else instead.liquid
+    other = _further(observation, scene, scaling, models, progress, misalignment, asked.further, astray, near)
     if instead is not None:
-        return other
+        return _in_place(other, instead.share)
     # From where Henyey–Greenstein's has gone astray no look leads back: what explains far more is begun from anywhere.
-    left = (other.rmse / found.rmse) ** 2
-    return replace(other, verdict=f"{what_did_not_hold(1.0 - left)} {other.verdict}") if left < FAR_LESS else found
+    share = 1.0 - (other.rmse / found.rmse) ** 2
+    return _in_place(other, share) if share > FAR_MORE else found
 
 
 def _further(
     observation: Observation, scene: Scene, scaling: Scaling, models: Models, progress: Told,
-    misalignment: Misalignment | None, asked: Asked, astray: Astray | None, instead: Instead | None,
+    misalignment: Misalignment | None, asked: Asked, astray: Astray | None, near: Medium | None,
 ) -> Estimate:  # fmt: skip
-    """The estimate by further phase functions, begun where a look at them ended, or from anywhere."""
+    """The estimate by further phase functions, begun near a liquid, or from anywhere."""
     progress("weighing other phase functions")
-    other, near = models.of(asked.family), None if instead is None else instead.liquid
-    asked = replace(asked, near=near)
-    free = fit_models(observation, scene, scaling, other, progress, misalignment, asked, astray)
-    return free if instead is None else replace(free, verdict=f"{what_did_not_hold(instead.share)} {free.verdict}")
+    other, asked = models.of(asked.family), replace(asked, near=near)
+    return fit_models(observation, scene, scaling, other, progress, misalignment, asked, astray)
+
+
+def _in_place(other: Estimate, share: float) -> Estimate:
+    """An estimate that takes the place of Henyey–Greenstein's, and explains a share of what that leaves."""
+    return replace(other, verdict=f"{what_did_not_hold(share)} {other.verdict}")
 
 
 def _aligned(fit: Fit, misalignment: Misalignment) -> Fit:

@@ -30,9 +30,11 @@ VALLEYS = 3
 SEVERAL_ENOUGH, SEVERAL_SHARE = 20.0, 0.02
 """Where the cheap models' fit of several images stops, and a search of phase functions by them, see `solve`: what these
 promise below that they do not keep. Of a bench's series 30 further steps lowered the cost by .35 %."""
-MOST_PREPARED, FIRST_STEPS, PREPARED_STEPS, LAST_STEPS = 3, 4, 20, 4
-"""Times that models are prepared at most, each about where the last ones led; and steps by them: until it is told how
-firmly a phase function is expected to be smooth, then, and with fine derivatives."""
+MOST_PREPARED = 3
+"""Times that models are prepared at most, each about where the last ones led."""
+STEPS_BEFORE_WEIGHT, PREPARED_STEPS, FINE_STEPS = 4, 20, 4
+"""Steps by them at most: until it is told how firmly a phase function is expected to be smooth, then, and with fine
+derivatives."""
 CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
 
@@ -136,7 +138,7 @@ def _by_prepared(
     best = by_cost(problem.at(one) for one in found)[0]
     for _ in range(MOST_PREPARED):
         near, versions = _refined(problem, shots, best, rough=True)
-        best = solve(near, best.coordinates, MANY_ENOUGH, FIRST_STEPS, damping=0.0)
+        best = solve(near, best.coordinates, MANY_ENOUGH, STEPS_BEFORE_WEIGHT, damping=0.0)
         weight = _weight(shots, best, versions)
         best = solve(believing(near, weight), best.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
         if all(
@@ -146,7 +148,7 @@ def _by_prepared(
         ):
             break
     last, versions = _refined(best.problem, shots, best)
-    return solve(last, best.coordinates, weight * MANY_ENOUGH, LAST_STEPS, damping=0.0), versions
+    return solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0), versions
 
 
 def _weight(shots: Sequence[Shot], best: Evaluation, versions: Sequence[tuple[Model, Model]]) -> float:

@@ -438,10 +438,19 @@ def family_models(
 
     batches = _lattices(coarse, fewest)
 
+    made: list[WithPrepared] = []
+
+    def about(medium: Medium) -> WithPrepared:
+        held = next((replace(one, centre=medium) for one in made if one.holds(medium)), None)
+        if held is not None:
+            return held
+        made.append(WithPrepared.about(coarse, medium))
+        return made[-1]
+
     def refine(medium: Medium) -> tuple[Model, Model]:
         if prepared:
-            about = WithPrepared.about(coarse, medium)
-            return about, about.fine()
+            near = about(medium)
+            return near, replace(near, fine=True)
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
         return followed(fine, 1), followed(slope, 2, sharp=True, fine=True)
 

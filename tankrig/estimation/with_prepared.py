@@ -24,7 +24,7 @@ from tankrig.scene import Medium
 Image = NDArray[np.floating]
 
 TOLERANCE = 0.01
-"""That is asked of what is prepared."""
+"""Relative L2 error of the image that is asked of what is prepared."""
 FAR = 0.1, 0.7
 """In the logarithm of σt or σs, and in a coordinate that is expected to be 0 ± 1: how far from where they were told
 derivatives of the logarithm of orders 1 and 2 are used again."""
@@ -39,14 +39,17 @@ class WithPrepared:
     low
         Tells orders 1 and 2.
     high
-        The others.
+        Tells the others.
     centre
-        The medium.
+        The medium, where the errors are told, which change slowly.
+    fine
+        Whether derivatives are as fine as a phase function's finer shapes want them.
     """
 
     low: Followed
     high: HighAnswer
     centre: Medium
+    fine: bool = False
 
     @classmethod
     def about(cls, low: Followed, centre: Medium) -> "WithPrepared":
@@ -66,10 +69,6 @@ class WithPrepared:
     def holds(self, medium: Medium) -> bool:
         """Whether a medium is well inside what was prepared."""
         return holds(self.high.box, in_water(medium, self.low.water_sigma_s))
-
-    def fine(self) -> "WithPrepared":
-        """With derivatives as fine as a phase function's finer shapes want them."""
-        return replace(self, low=replace(self.low, fine=True))
 
     @cached_property
     def _image(self) -> Model:
@@ -94,14 +93,15 @@ class WithPrepared:
     def _slopes(self) -> Callable[[Medium], Image]:
         family = self.low.family
         assert family is not None
+        telling = replace(self.low, fine=self.fine)
         told: list[tuple[NDArray[np.float64], Image]] = []
 
         def shares(medium: Medium) -> Image:
             """Derivatives of the logarithm of orders 1 and 2, which cost as much as four images; fine ones, which are
             told once, as ten."""
             at = _place(medium, family)
-            if not told or not (self.low.fine or (np.abs(at - told[0][0]) < 1.0).all()):
-                told[:] = [(at, self.low.low_shares(medium))]
+            if not told or not (self.fine or (np.abs(at - told[0][0]) < 1.0).all()):
+                told[:] = [(at, telling.low_shares(medium))]
             return told[0][1]
 
         def slopes(medium: Medium) -> Image:

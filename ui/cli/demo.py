@@ -93,7 +93,7 @@ def demo(
 def _bench(
     doses: int | None, seed: int | None, kinds: dict[str, bool], by_hand: bool, out: Path | None, as_json: bool
 ) -> int:
-    """Of some kinds, see `make`."""
+    """Make a bench of the kinds that are asked for, see `make`, or go on with the one that is there, and walk it."""
     from ui.cli.demo_bench import is_there, make, walk, way_of
 
     folder = out or Path("runs") / datetime.now(UTC).strftime("bench-%Y-%m-%dT%H-%M-%S")

@@ -97,6 +97,18 @@ class HighOrders:
         factor = np.exp(bright_product @ scale)
         return factor * value, factor * slopes
 
+    def of(self, medium: Medium, moments: Array, coordinates: Coordinates) -> tuple[Array, Array, Array, Array]:
+        """(patterns,) amplitudes of a medium and their derivatives by σt and ϖ, and (moments, patterns) by its phase
+        function's Legendre moments."""
+        place, rates = coordinates.of(medium.sigma_t, medium.albedo, float(moments[1]))
+        found, slopes = self.at(place, self.excess.at(moments))
+        light = medium.sigma_s**THIRD
+        by_sigma_t = rates[0] * slopes[0] + THIRD / medium.sigma_t * found
+        by_albedo = rates[1] * slopes[1] + THIRD / medium.albedo * found
+        by_moments = self.excess.rates(moments).T @ slopes[3:]
+        by_moments[1] += rates[2] * slopes[2]
+        return light * found, light * by_sigma_t, light * by_albedo, light * by_moments
+
 
 @dataclass(frozen=True)
 class PhaseAnswer:
@@ -198,15 +210,11 @@ class PhaseAnswer:
             by_sigma_t += light * (rates[0] * by_u + low.order / sigma_t * found)
             by_albedo += light * low.order / albedo * found
             by_traits[part] += light * by_coefficients
-        z = self.rest.excess.at(moments)
-        found, slopes = self.rest.at(place, z)
-        light = medium.sigma_s**THIRD
-        value += light * found
-        by_sigma_t += light * (rates[0] * slopes[0] + THIRD / sigma_t * found)
-        by_albedo += light * (rates[1] * slopes[1] + THIRD / albedo * found)
-        by_moments = self.rest.excess.rates(moments).T @ slopes[3:]
-        by_moments[1] += rates[2] * slopes[2]
-        by_traits[self.traits.moments] += light * by_moments
+        found, high_by_sigma_t, high_by_albedo, by_moments = self.rest.of(medium, moments, self.coordinates)
+        value += found
+        by_sigma_t += high_by_sigma_t
+        by_albedo += high_by_albedo
+        by_traits[self.traits.moments] += by_moments
         return value, by_sigma_t, by_albedo, by_traits
 
 

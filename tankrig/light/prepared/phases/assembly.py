@@ -70,7 +70,7 @@ class _Builder:
         even = np.arange(count) % 2 == 0
         regression = self._regression(self._images.paths.mean(axis=0))
         fits = [regression.fit(used) for used in (np.ones(count, bool), even, ~even)]
-        fields = [self._pixels(fit.fields) for fit in fits]
+        fields = [shown_in_pixels(plan, self._sampling, fit.fields) for fit in fits]
         scales = [
             np.linalg.inv(values(plan.base.albedo_places, len(plan.base.albedos) - 1)) @ one.scale for one in fits
         ]
@@ -96,13 +96,6 @@ class _Builder:
             np.array([2.0 * sample.batches for sample in plan.paths]), scattering,
             paths.reshape(*paths.shape[:2], -1), light, per_cell * np.asarray(exact),
         )  # fmt: skip
-
-    def _pixels(self, fields: Array) -> Array:
-        """(degrees in w, products, pixels) of fitted fields (albedos, products, cells)."""
-        albedos, products, _ = fields.shape
-        pixels = self._sampling.to_pixels(fields.reshape(albedos * products, *self._sampling.shape[1:]))
-        by_degree = np.linalg.inv(values(self._plan.base.albedo_places, albedos - 1))
-        return np.tensordot(by_degree, pixels.reshape(albedos, products, -1), 1)
 
     def _patterns(self, fields: list[Array], scales: list[Array]) -> Array:
         """Orthonormal images that hold all media: those of orders 1 and 2, and what either half of the rest has."""
@@ -188,3 +181,11 @@ class _Builder:
             unlike = float(np.mean(self._plan.excess.at(numbers[traits.moments]) ** 2))
             squares.append(float(np.sum((found - exact) ** 2) / np.sum(exact**2)) / (1.0 + unlike))
         return float(np.median(squares))
+
+
+def shown_in_pixels(plan: PhasePlan, sampling: PathImages, fields: Array) -> Array:
+    """(degrees in w, products, pixels) of fitted fields (albedos, products, cells)."""
+    albedos, products, _ = fields.shape
+    pixels = sampling.to_pixels(fields.reshape(albedos * products, *sampling.shape[1:]))
+    by_degree = np.linalg.inv(values(plan.base.albedo_places, albedos - 1))
+    return np.tensordot(by_degree, pixels.reshape(albedos, products, -1), 1)

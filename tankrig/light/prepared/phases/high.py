@@ -17,14 +17,16 @@ from tankrig.light.prepared.box import Box, Coordinates
 from tankrig.light.prepared.cache import Arrays, Place
 from tankrig.light.prepared.noise import signs_of_chance
 from tankrig.light.prepared.phases.answer import THIRD, HighOrders
+from tankrig.light.prepared.phases.assembly import shown_in_pixels
 from tankrig.light.prepared.phases.plan import PhasePlan
 from tankrig.light.prepared.phases.products import Excess
+from tankrig.light.prepared.phases.traits import PhaseTraits
 from tankrig.light.prepared.polynomials import nodes, values
 from tankrig.light.prepared.regression import Fit, Regression
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_functions import HenyeyGreenstein
-from tankrig.scene.phase_table import PhaseFunction, moments_of_nodes
+from tankrig.scene.phase_table import PhaseFunction
 from tankrig.threads import THREADS
 
 Array = NDArray[np.float64]
@@ -37,7 +39,9 @@ ROUGH_TABLES = 0.05
 BESIDE = 0.7
 """Coordinates ± of σt at which that is looked at."""
 PATTERNS = 32
-"""Of an answer's errors, as sums over all images with signs of chance."""
+"""How many an answer's errors are told by: sums over all images with signs of chance."""
+HIGHEST = PhaseTraits.highest
+"""Degree of the last Legendre moment that orders ≥ 3 go by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +82,14 @@ class HighAnswer:
     def image_and_slopes(self, medium: Medium, others: Sequence[PhaseFunction]) -> tuple[Array, Array]:
         """The image, and (2 + others, rows, columns) its derivatives by σa, σs and the share of the way to each of the
         other phase functions."""
-        place, z, near = self._place(medium)
-        _, rates = self.coordinates.of(near.sigma_t, near.albedo, near.g)
-        moments = _moments(near.phase_function)
-        found, slopes = self.rest.at(place, z)
-        light, sigma_t, albedo = near.sigma_s**THIRD, near.sigma_t, near.albedo
-        by_sigma_t = rates[0] * slopes[0] + THIRD / sigma_t * found
-        by_albedo = rates[1] * slopes[1] + THIRD / albedo * found
-        by_moments = self.rest.excess.rates(moments).T @ slopes[3:]
-        by_moments[1] += rates[2] * slopes[2]
-        ways = np.array([_moments(one) - moments for one in others]).reshape(-1, moments.size)
+        near = self.box.nearest(medium)
+        moments, sigma_t, albedo = near.phase_function.moments(HIGHEST), near.sigma_t, near.albedo
+        found, by_sigma_t, by_albedo, by_moments = self.rest.of(near, moments, self.coordinates)
+        ways = np.array([one.moments(HIGHEST) - moments for one in others]).reshape(-1, moments.size)
         by_sigma_a = by_sigma_t - albedo / sigma_t * by_albedo
         by_sigma_s = by_sigma_t + (1.0 - albedo) / sigma_t * by_albedo
-        amplitudes = light * np.concatenate([[found, by_sigma_a, by_sigma_s], ways @ by_moments])
-        images = (amplitudes @ self.patterns).reshape(-1, *self._shape)
+        amplitudes = np.concatenate([[found, by_sigma_a, by_sigma_s], ways @ by_moments])
+        images = np.asarray(amplitudes @ self.patterns, float).reshape(-1, *self._shape)
         return np.maximum(images[0], 0.0), images[1:]
 
     def errors_at(self, medium: Medium) -> Array:
@@ -114,18 +112,9 @@ class HighAnswer:
     def _place(self, medium: Medium) -> tuple[Array, Array, Medium]:
         """Coordinates u, w, v and z of a medium, or of the nearest one in the box, and that."""
         near = self.box.nearest(medium)
-        moments = _moments(near.phase_function)
+        moments = near.phase_function.moments(HIGHEST)
         place, _ = self.coordinates.of(near.sigma_t, near.albedo, float(moments[1]))
         return place, self.rest.excess.at(moments), near
-
-
-def _moments(phase: PhaseFunction) -> Array:
-    """(1 + highest,) Legendre moments that orders ≥ 3 go by."""
-    return np.asarray(moments_of_nodes(HIGHEST) @ phase.table)
-
-
-HIGHEST = 10
-"""Degree of the last moment, as for `PhaseTraits`."""
 
 
 def high_orders_prepared(
@@ -201,7 +190,7 @@ def _assembled(plan: PhasePlan, sampling: PathImages, images: Array) -> HighAnsw
     )  # fmt: skip
     even = np.arange(len(images)) % 2 == 0
     fits = [regression.fit(used) for used in (np.ones(len(images), bool), even, ~even)]
-    fields = [_pixels(plan, sampling, one.fields) for one in fits]
+    fields = [shown_in_pixels(plan, sampling, one.fields) for one in fits]
     by_degree = np.linalg.inv(values(plan.base.albedo_places, len(plan.base.albedos) - 1))
     one, other = (_shown(plan, regression, *half) for half in zip(fields[1:], fits[1:], strict=True))
     patterns = np.linalg.qr(common(one, other, LEFT_OUT * plan.tolerance).T)[0].T
@@ -227,14 +216,6 @@ def _size_of_low_orders(plan: PhasePlan, sampling: PathImages, u: Array, scatter
     norms = np.exp(middle + u[:, None] * rise)
     per_cell = math.sqrt(math.prod(camera.sides_mm) / (grid.cell_mm[0] * grid.cell_mm[1]))
     return np.asarray(per_cell * (scattering * norms[:, :1] + scattering**2 * norms[:, 1:]))
-
-
-def _pixels(plan: PhasePlan, sampling: PathImages, fields: Array) -> Array:
-    """(degrees in w, products, pixels) of fitted fields (albedos, products, cells)."""
-    albedos, products, _ = fields.shape
-    pixels = sampling.to_pixels(fields.reshape(albedos * products, *sampling.shape[1:]))
-    by_degree = np.linalg.inv(values(plan.base.albedo_places, albedos - 1))
-    return np.tensordot(by_degree, pixels.reshape(albedos, products, -1), 1)
 
 
 def _shown(plan: PhasePlan, regression: Regression, field: Array, fit: Fit) -> Array:
