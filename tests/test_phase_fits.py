@@ -385,6 +385,7 @@ def test_where_hardly_anything_tells_phase_functions_apart_intervals_count_them(
     assert math.sqrt(found.covariance[2, 2]) > 0.01  # .0047 by Henyey–Greenstein's alone
 
 
+@pytest.mark.long
 def test_models_about_an_image_know_the_finer_shapes_of_a_phase_function() -> None:
     """By five moments of p some shapes changed orders ≥ 3 by a half of what they do, and fits followed that."""
     family = free()
@@ -503,6 +504,7 @@ def test_a_correction_goes_no_further_than_exact_images_bear_out() -> None:
     assert found.medium.sigma_s == pytest.approx(truth.sigma_s, rel=SETTLED)  # as near as such a fit comes to rest
 
 
+@pytest.mark.long
 def test_a_family_is_fitted_by_light_paths_from_nowhere() -> None:
     """Its first guess is Henyey–Greenstein's, by models that know the family's derivatives."""
     scene = replace(TANK, camera=Camera("orthographic", (10, 15), 16.0))

@@ -109,7 +109,14 @@ def test_what_mie_says_of_latex_where_the_camera_looks() -> None:
         )
 
 
-@pytest.mark.parametrize("phase", [TwoTerm(0.9, -0.4, 0.9), BEAD, TwoTerm(0.5, -0.5, 0.3)], ids=["two", "bead", "back"])
+@pytest.mark.parametrize(
+    "phase",
+    [
+        pytest.param(TwoTerm(0.9, -0.4, 0.9), id="two", marks=pytest.mark.long),
+        pytest.param(BEAD, id="bead"),
+        pytest.param(TwoTerm(0.5, -0.5, 0.3), id="back"),
+    ],
+)
 def test_the_tank_and_the_monte_carlo_agree_on_any_liquid(phase: PhaseFunction) -> None:
     """Tables, drawing and quadratures are each side's own."""
     liquid = scene(Medium(0.0005, 0.02, phase=phase))

@@ -259,6 +259,7 @@ def test_a_scheduler_that_does_not_answer_or_goes_away_is_told_in_a_sentence(
     assert "Traceback" not in told
 
 
+@pytest.mark.long
 def test_workers_elsewhere_with_certificates_made_as_the_page_says(
     archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -334,6 +335,7 @@ def test_nobody_else_gets_in() -> None:
             Client(address.replace("tls", "tcp"), timeout=2.0, set_as_default=False)
 
 
+@pytest.mark.long
 def test_the_array_job_runs_to_its_end_and_asks_to_be_queued_again(archive: Path, tmp_path: Path) -> None:
     """The script itself, by bash, with a stand-in for scontrol: what SLURM would run on a node."""
     out, log = tmp_path / "results", tmp_path / "requeued"

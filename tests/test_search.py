@@ -123,6 +123,7 @@ def test_an_even_step_changes_coefficients_as_it_does_at_first(
     assert moved[2] == pytest.approx(np.clip(wanted[2], np.tanh(block.low[2]), np.tanh(block.high[2])))
 
 
+@pytest.mark.long
 def test_seven_beams_in_liquid_that_turns_light_back_are_not_taken_for_absorption() -> None:
     """The wrong valley had g .46 too high and twice the absorption, with the gain known."""
     scene = scene_of(MEDIA[0], SEVEN, slanted=False)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from tankrig.light.double import double_scattering_of
 from tankrig.light.entering import edged_and_smooth, entering, through_lens
@@ -62,6 +63,7 @@ def test_a_prepared_models_order_2_of_smooth_light_comes_along_paths():
     assert not PathImages(rays, (1.0,)).twice_smooth(MEDIUM, 1, 1).any()
 
 
+@pytest.mark.long
 def test_few_pinholes_and_coarse_cells_do_for_what_walls_send_back():
     """By as many as beams seen directly, order 1 of a bench of glass with a halo took hundreds of seconds."""
     scene = a_dim_scene()

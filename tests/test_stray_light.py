@@ -323,7 +323,10 @@ def bench(tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("name", "said", "size", "sd"),
-    [("halo", "a halo of the camera's lens", 0.02, 0.02), ("floor", "light that the floor reflects", 0.04, 0.05)],
+    [
+        ("halo", "a halo of the camera's lens", 0.02, 0.02),
+        pytest.param("floor", "light that the floor reflects", 0.04, 0.05, marks=pytest.mark.long),
+    ],
 )
 def test_light_astray_is_named_and_fitted_along(bench, name, said, size, sd):
     """A halo of 2 % or a floor of 4 % were called noise, and moved σs by ten of its standard deviations."""
@@ -373,7 +376,7 @@ def lit_by(kind):
     ("kind", "effect", "said"),
     [
         pytest.param("pinhole", "floor", "light that the floor reflects", marks=pytest.mark.long),
-        ("collimated", "blur", "blur that the scene does not describe"),
+        pytest.param("collimated", "blur", "blur that the scene does not describe", marks=pytest.mark.long),
         ("collimated", None, None),
     ],
 )
@@ -459,9 +462,8 @@ def test_the_width_of_a_halo_is_fitted_along_with_it(bench, width_mm):
     assert found.medium.sigma_s == pytest.approx(scene.medium.sigma_s, rel=0.005)
 
 
-@pytest.mark.parametrize(
-    ("width_mm", "said"), [(60.0, "narrower"), pytest.param(15.0, "wider", marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("width_mm", "said"), [(60.0, "narrower"), (15.0, "wider")])
 def test_a_halo_that_is_described_with_another_width_is_named(width_mm, said):
     scene, image = lit_by("collimated")
     lens = replace(scene.camera, halo=Halo(0.02, 30.0))

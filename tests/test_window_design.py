@@ -40,6 +40,7 @@ def ask_by_name(window) -> None:
     QTest.keyClick(palette.field, Qt.Key.Key_Return)
 
 
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_a_picture_is_designed_while_a_run_goes_on_and_the_next_run_shows_it(
     tmp_path_factory: pytest.TempPathFactory,

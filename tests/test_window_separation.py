@@ -199,6 +199,7 @@ def test_waves_are_no_patterns_to_fit(tmp_path):
     assert reading.patterns == ("full",)
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_a_run_is_separated_while_it_goes_on_and_the_same_in_replay(tmp_path, capsys):
     """By the button, and to the numbers of `tankrig separate`."""

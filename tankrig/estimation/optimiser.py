@@ -19,8 +19,9 @@ Vector = NDArray[np.float64]
 COARSE_ENOUGH, FINE_ENOUGH, MODEL_ENOUGH = 3.0, 0.02, 0.5
 """Where searches stop, see `solve`: the cheap model's optimum is only a start for the accurate one's, and errors of the
 model, which the weights count pixel by pixel, move the optimum by more than the weights say."""
-LAST_STEPS = 100
-"""Steps with the accurate model at most."""
+LAST_STEPS, SLOW_STEPS = 100, 4
+"""Steps with the accurate model at most; where each computes orders 1 and 2 of many images anew. A bench's series tried
+60 that moved nothing any more."""
 DAMPED, LEAST_DAMPED = 1e-2, 1e-4
 """Share of the curvature by which a first step is damped, and one after a step that failed at least."""
 CREEPING = 0.3
@@ -190,7 +191,7 @@ def _step(
 
 
 def polish(problem: Problem, start: Vector) -> Evaluation:
-    """The same, as far as the model's error lets the optimum be known."""
+    """The same, as far as the model's error lets the optimum be known; few steps where images take long."""
     by_noise = np.concatenate([view.whitened(view.observation.noise) ** 2 for view in problem.views])
     enough = FINE_ENOUGH + MODEL_ENOUGH * (1.0 - float(np.mean(by_noise)))
-    return solve(problem, start, enough, LAST_STEPS, damping=0.0)
+    return solve(problem, start, enough, SLOW_STEPS if problem.slow else LAST_STEPS, damping=0.0)
