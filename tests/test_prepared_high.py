@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tankrig.estimation import with_prepared
 from tankrig.estimation.differences import values_of
@@ -15,7 +16,8 @@ from tankrig.estimation.phase_families import as_free, free
 from tankrig.estimation.with_prepared import WithPrepared
 from tankrig.light.behind_lenses import BehindLenses
 from tankrig.light.prepared.box import Box
-from tankrig.light.prepared.phases import high, plan
+from tankrig.light.prepared.phases import checked, high, plan
+from tankrig.light.prepared.phases.checked import checked_at
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.light.tangent import tank_accurate
@@ -40,11 +42,12 @@ LIQUIDS = (
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Where they are kept; a third of the media, for so small a tank's box."""
+    """Where they are kept; a third of the media, for so small a tank's box, and a quarter of the lattices."""
     kept = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TANKRIG_CACHE", str(kept))
         patch.setattr(plan, "FEWEST", 0.3)
+        patch.setattr(checked, "MOST", checked.FEWEST)
         yield kept
 
 
@@ -54,25 +57,38 @@ def prepared(folder: Path) -> HighAnswer:
     return high_orders_prepared(SCENE, BOX, TOLERANCE)
 
 
+def off_by(liquid: Medium, *images: NDArray[np.float64]) -> tuple[list[float], float]:
+    """What images of orders ≥ 3 are off by over the whole image, in blocks; two images by light paths with noise of
+    their own tell it without that. And the whole image's norm."""
+    scene = replace(SCENE, medium=liquid)
+    behind = BehindLenses(scene)
+    low = behind.once([liquid])[0] + behind.twice([liquid], 0.001)[0]
+    size = float(np.linalg.norm(low + images[0]))
+    assert np.linalg.norm(images[0]) > 0.15 * size  # there is something to be wrong
+    truths = [tank_accurate(scene, 400_000, seed).image - low for seed in (11, 12)]
+    off = [(image - truths[0], image - truths[1]) for image in images]
+    return [float(np.sqrt(max(np.sum(one * other), 0.0)) / size) for one, other in off], size
+
+
 @pytest.mark.parametrize(
     "liquid",
     [LIQUIDS[0], pytest.param(LIQUIDS[1], marks=pytest.mark.long), LIQUIDS[2]],
     ids=["bead", "gegenbauer", "two"],
 )
 def test_they_are_those_of_light_paths_and_err_as_they_say(prepared: HighAnswer, liquid: Medium) -> None:
-    """Two images with noise of their own tell what the prepared one is off by without it."""
-    scene = replace(SCENE, medium=liquid)
-    behind = BehindLenses(scene)
-    low = behind.once([liquid])[0] + behind.twice([liquid], 0.001)[0]
-    found, errors = prepared.image(liquid), prepared.errors_at(liquid)
-    size = np.linalg.norm(low + found)
-    assert np.linalg.norm(found) > 0.15 * size  # there is something to be wrong
-    one, other = (found - (tank_accurate(scene, 200_000, seed).image - low) for seed in (11, 12))
-    off = float(np.sqrt(max(np.sum(one * other), 0.0)) / size)
-    stated = float(np.sqrt(np.sum(errors**2)) / size)
-    assert stated < 0.05
+    found = checked_at(prepared, liquid)
+    (off,), size = off_by(liquid, found.image(liquid))
+    stated = float(np.sqrt(np.sum(found.errors_at(liquid) ** 2)) / size)
+    assert stated < 0.02
     assert off < 1.5 * stated
-    assert abs(float(one.sum() + other.sum())) < 0.02 * 2.0 * float(found.sum())
+
+
+def test_what_is_not_known_of_a_phase_function_is_told_by_paths(prepared: HighAnswer) -> None:
+    """Beads alike were 2 to 3 % off, and nothing said so; and so is a medium next to the one that was looked at."""
+    beads = Medium(0.0004, 0.0102, phase=Mie(0.55, 1.58242, 1.3317, 633.0))
+    beside = Medium(0.0004, 0.0108, phase=beads.phase)
+    (off, as_prepared), _ = off_by(beside, checked_at(prepared, beads).image(beside), prepared.image(beside))
+    assert off < 0.4 * as_prepared
 
 
 def test_order_2_of_light_without_edges_is_not_counted_twice(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,11 +107,12 @@ def test_order_2_of_light_without_edges_is_not_counted_twice(monkeypatch: pytest
 
 def test_derivatives_are_those_of_the_image(prepared: HighAnswer) -> None:
     liquid, towards = LIQUIDS[0], ReynoldsMcCormick(0.7, 1.0)
-    _, slopes = prepared.image_and_slopes(liquid, [towards])
+    found = checked_at(prepared, liquid)
+    _, slopes = found.image_and_slopes(liquid, [towards])
 
     def image(more: float = 0.0, scattered: float = 0.0, share: float = 0.0) -> np.ndarray:
         phase = Mixture((BEAD, towards), (1.0 - share, share))
-        return prepared.image(Medium(liquid.sigma_a + more, liquid.sigma_s + scattered, phase=phase))
+        return found.image(Medium(liquid.sigma_a + more, liquid.sigma_s + scattered, phase=phase))
 
     for slope, step, name in ((slopes[0], 2e-5, "more"), (slopes[1], 2e-5, "scattered"), (slopes[2], 1e-3, "share")):
         change = (image(**{name: step}) - image(**({name: -step} if name != "share" else {}))) / step
@@ -110,7 +127,6 @@ def nothing_new(_: float) -> None:
 def test_they_are_read_again_as_they_were_made(prepared: HighAnswer) -> None:
     again = high_orders_prepared(replace(SCENE, medium=Medium(0.0, 0.02, 0.1)), BOX, TOLERANCE, nothing_new)
     np.testing.assert_array_equal(again.image(LIQUIDS[0]), prepared.image(LIQUIDS[0]))
-    np.testing.assert_allclose(again.errors_at(LIQUIDS[0]), prepared.errors_at(LIQUIDS[0]), rtol=1e-6)
 
 
 def test_media_beyond_the_box_are_answered_as_the_nearest(prepared: HighAnswer) -> None:

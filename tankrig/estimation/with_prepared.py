@@ -1,7 +1,7 @@
 """A model of one liquid's neighbourhood: orders 1 and 2 as they are, and the others from what was prepared for it.
 
 Where light or sight slants, an image by 3·10⁵ light paths has 1 to 5 % of noise, and what is prepared about a medium in
-20 to 50 CPU s has .2 to .3 %, for every medium nearby.
+20 to 50 CPU s, and made right at it, has .2 to .3 %, for every medium nearby.
 """
 
 import math
@@ -17,6 +17,7 @@ from tankrig.estimation.followed import Followed, Model, in_water, remembered
 from tankrig.estimation.phase_families import Family
 from tankrig.light.double.image import table_error
 from tankrig.light.prepared.about import box_for, holds
+from tankrig.light.prepared.phases.checked import CheckedOrders, checked_at
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium
@@ -39,9 +40,9 @@ class WithPrepared:
     low
         Tells orders 1 and 2.
     high
-        Tells the others.
+        Tells the others, as prepared.
     centre
-        The medium, where the errors are told, which change slowly.
+        The medium, where these are made right and the errors are told.
     fine
         Whether derivatives are as fine as a phase function's finer shapes want them.
     """
@@ -71,8 +72,12 @@ class WithPrepared:
         return holds(self.high.box, in_water(medium, self.low.water_sigma_s))
 
     @cached_property
+    def _checked(self) -> CheckedOrders:
+        return checked_at(self.high, in_water(self.centre, self.low.water_sigma_s))
+
+    @cached_property
     def _image(self) -> Model:
-        errors = self.high.errors_at(in_water(self.centre, self.low.water_sigma_s))
+        errors = self._checked.errors_at(in_water(self.centre, self.low.water_sigma_s))
         size = float(np.linalg.norm(self._whole(self.centre)))
         tables = table_error(self.low.scene, self.low.tables or TOLERANCE)
         skipped = (Skipped("tables that order 2 is looked up in", tables),)
@@ -87,7 +92,7 @@ class WithPrepared:
         return remembered(image)
 
     def _whole(self, medium: Medium) -> Image:
-        return self.low.low_image(medium) + self.high.image(in_water(medium, self.low.water_sigma_s))
+        return self.low.low_image(medium) + self._checked.image(in_water(medium, self.low.water_sigma_s))
 
     @cached_property
     def _slopes(self) -> Callable[[Medium], Image]:
@@ -106,7 +111,7 @@ class WithPrepared:
 
         def slopes(medium: Medium) -> Image:
             turning, sizes = turning_of(medium, family)
-            _, high = self.high.image_and_slopes(medium, turning.others)
+            _, high = self._checked.image_and_slopes(medium, turning.others)
             per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
             return np.asarray(self.low.low_image(medium) * shares(medium) + high * per_step)
 

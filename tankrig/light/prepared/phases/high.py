@@ -15,7 +15,6 @@ from tankrig.light.behind_lenses import BehindLenses
 from tankrig.light.prepared.assembly import LEFT_OUT, common
 from tankrig.light.prepared.box import Box, Coordinates
 from tankrig.light.prepared.cache import Arrays, Place
-from tankrig.light.prepared.noise import signs_of_chance
 from tankrig.light.prepared.phases.answer import THIRD, HighOrders
 from tankrig.light.prepared.phases.assembly import shown_in_pixels
 from tankrig.light.prepared.phases.plan import PhasePlan
@@ -38,15 +37,15 @@ ROUGH_TABLES = 0.05
 """Tolerance of order 2 where only its size matters, which says how much an image's noise weighs."""
 BESIDE = 0.7
 """Coordinates ± of σt at which that is looked at."""
-PATTERNS = 32
-"""How many an answer's errors are told by: sums over all images with signs of chance."""
+UNFOLLOWED = 1_000_000
+"""Seeds from here on are none of training images."""
 HIGHEST = PhaseTraits.highest
 """Degree of the last Legendre moment that orders ≥ 3 go by."""
 
 
 @dataclass(frozen=True, eq=False)
 class HighAnswer:
-    """Images of orders ≥ 3, as sums of spatial patterns, and their errors.
+    """Images of orders ≥ 3, as sums of spatial patterns.
 
     Parameters
     ----------
@@ -57,16 +56,13 @@ class HighAnswer:
     rest
         Amplitudes of the patterns.
     patterns
-        (patterns, pixels).
-    fit
-        That it is made from: what its images differ by from it tells the errors, see `tankrig.light.prepared.noise`.
+        (patterns, pixels), orthonormal.
     """
 
     sampling: PathImages
     coordinates: Coordinates
     rest: HighOrders
     patterns: NDArray[np.float32]
-    fit: Fit
 
     @property
     def box(self) -> Box:
@@ -92,18 +88,14 @@ class HighAnswer:
         images = np.asarray(amplitudes @ self.patterns, float).reshape(-1, *self._shape)
         return np.maximum(images[0], 0.0), images[1:]
 
-    def errors_at(self, medium: Medium) -> Array:
-        """(n, rows, columns) the errors of one image as they lie: their covariance is the sum of the products."""
-        place, z, near = self._place(medium)
-        u, w, v = (float(one) for one in place)
-        albedos, _, media = self.fit.pull.shape
-        between = values(w, albedos - 1) @ np.linalg.inv(values(nodes(albedos), albedos - 1))
-        one = np.array([u]), np.array([v]), z[None]
-        bright = math.exp(float(self.rest.scale_products.values(*one)[0] @ (between @ self.fit.scale)))
-        pulls = bright * near.sigma_s**THIRD * between[:, None] * (self.rest.products.values(*one)[0] @ self.fit.pull)
-        signs = signs_of_chance(PATTERNS, media)
-        cells = np.einsum("kj,aj,jac->kc", signs, pulls, self.fit.left, optimize=True)
-        return self.sampling.noise_to_pixels(cells.reshape(-1, *self.sampling.shape[1:]))
+    def by_paths(self, medium: Medium, seed: int) -> Array:
+        """(pixels,) the same by a lattice of light paths of its own, which none of the model's images has followed."""
+        place, _, near = self._place(medium)
+        lit = Medium(0.0, near.sigma_t, phase=near.phase_function)
+        degree = len(self.sampling.albedos) - 1
+        between = values(float(place[1]), degree) @ np.linalg.inv(values(nodes(degree + 1), degree))
+        cells = np.tensordot(between, self.sampling.beyond_two(lit, UNFOLLOWED + seed, 1), 1)
+        return np.asarray(self.sampling.to_pixels(cells[None])[0])
 
     @property
     def _shape(self) -> tuple[int, int]:
@@ -197,7 +189,7 @@ def _assembled(plan: PhasePlan, sampling: PathImages, images: Array) -> HighAnsw
     rest = HighOrders(
         plan.excess, plan.products, plan.scale_products, fields[0] @ patterns.T, by_degree @ fits[0].scale
     )
-    return HighAnswer(sampling, plan.base.coordinates, rest, patterns.astype(np.float32), fits[0])
+    return HighAnswer(sampling, plan.base.coordinates, rest, patterns.astype(np.float32))
 
 
 def _size_of_low_orders(plan: PhasePlan, sampling: PathImages, u: Array, scattering: Array) -> Array:
@@ -232,10 +224,10 @@ def _shown(plan: PhasePlan, regression: Regression, field: Array, fit: Fit) -> A
 
 def _packed(answer: HighAnswer) -> Arrays:
     """All that the scene and the plan don't say."""
-    rest, fit = answer.rest, answer.fit
+    rest = answer.rest
     return {
         "patterns": answer.patterns, "mean": rest.excess.mean, "directions": rest.excess.directions,
-        "rest": rest.amplitudes, "rest_scale": rest.scale, "scale": fit.scale, "pull": fit.pull, "left": fit.left,
+        "rest": rest.amplitudes, "rest_scale": rest.scale,
     }  # fmt: skip
 
 
@@ -247,15 +239,12 @@ def _unpacked(arrays: Arrays, plan: PhasePlan, sampling: PathImages) -> HighAnsw
     KeyError, TypeError, ValueError
         When the arrays are not those of a model of that plan and scene.
     """
-    single = ("patterns", "left")
-    known = {name: np.asarray(one, np.float32 if name in single else float) for name, one in arrays.items()}
-    albedos, products = len(plan.base.albedos), plan.products.size
-    count, media, cells = len(known["patterns"]), len(plan.paths), math.prod(sampling.shape[1:])
+    known = {name: np.asarray(one, np.float32 if name == "patterns" else float) for name, one in arrays.items()}
+    albedos, products, count = len(plan.base.albedos), plan.products.size, len(known["patterns"])
     expected = {
         "patterns": (count, math.prod(sampling.scene.camera.shape)), "mean": (HIGHEST - 1,),
         "directions": (HIGHEST - 1, plan.products.directions), "rest": (albedos, products, count),
-        "rest_scale": (albedos, plan.scale_products.size), "scale": (albedos, plan.scale_products.size),
-        "pull": (albedos, products, media), "left": (media, albedos, cells),
+        "rest_scale": (albedos, plan.scale_products.size),
     }  # fmt: skip
     if count == 0 or any(
         known[name].shape != size or not np.isfinite(known[name]).all() for name, size in expected.items()
@@ -265,5 +254,4 @@ def _unpacked(arrays: Arrays, plan: PhasePlan, sampling: PathImages) -> HighAnsw
         Excess(known["mean"], known["directions"]), plan.products, plan.scale_products, known["rest"],
         known["rest_scale"],
     )  # fmt: skip
-    fit = Fit(known["scale"], np.zeros((0, 0, 0)), known["pull"], known["left"])
-    return HighAnswer(sampling, plan.base.coordinates, rest, known["patterns"], fit)
+    return HighAnswer(sampling, plan.base.coordinates, rest, known["patterns"])
