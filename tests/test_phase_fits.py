@@ -504,6 +504,26 @@ def test_a_correction_goes_no_further_than_exact_images_bear_out() -> None:
     assert found.medium.sigma_s == pytest.approx(truth.sigma_s, rel=SETTLED)  # as near as such a fit comes to rest
 
 
+def test_derivatives_are_taught_by_exact_images() -> None:
+    """Derivatives that promise what they do not keep promised the same again, and fits ended where they began."""
+    family, scene = free(), replace(TANK, camera=Camera("orthographic", (10, 15), 16.0))
+    at = as_free(TwoTerm(0.88, -0.3, 0.94))
+    off = np.linspace(-0.1, 0.1, at.size)
+    centre, ahead = (Medium(5e-4, 0.02 + 2e-4 * k, phase=family.phase(at + k * off)) for k in (0.0, 1.0))
+    here, there = (
+        Prediction(tank_image(replace(scene, medium=one), batches=4, seed=3).image, "tank") for one in (centre, ahead)
+    )
+    model = Followed(scene, 1, 0, None, family=family)
+    nothing = np.zeros((2 + at.size, 10, 15))
+    taught = model.taught(nothing, centre, here, ahead, there)
+    unmoved, foretold = (model.about(centre, here, shares)(ahead).image for shares in (nothing, taught))
+    assert np.linalg.norm(foretold - there.image) < 0.1 * np.linalg.norm(unmoved - there.image)
+    across = np.zeros(2 + at.size)
+    across[2], across[3] = off[1], -off[0]
+    assert np.abs(np.tensordot(across, taught, 1)).max() < 1e-9
+    assert model.taught(nothing, centre, here, centre, here) is nothing
+
+
 @pytest.mark.long
 def test_a_family_is_fitted_by_light_paths_from_nowhere() -> None:
     """Its first guess is Henyey–Greenstein's, by models that know the family's derivatives."""

@@ -40,6 +40,8 @@ LOW_ORDERS = 2
 FAINT, FAINT_LOW, FURTHEST = 1e-3, 1e-7, 1.0
 """Share of the brightest light of high orders below which there is no logarithm of it; the same of orders 1 and 2,
 which have no noise; and how far the first may change."""
+ALIKE = 0.1, 0.7
+"""Changes that count alike: of the logarithm of σt and σs, and of a coordinate that is expected to be 0 ± 1."""
 SOLVED_BATCHES = 16
 """Lattices of paths for the orders that are left to them where the others are solved for."""
 
@@ -146,6 +148,24 @@ class Followed:
             return replace(exact, image=self._low(medium) + others * np.exp(np.clip(by, -FURTHEST, FURTHEST)))
 
         return remembered(near)
+
+    def taught(self, shares: Image, centre: Medium, exact: Prediction, ahead: Medium, shown: Prediction) -> Image:
+        """`shares` at a medium where an exact image is known, so changed that they foretell another one ahead.
+
+        By as little as that takes, and changes that are `ALIKE` by as much (Broyden 1965).
+        """
+        from tankrig.estimation.differences import values_of
+
+        step = values_of(ahead, self.family) - values_of(centre, self.family)
+        scale = np.array([ALIKE[0] * centre.sigma_t, ALIKE[0] * centre.sigma_s, *np.full(step.size - 2, ALIKE[1])])
+        far = float(np.sum((step / scale) ** 2))
+        if far == 0.0:
+            return shares
+        foretold = self.about(centre, exact, shares)(ahead).image
+        others = foretold - self._low(ahead)
+        missed = (shown.image - foretold) / np.maximum(others, FAINT * float(others.max(initial=0.0)) + 1e-300)
+        missed = np.log(np.clip(1.0 + missed, math.exp(-FURTHEST), math.exp(FURTHEST)))
+        return np.asarray(shares + (step / scale**2 / far)[:, None, None] * missed)
 
     def low_shares(self, medium: Medium) -> Image:
         """(2 + k, rows, columns) derivatives by a family's coordinates of the logarithm of orders 1 and 2."""
