@@ -18,7 +18,6 @@ from tankrig.estimation.astray import gamma
 from tankrig.estimation.coordinates import Range, to_coordinates
 from tankrig.estimation.differences import Forward, slopes_of
 from tankrig.estimation.fitting import fitted
-from tankrig.estimation.forward import Models, image_of
 from tankrig.estimation.left_over import left_over, met_by_noise, stated_errors
 from tankrig.estimation.misfit import faults_of, shown
 from tankrig.estimation.observation import observe
@@ -29,6 +28,7 @@ from tankrig.estimation.result import Linearity
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.uncertainty import SmoothError, Whitening
+from tankrig.estimation.versions import Models, image_of
 from tankrig.live.results import DoseFit, FailedFit, SeriesFit, SingleScattering, fits_in, from_fields, to_fields
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium

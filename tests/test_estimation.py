@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 import tankrig
 from tankrig.errors import ImageError
 from tankrig.estimation.estimate import Estimate, fit_models
-from tankrig.estimation.forward import Models
 from tankrig.estimation.observation import observe
 from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.versions import Models
 from tankrig.figures.paper import collimated_cases, fitted, observed
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank

@@ -20,7 +20,7 @@ from tankrig.estimation.corrections import SETTLED
 from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.estimate import Estimate, fit_models
 from tankrig.estimation.followed import Followed, Model
-from tankrig.estimation.forward import Models, image_of, models_of
+from tankrig.estimation.forward import models_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.optimiser import solve
 from tankrig.estimation.phase_answer import Asked, asked_for, rougher
@@ -44,6 +44,7 @@ from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.estimation.series_forward import tank_model
 from tankrig.estimation.shots import Fit, Shot
+from tankrig.estimation.versions import Models, image_of
 from tankrig.light.tank import tank_image
 from tankrig.live.photograph_plan import ink_expected, phase_of
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, from_fields, to_fields

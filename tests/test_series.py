@@ -7,12 +7,12 @@ import pytest
 
 import tankrig
 from tankrig.errors import ImageError, SceneError
-from tankrig.estimation.forward import Models
 from tankrig.estimation.ink_blocks import Doses
 from tankrig.estimation.observation import observe
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, fit_series
 from tankrig.estimation.series_forward import ModelOf, modelled_in_water, series_models
+from tankrig.estimation.versions import Models
 from tankrig.light.leaving import CameraLens
 from tankrig.prediction import Prediction
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank

@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 
 from tankrig.advice.expected import Answer, Array, Expected, Known, Shot, expected
-from tankrig.estimation.forward import Models, models_of
+from tankrig.estimation.forward import models_of
 from tankrig.estimation.phase_families import Family
+from tankrig.estimation.versions import Models
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.box import Box
 from tankrig.scene import Medium, Scene

@@ -13,9 +13,10 @@ from tankrig.benchmark_estimates.scenes import NOISE, RANDOM, STRIPES, other_pat
 from tankrig.benchmark_estimates.section import Cell, Section
 from tankrig.estimation.coordinates import NAMES
 from tankrig.estimation.estimate import fit_models
-from tankrig.estimation.forward import Models, models_of
+from tankrig.estimation.forward import models_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.versions import Models
 from tankrig.image.prepare import Prepared
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium

@@ -11,9 +11,10 @@ from tankrig.benchmark_estimates.scenes import LIQUIDS, NOISE, STRIPES, monte_ca
 from tankrig.benchmark_estimates.section import Cell, Section
 from tankrig.benchmark_estimates.surrogate import near
 from tankrig.estimation.estimate import Estimate, estimate, fit_models
-from tankrig.estimation.forward import Models, corrected, models_of
+from tankrig.estimation.forward import models_of
 from tankrig.estimation.observation import observe
 from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.versions import Models, corrected
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import Range, slopes, to_coordinates, to_medium
 from tankrig.estimation.followed import remembered
-from tankrig.estimation.forward import Models
+from tankrig.estimation.versions import Models
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes, values_of
 from tankrig.estimation.followed import Followed, Model, remembered
-from tankrig.estimation.forward import Exact, corrected, image_of, stated_error
 from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.nearby import Nearby
 from tankrig.estimation.optimiser import LAST_STEPS, solve, without_noise
@@ -21,7 +20,9 @@ from tankrig.estimation.prior_weight import believing, weight_of_priors
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.search import Told, by_cost
 from tankrig.estimation.shots import Fit, Shot, weighed_problem
+from tankrig.estimation.stated_errors import stated_error
 from tankrig.estimation.uncertainty import identifiable
+from tankrig.estimation.versions import Exact, corrected, image_of
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 

@@ -14,7 +14,7 @@ from tankrig.estimation.astray import ASTRAY, Astray, AstrayBlock, floor
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.findings import Findings, findings_of
 from tankrig.estimation.fitting import fitted_on, searched, without_outliers
-from tankrig.estimation.forward import Models, models_of
+from tankrig.estimation.forward import models_of
 from tankrig.estimation.left_over import Left, left_over, moved_by_halos, rms, stated_errors
 from tankrig.estimation.light_beside import BESIDE, BesideBlock
 from tankrig.estimation.misfit import moved_unseen
@@ -43,6 +43,7 @@ from tankrig.estimation.verdict import (
     what_phase_is_shown,
     what_was_left_out,
 )
+from tankrig.estimation.versions import Models
 from tankrig.light.rays import shift_invariant
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene

@@ -7,14 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.astray import SIGNS
-from tankrig.estimation.forward import Models, error_map
 from tankrig.estimation.left_over import Left, Shown, astray_shown, error_of, spread_of
 from tankrig.estimation.phase_answer import Asked
 from tankrig.estimation.phase_doubt import Doubt, PhaseTold
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import WHOLE, Cause, misalignment_left_out, misalignments, standing_out
 from tankrig.estimation.shots import Fit
+from tankrig.estimation.stated_errors import error_map
 from tankrig.estimation.uncertainty import ModelError
+from tankrig.estimation.versions import Models
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]

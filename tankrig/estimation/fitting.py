@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.corrections import MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit, few_steps
 from tankrig.estimation.followed import Model
-from tankrig.estimation.forward import COARSE, image_of, stated_error
 from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
 from tankrig.estimation.parameters import Block
@@ -18,6 +17,8 @@ from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import RIVAL, Told, by_cost, densities, first_guess, profiled, search
 from tankrig.estimation.shots import Fit, Shot, rough_problem, weighed_problem
+from tankrig.estimation.stated_errors import COARSE, stated_error
+from tankrig.estimation.versions import image_of
 from tankrig.estimation.with_prepared import WithPrepared
 from tankrig.scene import Medium
 

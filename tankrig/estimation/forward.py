@@ -8,21 +8,16 @@ would look like a way to a better fit.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.differences import (
     EXACT_STEP,
-    Forward,
-    Slopes,
-    family_slopes_of,
-    liquid_slopes_of,
     slopes_of,
 )
 from tankrig.estimation.followed import (
@@ -38,6 +33,8 @@ from tankrig.estimation.followed import (
 )
 from tankrig.estimation.light_beside import WithBeside, described_beside, with_light
 from tankrig.estimation.phase_families import Family
+from tankrig.estimation.stated_errors import COARSE, FINE, stated_error
+from tankrig.estimation.versions import Exact, Models, image_of
 from tankrig.estimation.with_prepared import WithPrepared
 from tankrig.image.predict import predict
 from tankrig.prediction import Prediction, Skipped
@@ -47,11 +44,6 @@ from tankrig.scene.phase_table import PhaseFunction
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
 
-Exact = Callable[[Medium, float], Prediction]
-"""The same as accurately as can be, with so many times as many light paths."""
-
-COARSE, FINE = 0.05, 0.01
-"""Tolerance of cheap and of accurate images."""
 COARSE_BATCHES, SMOOTHED_BATCHES = 2, 6
 """Shifted lattices of light paths of the tank model's cheap images: where every path stands for all starts, and where
 it does not and noise is told from light by their scatter (two of them err by 7 % unseen, four by 1.5 %)."""
@@ -68,107 +60,10 @@ ROUGH_SOURCE = 6
 """Lattices that make the source of the orders that are solved for, on the way there."""
 NEAR_NOISE, NEAR_BATCHES = 0.01, 8
 """Noise of the images that lead from the search's end to where accurate ones are worth their price."""
-
 EXACT_NOISE, EXACT_BATCHES = 0.0005, 128
 """The same for the one image, at the optimum, that the others are corrected by."""
-
 EXACT_ORDERS = 2
 """That are computed without paths."""
-
-ERROR_PIXELS = 4.0
-"""Standard deviation of the Gaussian over which a stated noise is averaged."""
-
-
-@dataclass(frozen=True)
-class Models:
-    """Versions of one forward model.
-
-    Parameters
-    ----------
-    coarse
-        Cheap.
-    refine
-        From a medium near the optimum to an accurate version and one to differentiate; None where the cheap one does
-        for both.
-    slopes
-        Derivatives by σa, σs, g, (3, rows, columns), of the model itself; None to take differences.
-    range
-        Media that it answers for; None: all.
-    exact
-        The most accurate version, for one image at the optimum, and with so many times its paths; None where the
-        accurate one is that.
-    central
-        Whether differences look at both sides.
-    family
-        Of the phase functions of its media; None: Henyey–Greenstein.
-    look
-        Pixels along the side of a block that the search takes for one, and the cheap version of such blocks' image;
-        None where it looks at single pixels.
-    low
-        Orders 1 and 2 alone, where they are exact and cost little beside the others; None where they are not.
-    along
-        Derivatives by σa, σs and the shares of the ways to other phase functions, of a model that has them for less
-        than images; None to take differences.
-    different
-        Gives versions for media of another family; None: these.
-    slopes_noise
-        Patterns of the noise of `slopes`, (n, 3, rows, columns); None where it is not known.
-    prepares
-        Whether accurate versions are prepared about a medium, so that they answer for its neighbourhood only.
-    """
-
-    coarse: Model
-    refine: Callable[[Medium], tuple[Model, Model]] | None
-    slopes: Slopes | None = None
-    range: Range | None = None
-    exact: Exact | None = None
-    central: bool = True
-    family: Family | None = None
-    look: tuple[int, Model] | None = None
-    low: Model | None = None
-    along: "Callable[[Medium, Sequence[PhaseFunction]], Image] | None" = None
-    different: "Callable[[Family], Models] | None" = None
-    slopes_noise: Slopes | None = None
-    prepares: bool = False
-
-    def of(self, family: Family | None) -> "Models":
-        """Versions for media of a family's phase functions."""
-        own = self if self.different is None or family is None else self.different(family)
-        return replace(own, family=family)
-
-    def slopes_of(self, model: Model, length_mm: float) -> Slopes:
-        """Derivatives: the model's own, or by differences of one of its versions."""
-        if self.family is not None and self.along is not None:
-            return family_slopes_of(self.along, self.family)
-        if isinstance(model, WithPrepared) or (isinstance(model, Followed) and model.family is self.family):
-            return model.slopes
-        if self.family is not None:
-            low = None if self.low is None else image_of(self.low)
-            return liquid_slopes_of(image_of(model), length_mm, self.family, self.central, low=low)
-        if isinstance(model, Followed):  # of a family: a first guess is Henyey–Greenstein's
-            return replace(model, family=None).slopes
-        if isinstance(model, Solved | WithBeside):
-            return model.slopes
-        return self.slopes or slopes_of(image_of(model), length_mm, self.central)
-
-    def slopes_noise_of(self, model: Model) -> Slopes | None:
-        """Patterns of these derivatives' noise, (n, 3, rows, columns); None where they are not known."""
-        if isinstance(model, Followed):
-            return model.slopes_noise if model.family is self.family else None
-        if self.family is None and isinstance(model, Solved | WithBeside):
-            return model.slopes_noise
-        return self.slopes_noise if self.family is None else None
-
-    def quick(self, model: Model) -> bool:
-        """Whether a version's derivatives come with its images, for less than their own price, or save many of them."""
-        if isinstance(model, WithPrepared):
-            return True
-        beams = model.main if isinstance(model, WithBeside) else model
-        return self.slopes is not None or (self.family is None and isinstance(beams, Followed))
-
-    def refined(self, medium: Medium) -> tuple[Model, Model]:
-        """See `refine`."""
-        return self.refine(medium) if self.refine is not None else (self.coarse, self.coarse)
 
 
 def is_ideal(scene: Scene) -> bool:
@@ -502,52 +397,3 @@ def _models_with_beside(scene: Scene) -> Models:
         main, coarse=with_rough(main.coarse), refine=refined, exact=accurate, look=(by, rougher),
         different=partial(family_models, scene) if scene.tank.faces.dark else whole.of,
     )  # fmt: skip
-
-
-def stated_error(prediction: Prediction) -> float:
-    """What a prediction says about its error, relative L2 of the image: noise, and what it left out with a bound."""
-    size = float(np.linalg.norm(prediction.image))
-    return float(np.linalg.norm(error_map(prediction))) / size if size > 0.0 else 0.0
-
-
-def error_map(prediction: Prediction) -> NDArray[np.float64]:
-    """The same by pixel, W/mm²/sr: the noise where it is, what was left out in proportion to the image.
-
-    The stated noise is averaged over a few pixels: from few batches of paths it is itself noisy, and a pixel that
-    seems free of noise would get a weight it has not earned.
-    """
-    from scipy.ndimage import gaussian_filter
-
-    left_out = math.hypot(*(part.bound for part in prediction.skipped if math.isfinite(part.bound)))
-    error: NDArray[np.float64] = left_out * np.abs(np.asarray(prediction.image, float))
-    if prediction.stderr is None:
-        return error
-    variance: NDArray[np.float64] = gaussian_filter(np.square(np.asarray(prediction.stderr, float)), ERROR_PIXELS)
-    whole: NDArray[np.float64] = np.hypot(error, np.sqrt(variance))
-    return whole
-
-
-def smooth_error_map(prediction: Prediction) -> NDArray[np.float64]:
-    """The same without the noise whose patterns are known."""
-    if prediction.patterns is None or prediction.stderr is None:
-        return error_map(prediction)
-    known = np.sum(np.square(np.asarray(prediction.patterns, float)), axis=0)
-    rest = np.sqrt(np.maximum(np.square(np.asarray(prediction.stderr, float)) - known, 0.0))
-    return error_map(replace(prediction, stderr=rest))
-
-
-def counted_error(prediction: Prediction, gain: float) -> Image:
-    """The model's error by pixel in units of the image, which no pixel has more of than of a coarse image."""
-    error: Image = abs(gain) * np.minimum(error_map(prediction), COARSE * np.abs(prediction.image).max())
-    return error
-
-
-def image_of(model: Model) -> Forward:
-    """Its image alone."""
-    return lambda medium: model(medium).image
-
-
-def corrected(model: Model, centre: Medium, exact: Prediction) -> Model:
-    """A model with the error that it shows at one medium taken off, which stays what it is nearby."""
-    error = model(centre).image - exact.image
-    return lambda medium: replace(exact, image=model(medium).image - error)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from tankrig.errors import ImageError
 from tankrig.estimation.astray import SIGNS, causes
-from tankrig.estimation.forward import smooth_error_map, stated_error
 from tankrig.estimation.found_optics import as_found
 from tankrig.estimation.light_beside import sizes_along
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
@@ -17,6 +16,7 @@ from tankrig.estimation.observation import structure
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import ALIKE, COUNTED
 from tankrig.estimation.shots import Fit
+from tankrig.estimation.stated_errors import smooth_error_map, stated_error
 from tankrig.estimation.uncertainty import ModelError, PatternedError, SmoothError
 from tankrig.estimation.verdict import TELLING_MOVE
 from tankrig.prediction import Prediction

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.fitting import fitted, guessed, promising
-from tankrig.estimation.forward import Exact
 from tankrig.estimation.ink_blocks import Doses, DosesBlock, InkBlock
 from tankrig.estimation.parameters import Block, MediumBlock
 from tankrig.estimation.phase_average import averaged
@@ -27,6 +26,7 @@ from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
 from tankrig.estimation.shots import Fit, Shot
+from tankrig.estimation.versions import Exact
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 

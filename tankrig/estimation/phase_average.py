@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.forward import Exact
 from tankrig.estimation.nearby import Nearby
 from tankrig.estimation.parameters import WIDEST
 from tankrig.estimation.phase_families import (
@@ -40,6 +39,7 @@ from tankrig.estimation.phase_families import (
 )
 from tankrig.estimation.phase_result import PhaseCurve, Scattering, scattering_of
 from tankrig.estimation.problem import Evaluation
+from tankrig.estimation.versions import Exact
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 from tankrig.scene.phase_functions import Mixture

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.fitting import Searched
-from tankrig.estimation.forward import Models
 from tankrig.estimation.left_over import Left, Shown, stated_errors
 from tankrig.estimation.phase_answer import Asked
 from tankrig.estimation.phase_instead import Freed, Instead, fitted_instead, freed
@@ -26,6 +25,7 @@ from tankrig.estimation.residual import (
 )
 from tankrig.estimation.search import Told
 from tankrig.estimation.shots import Shot, weighed_problem
+from tankrig.estimation.versions import Models
 from tankrig.light.rays import shift_invariant
 from tankrig.scene import Scene
 

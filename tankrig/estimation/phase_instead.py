@@ -7,14 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from tankrig.estimation.forward import COARSE, Models, image_of, models_of
+from tankrig.estimation.forward import models_of
 from tankrig.estimation.optimiser import COARSE_ENOUGH, solve
 from tankrig.estimation.parameters import MediumBlock
 from tankrig.estimation.phase_block import CoefficientsBlock, PhaseBlock
 from tankrig.estimation.phase_families import free
 from tankrig.estimation.phase_result import coefficients_by
 from tankrig.estimation.problem import Evaluation, Problem
+from tankrig.estimation.stated_errors import COARSE
 from tankrig.estimation.uncertainty import ModelError, PatternedError, Sensitivity, SmoothError
+from tankrig.estimation.versions import Models, image_of
 from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]

@@ -13,11 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from tankrig.estimation.forward import stated_error
 from tankrig.estimation.left_over import error_of, rms
 from tankrig.estimation.observation import structure
 from tankrig.estimation.phase_block import PhaseBlock
 from tankrig.estimation.problem import Evaluation, Problem
+from tankrig.estimation.stated_errors import stated_error
 from tankrig.estimation.uncertainty import total
 from tankrig.prediction import Prediction
 from tankrig.scene import Scene

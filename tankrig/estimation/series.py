@@ -17,7 +17,7 @@ from tankrig.estimation.astray import ASTRAY, Astray
 from tankrig.estimation.coordinates import Range, to_coordinates
 from tankrig.estimation.estimate import Free, determined, nuisances_of, with_astray
 from tankrig.estimation.fitting import fitted
-from tankrig.estimation.forward import Models, family_models
+from tankrig.estimation.forward import family_models
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
 from tankrig.estimation.left_over import Left, error_of, left_over, moved_by_halos, rms, spread_of
 from tankrig.estimation.observation import Observation, observe
@@ -54,6 +54,7 @@ from tankrig.estimation.verdict import (
     what_may_be_another_phase,
     what_no_phase_describes,
 )
+from tankrig.estimation.versions import Models
 from tankrig.light.rays import shift_invariant
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction

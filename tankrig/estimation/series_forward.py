@@ -10,8 +10,10 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from tankrig.estimation.followed import Model, in_water, remembered
-from tankrig.estimation.forward import SMOOTHED_BATCHES, Models, low_orders_of, stated_error
+from tankrig.estimation.forward import SMOOTHED_BATCHES, low_orders_of
 from tankrig.estimation.phase_families import Family
+from tankrig.estimation.stated_errors import stated_error
+from tankrig.estimation.versions import Models
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 

@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.differences import Forward, Slopes
 from tankrig.estimation.followed import Model
-from tankrig.estimation.forward import COARSE, Exact, Models, counted_error, image_of
 from tankrig.estimation.observation import Observation
 from tankrig.estimation.parameters import Block
 from tankrig.estimation.problem import Evaluation, Problem, View
 from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.stated_errors import COARSE, counted_error
 from tankrig.estimation.uncertainty import PATTERN, SmoothError
+from tankrig.estimation.versions import Exact, Models, image_of
 from tankrig.prediction import Prediction
 from tankrig.scene import Scene
 

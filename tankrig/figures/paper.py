@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tankrig.estimation.estimate import Estimate, estimate
-from tankrig.estimation.forward import FINE
 from tankrig.estimation.result import Reconstruction, by_order
+from tankrig.estimation.stated_errors import FINE
 from tankrig.figures.fit_figure import draw_reconstructions
 from tankrig.figures.tank_image import FALSE_COLOUR, GREY, STYLE, Image, brightness, draw, label_outer
 from tankrig.files import whole_file

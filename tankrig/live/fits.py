@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.astray import unmeasured
 from tankrig.estimation.followed import Model
-from tankrig.estimation.forward import Models, models_of
+from tankrig.estimation.forward import models_of
 from tankrig.estimation.phase_answer import asked_for
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import InkAndWater, estimate_series, fit_liquid, observed
 from tankrig.estimation.series_forward import PURE_WATER_SIGMA_S, ModelOf, prepared_model
+from tankrig.estimation.versions import Models
 from tankrig.image.prepare import Prepared
 from tankrig.live.exposures import Photograph
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, SingleScattering

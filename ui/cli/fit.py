@@ -198,8 +198,8 @@ def fit(
     image; writes a picture of that beside the observation.
     """
     import tankrig
-    from tankrig.estimation.forward import FINE
     from tankrig.estimation.result import by_order
+    from tankrig.estimation.stated_errors import FINE
     from tankrig.files import require_writable, whole_file
 
     if dark is not None and dark_pattern is not None:
