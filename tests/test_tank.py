@@ -242,7 +242,7 @@ def test_with_pinholes_too_a_fit_can_follow_the_image_as_the_medium_changes() ->
 @pytest.mark.parametrize("beam", [(0.0, 20.0), (60.0, 76.0)])
 def test_order_2_beside_the_walls_is_the_sum_over_rays(beam: tuple[float, float]) -> None:
     """Where light, and lines of sight, leave through a side wall, order 2 was up to nine times too bright."""
-    from tankrig.light.double.table import Pair, pair_radiance
+    from tankrig.light.double.ray_and_sight import Pair, pair_radiance
     from tankrig.light.rays import geometry_of
 
     light = Projector("pinhole", (Beam(beam, (58.0, 62.0)),), (-400.0, 0.0, 60.0))

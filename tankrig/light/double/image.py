@@ -15,19 +15,8 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.light.double.lit import COARSE_FROM, filled, lit_heights
-from tankrig.light.double.table import (
-    FINE,
-    STEEP_G,
-    LitHeight,
-    Stack,
-    Table,
-    curvature,
-    depth_below,
-    depth_seen,
-    lagrange,
-    share_within,
-    y_weights,
-)
+from tankrig.light.double.ray_and_sight import depth_below, depth_seen, share_within
+from tankrig.light.double.table import FINE, STEEP_G, LitHeight, Stack, Table, curvature, lagrange, y_weights
 from tankrig.light.double.wall import Tabulated, served
 from tankrig.light.elementary import exponential
 from tankrig.light.quadrature import Rule, gauss_legendre

@@ -18,17 +18,8 @@ from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.light.double.image import add_beams, columns_of
 from tankrig.light.double.lit import lit_heights
-from tankrig.light.double.table import (
-    FINE,
-    PANEL,
-    Pair,
-    Stack,
-    Table,
-    cut_at_critical_angle,
-    half_circle,
-    laid_out,
-    panel_cuts,
-)
+from tankrig.light.double.ray_and_sight import PANEL, Pair, cut_at_critical_angle, half_circle, panel_cuts
+from tankrig.light.double.table import FINE, Stack, Table, laid_out
 from tankrig.light.elementary import exponential
 from tankrig.light.quadrature import Rule, gauss_legendre
 from tankrig.light.rays import Geometry, path_inside, sight_line
