@@ -162,7 +162,7 @@ def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bo
 
 
 def _validate(path: Path, description: "RigFile", liquid: "DosePlan", as_json: bool) -> None:
-    """As `tankrig validate` does; the simulated light is unpolarised."""
+    """As `tankrig validate` does."""
     from tankrig.live.refit import refit
     from tankrig.report import validation_of, write_validation
     from tankrig.run.reading import open_run
@@ -172,7 +172,7 @@ def _validate(path: Path, description: "RigFile", liquid: "DosePlan", as_json: b
 
     with progress_shown() as told:
         refit(path, progress=told)  # what a slow machine had no time for while the run went on
-    found = validation_of(open_run(path), liquid.optics, stock=liquid.dilution, polarisation=0.0)
+    found = validation_of(open_run(path), liquid.optics, stock=liquid.dilution)
     file = write_validation(path, found)
     if as_json:
         click.echo(json.dumps(fields_of(found) | {"run": str(path), "report": str(file)}, ensure_ascii=False))
@@ -180,6 +180,8 @@ def _validate(path: Path, description: "RigFile", liquid: "DosePlan", as_json: b
         tell_fits(fits_of(path, description))
         tell(found)
         click.echo(f"completed: {path}, compared with {liquid.optics.material.title} in {file}")
+        stock = f" --stock {liquid.dilution}" if liquid.dilution > 1 else ""
+        click.echo(f"to compare it again: tankrig validate {path} --material {liquid.optics.material.name}{stock}")
 
 
 def truth_of(liquid: "DosePlan") -> str:
