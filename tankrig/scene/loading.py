@@ -11,6 +11,7 @@ from tankrig import bounded_reading
 from tankrig.checked_toml import checked, read_toml
 from tankrig.errors import SceneError
 from tankrig.scene.description import Scene
+from tankrig.scene.optics import SAID
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
@@ -153,3 +154,16 @@ def _written(table: dict[str, Any]) -> Iterator[tuple[str, bool]]:
     yield "camera.pixel_mm", table["camera"]["kind"] == "calibrated" or "pixel_mm" in table["camera"]
     for index, beam in enumerate(table["projector"]["beams"]):
         yield f"projector.beams[{index}].irradiance", "irradiance" in beam
+    yield from ((f"tank.faces.{face}.reflectance", False) for face in unsaid_reflectances(table["tank"]))
+
+
+def unsaid_reflectances(tank: dict[str, Any]) -> list[str]:
+    """Names of the faces in a file's table of a tank that reflect as much as nobody says.
+
+    Examples
+    --------
+    >>> unsaid_reflectances({"faces": {"floor": {"kind": "diffuse"}, "far": {"kind": "glass"}}})
+    ['floor']
+    """
+    faces: dict[str, dict[str, Any]] = tank.get("faces", {})
+    return [name for name, face in faces.items() if face.get("kind") in SAID and "reflectance" not in face]
