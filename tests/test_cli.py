@@ -5,12 +5,14 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import MappingProxyType
 
 import click
 import numpy as np
 import pytest
 
 import tankrig
+from tankrig.prediction import Skipped
 from ui.cli import COMMANDS, main
 
 SCENE = Path(__file__).parent / "data" / "reference" / "pub02.toml"
@@ -173,3 +175,21 @@ def test_predict_with_json_prints_one_line_of_json(tmp_path: Path, capsys: pytes
     assert record["arrays"] == str(file)
     with np.load(file) as data:
         assert record["peak"] == pytest.approx(float(data["total"].max()))
+
+
+def test_an_image_without_light_says_so_and_why_it_is_not_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It blamed a budget of 120 s that it had not used, by a name that the command does not have."""
+    what = "all light: none of the light paths that were followed reached the camera"
+    dark = tankrig.Prediction(
+        np.zeros((80, 120)), "tank", MappingProxyType({}), np.zeros((80, 120)),
+        (Skipped(what, 1.0), Skipped("tables", 0.0), Skipped("orders above 30000", 1.0)),
+    )  # fmt: skip
+    monkeypatch.setattr("tankrig.light.tank.tank_image", lambda *_, **__: dark)
+    assert main(["predict", str(SCENE), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert f"more than --tolerance 0.01 (left out: {what})" in told
+    assert "though the liquid is lit and scatters" in told
+    assert "budget" not in told
+    assert "tables" not in told  # by at most 0

@@ -76,7 +76,8 @@ class Commands(click.Group):
 def tankrig() -> None:
     """Predict and measure how light scatters in a tank, and run the rig that does it.
 
-    Exit status: 0 done, 1 failure, 2 bad input, 3 a person has to decide.
+    Exit status: 0 done, 1 failure, 2 bad input, 3 a person has to decide. An image that misses its tolerance, a liquid
+    that is not determined and a comparison that is not passed are results: they are said, and the status is 0.
     """
 
 
