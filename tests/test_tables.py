@@ -1,7 +1,10 @@
-"""Tables on a terminal: every number is whole on one line, however narrow it is."""
+"""What commands show: numbers whole on one line however narrow the terminal, and what is being done, without one."""
+
+import time
 
 import pytest
 
+from ui.cli import stages
 from ui.cli.tables import tell_table
 
 HEADINGS = ("model", "RMSE", "σs, 1/m", "g", "ΔAIC", "what it says")
@@ -26,3 +29,24 @@ def test_no_number_is_cut_or_torn_apart(
         for cell in row[: 5 if sentences else 6]:
             assert any(cell in line and row[0] in line for line in lines), cell
     assert max(map(len, lines)) <= max(columns, 17 + 2 + 21)
+
+
+def test_without_a_terminal_what_is_done_is_a_line_each(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A log without a line for minutes looks like a program that hangs; a quick command needs none."""
+    monkeypatch.setattr(stages, "_POLL_S", 0.005)
+    with stages.stages_shown("reading"):
+        pass
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(stages, "FIRST_S", 0.0)
+    monkeypatch.setattr(stages, "AGAIN_S", 0.05)
+    with stages.stages_shown("reading") as told:
+        time.sleep(0.03)
+        for left in range(20):
+            told("fitting [all]", f"{left} left")
+            time.sleep(0.01)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "0 s: reading"
+    assert lines[1].startswith("0 s: fitting [all]; ")
+    assert 3 <= len(lines) < 10  # once more while it lasts, and not with each change of what is left

@@ -3,7 +3,7 @@
 import json
 import math
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,9 +12,10 @@ import click
 
 from tankrig.errors import StoreError
 from ui.cli.options import json_option, out_option, scene_option
+from ui.cli.stages import stages_shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Sequence
 
     from tankrig.calibration.radiometry import Radiometry
     from tankrig.estimation.estimate import Estimate
@@ -201,6 +202,7 @@ def fit(
     from tankrig.estimation.forward import FINE
     from tankrig.estimation.result import by_order
     from tankrig.files import require_writable, whole_file
+    from tankrig.live.one_picture import brighter_far
 
     if dark is not None and dark_pattern is not None:
         raise click.UsageError("--dark-pattern holds what --dark does; give one of them")
@@ -217,6 +219,11 @@ def fit(
     except tankrig.ImageError as error:
         raise error if str(image_file) in str(error) else tankrig.ImageError(f"{image_file}: {error}") from error
     notes = [] if raw is None else raw.notes(picture.scene, scene_file)
+    if (times := brighter_far(picture)) > 1.0:
+        notes.append(
+            f"{image_file} is {times:.2g} times as bright at the far end as where light enters, at column 0; if it is "
+            "mirrored or turned by half a turn, no liquid explains it"
+        )
     for note in notes:
         click.echo(f"note: {note}", err=True)
     require_writable(out)
@@ -226,7 +233,7 @@ def fit(
     asked: dict[str, Any] = {"gain": gain, "offset": offset, "noise": noise, "nuisance": dict(nuisance)}
     seen: dict[str, Any] = {**asked, "mask": picture.mask if picture.mask.any() else None}
     fitted = None
-    with _told() as tell:
+    with stages_shown() as tell:
         started = time.perf_counter()
         try:
             fitted = tankrig.estimate(
@@ -382,19 +389,6 @@ def _picture(
             scene = replace(scene, projector=replace(scene.projector, black_level=0.0))
     mask = None if mask_file is None else read_mask(mask_file)
     return picture_of(image, scene, hot, full, edges, mask)
-
-
-@contextmanager
-def _told() -> "Iterator[Callable[[str], None]]":
-    """What is being done, with the time that it has taken."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("reading")
-        yield lambda what: progress.update(task, description=what)
 
 
 def _left_out(picture: "Picture") -> dict[str, Any]:
