@@ -24,6 +24,7 @@ from tankrig.run.writer import RunWriter
 from tankrig.scene.description import Camera, Medium, Tank
 from tankrig.sequence.loading import sequence_from_table
 from ui.cli import main
+from ui.cli.fits import fits_of, tell_fits
 
 from .seen_pictures import report_shows
 
@@ -146,6 +147,19 @@ def test_what_is_no_run_or_shows_nothing_is_refused_and_nothing_is_written(
     assert main(["report", str(tmp_path / "empty"), "--json"]) == 2
     assert "no photograph" in capsys.readouterr().err
     assert list(tmp_path.rglob("*.html")) == []
+
+
+def test_the_table_of_fits_says_of_single_scattering_what_the_report_does(
+    run: Path, page: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was compared with the truth where that was known, so run, refit and report told three numbers."""
+    monkeypatch.setenv("COLUMNS", "60")
+    for description in (load_rig_file(SIMULATED), None):
+        tell_fits(fits_of(run, description))
+        told = capsys.readouterr().out
+        assert told.count("-50 %") == page.count("-50 %") == 2
+        assert "…" not in told
+        assert "had single scattering alone explained the photographs" in told
 
 
 def test_the_command_says_where_the_report_is(

@@ -84,6 +84,8 @@ def run(
             sequence = replace(sequence, phase=phase)
         plan = planned(sequence, description, path, fit)
         if dry_run:
+            if rig is None:
+                click.echo("no rig is configured, so this is the simulated rig", err=True)
             _tell_plan(plan, as_json)
             return 0
     runner = open_runner(sequence, path, description, delivered_ul)
