@@ -48,7 +48,13 @@ def test_help_lists_the_commands_and_version_is_the_installed_one(capsys: pytest
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["predcit"], "No such command 'predcit'"),
+        (["predcit"], "No such command 'predcit'; did you mean 'predict'? (see tankrig --help)"),
+        (["fti", "x"], "No such command 'fti'; did you mean 'fit'? (see tankrig --help)"),
+        (["materials", "shw"], "No such command 'shw'; did you mean 'show'? (see tankrig materials --help)"),
+        (["quantify"], "No such command 'quantify'; see tankrig --help"),
+        (["export-medium", "x.json"], "Missing option '--to'. Choose from: mitsuba, pbrt, mcx, csv; see"),
+        (["materials", "show", "foo"], 'material "foo" is unknown; tankrig materials lists those that are known'),
+        (["predict", "{scene}", "--tolerence", "1"], "did you mean '--tolerance'? (see"),
         (["predict"], "Missing argument 'SCENE'; see tankrig predict --help"),
         (["predict", "nowhere.toml"], "nowhere.toml: cannot be read (No such file or directory); give"),
         (["predict", "{scene}", "--toleranse", "0.1"], "No such option '--toleranse'"),

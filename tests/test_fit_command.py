@@ -141,6 +141,8 @@ GOOD = np.linspace(1.0, 2.0, 600).reshape(20, 30)
         (GOOD, ["--max-order", "0"], "max-order"),
         (GOOD, ["--nuisance", "much"], "NAME=SD"),
         (GOOD, ["--nuisance", "x_mm=1"], "x_mm"),
+        (GOOD, ["--nuisance", "foo=1"], "use one of z_mm, y_mm, tilt_mrad, scale, halo, veil, blur_mm2, floor, pane,"),
+        (GOOD, ["--model", "foo"], 'model = "foo" is unknown; use one of prepared, tank, single,'),
         (GOOD, ["--rig", "rig.toml"], "--rig belongs to a raw frame; give its --exposure-ms too"),
         (GOOD, ["--dark", "dark.png"], "--dark belongs to a raw frame; give its --exposure-ms too"),
     ],
