@@ -1,6 +1,5 @@
 """From a scene file (TOML) to a checked `Scene`."""
 
-import math
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,6 +11,7 @@ from tankrig.checked_toml import checked, read_toml
 from tankrig.errors import SceneError
 from tankrig.scene.description import Scene
 from tankrig.scene.optics import SAID
+from tankrig.scene.phase_functions import Tabulated
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
@@ -116,8 +116,10 @@ def _with_phase_table(medium: Any, folder: Path, name: str) -> Any:
             raise SceneError(f'{file}: row {number}, "{line[:40]}", is not "cosine value"; mend it') from error
         cosines.append(cosine)
         values.append(value)
-    if not all(math.isfinite(one) for one in (*cosines, *values)):
-        raise SceneError(f"{file}: holds a number that is not finite; mend it")
+    try:
+        Tabulated(tuple(cosines), tuple(values))
+    except SceneError as error:  # here, where the file can be named
+        raise SceneError(f"{file}: {error}") from error
     rest = {key: value for key, value in phase.items() if key != "file"}
     return {**medium, "phase": {**rest, "cosines": cosines, "values": values}}
 
