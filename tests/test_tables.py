@@ -35,7 +35,7 @@ def test_without_a_terminal_what_is_done_is_a_line_each(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A log without a line for minutes looks like a program that hangs; a quick command needs none."""
-    monkeypatch.setattr(stages, "_POLL_S", 0.005)
+    monkeypatch.setattr(stages, "POLL_S", 0.005)
     with stages.stages_shown("reading"):
         pass
     assert capsys.readouterr().err == ""

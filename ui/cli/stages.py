@@ -10,7 +10,8 @@ FIRST_S = 2.0
 """Of silence, which commands that are quick end within."""
 AGAIN_S = 30.0
 """After which a stage that lasts is told once more."""
-_POLL_S = 0.25
+POLL_S = 0.25
+"""Between two looks at what is being done."""
 
 
 class Tell(Protocol):
@@ -60,7 +61,7 @@ def _lines(print_line: Callable[..., None], first: str) -> Iterator[Tell]:
 
     def write() -> None:
         written, at = "", began
-        while not ended.wait(_POLL_S):
+        while not ended.wait(POLL_S):
             now, (what, more) = time.monotonic(), stage[0]
             if now - began >= FIRST_S and (what != written or now - at >= AGAIN_S):
                 print_line(f"{now - began:.0f} s: {_both(what, more)}", highlight=False, markup=False, soft_wrap=True)
