@@ -3,8 +3,8 @@
 from collections.abc import Collection, Sequence
 from typing import Literal
 
-GAP = 2
-"""Spaces between two columns."""
+GAPS = (2, 1)
+"""Spaces between two columns, and where the terminal is too narrow for these."""
 
 
 def tell_table(
@@ -34,22 +34,25 @@ def tell_table(
     from rich.text import Text
 
     console = Console()
-    for part in parts_of(headings, rows, console.width, sentences):
-        table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, GAP, 0, 0))
+    gap = next((one for one in GAPS if len(parts_of(headings, rows, console.width, sentences, one)) == 1), GAPS[-1])
+    parts = parts_of(headings, rows, console.width, sentences, gap)
+    for part in parts:
+        table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, gap, 0, 0))
         for column in part:
             wraps = sentences and column == len(headings) - 1
             justify: Literal["left", "right"] = "left" if column in left or wraps else "right"
             table.add_column(Text(headings[column]), justify=justify, no_wrap=not wraps, overflow="fold")
         for number, row in enumerate(rows):
-            cells = [Text(row[column]) for column in part] if row else [Text("")]
-            table.add_row(*cells, style=styles[number] if styles else None)
+            cells = [row[column] for column in part] if row else [""]
+            if len(parts) == 1 or any(cells[1:]):
+                table.add_row(*map(Text, cells), style=styles[number] if styles else None)
         # Where two columns alone are wider than the terminal, it breaks their lines, and in a file they are whole.
-        needed = sum(_needed(headings, rows, column, sentences) + GAP for column in part) - GAP
+        needed = sum(_needed(headings, rows, column, sentences) + gap for column in part) - gap
         Console(width=max(console.width, needed)).print(table, highlight=False)
 
 
 def parts_of(
-    headings: Sequence[str], rows: Sequence[Sequence[str]], width: int, sentences: bool = False
+    headings: Sequence[str], rows: Sequence[Sequence[str]], width: int, sentences: bool = False, gap: int = GAPS[0]
 ) -> list[list[int]]:
     """Numbers of the columns that stand beside each other, so that none is cut.
 
@@ -63,7 +66,7 @@ def parts_of(
     first = used = _needed(headings, rows, 0, sentences)
     parts: list[list[int]] = [[0]]
     for column in range(1, len(headings)):
-        needs = GAP + _needed(headings, rows, column, sentences)
+        needs = gap + _needed(headings, rows, column, sentences)
         if used + needs > width and len(parts[-1]) > 1:
             parts.append([0])
             used = first
