@@ -22,7 +22,7 @@ class Tell(Protocol):
 
 
 @contextmanager
-def stages_shown(first: str = "reading") -> Iterator[Tell]:
+def stages_shown(first: str = "reading", apart_s: float = 0.0) -> Iterator[Tell]:
     """Show the stage that a command is in, with the time that it has taken.
 
     Where stderr is no terminal, as in a scheduler's log, a stage is a line of its own, written when it begins, and
@@ -32,13 +32,15 @@ def stages_shown(first: str = "reading") -> Iterator[Tell]:
     ----------
     first
         In a few words, what is done until the function that is given is called with others.
+    apart_s
+        Between two lines at least, where stages are many and short.
     """
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        with _lines(console.print, first) as told:
+        with _lines(console.print, first, apart_s) as told:
             yield told
         return
     columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
@@ -56,14 +58,15 @@ def _both(what: str, more: str) -> str:
 
 
 @contextmanager
-def _lines(print_line: Callable[..., None], first: str) -> Iterator[Tell]:
+def _lines(print_line: Callable[..., None], first: str, apart_s: float) -> Iterator[Tell]:
     began, stage, ended = time.monotonic(), [(first, "")], threading.Event()
 
     def write() -> None:
         written, at = "", began
         while not ended.wait(POLL_S):
             now, (what, more) = time.monotonic(), stage[0]
-            if now - began >= FIRST_S and (what != written or now - at >= AGAIN_S):
+            due = now - at >= (AGAIN_S if what == written else apart_s)
+            if now - began >= FIRST_S and due:
                 print_line(f"{now - began:.0f} s: {_both(what, more)}", highlight=False, markup=False, soft_wrap=True)
                 written, at = what, now
 
