@@ -125,7 +125,8 @@ def why_missed(prediction: Prediction, tolerance: float) -> str:
     finite = [part for part in prediction.skipped if tolerance < part.bound < math.inf]
     if not finite:
         return "its noise and what was left out together"
-    return f"left out: {max(finite, key=lambda part: part.bound).what}"
+    # Of equal ones the last: that no light is seen at all is told after which orders are not.
+    return f"left out: {max(reversed(finite), key=lambda part: part.bound).what}"
 
 
 def _by_model(

@@ -220,8 +220,7 @@ def _ideal_image(
     image = np.sum(list(whole.values()), axis=0)
     lit = any(beam.power > 0.0 for beam in scene.projector.beams)
     if lit and scene.medium.sigma_s > 0.0 and not image.any():
-        # Before what else is not seen: this is the reason that a person needs.
-        skipped.insert(0, Skipped("all light: none of the light paths that were followed reached the camera", 1.0))
+        skipped.append(Skipped("all light: none of the paths reached the camera", 1.0))
     if tables > 0.0:
         skipped.append(Skipped("tables that order 2 is looked up in", tables * relative_norm(known, image)))
     return Prediction(image, "tank", MappingProxyType(whole), stderr, tuple(skipped))
