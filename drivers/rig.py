@@ -20,6 +20,7 @@ from tankrig.dosing import DoseLimits, TankLedger
 from tankrig.errors import DeviceError, SceneError, SettingsError
 from tankrig.run.rig import Rig, RigLock
 from tankrig.scene.description import CLOSED, Medium
+from tankrig.scene.loading import unsaid_reflectances
 from tankrig.sequence import ExposureRule, Pace
 from tankrig.sequence.exposure import LEAST_PERIOD_MS
 from tankrig.sequence.steps import MOST_EXPOSURE_MS
@@ -135,6 +136,8 @@ def load_rig_file(path: str | os.PathLike[str], beside: Path | None = None) -> R
         if isinstance(given := table.get(name, usual), str):  # what is none is refused below, like any other key
             table[name] = str(beside / given)
     description = checked(RigFile, table, str(file), SceneError)
+    for face in unsaid_reflectances(table["bench"]["tank"]):
+        raise SceneError(f'{file}: key "bench.tank.faces.{face}.reflectance" is missing; add it')
     if description.camera["driver"] == "simulated-camera":
         from drivers.simulated.agreement import require_agreement
 

@@ -73,6 +73,30 @@ def test_the_table_has_a_row_for_each_fit_and_filters_leave_what_was_asked_for(
     assert len(asked("--verdict", "determined")) == 6
     assert main(["archive", str(archive), "--between", "colour", "0", "1"]) == 2
     assert "there is no column colour" in capsys.readouterr().err
+    for option, date in (
+        ("--since", "yesterday"),
+        ("--since", "2026-13-77"),
+        ("--until", "foo"),
+        ("--until", "20260301"),
+    ):
+        assert main(["archive", str(archive), option, date]) == 2
+        assert f"{date} is no date; give one such as" in capsys.readouterr().err
+    assert len(asked("--since", day[:4])) == 6
+
+
+def test_what_was_not_determined_is_marked(archive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A number that a fit could not know stood in the table as if it were one."""
+    fit = DoseFit(2.0, Medium(1e-4, 0.02, 0.6), SD, {"sigma_a": False, "sigma_s": True, "g": True}, gain=2.0)
+    with RunWriter(archive / "twin-00-000") as writer:
+        writer.put("fit", **to_fields(fit))
+    assert main(["archive", str(archive)]) == 0
+    told = capsys.readouterr().out
+    assert "0.1000 ± 0.0010?" in told
+    assert told.count("?") == 2  # and what it means
+    assert main(["archive", str(archive), "--by", "material"]) == 0
+    assert "0.1000 ± 0.0010?" in capsys.readouterr().out
+    assert main(["archive", str(archive), "--out", str(tmp_path / "page.html")]) == 0
+    assert "?</td>" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 def test_what_a_refit_finds_stands_beside_what_was_found_before(archive: Path, results: Path) -> None:

@@ -5,12 +5,14 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import MappingProxyType
 
 import click
 import numpy as np
 import pytest
 
 import tankrig
+from tankrig.prediction import Skipped
 from ui.cli import COMMANDS, main
 
 SCENE = Path(__file__).parent / "data" / "reference" / "pub02.toml"
@@ -46,7 +48,13 @@ def test_help_lists_the_commands_and_version_is_the_installed_one(capsys: pytest
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["predcit"], "No such command 'predcit'"),
+        (["predcit"], "No such command 'predcit'; did you mean 'predict'? (see tankrig --help)"),
+        (["fti", "x"], "No such command 'fti'; did you mean 'fit'? (see tankrig --help)"),
+        (["materials", "shw"], "No such command 'shw'; did you mean 'show'? (see tankrig materials --help)"),
+        (["quantify"], "No such command 'quantify'; see tankrig --help"),
+        (["export-medium", "x.json"], "Missing option '--to'. Choose from: mitsuba, pbrt, mcx, csv; see"),
+        (["materials", "show", "foo"], 'material "foo" is unknown; tankrig materials lists those that are known'),
+        (["predict", "{scene}", "--tolerence", "1"], "did you mean '--tolerance'? (see"),
         (["predict"], "Missing argument 'SCENE'; see tankrig predict --help"),
         (["predict", "nowhere.toml"], "nowhere.toml: cannot be read (No such file or directory); give"),
         (["predict", "{scene}", "--toleranse", "0.1"], "No such option '--toleranse'"),
@@ -173,3 +181,21 @@ def test_predict_with_json_prints_one_line_of_json(tmp_path: Path, capsys: pytes
     assert record["arrays"] == str(file)
     with np.load(file) as data:
         assert record["peak"] == pytest.approx(float(data["total"].max()))
+
+
+def test_an_image_without_light_says_so_and_why_it_is_not_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It blamed a budget of 120 s that it had not used, by a name that the command does not have."""
+    what = "all light: none of the paths reached the camera"
+    dark = tankrig.Prediction(
+        np.zeros((80, 120)), "tank", MappingProxyType({}), np.zeros((80, 120)),
+        (Skipped("orders above 30000", 1.0), Skipped(what, 1.0), Skipped("tables", 0.0)),
+    )  # fmt: skip
+    monkeypatch.setattr("tankrig.light.tank.tank_image", lambda *_, **__: dark)
+    assert main(["predict", str(SCENE), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert f"more than --tolerance 0.01 (left out: {what})" in told
+    assert "though the liquid is lit and scatters" in told
+    assert "budget" not in told
+    assert "tables" not in told  # by at most 0

@@ -91,4 +91,21 @@ def test_an_unknown_liquid_for_the_demo_is_refused_before_anything_runs(
 ) -> None:
     assert main(["demo", "--material", "polystirene-1.0", "--out", str(tmp_path / "demo")]) == 2
     assert "polystyrene-1.0" in capsys.readouterr().err
+    assert main(["demo", "--material", "water", "--out", str(tmp_path / "demo")]) == 2
+    assert "which no photograph shows; choose another liquid" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["milk-regular", "milk-lowfat", "polystyrene-0.2", "polystyrene-2.0", "intralipid-20"])
+@pytest.mark.parametrize("doses", [2, 3, 5])
+def test_the_demos_doses_of_any_liquid_keep_to_its_pump(name: str, doses: int) -> None:
+    """Its last three doses began above the largest that the pump may take at once, so that the demo refused itself."""
+    from drivers.rig import SIMULATED, load_rig_file
+    from ui.cli.demo import liquid_planned, sequence_of
+    from ui.cli.run import planned
+
+    plan = liquid_planned(name, 540.0)
+    sequence = sequence_of(plan.totals_ul[1:][-doses:], plan.totals_ul[1:][:-doses])
+    found = planned(sequence, load_rig_file(SIMULATED), fit=False)
+    assert found.ink_ul == pytest.approx(plan.totals_ul[-1])
+    assert sum(step.ink_ul > 0.0 for step in found.steps) == len(plan.totals_ul) - 1

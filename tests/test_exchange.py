@@ -105,6 +105,28 @@ def test_a_scenes_liquid_comes_out_as_it_went_in(tmp_path: Path) -> None:
     assert "+- 0.0001" in exported(fitted, "csv")
 
 
+@pytest.mark.parametrize("to", ["mitsuba", "pbrt", "mcx", "csv"])
+def test_what_a_fit_did_not_determine_is_said_in_the_file_and_on_the_terminal(
+    to: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whoever renders with it takes every number for a measurement."""
+    fit = {
+        "medium": {"sigma_a": 0.001, "sigma_s": 0.02, "g": 0.5},
+        "identifiable": {"sigma_a": False, "sigma_s": True, "g": False},
+    }
+    file, out = tmp_path / "fit.json", tmp_path / "liquid"
+    file.write_text(json.dumps(fit))
+    assert main(["export-medium", str(file), "--to", to, "--out", str(out)]) == 0
+    assert "σa and g are not determined by the fit" in capsys.readouterr().err
+    text = out.read_text(encoding="utf-8")
+    assert "sigma_a = 0.001 1/mm, not determined by the fit" in text
+    assert "sigma_s = 0.02 1/mm, not" not in text
+    fit["identifiable"]["sigma_a"] = fit["identifiable"]["g"] = True
+    file.write_text(json.dumps(fit))
+    assert main(["export-medium", str(file), "--to", to, "--out", str(out)]) == 0
+    assert "not determined" not in capsys.readouterr().err + out.read_text(encoding="utf-8")
+
+
 def test_a_fitted_curve_is_exported_as_that_liquid(tmp_path: Path) -> None:
     """Of a fit that weighed families only the curve at some angles is kept; by g alone it would be another liquid."""
     angle = np.array([0.0, 2.0, 5.0, *np.arange(10.0, 181.0, 5.0)])

@@ -75,6 +75,24 @@ def test_a_photograph_becomes_numbers_a_verdict_and_a_picture(
         assert arrays["fitted"].shape == arrays["residual"].shape == (20, 30)
 
 
+def test_a_mirrored_picture_is_named_before_it_is_fitted(
+    tmp_path: Path, scene_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No liquid explains it, and the search for one takes minutes."""
+    monkeypatch.setattr(tankrig, "estimate", refuse)
+    photograph = tank_photograph(load_scene(scene_file))
+    for name, pixels, named in (("as_seen", photograph, False), ("mirrored", photograph[:, ::-1], True)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), pixels)
+        command = ["fit", str(tmp_path / f"{name}.png"), "--scene", str(scene_file), "--out", str(tmp_path)]
+        assert main([*command]) == 2
+        assert ("times as bright at the far end as where light enters" in capsys.readouterr().err) is named
+
+
+def refuse(*_: object, **__: object) -> None:
+    """Stands for the fit, which has been warned of."""
+    raise tankrig.ImageError("not fitted")
+
+
 def test_json_is_one_line_that_says_it_all(
     tmp_path: Path, scene_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -123,6 +141,8 @@ GOOD = np.linspace(1.0, 2.0, 600).reshape(20, 30)
         (GOOD, ["--max-order", "0"], "max-order"),
         (GOOD, ["--nuisance", "much"], "NAME=SD"),
         (GOOD, ["--nuisance", "x_mm=1"], "x_mm"),
+        (GOOD, ["--nuisance", "foo=1"], "use one of z_mm, y_mm, tilt_mrad, scale, halo, veil, blur_mm2, floor, pane,"),
+        (GOOD, ["--model", "foo"], 'model = "foo" is unknown; use one of prepared, tank, single,'),
         (GOOD, ["--rig", "rig.toml"], "--rig belongs to a raw frame; give its --exposure-ms too"),
         (GOOD, ["--dark", "dark.png"], "--dark belongs to a raw frame; give its --exposure-ms too"),
     ],

@@ -145,6 +145,10 @@ def test_a_plan_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert "1234.4 µl" in told
     assert "total_ul = [0, " in told
     assert "photograph it too" in told
+    assert main(["materials", "plan", BEADS, "--wavelength", "633", "--sigma-s", "0.01", "--tank-ml", "5"]) == 0
+    told = capsys.readouterr().out
+    assert "dilute       1 part of it with 499 parts of water" in told
+    assert f"tankrig validate RUN --material {BEADS} --stock 500 --tank-ml 5" in told  # else it would not pass
     assert main(["materials", "plan", LIPID, "--wavelength", "633", "--sigma-s", "0.02", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["sigma_s"] == pytest.approx(0.02, rel=1e-4)
     assert main(["materials", "--json"]) == 0

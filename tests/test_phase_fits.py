@@ -729,6 +729,10 @@ def test_the_command_tells_the_phase_function(tmp_path: Path, capsys: pytest.Cap
     assert len(told["phase"]["angle_deg"]) == len(told["phase"]["value"]) == len(told["phase"]["high"])
     assert told["sigma_s_p90"]["value"] > 0.0 < told["reduced_scattering"]["value"]
     assert set(told["phase"]["parameters"]) == {"g", "alpha"}
+    assert main([*common, "--gain", "1", "--offset", "0"]) == 0
+    names = [line.split("  ")[0] for line in capsys.readouterr().out.splitlines()]
+    assert names.count("g") == 1  # the family's own g is another number
+    assert {"g of reynolds-mccormick", "alpha of reynolds-mccormick"} <= set(names)
     assert main([*common, "--phase", "henyey"]) == 2
     assert "is unknown; use one of hg" in capsys.readouterr().err
 

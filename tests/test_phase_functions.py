@@ -158,6 +158,7 @@ def test_single_knows_the_phase_function() -> None:
     assert tankrig.predict(liquid, "single").image == pytest.approx(whole.orders[1])
 
 
+INDICES = "particle_index = 1.59, water_index = 1.33, wavelength_nm = 633"
 TABLE = "\n".join(f"{c:.6f} {1.0 / (4.0 * math.pi) * (1.0 + 0.9 * c):.8f}" for c in np.linspace(-1.0, 1.0, 41))
 
 
@@ -184,6 +185,18 @@ def test_a_scene_file_names_a_phase_function(tmp_path: Path) -> None:
     [
         ('phase = { kind = "mei" }', 'medium.phase.kind = "mei" is unknown; did you mean "mie"?'),
         ('phase = { kind = "two-term", forward = 1.2, backward = 0.0, share = 0.5 }', "forward = 1.2 is outside"),
+        (
+            'phase = { kind = "two-term", forward = 1.0, backward = 0.0, share = 0.5 }',
+            "= 1.0 is outside 0 ≤ forward < 1;",
+        ),
+        (
+            f'phase = {{ kind = "mie", diameter_um = -1.0, {INDICES} }}',
+            "-1.0 is outside 0.001 … 50; give",
+        ),
+        (
+            'phase = { kind = "table", cosines = [-0.98, 1.0], values = [0.08, 0.08] }',
+            "cosines go from -0.98 to 1",
+        ),
         ('phase = { kind = "reynolds-mccormick", g = 0.5 }', 'key "medium.phase.alpha" is missing'),
         ('phase = { kind = "table", file = "no.txt" }', "no.txt"),
         ('phase = { kind = "mie", diameter_um = 1.0, particle_index = 1.59, water_index = 1.33 }', "wavelength_nm"),
@@ -214,6 +227,7 @@ def test_a_bad_table_is_refused(tmp_path: Path, rows: str, said: str) -> None:
     with pytest.raises(SceneError) as refused:
         tankrig.load_scene(scene_file(tmp_path, 'phase = { kind = "table", file = "p.txt" }'))
     assert said in str(refused.value)
+    assert str(refused.value).startswith(f"{tmp_path / 'p.txt'}: ")
 
 
 def test_a_table_may_be_off_by_rounding_only() -> None:

@@ -2,12 +2,13 @@
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from drivers.rig import SIMULATED, load_rig_file
 from tankrig.bench import Bench
 from tankrig.devices import Frame
 from tankrig.light.single import single_scattering
@@ -18,10 +19,12 @@ from tankrig.report import write_report
 from tankrig.report.pictures import predicted
 from tankrig.run.folder import create_run
 from tankrig.run.reading import open_run
+from tankrig.run.start import is_of
 from tankrig.run.writer import RunWriter
 from tankrig.scene.description import Camera, Medium, Tank
 from tankrig.sequence.loading import sequence_from_table
 from ui.cli import main
+from ui.cli.fits import fits_of, tell_fits
 
 from .seen_pictures import report_shows
 
@@ -146,6 +149,19 @@ def test_what_is_no_run_or_shows_nothing_is_refused_and_nothing_is_written(
     assert list(tmp_path.rglob("*.html")) == []
 
 
+def test_the_table_of_fits_says_of_single_scattering_what_the_report_does(
+    run: Path, page: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was compared with the truth where that was known, so run, refit and report told three numbers."""
+    monkeypatch.setenv("COLUMNS", "60")
+    for description in (load_rig_file(SIMULATED), None):
+        tell_fits(fits_of(run, description))
+        told = capsys.readouterr().out
+        assert told.count("-50 %") == page.count("-50 %") == 2
+        assert "…" not in told
+        assert "had single scattering alone explained the photographs" in told
+
+
 def test_the_command_says_where_the_report_is(
     run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,6 +197,39 @@ def test_a_run_is_compared_with_a_reference_liquid(
     assert found["rows"]["σs per ml"]["says"] == "agrees"
     assert found["passed"] is False
     assert "three doses" in found["verdict"]
+
+
+def test_validate_takes_from_the_run_what_it_says_of_its_light(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whoever leaves out the wavelength or the polarisation gets the run's own, or is told that nobody said it."""
+    command = ["--material", "intralipid-20", "--quick", "--out", str(tmp_path)]
+    assert main(["validate", str(run), *command]) == 2
+    assert "give --wavelength" in capsys.readouterr().err
+    settings = {"name": "lit", "bench": BENCH, "sequence": {**SEQUENCE, "wavelength_nm": 633.0}}
+    create_run(tmp_path / "lit", (20, 30), "uint16", 1, settings)
+    assert main(["validate", str(tmp_path / "lit"), *command]) == 2
+    assert "its series is not fitted" in capsys.readouterr().err
+    assert main(["validate", str(run), *command, "--wavelength", "633"]) == 0
+    told = capsys.readouterr()
+    assert "nobody said how polarised the light is" in told.err
+    assert re.search(r"σs per ml .*0\.0800\d* ± 0\.0001\d* ", told.out)
+    assert main(["validate", str(run), *command, "--wavelength", "633", "--polarisation", "0"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_simulated_light_is_said_to_be_unpolarised() -> None:
+    """A demo of beads passed by itself, and failed once tankrig validate was asked about its run."""
+    for file in (SIMULATED, SIMULATED.with_name("bench.toml")):
+        assert load_rig_file(file).bench.polarisation == 0.0
+
+
+def test_a_run_goes_on_though_polarisation_was_measured_meanwhile() -> None:
+    """Runs of earlier versions have none in their settings, and would be of another bench."""
+    bench = load_rig_file(SIMULATED).bench
+    stored = {**asdict(bench), "polarisation": None}
+    assert is_of(bench, json.loads(json.dumps(stored)))
+    assert not is_of(replace(bench, light="pinhole", light_position_mm=(-400.0, 0.0, 60.0)), stored)
 
 
 def test_a_runs_liquid_is_exported_by_dose(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -115,3 +115,10 @@ def test_what_is_wrong_in_a_rig_file_is_said_in_one_sentence(tmp_path, change, r
     with pytest.raises(SceneError, match=re.escape(reason)) as caught:
         load_rig_file(file)
     assert str(caught.value).startswith(str(file))
+
+
+def test_a_face_that_reflects_as_much_as_nobody_says_is_refused(tmp_path):
+    """It was black, and whoever had forgotten the key saw nothing of that."""
+    file = example(tmp_path, ('surface = "matched"', 'surface = "matched"\nfaces = { floor = { kind = "diffuse" } }'))
+    with pytest.raises(SceneError, match=r'key "bench.tank.faces.floor.reflectance" is missing; add it'):
+        load_rig_file(file)

@@ -110,7 +110,9 @@ def test_a_dry_run_tells_time_ink_and_disk_and_leaves_nothing(folder, capsys):
     assert (plan["ink_ul"], plan["frames"], plan["disk_bytes"]) == (40.0, 6, 6 * 80 * 120 * 2)
     assert 0.2 < plan["seconds"] < 5.0
     assert main(["run", "short.toml", "--dry-run"]) == 0
-    assert re.search(r"in all: \d s, 40 µl of ink, 6 frames, 0\.1 MB", capsys.readouterr().out)
+    told = capsys.readouterr()
+    assert re.search(r"in all: \d s, 40 µl of ink, 6 frames, 0\.1 MB", told.out)
+    assert "this is the simulated rig" in told.err
     assert names_in(folder) == ["long.toml", "short.toml"]
 
 

@@ -13,7 +13,7 @@ import pytest
 
 import tankrig
 from drivers.calibration_health import calibration_checks
-from drivers.rig import SIMULATED, calibrated_bench, load_rig_file
+from drivers.rig import SIMULATED, calibrated_bench, load_rig_file, simulated_rig
 from tankrig.bench import Bench
 from tankrig.calibration.board import Board
 from tankrig.calibration.camera import LENS, CameraFound
@@ -138,6 +138,19 @@ def test_what_was_not_measured_is_said_and_the_believed_is_used(rig: Path, capsy
     assert "no calibration of the camera or the tank or the projector" in told["believed"][0]
     assert tankrig.load_scene(told["path"]).projector.kind == "pinhole"
     assert told["binning"] > 1
+
+
+def test_without_a_rig_the_scene_is_of_the_rig_that_a_run_without_one_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was of the simulated bench, with a glass wall and a gamma: a prediction was not of the run just made."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["scene", "--pattern", "full", "--json"]) == 0
+    told = capsys.readouterr()
+    assert "the simulated rig" in told.err
+    bench = simulated_rig(tmp_path / "run.rig").bench
+    read = tankrig.load_scene(json.loads(told.out)["path"])
+    assert (read.tank, read.camera, read.projector.kind) == (bench.tank, bench.camera, bench.light)
 
 
 def test_a_pattern_that_is_not_there_is_named(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:

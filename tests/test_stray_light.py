@@ -551,6 +551,8 @@ veil = 0.01
 def test_what_is_written_is_read_as_the_same_scene():
     scene = scene_from_table(tomllib.loads(SCENE), "scene.toml")
     assert scene_from_table(tomllib.loads(scene_text(scene)), "again") == scene
+    black = replace(scene, tank=replace(scene.tank, faces=Faces(floor=Face("diffuse", 0.0))))
+    assert scene_from_table(tomllib.loads(scene_text(black)), "again") == black
 
 
 @pytest.mark.parametrize(
@@ -558,6 +560,7 @@ def test_what_is_written_is_read_as_the_same_scene():
     [
         ("thickness_mm = 6.0", "thickness_mm = -1.0", "tank.faces.entry.thickness_mm = -1.0 is thinner than nothing"),
         ("reflectance = 0.04", "reflectance = 1.2", "tank.faces.floor.reflectance = 1.2 is outside 0 … 1"),
+        (", reflectance = 0.04", "", 'key "tank.faces.floor.reflectance" is missing; add it'),
         ("share = 0.01", "share = 0.3", "camera.halo.share = 0.3 is outside 0 … 0.2"),
         ("share = 0.02", "share = -0.1", "projector.halo.share = -0.1 is outside 0 … 0.2"),
         ("sigma_mm = 0.4", "sigma_mm = 5.0", "camera.blur of 5 mm is wider than the beams, 4 mm"),

@@ -1,5 +1,6 @@
 """What the window tells before a run and while it goes on, and that no error in a run ends the window's thread."""
 
+import logging
 import os
 import signal
 import threading
@@ -20,6 +21,7 @@ from tests import on_page
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window.banner import MOST_SHOWN, Banner
 from ui.window.forms import Form
+from ui.window.kept_log import KeptLog
 from ui.window.marked_text import MarkedText
 
 SHORT = 'name = "short"\nexposure_ms = 5\n[[steps]]\ndo = "capture"\npattern = "full"\nframes = 2\n'
@@ -132,6 +134,23 @@ def test_a_reason_at_the_very_first_is_in_the_log_on_disk(tmp_path):
     with window_on(tmp_path, rig) as window:
         until(lambda: "limits.tank_ul" in window.banner.text, 60.0)
     assert "limits.tank_ul" in (tmp_path / "runs" / "window.log").read_text()
+
+
+def test_a_log_of_nothing_leaves_no_folder_and_one_that_cannot_be_written_is_said_once(tmp_path, caplog):
+    """A window that had no screen left a folder of a mistyped name behind."""
+    kept = KeptLog(tmp_path / "typo")
+    assert list(tmp_path.iterdir()) == []
+    logging.getLogger("tankrig.run").info("opened")
+    kept.close()
+    assert "opened" in (tmp_path / "typo" / "window.log").read_text()
+    (tmp_path / "file").write_text("")
+    kept = KeptLog(tmp_path / "file" / "below")
+    for _ in range(2):
+        logging.getLogger("tankrig.run").info("opened")
+    kept.close()
+    assert [record.message for record in caplog.records if "cannot be kept there" in record.message] == [
+        f"{tmp_path / 'file' / 'below' / 'window.log'}: the log cannot be kept there (Not a directory)"
+    ]
 
 
 def test_what_was_said_of_a_run_goes_with_it(qtbot):

@@ -2,8 +2,10 @@
 
 import csv
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from fnmatch import fnmatchcase
 from pathlib import Path
 from statistics import fmean, median, stdev
@@ -153,7 +155,7 @@ class Filter:
     materials, rigs, names
         Patterns with * and ?, of which one has to fit; none: any.
     since, until
-        ISO dates or times, UTC.
+        ISO dates or times, UTC; a year or a month alone count whole.
     between
         Column of numbers, from, to.
     verdict
@@ -176,6 +178,9 @@ class Filter:
     disagreeing: bool = False
 
     def __post_init__(self) -> None:
+        for name, text in (("since", self.since), ("until", self.until)):
+            if text and not _is_date(text):
+                raise StoreError(f"{name} = {text} is no date; give one such as 2026-03-01 or 2026-03-01T09:30, UTC")
         for name, *_ in self.between:
             if name not in COLUMNS:
                 raise StoreError(f"there is no column {name}; there are {', '.join(COLUMNS)}")
@@ -195,6 +200,24 @@ class Filter:
         )
 
 
+_DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d(:\d\d(:\d\d)?)?)?)?)?")
+
+
+def _is_date(text: str) -> bool:
+    """Whether a text can be compared with a run's time, letter by letter.
+
+    >>> [_is_date(one) for one in ("2026-03-01", "2026-03", "2026-03-01T09:30", "2026-13-77", "yesterday")]
+    [True, True, True, False, False]
+    """
+    if _DATE.fullmatch(text) is None:
+        return False
+    try:
+        datetime.fromisoformat(text + "2026-01-01"[len(text) :])
+    except ValueError:
+        return False
+    return True
+
+
 def compared(records: Iterable[Record], by: str) -> list[Record]:
     """What the fits of each material, rig or whatever else have in common, dose by dose.
 
@@ -209,7 +232,7 @@ def compared(records: Iterable[Record], by: str) -> list[Record]:
     -------
     list
         Of each group: how many fits, and of each coefficient its mean, how far the fits scatter, and what standard
-        deviation they state (the median).
+        deviation they state (the median), and whether all of them determined it.
     """
     if by not in COLUMNS:
         raise StoreError(f"there is no column {by}; there are {', '.join(COLUMNS)}")
@@ -227,6 +250,7 @@ def compared(records: Iterable[Record], by: str) -> list[Record]:
                 coefficient: fmean(values),
                 f"scatter_{coefficient}": stdev(values) if len(values) > 1 else None,
                 f"sd_{coefficient}": median(stated) if stated else None,
+                f"determined_{coefficient}": all(one[f"determined_{coefficient}"] is not False for one in rows),
             }
         found.append(row)
     return found

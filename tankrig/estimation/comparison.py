@@ -133,8 +133,8 @@ def compare_models(
     told = progress or (lambda _: None)
     fits: list[Compared] = []
     errors: list[TankrigError] = []
-    for one in contenders:
-        told(f"fitting {one.name}")
+    for number, one in enumerate(contenders, 1):
+        told(f"fitting {one.name}, {number} of {len(contenders)}")
         began = time.perf_counter()
         found, refusal = None, ""
         try:

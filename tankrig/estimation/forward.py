@@ -36,7 +36,7 @@ from tankrig.estimation.phase_families import Family
 from tankrig.estimation.stated_errors import COARSE, FINE, stated_error
 from tankrig.estimation.versions import Exact, Models, image_of
 from tankrig.estimation.with_prepared import WithPrepared
-from tankrig.image.predict import predict
+from tankrig.image.predict import MODELS, predict
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -110,6 +110,9 @@ def models_of(
             return _followed_models(scene, max_order)
         bare, _ = described_beside(scene)
         return _models_with_beside(scene) if max_order is None and is_ideal(bare) else _tank_models(scene, max_order)
+
+    if model not in MODELS:
+        raise SceneError(f'model = "{model}" is unknown; use one of prepared, {", ".join(MODELS)}')
 
     def within(tolerance: float) -> Model:
         return remembered(lambda medium: predict(replace(scene, medium=medium), model, tolerance, max_order))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import SceneError
+from tankrig.estimation.astray import ASTRAY
 from tankrig.estimation.parameters import Block, Values
 from tankrig.scene import Medium, Projector, Scene
 
@@ -64,7 +65,7 @@ class Misalignment:
     def __post_init__(self) -> None:
         for name, sd in self.sd.items():
             if name not in USUAL:
-                raise SceneError(f'nuisance = "{name}" is unknown; use {", ".join(USUAL)}')
+                raise SceneError(f'nuisance = "{name}" is unknown; use one of {", ".join((*USUAL, *ASTRAY))}')
             if not (isinstance(sd, float | int) and math.isfinite(sd) and sd > 0.0):
                 raise SceneError(f"nuisance {name} = {sd!r} is no standard deviation; give a positive number")
 

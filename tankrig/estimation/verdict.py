@@ -137,12 +137,19 @@ def what_was_left_out(
         Its name.
     misaligned
         Whether the outliers look like what a misaligned beam or camera shows.
+
+    Examples
+    --------
+    >>> what_was_left_out(1, 0, 0.0, "tank")
+    '1 pixel at the highest value or within its noise was taken for saturated and left out; shorten the exposure.'
+    >>> what_was_left_out(0, 1, 0.0, "tank")[:55], what_was_left_out(0, 2, 0.0, "tank")[-14:]
+    ('1 pixel unlike its neighbours along the light (bubbles,', 'were left out.')
     """
     sentences = []
     if outliers:
+        unlike, was = ("pixel unlike its", "was") if outliers == 1 else ("pixels unlike their", "were")
         sentences.append(
-            f"{outliers} pixels unlike their neighbours along the light (bubbles, dust, reflections, dead pixels) were "
-            "left out."
+            f"{outliers} {unlike} neighbours along the light (bubbles, dust, reflections, dead pixels) {was} left out."
         )
     if misaligned:
         sentences.append(
@@ -150,10 +157,10 @@ def what_was_left_out(
             "shows, not bubbles."
         )
     if saturated:
-        sentences.append(
-            f"{saturated} pixels at the highest value or within its noise were taken for saturated and left out; "
-            "shorten the exposure."
-        )
+        were = "pixel at the highest value or within its noise was" if saturated == 1 else (
+            "pixels at the highest value or within its noise were"
+        )  # fmt: skip
+        sentences.append(f"{saturated} {were} taken for saturated and left out; shorten the exposure.")
     if share_left_out > 0.1:
         amount = f"up to {_percent(share_left_out)}" if math.isfinite(share_left_out) else "an unknown share"
         sentences.append(

@@ -15,6 +15,7 @@ from tankrig.scene.description import Medium
 from tankrig.scene.loading import load_scene
 from tankrig.scene.phase_functions import Tabulated
 
+NAMES = ("sigma_a", "sigma_s", "g")
 WATER_INDEX = 1.33
 HENYEY_GREENSTEIN = {"hg", "henyey-greenstein"}
 """Names of families whose curve the mean cosine is enough for."""
@@ -34,22 +35,26 @@ class Liquid:
         Of the water.
     sd
         Standard deviations of "sigma_a", "sigma_s", "g", where they were fitted.
+    undetermined
+        Names of those that the fit did not determine: numbers within the fit's bounds, and no measurement.
     """
 
     medium: Medium
     origin: str
     refractive_index: float = WATER_INDEX
     sd: Mapping[str, float] = field(default_factory=dict)
+    undetermined: tuple[str, ...] = ()
 
     @property
     def lines(self) -> list[str]:
         """What comments in files say of it."""
         medium = self.medium
         said = [f"liquid of {self.origin}, by tankrig"]
-        for name in ("sigma_a", "sigma_s", "g"):
+        for name in NAMES:
             unit = "" if name == "g" else " 1/mm"
             error = f" +- {self.sd[name]:.3g}" if self.sd.get(name) else ""
-            said.append(f"{name} = {getattr(medium, name):.6g}{error}{unit}")
+            doubt = ", not determined by the fit" if name in self.undetermined else ""
+            said.append(f"{name} = {getattr(medium, name):.6g}{error}{unit}{doubt}")
         said.append(f"phase function: {medium.phase_function.kind}")
         return said
 
@@ -97,7 +102,13 @@ def _of_fit(path: Path) -> Liquid:
     if found.phase is None and isinstance(curve, dict) and {*curve.get("families", ("?",))} - HENYEY_GREENSTEIN:
         found = Medium(found.sigma_a, found.sigma_s, phase=_curve(curve, str(path)))
     sd = numbers.get("standard_deviation")
-    return Liquid(found, path.name, sd={} if not isinstance(sd, dict) else _finite(sd))
+    known = numbers.get("identifiable")
+    return Liquid(
+        found,
+        path.name,
+        sd={} if not isinstance(sd, dict) else _finite(sd),
+        undetermined=_undetermined(known) if isinstance(known, dict) else (),
+    )
 
 
 def _curve(curve: Mapping[str, Any], name: str) -> Tabulated:
@@ -119,12 +130,15 @@ def _curve(curve: Mapping[str, Any], name: str) -> Tabulated:
     return Tabulated(tuple(cosine.tolist()), tuple(p.tolist()))
 
 
+def _undetermined(known: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(name for name in NAMES if known.get(name) is False)
+
+
 def _finite(sd: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in sd.items() if isinstance(value, int | float) and math.isfinite(value)}
 
 
 def _of_run(path: Path, dose_ml: float | None) -> Liquid:
-    from tankrig.estimation.coordinates import NAMES
     from tankrig.live.recorded import fits_that_hold
     from tankrig.live.results import fits_in
     from tankrig.run.reading import open_run
@@ -140,4 +154,4 @@ def _of_run(path: Path, dose_ml: float | None) -> Liquid:
     tank = run.settings.get("bench", {}).get("tank", {})
     index = float(tank.get("refractive_index", WATER_INDEX))
     sd = dict(zip(NAMES, fit.sd, strict=False))
-    return Liquid(fit.medium, f"{path.name} at {fit.dose_ml:g} ml", index, sd)
+    return Liquid(fit.medium, f"{path.name} at {fit.dose_ml:g} ml", index, sd, _undetermined(fit.identifiable))

@@ -1,5 +1,7 @@
 """`predict`: a scene's image by the model that is asked for, or by the one that knows the tank."""
 
+import math
+import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -91,6 +93,7 @@ def predict(
             f'tank.faces reflect, which model = "{name}" cannot treat; use model = "tank" or "montecarlo", or leave '
             "the faces out"
         )
+    began = time.perf_counter()
     if name == "tank":
         from tankrig.light.tank import tank_image
 
@@ -98,8 +101,9 @@ def predict(
     else:
         prediction = _through_lenses(scene, name, tolerance, max_order, seed)
     if prediction.error > tolerance:
-        why = f"it took all of budget_s = {budget_s:g}" if name == "tank" else "see Prediction.skipped"
-        do = "a longer budget" if name == "tank" else "another model"
+        spent = name == "tank" and time.perf_counter() - began >= budget_s
+        why = f"it took all of budget_s = {budget_s:g}" if spent else why_missed(prediction, tolerance)
+        do = "a longer budget" if spent else "another model"
         missed = (
             f'the image of model = "{name}" may be wrong by {prediction.error:.2g} of its L2 norm, more than the '
             f"tolerance of {tolerance:g} ({why}); give {do} or a larger tolerance"
@@ -107,6 +111,22 @@ def predict(
         warnings.warn(missed, UserWarning, stacklevel=2)
         return replace(prediction, missed=missed)
     return prediction
+
+
+def why_missed(prediction: Prediction, tolerance: float) -> str:
+    """The largest part of a prediction's stated error that alone is more than the tolerance; else its noise.
+
+    Examples
+    --------
+    >>> dark = Prediction(np.zeros((2, 2)), "tank", skipped=(Skipped("tables", 0.001), Skipped("all light", 1.0)))
+    >>> why_missed(dark, 0.01)
+    'left out: all light'
+    """
+    finite = [part for part in prediction.skipped if tolerance < part.bound < math.inf]
+    if not finite:
+        return "its noise and what was left out together"
+    # Of equal ones the last: that no light is seen at all is told after which orders are not.
+    return f"left out: {max(reversed(finite), key=lambda part: part.bound).what}"
 
 
 def _by_model(

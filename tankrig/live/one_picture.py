@@ -1,5 +1,6 @@
 """One picture from a file, made ready for a fit as a run's photographs are: radiometry, edges, bins."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,6 +104,43 @@ def require_no_board(pixels: Pixels, camera: Camera) -> None:
             f"it shows a calibration's board, {seen} markers of {dictionary}, where ink is to be seen; give a frame "
             "that was taken without the board"
         )
+
+
+FAR_TIMES = 2.0
+"""From which on an image is taken for one that may be turned about: walls that reflect make less of a difference."""
+
+
+def brighter_far(picture: Picture) -> float:
+    """How many times as bright an image is at its far end as where light enters; 0 where that is no sign of anything.
+
+    Light fades along x, in whatever liquid. Of a calibrated camera's picture no column is at one x.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Medium, Projector, Tank
+    >>> light = Projector("collimated", (Beam((-60.0, 60.0), (58.0, 62.0)),))
+    >>> scene = Scene(Tank(), Medium(0.0, 0.01, 0.0), light, Camera("orthographic", (80, 120), 2.0))
+    >>> fading = np.exp(-np.linspace(0.0, 3.0, 120)) * np.ones((80, 1))
+    >>> brighter_far(picture_of(fading, scene)), round(brighter_far(picture_of(fading[:, ::-1], scene)))
+    (0.0, 10)
+    """
+    camera = picture.scene.camera
+    if camera.kind == "calibrated" or picture.image.shape != camera.shape:
+        return 0.0
+    columns = min(camera.shape[1], round(picture.scene.tank.size_mm[0] / camera.pixel_mm))
+    some = max(columns // QUARTER, 1)
+    seen = np.where(picture.mask | ~np.isfinite(picture.image), np.nan, picture.image)[:, :columns]
+    if np.isnan(seen[:, :some]).all() or np.isnan(seen[:, -some:]).all():
+        return 0.0
+    near, far = float(np.nanmean(seen[:, :some])), float(np.nanmean(seen[:, -some:]))
+    chance = BY_CHANCE * float(np.nanstd(seen)) / math.sqrt(seen[:, :some].size)  # of a picture of nothing but noise
+    return far / near if near > 0.0 and far > FAR_TIMES * near and far - near > chance else 0.0
+
+
+QUARTER = 4
+"""Of the columns, at either end."""
+BY_CHANCE = 5.0
+"""Standard deviations that noise does not make."""
 
 
 def picture_of(

@@ -160,6 +160,8 @@ def material(name: str) -> Material:
     if wanted in library and library[wanted].beads is None:
         return library[wanted]
     names = [one.name for one in materials()]
-    near = difflib.get_close_matches(wanted, names, 3, 0.4) or names
+    near = difflib.get_close_matches(wanted, names, 3, 0.4)
+    if not near:
+        raise SceneError(f'material "{name}" is unknown; tankrig materials lists those that are known')
     nearest = f'"{near[0]}"' if len(near) == 1 else ", ".join(f'"{one}"' for one in near[:-1]) + f' or "{near[-1]}"'
     raise SceneError(f'material "{name}" is unknown; did you mean {nearest}?')

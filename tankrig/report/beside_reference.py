@@ -83,6 +83,8 @@ class Validation:
         Water in the tank, and parts that one part of the liquid was diluted to before it was dosed.
     doubts
         Why it did not pass, in sentences; empty where it passed.
+    polarisation
+        Largest degree of the light's linear polarisation that was counted; None where nobody has said it.
     """
 
     optics: Optics
@@ -92,6 +94,7 @@ class Validation:
     tank_ml: float
     stock: float
     doubts: tuple[str, ...]
+    polarisation: float | None = None
 
     @property
     def passed(self) -> bool:
@@ -152,8 +155,8 @@ def validated(
         rows.append(Row(name, unit, value, sd, determined, known))
     g_sd = math.sqrt(covariance[2, 2])
     rows.append(Row("g", "", ink.g, g_sd, series.identifiable.get("g", True), optics.g))
-    found = Validation(optics, series, tuple(doses), tuple(rows), tank_ml, stock, ())
-    return Validation(optics, series, tuple(doses), tuple(rows), tank_ml, stock, _doubts(found))
+    found = Validation(optics, series, tuple(doses), tuple(rows), tank_ml, stock, (), polarisation)
+    return replace(found, doubts=_doubts(found))
 
 
 def _doubts(found: Validation) -> tuple[str, ...]:

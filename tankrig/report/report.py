@@ -18,7 +18,7 @@ from tankrig.live.recorded import wave_names
 from tankrig.live.results import DoseFit
 from tankrig.report import curves, pictures
 from tankrig.report.inlined import inlined, rendered
-from tankrig.report.results import Results, results_of
+from tankrig.report.results import Results, known_sigma_t, results_of
 from tankrig.report.settings import settings_of, skipped_of
 from tankrig.report.timing import spans_of, totals
 from tankrig.run.reading import Run, open_run
@@ -96,7 +96,7 @@ def report_page(run: Run, progress: Callable[[str], None] = lambda _: None) -> s
         verdict=results.series.verdict if results.series else "",
         pictures=shown,
         separated=separated,
-        doses=[_dose_row(one, _sigma_t(results, one)) for one in results.doses],
+        doses=[_dose_row(one, known_sigma_t(one, results.series)) for one in results.doses],
         along=[_along(one) for one in results.doses if one.astray],
         compared="the series fit" if results.series else "the tank model",
         shown_pattern=_shown(results.photographs)[0].pattern,
@@ -146,11 +146,6 @@ def _separated(run: Run, results: Results, progress: Callable[[str], None]) -> l
                 {"picture": inlined(separation_figure(one)), "about": told.sentence, "doubts": list(told.doubts)}
             )
     return found
-
-
-def _sigma_t(results: Results, dose: DoseFit) -> float:
-    """What single scattering's σt is compared with."""
-    return (dose.medium if results.series is None else results.series.at(dose.dose_ml)).sigma_t
 
 
 def _dose_row(one: DoseFit, sigma_t: float) -> dict[str, str]:

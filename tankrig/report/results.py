@@ -65,3 +65,8 @@ def results_of(run: Run) -> Results:
 def recorded(run: Run) -> tuple[list[DoseFit], SeriesFit | None]:
     """The last fit of each dose that the run made while it went on, by dose, and its last fit of the series."""
     return fits_in([event.fields for event in fits_that_hold(run)])
+
+
+def known_sigma_t(dose: DoseFit, series: SeriesFit | None) -> float:
+    """What single scattering's σt at a dose is compared with, 1/mm: the series' where there is one, else the fit's."""
+    return (dose.medium if series is None else series.at(dose.dose_ml)).sigma_t

@@ -1,6 +1,5 @@
 """From a scene file (TOML) to a checked `Scene`."""
 
-import math
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,6 +10,8 @@ from tankrig import bounded_reading
 from tankrig.checked_toml import checked, read_toml
 from tankrig.errors import SceneError
 from tankrig.scene.description import Scene
+from tankrig.scene.optics import SAID
+from tankrig.scene.phase_functions import Tabulated
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
@@ -115,8 +116,10 @@ def _with_phase_table(medium: Any, folder: Path, name: str) -> Any:
             raise SceneError(f'{file}: row {number}, "{line[:40]}", is not "cosine value"; mend it') from error
         cosines.append(cosine)
         values.append(value)
-    if not all(math.isfinite(one) for one in (*cosines, *values)):
-        raise SceneError(f"{file}: holds a number that is not finite; mend it")
+    try:
+        Tabulated(tuple(cosines), tuple(values))
+    except SceneError as error:  # here, where the file can be named
+        raise SceneError(f"{file}: {error}") from error
     rest = {key: value for key, value in phase.items() if key != "file"}
     return {**medium, "phase": {**rest, "cosines": cosines, "values": values}}
 
@@ -153,3 +156,16 @@ def _written(table: dict[str, Any]) -> Iterator[tuple[str, bool]]:
     yield "camera.pixel_mm", table["camera"]["kind"] == "calibrated" or "pixel_mm" in table["camera"]
     for index, beam in enumerate(table["projector"]["beams"]):
         yield f"projector.beams[{index}].irradiance", "irradiance" in beam
+    yield from ((f"tank.faces.{face}.reflectance", False) for face in unsaid_reflectances(table["tank"]))
+
+
+def unsaid_reflectances(tank: dict[str, Any]) -> list[str]:
+    """Names of the faces in a file's table of a tank that reflect as much as nobody says.
+
+    Examples
+    --------
+    >>> unsaid_reflectances({"faces": {"floor": {"kind": "diffuse"}, "far": {"kind": "glass"}}})
+    ['floor']
+    """
+    faces: dict[str, dict[str, Any]] = tank.get("faces", {})
+    return [name for name, face in faces.items() if face.get("kind") in SAID and "reflectance" not in face]

@@ -39,10 +39,12 @@ class Mie(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    diameter_um: Annotated[float, Within(0.001, 50.0, "is outside 0.001 … 50")]
-    particle_index: Annotated[float, Within(1.0, 4.0, "is outside 1 … 4")]
-    water_index: Annotated[float, Within(1.0, 2.0, "is outside 1 … 2")]
-    wavelength_nm: Annotated[float, Within(200.0, 2000.0, "is outside 200 … 2000")]
+    diameter_um: Annotated[float, Within(0.001, 50.0, "is outside 0.001 … 50; give the spheres' diameter in µm")]
+    particle_index: Annotated[float, Within(1.0, 4.0, "is outside 1 … 4; give the refractive index of the spheres")]
+    water_index: Annotated[float, Within(1.0, 2.0, "is outside 1 … 2; give the refractive index of the water")]
+    wavelength_nm: Annotated[
+        float, Within(200.0, 2000.0, "is outside 200 … 2000; give the light's wavelength in vacuum, nm")
+    ]
     spread: Annotated[float, Within(0.0, 0.6, "is outside 0 … 0.6; give a share of the diameter")] = 0.0
     band_nm: Annotated[float, Within(0.0, 2000.0, "is negative or as wide as the wavelength", below=True)] = 0.0
     kind: Literal["mie"] = field(default="mie", repr=False)

@@ -111,6 +111,10 @@ class WideLens:
 PINHOLE = WideLens()
 
 
+SAID = ("clear", "diffuse")
+"""Kinds of faces whose `reflectance` somebody has to say."""
+
+
 @dataclass(frozen=True)
 class Face:
     """One of the tank's walls, or its floor, as light in the water meets it.
@@ -122,7 +126,7 @@ class Face:
         critical angle, set off along the wall by the pane's thickness. "clear": a mirror that sends back `reflectance`
         at any angle. "diffuse": `reflectance` comes back alike in all directions (Lambert).
     reflectance
-        0 … 1, of "clear" and "diffuse".
+        0 … 1, of "clear" and "diffuse"; a file has to say it.
     thickness_mm, index
         Of a pane of "glass" and its refractive index; None: the tank's `wall_mm` and `wall_index`.
     """

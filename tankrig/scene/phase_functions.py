@@ -114,8 +114,10 @@ class TwoTerm(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    forward: Annotated[float, Within(0.0, 1.0, "is outside 0 … 1; give the forward lobe's asymmetry", below=True)]
-    backward: Annotated[float, Within(-1.0, 0.0, "is outside −1 … 0; give the backward lobe's asymmetry", above=True)]
+    forward: Annotated[float, Within(0.0, 1.0, "is outside 0 ≤ forward < 1; give that lobe's asymmetry", below=True)]
+    backward: Annotated[
+        float, Within(-1.0, 0.0, "is outside −1 < backward ≤ 0; give that lobe's asymmetry", above=True)
+    ]
     share: Annotated[float, Within(0.0, 1.0, "is outside 0 … 1; give the forward lobe's share of the light")]
     kind: Literal["two-term"] = field(default="two-term", repr=False)
 
@@ -146,8 +148,8 @@ class ReynoldsMcCormick(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    g: Annotated[float, Within(0.0, 1.0, "is outside 0 … 1", above=True, below=True)]
-    alpha: Annotated[float, Within(-0.5, 20.0, "is outside −0.5 … 20; Henyey–Greenstein is 0.5", above=True)]
+    g: Annotated[float, Within(0.0, 1.0, "is outside 0 < g < 1; give the family's own g", above=True, below=True)]
+    alpha: Annotated[float, Within(-0.5, 20.0, "is outside −0.5 < alpha ≤ 20; Henyey–Greenstein is 0.5", above=True)]
     kind: Literal["reynolds-mccormick"] = field(default="reynolds-mccormick", repr=False)
 
     def __post_init__(self) -> None:
@@ -177,9 +179,10 @@ class FournierForand(PhaseFunction):
     """
 
     __pydantic_config__ = CLOSED
-    index: Annotated[float, Within(1.0, 1.35, "is outside 1 … 1.35; give particles over water", above=True)]
+    index: Annotated[float, Within(1.0, 1.35, "is outside 1 < index ≤ 1.35; give particles over water", above=True)]
     slope: Annotated[
-        float, Within(3.0, 5.0, "is outside 3 … 5; give the Junge exponent of the sizes", above=True, below=True)
+        float,
+        Within(3.0, 5.0, "is outside 3 < slope < 5; give the Junge exponent of the sizes", above=True, below=True),
     ]
     kind: Literal["fournier-forand"] = field(default="fournier-forand", repr=False)
 
@@ -225,26 +228,29 @@ class Tabulated(PhaseFunction):
 
     def __post_init__(self) -> None:
         x, p = np.array(self.cosines, float), np.array(self.values, float)
-        require(x.size == p.size and x.size >= 2, f"the table has {x.size} cosines and {p.size} values; give pairs")
-        require(bool(np.isfinite(x).all() and np.isfinite(p).all()), "the table holds a number that is not finite")
-        require(bool((np.diff(x) > 0.0).all()), "the table's cosines do not rise; sort its rows, each cosine once")
+        require(x.size == p.size and x.size >= 2, f"cosines are {x.size} and values {p.size}; give at least two pairs")
+        require(
+            bool(np.isfinite(x).all() and np.isfinite(p).all()),
+            "cosines or values hold a number that is not finite; mend it",
+        )
+        require(bool((np.diff(x) > 0.0).all()), "cosines do not rise; sort them, each once")
         require(
             x[0] <= -0.9999 and x[-1] >= 0.9999,
-            f"the table's cosines go from {x[0]:g} to {x[-1]:g}; give all from −1 to 1",
+            f"cosines go from {x[0]:g} to {x[-1]:g}; give all from −1 to 1",
         )
-        require(bool((p >= 0.0).all()), f"the table has a negative value, {p.min():g}; a density is zero or more")
-        require(bool(p.max() > 0.0), "the table is zero everywhere")
+        require(bool((p >= 0.0).all()), f"values have a negative one, {p.min():g}; give densities of zero or more")
+        require(bool(p.max() > 0.0), "values are zero everywhere; give densities in 1/sr")
         low, high = np.minimum(p[1:], p[:-1]), np.maximum(p[1:], p[:-1])
         steep = high > _RATIO * low + 1e-3 * float(p.mean())
         require(
             not steep.any(),
-            f"the table is too coarse about cosine {x[1:][steep][0] if steep.any() else 0.0:.6g}: p changes by more "
+            f"cosines are too coarse about {x[1:][steep][0] if steep.any() else 0.0:.6g}: p changes by more "
             f"than {_RATIO:g} times from row to row; give more rows there",
         )
         integral = 2.0 * math.pi * float(np.trapezoid(p, x))
         require(
             abs(integral - 1.0) <= _UNNORMALISED,
-            f"the table's integral over all directions is {integral:.4g} and not 1; scale its values, in 1/sr",
+            f"values have the integral {integral:.4g} over all directions and not 1; scale them, in 1/sr",
         )
 
     def density(self, cosine: Array) -> Array:

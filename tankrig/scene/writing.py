@@ -6,6 +6,7 @@ from typing import Any
 
 from tankrig.extras import needing_extra
 from tankrig.scene.description import Camera, Medium, Projector, Scene
+from tankrig.scene.optics import SAID, Face
 from tankrig.scene.phase_functions import Mixture, Tabulated
 from tankrig.scene.phase_table import sines
 
@@ -94,6 +95,8 @@ def _camera(camera: Camera) -> dict[str, Any]:
 
 def _table(part: Any, left_out: Sequence[str] = (), always: Sequence[str] = ()) -> dict[str, Any]:
     """Fields of a part of a scene that say something."""
+    if isinstance(part, Face) and part.kind in SAID:
+        always = (*always, "reflectance")
     found = {}
     for field in fields(part):
         value = getattr(part, field.name)

@@ -1,5 +1,6 @@
 """The command line: `tankrig COMMAND …`, one file per command, each loaded when it is asked for."""
 
+import difflib
 import errno
 import importlib
 import keyword
@@ -66,6 +67,16 @@ class Commands(click.Group):
         command: click.Command = getattr(importlib.import_module(f"ui.cli.{name}"), name)
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does, but a name that is mistyped is asked for among `COMMANDS`, none of which is loaded yet."""
+        name = args[0]
+        if not ctx.resilient_parsing and not name.startswith("-") and self.get_command(ctx, name) is None:
+            near = difflib.get_close_matches(name, self.list_commands(ctx), n=1)
+            ctx.fail(f"No such command {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+        return super().resolve_command(ctx, args)
+
 
 @click.group(
     cls=Commands,
@@ -76,7 +87,8 @@ class Commands(click.Group):
 def tankrig() -> None:
     """Predict and measure how light scatters in a tank, and run the rig that does it.
 
-    Exit status: 0 done, 1 failure, 2 bad input, 3 a person has to decide.
+    Exit status: 0 done, 1 failure, 2 bad input, 3 a person has to decide. An image that misses its tolerance, a liquid
+    that is not determined and a comparison that is not passed are results: they are said, and the status is 0.
     """
 
 
@@ -101,7 +113,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return BAD_INPUT
     except click.UsageError as error:
         where = error.ctx.command_path if error.ctx else "tankrig"
-        return _say(f"{error.format_message().rstrip('.')}; see {where} --help", BAD_INPUT)
+        # click puts each choice on a line of its own, and a question into a sentence of its own.
+        said = error.format_message().replace("\n\t", " ").replace(". Did you mean", "; did you mean").rstrip(".")
+        return _say(f"{said} (see {where} --help)" if said.endswith("?") else f"{said}; see {where} --help", BAD_INPUT)
     except click.ClickException as error:
         return _say(error.format_message(), BAD_INPUT)
     except click.Abort:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ui.cli.options import json_option, rig_option
+from ui.cli.tables import tell_table
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -206,16 +207,10 @@ def _design(
 
 
 def _tell_design(found: "NextPictures") -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="bold")
-    for number, heading in enumerate((f"{found.total} frames", *(f"{symbol} ±" for symbol in SHOWN.values()))):
-        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
-    table.add_row("designed", *_errors(found.design.after), style="bold")
-    for name in list(found.usual)[:4]:
-        table.add_row(name, *_errors(found.usual[name]))
-    Console().print(table)
+    rows = [("designed", *_errors(found.design.after))]
+    rows += [(name, *_errors(found.usual[name])) for name in list(found.usual)[:4]]
+    headings = (f"{found.total} frames", *(f"{symbol} ±" for symbol in SHOWN.values()))
+    tell_table(headings, rows, styles=["bold", *[None] * (len(rows) - 1)])
     click.echo(
         f"± standard deviations expected of a fit of these frames alone. Designed pictures tell {found.bits:.2f} bits "
         f"more than the best usual ones ({found.best})"
@@ -252,25 +247,19 @@ def _row(advice: "Advice") -> dict[str, Any]:
 
 
 def _tell(before: "Expected | None", found: "list[Advice]") -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
     headings = ("next", "+µl", "min", *(f"{symbol} ±" for symbol in SHOWN.values()), "bits", "bits/min", "bits/ml")
-    table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="bold")
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
+    rows: list[tuple[str, ...]] = []
     if before is not None:
-        table.add_row("as it is now", "", "", *_errors(before), "", "", "", style="dim")
+        rows.append(("as it is now", "", "", *_errors(before), "", "", ""))
     for advice in found:
         candidate = advice.candidate
         per_ml = "–" if advice.bits_per_ul is None else f"{1000.0 * advice.bits_per_ul:.2f}"
-        table.add_row(
-            Text(f"{candidate.shot.pattern} × {candidate.shot.frames}"), f"{candidate.volume_ul:g}",
-            f"{candidate.minutes:.2f}", *_errors(advice.after), f"{advice.bits:.2f}",
+        rows.append((
+            f"{candidate.shot.pattern} × {candidate.shot.frames}", f"{candidate.volume_ul:g}",
+            f"{candidate.minutes:.2g}", *_errors(advice.after), f"{advice.bits:.2f}",
             f"{advice.bits_per_minute:.2f}", per_ml,
-        )  # fmt: skip
-    Console().print(table)
+        ))  # fmt: skip
+    tell_table(headings, rows, styles=["dim" if row[0] == "as it is now" else None for row in rows])
     click.echo(
         "± standard deviations expected: σs and σa relative, per ml of ink; g absolute. Bits below zero: a photograph "
         "in which the model's error outweighs what it tells"
@@ -279,4 +268,16 @@ def _tell(before: "Expected | None", found: "list[Advice]") -> None:
 
 def _errors(found: "Expected") -> list[str]:
     sd = found.relative_sd
-    return [f"{sd[name]:.5f}" if name == "g" else f"{100.0 * sd[name]:.2g} %" for name in SHOWN]
+    return [f"{sd[name]:.5f}" if name == "g" else _percent(sd[name]) for name in SHOWN]
+
+
+def _percent(share: float) -> str:
+    """A relative standard deviation, to two digits; by how much what is unknown is unknown says nothing.
+
+    >>> [_percent(one) for one in (0.0123, 0.996, 3.14, 1e5)]
+    ['1.2 %', '100 %', '314 %', '> 999 %']
+    """
+    percent = 100.0 * share
+    if percent < 99.5:
+        return f"{percent:.2g} %"
+    return f"{percent:.0f} %" if percent < 999.5 else "> 999 %"

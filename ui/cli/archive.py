@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ui.cli.options import json_option
+from ui.cli.tables import tell_table
 
 if TYPE_CHECKING:
     from tankrig.archive.table import Record
@@ -104,27 +105,26 @@ def archive(
 
 def _tell(rows: "Sequence[Record]", by: str | None) -> None:
     from rich.console import Console
-    from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
     heads = ("run", "day", "rig", "material") if by is None else (by, "fits")
-    for head in heads:
-        table.add_column(head, justify="right" if head == "fits" else "left", no_wrap=head in ("run", "day"))
-    for head in ("ml", "σs, 1/m", "g", "σa, 1/m", *(("old, sd",) if by is None else ())):
-        table.add_column(head, justify="right", no_wrap=True)
+    headings = (*heads, "ml", "σs, 1/m", "g", "σa, 1/m", *(("old, sd",) if by is None else ()))
+    cells: list[tuple[str, ...]] = []
     for row in rows[:SHOWN]:
         start = (
             (row["run"], row["utc"][:10], row["rig"], row["material"]) if by is None else (row[by], str(row["fits"]))
         )
         if by is None and row["failed"]:
-            table.add_row(*start, style="red")
+            cells.append((*start, *[""] * (len(headings) - len(start))))
             continue
         dose = "–" if not row["fit"] else "per ml" if row["fit"] == "series" else f"{row['dose_ml']:.3g}"
-        cells = [_cell(row, name) for name in NAMES]
+        numbers = [_cell(row, name) for name in NAMES]
         moved = () if by is not None else ("" if row["disagreement"] is None else f"{row['disagreement']:.1f}",)
-        table.add_row(*start, dose, *cells, *moved)
+        cells.append((*start, dose, *numbers, *moved))
+    styles = ["red" if row.get("failed") else None for row in rows[:SHOWN]]
+    tell_table(headings, cells, left=range(len(heads) if by is None else 1), styles=styles)
     console = Console()
-    console.print(table)
+    if any(cell.endswith("?") for row_cells in cells for cell in row_cells[len(heads) :]):
+        console.print("? not determined by the photographs", highlight=False)
     for row in rows[:SHOWN]:
         if row.get("failed"):
             console.print(f"{row['run']}: {row['failed']}", highlight=False, markup=False, soft_wrap=True)
@@ -139,7 +139,8 @@ def _cell(row: "Record", name: str) -> str:
     by = 1.0 if name == "g" else 1000.0
     if value is None:
         return ""
-    return f"{by * value:.4g}" if not sd else with_error(by * value, by * sd)
+    mark = "?" if row.get(f"determined_{name}") is False else ""
+    return (f"{by * value:.4g}" if not sd else with_error(by * value, by * sd)) + mark
 
 
 def _reading() -> Any:

@@ -7,13 +7,13 @@ import click
 
 from ui.cli.boards import Holder, board_of, board_options, opened
 from ui.cli.calibrating import accept_option, blurred, described, keep, tell
-from ui.cli.options import json_option, rig_option
+from ui.cli.options import bench_option, json_option
 
 _SECONDS_A_VIEW = 12.0
 
 
 @click.command(epilog="Example: tankrig calibrate camera --rig rig.toml --board 7x5 --square-mm 20.02")
-@rig_option
+@bench_option
 @board_options
 @click.option("--views", type=click.IntRange(6, 100), default=15, show_default=True, help="Good ones to take.")
 @accept_option

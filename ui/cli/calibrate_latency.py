@@ -5,12 +5,12 @@ from pathlib import Path
 import click
 
 from ui.cli.calibrating import accept_option, described, keep, tell
-from ui.cli.options import json_option, rig_option
+from ui.cli.options import bench_option, json_option
 from ui.guide import feedback
 
 
 @click.command(epilog="Example: tankrig calibrate latency --rig rig.toml")
-@rig_option
+@bench_option
 @click.option("--flips", type=click.IntRange(20, 10_000), default=100, show_default=True, help="How many to watch.")
 @click.option("--exposure-ms", type=float, help="Of the frames; default: as long as leaves no pause between them.")
 @accept_option

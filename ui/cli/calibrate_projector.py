@@ -16,7 +16,7 @@ from ui.cli.calibrating import (
     require_clear_water,
     tell,
 )
-from ui.cli.options import json_option, rig_option
+from ui.cli.options import bench_option, json_option
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,7 +29,7 @@ _SECONDS_A_PICTURE, _SECONDS_A_VIEW = 0.12, 20.0
 
 
 @click.command(epilog="Example: tankrig calibrate projector --rig rig.toml --views 10")
-@rig_option
+@bench_option
 @board_options
 @click.option("--views", type=click.IntRange(4, 50), default=8, show_default=True, help="Of the board.")
 @click.option("--empty", is_flag=True, help="The tank is empty; default: filled as when the tank was calibrated.")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ui.cli.calibrating import accept_option, asker, described, keep, tell
-from ui.cli.options import json_option, rig_option
+from ui.cli.options import bench_option, json_option
 from ui.guide import feedback, guided
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog="Example: tankrig calibrate radiometry --rig rig.toml --gains 1,4")
-@rig_option
+@bench_option
 @click.option("--gains", default="1", show_default=True, metavar="G,G,…", help="Gains that will be used.")
 @click.option("--shortest-ms", type=float, help="Shortest exposure of the sweep; default: 1/60 s.")
 @click.option("--longest-ms", type=float, help="Longest exposure of the sweep; default: 2 s.")

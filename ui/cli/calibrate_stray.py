@@ -8,7 +8,7 @@ import click
 
 from ui.cli.boards import opened
 from ui.cli.calibrating import accept_option, described, keep, tell
-from ui.cli.options import json_option, rig_option
+from ui.cli.options import bench_option, json_option
 from ui.guide import ask, picture, somebody
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _SECONDS_A_PICTURE = 15.0
 
 
 @click.command(epilog="Example: tankrig calibrate stray --rig rig.toml --cards 6")
-@rig_option
+@bench_option
 @click.option("--cards", type=click.IntRange(3, 50), default=4, show_default=True, help="Places of the card.")
 @click.option("--frames", type=click.IntRange(1, 100), default=8, show_default=True, help="Frames of each picture.")
 @click.option("--exposure-ms", type=float, help="Of the frames; default: what suits the card.")

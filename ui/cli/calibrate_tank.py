@@ -15,7 +15,7 @@ from ui.cli.calibrating import (
     require_clear_water,
     tell,
 )
-from ui.cli.options import json_option, rig_option
+from ui.cli.options import bench_option, json_option
 
 if TYPE_CHECKING:
     from tankrig.calibration.board import BoardView
@@ -25,7 +25,7 @@ _MINUTES = 6
 
 
 @click.command(epilog="Example: tankrig calibrate tank --rig rig.toml --views 6")
-@rig_option
+@bench_option
 @board_options
 @click.option("--views", type=click.IntRange(0, 50), default=4, show_default=True, help="Of the board in the water.")
 @clear_water_option

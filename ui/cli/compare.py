@@ -10,6 +10,8 @@ import click
 from tankrig.errors import ImageError
 from ui.cli.fit import LEVEL, FreeOrNumber
 from ui.cli.options import json_option
+from ui.cli.stages import stages_shown
+from ui.cli.tables import tell_table
 
 if TYPE_CHECKING:
     from tankrig.estimation.comparison import Compared, Comparison
@@ -43,8 +45,6 @@ def compare(
     limit: what each leaves over, the coefficients it finds, and how far above the best its information criterion is.
     With --phases the same for families of phase functions, of which a free one counts each of its shapes.
     """
-    from rich.console import Console
-
     import tankrig
     from tankrig.estimation.comparison import PHASES, compare_models
     from tankrig.image.reading import read_image
@@ -60,10 +60,10 @@ def compare(
     else:
         scene, image = tankrig.load_scene(scene_file), read_image(given, array, scale)
         mask = blurred_pixels(scene)
-    with Console(stderr=True).status("reading") as status:
+    with stages_shown() as told:
         try:
             families = {"contenders": PHASES} if phases else {}
-            found = compare_models(image, scene, gain, offset, sigma, progress=status.update, mask=mask, **families)
+            found = compare_models(image, scene, gain, offset, sigma, progress=told, mask=mask, **families)
         except tankrig.ImageError as error:
             raise tankrig.ImageError(f"{given}: {error}") from error
     if as_json:
@@ -114,21 +114,16 @@ def _row(row: "Compared") -> dict[str, Any]:
 
 
 def _tell(found: "Comparison") -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for number, heading in enumerate(("model", "RMSE", *SHOWN.values(), "ΔAIC", "ΔBIC", "s")):
-        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
+    rows: list[tuple[str, ...]] = []
+    styles: list[str | None] = []
     for row in found.rows:
+        styles.append("dim" if row.estimate is None else "bold" if row.bic == 0.0 else None)
         if row.estimate is None:
-            table.add_row(row.contender.name, "–", "", "", "", "", "", f"{row.seconds:.1f}", style="dim")
+            rows.append((row.contender.name, "–", "", "", "", "", "", f"{row.seconds:.1f}"))
             continue
-        table.add_row(
-            row.contender.name, f"{row.estimate.rmse:.3g}", *_cells(row),
-            f"{row.aic:.0f}", f"{row.bic:.0f}", f"{row.seconds:.1f}", style="bold" if row.bic == 0.0 else None,
-        )  # fmt: skip
-    Console().print(table)
+        numbers = f"{row.aic:.0f}", f"{row.bic:.0f}", f"{row.seconds:.1f}"
+        rows.append((row.contender.name, f"{row.estimate.rmse:.3g}", *_cells(row), *numbers))
+    tell_table(("model", "RMSE", *SHOWN.values(), "ΔAIC", "ΔBIC", "s"), rows, styles=styles)
     click.echo(
         f"± half of the {LEVEL:.0%} interval; a coefficient in brackets is not determined; criteria count "
         f"{found.effective:.0f} independent pixels of {found.pixels}"

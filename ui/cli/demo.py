@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from tankrig.errors import SceneError
 from ui.cli.options import json_option, out_option
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ mixing_s = 0.7
 """What is in the demo's tank, and a stirrer in a hurry: what its rig file says beyond the one that ships."""
 DENSEST = 0.01
 """σs that a reference liquid is dosed to, 1/mm."""
+THINNEST = 1e-4
+"""σs that no photograph of the demo's tank would show, 1/mm."""
 LIGHT_MM = (58.0, 62.0)
 MATERIAL_DOSES = 3
 """The densest of those planned: each is fitted with its own phase function, by light paths."""
@@ -125,6 +128,11 @@ def liquid_planned(name: str, wavelength_nm: float) -> "DosePlan":
     tank_ml = tank_volume_ml(description.bench.tank)
     most_ml = 0.99e-3 * min(description.limits.run_ul, description.limits.tank_ul)
     reachable = optics.sigma_s.value * most_ml / tank_ml
+    if reachable < THINNEST:
+        raise SceneError(
+            f"{optics.material.title} makes the demo's tank scatter {reachable:.2g}/mm at most, which no photograph "
+            "shows; choose another liquid (tankrig materials)"
+        )
     return planned(optics, min(DENSEST, reachable), tank_ml, limits=description.limits)
 
 
@@ -137,9 +145,12 @@ def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bo
 
     began = time.perf_counter()
     path = out or Path("runs") / datetime.now(UTC).strftime("demo-%Y-%m-%dT%H-%M-%S")
-    totals_ul = DOSES_UL[:doses] if liquid is None else liquid.totals_ul[1:][-doses:]
-    sequence = sequence_of(totals_ul)
-    if liquid is not None:
+    if liquid is None:
+        sequence = sequence_of(DOSES_UL[:doses])
+    else:
+        # What leads up to the doses that are photographed is pumped in steps that the pump may take, too.
+        totals_ul = liquid.totals_ul[1:]
+        sequence = sequence_of(totals_ul[-doses:], totals_ul[:-doses])
         optics = liquid.optics
         by = 1.0 / (liquid.tank_ml * liquid.dilution)
         ink = Medium(by * optics.medium.sigma_a, by * optics.medium.sigma_s, optics.medium.g)
@@ -162,7 +173,7 @@ def _series(doses: int, liquid: "DosePlan | None", out: Path | None, as_json: bo
 
 
 def _validate(path: Path, description: "RigFile", liquid: "DosePlan", as_json: bool) -> None:
-    """As `tankrig validate` does; the simulated light is unpolarised."""
+    """As `tankrig validate` does."""
     from tankrig.live.refit import refit
     from tankrig.report import validation_of, write_validation
     from tankrig.run.reading import open_run
@@ -172,7 +183,7 @@ def _validate(path: Path, description: "RigFile", liquid: "DosePlan", as_json: b
 
     with progress_shown() as told:
         refit(path, progress=told)  # what a slow machine had no time for while the run went on
-    found = validation_of(open_run(path), liquid.optics, stock=liquid.dilution, polarisation=0.0)
+    found = validation_of(open_run(path), liquid.optics, stock=liquid.dilution)
     file = write_validation(path, found)
     if as_json:
         click.echo(json.dumps(fields_of(found) | {"run": str(path), "report": str(file)}, ensure_ascii=False))
@@ -180,6 +191,8 @@ def _validate(path: Path, description: "RigFile", liquid: "DosePlan", as_json: b
         tell_fits(fits_of(path, description))
         tell(found)
         click.echo(f"completed: {path}, compared with {liquid.optics.material.title} in {file}")
+        stock = f" --stock {liquid.dilution}" if liquid.dilution > 1 else ""
+        click.echo(f"to compare it again: tankrig validate {path} --material {liquid.optics.material.name}{stock}")
 
 
 def truth_of(liquid: "DosePlan") -> str:
@@ -211,10 +224,10 @@ def rig_beside(path: Path, truth: str) -> "RigFile":
     return simulated_rig(folder)
 
 
-def sequence_of(totals_ul: tuple[float, ...]) -> "Sequence":
-    """The demo's series of doses: at each, dark frames and one photograph of each pattern."""
+def sequence_of(totals_ul: tuple[float, ...], before_ul: tuple[float, ...] = ()) -> "Sequence":
+    """The demo's series of doses: at each, dark frames and one photograph of each pattern; some doses before it."""
     from tankrig.pattern.kinds import AnyKind, Rays, Sheet, Stripes
-    from tankrig.sequence import Capture, Mix, Sequence, Series
+    from tankrig.sequence import Capture, Dose, Mix, Sequence, Series
     from tankrig.sequence.steps import Step
 
     patterns: dict[str, AnyKind] = {
@@ -228,4 +241,4 @@ def sequence_of(totals_ul: tuple[float, ...]) -> "Sequence":
         Capture("dark", 2),
         *captures,
     )
-    return Sequence("demo", (Series(totals_ul, steps),), patterns, exposure_ms=20.0)
+    return Sequence("demo", (*map(Dose, before_ul), Series(totals_ul, steps)), patterns, exposure_ms=20.0)

@@ -23,12 +23,21 @@ def export_medium(given: Path, to: str, dose_ml: float | None, unit_mm: float, o
     FIT is the .json that tankrig fit writes, the folder of a fitted run, or a scene file. What the other program
     cannot hold is said in the file.
     """
+    from tankrig.estimation.verdict import SYMBOLS
     from tankrig.exchange.formats import SUFFIXES, exported
     from tankrig.exchange.liquid import liquid_of
     from tankrig.files import whole_file
 
-    text = exported(liquid_of(given, dose_ml), to, unit_mm)
+    liquid = liquid_of(given, dose_ml)
+    text = exported(liquid, to, unit_mm)
     file = out or Path(f"{given.resolve().stem}-{to}{SUFFIXES[to]}")
     with whole_file(file) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
-    click.echo(json.dumps({"file": str(file)}) if as_json else f"written  {file}")
+    if liquid.undetermined:
+        names = " and ".join(SYMBOLS[name] for name in liquid.undetermined)
+        are = "are" if len(liquid.undetermined) > 1 else "is"
+        click.echo(f"{names} {are} not determined by the fit, which the file says beside the number", err=True)
+    if as_json:
+        click.echo(json.dumps({"file": str(file), "not_determined": list(liquid.undetermined)}))
+    else:
+        click.echo(f"written  {file}")

@@ -3,7 +3,7 @@
 import json
 import math
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,9 +12,11 @@ import click
 
 from tankrig.errors import StoreError
 from ui.cli.options import json_option, out_option, scene_option
+from ui.cli.stages import stages_shown
+from ui.cli.tables import tell_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Sequence
 
     from tankrig.calibration.radiometry import Radiometry
     from tankrig.estimation.estimate import Estimate
@@ -201,6 +203,7 @@ def fit(
     from tankrig.estimation.result import by_order
     from tankrig.estimation.stated_errors import FINE
     from tankrig.files import require_writable, whole_file
+    from tankrig.live.one_picture import brighter_far
 
     if dark is not None and dark_pattern is not None:
         raise click.UsageError("--dark-pattern holds what --dark does; give one of them")
@@ -217,6 +220,11 @@ def fit(
     except tankrig.ImageError as error:
         raise error if str(image_file) in str(error) else tankrig.ImageError(f"{image_file}: {error}") from error
     notes = [] if raw is None else raw.notes(picture.scene, scene_file)
+    if (times := brighter_far(picture)) > 1.0:
+        notes.append(
+            f"{image_file} is {times:.2g} times as bright at the far end as where light enters, at column 0; if it is "
+            "mirrored or turned by half a turn, no liquid explains it"
+        )
     for note in notes:
         click.echo(f"note: {note}", err=True)
     require_writable(out)
@@ -226,7 +234,7 @@ def fit(
     asked: dict[str, Any] = {"gain": gain, "offset": offset, "noise": noise, "nuisance": dict(nuisance)}
     seen: dict[str, Any] = {**asked, "mask": picture.mask if picture.mask.any() else None}
     fitted = None
-    with _told() as tell:
+    with stages_shown() as tell:
         started = time.perf_counter()
         try:
             fitted = tankrig.estimate(
@@ -384,19 +392,6 @@ def _picture(
     return picture_of(image, scene, hot, full, edges, mask)
 
 
-@contextmanager
-def _told() -> "Iterator[Callable[[str], None]]":
-    """What is being done, with the time that it has taken."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("reading")
-        yield lambda what: progress.update(task, description=what)
-
-
 def _left_out(picture: "Picture") -> dict[str, Any]:
     bins = picture.bins
     return {
@@ -408,17 +403,25 @@ def _left_out(picture: "Picture") -> dict[str, Any]:
 def _tell_left_out(picture: "Picture") -> None:
     if picture.bins is not None:
         tall, wide = picture.scene.camera.sides_mm
-        click.echo(f"bins     {picture.bins.by} × {picture.bins.along} pixels, {tall:.3g} × {wide:.3g} mm")
+        pixels = "pixel" if picture.bins.by * picture.bins.along == 1 else "pixels"
+        click.echo(f"bins     {picture.bins.by} × {picture.bins.along} {pixels}, {tall:.3g} × {wide:.3g} mm")
     if picture.mask.any():
-        edges = (
-            f", {100.0 * picture.blurred:.0f} % of the pixels for blur or beside the water" if picture.blurred else ""
-        )
-        click.echo(f"left out {100.0 * float(picture.mask.mean()):.0f} % of the image{edges}")
+        edges = f", {_share(picture.blurred)} of the pixels for blur or beside the water" if picture.blurred else ""
+        click.echo(f"left out {_share(float(picture.mask.mean()))} of the image{edges}")
     if picture.saturated > 0.0:
         click.echo(
             f"         {100.0 * picture.saturated:.2g} % of the pixels are saturated, and left out with what adjoins "
             "them; a shorter exposure tells more"
         )
+
+
+def _share(part: float) -> str:
+    """A share in percent, and never as none where there is some.
+
+    >>> _share(0.124), _share(0.0031)
+    ('12 %', '0.31 %')
+    """
+    return f"{100.0 * part:.2g} %" if part < 0.01 else f"{100.0 * part:.0f} %"
 
 
 def _coefficients(medium: "Medium") -> dict[str, float]:
@@ -502,33 +505,28 @@ def _write(
 
 def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Estimate | None", seconds: float) -> None:
     from rich.console import Console
-    from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for heading in ("", "fitted", "±", f"{LEVEL:.0%} interval", "", "determined"):
-        table.add_column(heading, justify="left" if heading in ("", "determined") else "right")
+    rows: list[tuple[str, ...]] = []
     for k, (name, (low, high)) in enumerate(fitted.interval(LEVEL).items()):
         sd = math.sqrt(fitted.covariance[k, k])
         value = getattr(fitted.medium, name)
         unit = "" if name == "g" else "/mm"
         shown = [_rounded(one, sd) for one in (value, sd, low, high)]
         known = "yes" if fitted.identifiable[name] else "no"
-        table.add_row(name, shown[0], shown[1], f"{shown[2]} … {shown[3]}", unit, known)
-    for name, (value, sd) in fitted.nuisance.items():
-        table.add_row(name, _rounded(value, sd), _rounded(sd, sd), "", "", "")
+        rows.append((name, shown[0], shown[1], f"{shown[2]} … {shown[3]}", unit, known))
     scattering = fitted.scattering
+    further = list(fitted.nuisance.items())
     if scattering is not None and fitted.medium.phase is not None:
-        for name, (value, sd) in (
-            ("σs(1−g)", scattering.reduced),
-            ("σs p(90°)", scattering.at_right_angle),
-            *scattering.parameters.items(),
-        ):
-            table.add_row(name, _rounded(value, sd), _rounded(sd, sd), "", "", "")
+        further += [("σs(1−g)", scattering.reduced), ("σs p(90°)", scattering.at_right_angle)]
+        # A family may call a parameter of its own g, which is not the liquid's mean cosine.
+        likeliest = max(scattering.families, key=lambda family: scattering.families[family], default="")
+        further += [(f"{name} of {likeliest}", one) for name, one in scattering.parameters.items()]
+    rows += [(name, _rounded(value, sd), _rounded(sd, sd), "", "", "") for name, (value, sd) in further]
+    tell_table(("", "fitted", "±", f"{LEVEL:.0%} interval", "", "determined"), rows, left=(0, 4, 5))
     console = Console()
-    console.print(table)
     if scattering is not None and fitted.medium.phase is not None:
         shares = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in scattering.families.items())
-        console.print(f"\nphase function  {shares}", highlight=False)
+        console.print(f"\nphase function  {shares}; g is the mean cosine of what they make together", highlight=False)
     console.print(f"\n{fitted.verdict}\n", highlight=False, markup=False)
     by_order = ",  ".join(f"{one.orders}: {one.rmse:.3g}" for one in rebuilt)
     console.print(

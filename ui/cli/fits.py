@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ui.cli.tables import tell_table
+
 if TYPE_CHECKING:
     from drivers.rig import RigFile
     from tankrig.scene import Medium
@@ -23,7 +25,7 @@ def fits_of(run: Path, description: "RigFile | None") -> dict[str, Any]:
     from drivers.rig import true_liquids
     from drivers.simulated.tank import mixture
     from tankrig.live.refit import unfitted
-    from tankrig.report.results import recorded
+    from tankrig.report.results import known_sigma_t, recorded
     from tankrig.run.reading import open_run
 
     opened = open_run(run)
@@ -40,11 +42,10 @@ def fits_of(run: Path, description: "RigFile | None") -> dict[str, Any]:
             "structure": fit.structure,
             "order_one": fit.order_one,
         }
-        sigma_t = fit.medium.sigma_t
         if truth:
-            liquid = mixture(*truth, fit.dose_ml)
-            row["truth"], sigma_t = _named(liquid), liquid.sigma_t
-        rows.append({**row, "single_sigma_t_ratio": None if fit.single is None else fit.single.sigma_t / sigma_t})
+            row["truth"] = _named(mixture(*truth, fit.dose_ml))
+        ratio = None if fit.single is None else fit.single.sigma_t / known_sigma_t(fit, series)
+        rows.append({**row, "single_sigma_t_ratio": ratio})
     found: dict[str, Any] = {"doses": rows, "unfitted": missing.sentence(run) if missing else ""}
     if series is not None:
         found |= {"ink_per_ml": _named(series.ink), "ink_sd": list(series.sd), "verdict": series.verdict}
@@ -56,24 +57,27 @@ def fits_of(run: Path, description: "RigFile | None") -> dict[str, Any]:
 def tell_fits(found: dict[str, Any]) -> None:
     """Coefficients in 1/m, which makes them short, and how wrong single scattering is."""
     from rich.console import Console
-    from rich.table import Table
 
     known = any("truth" in row for row in found["doses"])
-    table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
     headings = [heading for name in ("σs, 1/m", "g", "σa, 1/m") for heading in ((name, "truth") if known else (name,))]
-    for heading in ("ink", *headings, "single\nscatt. σt"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    rows: list[tuple[str, ...]] = []
     for row in found["doses"]:
         cells = _cells(row["fitted"], row["sd"], row.get("truth"), row["determined"])
         by = row["single_sigma_t_ratio"]
-        table.add_row(f"{row['dose_ml']:.3g} ml", *cells, "–" if by is None else f"{100.0 * (by - 1.0):+.0f} %")
+        rows.append((f"{row['dose_ml']:.3g} ml", *cells, "–" if by is None else f"{100.0 * (by - 1.0):+.0f} %"))
     if "ink_per_ml" in found:
         sd = dict(zip(NAMES, found["ink_sd"], strict=False))
-        table.add_row("")
         cells = _cells(found["ink_per_ml"], sd, found.get("truth_per_ml"), found["ink_determined"])
-        table.add_row("per ml", *cells, style="bold")
+        rows += [(), ("per ml", *cells, "")]
+    styles = ["bold" if row and row[0] == "per ml" else None for row in rows]
+    tell_table(("ink", *headings, "single\nscatt. σt"), rows, left=(), styles=styles)
     console = Console()
-    console.print(table)
+    if any(row["single_sigma_t_ratio"] is not None for row in found["doses"]):
+        console.print(
+            "single scatt. σt: how far off σa + σs would be, had single scattering alone explained the photographs",
+            highlight=False,
+            soft_wrap=True,
+        )
     unsure = [row for row in (*found["doses"], {"determined": found.get("ink_determined", {})}) if _unsure(row)]
     if unsure:
         console.print("? not determined by these photographs", highlight=False)

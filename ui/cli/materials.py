@@ -243,6 +243,10 @@ def plan(
     where = "" if rig or bare else " (the simulated rig)"
     click.echo(f"{optics.material.title} at {optics.wavelength_nm:g} nm into {found.tank_ml:.0f} ml{where}")
     _tell_plan(found, None if bare else tank.size_mm[0])
+    more = "".join(f" --label {key}={value:g}" + ("" if sd is None else f"±{sd:g}") for key, (value, sd) in label)
+    more += f" --stock {found.dilution}" if found.dilution > 1 else ""
+    more += f" --tank-ml {tank_ml:g}" if tank_ml is not None else ""
+    click.echo(f"afterwards   tankrig validate RUN --material {found.optics.material.name}{more}")
 
 
 def _planned_fields(found: "DosePlan") -> dict[str, Any]:

@@ -8,13 +8,21 @@ import click
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-rig_option = click.option(
-    "--rig",
-    type=click.Path(path_type=Path),
-    envvar="TANKRIG_RIG",
-    metavar="FILE",
-    help="Rig file (TOML) that names the devices; default: $TANKRIG_RIG, else the simulated rig.",
-)
+
+def _rig_option(otherwise: str) -> Callable[[Command], Command]:
+    return click.option(
+        "--rig",
+        type=click.Path(path_type=Path),
+        envvar="TANKRIG_RIG",
+        metavar="FILE",
+        help=f"Rig file (TOML) that names the devices; default: $TANKRIG_RIG, else the simulated {otherwise}.",
+    )
+
+
+rig_option = _rig_option("rig")
+
+bench_option = _rig_option("bench")
+"""Of commands that calibrate, for which the simulated rig has nothing."""
 
 scene_option = click.option(
     "--scene",

@@ -55,7 +55,11 @@ def predict(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Predict the image that the camera of SCENE sees; write it, and a picture of it in false colour."""
+    """Predict the image that the camera of SCENE sees; write it, and a picture of it in false colour.
+
+    Where the tolerance cannot be kept, a line says so and why; the image is written, and the exit status is 0 all the
+    same.
+    """
     import warnings
 
     from rich.console import Console
@@ -81,13 +85,38 @@ def predict(
     asked = {"tolerance": tolerance, "max_order": max_order, "seed": seed, "seconds": seconds}
     write_prediction(arrays, prediction, scene, asked)
     _write_picture(picture, prediction, scene)
+    missed = _missed(prediction, tolerance, budget_s, seconds)
     if as_json:
-        click.echo(json.dumps({**_figures(prediction), **asked, "arrays": str(arrays), "picture": str(picture)}))
+        figures = {**_figures(prediction), "missed": missed}
+        click.echo(json.dumps({**figures, **asked, "arrays": str(arrays), "picture": str(picture)}))
         return
     _tell(prediction, seconds)
-    if prediction.missed:
-        click.echo(f"missed   {prediction.missed}")
+    if _dark(prediction, scene):
+        click.echo("dark     no pixel has any light, though the liquid is lit and scatters")
+    if missed:
+        click.echo(f"missed   {missed}")
     click.echo(f"written  {arrays}\n         {picture}")
+
+
+def _dark(prediction: "Prediction", scene: "Scene") -> bool:
+    """Whether there is no light where there should be some."""
+    lit = scene.medium.sigma_s > 0.0 and any(beam.power > 0.0 for beam in scene.projector.beams)
+    return lit and not prediction.image.any()
+
+
+def _missed(prediction: "Prediction", tolerance: float, budget_s: float, seconds: float) -> str:
+    """Why the tolerance was not kept, in the words of this command's options; empty where it was kept."""
+    from tankrig.image.predict import why_missed
+
+    if not prediction.missed:
+        return ""
+    spent = prediction.model == "tank" and seconds >= budget_s
+    why = f"it took all of --budget {budget_s:g}" if spent else why_missed(prediction, tolerance)
+    do = "a longer --budget" if spent else "another --model"
+    return (
+        f"the image may be wrong by {prediction.error:.2g} of its L2 norm, more than --tolerance {tolerance:g} "
+        f"({why}); give {do} or a larger --tolerance"
+    )
 
 
 def _shares(prediction: "Prediction") -> dict[str, float]:
@@ -103,7 +132,6 @@ def _figures(prediction: "Prediction") -> dict[str, object]:
         "peak": float(prediction.image.max()),
         "shares": _shares(prediction),
         "error": prediction.error,
-        "missed": prediction.missed,
         "skipped": [
             {"what": part.what, "bound": part.bound if math.isfinite(part.bound) else None}  # JSON knows no infinity
             for part in prediction.skipped
@@ -118,6 +146,8 @@ def _tell(prediction: "Prediction", seconds: float) -> None:
         click.echo("orders   " + ", ".join(f"{order}: {share:.1%}" for order, share in _shares(prediction).items()))
     click.echo(f"error    {prediction.error:.2g} stated, of which noise and smoothing {prediction.noise:.2g}")
     for part in prediction.skipped:
+        if part.bound == 0.0:  # it changes nothing, or the error above holds it
+            continue
         effect = f"changes the image by at most {part.bound:.2g}" if math.isfinite(part.bound) else "effect unknown"
         click.echo(f"skipped  {part.what} ({effect})")
 

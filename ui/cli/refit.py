@@ -11,6 +11,7 @@ import click
 from ui.cli.fits import fits_of, tell_fits
 from ui.cli.options import json_option, phase_option, rig_option
 from ui.cli.refit_archive import Share, Work, refit_archive
+from ui.cli.stages import stages_shown
 
 if TYPE_CHECKING:
     from tankrig.live.refit import Told
@@ -109,15 +110,12 @@ def refit(
 @contextmanager
 def progress_shown() -> "Iterator[Told]":
     """What is being fitted, and for how long models are still prepared, on stderr."""
-    from rich.console import Console
-
     from tankrig.live.formatting import preparation_in_words
     from tankrig.live.preparing import Preparation
 
-    with Console(stderr=True).status("reading") as status:
+    with stages_shown() as shown:
 
         def told(words: str, left: Preparation) -> None:
-            waiting = preparation_in_words(left)
-            status.update(f"{words}; {waiting}" if waiting else words)
+            shown(words, preparation_in_words(left))
 
         yield told

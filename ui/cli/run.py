@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,6 +18,7 @@ import click
 
 from ui.cli.fits import fits_of, tell_fits
 from ui.cli.options import json_option, out_option, phase_option, rig_option
+from ui.cli.stages import AGAIN_S, stages_shown
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -84,6 +85,8 @@ def run(
             sequence = replace(sequence, phase=phase)
         plan = planned(sequence, description, path, fit)
         if dry_run:
+            if rig is None:
+                click.echo("no rig is configured, so this is the simulated rig", err=True)
             _tell_plan(plan, as_json)
             return 0
     runner = open_runner(sequence, path, description, delivered_ul)
@@ -249,11 +252,19 @@ def _draw(runner: "Runner", thread: threading.Thread, live: "LiveFit | None") ->
     plain = TextColumn("{task.description}", markup=False)  # labels are people's words, brackets and all
     bar = Progress(BarColumn(), TextColumn("{task.completed}/{task.total}"), plain)
     task, beneath = bar.add_task("", total=runner.progress().steps), Text()
-    with Live(Group(bar, beneath), console=console, transient=True):
+    with ExitStack() as shown:
+        if console.is_terminal:
+            shown.enter_context(Live(Group(bar, beneath), console=console, transient=True))
+            told = None
+        else:
+            told = shown.enter_context(stages_shown("beginning", AGAIN_S))
         while thread.is_alive():
             thread.join(_POLL_S)
             now = runner.progress()
-            bar.update(task, completed=now.step, description=f"{now.label}, {_duration(now.remaining_s)} left")
+            left = f"{now.label}, {_duration(now.remaining_s)} left"
+            bar.update(task, completed=now.step, description=left)
+            if told is not None:
+                told(f"step {now.step} of {now.steps}, {left}")
             lines = [f"waiting for {now.waiting_for or 'the rig'}"]
             if live is not None:
                 lines.append(fit_in_words(from_fields(runner.latest_fit) if runner.latest_fit else None))

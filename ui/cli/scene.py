@@ -137,12 +137,13 @@ _Source = tuple["Bench", "Pattern", Mapping[str, "Calibration"], str]
 
 
 def _of_rig(rig: Path | None, pattern_name: str, sequence_file: Path | None) -> _Source:
-    from drivers.rig import calibrated_bench
+    from drivers.rig import SIMULATED, calibrated_bench, load_rig_file
     from tankrig.calibration.file import in_force
     from tankrig.sequence import Capture, Sequence, load_sequence
-    from ui.cli.calibrating import described
 
-    description = described(rig)
+    if rig is None:
+        click.echo("no rig is configured, so this is the simulated rig", err=True)
+    description = load_rig_file(rig) if rig else load_rig_file(SIMULATED, beside=Path().absolute())
     bench = calibrated_bench(description)
     patterns = load_sequence(sequence_file).patterns if sequence_file else {}
     drawn = Sequence("scene", (Capture(pattern_name),), patterns).drawn(bench.wall)

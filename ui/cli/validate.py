@@ -6,18 +6,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ui.cli.materials import label_option, optics_of, stock_option, wavelength_option
+from ui.cli.materials import label_option, optics_of, stock_option
 from ui.cli.options import json_option, out_option
 from ui.cli.refit import progress_shown
+from ui.cli.tables import tell_table
 
 if TYPE_CHECKING:
     from tankrig.report.beside_reference import Validation
+    from tankrig.run.reading import Run
 
 
 @click.command(epilog="Example: tankrig validate runs/2026-11-20T10-00-00 --material polystyrene-1.0 --wavelength 633")
 @click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
 @click.option("--material", "name", required=True, metavar="NAME", help="What was dosed; tankrig materials lists them.")
-@wavelength_option
+@click.option("--wavelength", "wavelength_nm", type=click.FloatRange(min=0.0, min_open=True), metavar="NM",
+              help="Of the projector's light, in vacuum; default: what the run's sequence says.")  # fmt: skip
 @label_option
 @stock_option
 @click.option("--tank-ml", type=click.FloatRange(min=0.0, min_open=True), help="Water in the tank; default: the run's.")
@@ -50,6 +53,7 @@ def validate(
     from tankrig.report import fitted_as, validation_of, write_validation
     from tankrig.run.reading import open_run
 
+    wavelength_nm = wavelength_nm or wavelength_of(open_run(run))
     optics = optics_of(name, wavelength_nm, label, band_nm)
     if not quick:
         with progress_shown() as told:
@@ -61,6 +65,19 @@ def validate(
     else:
         tell(found)
         click.echo(f"written  {file}")
+    warn_of_polarisation(found)
+
+
+def wavelength_of(run: "Run") -> float | None:
+    """What the sequence of a run says of its light, nm; None where it says nothing."""
+    said = run.settings.get("sequence", {}).get("wavelength_nm")
+    return float(said) if isinstance(said, int | float) else None
+
+
+def warn_of_polarisation(found: "Validation") -> None:
+    """Say on stderr that the light's polarisation was counted as anything, where that is so."""
+    if found.polarisation is None:
+        click.echo("nobody said how polarised the light is, so it may be anything; give --polarisation", err=True)
 
 
 def fields_of(found: "Validation") -> dict[str, Any]:
@@ -80,15 +97,11 @@ def fields_of(found: "Validation") -> dict[str, Any]:
 
 def tell(found: "Validation") -> None:
     """As a table, and in a sentence."""
-    from rich.console import Console
-    from rich.table import Table
-
     from tankrig.live.formatting import with_error
 
-    table = Table("", "run", "reference", "", "", box=None, pad_edge=False, header_style="bold")
-    for row in found.rows:
-        known = with_error(row.known.value, row.known.sd)
-        table.add_row(row.name, with_error(row.found, row.found_sd), known, row.unit, row.says)
-    console = Console()
-    console.print(table)
-    console.print(f"\n{found.verdict}\n", highlight=False, markup=False, soft_wrap=True)
+    rows = [
+        (row.name, with_error(row.found, row.found_sd), with_error(row.known.value, row.known.sd), row.unit, row.says)
+        for row in found.rows
+    ]
+    tell_table(("", "run", "reference", "", ""), rows, left=range(5), sentences=True)
+    click.echo(f"\n{found.verdict}\n")
