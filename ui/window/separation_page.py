@@ -185,8 +185,8 @@ class SeparationPage(QWidget):
             self._add.setVisible(not words)
             return
         head = f"{one.key.dose_ml:.4g} ml, sheet at z = {one.key.height_mm:g} mm"
-        self._says.setText(f"{head}: " + " ".join([*one.doubts, *([waits] if waits else [])]) if one.doubts or waits
-                           else f"{head}: nothing casts doubt on it.")  # fmt: skip
+        told = [*(f"{doubt}." for doubt in one.doubts), *([waits] if waits else [])]
+        self._says.setText(f"{head}: " + (" ".join(told) or "nothing casts doubt on it."))
 
     def _fill_table(self, sheets: list[SeparatedSheet]) -> None:
         periods = sorted({period_mm for one in sheets for period_mm in one.follow})
