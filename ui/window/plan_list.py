@@ -3,7 +3,7 @@
 from PySide6.QtWidgets import QLabel, QListWidget, QVBoxLayout, QWidget
 
 from tankrig.sequence.dry_run import DryRun
-from ui.window.words import duration, volume
+from ui.window.words import capitalised, duration, volume
 
 EMPTY = "Press Dry run (F7): what each step takes will be listed here; nothing moves."
 
@@ -37,7 +37,7 @@ class PlanList(QWidget):
     def wait(self, why: str) -> None:
         """Say why nothing can be listed yet; it is listed as soon as it can."""
         self.waiting = True
-        self._what.setText(why[:1].upper() + why[1:])
+        self._what.setText(capitalised(why))
         self._steps.clear()
 
     def clear(self) -> None:

@@ -8,7 +8,7 @@ from ui.window import theme
 from ui.window.shown import Shown, StepState
 from ui.window.source import Kind
 from ui.window.status import RigStatus
-from ui.window.words import duration
+from ui.window.words import capitalised, duration
 
 NO_RUN = "No run yet. Press Run (F5) to carry the sequence out; its steps will be ticked off here."
 
@@ -104,7 +104,7 @@ class RunList(QWidget):
         else:
             words = f"{shown.source.run.name}: {shown.ending}" if shown.ending else f"{shown.source.run.name}"
             self._left.setText(f"{done} of {len(shown.steps)} steps are done")
-        self._what.setText(words[:1].upper() + words[1:])
+        self._what.setText(capitalised(words))
 
     def _colour(self, step: int) -> None:
         assert self._shown is not None
