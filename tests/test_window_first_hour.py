@@ -10,6 +10,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QGuiApplication
 from PySide6.QtTest import QTest
 
+from tankrig.devices import Delivered
 from tests import on_page
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
@@ -56,6 +57,49 @@ def test_the_example_is_two_presses_from_a_run(window):
     assert window.top.run.isEnabled() or window.sequence.document.plan is not None
     assert window.sequence.document.path is None, "saving must not write into the program's own folder"
     assert EXAMPLE.read_text() == window.sequence.document.text
+
+
+def test_what_is_undone_or_begun_anew_offers_the_ways_to_begin_again(window):
+    """After one step, added and undone, they never came back."""
+    page = window.sequence
+    window.show_page(page)
+    click(on_page.button(page, "New"))
+    until(page.first.isVisible)
+    click(page.first.buttons["Build a sequence"])
+    until(page.tabs.isVisible)
+    window.run()
+    assert "no steps yet" in window.banner.text
+    page.append_separation()
+    until(lambda: page.document.plan is not None)
+    assert "no steps yet" not in window.banner.text, "what is no longer true goes by itself"
+    click(on_page.button(page, "Undo"))
+    until(page.first.isVisible)
+    page.append_separation()
+    click(on_page.button(page, "New"))
+    until(page.first.isVisible)
+    assert "had not been saved" in window.banner.text, "what was edited is offered back"
+    window.banner.put_away()
+
+
+def test_an_example_that_has_run_says_how_the_window_runs_it_again(window):
+    """ "Start a new ledger" named nothing that the window has."""
+    page = window.sequence
+    window.show_page(page)
+    page.try_example()
+    page.document.set_tank(Delivered(1600.0, 1600.0, 1600.0))
+    way = on_page.button(page, "To the Doser page")
+    until(way.isVisible)
+    assert "press “Filled with fresh water…” on the Doser page" in on_page.words_on(page)
+    window.run()
+    window.banner.press()
+    until(window.doser.isVisible)
+    window.show_page(page)
+    until(way.isVisible)
+    click(way)
+    until(on_page.button(window.doser, "Filled with fresh water").hasFocus)
+    page.document.set_tank(Delivered(0.0, 0.0, 0.0))
+    assert not way.isVisibleTo(page)
+    window.show_page(page)
 
 
 def test_the_example_is_the_one_of_the_documentation():

@@ -17,6 +17,7 @@ from PySide6.QtWidgets import (
 
 from ui.window.fields import SURE_MS, CheckedField, NumberField, number, with_name
 from ui.window.flow import Flow
+from ui.window.fresh_water import BUTTON
 from ui.window.pump_rate import PumpRate, pump_rate
 from ui.window.status import RigState, RigStatus
 from ui.window.words import volume
@@ -133,6 +134,10 @@ class DoserPage(QWidget):
 
     # -- what a person does --------------------------------------------------------------------------------------------
 
+    def show_fresh_water(self) -> None:
+        """The button for a tank that was filled anew has the keyboard, and is seen where the page scrolls."""
+        self._refill.setFocus()
+
     def _ask_dose(self) -> None:
         value = self._target.value
         if value is None:
@@ -186,7 +191,7 @@ class DoserPage(QWidget):
 
     def _ask_again(self) -> None:
         self._sure = False
-        self._refill.setText("Filled with fresh water…")
+        self._refill.setText(BUTTON)
 
     # -- layout --------------------------------------------------------------------------------------------------------
 
@@ -308,7 +313,7 @@ class DoserPage(QWidget):
 
     def _refill_row(self) -> QHBoxLayout:
         row = QHBoxLayout()
-        self._refill = QPushButton("Filled with fresh water…")
+        self._refill = QPushButton(BUTTON)
         self._refill.setToolTip("the tank was emptied and filled anew: set its ledger aside and begin another")
         self._refill.clicked.connect(self._ask_refill)
         row.addStretch(1)
