@@ -219,6 +219,20 @@ def test_what_was_typed_in_a_step_that_is_left_is_told(window, tmp_path):
     until(lambda: "the value before it stands" in window.banner.text)
 
 
+def test_a_dose_that_the_tank_cannot_hold_is_refused_with_its_own_limit(window):
+    """ "0 to 1e+06 µl" was offered of a tank of 4 ml, and a press with an empty field said nothing."""
+    window.show_page(window.doser)
+    field, dose = on_page.field(window.doser, "Dose until the tank holds"), on_page.button(window.doser, "Dose")
+    until(dose.isEnabled)
+    dose.click()
+    assert field.says.text() == "say how much the tank shall hold; give 0 to 4000 µl in all"
+    for typed in ("-50", "4001", "much"):
+        on_page.fill(field, typed)
+        assert field.says.text() == f"the tank may not hold {typed}; give 0 to 4000 µl in all"
+        assert not dose.isEnabled()
+    on_page.fill(field, "")
+
+
 def test_a_press_long_after_the_first_is_no_second_one(window, monkeypatch):
     """Who pressed once, and comes back an hour later, must not have the tank's ink forgotten at a touch."""
     monkeypatch.setattr("ui.window.doser_page.SURE_MS", 20)
