@@ -237,6 +237,25 @@ def test_a_refit_stays_known_and_can_be_shown_again(window, monkeypatch):
     assert window.compare.next.ask.isEnabled()
 
 
+def test_a_report_is_said_to_be_written_and_where_whether_or_not_a_browser_opens_it(window, monkeypatch):
+    """The button looked dead where no browser is registered, and nothing was told anywhere."""
+    asked = []
+    monkeypatch.setattr(window.background, "run", lambda *words, **answer: asked.append((words, answer)))
+    run = window.folder / "run-a"
+    for opens in (True, False):
+        monkeypatch.setattr("PySide6.QtGui.QDesktopServices.openUrl", lambda _, opens=opens: opens)
+        window.runs.report(run)
+        assert window.banner.text == "The report of run-a is being written."
+        asked[-1][1]["then"](run / "report.html")
+        assert str(run / "report.html") in window.banner.text
+        assert ("No browser" in window.banner.text) is not opens
+    assert f"is written: {run / 'report.html'}" in (window.folder / "window.log").read_text()
+    window.runs.report(run)
+    asked[-1][1]["failed"]("the disk is full")
+    assert window.banner.text == "The report of run-a is not written: the disk is full"
+    window.banner.put_away()
+
+
 def nap(seconds: float) -> float:
     """In the background's process."""
     import time

@@ -233,6 +233,7 @@ class MainWindow(QMainWindow):
             signal.connect(self._forget_wrong)
         self.runs.resume_asked.connect(self.resume)
         self.runs.open_asked.connect(self.show_run)
+        self.runs.report_told.connect(self._tell_report)
         self.runs.deleted.connect(lambda run: self.banner.withdraw(str(run)))
         self.runs.bar.left.connect(self.on_screen.leave)
         for teller in (
@@ -519,6 +520,11 @@ class MainWindow(QMainWindow):
         """Say something that a person has to know; see `Notice`."""
         _log.warning("%s", sentence)
         self.banner.say(capitalised(sentence), level, action, do, key)
+
+    def _tell_report(self, run: Path, sentence: str, level: str) -> None:
+        """What becomes of the report of a run; each sentence takes the place of the one before."""
+        _log.info("%s", sentence)
+        self.banner.say(sentence, level, key=f"report of {run}", about=str(run))
 
     def _forget_wrong(self) -> None:
         """What was said of the sequence goes once something else is wrong with it, or nothing."""

@@ -1,5 +1,6 @@
 """Runs that were recorded: browse, open, resume, report, export, delete; and replay and fit anew the one on screen."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,8 @@ class RunsPage(QWidget):
     open_asked = Signal(object)
     deleted = Signal(object)
     """Folder of a run that is in the trash."""
+    report_told = Signal(object, str, str)
+    """Folder of a run, what becomes of its report, and the `level` of that notice."""
     told = Signal(str)
 
     def __init__(self, folder: Path, on_screen: OnScreen, background: Worker) -> None:
@@ -107,7 +110,15 @@ class RunsPage(QWidget):
 
     def report(self, run: Path) -> None:
         """Write a run's report and show it in the browser."""
-        self._work(f"the report of {run.name}", jobs.report, run, then=self._show_report)
+        name = f"the report of {run.name}"
+        self._says.setText(f"In work: {name}")
+        self.report_told.emit(run, f"The report of {run.name} is being written.", "")
+
+        def failed(sentence: str) -> None:
+            self._says.clear()
+            self.report_told.emit(run, f"The report of {run.name} is not written: {sentence}", "bad")
+
+        self._background.run(jobs.report, run, then=partial(self._show_report, run), failed=failed, name=name)
 
     def export_selected(self, kind: str) -> None:
         """Ask where to, and export the selected run's frames: "NetCDF" or "TIFF"."""
@@ -206,9 +217,11 @@ class RunsPage(QWidget):
         self._says.clear()
         self.told.emit(sentence)
 
-    def _show_report(self, path: Path) -> None:
+    def _show_report(self, run: Path, path: Path) -> None:
         self._says.setText(f"report: {path}")
-        QDesktopServices.openUrl(QUrl.fromLocalFile(str(path.absolute())))
+        opened = QDesktopServices.openUrl(QUrl.fromLocalFile(str(path.absolute())))
+        unseen = "" if opened else " No browser here opens it: open that file with one of your own."
+        self.report_told.emit(run, f"The report of {run.name} is written: {path}.{unseen}", "good" if opened else "")
 
     # -- what is shown -------------------------------------------------------------------------------------------------
 
