@@ -228,6 +228,7 @@ class LiveView(QWidget):
     def _show_focus(self, shown: bool) -> None:
         self._focus_curve.begin()
         self._focus_curve.widget.setVisible(shown)
+        self._focus.setVisible(shown)
 
     def _show_profile(self, shown: bool) -> None:
         self.profile.show(shown)
@@ -314,6 +315,7 @@ class LiveView(QWidget):
         )  # fmt: skip
         self._read_out = QLabel(NO_PICTURE)
         self._saturated, self._focus, self._rate = QLabel(), QLabel(), QLabel()
+        self._focus.hide()
         self._focus.setToolTip("fine structure over brightness; turn the lens until it is largest")
         third = QHBoxLayout()
         for label in (self._saturated, self._focus):

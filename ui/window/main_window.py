@@ -205,6 +205,7 @@ class MainWindow(QMainWindow):
         ):  # fmt: skip
             signal.connect(slot, queued)
         self.on_screen.changed.connect(self._show_source)
+        self.on_screen.retitled.connect(self._name_source)
         self.on_screen.refitted.connect(self._offer_refit)
         self.projector.show_asked.connect(host.show)
         self.projector.screen_asked.connect(self.use_screen)
@@ -369,6 +370,7 @@ class MainWindow(QMainWindow):
             self.banner.withdraw("stop")
         if status.state is RigState.IDLE and not status.busy and (before.busy or before.state is not RigState.IDLE):
             self.banner.withdraw(NOT_NOW)
+        self.live_frame.say_trouble("NO PICTURE: the rig cannot be used" if failed else "")
         self.live.say_over(status.over_the_picture)
         self.live.say_trouble("no picture: the rig cannot be used; the line above says why" if failed else "")
 
@@ -487,6 +489,12 @@ class MainWindow(QMainWindow):
             self._play(shown)
         else:
             shown.read.connect(lambda: self._play(shown))
+
+    def _name_source(self, source: "Source") -> None:
+        """Say anew above everything whose it is."""
+        pages = self.sequence.run_frame, self.runs.frame, self.compare.frame
+        for frame in (self.live_frame, *self._frames, *pages):
+            frame.show_source(source)
 
     def _play(self, shown: "Shown") -> None:
         """The frames of a run that has been read."""

@@ -100,7 +100,7 @@ class RunList(QWidget):
         self._bar.setValue(done)
         if shown.source.kind is Kind.LIVE and self._status.running and now is not None:
             words = self._status.words
-            self._left.setText(f"about {duration(now.remaining_s)} left")
+            self._left.setText("" if self._status.finishing else f"about {duration(now.remaining_s)} left")
         else:
             words = f"{shown.source.run.name}: {shown.ending}" if shown.ending else f"{shown.source.run.name}"
             self._left.setText(f"{done} of {len(shown.steps)} steps are done")
