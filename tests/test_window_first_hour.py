@@ -127,6 +127,18 @@ def test_another_rig_is_opened_by_its_file(window):
     until(lambda: window.top.badge.text() == "test rig" and window.status.state.value == "ready", 30.0)
 
 
+def test_a_window_of_the_first_size_shows_what_a_page_is_for(window):
+    """Run was below the edge of the first page, and the curves against dose below that of the Fit page."""
+    window.resize(1280, 800)
+    window.show_page(window.sequence)
+    window.sequence.begin_anew()
+    for page, name in ((window.sequence, ""), (window.fit, "a"), (window.runs, "a")):
+        window.on_screen.leave() if not name else opened(window, name)
+        window.show_page(page)
+        until(lambda page=page: window.docks[page].widget().verticalScrollBar().maximum() == 0)
+    until(lambda: on_page.rows_of(window.runs, "runs").horizontalScrollBar().maximum() == 0)
+
+
 def opened(window, name: str):
     window.show_run(window.folder / f"run-{name}")
     shown = window.on_screen.shown

@@ -19,6 +19,7 @@ from tankrig.devices import CameraSettings
 from tests import on_page
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window.banner import MOST_SHOWN, Banner
+from ui.window.elided import Elided
 from ui.window.forms import Form
 from ui.window.marked_text import MarkedText
 
@@ -102,6 +103,21 @@ def test_however_much_is_told_a_person_can_put_it_away_and_read_it_again(qtbot):
         banner.put_away()
     assert banner.text == ""
     assert [one.sentence for one in banner.history] == [f"frame {n} is missing" for n in range(5 * MOST_SHOWN)]
+
+
+def test_what_does_not_fit_into_a_line_ends_in_dots(qtbot):
+    """ "7 models are" stood in the status bar: the rest was in a second line that nobody saw."""
+    line = Elided(1)
+    qtbot.addWidget(line)
+    line.setContentsMargins(6, 2, 6, 2)
+    line.show()
+    words = "running step 5 of 40: capture sheet times 4; 7 models are being prepared for the fit, about 42 s left"
+    for width in range(200, 900, 13):
+        line.resize(width, 30)
+        line.say(words)
+        assert line.heightForWidth(width) < 2 * line.fontMetrics().lineSpacing()
+        assert (line.text() == words) or line.text().endswith("…")
+        assert line.too_long == (line.text() != words)
 
 
 def live_fits() -> list[BaseProcess]:

@@ -62,7 +62,7 @@ class FitCurves(QWidget):
             self._widgets.append(widget)
             self._plots[name] = plot, line, bars, points
             self._bands[name] = band
-            widget.setMinimumHeight(112)
+            widget.setMinimumHeight(104)
             policy = QSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
             policy.setRetainSizeWhenHidden(True)  # each is laid out in its own turn, and none of the others with it
             widget.setSizePolicy(policy)

@@ -33,7 +33,9 @@ from ui.window.shown import Shown
 from ui.window.source_frame import SourceFrame
 
 COLUMNS = ("run", "began", "ending", "doses", "frames", "note", "sequence")
-BEGAN, NOTE = COLUMNS.index("began"), COLUMNS.index("note")
+RUN, BEGAN, NOTE = (COLUMNS.index(name) for name in ("run", "began", "note"))
+RUN_PX = 122
+"""At first, so that all columns can be seen in a window 1280 wide; the line below the list has the whole name."""
 PATH = Qt.ItemDataRole.UserRole
 DELETE = "Delete"
 
@@ -293,7 +295,10 @@ class RunsPage(QWidget):
         self._table.setAlternatingRowColors(True)
         header = self._table.horizontalHeader()
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        header.setStretchLastSection(True)
+        header.setSectionResizeMode(NOTE, QHeaderView.ResizeMode.Stretch)
+        header.setSectionResizeMode(RUN, QHeaderView.ResizeMode.Interactive)
+        header.resizeSection(RUN, RUN_PX)
+        self._table.setTextElideMode(Qt.TextElideMode.ElideMiddle)  # names that are times differ at both ends
         header.setSortIndicator(BEGAN, Qt.SortOrder.DescendingOrder)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         self._table.itemSelectionChanged.connect(self._select)

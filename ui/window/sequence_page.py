@@ -273,7 +273,8 @@ class SequencePage(QWidget):
         if not beginning and focus is not None and self.first.isAncestorOf(focus):
             self.window().setFocus()  # Qt would hand the keyboard to any button that comes next
         self.first.setVisible(beginning)
-        self.tabs.setVisible(not beginning)
+        for widget in (self.tabs, *self._of_sequence):  # of no sequence there is nothing to set or to run
+            widget.setVisible(not beginning)
         problem = self.document.problem
         self._title.setText(self.document.title)
         self.text.replace_text(self.document.text)
@@ -342,13 +343,11 @@ class SequencePage(QWidget):
         return row
 
     def _foot(self) -> Flow:
-        row = Flow(with_name("exposure", self._exposure))
         dry, self._run = QPushButton("Dry run  F7"), QPushButton("Run  F5")
         dry.setToolTip("what each step takes; nothing moves")
         dry.clicked.connect(self.dry_run)
         self._run.setObjectName("primary")
         self._run.setToolTip("carry the sequence out")
         self._run.clicked.connect(self.run_asked)
-        row.addWidget(dry)
-        row.addWidget(self._run)
-        return row
+        self._of_sequence = (with_name("exposure", self._exposure), dry, self._run)
+        return Flow(*self._of_sequence)
