@@ -514,6 +514,7 @@ def test_a_run_that_is_over_and_a_rig_that_cannot_be_used_are_not_framed_as_live
     window.follow(RigStatus(RigState.FAILED, "no camera", 10_000))
     assert title.text() == "NO PICTURE: the rig cannot be used"
     assert window.live_frame.property("source") != "live"
+    assert window.live.frame is None, "a picture that no longer moves"
     window.follow(RigStatus(RigState.IDLE))
     assert title.text() == live
     window.on_screen.forget(path)
