@@ -20,8 +20,7 @@ from tankrig.sequence import ExposureRule
 
 KINDS = ("camera", "projector", "tank", "radiometry", "stray", "latency")
 """What can be calibrated, in the order of the checks."""
-GEOMETRY = ("camera", "tank", "projector")
-BY_BOARDS = (*GEOMETRY, "stray")
+BY_BOARDS = ("camera", "projector", "tank", "stray")
 """What is found by a camera's perspective, so not by a telecentric lens."""
 TELECENTRIC = "the camera's lens is telecentric, which no board measures; the rig file is believed"
 STALE_DAYS = 90.0

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from drivers.calibration_health import GEOMETRY, TELECENTRIC, needs_none
 from drivers.check import RIG, Check
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
 
+GEOMETRY = ("camera", "tank", "projector")
 CALIBRATIONS = ("radiometry", "stray", *GEOMETRY, "latency")
 """In the order in which they rest on each other."""
 _PUMP_IS_EXACT = "simulated-doser"
@@ -68,6 +68,8 @@ def _calibration(kind: str, by_part: dict[str, list[Check]], description: "RigFi
     good = next((check for check in checks if check.passed), None)
     if good is not None:
         return Step(what, True, good.finding)
+    from drivers.calibration_health import TELECENTRIC, needs_none  # takes time to load
+
     if needs_none(kind, description):
         thing = "camera's stray light" if kind == "stray" else kind
         return Step(f"the {thing} needs no calibration where the camera's lens is telecentric", True, TELECENTRIC)
