@@ -63,8 +63,12 @@ def test_what_is_undone_or_begun_anew_offers_the_ways_to_begin_again(window):
     """After one step, added and undone, they never came back."""
     page = window.sequence
     window.show_page(page)
+    opened(window, "a")
+    page.append_separation()
+    assert not page.first.isVisible()
     click(on_page.button(page, "New"))
     until(page.first.isVisible)
+    window.banner.put_away()
     click(page.first.buttons["Build a sequence"])
     until(page.tabs.isVisible)
     window.run()
@@ -79,6 +83,7 @@ def test_what_is_undone_or_begun_anew_offers_the_ways_to_begin_again(window):
     until(page.first.isVisible)
     assert "had not been saved" in window.banner.text, "what was edited is offered back"
     window.banner.put_away()
+    window.on_screen.leave()
 
 
 def test_an_example_that_has_run_says_how_the_window_runs_it_again(window):

@@ -64,7 +64,7 @@ class SequencePage(QWidget):
 
     def __init__(self, simulated: bool = False) -> None:
         super().__init__()
-        self.first, self._building = FirstStart(simulated), False
+        self.first, self._building, self._anew = FirstStart(simulated), False, False
         self.first.try_asked.connect(self.try_example)
         self.first.build_asked.connect(self._build)
         self.first.rig_asked.connect(self.rig_asked)
@@ -187,7 +187,7 @@ class SequencePage(QWidget):
     def begin_anew(self) -> None:
         """An empty sequence, and the ways to begin; what was edited and is in no file is offered back."""
         unsaved = self.document.text if self.document.unsaved else ""
-        self._building = False
+        self._building, self._anew = False, True
         self.tabs.setCurrentWidget(self.steps)
         self.document.begin_anew()
         if unsaved:
@@ -242,7 +242,8 @@ class SequencePage(QWidget):
     # -- what goes on --------------------------------------------------------------------------------------------------
 
     def show_source(self, shown: Shown) -> None:
-        """The steps of this source stand on the tab "Run"."""
+        """The steps of this source stand on the tab "Run", before the ways to begin unless these are asked for."""
+        self._anew = False
         self.run_frame.show_source(shown.source)
         self.run_list.show_source(shown)
         self._refresh()
@@ -268,7 +269,7 @@ class SequencePage(QWidget):
     def _refresh(self) -> None:
         if not self.plan_list.waiting:
             self.plan_list.clear()
-        beginning = self.beginning and self.run_list.empty
+        beginning = self.beginning and (self._anew or self.run_list.empty)
         focus = QApplication.focusWidget()
         if not beginning and focus is not None and self.first.isAncestorOf(focus):
             self.window().setFocus()  # Qt would hand the keyboard to any button that comes next
