@@ -20,6 +20,9 @@ from tankrig.sequence import ExposureRule
 
 KINDS = ("camera", "projector", "tank", "radiometry", "stray", "latency")
 """What can be calibrated, in the order of the checks."""
+BY_BOARDS = ("camera", "projector", "tank", "stray")
+"""What is found by a camera's perspective, so not by a telecentric lens."""
+TELECENTRIC = "the camera's lens is telecentric, which no board measures; the rig file is believed"
 STALE_DAYS = 90.0
 _CLOSE = 2.0
 """mm, ms; by which measured and believed may differ, whatever the uncertainty."""
@@ -55,6 +58,8 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
     for kind in KINDS:
         if kind in found:
             yield replace(_fits(found[kind], devices.get(DEVICES[kind]), found, folder), part=kind)
+        elif needs_none(kind, rig):
+            yield Check(f"{kind} is calibrated", None, f"not needed: {TELECENTRIC}", part=kind)
         else:
             yield Check(
                 f"{kind} is calibrated", None, "has not been measured; the rig file is believed",
@@ -62,6 +67,11 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
             )  # fmt: skip
     yield from _blur_in_depth(found)
     yield from _as_believed(rig, found)
+
+
+def needs_none(kind: str, rig: RigFile) -> bool:
+    """Whether nothing of this kind can be measured on the rig, so that nothing is missing."""
+    return kind in BY_BOARDS and rig.bench.camera.kind == "orthographic"
 
 
 def _blur_in_depth(found: Mapping[str, Calibration]) -> Iterator[Check]:

@@ -16,7 +16,7 @@ from tankrig.live.exposures import exposures_of
 from tankrig.live.results import DoseFit, from_fields, to_fields
 from tankrig.pattern.wall import Wall
 from tankrig.report import write_report
-from tankrig.report.pictures import predicted
+from tankrig.report.pictures import observations, predicted
 from tankrig.run.folder import create_run
 from tankrig.run.reading import open_run
 from tankrig.run.start import is_of
@@ -133,6 +133,13 @@ def test_a_dose_is_rebuilt_with_what_was_fitted_along(run: Path, page: str) -> N
 def test_the_page_shows_the_photographs(page: str, run: Path) -> None:
     """Each dose's, beside the numbers that were found by it."""
     report_shows(page, run)
+
+
+def test_each_photograph_says_which_colours_it_is_shown_in(run: Path, page: str) -> None:
+    """Columns were titled "sheet sheet", and nothing said which was grey."""
+    shown = observations(exposures_of(open_run(run)).photographs())
+    assert [axes.get_title() for axes in shown.axes[:2]] == ["sheet, grey", "sheet, false colour"]
+    assert "at the left in grey, at its right in false colour" in page
 
 
 def test_what_is_no_run_or_shows_nothing_is_refused_and_nothing_is_written(

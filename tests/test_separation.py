@@ -19,7 +19,15 @@ from tankrig.pattern.wall import Wall
 from tankrig.run.derived import damaged_derived, read_derived, write_derived
 from tankrig.run.reading import StoredFrames
 from tankrig.scene import Camera, Medium, Tank
-from tankrig.separation import demodulated, expected_separation, order_one, transfer_of, what_changed
+from tankrig.separation import (
+    Separation,
+    Transfer,
+    demodulated,
+    expected_separation,
+    order_one,
+    transfer_of,
+    what_changed,
+)
 from tankrig.separation.expected import agreement, sheet_scene
 from tankrig.separation.order_one import OrderOne
 from tankrig.separation.order_one_fit import KNOWN_SLOPE_SD, asymmetry_of, fit_order_one, slope_of
@@ -188,6 +196,24 @@ def test_noise_is_told_from_the_waves_themselves_and_carried_on() -> None:
     assert 0.95 < float(np.std(z)) < 1.05
     dark = demodulated(np.sqrt(25.0) * chance.standard_normal(clean.shape), np.full(clean.shape, 5.0))
     assert float(np.sqrt(np.mean(dark.modulated**2))) < float(np.sqrt(np.mean(np.abs(dark.wave) ** 2)))
+
+
+@pytest.mark.parametrize(("light", "said"), [(0.0, True), (1.0, True), (10.0, False)])
+def test_pictures_of_noise_are_said_to_be_that(light: float, said: bool) -> None:
+    """Water without ink, photographed briefly: nothing cast doubt on 105 ± 7 % of order 1."""
+    y, x = np.mgrid[:40, :80]
+    steps = np.arange(4)[:, None, None] / 4.0
+    pictures = 0.5 * light * (1.0 + np.cos(2.0 * np.pi * (y / 8.0 - steps))) + 0.0 * x
+    noise = np.full(pictures.shape, 1.0)
+    waves = demodulated(pictures + np.random.default_rng(3).standard_normal(pictures.shape), noise)
+    transfer = Transfer(Wave(16.0, Z_MM, 0.0, Y_MM), np.exp(2j * np.pi * y / 8.0))
+    nowhere = np.zeros(y.shape, bool)
+    bench = bench_of("o-thin")
+    found = Separation(
+        0.0, Z_MM, bench, bench.camera, {16.0: waves}, (transfer,), what_changed(pictures, noise), nowhere, ""
+    )
+    assert bool(found.doubts) == bool(found.lost_in_noise) == said
+    assert not found.faults, "what all pixels tell together still counts"
 
 
 @given(st.floats(0.03, 0.1), st.booleans())

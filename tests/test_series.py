@@ -12,6 +12,7 @@ from tankrig.estimation.observation import observe
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.series import SeriesEstimate, fit_series
 from tankrig.estimation.series_forward import ModelOf, modelled_in_water, series_models
+from tankrig.estimation.verdict import series_verdict
 from tankrig.estimation.versions import Models
 from tankrig.light.leaving import CameraLens
 from tankrig.prediction import Prediction
@@ -210,3 +211,17 @@ def test_what_cannot_go_astray_in_a_series_is_refused() -> None:
             [np.ones((40, 60))] * 2, SCENE, [0.1, 0.2], nuisance={"z_mm": 1.0}, noise=1.0,
             model_of=lambda *_: tank_like,
         )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        ("", "The series determines nothing of the ink: take images"),
+        ("s", "The series determines σs of the ink, but not σa and g: take images"),
+        ("as", "The series determines σa and σs of the ink, but not g: take images"),
+    ],
+)
+def test_what_a_series_does_not_determine_is_said_in_a_sentence_that_makes_sense(known: str, said: str) -> None:
+    """ "Nothing of the ink, but not σa and σs and g" stood in the window."""
+    of = {"sigma_a": "a" in known, "sigma_s": "s" in known, "g": False, "water_sigma_a": False}
+    assert series_verdict(0.0, 1e-6 * np.eye(4), of, None, (0.0, 0.0, 1.0)).startswith(said)

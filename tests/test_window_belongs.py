@@ -4,6 +4,7 @@ The runs are small and their numbers tell which run they are of (`tests/recorded
 """
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from time import sleep
 from types import SimpleNamespace
@@ -14,11 +15,13 @@ from pyqtgraph import GraphicsView
 from PySide6.QtCore import QEvent, QFile, QObject, Qt
 from PySide6.QtWidgets import QApplication, QFileDialog, QSlider
 
-from tankrig.devices import CameraSettings
+from tankrig.devices import CameraSettings, Delivered
 from tankrig.live.formatting import with_error
 from tankrig.live.results import fits_in
 from tankrig.run.notes import person_note
+from tankrig.run.progress import Progress
 from tankrig.run.reading import open_run
+from tankrig.run.state import RunState
 from tests import on_page
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
@@ -31,6 +34,7 @@ from ui.window.runs_page import COLUMNS, PATH
 from ui.window.shown import PhotographKey, Shown
 from ui.window.source import Kind, RefitSettings, Source
 from ui.window.source_frame import SourceFrame
+from ui.window.status import RigState, RigStatus
 from ui.window.tank_plot import TankPlot
 
 
@@ -493,6 +497,47 @@ def test_counts_along_a_line_are_those_of_its_pixels(window):
     _, counts = along(pixels, plot, np.array([4.0, -76.0]), np.array([4.0, 200.0]))
     assert counts.tolist()[0] == 0
     assert counts.max() == 570, "what lies beside the picture is left out"
+
+
+def test_a_run_that_is_over_and_a_rig_that_cannot_be_used_are_not_framed_as_live(window):
+    """Frames said "LIVE: the camera, and run …" for as long as the window was open, and above a picture of nothing."""
+    path = runs.begin_run(window.folder / "run-over")
+    window.on_screen.begin(path, ["x"], [runs.session(path)])
+    live = "LIVE: the camera, and run run-over"
+    title = window.live_frame.title
+    assert title.text() == window.fit.parentWidget().title.text() == live
+    window.on_screen.take(path, runs.add(path, "end", 9.0, reason="completed"))
+    titles = [frame.title.text() for frame in window.findChildren(SourceFrame)]
+    assert titles.count(f"{live}, which is over") == 7
+    window.on_screen.take(path, runs.session(path, 20.0))
+    assert title.text() == live, "it goes on"
+    window.follow(RigStatus(RigState.FAILED, "no camera", 10_000))
+    assert title.text() == "NO PICTURE: the rig cannot be used"
+    assert window.live_frame.property("source") != "live"
+    assert window.live.frame is None, "a picture that no longer moves"
+    window.follow(RigStatus(RigState.IDLE))
+    assert title.text() == live
+    window.on_screen.forget(path)
+
+
+def test_how_sharp_the_picture_is_stands_there_only_while_it_is_asked_for(window):
+    focus = on_page.button(window.live, "focus")
+    assert not focus.isChecked()
+    until(lambda: window.live.frame is not None)
+    assert "focus 0." not in on_page.words_on(window.live)
+    focus.click()
+    until(lambda: "focus 0." in on_page.words_on(window.live))
+    focus.click()
+    assert "focus 0." not in on_page.words_on(window.live)
+
+
+def test_the_end_of_a_run_is_told_in_words_that_are_true():
+    """ "About 0 s left" stood there for ten seconds, of fits that a run without ink does not have."""
+    at_its_end = RigStatus(progress=Progress(5, 5, "all steps are done", "", 0.0), run_state=RunState.RUNNING)
+    assert at_its_end.finishing
+    assert "the last fits are being made" in at_its_end.words
+    assert "nothing to fit" in replace(at_its_end, tank=Delivered(0.0, 0.0, 0.0)).words
+    assert not replace(at_its_end, progress=Progress(4, 5, "x", "", 3.0)).finishing
 
 
 @pytest.mark.usefixtures("window")

@@ -10,6 +10,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QGuiApplication
 from PySide6.QtTest import QTest
 
+from tankrig.devices import Delivered
 from tests import on_page
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
@@ -58,6 +59,54 @@ def test_the_example_is_two_presses_from_a_run(window):
     assert EXAMPLE.read_text() == window.sequence.document.text
 
 
+def test_what_is_undone_or_begun_anew_offers_the_ways_to_begin_again(window):
+    """After one step, added and undone, they never came back."""
+    page = window.sequence
+    window.show_page(page)
+    opened(window, "a")
+    page.append_separation()
+    assert not page.first.isVisible()
+    click(on_page.button(page, "New"))
+    until(page.first.isVisible)
+    window.banner.put_away()
+    click(page.first.buttons["Build a sequence"])
+    until(page.tabs.isVisible)
+    window.run()
+    assert "no steps yet" in window.banner.text
+    page.append_separation()
+    until(lambda: page.document.plan is not None)
+    assert "no steps yet" not in window.banner.text, "what is no longer true goes by itself"
+    click(on_page.button(page, "Undo"))
+    until(page.first.isVisible)
+    page.append_separation()
+    click(on_page.button(page, "New"))
+    until(page.first.isVisible)
+    assert "had not been saved" in window.banner.text, "what was edited is offered back"
+    window.banner.put_away()
+    window.on_screen.leave()
+
+
+def test_an_example_that_has_run_says_how_the_window_runs_it_again(window):
+    """ "Start a new ledger" named nothing that the window has."""
+    page = window.sequence
+    window.show_page(page)
+    page.try_example()
+    page.document.set_tank(Delivered(1600.0, 1600.0, 1600.0))
+    way = on_page.button(page, "To the Doser page")
+    until(way.isVisible)
+    assert "press “Filled with fresh water…” on the Doser page" in on_page.words_on(page)
+    window.run()
+    window.banner.press()
+    until(window.doser.isVisible)
+    window.show_page(page)
+    until(way.isVisible)
+    click(way)
+    until(on_page.button(window.doser, "Filled with fresh water").hasFocus)
+    page.document.set_tank(Delivered(0.0, 0.0, 0.0))
+    assert not way.isVisibleTo(page)
+    window.show_page(page)
+
+
 def test_the_example_is_the_one_of_the_documentation():
     from pathlib import Path
 
@@ -81,6 +130,18 @@ def test_another_rig_is_opened_by_its_file(window):
     assert any(frame.title.text() == "LIVE: other rig" for frame in window.findChildren(SourceFrame))
     window.use_rig(window.home / "rig.toml")
     until(lambda: window.top.badge.text() == "test rig" and window.status.state.value == "ready", 30.0)
+
+
+def test_a_window_of_the_first_size_shows_what_a_page_is_for(window):
+    """Run was below the edge of the first page, and the curves against dose below that of the Fit page."""
+    window.resize(1280, 800)
+    window.show_page(window.sequence)
+    window.sequence.begin_anew()
+    for page, name in ((window.sequence, ""), (window.fit, "a"), (window.runs, "a")):
+        window.on_screen.leave() if not name else opened(window, name)
+        window.show_page(page)
+        until(lambda page=page: window.docks[page].widget().verticalScrollBar().maximum() == 0)
+    until(lambda: on_page.rows_of(window.runs, "runs").horizontalScrollBar().maximum() == 0)
 
 
 def opened(window, name: str):
@@ -191,6 +252,25 @@ def test_a_refit_stays_known_and_can_be_shown_again(window, monkeypatch):
     window.runs.refits.chosen.emit(None)
     until(lambda: window.on_screen.source.kind is Kind.REPLAY and window.on_screen.shown.fits)
     assert window.compare.next.ask.isEnabled()
+
+
+def test_a_report_is_said_to_be_written_and_where_whether_or_not_a_browser_opens_it(window, monkeypatch):
+    """The button looked dead where no browser is registered, and nothing was told anywhere."""
+    asked = []
+    monkeypatch.setattr(window.background, "run", lambda *words, **answer: asked.append((words, answer)))
+    run = window.folder / "run-a"
+    for opens in (True, False):
+        monkeypatch.setattr("PySide6.QtGui.QDesktopServices.openUrl", lambda _, opens=opens: opens)
+        window.runs.report(run)
+        assert window.banner.text == "The report of run-a is being written."
+        asked[-1][1]["then"](run / "report.html")
+        assert str(run / "report.html") in window.banner.text
+        assert ("No browser" in window.banner.text) is not opens
+    assert f"is written: {run / 'report.html'}" in (window.folder / "window.log").read_text()
+    window.runs.report(run)
+    asked[-1][1]["failed"]("the disk is full")
+    assert window.banner.text == "The report of run-a is not written: the disk is full"
+    window.banner.put_away()
 
 
 def nap(seconds: float) -> float:

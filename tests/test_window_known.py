@@ -1,15 +1,19 @@
 """One confidence: ± is 95 % wherever the window shows what is known, and commands say that theirs is a deviation."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
 import pytest
 
+from drivers.calibration_health import KINDS, calibration_checks
 from drivers.rig import load_rig_file
 from tankrig.calibration.file import Calibration, save
 from tankrig.calibration.pump import calibrate_pump, load_pump_calibration, save_pump_calibration
 from tankrig.live.formatting import with_error
+from tankrig.scene import Camera
 from tests.window_rig import write_rig
+from ui.calibration_way import calibration_steps
 from ui.cli.calibrating import tell
 from ui.window.calibration_known import known_of
 
@@ -24,6 +28,25 @@ def test_a_weighed_pump_is_known_with_the_windows_confidence(tmp_path: Path) -> 
     (value,) = (known.value for known in known_of(load_rig_file(rig), rig, tmp_path) if known.what == "pump, weighed")
     assert value.startswith(f"{with_error(one.correction, 1.96 * one.correction_sd)} true µl per nominal µl (95 %)")
     assert value.endswith("µl (standard deviation)")
+
+
+@pytest.mark.parametrize("camera", ["orthographic", "pinhole"])
+def test_what_a_telecentric_lens_makes_needless_is_missing_nowhere(tmp_path: Path, camera: str) -> None:
+    """ "Not yet" and "has not been measured" stood beside a tick for the same camera."""
+    file = write_rig(tmp_path)
+    rig = load_rig_file(file)
+    if camera == "pinhole":
+        seen = Camera("pinhole", (20, 30), 8.0, (120.0, 0.0, 600.0))
+        rig = replace(rig, bench=replace(rig.bench, camera=seen))
+    checks = list(calibration_checks(rig, {}))
+    known = {one.what: one for one in known_of(rig, file, tmp_path)}
+    found = {check.part: check for check in checks}
+    steps = calibration_steps(rig, checks)
+    for kind in KINDS:
+        needless = camera == "orthographic" and kind in ("camera", "tank", "projector", "stray")
+        assert (known[f"{kind}, measured"].value == "not needed") == needless
+        assert found[kind].finding.startswith("not needed: ") == needless == (not found[kind].remedy)
+        assert bool(steps[kind].done) == needless == ("needs no calibration" in steps[kind].what)
 
 
 def test_commands_say_that_each_of_their_errors_is_a_standard_deviation(

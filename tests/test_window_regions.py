@@ -188,10 +188,12 @@ def test_any_region_can_be_added_and_taken_away_by_keyboard(window):
     QTest.keyClicks(field, "add region")
     QTest.keyClick(field, Qt.Key.Key_Return)
     until(lambda: len(window.live.regions.drawn) == 1)
+    assert on_page.button(window.regions, "Remove region").isEnabled()
     field = on_page.palette_of(window).field
     QTest.keyClicks(field, "remove region")
     QTest.keyClick(field, Qt.Key.Key_Return)
     until(lambda: not window.live.regions.drawn)
+    assert not on_page.button(window.regions, "Remove region").isEnabled(), "it would do nothing"
 
 
 def outlines_of(bench, pattern) -> np.ndarray:

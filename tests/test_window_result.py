@@ -8,6 +8,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tankrig.live.exposures import exposures_of
@@ -15,12 +16,14 @@ from tankrig.live.results import DoseFit, PhaseFound
 from tankrig.run.reading import open_run
 from tankrig.scene import Medium
 from tankrig.scene.phase_functions import ReynoldsMcCormick, TwoTerm
+from tests import on_page
 from tests import recorded_runs as runs
 from ui.window import jobs
 from ui.window.as_python import as_python
 from ui.window.fit_cards import ResultCard
+from ui.window.fit_curves import FitCurves
 from ui.window.refit_row import RefitRow
-from ui.window.result import of_dose, result_of, table
+from ui.window.result import Z, of_dose, result_of, table
 from ui.window.shown import Shown, TimedFit
 from ui.window.source import Kind, RefitSettings, Source
 
@@ -91,6 +94,25 @@ def test_another_phase_function_is_copied_as_text_and_as_a_table():
     assert (thin[at], thick[at], thick[at + 1]) == ("", "0.95", "0.0392")
     assert thick[head.index("σs(1−g) (1/mm, of ink 1/mm/ml)")] == "0.0012"
     assert thick[head.index("phase function")] == "two lobes of Henyey–Greenstein"
+
+
+def test_what_a_series_does_not_determine_is_no_firm_line_through_the_doses(tmp_path):
+    """A firm σa lay above all doses, with nothing to say that it might as well be 0."""
+    series = replace(runs.series_fit(tmp_path, 2), identifiable={"sigma_a": False, "sigma_s": True, "g": True})
+    curves = FitCurves()
+    curves.show_fits([(fit.dose_ml, fit) for fit in (with_lobes(0.1), with_lobes(0.4))], "dose_ml", series)
+    on_page.painted(curves)
+    for name, held in (("σa", ["line", "band"]), ("σs", ["line"])):
+        assert len([one for one in on_page.curves(curves, name) if one]) == len(held)
+    edges = next(one for one in on_page.curves(curves, "σa") if len(one) > 2)
+    last_ml, high = edges[-1]
+    found = np.hypot(series.sd[0] * last_ml, series.sd[3])
+    assert high == pytest.approx(series.at(last_ml).sigma_a + Z * found)
+    assert edges[0][1] >= 0.0, "nothing absorbs less than nothing"
+    curves.show_fits([(1.0, with_lobes(0.1))], "time_s", series)
+    on_page.painted(curves)
+    assert not any(on_page.curves(curves, "σa"))
+    curves.deleteLater()
 
 
 def test_light_that_the_model_does_not_have_is_told_with_the_result():

@@ -69,6 +69,15 @@ def test_edits_keep_comments_and_come_back_one_by_one(document):
     assert document.reading.sequence.exposure_ms == 35.0
 
 
+def test_what_a_person_builds_is_not_told_in_the_language_of_files(document):
+    """'key "steps" is missing; add it' stood above a form with no steps."""
+    document.begin_anew()
+    assert document.empty
+    assert document.path is None
+    assert document.problem.sentence == sequence_text.NO_STEPS
+    assert not document.undo.canUndo()
+
+
 def test_what_is_typed_is_undone_together(document):
     """Undo by the letter is no undo."""
     before = document.text

@@ -20,6 +20,7 @@ from tankrig.devices import CameraSettings
 from tests import on_page
 from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window.banner import MOST_SHOWN, Banner
+from ui.window.elided import Elided
 from ui.window.forms import Form
 from ui.window.kept_log import KeptLog
 from ui.window.marked_text import MarkedText
@@ -104,6 +105,21 @@ def test_however_much_is_told_a_person_can_put_it_away_and_read_it_again(qtbot):
         banner.put_away()
     assert banner.text == ""
     assert [one.sentence for one in banner.history] == [f"frame {n} is missing" for n in range(5 * MOST_SHOWN)]
+
+
+def test_what_does_not_fit_into_a_line_ends_in_dots(qtbot):
+    """ "7 models are" stood in the status bar: the rest was in a second line that nobody saw."""
+    line = Elided(1)
+    qtbot.addWidget(line)
+    line.setContentsMargins(6, 2, 6, 2)
+    line.show()
+    words = "running step 5 of 40: capture sheet times 4; 7 models are being prepared for the fit, about 42 s left"
+    for width in range(200, 900, 13):
+        line.resize(width, 30)
+        line.say(words)
+        assert line.heightForWidth(width) < 2 * line.fontMetrics().lineSpacing()
+        assert (line.text() == words) or line.text().endswith("…")
+        assert line.too_long == (line.text() != words)
 
 
 def live_fits() -> list[BaseProcess]:
@@ -236,6 +252,20 @@ def test_what_was_typed_in_a_step_that_is_left_is_told(window, tmp_path):
     until(lambda: not window.top.run.isEnabled())
     steps.tree.setCurrentItem(steps.tree.topLevelItem(1))
     until(lambda: "the value before it stands" in window.banner.text)
+
+
+def test_a_dose_that_the_tank_cannot_hold_is_refused_with_its_own_limit(window):
+    """ "0 to 1e+06 µl" was offered of a tank of 4 ml, and a press with an empty field said nothing."""
+    window.show_page(window.doser)
+    field, dose = on_page.field(window.doser, "Dose until the tank holds"), on_page.button(window.doser, "Dose")
+    until(dose.isEnabled)
+    dose.click()
+    assert field.says.text() == "say how much the tank shall hold; give 0 to 4000 µl in all"
+    for typed in ("-50", "4001", "much"):
+        on_page.fill(field, typed)
+        assert field.says.text() == f"the tank may not hold {typed}; give 0 to 4000 µl in all"
+        assert not dose.isEnabled()
+    on_page.fill(field, "")
 
 
 def test_a_press_long_after_the_first_is_no_second_one(window, monkeypatch):

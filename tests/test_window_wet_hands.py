@@ -21,6 +21,7 @@ from PySide6.QtWidgets import (
 from drivers.emulation.truth import read_truth
 from tests import on_page
 from tests.window_rig import LONG_DOSE, until, wait_ms, window_on, write_rig
+from ui.window.docks import PART
 from ui.window.forms import Form
 
 
@@ -261,7 +262,7 @@ def test_pages_come_back_to_their_size(window):
     window.show_page(window.fit)
     for width in (1280, 1024, 1280):
         window.resize(width, 700)
-        until(lambda width=width: abs(window.docks[window.fit].width() - 0.54 * width) < 0.02 * width)
+        until(lambda width=width: abs(window.docks[window.fit].width() - PART * width) < 0.02 * width)
 
 
 def test_an_errors_colour_follows_the_theme(window):

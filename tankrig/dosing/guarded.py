@@ -11,7 +11,7 @@ from tankrig.errors import DeviceError, TankrigError, UndecidedError
 
 from .evidence import Account, Evidence, TankFinding, between, judge, used_elsewhere_ul
 from .ledger import TankLedger
-from .limits import DoseLimits, Remaining
+from .limits import FILL_ANEW, DoseLimits, Remaining
 from .records import COUNT_KEYS, DoseDone, DoseIntent, JointCount
 
 _CLOSE_S = 60.0
@@ -232,7 +232,7 @@ class GuardedDoser:
         if self.stopped:
             raise DeviceError(f"{asked} a stop is latched; clear it first")
         if total_ul < before.volume_ul - self.increment_ul:
-            raise DeviceError(f"{asked} it holds {before.volume_ul:g} µl already; fill it anew and start a new ledger")
+            raise DeviceError(f"{asked} it holds {before.volume_ul:g} µl already; {FILL_ANEW}")
         if refusal := self._limits.refusal(total_ul, before, self.used_ul):
             raise DeviceError(f"{asked} {refusal}")
 

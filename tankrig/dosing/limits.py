@@ -9,6 +9,8 @@ from tankrig.errors import SequenceError
 from tankrig.ranges import Within, require_ranges
 
 _ROUNDING_UL = 1e-6
+FILL_ANEW = "fill it anew and start a new ledger"
+"""What to do about a tank that holds too much already: ends the sentences that say so."""
 
 Budget = Annotated[float, Within(0.0, MOST, "is no budget; give a positive number of µl", above=True)]
 """Of ink, µl."""

@@ -382,10 +382,9 @@ def series_verdict(
     if not no:
         sentences.append("The series determines σa and σs of the ink per ml, and g.")
     else:
-        missing = " and ".join(no)
+        determined = f"{_listed(yes)} of the ink, but not {_listed(no)}" if yes else "nothing of the ink"
         sentences.append(
-            f"The series determines {' and '.join(yes) or 'nothing'} of the ink, but not {missing}: take images at "
-            "lower and higher doses, or with more patterns."
+            f"The series determines {determined}: take images at lower and higher doses, or with more patterns."
         )
     sd = math.sqrt(float(spread[3, 3]))
     if known["water_sigma_a"]:

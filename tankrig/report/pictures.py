@@ -17,6 +17,7 @@ from tankrig.prediction import ORDER_CLASSES, Prediction
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+COLOURS = {"grey": GREY, "false colour": FALSE_COLOUR}
 SUMS = {"1": 1, "1–3": 3, "1–20": 4, "all": 5}
 """Classes of orders that each reconstruction adds up."""
 
@@ -36,9 +37,10 @@ def observations(photographs: Sequence[Photograph]) -> "Figure":
         axes.set_axis_off()
     for one in photographs:
         row, column = doses.index(one.dose_ml), 2 * patterns.index(one.pattern)
-        for axes, colours in zip(grid[row, column : column + 2], (GREY, FALSE_COLOUR), strict=True):
+        for axes, (name, colours) in zip(grid[row, column : column + 2], COLOURS.items(), strict=True):
             axes.set_axis_on()
-            draw(axes, one.image, one.scene, colours, brightness(one.image), one.pattern if row == 0 else "")
+            title = f"{one.pattern}, {name}" if row == 0 else ""
+            draw(axes, one.image, one.scene, colours, brightness(one.image), title)
         if column == 0:
             grid[row, 0].annotate(
                 f"{one.dose_ml:.3g} ml", (-0.32, 0.5), xycoords="axes fraction", rotation=90, va="center", weight="bold"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from tankrig.devices import Delivered
-from tankrig.dosing.limits import DoseLimits, dosed_to
+from tankrig.dosing.limits import FILL_ANEW, DoseLimits, dosed_to
 from tankrig.errors import SequenceError
 from tankrig.ranges import Within, require_ranges
 from tankrig.scene.description import CLOSED
@@ -156,8 +156,7 @@ def dry_run(
             ink_ul = action.total_ul - tank.volume_ul
             if ink_ul < 0.0:
                 raise SequenceError(
-                    f"{sequence.name}: {task.label}: the tank holds {tank.volume_ul:g} µl already; "
-                    f"fill it anew and start a new ledger"
+                    f"{sequence.name}: {task.label}: the tank holds {tank.volume_ul:g} µl already; {FILL_ANEW}"
                 )
             if refusal := limits.refusal(action.total_ul, tank, run_used_ul):
                 raise SequenceError(f"{sequence.name}: {task.label}: {refusal}")

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 BELIEVED = "taken from the rig file; not measured by tankrig"
 
+NOT_YET = "not yet", "the tab Measure leads through it"
 MEASURED_INSTEAD = ("light", "projector to wall", "camera")
 """What the rig file says of these is not used once camera, tank and projector have been measured."""
 
@@ -80,7 +81,7 @@ def _in_use(rig: "RigFile") -> "dict[str, Calibration]":
 
 
 def _measured(rig: "RigFile") -> Iterator[Known]:
-    from drivers.calibration_health import KINDS
+    from drivers.calibration_health import KINDS, TELECENTRIC, needs_none
     from tankrig.calibration.file import all_in, passed_over, usable
 
     place = Path(rig.calibration_folder)
@@ -100,7 +101,8 @@ def _measured(rig: "RigFile") -> Iterator[Known]:
         yield Known(f"{kind}, set aside", _well(doubtful), note, doubtful.path)
     for kind in KINDS:
         if kind not in found:
-            yield Known(f"{kind}, measured", "not yet", "the tab Measure leads through it")
+            missing = ("not needed", TELECENTRIC) if needs_none(kind, rig) else NOT_YET
+            yield Known(f"{kind}, measured", *missing)
             continue
         one = found[kind]
         when = f"{one.date[:16].replace('T', ' ')} UTC ({_age(one.age_days)}), {one.path and one.path.name}"
@@ -150,7 +152,7 @@ def _weighed(rig: "RigFile", folder: Path) -> Iterator[Known]:
             + ("in use" if used else f'not in use: put calibration = "./{file.name}" into [doser]'),
         )
     if not files:
-        yield Known("pump, weighed", "not yet", "the tab Measure leads through it")
+        yield Known("pump, weighed", *NOT_YET)
 
 
 def _believed(rig: "RigFile") -> Iterator[tuple[str, str]]:

@@ -13,7 +13,7 @@ from ui.window.staggered_painter import StaggeredPainter
 TITLES = (
     "Sequence", "Fit", "Waves", "Doser", "Projector", "Runs", "Compare", "Regions", "Calibration", "Log"
 )  # fmt: skip
-PART = 0.54
+PART = 0.57
 """Of the window's width, at first."""
 
 

@@ -17,6 +17,7 @@ from PySide6.QtWidgets import (
 
 from ui.window.fields import SURE_MS, CheckedField, NumberField, number, with_name
 from ui.window.flow import Flow
+from ui.window.fresh_water import BUTTON
 from ui.window.pump_rate import PumpRate, pump_rate
 from ui.window.status import RigState, RigStatus
 from ui.window.words import volume
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from drivers.rig import RigFile
 
 EMPTY = "What the tank holds, and what its budgets leave, will stand here once the rig is open."
+MOST_UL = 1e6
+"""Of any tank, while the rig is not known."""
 UNKNOWN = (
     "<b>It is not known how much ink the tank holds.</b> A dose was begun and nobody saw it end, the doser moved "
     "without tankrig, or the run, the tank's ledger and the doser do not say the same. Nothing moves until a person "
@@ -133,10 +136,14 @@ class DoserPage(QWidget):
 
     # -- what a person does --------------------------------------------------------------------------------------------
 
+    def show_fresh_water(self) -> None:
+        """The button for a tank that was filled anew has the keyboard, and is seen where the page scrolls."""
+        self._refill.setFocus()
+
     def _ask_dose(self) -> None:
         value = self._target.value
         if value is None:
-            self._target.setFocus()
+            self._target.say_wrong()
             return
         self.dose_asked.emit(float(value))
 
@@ -152,6 +159,15 @@ class DoserPage(QWidget):
         self._rate.setEnabled(self._free and self._pump is not None)
         self._set_rate.setEnabled(self._free and self._pump is not None and self._rate.value is not None)
         self._prime.setEnabled(self._free and self._hangs.isChecked() and self._volume.value is not None)
+
+    def _read_target(self, text: str) -> tuple[float | None, str]:
+        """What the tank of this rig may hold."""
+        most_ul = self._rig.limits.tank_ul if self._rig is not None else MOST_UL
+        value = number(text)
+        if value is not None and 0.0 <= value <= most_ul:
+            return value, ""
+        given = f"the tank may not hold {text}" if text.strip() else "say how much the tank shall hold"
+        return None, f"{given}; give 0 to {most_ul:g} µl in all"
 
     def _read_rate(self, text: str) -> tuple[float | None, str]:
         """A rate that the pump of this rig takes."""
@@ -170,7 +186,7 @@ class DoserPage(QWidget):
     def _ask_resolve(self) -> None:
         value = self._truth.value
         if value is None:
-            self._truth.setFocus()
+            self._truth.say_wrong()
             return
         self.resolve_asked.emit(float(value))
 
@@ -186,7 +202,7 @@ class DoserPage(QWidget):
 
     def _ask_again(self) -> None:
         self._sure = False
-        self._refill.setText("Filled with fresh water…")
+        self._refill.setText(BUTTON)
 
     # -- layout --------------------------------------------------------------------------------------------------------
 
@@ -211,8 +227,12 @@ class DoserPage(QWidget):
     def _dose_card(self) -> QFrame:
         card, row = QFrame(), QHBoxLayout()
         card.setObjectName("card")
-        self._target = NumberField("µl in all", 0.0, 1e6, "ink that the tank shall hold in all, never to be added")
+        self._target = CheckedField(
+            self._read_target, "µl in all", "ink that the tank shall hold in all, never to be added"
+        )
         self._target.edit.setObjectName("dose-target")
+        self._target.edit.setMinimumWidth(64)
+        self._target.edit.setMaximumWidth(110)
         self._target.edit.setPlaceholderText("total")
         self._dose = QPushButton("Dose")
         self._dose.setToolTip("dose until the tank holds this much in all")
@@ -229,7 +249,7 @@ class DoserPage(QWidget):
     def _prime_card(self) -> QFrame:
         card, row = QFrame(), Flow()
         card.setObjectName("card")
-        self._volume = NumberField("µl", 0.1, 1e6, "ink for the waste vessel, no more than one dose may have")
+        self._volume = NumberField("µl", 0.1, MOST_UL, "ink for the waste vessel, no more than one dose may have")
         self._volume.edit.setObjectName("prime-volume")
         self._volume.set_value(50.0)
         self._hangs, self._prime = QCheckBox("the tube hangs in a waste vessel"), QPushButton("Prime")
@@ -286,7 +306,9 @@ class DoserPage(QWidget):
         self._question.setProperty("role", "wrong")
         for label in (words, self._question):
             label.setWordWrap(True)
-        self._truth = NumberField("µl in all", 0.0, 1e6, "ink that the tank holds in all, as a person has found out")
+        self._truth = NumberField(
+            "µl in all", 0.0, MOST_UL, "ink that the tank holds in all, as a person has found out"
+        )
         self._truth.edit.setObjectName("truth")
         decide = QPushButton("That is what it holds")
         decide.clicked.connect(self._ask_resolve)
@@ -308,7 +330,7 @@ class DoserPage(QWidget):
 
     def _refill_row(self) -> QHBoxLayout:
         row = QHBoxLayout()
-        self._refill = QPushButton("Filled with fresh water…")
+        self._refill = QPushButton(BUTTON)
         self._refill.setToolTip("the tank was emptied and filled anew: set its ledger aside and begin another")
         self._refill.clicked.connect(self._ask_refill)
         row.addStretch(1)

@@ -4,6 +4,8 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QLabel
 
+BESIDE_PX = 8
+"""Qt lays text that can be selected out as a document, which has 4 pixels to either side."""
 MOST_PX = 16_777_215
 """As Qt has it where there is no limit."""
 
@@ -23,6 +25,8 @@ class Elided(QLabel):
     def __init__(self, lines: int) -> None:
         super().__init__()
         self._lines, self._whole, self._all = lines, "", False
+        self.too_long = False
+        """Whether some of the text does not fit."""
         self.setWordWrap(True)
         self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.setMinimumWidth(120)
@@ -66,9 +70,10 @@ class Elided(QLabel):
             text = text[:low].rstrip() + "…"
         self.setText(text)
         self.setToolTip(self._whole if text != self._whole else "")
+        self.too_long = not fits
         self.cut.emit(not fits)
 
     def _holds(self, text: str) -> bool:
         metrics, wrap = self.fontMetrics(), int(Qt.TextFlag.TextWordWrap.value)
-        box = metrics.boundingRect(0, 0, max(1, self.width() - 4), 10_000, wrap, text)
+        box = metrics.boundingRect(0, 0, max(1, self.contentsRect().width() - BESIDE_PX), 10_000, wrap, text)
         return box.height() <= self._lines * metrics.lineSpacing() + 2

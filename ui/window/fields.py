@@ -110,6 +110,11 @@ class CheckedField(QWidget):
             self.edit.setText(text)
         self._mark()
 
+    def say_wrong(self) -> None:
+        """Say what is wrong with it although nobody has typed: a button was pressed that needs its value."""
+        self._mark()
+        self.setFocus()
+
     def add(self, widget: QWidget) -> None:
         """Put a widget behind the field."""
         self._row.addWidget(widget)

@@ -17,11 +17,14 @@ from PySide6.QtWidgets import (
 
 from ui.window.elided import Elided
 from ui.window.result import CONFIDENCE, NAMES, Result
+from ui.window.words import capitalised
 
 ORDERS = {
     "1": "order 1 only", "1–3": "orders 1–3", "1–20": "orders 1–20", "all": "all orders",
     "single": "single scattering's best",
 }  # fmt: skip
+BAR_ROWS = 3
+"""Two columns of bars leave room for the curves on a screen 800 high."""
 VERDICT_LINES = 2
 SCATTERING_LINES = 2
 EMPTY_LINE = "\u00a0"
@@ -49,9 +52,10 @@ class ResultCard(QWidget):
         self.belongs.setProperty("role", "faint")
         self._whole = QPushButton("All of it")
         self._whole.setCheckable(True)
-        self._whole.setToolTip("all that the verdict says, or its first lines")
-        self._whole.toggled.connect(self.verdict.show_all)
-        self.verdict.cut.connect(self._whole.setEnabled)
+        self._whole.setToolTip("all that the verdict says and whose it is, or the first lines")
+        for line in (self.belongs, self.verdict):
+            self._whole.toggled.connect(line.show_all)
+            line.cut.connect(self._follow_cut)
         row = QHBoxLayout()
         self._copies = []
         for words, what, tip in (
@@ -93,6 +97,10 @@ class ResultCard(QWidget):
         column.addWidget(self.verdict)
         self.show_result(None, "")
 
+    def _follow_cut(self) -> None:
+        """There is more to be seen of what does not fit."""
+        self._whole.setEnabled(self.belongs.too_long or self.verdict.too_long)
+
     def show_result(self, result: Result | None, says: str) -> None:
         """Show a result, or that there is none; `says` is what goes on besides."""
         found = {one.name: one for one in result.coefficients} if result is not None else {}
@@ -114,7 +122,8 @@ class ResultCard(QWidget):
         # All fits of a run search the same phase functions, so it comes and goes with the run.
         self.scattering.setVisible(bool(further))
         verdict = result.verdict if result is not None else ""
-        self.verdict.say(f"{says} {verdict}".strip())
+        stop = "." if says and says[-1] not in ".…" else ""
+        self.verdict.say(f"{capitalised(says)}{stop} {verdict}".strip())
         for button in self._copies:
             button.setEnabled(result is not None)
 
@@ -128,7 +137,8 @@ class OrderBars(QWidget):
         grid.setContentsMargins(0, 0, 0, 0)
         grid.setVerticalSpacing(2)
         self._bars: dict[str, QProgressBar] = {}
-        for row, (key, words) in enumerate(ORDERS.items()):
+        for number, (key, words) in enumerate(ORDERS.items()):
+            row, column = number % BAR_ROWS, 2 * (number // BAR_ROWS)
             bar = QProgressBar()
             bar.setRange(0, 1000)
             bar.setFormat("–")
@@ -137,10 +147,10 @@ class OrderBars(QWidget):
             label = QLabel(words)
             label.setToolTip("root mean square of what is left over, in percent of the brightest pixel")
             label.setBuddy(bar)
-            grid.addWidget(label, row, 0)
-            grid.addWidget(bar, row, 1)
+            grid.addWidget(label, row, column)
+            grid.addWidget(bar, row, column + 1)
+            grid.setColumnStretch(column + 1, 1)
             self._bars[key] = bar
-        grid.setColumnStretch(1, 1)
 
     def show_rmse(self, rmse: Mapping[str, float]) -> None:
         """Show RMSE as parts of the peak; the longest bar is the worst."""

@@ -12,10 +12,17 @@ from PySide6.QtWidgets import QGraphicsItem, QHBoxLayout, QSizePolicy, QWidget
 from tankrig.live.results import DoseFit, SeriesFit
 from ui.window.result import CONFIDENCE, Z
 from ui.window.staggered_painter import StaggeredPainter
+from ui.window.tank_plot import pen
 from ui.window.theme import CURVES
 
 COEFFICIENTS = {"sigma_s": ("σs", 1, "per mm"), "sigma_a": ("σa", 0, "per mm"), "g": ("g", 2, "")}
 """Symbol, place in the standard deviations, unit."""
+GREY = "#888888"
+BAND_POINTS = 25
+TIP = (
+    "grey: the liquid by the fit of all doses; dashed where that does not determine the coefficient, between the edges "
+    f"of its interval ({CONFIDENCE})"
+)
 ROOM = 1.5
 """Times what is shown: an axis that is at most so long stays as it is."""
 AXIS_PX = 50
@@ -30,6 +37,7 @@ class FitCurves(QWidget):
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
         self._plots: dict[str, tuple[Any, Any, Any, Any]] = {}
+        self._bands: dict[str, Any] = {}
         self._widgets: list[QWidget] = []
         for (name, (symbol, _, unit)), colour in zip(COEFFICIENTS.items(), CURVES, strict=False):
             widget = pg.PlotWidget(enableMenu=False)
@@ -44,7 +52,8 @@ class FitCurves(QWidget):
             plot.getAxis("left").setWidth(AXIS_PX)
             plot.setLabel("bottom", "ink (ml)")
             plot.showGrid(x=True, y=True, alpha=0.2)
-            line = plot.plot(pen=pg.mkPen("#888888", width=1.5))
+            line, band = plot.plot(), plot.plot(pen=pen(GREY, 1.0, dashed=True), connect="finite")
+            widget.setToolTip(TIP)
             bars = pg.ErrorBarItem(pen=pg.mkPen(colour, width=2), beam=0.0)
             points = pg.ScatterPlotItem(size=9, brush=colour, pen=None)
             plot.addItem(bars)
@@ -52,7 +61,8 @@ class FitCurves(QWidget):
             row.addWidget(widget, 1)
             self._widgets.append(widget)
             self._plots[name] = plot, line, bars, points
-            widget.setMinimumHeight(112)
+            self._bands[name] = band
+            widget.setMinimumHeight(104)
             policy = QSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
             policy.setRetainSizeWhenHidden(True)  # each is laid out in its own turn, and none of the others with it
             widget.setSizePolicy(policy)
@@ -67,8 +77,9 @@ class FitCurves(QWidget):
         self._painter.take([])
         for widget in self._widgets:
             widget.hide()
-        for _, line, bars, points in self._plots.values():
+        for name, (_, line, bars, points) in self._plots.items():
             line.setData([], [])
+            self._bands[name].setData([], [])
             points.setData([], [])
             bars.setData(x=np.empty(0), y=np.empty(0), height=np.empty(0))
 
@@ -95,7 +106,11 @@ class FitCurves(QWidget):
         bars.setData(x=at, y=values, height=2.0 * errors)
         if len(at):
             self._frame(plot, at, values, errors, name)
-        line.setData(*self._line(name, at, self._series) if self._against == "dose_ml" and len(at) else ([], []))
+        series = self._series if self._against == "dose_ml" and len(at) else None
+        sure = series is None or series.identifiable.get(name, True)
+        line.setPen(pen(GREY, 1.5, dashed=not sure))
+        line.setData(*self._line(name, at, series))
+        self._bands[name].setData(*([], []) if sure or series is None or not series.sd else _band(name, at, series))
         plot.getViewWidget().setVisible(bool(len(at)))  # axes of nothing would measure nothing
 
     def _frame(self, plot: Any, at: Any, values: Any, errors: Any, name: str) -> None:
@@ -121,6 +136,26 @@ class FitCurves(QWidget):
             return [], []
         x = np.array([0.0, float(at.max()) * 1.1])
         return x, np.array([getattr(series.at(dose_ml), name) for dose_ml in x.tolist()])
+
+
+def _band(name: str, at: Any, series: SeriesFit) -> tuple[Any, Any]:
+    """The lower and then the upper edge of where a series has a coefficient, with a gap between."""
+    x = np.linspace(0.0, float(at.max()) * 1.1, BAND_POINTS)
+    middle = np.array([getattr(series.at(dose_ml), name) for dose_ml in x.tolist()])
+    half = Z * deviation(name, x, series)
+    lowest = -1.0 if name == "g" else 0.0
+    low, high = np.maximum(middle - half, lowest), np.minimum(middle + half, 1.0 if name == "g" else np.inf)
+    return np.r_[x, np.nan, x], np.r_[low, np.nan, high]
+
+
+def deviation(name: str, dose_ml: Any, series: SeriesFit) -> Any:
+    """Standard deviation of a coefficient of the liquid at each dose, as the series has it."""
+    if name != "sigma_a":
+        return np.full_like(dose_ml, series.sd[COEFFICIENTS[name][1]]) * (1.0 if name == "g" else dose_ml)
+    if len(series.covariance) < 4:
+        return np.hypot(series.sd[0] * dose_ml, series.sd[3])
+    spread = np.array(series.covariance)
+    return np.sqrt(np.maximum(spread[0, 0] * dose_ml**2 + 2.0 * spread[0, 3] * dose_ml + spread[3, 3], 0.0))
 
 
 def _step(length: float) -> float:

@@ -172,7 +172,7 @@ class FitPage(QWidget):
         head, single, whole = f"{one.pattern} at {one.dose_ml:.4g} ml", one.rmse.get("single"), one.rmse["all"]
         by = single / whole if single is not None and whole > 0.0 else 1.0
         rest = "" if single is None else f": single scattering leaves {by:.1f} times as much as all orders"
-        self._says.setText(f"{head}{rest}. Percentages are of the brightest pixel observed.")
+        self._says.setText(f"{head}{rest}.")
 
     def _lay_out(self) -> None:
         self.card, self._bars, self._curves = ResultCard(), OrderBars(), FitCurves()
@@ -180,6 +180,7 @@ class FitPage(QWidget):
         self._says = QLabel(EMPTY)
         self._says.setProperty("role", "faint")
         self._says.setWordWrap(True)
+        self._says.setToolTip("percentages on this page are of the brightest pixel observed")
         self._observed, self._model, self._residual = (
             TankPlot(title, axes=False) for title in ("observed", "model", "residual")
         )
@@ -194,6 +195,7 @@ class FitPage(QWidget):
         self._dose.setMinimumWidth(110)
         self._dose.setToolTip("of which dose; the newest follows the fits as they come")
         for box in (self._pattern, self._dose):
+            box.setMinimumContentsLength(len(NEWEST))
             box.activated.connect(lambda _: self._choose())  # by a person only
         self._against.setToolTip("what the curves stand against: the ink in the tank, or the time of the run")
         self._against.addItems(list(AGAINST))

@@ -94,17 +94,21 @@ class LiveView(QWidget):
         """Show frames of this source from now on; a picture that is of another one goes at once."""
         self._shown, self._source = shown, shown.source
         if self._picture is not None and self._picture.frame.run != self._source.recorded:
-            self._picture = None
-            self._plot.clear()
-            self._histogram.clear()
-            self._beams.setData([], [])
-            self._outlined = None
-            self._focus_curve.begin()
-            self._draw_profile()
-            for label in (self._saturated, self._focus):
-                label.clear()
+            self._forget_picture()
         self._say()
         self._show_settings()
+
+    def _forget_picture(self) -> None:
+        """What is shown is no longer what is looked at."""
+        self._picture = None
+        self._plot.clear()
+        self._histogram.clear()
+        self._beams.setData([], [])
+        self._outlined = None
+        self._focus_curve.begin()
+        self._draw_profile()
+        for label in (self._saturated, self._focus, self._rate):
+            label.clear()
 
     def set_camera(self, settings: CameraSettings, free: bool) -> None:
         """What the camera is asked to be set to, and whether a person may change it."""
@@ -127,7 +131,9 @@ class LiveView(QWidget):
 
     def say_trouble(self, words: str) -> None:
         """Why no picture comes from the camera; empty where nothing is wrong."""
-        self._trouble = words
+        began, self._trouble = bool(words) and not self._trouble, words
+        if began and self._source.recorded is None:
+            self._forget_picture()  # the last one from a camera that is gone looks like a picture of now
         self._say()
 
     def say_over(self, words: str) -> None:
@@ -154,6 +160,8 @@ class LiveView(QWidget):
     def _show(self) -> None:
         picture = self._renderer.pictures.take()
         if picture is None or self._bench is None or picture.frame.run != self._source.recorded:
+            return
+        if self._trouble and self._source.recorded is None:  # seen before the rig failed
             return
         before, self._picture = self._picture, picture
         self._plot.show_indices(picture.indices, picture.palette)
@@ -228,6 +236,7 @@ class LiveView(QWidget):
     def _show_focus(self, shown: bool) -> None:
         self._focus_curve.begin()
         self._focus_curve.widget.setVisible(shown)
+        self._focus.setVisible(shown)
 
     def _show_profile(self, shown: bool) -> None:
         self.profile.show(shown)
@@ -314,6 +323,7 @@ class LiveView(QWidget):
         )  # fmt: skip
         self._read_out = QLabel(NO_PICTURE)
         self._saturated, self._focus, self._rate = QLabel(), QLabel(), QLabel()
+        self._focus.hide()
         self._focus.setToolTip("fine structure over brightness; turn the lens until it is largest")
         third = QHBoxLayout()
         for label in (self._saturated, self._focus):

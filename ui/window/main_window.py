@@ -33,6 +33,7 @@ from ui.window.event_loop_monitor import EventLoopMonitor
 from ui.window.figure import FIGURE_KINDS, FRAME_KINDS, pixmap_of, save_figure, write_counts
 from ui.window.files import ask_for_file, ask_where_to_save
 from ui.window.focus_ring import FocusRing
+from ui.window.fresh_water import WAY, asks_for_it
 from ui.window.gc_timer import GcTimer
 from ui.window.kept_log import KeptLog
 from ui.window.keys import BY_NAME, KEYS, KeyCard
@@ -47,7 +48,7 @@ from ui.window.status import RigState, RigStatus
 from ui.window.stop_keys import StopKeys
 from ui.window.threads import OwnedThread
 from ui.window.top_bar import TopBar
-from ui.window.words import volume
+from ui.window.words import capitalised, volume
 from ui.window.work_strip import WorkStrip
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
     from ui.window.runs_page import RunsPage
     from ui.window.separation_page import SeparationPage
     from ui.window.sequence_page import SequencePage
+    from ui.window.sequence_text import Problem
     from ui.window.shown import Shown
     from ui.window.source import Source
 
@@ -84,6 +86,8 @@ DRAFT_MS = 700
 NOT_NOW = "not now"
 """What was refused because the rig was at work, or was not ready: no longer true once it is ready."""
 """From the last letter typed to the draft on disk."""
+SEQUENCE = "sequence"
+"""What is wrong with the sequence: no longer true once something else is, or nothing."""
 END_S = 60.0
 
 
@@ -140,6 +144,7 @@ class MainWindow(QMainWindow):
         self._offered = self.built = False
         self._asked: str | None = None
         self._draft_lost = False
+        self._wrong: Problem | None = None
         self._actions: dict[str, Callable[[], object]] = {}
         self.top, self.banner, self.live = TopBar("rig", host.source.simulated), Banner(), LiveView(host.frames)
         self.live_frame = SourceFrame(self.live)
@@ -200,6 +205,7 @@ class MainWindow(QMainWindow):
         ):  # fmt: skip
             signal.connect(slot, queued)
         self.on_screen.changed.connect(self._show_source)
+        self.on_screen.retitled.connect(self._name_source)
         self.on_screen.refitted.connect(self._offer_refit)
         self.projector.show_asked.connect(host.show)
         self.projector.screen_asked.connect(self.use_screen)
@@ -222,8 +228,13 @@ class MainWindow(QMainWindow):
         self.sequence.list_recent(self.recent())
         self.sequence.runs_asked.connect(lambda: self.show_page(self.runs))
         self.sequence.dropped.connect(self.offer_text)
+        self.sequence.wrong.connect(partial(self.tell, key=SEQUENCE))
+        self.sequence.water_asked.connect(self.show_fresh_water)
+        for signal in (self.sequence.document.changed, self.sequence.document.checked):
+            signal.connect(self._forget_wrong)
         self.runs.resume_asked.connect(self.resume)
         self.runs.open_asked.connect(self.show_run)
+        self.runs.report_told.connect(self._tell_report)
         self.runs.deleted.connect(lambda run: self.banner.withdraw(str(run)))
         self.runs.bar.left.connect(self.on_screen.leave)
         for teller in (
@@ -347,17 +358,19 @@ class MainWindow(QMainWindow):
 
     def _tell_trouble(self, before: RigStatus, status: RigStatus) -> None:
         """What is wrong, for as long as it is."""
-        failed = status.state is RigState.FAILED
+        failed, water = status.state is RigState.FAILED, self.built and asks_for_it(status.trouble)
         if status.troubles != before.troubles and status.trouble:
             self.banner.say(
-                status.trouble, "bad", "Open the rig again" if failed else "", self.host.reopen, key="trouble"
-            )
+                status.trouble, "bad", "Open the rig again" if failed else WAY if water else "",
+                self.host.reopen if failed else self.show_fresh_water, key="trouble",
+            )  # fmt: skip
         elif not status.trouble:
             self.banner.withdraw("trouble")
         if before.stopped and not status.stopped:
             self.banner.withdraw("stop")
         if status.state is RigState.IDLE and not status.busy and (before.busy or before.state is not RigState.IDLE):
             self.banner.withdraw(NOT_NOW)
+        self.live_frame.say_trouble("NO PICTURE: the rig cannot be used" if failed else "")
         self.live.say_over(status.over_the_picture)
         self.live.say_trouble("no picture: the rig cannot be used; the line above says why" if failed else "")
 
@@ -368,7 +381,12 @@ class MainWindow(QMainWindow):
         sequence = self.sequence.document.reading.sequence
         if sequence is None or self.sequence.document.plan is None:
             problem = self.sequence.document.problem
-            self.tell(problem.sentence if problem else "the rig is not ready; wait until it is, then run", NOT_NOW)
+            if problem is None:
+                self.tell("the rig is not ready; wait until it is, then run", NOT_NOW)
+            elif asks_for_it(problem.sentence):
+                self.tell(problem.sentence, SEQUENCE, WAY, self.show_fresh_water)
+            else:
+                self.tell(problem.sentence, SEQUENCE)
         elif self.status.busy:
             self.tell("a run or a dose goes on; wait for its end or stop it, then run", NOT_NOW)
         else:
@@ -472,6 +490,12 @@ class MainWindow(QMainWindow):
         else:
             shown.read.connect(lambda: self._play(shown))
 
+    def _name_source(self, source: "Source") -> None:
+        """Say anew above everything whose it is."""
+        pages = self.sequence.run_frame, self.runs.frame, self.compare.frame
+        for frame in (self.live_frame, *self._frames, *pages):
+            frame.show_source(source)
+
     def _play(self, shown: "Shown") -> None:
         """The frames of a run that has been read."""
         from ui.window.replay import Replay
@@ -498,10 +522,28 @@ class MainWindow(QMainWindow):
 
     # -- the window ----------------------------------------------------------------------------------------------------
 
-    def tell(self, sentence: str, key: str = "") -> None:
-        """Say something that a person has to know; see `Notice.key`."""
+    def tell(
+        self, sentence: str, key: str = "", action: str = "", do: Callable[[], object] | None = None, level: str = ""
+    ) -> None:
+        """Say something that a person has to know; see `Notice`."""
         _log.warning("%s", sentence)
-        self.banner.say(sentence[:1].upper() + sentence[1:], key=key)
+        self.banner.say(capitalised(sentence), level, action, do, key)
+
+    def _tell_report(self, run: Path, sentence: str, level: str) -> None:
+        """What becomes of the report of a run; each sentence takes the place of the one before."""
+        _log.info("%s", sentence)
+        self.banner.say(sentence, level, key=f"report of {run}", about=str(run))
+
+    def _forget_wrong(self) -> None:
+        """What was said of the sequence goes once something else is wrong with it, or nothing."""
+        before, self._wrong = self._wrong, self.sequence.document.problem
+        if self._wrong != before:
+            self.banner.withdraw(SEQUENCE)
+
+    def show_fresh_water(self) -> None:
+        """Bring the button for a tank that was filled anew to the front."""
+        self.show_page(self.doser)
+        self.doser.show_fresh_water()
 
     def offer_text(self, text: str) -> None:
         """A sequence was opened over edits that no file has: offer them back."""

@@ -74,6 +74,8 @@ class OnScreen(QObject):
     """The Shown that is on screen from now on."""
     refitted = Signal(object)
     """Source of a refit that has come when something else was on screen."""
+    retitled = Signal(object)
+    """The Source on screen, whose title is another one now."""
     told = Signal(str)
 
     def __init__(self, reader: Reads, background: Worker) -> None:
@@ -138,8 +140,12 @@ class OnScreen(QObject):
 
     def take(self, run: Path, event: Event, photographs: Sequence[Any] = ()) -> None:
         """A line of the journal of the run that goes on."""
-        if self._live.source.run == run:
-            self._live.take(event, photographs)
+        if self._live.source.run != run:
+            return
+        title = self._live.source.title
+        self._live.take(event, photographs)
+        if self._live is self._shown and self.source.title != title:
+            self.retitled.emit(self.source)
 
     def refit(self, run: Path, settings: RefitSettings) -> Source:
         """Fit a run anew; it is shown when it has come, if the run is still on screen."""

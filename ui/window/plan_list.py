@@ -3,7 +3,7 @@
 from PySide6.QtWidgets import QLabel, QListWidget, QVBoxLayout, QWidget
 
 from tankrig.sequence.dry_run import DryRun
-from ui.window.words import duration, volume
+from ui.window.words import capitalised, duration, volume
 
 EMPTY = "Press Dry run (F7): what each step takes will be listed here; nothing moves."
 
@@ -32,12 +32,12 @@ class PlanList(QWidget):
         for step in plan.steps:
             ink = f", {volume(step.ink_ul)} of ink" if step.ink_ul else ""
             frames = f", {step.frames} frames" if step.frames else ""
-            self._steps.addItem(f"{step.label}: {duration(step.seconds)}{ink}{frames}")
+            self._steps.addItem(f"{step.label}: {takes(step.seconds)}{ink}{frames}")
 
     def wait(self, why: str) -> None:
         """Say why nothing can be listed yet; it is listed as soon as it can."""
         self.waiting = True
-        self._what.setText(why[:1].upper() + why[1:])
+        self._what.setText(capitalised(why))
         self._steps.clear()
 
     def clear(self) -> None:
@@ -49,3 +49,12 @@ class PlanList(QWidget):
     def says(self) -> str:
         """What stands above the list."""
         return self._what.text()
+
+
+def takes(seconds: float) -> str:
+    """What a step takes, in words.
+
+    >>> takes(0.0), takes(0.12), takes(4.2)
+    ('no time', 'less than 1 s', '4 s')
+    """
+    return "no time" if seconds <= 0.0 else "less than 1 s" if seconds < 1.0 else duration(seconds)

@@ -218,6 +218,7 @@ class RegionsPage(QWidget):
         """What was counted in a whole run; else what is counted now."""
         shown, plot = self._shown, self._plot.getPlotItem()
         counted = shown.counted if shown is not None else ()
+        self._remove.setEnabled(bool(self._regions.drawn))
         self._save.setEnabled(bool(self._regions.drawn) and shown is not None and shown.source.run is not None)
         self._copy.setEnabled(bool(counted))
         self._plot.setVisible(bool(self._regions.drawn) or bool(counted))
@@ -270,19 +271,19 @@ class RegionsPage(QWidget):
             QGuiApplication.clipboard().setText(table(shown.counted))
 
     def _lay_out(self) -> None:
-        add, remove = QPushButton("Add region"), QPushButton("Remove region")
+        add, self._remove = QPushButton("Add region"), QPushButton("Remove region")
         self._save, self._copy, self._pattern = (
             QPushButton("Count in all frames"),
             QPushButton("Copy table"),
             QComboBox(),
         )
         add.setToolTip("one more rectangle on the picture")
-        remove.setToolTip("take away the region whose row is chosen")
+        self._remove.setToolTip("take away the region whose row is chosen")
         self._save.setToolTip(f"count in every frame of the run on screen, and save that with the run ({REGIONS})")
         self._copy.setToolTip("a line for each region and frame, for a spreadsheet")
         for button, do in (
             (add, self.add),
-            (remove, self.remove),
+            (self._remove, self.remove),
             (self._save, self.count),
             (self._copy, self._copy_table),
         ):
@@ -312,7 +313,7 @@ class RegionsPage(QWidget):
         take_rest(split, 250)
         column = QVBoxLayout(self)
         column.setContentsMargins(10, 8, 10, 8)
-        column.addLayout(Flow(add, remove, self._save, self._copy, with_name("curves of", self._pattern)))
+        column.addLayout(Flow(add, self._remove, self._save, self._copy, with_name("curves of", self._pattern)))
         column.addWidget(self._says)
         column.addWidget(split, 1)
 

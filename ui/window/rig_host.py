@@ -20,6 +20,7 @@ from tankrig.errors import DeviceError, TankrigError, UndecidedError
 from tankrig.pattern import Pattern
 from tankrig.run.rig import Rig
 from tankrig.run.state import FinishReason, RunState
+from ui.window.fresh_water import said_here
 from ui.window.observed_devices import LatestValue, ObservedCamera, ObservedProjector, SeenFrame
 from ui.window.rig_file import RigSource
 from ui.window.rig_parts import LedgerOnly, RunOrder, import_ahead
@@ -472,6 +473,7 @@ class RigHost(QObject):
         self._publish()
 
     def _tell(self, sentence: str) -> None:
+        sentence = said_here(sentence)
         self._trouble, self._troubles = sentence, self._troubles + 1
         _log.error("%s", sentence)
 

@@ -8,7 +8,7 @@ from ui.window import theme
 from ui.window.shown import Shown, StepState
 from ui.window.source import Kind
 from ui.window.status import RigStatus
-from ui.window.words import duration
+from ui.window.words import capitalised, duration
 
 NO_RUN = "No run yet. Press Run (F5) to carry the sequence out; its steps will be ticked off here."
 
@@ -100,11 +100,11 @@ class RunList(QWidget):
         self._bar.setValue(done)
         if shown.source.kind is Kind.LIVE and self._status.running and now is not None:
             words = self._status.words
-            self._left.setText(f"about {duration(now.remaining_s)} left")
+            self._left.setText("" if self._status.finishing else f"about {duration(now.remaining_s)} left")
         else:
             words = f"{shown.source.run.name}: {shown.ending}" if shown.ending else f"{shown.source.run.name}"
             self._left.setText(f"{done} of {len(shown.steps)} steps are done")
-        self._what.setText(words[:1].upper() + words[1:])
+        self._what.setText(capitalised(words))
 
     def _colour(self, step: int) -> None:
         assert self._shown is not None

@@ -1,5 +1,6 @@
 """Runs that were recorded: browse, open, resume, report, export, delete; and replay and fit anew the one on screen."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,9 @@ from ui.window.shown import Shown
 from ui.window.source_frame import SourceFrame
 
 COLUMNS = ("run", "began", "ending", "doses", "frames", "note", "sequence")
-BEGAN, NOTE = COLUMNS.index("began"), COLUMNS.index("note")
+RUN, BEGAN, NOTE = (COLUMNS.index(name) for name in ("run", "began", "note"))
+RUN_PX = 122
+"""At first, so that all columns can be seen in a window 1280 wide; the line below the list has the whole name."""
 PATH = Qt.ItemDataRole.UserRole
 DELETE = "Delete"
 
@@ -45,6 +48,8 @@ class RunsPage(QWidget):
     open_asked = Signal(object)
     deleted = Signal(object)
     """Folder of a run that is in the trash."""
+    report_told = Signal(object, str, str)
+    """Folder of a run, what becomes of its report, and the `level` of that notice."""
     told = Signal(str)
 
     def __init__(self, folder: Path, on_screen: OnScreen, background: Worker) -> None:
@@ -107,7 +112,15 @@ class RunsPage(QWidget):
 
     def report(self, run: Path) -> None:
         """Write a run's report and show it in the browser."""
-        self._work(f"the report of {run.name}", jobs.report, run, then=self._show_report)
+        name = f"the report of {run.name}"
+        self._says.setText(f"In work: {name}")
+        self.report_told.emit(run, f"The report of {run.name} is being written.", "")
+
+        def failed(sentence: str) -> None:
+            self._says.clear()
+            self.report_told.emit(run, f"The report of {run.name} is not written: {sentence}", "bad")
+
+        self._background.run(jobs.report, run, then=partial(self._show_report, run), failed=failed, name=name)
 
     def export_selected(self, kind: str) -> None:
         """Ask where to, and export the selected run's frames: "NetCDF" or "TIFF"."""
@@ -206,9 +219,11 @@ class RunsPage(QWidget):
         self._says.clear()
         self.told.emit(sentence)
 
-    def _show_report(self, path: Path) -> None:
+    def _show_report(self, run: Path, path: Path) -> None:
         self._says.setText(f"report: {path}")
-        QDesktopServices.openUrl(QUrl.fromLocalFile(str(path.absolute())))
+        opened = QDesktopServices.openUrl(QUrl.fromLocalFile(str(path.absolute())))
+        unseen = "" if opened else " No browser here opens it: open that file with one of your own."
+        self.report_told.emit(run, f"The report of {run.name} is written: {path}.{unseen}", "good" if opened else "")
 
     # -- what is shown -------------------------------------------------------------------------------------------------
 
@@ -280,7 +295,10 @@ class RunsPage(QWidget):
         self._table.setAlternatingRowColors(True)
         header = self._table.horizontalHeader()
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        header.setStretchLastSection(True)
+        header.setSectionResizeMode(NOTE, QHeaderView.ResizeMode.Stretch)
+        header.setSectionResizeMode(RUN, QHeaderView.ResizeMode.Interactive)
+        header.resizeSection(RUN, RUN_PX)
+        self._table.setTextElideMode(Qt.TextElideMode.ElideMiddle)  # names that are times differ at both ends
         header.setSortIndicator(BEGAN, Qt.SortOrder.DescendingOrder)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         self._table.itemSelectionChanged.connect(self._select)

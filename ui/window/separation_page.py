@@ -30,6 +30,7 @@ from ui.window.shown import Shown
 from ui.window.staggered_painter import StaggeredPainter
 from ui.window.tank_plot import TankPlot
 from ui.window.tank_sections import TankSection
+from ui.window.theme import set_role
 from ui.window.tone import Tone
 
 Image = NDArray[np.floating]
@@ -185,8 +186,9 @@ class SeparationPage(QWidget):
             self._add.setVisible(not words)
             return
         head = f"{one.key.dose_ml:.4g} ml, sheet at z = {one.key.height_mm:g} mm"
-        self._says.setText(f"{head}: " + " ".join([*one.doubts, *([waits] if waits else [])]) if one.doubts or waits
-                           else f"{head}: nothing casts doubt on it.")  # fmt: skip
+        told = [*(f"{doubt}." for doubt in one.doubts), *([waits] if waits else [])]
+        set_role(self._says, "wrong" if one.doubts else "faint")
+        self._says.setText(f"{head}: " + (" ".join(told) or "nothing casts doubt on it."))
 
     def _fill_table(self, sheets: list[SeparatedSheet]) -> None:
         periods = sorted({period_mm for one in sheets for period_mm in one.follow})
@@ -257,7 +259,7 @@ class SeparationPage(QWidget):
         copy.setToolTip("copy what each sheet tells, for a spreadsheet")
         copy.clicked.connect(self._copy)
         for box in (self._dose, self._period):
-            box.setMinimumWidth(100)
+            box.setMinimumContentsLength(len(NEWEST))
             box.activated.connect(lambda _: self._draw_sheet())  # by a person only
         self.heights = AxisSlider("height", "sheets from the floor to the surface", self._moved)
         slider = QHBoxLayout()

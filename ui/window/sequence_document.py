@@ -13,6 +13,7 @@ from tankrig.errors import SequenceError, StoreError
 from tankrig.sequence.dry_run import DryRun, dry_run
 from tankrig.sequence.sequence import Sequence
 from ui.window import sequence_text
+from ui.window.fresh_water import said_here
 from ui.window.sequence_text import EMPTY, Problem, Reading
 
 if TYPE_CHECKING:
@@ -162,6 +163,12 @@ class SequenceDocument(QObject):
         if text != self.text:
             self.undo.push(_Edit(self, text, what, typing))
 
+    def begin_anew(self) -> None:
+        """Nobody has begun to write a sequence."""
+        self.path, self._saved, self._doubts = None, EMPTY, {}
+        self.undo.clear()
+        self.take(EMPTY)
+
     def detach(self) -> None:
         """The text is nobody's file any more: saving asks where to."""
         self.path = None
@@ -240,5 +247,5 @@ class SequenceDocument(QObject):
             self._refuse(str(error).removeprefix(f"{sequence.name}: "))
 
     def _refuse(self, sentence: str) -> None:
-        problem = Problem(sentence, sequence_text.line_of(self.text, sentence))
+        problem = Problem(said_here(sentence), sequence_text.line_of(self.text, sentence))
         self._plan, self.reading = None, replace(self.reading, sequence=None, problem=problem)

@@ -4,7 +4,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from PySide6.QtCore import Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QApplication,
     QLabel,
@@ -20,6 +20,7 @@ from ui.window.fields import NumberField, with_name
 from ui.window.files import ask_for_file, ask_where_to_save
 from ui.window.first_start import EXAMPLE, FirstStart
 from ui.window.flow import Flow, take_rest
+from ui.window.fresh_water import BUTTON, WAY, asks_for_it
 from ui.window.marked_text import MarkedText
 from ui.window.patterns_editor import PatternsEditor
 from ui.window.plan_list import PlanList
@@ -54,12 +55,16 @@ class SequencePage(QWidget):
     """Path of a sequence that was opened."""
     recent_asked = Signal(object)
     """Path of something that was open lately and is wanted again."""
+    wrong = Signal(str)
+    """What a person has to know of the sequence, for as long as its problem is the same."""
+    water_asked = Signal()
+    """Fresh water in the tank would mend what is wrong."""
     dropped = Signal(str)
     """A text that was edited and not saved before another was opened."""
 
     def __init__(self, simulated: bool = False) -> None:
         super().__init__()
-        self.first, self._building = FirstStart(simulated), False
+        self.first, self._building, self._anew = FirstStart(simulated), False, False
         self.first.try_asked.connect(self.try_example)
         self.first.build_asked.connect(self._build)
         self.first.rig_asked.connect(self.rig_asked)
@@ -70,8 +75,8 @@ class SequencePage(QWidget):
         self.text = MarkedText()
         self.plan_list, self.run_list = PlanList(), RunList()
         self.run_frame = SourceFrame(self.run_list)
-        self.steps.refused.connect(self.told)
-        self.patterns.refused.connect(self.told)
+        self.steps.refused.connect(self.wrong)
+        self.patterns.refused.connect(self.wrong)
         self.text.textChanged.connect(lambda: self.document.edit_text(self.text.toPlainText()))
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
@@ -83,6 +88,10 @@ class SequencePage(QWidget):
         self._title, self._says = QLabel(), QLabel()
         self._title.setProperty("role", "heading")
         self._says.setWordWrap(True)
+        self._water = QPushButton(WAY)
+        self._water.setToolTip(f"where “{BUTTON}” begins a new ledger for the tank")
+        self._water.clicked.connect(self.water_asked)
+        self._water.hide()
         self._exposure = NumberField("ms", 1e-3, 1e5, "exposure of frames whose step says nothing else")
         self._exposure.changed.connect(self._set_exposure)
         column = QVBoxLayout(self)
@@ -92,8 +101,10 @@ class SequencePage(QWidget):
         take_rest(self.tabs, 230)
         column.addWidget(self.tabs, 1)
         column.addWidget(self._says)
+        column.addWidget(self._water, 0, Qt.AlignmentFlag.AlignLeft)
         column.addLayout(self._foot())
         self.document.changed.connect(self._refresh)
+        self.document.undo.canUndoChanged.connect(self._undone)
         self.document.checked.connect(self._tell)
         self.document.changed.connect(self._list_plan_that_waits)
         self._busy = False
@@ -120,7 +131,7 @@ class SequencePage(QWidget):
         if problem is not None:
             self.tabs.setCurrentWidget(self.text)
             self.text.go_to(problem.line)
-            self.told.emit(f"{path.name}: {problem.sentence}")
+            self.wrong.emit(f"{path.name}: {problem.sentence}")
         if unsaved:
             self.dropped.emit(unsaved)  # last, for it can be put right now only
 
@@ -173,6 +184,15 @@ class SequencePage(QWidget):
         self.tabs.setCurrentWidget(self.steps)
         self.steps.add_separation()
 
+    def begin_anew(self) -> None:
+        """An empty sequence, and the ways to begin; what was edited and is in no file is offered back."""
+        unsaved = self.document.text if self.document.unsaved else ""
+        self._building, self._anew = False, True
+        self.tabs.setCurrentWidget(self.steps)
+        self.document.begin_anew()
+        if unsaved:
+            self.dropped.emit(unsaved)
+
     def _build(self) -> None:
         self._building = True
         self._refresh()
@@ -222,7 +242,8 @@ class SequencePage(QWidget):
     # -- what goes on --------------------------------------------------------------------------------------------------
 
     def show_source(self, shown: Shown) -> None:
-        """The steps of this source stand on the tab "Run"."""
+        """The steps of this source stand on the tab "Run", before the ways to begin unless these are asked for."""
+        self._anew = False
         self.run_frame.show_source(shown.source)
         self.run_list.show_source(shown)
         self._refresh()
@@ -239,15 +260,22 @@ class SequencePage(QWidget):
         self._busy = status.busy
         self._run.setEnabled(self.document.plan is not None and not self._busy)
 
+    def _undone(self, more: bool) -> None:
+        """Once all that was built has been undone, the ways to begin stand there again."""
+        if not more and self.document.empty and self.document.undo.canRedo():
+            self._building = False
+            self._refresh()
+
     def _refresh(self) -> None:
         if not self.plan_list.waiting:
             self.plan_list.clear()
-        beginning = self.beginning and self.run_list.empty
+        beginning = self.beginning and (self._anew or self.run_list.empty)
         focus = QApplication.focusWidget()
         if not beginning and focus is not None and self.first.isAncestorOf(focus):
             self.window().setFocus()  # Qt would hand the keyboard to any button that comes next
         self.first.setVisible(beginning)
-        self.tabs.setVisible(not beginning)
+        for widget in (self.tabs, *self._of_sequence):  # of no sequence there is nothing to set or to run
+            widget.setVisible(not beginning)
         problem = self.document.problem
         self._title.setText(self.document.title)
         self.text.replace_text(self.document.text)
@@ -270,6 +298,7 @@ class SequencePage(QWidget):
             self._says.setText(
                 f"Takes {self._totals()}." if plan else "Waiting for the rig, to check against its limits."
             )
+        self._water.setVisible(problem is not None and asks_for_it(problem.sentence))
         self._run.setEnabled(plan is not None and not self._busy)
 
     def _totals(self) -> str:
@@ -288,6 +317,7 @@ class SequencePage(QWidget):
     def _head(self) -> Flow:
         row = Flow(self._title)
         for name, do, tip in (
+            ("New", self.begin_anew, "begin an empty sequence; the file that is open stays as it is"),
             ("Open", self.open_file, "open a sequence file (Ctrl+O)"), ("Save", self.save, "save it (Ctrl+S)"),
             ("Save as", self.save_as, "save it to another file"),
         ):  # fmt: skip
@@ -314,13 +344,11 @@ class SequencePage(QWidget):
         return row
 
     def _foot(self) -> Flow:
-        row = Flow(with_name("exposure", self._exposure))
         dry, self._run = QPushButton("Dry run  F7"), QPushButton("Run  F5")
         dry.setToolTip("what each step takes; nothing moves")
         dry.clicked.connect(self.dry_run)
         self._run.setObjectName("primary")
         self._run.setToolTip("carry the sequence out")
         self._run.clicked.connect(self.run_asked)
-        row.addWidget(dry)
-        row.addWidget(self._run)
-        return row
+        self._of_sequence = (with_name("exposure", self._exposure), dry, self._run)
+        return Flow(*self._of_sequence)

@@ -18,6 +18,9 @@ Path_ = tuple[str | int, ...]
 """Keys and numbers that lead to a place in a TOML document."""
 
 EMPTY = 'name = "new sequence"\nexposure_ms = 20.0\n'
+STEPS_MISSING = 'key "steps" is missing; add it'
+NO_STEPS = "there are no steps yet; add one on the tab Steps"
+"""What a person who builds a sequence is told, rather than which key its file lacks."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,8 @@ def read(text: str, folder: Path, name: str = "sequence") -> Reading:
         return Reading(table, sequence_beside(folder, table, name))
     except SequenceError as error:
         sentence = str(error).removeprefix(f"{name}: ")
+        if sentence == STEPS_MISSING:
+            return Reading(table, problem=Problem(NO_STEPS, 0))
         return Reading(table, problem=Problem(sentence, line_of(text, sentence)))
 
 

@@ -6,7 +6,7 @@ that had asked for it, so that no page can show what belongs to something else.
 
 from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -152,13 +152,18 @@ class Shown(QObject):
         elif event.kind == "step":
             self._step(event)
         elif event.kind == "session":
-            self.ending = ""
+            self._end("")
         elif event.kind == "end":
-            self.ending = str(event["reason"])
+            self._end(str(event["reason"]))
             if self.separates:
                 self.separable.emit()  # with the fits that came later than their waves
         elif event.kind == "fit":
             self._fit(event.fields, time_s, photographs)
+
+    def _end(self, reason: str) -> None:
+        self.ending = reason
+        if self.source.kind is Kind.LIVE:
+            self.source = replace(self.source, ended=bool(reason))
 
     def take_reading(self, reading: "Reading") -> None:
         """Take in a run that was read from disk; of a refit all but the recorded fits, which it is not about."""

@@ -1,6 +1,6 @@
 """What the window looks at: the camera, a recorded run as it was, or a recorded run fitted anew."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,11 +64,15 @@ class Source:
         Folder of the run; None for the camera while nothing has been recorded.
     settings
         Of a refit.
+    ended
+        Whether the run is over that was recorded live; the source is the same.
 
     Examples
     --------
     >>> Source(Kind.LIVE).title
     'LIVE: the camera'
+    >>> Source(Kind.LIVE, Path("runs/a"), ended=True).title
+    'LIVE: the camera, and run a, which is over'
     >>> Source(Kind.REFIT, Path("runs/a"), RefitSettings(("sheet",))).title
     'REFIT of a with sheet; dark frames subtracted'
     """
@@ -76,6 +80,7 @@ class Source:
     kind: Kind
     run: Path | None = None
     settings: RefitSettings | None = None
+    ended: bool = field(default=False, compare=False)
 
     @property
     def title(self) -> str:
@@ -83,7 +88,7 @@ class Source:
         if self.run is None:
             return "LIVE: the camera"
         if self.kind is Kind.LIVE:
-            return f"LIVE: the camera, and run {self.run.name}"
+            return f"LIVE: the camera, and run {self.run.name}" + (", which is over" if self.ended else "")
         if self.settings is None:
             return f"REPLAY of {self.run.name}"
         return f"REFIT of {self.run.name} with {self.settings.words}"

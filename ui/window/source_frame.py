@@ -20,7 +20,7 @@ class SourceFrame(QFrame):
     def __init__(self, inside: QWidget, about: str = "") -> None:
         super().__init__()
         self.setObjectName("source")
-        self._about = about
+        self._about, self._source, self._trouble = about, LIVE, ""
         self.title = QLabel()
         self.title.setObjectName("sourceTitle")
         self.title.setMinimumWidth(60)
@@ -34,8 +34,19 @@ class SourceFrame(QFrame):
 
     def show_source(self, source: Source) -> None:
         """Say whose it is from now on."""
-        if not self._about:
+        self._source = source
+        if self._about:
+            return
+        if self._trouble and source.recorded is None:
+            self._say(self._trouble, "rig")
+        else:
             self._say(source.title, source.kind.value)
+
+    def say_trouble(self, words: str) -> None:
+        """Why nothing comes from the camera, in place of its title; empty where nothing is wrong."""
+        if words != self._trouble:
+            self._trouble = words
+            self.show_source(self._source)
 
     def name_rig(self, name: str) -> None:
         """Which rig it is about."""

@@ -74,6 +74,11 @@ class RigStatus:
         return self.run_state not in (None, RunState.READY, RunState.FINISHED)
 
     @property
+    def finishing(self) -> bool:
+        """Whether all steps of the run are done, and it is being brought to its end."""
+        return self.running and self.progress is not None and self.progress.step >= self.progress.steps
+
+    @property
     def busy(self) -> bool:
         """Whether the rig is in use for something that must not be disturbed."""
         return self.state in (RigState.RUNNING, RigState.ASKING, RigState.LENT) or self.dosing
@@ -117,6 +122,8 @@ class RigStatus:
         state = "pausing after" if self.run_state is RunState.PAUSING else "running"
         waiting = f"; waiting for {now.waiting_for}" if now.waiting_for else ""
         models = f"; {self.preparation}" if self.preparation else ""
-        if now.step >= now.steps:
+        if self.finishing:
+            if self.tank is not None and self.tank.high_ul <= 0.0:
+                return "finishing: what was recorded is being closed; without ink there is nothing to fit"
             return f"finishing: the last fits are being made{models}"
         return f"{state} step {now.step + 1} of {now.steps}: {now.label}{waiting}{models}"

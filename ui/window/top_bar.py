@@ -73,4 +73,7 @@ class TopBar(QWidget):
             return
         self._bar.setMaximum(max(1, now.steps))
         self._bar.setValue(now.step)
-        self._bar.setFormat(f"step {min(now.step + 1, now.steps)} of {now.steps}, {duration(now.remaining_s)} left")
+        if status.finishing:
+            self._bar.setFormat(f"all {now.steps} steps are done")
+        else:
+            self._bar.setFormat(f"step {min(now.step + 1, now.steps)} of {now.steps}, {duration(now.remaining_s)} left")

@@ -1,6 +1,18 @@
-"""Numbers as a person at the bench reads them."""
+"""Numbers and sentences as a person at the bench reads them."""
 
 import math
+import re
+
+
+def capitalised(sentence: str) -> str:
+    """A sentence with its first letter large, unless it begins with the name of a file or with a symbol.
+
+    >>> capitalised("the rig is not ready"), capitalised("rigs/nothere.toml: cannot be read"), capitalised("σs is 1")
+    ('The rig is not ready', 'rigs/nothere.toml: cannot be read', 'σs is 1')
+    """
+    first = sentence.split(" ", 1)[0]
+    as_it_is = re.search(r"[./\\]\w", first) or not first[:1].isascii()
+    return sentence if as_it_is else sentence[:1].upper() + sentence[1:]
 
 
 def duration(seconds: float) -> str:
