@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.astray import unmeasured
-from tankrig.estimation.followed import Model
+from tankrig.estimation.followed import Model, in_water
 from tankrig.estimation.forward import models_of
+from tankrig.estimation.ink_blocks import in_tank
 from tankrig.estimation.phase_answer import asked_for
 from tankrig.estimation.scaling import Scaling
-from tankrig.estimation.series import InkAndWater, estimate_series, fit_liquid, observed
+from tankrig.estimation.series import InkAndWater, SeriesEstimate, estimate_series, fit_liquid, observed
 from tankrig.estimation.series_forward import PURE_WATER_SIGMA_S, ModelOf, prepared_model
 from tankrig.estimation.versions import Models
 from tankrig.image.prepare import Prepared
+from tankrig.light.prepared.box import Box
 from tankrig.live.exposures import Photograph
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit, SingleScattering
 from tankrig.live.single import fit_single
@@ -123,7 +125,8 @@ def fit_all(
     """Fit the series: all photographs of all doses, by prepared models where there are any that hold the media.
 
     `progress` is told in a few words what is being done; what it raises ends the fit. Of phase functions but
-    Henyey–Greenstein's models must be prepared for any.
+    Henyey–Greenstein's models must be prepared for any. A series that ends beyond their boxes, as of ink thinner than
+    models are prepared for, is gone on with by the tank model there.
 
     Raises
     ------
@@ -131,21 +134,27 @@ def fit_all(
         When they are no series.
     """
     began = time.perf_counter()
-    found = estimate_series(
-        [one.image for one in photographs],
-        [one.scene for one in photographs],
-        [one.dose_ml for one in photographs],
-        [one.dose_sd_ml for one in photographs],
-        offset=photographs[0].offset,
-        noise=[one.noise for one in photographs],
-        masks=[one.mask for one in photographs],
-        start=start,
-        model_of=nearly_within(prepared) if prepared else None,
-        water_sigma_s=PURE_WATER_SIGMA_S,
-        phase=phase,
-        nuisance=unmeasured(photographs[0].scene),
-        progress=progress,
-    )
+
+    def fitted(start: InkAndWater | Medium | None, model_of: ModelOf | None) -> SeriesEstimate:
+        return estimate_series(
+            [one.image for one in photographs],
+            [one.scene for one in photographs],
+            [one.dose_ml for one in photographs],
+            [one.dose_sd_ml for one in photographs],
+            offset=photographs[0].offset,
+            noise=[one.noise for one in photographs],
+            masks=[one.mask for one in photographs],
+            start=start,
+            model_of=model_of,
+            water_sigma_s=PURE_WATER_SIGMA_S,
+            phase=phase,
+            nuisance=unmeasured(photographs[0].scene),
+            progress=progress,
+        )
+
+    found = fitted(start, nearly_within(prepared) if prepared else None)
+    if not _held(found, photographs, prepared):
+        found = fitted(found, prepared_model(prepared))
     return SeriesFit(
         doses_ml=tuple(sorted({one.dose_ml for one in photographs})), ink=found.ink, water=found.water,
         sd=_deviations(found.covariance), covariance=tuple(map(tuple, found.covariance.tolist())),
@@ -160,7 +169,8 @@ def nearly_within(models: Sequence[Prepared]) -> ModelOf:
     """Prepared models as a series' model, each for media just beyond its box too, which it shows as at its edge.
 
     A step too far in the search, or absorption that is tried to be nothing, would else be answered by the tank model,
-    in seconds instead of milliseconds; where a series ends is well inside, for each dose has chosen its box.
+    in seconds instead of milliseconds. Where a series ends is well inside as a rule, for each dose has chosen its box;
+    where it is not, see `fit_all`, this model is wrong by about as much as the medium is beyond.
     """
     model_of = prepared_model(models)
 
@@ -175,6 +185,19 @@ def nearly_within(models: Sequence[Prepared]) -> ModelOf:
         return image
 
     return of_scene
+
+
+def _held(found: SeriesEstimate, photographs: Sequence[Photograph], models: Sequence[Prepared]) -> bool:
+    """Whether every photograph whose scene has models ends in the box of one of them."""
+    boxes: dict[Scene, list[Box]] = {}
+    for model in models:
+        boxes.setdefault(model.scene, []).append(model.box)
+    for one in photographs:
+        liquid = in_water(in_tank(found.ink, found.water.sigma_a, one.dose_ml), PURE_WATER_SIGMA_S)
+        own = boxes.get(one.scene)
+        if own and not any(box.holds(liquid) for box in own):
+            return False
+    return True
 
 
 def _apart(one: Medium, other: Medium) -> float:

@@ -11,7 +11,7 @@ ASYMMETRY_ROOM, ASYMMETRY_GRID = 0.07, 0.05
 ALBEDOS = (0.8, 0.5, 0.2, 0.02)
 """Lower edges of the albedo, of which the highest is taken that leaves room for twice the absorption foreseen."""
 MOST_ALBEDO = 0.9999
-EDGES = (5e-4, 0.5), (-0.9, 0.97)
+EDGES = (5e-5, 0.5), (-0.9, 0.97)
 """Lowest and highest σt and g for which models are prepared."""
 WELL_INSIDE = 1.05, 0.02
 """Factor in σt, and distance in g, from its edges within which a box is taken to hold a liquid foreseen."""
