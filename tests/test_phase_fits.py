@@ -327,7 +327,7 @@ def test_what_looks_miss_and_nothing_explains_is_fitted_by_other_phase_functions
         return replace(many_turns(liquid), model="tank")
 
     def nothing(self: Doubt, _misaligned: object) -> tuple[list[Cause], PhaseTold]:
-        return [], PhaseTold(doubted=self.asked.family is None)
+        return [], PhaseTold(explained=0.0 if self.asked.family is None else 1.0)
 
     monkeypatch.setattr("tankrig.estimation.estimate.told_early", lambda *_: None)
     monkeypatch.setattr(Doubt, "causes", nothing)

@@ -90,14 +90,20 @@ class PhaseTold:
         What a free one would make of a residual that is noise by its size; None where that was not asked.
     misled
         Whether another one explains more than anything else does, so that the fit is not to be believed.
-    doubted
-        Whether structure is left that nothing known explains, so that another one may.
+    explained
+        Share of what Henyey–Greenstein's leaves that the likeliest other cause explains; 1 where it leaves nothing
+        beyond doubt about the model's error.
     """
 
     instead: Instead | None = None
     freed: Freed | None = None
     misled: bool = False
-    doubted: bool = False
+    explained: float = 1.0
+
+    @property
+    def doubted(self) -> bool:
+        """Whether structure is left that nothing known explains half of, so that another one may."""
+        return self.explained < EXPLAINED
 
     @property
     def shown(self) -> bool:
@@ -147,10 +153,10 @@ class Doubt:
         if not self._may_be_asked:
             whole = self.left.prediction.model in WHOLE
             likely = cause_of(self.best, self.scene, misaligned) if whole else []
-            return likely, PhaseTold(doubted=self._unexplained(likely))
+            return likely, PhaseTold(explained=self._explained_by(likely))
         likely, instead = self._asked_of_structure(misaligned)
         misled = _is_phase(likely)
-        return likely, PhaseTold(instead, misled=misled, doubted=not misled and self._unexplained(likely))
+        return likely, PhaseTold(instead, misled=misled, explained=1.0 if misled else self._explained_by(likely))
 
     def hidden(self, sign: Shown | None) -> PhaseTold:
         """What a residual that is noise by its size tells of phase functions.
@@ -217,12 +223,13 @@ class Doubt:
         astray = 0.0 if sign is None else 0.5 * (sign.deviations**2 - math.log(self.best.left.size))
         return free.evidence > max(BEYOND_DOUBT, astray)
 
-    def _unexplained(self, likely: Sequence[Cause]) -> bool:
-        """Whether Henyey–Greenstein's leaves structure that nothing known explains half of, beyond doubt about the
-        model's error."""
+    def _explained_by(self, likely: Sequence[Cause]) -> float:
+        """See `PhaseTold.explained`."""
         left = self.left
         much = self.asked.family is None and left.unexplained > BEYOND * left.stated
-        return much and (not likely or likely[0].share < EXPLAINED)
+        if not much:
+            return 1.0
+        return likely[0].share if likely else 0.0
 
 
 def _is_phase(likely: Sequence[Cause]) -> bool:
