@@ -40,7 +40,7 @@ NOISE = 0.003
 """Of the camera, of the image's peak."""
 CONE_DEG = {"petzold": 5.0, "fournier-forand": 5.0}
 """What a liquid scatters into less than this stays in its beam and passes for light that was not scattered: σs is
-compared without it."""
+compared without it, and p over what is scattered beyond it."""
 LABEL_OFF = (0.05, 0.002)
 """Largest error of a label: of the diameter as a share, and of the particles' index."""
 MODES = ("family", "default", "label", "hg", "free", "doses", "sheet")
@@ -77,7 +77,7 @@ def compared(
     out, found = beyond(phase, cone_deg), beyond(medium.phase_function, cone_deg)
     off[1] = medium.sigma_s * found / out - truth.sigma_s
     curve = scattering.curve
-    at = np.maximum(phase.at(np.cos(np.radians(curve.angle_deg))), 1e-300)
+    at = found / out * np.maximum(phase.at(np.cos(np.radians(curve.angle_deg))), 1e-300)
     low, high = curve.band(0.95)
     diameter = scattering.parameters.get("diameter_um")
     return {
