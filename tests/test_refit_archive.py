@@ -6,6 +6,8 @@ import random
 import re
 import shutil
 import signal
+import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -316,10 +318,20 @@ def listening() -> set[Any]:
     return found
 
 
+def speaks_to(address: str, secured: bool) -> bool:
+    """Whether a scheduler tells somebody without a certificate anything; who comes in is greeted at once."""
+    host, port = address.removeprefix("tls://").removeprefix("tcp://").split(":")
+    anybody = ssl.create_default_context()
+    anybody.check_hostname, anybody.verify_mode = False, ssl.CERT_NONE
+    with suppress(OSError), socket.create_connection((host, int(port)), timeout=20.0) as plain:
+        one = anybody.wrap_socket(plain) if secured else plain
+        one.sendall(bytes(64))  # no greeting: who waits for one gives up
+        return one.recv(1) != b""
+    return False
+
+
 def test_nobody_else_gets_in() -> None:
     """What a local cluster listens on is this machine's own address, and speaks to nobody without its certificates."""
-    from distributed import Client
-
     from tankrig.archive.farm import workers_here
 
     before = listening()
@@ -329,10 +341,8 @@ def test_nobody_else_gets_in() -> None:
         assert {address.ip for address in ports} == {"127.0.0.1"}
         address = client.scheduler_info()["address"]
         assert address.startswith("tls://")
-        with pytest.raises((OSError, TypeError, RuntimeError)):
-            Client(address, timeout=2.0, set_as_default=False)
-        with pytest.raises(OSError, match=r"."):
-            Client(address.replace("tls", "tcp"), timeout=2.0, set_as_default=False)
+        assert not speaks_to(address, secured=True)
+        assert not speaks_to(address, secured=False)
 
 
 @pytest.mark.long

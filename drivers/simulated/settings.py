@@ -19,6 +19,7 @@ TRUE_BENCH = Bench(
     wall=Wall(shape=(480, 640), y_mm=(-80.0, 80.0), z_mm=(0.0, 120.0)),
     light="collimated",
     camera=Camera("orthographic", shape=(80, 120), pixel_mm=2.0),
+    polarisation=0.0,
 )
 """Where a rig file says nothing else."""
 PURE_WATER = Medium(sigma_a=5.65e-5, sigma_s=1.9e-6, g=0.0)
