@@ -17,7 +17,7 @@ from tankrig.estimation.with_prepared import WithPrepared
 from tankrig.light.behind_lenses import BehindLenses
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.phases import checked, high, plan
-from tankrig.light.prepared.phases.checked import checked_at
+from tankrig.light.prepared.phases.checked import CheckedOrders, checked_at
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.light.tangent import tank_accurate
@@ -141,7 +141,8 @@ def test_a_model_about_a_medium_has_all_orders_and_its_derivatives(prepared: Hig
     """Low orders as they are, the others as prepared; in water that scatters by itself, which derivatives leave out."""
     family, water = free(), 1e-4
     centre = Medium(0.0004, 0.0102, phase=family.phase(as_free(BEAD)))
-    model = WithPrepared(Followed(SCENE, 1, 0, None, family=family, tables=0.02, water_sigma_s=water), prepared, centre)
+    low = Followed(SCENE, 1, 0, None, family=family, tables=0.02, water_sigma_s=water)
+    model = WithPrepared.about(low, centre, [prepared])
     found = model(centre)
     assert found.patterns is not None
     assert model.holds(centre)
@@ -163,14 +164,23 @@ def test_a_model_about_a_medium_has_all_orders_and_its_derivatives(prepared: Hig
 def test_what_was_prepared_is_used_again_where_it_holds_the_liquid(
     prepared: HighAnswer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A series asks once more where its fit has ended, and another box, whose edges are rounded, would take minutes."""
+    """A series asks once more where its fit has ended, and another box, whose edges are rounded, would take minutes.
+
+    Both versions about a medium are made right by the same light paths.
+    """
     asked: list[Box] = []
+    looked: list[Medium] = []
 
     def counted(_: Scene, box: Box, __: float) -> HighAnswer:
         asked.append(box)
         return prepared
 
+    def unchanged(high: HighAnswer, medium: Medium) -> CheckedOrders:
+        looked.append(medium)
+        return CheckedOrders(high, np.zeros(CAMERA.shape), np.zeros((1, *CAMERA.shape)))
+
     monkeypatch.setattr(with_prepared, "high_orders_prepared", counted)
+    monkeypatch.setattr(with_prepared, "checked_at", unchanged)
     models = family_models(SCENE, free(), prepared=True)
     phase = free().phase(as_free(BEAD))
     found, fine = models.refined(Medium(0.0004, 0.0102, phase=phase))
@@ -182,3 +192,4 @@ def test_what_was_prepared_is_used_again_where_it_holds_the_liquid(
     assert (found.fine, fine.fine, again.centre.sigma_s) == (False, True, 0.0112)
     models.refined(Medium(0.0004, 0.02, phase=phase))
     assert len(asked) == 2
+    assert [one.sigma_s for one in looked] == [0.0102, 0.0112, 0.02]

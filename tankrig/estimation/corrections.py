@@ -138,8 +138,9 @@ class _ByShares:
     """A fit about exact images, where a phase function's coordinates change what paths bring by shares of it.
 
     Orders 1 and 2 are computed as they are, see `Followed.about`. Derivatives along paths are dear, and told twice: by
-    few lattices where the search has ended, and where a fit by few paths has settled, or gains nothing any more. There
-    one exact image is made by all paths, and further ones next to it, see `Nearby`.
+    few lattices where the search has ended, and where a fit by few paths has settled, or has made `MOST_ROUGH` images.
+    There one exact image is made by all paths, and further ones next to it, see `Nearby`. Each image shows how far the
+    derivatives that led to it hold, and teaches them; where it bears out nothing, the fit goes on from where it was.
 
     Parameters
     ----------
@@ -209,12 +210,13 @@ class _ByShares:
             self.progress("correcting by accurate images")
             further, shown = _borne_out(fit, centre, roughly, HALVINGS)
             gain = _gain(fit, centre, further, shown)
-            told = told.taught(centre, seen, further, shown)
+            if made < MOST_ROUGH:
+                told = told.taught(centre, seen, further, shown)
             if gain > 0.0:
                 centre, seen = further, shown
             if made < MOST_ROUGH:
                 fit = self.about(centre, seen, told, centre)
-        return centre, made
+        return centre, MOST_ROUGH
 
     def by_all_paths(self, centre: Evaluation, most: int, sharper: bool) -> Fit:
         """The optimum about images by all paths, after so many more of them at most."""

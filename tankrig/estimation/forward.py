@@ -21,6 +21,7 @@ from tankrig.estimation.differences import (
     slopes_of,
 )
 from tankrig.estimation.followed import (
+    LOW_ORDERS,
     SLOPE_BLUR_MM,
     SOLVED_BATCHES,
     Followed,
@@ -43,6 +44,7 @@ from tankrig.scene.phase_table import PhaseFunction
 
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
+    from tankrig.light.prepared.phases.high import HighAnswer
 
 COARSE_BATCHES, SMOOTHED_BATCHES = 2, 6
 """Shifted lattices of light paths of the tank model's cheap images: where every path stands for all starts, and where
@@ -62,8 +64,6 @@ NEAR_NOISE, NEAR_BATCHES = 0.01, 8
 """Noise of the images that lead from the search's end to where accurate ones are worth their price."""
 EXACT_NOISE, EXACT_BATCHES = 0.0005, 128
 """The same for the one image, at the optimum, that the others are corrected by."""
-EXACT_ORDERS = 2
-"""That are computed without paths."""
 
 
 def is_ideal(scene: Scene) -> bool:
@@ -265,9 +265,9 @@ def low_orders_of(scene: Scene, max_order: int | None = None) -> Model | None:
     """Orders 1 and 2 of a scene's media; None where no others are asked for."""
     from tankrig.light.tank import tank_image
 
-    if max_order is not None and max_order < EXACT_ORDERS + 1:
+    if max_order is not None and max_order < LOW_ORDERS + 1:
         return None
-    return remembered(lambda medium: tank_image(replace(scene, medium=medium), FINE, EXACT_ORDERS))
+    return remembered(lambda medium: tank_image(replace(scene, medium=medium), FINE, LOW_ORDERS))
 
 
 def _followed_models(scene: Scene, max_order: int | None) -> Models:
@@ -336,18 +336,11 @@ def family_models(
 
     batches = _lattices(coarse, fewest)
 
-    made: list[WithPrepared] = []
-
-    def about(medium: Medium) -> WithPrepared:
-        held = next((replace(one, centre=medium) for one in made if one.holds(medium)), None)
-        if held is not None:
-            return held
-        made.append(WithPrepared.about(coarse, medium))
-        return made[-1]
+    made: list[HighAnswer] = []
 
     def refine(medium: Medium) -> tuple[Model, Model]:
         if prepared:
-            near = about(medium)
+            near = WithPrepared.about(coarse, medium, made)
             return near, replace(near, fine=True)
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
         return followed(fine, 1), followed(slope, 2, sharp=True, fine=True)

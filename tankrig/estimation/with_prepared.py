@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.differences import turning_of
-from tankrig.estimation.followed import Followed, Model, in_water, remembered
+from tankrig.estimation.followed import ALIKE, Followed, Model, in_water, remembered
 from tankrig.estimation.phase_families import Family
 from tankrig.light.double.image import table_error
 from tankrig.light.prepared.about import box_for, holds
@@ -26,9 +26,6 @@ Image = NDArray[np.floating]
 
 TOLERANCE = 0.01
 """Relative L2 error of the image that is asked of what is prepared."""
-FAR = 0.1, 0.7
-"""In the logarithm of σt or σs, and in a coordinate that is expected to be 0 ± 1: how far from where they were told
-derivatives of the logarithm of orders 1 and 2 are used again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,24 +37,29 @@ class WithPrepared:
     low
         Tells orders 1 and 2.
     high
-        Tells the others, as prepared.
+        Tells the others, made right at the centre.
     centre
-        The medium, where these are made right and the errors are told.
+        The medium, where the errors are told.
     fine
         Whether derivatives are as fine as a phase function's finer shapes want them.
     """
 
     low: Followed
-    high: HighAnswer
+    high: CheckedOrders
     centre: Medium
     fine: bool = False
 
     @classmethod
-    def about(cls, low: Followed, centre: Medium) -> "WithPrepared":
-        """Prepared for a box about a medium, or read from the cache."""
+    def about(cls, low: Followed, centre: Medium, made: list[HighAnswer]) -> "WithPrepared":
+        """By the first of what was made that holds a medium; else what is prepared for a box about it, or read from
+        the cache, is added there."""
         liquid = in_water(centre, low.water_sigma_s)
-        box = box_for(Medium(liquid.sigma_a, liquid.sigma_s, liquid.g))
-        return cls(low, high_orders_prepared(low.scene, box, TOLERANCE), centre)
+        high = next((one for one in made if holds(one.box, liquid)), None)
+        if high is None:
+            box = box_for(Medium(liquid.sigma_a, liquid.sigma_s, liquid.g))
+            high = high_orders_prepared(low.scene, box, TOLERANCE)
+            made.append(high)
+        return cls(low, checked_at(high, liquid), centre)
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image, with its errors as they lie."""
@@ -69,15 +71,11 @@ class WithPrepared:
 
     def holds(self, medium: Medium) -> bool:
         """Whether a medium is well inside what was prepared."""
-        return holds(self.high.box, in_water(medium, self.low.water_sigma_s))
-
-    @cached_property
-    def _checked(self) -> CheckedOrders:
-        return checked_at(self.high, in_water(self.centre, self.low.water_sigma_s))
+        return holds(self.high.high.box, in_water(medium, self.low.water_sigma_s))
 
     @cached_property
     def _image(self) -> Model:
-        errors = self._checked.errors_at(in_water(self.centre, self.low.water_sigma_s))
+        errors = self.high.errors_at(in_water(self.centre, self.low.water_sigma_s))
         size = float(np.linalg.norm(self._whole(self.centre)))
         tables = table_error(self.low.scene, self.low.tables or TOLERANCE)
         skipped = (Skipped("tables that order 2 is looked up in", tables),)
@@ -92,7 +90,7 @@ class WithPrepared:
         return remembered(image)
 
     def _whole(self, medium: Medium) -> Image:
-        return self.low.low_image(medium) + self._checked.image(in_water(medium, self.low.water_sigma_s))
+        return self.low.low_image(medium) + self.high.image(in_water(medium, self.low.water_sigma_s))
 
     @cached_property
     def _slopes(self) -> Callable[[Medium], Image]:
@@ -102,8 +100,8 @@ class WithPrepared:
         told: list[tuple[NDArray[np.float64], Image]] = []
 
         def shares(medium: Medium) -> Image:
-            """Derivatives of the logarithm of orders 1 and 2, which cost as much as four images; fine ones, which are
-            told once, as ten."""
+            """Derivatives of the logarithm of orders 1 and 2, which cost as much as four images, and are used again
+            until a medium is further than `ALIKE`; fine ones, which are told once, cost as much as ten."""
             at = _place(medium, family)
             if not told or not (self.fine or (np.abs(at - told[0][0]) < 1.0).all()):
                 told[:] = [(at, telling.low_shares(medium))]
@@ -111,7 +109,7 @@ class WithPrepared:
 
         def slopes(medium: Medium) -> Image:
             turning, sizes = turning_of(medium, family)
-            _, high = self._checked.image_and_slopes(medium, turning.others)
+            _, high = self.high.image_and_slopes(medium, turning.others)
             per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
             return np.asarray(self.low.low_image(medium) * shares(medium) + high * per_step)
 
@@ -119,6 +117,6 @@ class WithPrepared:
 
 
 def _place(medium: Medium, family: Family) -> NDArray[np.float64]:
-    """Logarithms of σt and σs, and the family's coordinates, over how far derivatives are used again."""
+    """Logarithms of σt and σs, and the family's coordinates, over changes that are `ALIKE`."""
     sigma_t, sigma_s = math.log(medium.sigma_t), math.log(medium.sigma_s)
-    return np.array([sigma_t / FAR[0], sigma_s / FAR[0], *(family.coordinates(medium.phase_function) / FAR[1])])
+    return np.array([sigma_t / ALIKE[0], sigma_s / ALIKE[0], *(family.coordinates(medium.phase_function) / ALIKE[1])])

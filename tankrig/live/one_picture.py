@@ -18,6 +18,10 @@ from tankrig.scene.outline import beside_water, blurred_pixels, edges_of_light, 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+FAR_TIMES, END, BY_CHANCE = 2.0, 0.25, 5.0
+"""Times as bright at the far end as where light enters, from which on an image may be turned about (walls that reflect
+make less of a difference); share of the columns that are an end; and standard deviations that noise does not make."""
+
 
 @dataclass(frozen=True, eq=False)
 class Picture:
@@ -106,10 +110,6 @@ def require_no_board(pixels: Pixels, camera: Camera) -> None:
         )
 
 
-FAR_TIMES = 2.0
-"""From which on an image is taken for one that may be turned about: walls that reflect make less of a difference."""
-
-
 def brighter_far(picture: Picture) -> float:
     """How many times as bright an image is at its far end as where light enters; 0 where that is no sign of anything.
 
@@ -128,19 +128,13 @@ def brighter_far(picture: Picture) -> float:
     if camera.kind == "calibrated" or picture.image.shape != camera.shape:
         return 0.0
     columns = min(camera.shape[1], round(picture.scene.tank.size_mm[0] / camera.pixel_mm))
-    some = max(columns // QUARTER, 1)
+    some = max(int(END * columns), 1)
     seen = np.where(picture.mask | ~np.isfinite(picture.image), np.nan, picture.image)[:, :columns]
     if np.isnan(seen[:, :some]).all() or np.isnan(seen[:, -some:]).all():
         return 0.0
     near, far = float(np.nanmean(seen[:, :some])), float(np.nanmean(seen[:, -some:]))
     chance = BY_CHANCE * float(np.nanstd(seen)) / math.sqrt(seen[:, :some].size)  # of a picture of nothing but noise
     return far / near if near > 0.0 and far > FAR_TIMES * near and far - near > chance else 0.0
-
-
-QUARTER = 4
-"""Of the columns, at either end."""
-BY_CHANCE = 5.0
-"""Standard deviations that noise does not make."""
 
 
 def picture_of(

@@ -22,7 +22,7 @@ def _rig_option(otherwise: str) -> Callable[[Command], Command]:
 rig_option = _rig_option("rig")
 
 bench_option = _rig_option("bench")
-"""Of commands that calibrate, for which the simulated rig has nothing."""
+"""The same for commands that calibrate: of the simulated rig nothing can be calibrated, of the simulated bench all."""
 
 scene_option = click.option(
     "--scene",

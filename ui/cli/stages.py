@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 FIRST_S = 2.0
-"""Of silence, which commands that are quick end within."""
+"""Silence before the first line: quick commands end within it."""
 AGAIN_S = 30.0
 """After which a stage that lasts is told once more."""
 POLL_S = 0.25
@@ -18,7 +18,7 @@ class Tell(Protocol):
     """Takes the stage in a few words, and what changes while it lasts, such as the time that is left."""
 
     def __call__(self, what: str, more: str = "") -> None:
-        """Show them."""
+        """Show what is being done from now on."""
 
 
 @contextmanager

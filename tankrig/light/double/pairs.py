@@ -18,7 +18,7 @@ from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
 from tankrig.light.double.image import add_beams, columns_of
 from tankrig.light.double.lit import lit_heights
-from tankrig.light.double.ray_and_sight import PANEL, Pair, cut_at_critical_angle, half_circle, panel_cuts
+from tankrig.light.double.ray_and_sight import MOST_CUTS, PANEL, Pair, cut_at_critical_angle, half_circle, panel_cuts
 from tankrig.light.double.table import FINE, Stack, Table, laid_out
 from tankrig.light.elementary import exponential
 from tankrig.light.quadrature import Rule, gauss_legendre
@@ -162,7 +162,7 @@ def pair_shares(
     t0 = qz * flip  # where the line is nearest to the ray: it runs straight up, across the ray
     closest = max(abs(qy), 1e-9)
     first, second = np.empty(4), np.empty(4)
-    cuts = np.empty(24)
+    cuts = np.empty(MOST_CUTS)
     tau_low, tau_high = math.asinh(-t0 / closest), math.asinh((t_max - t0) / closest)
     for side in range(2):
         start = tau_low if side == 0 else max(0.0, tau_low)
