@@ -13,7 +13,7 @@ from tankrig.estimation.differences import values_of
 from tankrig.estimation.followed import Followed, in_water
 from tankrig.estimation.forward import family_models
 from tankrig.estimation.phase_families import as_free, free
-from tankrig.estimation.with_prepared import WithPrepared
+from tankrig.estimation.with_prepared import Lift, Lifted, WithPrepared
 from tankrig.light.behind_lenses import BehindLenses
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.phases import checked, high, plan
@@ -21,9 +21,10 @@ from tankrig.light.prepared.phases.checked import CheckedOrders, checked_at
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.light.tangent import tank_accurate
+from tankrig.light.tank import tank_image
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.mie import Mie
-from tankrig.scene.optics import Blur, Halo
+from tankrig.scene.optics import Blur, Face, Faces, Halo
 from tankrig.scene.phase_functions import Mixture, ReynoldsMcCormick, TwoTerm
 
 BEAMS = (Beam((-30.0, -10.0), (50.0, 58.0)), Beam((20.0, 28.0), (50.0, 58.0)))
@@ -142,7 +143,7 @@ def test_a_model_about_a_medium_has_all_orders_and_its_derivatives(prepared: Hig
     family, water = free(), 1e-4
     centre = Medium(0.0004, 0.0102, phase=family.phase(as_free(BEAD)))
     low = Followed(SCENE, 1, 0, None, family=family, tables=0.02, water_sigma_s=water)
-    model = WithPrepared.about(low, centre, [prepared])
+    model = WithPrepared.about(Lift.of(low), centre, [prepared])
     found = model(centre)
     assert found.patterns is not None
     assert model.holds(centre)
@@ -159,6 +160,40 @@ def test_a_model_about_a_medium_has_all_orders_and_its_derivatives(prepared: Hig
         ahead = model(Medium(float(moved[0]), float(moved[1]), phase=family.phase(moved[2:]))).image
         change = (ahead - found.image) / step
         assert np.linalg.norm(change - slopes[number]) < 0.12 * np.linalg.norm(change), number
+
+
+GLASS = replace(SCENE, tank=replace(SCENE.tank, faces=Faces(*[Face("glass")] * 4, floor=Face("diffuse", 0.2))))
+
+
+@pytest.mark.long
+def test_in_a_tank_of_glass_what_walls_and_floor_send_back_is_among_it(folder: Path) -> None:
+    """Order 1 by way of walls with the low orders, the rest with what is prepared; nothing twice, nothing left out."""
+    assert folder.is_dir()
+    liquid, low = LIQUIDS[2], Followed(GLASS, 2, 0, None, family=free(), tables=0.02)
+    found = WithPrepared.about(Lift.of(low), liquid, [high_orders_prepared(GLASS, BOX, TOLERANCE)])(liquid)
+    expected, without = (tank_image(replace(one, medium=liquid), seed=5, batches=48) for one in (GLASS, SCENE))
+    assert found.stderr is not None
+    assert expected.stderr is not None
+    noise = np.linalg.norm(np.hypot(found.stderr, expected.stderr))
+    off, by_walls = np.linalg.norm(found.image - expected.image), np.linalg.norm(expected.image - without.image)
+    assert by_walls > 0.1 * np.linalg.norm(expected.image)
+    assert off < 1.5 * noise
+    assert found.image.sum() == pytest.approx(expected.image.sum(), rel=0.01)
+
+
+def test_what_a_search_looks_at_has_light_by_way_of_walls_too() -> None:
+    """Without it a search for a phase function in a tank of glass began a third too dark."""
+    family = free()
+    liquid = Medium(0.0001, 0.0123, phase=family.phase(as_free(TwoTerm(0.85, -0.3, 0.96))))
+    looked_at = Lifted(Lift.of(Followed(GLASS, 2, 0, None, small=True, family=family, tables=0.02)))
+    expected = tank_image(replace(GLASS, medium=liquid), seed=5, batches=8).image
+    assert looked_at(liquid).image.sum() == pytest.approx(expected.sum(), rel=0.03)
+    slopes, at = looked_at.slopes(liquid), values_of(liquid, family)
+    more = Medium(liquid.sigma_a, 1.1 * liquid.sigma_s, phase=liquid.phase)
+    expected = tank_image(replace(GLASS, medium=more), seed=5, batches=8).image
+    assert looked_at(more).image.sum() == pytest.approx(expected.sum(), rel=0.04)
+    ahead = looked_at(Medium(liquid.sigma_a, 1.02 * liquid.sigma_s, phase=liquid.phase)).image
+    assert slopes[1].sum() == pytest.approx((ahead - looked_at(liquid).image).sum() / (0.02 * at[1]), rel=0.05)
 
 
 def test_what_was_prepared_is_used_again_where_it_holds_the_liquid(

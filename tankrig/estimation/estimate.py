@@ -21,6 +21,7 @@ from tankrig.estimation.misfit import moved_unseen
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, is_rough, liquid_blocks
+from tankrig.estimation.phase_average import like_spheres
 from tankrig.estimation.phase_doubt import PhaseTold, told_early
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import WHOLE, structure_map
@@ -29,6 +30,7 @@ from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
 from tankrig.estimation.shots import Fit, Shot
+from tankrig.estimation.spheres import spheres
 from tankrig.estimation.uncertainty import identifiable, overconfidence, stretches
 from tankrig.estimation.verdict import (
     what_did_not_hold,
@@ -62,6 +64,9 @@ FAR_MORE, NEARLY_ALL = 0.5, 0.9
 """Share of what Henyey–Greenstein's leaves, squared, that a fit of other phase functions has to explain at least which
 was begun from anywhere, and more than any other cause does; and share that such a cause has to explain, or that is
 tried. An emulsion of σs .05 looked like uneven ink, which explained two thirds."""
+AS_SPHERES, ALIKE = "Spheres of one kind describe the image.", 1.002
+"""Said of them where they leave no more than that share of what a free phase function leaves, which follows noise with
+its seventeen numbers."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 COMMON_FLOOR = 0.04
@@ -210,7 +215,10 @@ def fit_models(
         fit = with_astray(fit, [astray])
     fit = without_outliers(fit)
     progress("finding the errors")
-    found, phase = _built(fit, scene, models, asked)
+    found, phase, like = _built(fit, scene, models, asked)
+    for one in like:
+        other = _as_spheres(observation, scene, scaling, models, progress, misalignment, astray, one)
+        found = other if other.rmse < ALIKE * found.rmse else found
     if asked.further is None or not (phase.misled or phase.explained < NEARLY_ALL):
         return found
     if beside is not None:
@@ -233,6 +241,17 @@ def _further(
     progress("weighing other phase functions")
     other, asked = models.of(asked.family), replace(asked, near=near)
     return fit_models(observation, scene, scaling, other, progress, misalignment, asked, astray)
+
+
+def _as_spheres(
+    observation: Observation, scene: Scene, scaling: Scaling, models: Models, progress: Told,
+    misalignment: Misalignment | None, astray: Astray | None, near: Medium,
+) -> Estimate:  # fmt: skip
+    """The estimate by spheres, begun near a liquid."""
+    progress("fitting spheres")
+    own, asked = models.of(spheres()), Asked(spheres(), near=near)
+    other = fit_models(observation, scene, scaling, own, progress, misalignment, asked, astray)
+    return replace(other, verdict=f"{AS_SPHERES} {other.verdict}")
 
 
 def _in_place(other: Estimate, share: float) -> Estimate:
@@ -297,17 +316,19 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
     return replace(fit, optimum=best)
 
 
-def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, PhaseTold]:
-    """The estimate at an optimum: its errors, what the residual says, and the verdict; and what it tells of other phase
-    functions."""
+def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, PhaseTold, list[Medium]]:
+    """The estimate at an optimum: its errors, what the residual says, and the verdict; what it tells of other phase
+    functions; and liquids of spheres that are likelier, where families are weighed and none describes the image."""
     best = fit.optimum
     gain, (offset,), (left,) = left_over(fit)
     found = findings_of(fit, left, scene, models, asked)
     phase, spread = found.phase, fit.unsettled(found.spread(left))
     off, exact = nuisances_of(best, spread), fit.exact or models.exact
     answer = answer_of(best, spread, asked, left.beyond == 0.0, exact)
-    medium, spread = answer.liquid, phase.counted(answer.covariance)
     undescribed, rough = _undescribed(best, left, asked)
+    family = asked.family if asked.averaged and (undescribed or fit.moved is not None) else None
+    like = like_spheres(best, spread, family) if family else [answer.beads] if answer.beads else []
+    medium, spread = answer.liquid, phase.counted(answer.covariance)
     bent = phase.misled or phase.doubted or undescribed or fit.moved is not None
     known = {
         name: yes and name not in best.at_edge and not (bent and name != "sigma_a")
@@ -331,7 +352,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         structure=structure_map(found.whitened, used),
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
-    return built, phase
+    return built, phase, like
 
 
 def _undescribed(best: Evaluation, left: Left, asked: Asked) -> tuple[bool, bool]:

@@ -42,6 +42,8 @@ FAINT, FAINT_LOW, FURTHEST = 1e-3, 1e-7, 1.0
 which have no noise; and how far the first may change."""
 ALIKE = 0.1, 0.7
 """Changes that count alike: of the logarithm of σt and σs, and of a coordinate that is expected to be 0 ± 1."""
+BY_FACES = 4
+"""Lattices of paths by way of faces."""
 SOLVED_BATCHES = 16
 """Lattices of paths for the orders that are left to them where the others are solved for."""
 
@@ -111,7 +113,8 @@ class Followed:
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image; of another phase function than Henyey–Greenstein's by itself."""
-        return self._whole(medium).prediction if medium.phase is None else self._alone(medium)
+        found = self._direct(medium)
+        return found if self.scene.tank.faces.dark else replace(found, image=found.image + self._by_faces(medium))
 
     def slopes(self, medium: Medium) -> Image:
         """(3, rows, columns) derivatives by σa, σs and g, or (2 + k, rows, columns) by a family's coordinates."""
@@ -194,6 +197,20 @@ class Followed:
             return tank_steady(scene, 0, max_order=LOW_ORDERS, tables=self.tables).image
 
         return remembered(low)
+
+    def _direct(self, medium: Medium) -> Prediction:
+        """The image without what paths by way of faces bring."""
+        return self._whole(medium).prediction if medium.phase is None else self._alone(medium)
+
+    @cached_property
+    def _by_faces(self) -> Callable[[Medium], Image]:
+        from tankrig.light.behind_lenses import BehindLenses
+
+        def by_faces(medium: Medium) -> Image:
+            scene = replace(self.scene, medium=in_water(medium, self.water_sigma_s))
+            return BehindLenses(scene).by_faces(self.seed, BY_FACES)
+
+        return remembered(by_faces)
 
     @property
     def _tables(self) -> float | None:

@@ -36,7 +36,7 @@ from tankrig.estimation.light_beside import WithBeside, described_beside, with_l
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.stated_errors import COARSE, FINE, stated_error
 from tankrig.estimation.versions import Exact, Models, image_of
-from tankrig.estimation.with_prepared import WithPrepared
+from tankrig.estimation.with_prepared import Lift, Lifted, WithPrepared
 from tankrig.image.predict import MODELS, predict
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
@@ -313,11 +313,11 @@ def family_models(
     Parameters
     ----------
     scene
-        Whose walls are dark.
+        Whose walls are dark, if nothing is prepared.
     family
         Of phase functions.
     max_order
-        As for `models_of`.
+        As for `models_of`; None, if something is prepared.
     water_sigma_s
         What water scatters besides, 1/mm, see `in_water`.
     prepared
@@ -333,6 +333,7 @@ def family_models(
         water_sigma_s=water_sigma_s,
     )  # fmt: skip
     coarse = followed(fewest, 0)
+    lift = Lift.of(coarse)
 
     batches = _lattices(coarse, fewest)
 
@@ -340,7 +341,7 @@ def family_models(
 
     def refine(medium: Medium) -> tuple[Model, Model]:
         if prepared:
-            near = WithPrepared.about(coarse, medium, made)
+            near = WithPrepared.about(lift, medium, made)
             return near, replace(near, fine=True)
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
         return followed(fine, 1), followed(slope, 2, sharp=True, fine=True)
@@ -351,8 +352,11 @@ def family_models(
         return accurate(in_water(medium, water_sigma_s), times)
 
     return Models(
-        coarse, refine, exact=None if prepared else exact, family=family, look=_look(scene, max_order),
-        prepares=prepared,
+        Lifted(lift) if prepared and not lift.nothing else coarse, refine, exact=None if prepared else exact,
+        family=family, look=_look(scene, max_order), prepares=prepared,
+        different=partial(
+            family_models, scene, max_order=max_order, water_sigma_s=water_sigma_s, prepared=prepared
+        ),
     )  # fmt: skip
 
 

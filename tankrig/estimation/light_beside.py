@@ -170,14 +170,14 @@ def described_beside(scene: Scene, rough: bool = False) -> tuple[Scene, Beside]:
     if light.black_level > 0.0:
         parts.append((light.black_level, _entered(replace(scene, projector=bare), (all_over(scene),), rough)))
     if not tank.faces.dark:
-        few = ROUGH_BY_FACES if _is_clear(tank.faces) else FAINT_ROUGH
+        few = ROUGH_BY_FACES if any(_clear(tank.faces)) else FAINT_ROUGH
         parts.append((1.0, _by_way_of(scene, tank.faces, ALL_BLACK, rough, few if rough else BY_FACES)))
     return replace(scene, tank=replace(tank, faces=ALL_BLACK), projector=bare), Beside(tuple(parts))
 
 
-def _is_clear(faces: Faces) -> bool:
-    """Whether some of the light that faces send back goes on as it came."""
-    return any(face.kind in ("glass", "clear") for face in faces.all)
+def _clear(faces: Faces) -> list[Face | None]:
+    """Faces by way of which light goes on as it came, in their places."""
+    return [face if face.kind in ("glass", "clear") else None for face in faces.all]
 
 
 def all_over(scene: Scene) -> Beam:
@@ -220,15 +220,16 @@ def _sent_back(scene: Scene, name: str, face: Face, rough: bool, lattices: int) 
 
 def _by_way_of(scene: Scene, with_it: Faces, without: Faces, rough: bool, lattices: int) -> Expanded:
     """The image of light by way of faces, less that by way of others."""
-    from tankrig.light.tank import by_faces, by_faces_within
+    from tankrig.light.tank import by_faces_within, paths_by_faces
 
     lit, dark = (replace(scene, tank=replace(scene.tank, faces=faces)) for faces in (with_it, without))
+    shown = paths_by_faces if _clear(with_it) == _clear(without) else by_faces_within
     length_mm = max(scene.tank.size_mm)
-    few = min(lattices, ROUGH_BY_FACES if _is_clear(with_it) else FAINT_ROUGH)
+    few = min(lattices, ROUGH_BY_FACES if any(_clear(with_it)) else FAINT_ROUGH)
 
     def image(liquid: Medium) -> Array:
         one, other = (replace(way, medium=liquid) for way in (lit, dark))
-        return by_faces(one, SEED, few) - by_faces(other, SEED, few)
+        return shown(one, SEED, few)[0] - shown(other, SEED, few)[0]
 
     def told(liquid: Medium) -> Told:
         here, stderr = image(liquid), np.zeros(scene.camera.shape)
@@ -240,9 +241,7 @@ def _by_way_of(scene: Scene, with_it: Faces, without: Faces, rough: bool, lattic
         ahead = [replace(liquid, **{one: getattr(liquid, one) + step}) for one, step in steps.items()]
         slopes = [(image(one) - here) / step for one, step in zip(ahead, steps.values(), strict=True)]
         if lattices > few:
-            (here, one), (other, two) = (
-                by_faces_within(replace(way, medium=liquid), SEED, lattices) for way in (lit, dark)
-            )
+            (here, one), (other, two) = (shown(replace(way, medium=liquid), SEED, lattices) for way in (lit, dark))
             here, stderr = here - other, np.hypot(one, two)
         return here, np.stack(slopes), stderr
 

@@ -85,7 +85,7 @@ def asked_for(phase: str | PhaseFunction | None, scene: Scene) -> Asked:
         return Asked(free(), averaged=True)
     asked = Asked(family_of(phase, described))
     begin = phase if isinstance(phase, PhaseFunction) else described
-    if begin is None or asked.family is None or not (asked.is_free or begin.kind == asked.family.name):
+    if begin is None or asked.family is None or not (asked.is_free or asked.family.has(begin)):
         return asked
     return replace(asked, begin=begin)
 
@@ -156,7 +156,7 @@ def fit_phase(
         return np.concatenate([before, coordinates, *after])
 
     starts = [place(start)]
-    if densest is None or densest.phase is None or densest.phase.kind != family.name:
+    if densest is None or not family.has(densest.phase):
         starts += [place(other) for other in family.others(start)]
         rungs = [place(np.concatenate([[rung], start[1:]])) for rung in family.ladder]
         starts += promising(shots, blocks, scaling, rungs, few)[:MOST_RUNGS] if rungs else []

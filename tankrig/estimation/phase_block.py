@@ -250,7 +250,7 @@ class PhaseBlock(Block):
     def start(self, densest: Medium) -> Array:
         """As much like the liquid's as the family can be; of a family that is not free, like its mean cosine."""
         phase = densest.phase
-        if phase is not None and phase.kind == self.family.name:
+        if phase is not None and self.family.has(phase):
             return np.clip(self.family.coordinates(phase), self.low, self.high)
         if phase is not None and self.family.is_free:
             return np.clip(as_free(phase), self.low, self.high)

@@ -65,6 +65,12 @@ class Family:
         Coordinates of other places where a search begins, given those of its first.
     ladder
         Values of the first coordinate between which images go up and down: a search looks at all of them.
+    finer
+        Whether members have finer structure than a free phase function.
+    describe
+        What a member is described by, in its own units.
+    kind
+        `PhaseFunction.kind` of the members; empty: the name.
     """
 
     name: str
@@ -80,11 +86,18 @@ class Family:
     expected: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     others: Callable[[Array], Sequence[Array]] = lambda _: ()
     ladder: Array = field(default_factory=lambda: np.zeros(0))
+    finer: bool = False
+    describe: Callable[[Any], dict[str, float]] = field(default_factory=lambda: _numbers_of)
+    kind: str = ""
 
     @property
     def is_free(self) -> bool:
         """Whether it holds any smooth phase function."""
         return self.name == FreePhase.kind
+
+    def has(self, phase: PhaseFunction | None) -> bool:
+        """Whether a phase function is one of its kind."""
+        return phase is not None and phase.kind == (self.kind or self.name)
 
     def phase(self, coordinates: Array) -> PhaseFunction:
         """The member at coordinates, which are moved into what is searched."""
@@ -92,11 +105,14 @@ class Family:
 
     def parameters(self, coordinates: Array) -> dict[str, float]:
         """What the member is described by, in its own units; nothing where its numbers mean nothing by themselves."""
-        member = self.phase(coordinates)
-        if isinstance(member, FreePhase):
-            return {}
-        found = {one.name: getattr(member, one.name) for one in fields(member)}  # type: ignore[arg-type]
-        return {name: value for name, value in found.items() if isinstance(value, float)}
+        return self.describe(self.phase(coordinates))
+
+
+def _numbers_of(member: PhaseFunction) -> dict[str, float]:
+    if isinstance(member, FreePhase):
+        return {}
+    found = {one.name: getattr(member, one.name) for one in fields(member)}  # type: ignore[arg-type]
+    return {name: value for name, value in found.items() if isinstance(value, float)}
 
 
 def _logit(share: float) -> float:
@@ -204,11 +220,11 @@ def amplitudes_of(density: Array, base: float) -> Array:
         atanh of the asymmetry that it starts from.
     """
     log = np.log(np.maximum(density / phase_function(PLACES, math.tanh(base)), 1e-300))
-    return np.asarray(_nearest_shapes() @ log)
+    return np.asarray(nearest_shapes() @ log)
 
 
 @lru_cache(maxsize=1)
-def _nearest_shapes() -> Array:
+def nearest_shapes() -> Array:
     """(shapes, n) times ln p over the base's at `PLACES`, the amplitudes that are nearest."""
     columns = np.vstack([shapes_at(PLACES), np.ones(PLACES.size)]).T
     return np.asarray(np.linalg.solve(columns.T @ columns + RIDGE * np.eye(columns.shape[1]), columns.T)[:-1])

@@ -74,6 +74,8 @@ class Scattering:
     beta
         Volume scattering function σs p in 1/(m sr), with the standard deviation of its logarithm; of ink, per ml. It
         is as absolute as σs, which comes from how light fades and spreads and needs no known gain.
+    beads
+        The liquid as spheres alone, where these are likelier than all else and it is hardly off them; else None.
     """
 
     liquid: Medium
@@ -84,6 +86,7 @@ class Scattering:
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     families: Mapping[str, float] = field(default_factory=dict)
     beta: PhaseCurve | None = None
+    beads: Medium | None = None
 
 
 def scattering_of(coefficients: Array, coordinates: Array, spread: Array, family: Family) -> Scattering:

@@ -301,7 +301,7 @@ def _models_of_tank(scenes: Sequence[Scene], family: Family | None, water_sigma_
     walls that are dark allow, or prepared ones, where light or sight slants and paths are noisy; Henyey–Greenstein's
     three numbers do with differences.
     """
-    if family is not None and all(scene.tank.faces.dark for scene in scenes):
+    if family is not None and all(one.tank.faces.dark or not shift_invariant(one) for one in scenes):
         by_scene = {
             one: family_models(one, family, water_sigma_s=water_sigma_s, prepared=not shift_invariant(one))
             for one in dict.fromkeys(scenes)

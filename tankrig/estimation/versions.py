@@ -8,7 +8,7 @@ from tankrig.estimation.differences import Forward, Slopes, family_slopes_of, li
 from tankrig.estimation.followed import Followed, Image, Model, Solved
 from tankrig.estimation.light_beside import WithBeside
 from tankrig.estimation.phase_families import Family
-from tankrig.estimation.with_prepared import WithPrepared
+from tankrig.estimation.with_prepared import Lifted, WithPrepared
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 from tankrig.scene.phase_table import PhaseFunction
@@ -78,7 +78,7 @@ class Models:
         """Derivatives: the model's own, or by differences of one of its versions."""
         if self.family is not None and self.along is not None:
             return family_slopes_of(self.along, self.family)
-        if isinstance(model, WithPrepared) or (isinstance(model, Followed) and model.family is self.family):
+        if isinstance(model, WithPrepared | Lifted) or (isinstance(model, Followed) and model.family is self.family):
             return model.slopes
         if self.family is not None:
             low = None if self.low is None else image_of(self.low)

@@ -2,6 +2,9 @@
 
 Where light or sight slants, an image by 3·10⁵ light paths has 1 to 5 % of noise, and what is prepared about a medium in
 20 to 50 CPU s, and made right at it, has .2 to .3 %, for every medium nearby.
+
+Light of a halo and light that walls send back take three times as long as the rest together and change with the liquid
+nearly as it does: they are computed at one medium, as a factor of each pixel's other light (`Lift`).
 """
 
 import math
@@ -13,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.differences import turning_of
-from tankrig.estimation.followed import ALIKE, Followed, Model, in_water, remembered
+from tankrig.estimation.followed import ALIKE, FAINT_LOW, Followed, Model, in_water, remembered
+from tankrig.estimation.light_beside import described_beside
 from tankrig.estimation.phase_families import Family
 from tankrig.light.double.image import table_error
 from tankrig.light.prepared.about import box_for, holds
@@ -29,12 +33,84 @@ TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
+class Lift:
+    """A scene with light beside its beams' own, and without it.
+
+    Parameters
+    ----------
+    bare
+        Without.
+    whole
+        With all that the scene describes.
+    """
+
+    bare: Followed
+    whole: Followed
+
+    @classmethod
+    def of(cls, whole: Followed) -> "Lift":
+        """Of a scene; nothing is beside where it has dark walls and no halo."""
+        bare, _ = described_beside(whole.scene)
+        return cls(whole if bare == whole.scene else replace(whole, scene=bare), whole)
+
+    @property
+    def nothing(self) -> bool:
+        """Whether there is no other light."""
+        return self.bare is self.whole
+
+    def of_low(self, centre: Medium) -> Image:
+        """(rows, columns) factors of orders 1 and 2 at a medium."""
+        return self._factors(lambda model: model.low_image(centre))
+
+    def of_all(self, centre: Medium) -> Image:
+        """(rows, columns) factors of the whole image."""
+        return self._factors(lambda model: model(centre).image)
+
+    def _factors(self, image_of: Callable[[Followed], Image]) -> Image:
+        if self.nothing:
+            return np.ones(self.whole.scene.camera.shape)
+        bare = image_of(self.bare)
+        return np.asarray(image_of(self.whole) / np.maximum(bare, FAINT_LOW * float(bare.max(initial=0.0)) + 1e-300))
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """A cheap model of light paths, brightened as light beside does where it is first asked.
+
+    Parameters
+    ----------
+    lift
+        The scene with and without that light.
+    """
+
+    lift: Lift
+
+    def __call__(self, medium: Medium) -> Prediction:
+        """The image."""
+        found = self.lift.bare(medium)
+        return replace(found, image=found.image * self._factors(medium))
+
+    def slopes(self, medium: Medium) -> Image:
+        """As `Followed` has them."""
+        return np.asarray(self.lift.bare.slopes(medium) * self._factors(medium))
+
+    def _factors(self, medium: Medium) -> Image:
+        if not self._told:
+            self._told.append(self.lift.of_all(medium))
+        return self._told[0]
+
+    @cached_property
+    def _told(self) -> list[Image]:
+        return []
+
+
+@dataclass(frozen=True, eq=False)
 class WithPrepared:
     """The tank's image of media near one, and its derivatives by a family's coordinates.
 
     Parameters
     ----------
-    low
+    lift
         Tells orders 1 and 2.
     high
         Tells the others, made right at the centre.
@@ -44,22 +120,23 @@ class WithPrepared:
         Whether derivatives are as fine as a phase function's finer shapes want them.
     """
 
-    low: Followed
+    lift: Lift
     high: CheckedOrders
     centre: Medium
     fine: bool = False
 
     @classmethod
-    def about(cls, low: Followed, centre: Medium, made: list[HighAnswer]) -> "WithPrepared":
+    def about(cls, lift: Lift, centre: Medium, made: list[HighAnswer]) -> "WithPrepared":
         """By the first of what was made that holds a medium; else what is prepared for a box about it, or read from
         the cache, is added there."""
+        low = lift.whole
         liquid = in_water(centre, low.water_sigma_s)
         high = next((one for one in made if holds(one.box, liquid)), None)
         if high is None:
             box = box_for(Medium(liquid.sigma_a, liquid.sigma_s, liquid.g))
             high = high_orders_prepared(low.scene, box, TOLERANCE)
             made.append(high)
-        return cls(low, checked_at(high, liquid), centre)
+        return cls(lift, checked_at(high, liquid), centre)
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image, with its errors as they lie."""
@@ -71,13 +148,13 @@ class WithPrepared:
 
     def holds(self, medium: Medium) -> bool:
         """Whether a medium is well inside what was prepared."""
-        return holds(self.high.high.box, in_water(medium, self.low.water_sigma_s))
+        return holds(self.high.high.box, self._in_water(medium))
 
     @cached_property
     def _image(self) -> Model:
-        errors = self.high.errors_at(in_water(self.centre, self.low.water_sigma_s))
+        errors = self.high.errors_at(self._in_water(self.centre))
         size = float(np.linalg.norm(self._whole(self.centre)))
-        tables = table_error(self.low.scene, self.low.tables or TOLERANCE)
+        tables = table_error(self.lift.whole.scene, self.lift.whole.tables or TOLERANCE)
         skipped = (Skipped("tables that order 2 is looked up in", tables),)
 
         def image(medium: Medium) -> Prediction:
@@ -90,13 +167,23 @@ class WithPrepared:
         return remembered(image)
 
     def _whole(self, medium: Medium) -> Image:
-        return self.low.low_image(medium) + self.high.image(in_water(medium, self.low.water_sigma_s))
+        return self._low(medium) + self.high.image(self._in_water(medium))
+
+    def _low(self, medium: Medium) -> Image:
+        return self.lift.bare.low_image(medium) * self._factors
+
+    @cached_property
+    def _factors(self) -> Image:
+        return self.lift.of_low(self.centre)
+
+    def _in_water(self, medium: Medium) -> Medium:
+        return in_water(medium, self.lift.whole.water_sigma_s)
 
     @cached_property
     def _slopes(self) -> Callable[[Medium], Image]:
-        family = self.low.family
+        family = self.lift.whole.family
         assert family is not None
-        telling = replace(self.low, fine=self.fine)
+        telling = replace(self.lift.whole if self.fine else self.lift.bare, fine=self.fine)
         told: list[tuple[NDArray[np.float64], Image]] = []
 
         def shares(medium: Medium) -> Image:
@@ -111,7 +198,7 @@ class WithPrepared:
             turning, sizes = turning_of(medium, family)
             _, high = self.high.image_and_slopes(medium, turning.others)
             per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
-            return np.asarray(self.low.low_image(medium) * shares(medium) + high * per_step)
+            return np.asarray(self._low(medium) * shares(medium) + high * per_step)
 
         return remembered(slopes)
 

@@ -1,6 +1,6 @@
 """A scene's orders of scattering as its camera's lens shows them, of its light as the projector's lens throws it.
 
-Light that faces of the tank send back is none of it (see `tankrig.light.tank.by_faces`).
+Light that clear faces of the tank send back is part of order 1; what else faces send back stands apart.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tankrig.light.entering import entering
 from tankrig.light.leaving import CameraLens
 from tankrig.light.order_one import once_seen
-from tankrig.light.tank import twice_of
+from tankrig.light.tank import paths_by_faces, twice_of
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 
@@ -27,7 +27,7 @@ class BehindLenses:
     Parameters
     ----------
     scene
-        Any; its faces send nothing back here.
+        Any.
     """
 
     scene: Scene
@@ -43,13 +43,17 @@ class BehindLenses:
         return entering(self.scene if self.lens is None else self.lens.wide, fine=False)
 
     def once(self, media: Sequence[Medium]) -> Array:
-        """(media, rows, columns) of order 1."""
+        """(media, rows, columns) of order 1, by way of clear faces too."""
         return once_seen(self.scene, media)
 
     def twice(self, media: Sequence[Medium], tolerance: float, others: Sequence[PhaseFunction] = ()) -> Array:
         """(media, rows, columns) of order 2, or (1 + others, …); as `tankrig.light.double.double_scattering_of`."""
         scene = self.scene if self.lens is None else self.lens.wide
         return self.seen(twice_of(scene, media, tolerance, others=others))
+
+    def by_faces(self, seed: int, lattices: int) -> Array:
+        """(rows, columns) of what faces send back besides, in all orders, by so many lattices of paths."""
+        return self.seen(paths_by_faces(self.scene if self.lens is None else self.lens.wide, seed, lattices)[0])
 
     def seen(self, images: Array) -> Array:
         """(…, rows, columns) of the camera, of images by the camera of `of_paths`."""

@@ -202,12 +202,9 @@ class PhotographPlan:
 
     @property
     def may_go_further(self) -> bool:
-        """Whether another phase function is fitted where Henyey–Greenstein's does not hold.
-
-        Unless somebody has said which to fit; and not in a tank of glass, where that follows light by way of walls for
-        each of its coordinates, and takes hours.
-        """
-        return not self.phase_said and self.bench.tank.faces.dark
+        """Whether another phase function is fitted where Henyey–Greenstein's does not hold: unless somebody has said
+        which to fit."""
+        return not self.phase_said
 
     @property
     def size(self) -> int:

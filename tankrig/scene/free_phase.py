@@ -71,6 +71,39 @@ class FreePhase(PhaseFunction):
         return np.asarray(phase_function(cosine, self.base_g) * np.exp(log))
 
 
+@dataclass(frozen=True)
+class Shaped(PhaseFunction):
+    """Another phase function times the exponential of the shapes of a free one.
+
+    Parameters
+    ----------
+    base
+        The other.
+    amplitudes
+        z_k, at most `SHAPES` of them.
+
+    Examples
+    --------
+    >>> from tankrig.scene.phase_functions import TwoTerm
+    >>> one, none = TwoTerm(0.9, -0.3, 0.95), (0.0, 0.0)
+    >>> bool(abs(Shaped(one, none).mean_cosine - one.mean_cosine) < 1e-9)
+    True
+    """
+
+    __pydantic_config__ = CLOSED
+    base: PhaseFunction
+    amplitudes: tuple[float, ...]
+    kind: Literal["shaped"] = field(default="shaped", repr=False)
+
+    def __post_init__(self) -> None:
+        require(len(self.amplitudes) <= SHAPES, f"amplitudes has {len(self.amplitudes)} numbers; give {SHAPES} at most")
+
+    def density(self, cosine: Array) -> Array:
+        """See `PhaseFunction.density`."""
+        shapes = shapes_at(cosine)[: len(self.amplitudes)]
+        return np.asarray(self.base.density(cosine) * np.exp(np.array(self.amplitudes) @ shapes))
+
+
 def shapes_at(cosine: Array) -> Array:
     """(`SHAPES`, n) √λ ψ at n cosines: what one standard deviation of each amplitude adds to ln p."""
     places, shapes = _shapes(ALIKE)

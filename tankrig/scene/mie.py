@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from tankrig.ranges import Within
 from tankrig.scene.checks import CLOSED, in_ranges, require
-from tankrig.scene.phase_table import NODES, PhaseFunction, sines
+from tankrig.scene.phase_table import PhaseFunction, sines
 
 Array = NDArray[np.float64]
+
+FEW = 256
+"""Cosines below which the series is summed at them, and no table is made."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,8 @@ class Mie(PhaseFunction):
 
     def density(self, cosine: Array) -> Array:
         """See `PhaseFunction.density`."""
+        if np.size(cosine) < FEW:
+            return _summed(self, np.ravel(cosine))[1].reshape(np.shape(cosine))
         return np.asarray(np.interp(np.sqrt(0.5 - 0.5 * cosine), sines(), _spheres(self)[1]))
 
     def polarisation(self, cosine: Array) -> Array:
@@ -78,37 +83,66 @@ class Mie(PhaseFunction):
 
 @lru_cache(maxsize=64)
 def _spheres(mie: Mie) -> tuple[float, Array, Array]:
-    """Mean scattering cross-section in µm², p at the nodes, and the part of it that is across the plane of scattering.
+    """Mean scattering cross-section, µm², p at the nodes, and the part of it that is across the plane of scattering."""
+    return _summed(mie, 1.0 - 2.0 * sines() ** 2)
 
-    By the coefficients of Mie's series.
+
+def _summed(mie: Mie, cosine: Array) -> tuple[float, Array, Array]:
+    """The same at cosines, by the coefficients of Mie's series."""
+    ratio = mie.particle_index / mie.water_index
+    total, density, across = 0.0, np.zeros(cosine.size), np.zeros(cosine.size)
+    for wavelength, light in _band(mie):
+        diameters, numbers = np.array(_diameters(mie)).T
+        own, whole, part = scattered_by(diameters, ratio, 2e3 * math.pi * mie.water_index / wavelength, cosine)
+        total += light * float(numbers @ own)
+        density, across = density + light * (numbers @ whole), across + light * (numbers @ part)
+    require(bool(np.isfinite(density).all() and 0.0 < total < math.inf), f"Mie's series fails for {mie}")
+    return total, density / total, across / total
+
+
+def scattered_by(diameters_um: Array, ratio: float, per_um: float, cosine: Array) -> tuple[Array, Array, Array]:
+    """How single spheres scatter unpolarised light.
+
+    Parameters
+    ----------
+    diameters_um
+        (n,) of the spheres.
+    ratio
+        Their refractive index over water's.
+    per_um
+        Wavenumber in water, 1/µm.
+    cosine
+        (m,) of scattering angles.
+
+    Returns
+    -------
+    cross_section
+        (n,) for scattering, µm².
+    whole
+        (n, m) σ p, µm²/sr.
+    across
+        (n, m) the part of it across the plane of scattering.
     """
     import miepython
 
-    ratio = mie.particle_index / mie.water_index
-    kinds = [(light * number, diameter, 2e3 * math.pi * mie.water_index / wavelength)
-             for wavelength, light in _band(mie) for diameter, number in _diameters(mie)]  # fmt: skip
-    series = [miepython.coefficients(ratio, 0.5 * diameter * per_um) for _, diameter, per_um in kinds]
-    odd, even = _angular(max(len(a) for a, _ in series))
-    total, density, polarised = 0.0, np.zeros(NODES), np.zeros(NODES)
-    for (share, _, per_um), (a, b) in zip(kinds, series, strict=True):
+    series = [miepython.coefficients(ratio, 0.5 * float(one) * per_um) for one in diameters_um]
+    odd, even = _angular(max(len(a) for a, _ in series), cosine)
+    total, whole, across = np.zeros(len(series)), *np.zeros((2, len(series), cosine.size))
+    for k, (a, b) in enumerate(series):
         n = np.arange(1, len(a) + 1)
         by = (2.0 * n + 1.0) / (n * (n + 1.0))
         # Real and imaginary parts as rows: times complex numbers, the tables of π and τ would be copied as such.
         a_by, b_by = (np.stack([one.real, one.imag]) * by for one in (a, b))
-        across = a_by @ odd[: len(a)] + b_by @ even[: len(a)]
-        along = a_by @ even[: len(a)] + b_by @ odd[: len(a)]
-        squares = np.sum(across**2, axis=0)
-        polarised += share / (2.0 * per_um**2) * squares
-        density += share / (2.0 * per_um**2) * (squares + np.sum(along**2, axis=0))
-        total += share * 2.0 * math.pi / per_um**2 * float((2.0 * n + 1.0) @ (np.abs(a) ** 2 + np.abs(b) ** 2))
-    require(bool(np.isfinite(density).all() and 0.0 < total < math.inf), f"Mie's series fails for {mie}")
-    return total, density / total, polarised / total
+        squares = np.sum((a_by @ odd[: len(a)] + b_by @ even[: len(a)]) ** 2, axis=0)
+        along = np.sum((a_by @ even[: len(a)] + b_by @ odd[: len(a)]) ** 2, axis=0)
+        across[k], whole[k] = squares / (2.0 * per_um**2), (squares + along) / (2.0 * per_um**2)
+        total[k] = 2.0 * math.pi / per_um**2 * float((2.0 * n + 1.0) @ (np.abs(a) ** 2 + np.abs(b) ** 2))
+    return total, whole, across
 
 
-def _angular(terms: int) -> tuple[Array, Array]:
-    """(terms, NODES) angular functions π_n and τ_n at the nodes (Bohren and Huffman 1983, Eq. 4.47)."""
-    cosine = 1.0 - 2.0 * sines() ** 2
-    odd, even = np.zeros((terms + 1, NODES)), np.zeros((terms + 1, NODES))
+def _angular(terms: int, cosine: Array) -> tuple[Array, Array]:
+    """(terms, m) angular functions π_n and τ_n at cosines (Bohren and Huffman 1983, Eq. 4.47)."""
+    odd, even = np.zeros((terms + 1, cosine.size)), np.zeros((terms + 1, cosine.size))
     odd[1], even[1] = 1.0, cosine
     for n in range(2, terms + 1):
         odd[n] = ((2 * n - 1) * cosine * odd[n - 1] - n * odd[n - 2]) / (n - 1)

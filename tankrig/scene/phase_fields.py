@@ -5,7 +5,7 @@ from dataclasses import fields
 from typing import Any
 
 from tankrig.errors import SceneError
-from tankrig.scene.free_phase import FreePhase
+from tankrig.scene.free_phase import FreePhase, Shaped
 from tankrig.scene.mie import Mie
 from tankrig.scene.phase_functions import (
     FournierForand,
@@ -20,6 +20,7 @@ from tankrig.scene.phase_table import PhaseFunction
 _KINDS: dict[str, Callable[..., PhaseFunction]] = {
     "henyey-greenstein": HenyeyGreenstein, "two-term": TwoTerm, "reynolds-mccormick": ReynoldsMcCormick,
     "fournier-forand": FournierForand, "mie": Mie, "table": Tabulated, "free": FreePhase, "mixture": Mixture,
+    "shaped": Shaped,
 }  # fmt: skip
 
 

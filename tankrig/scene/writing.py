@@ -6,6 +6,7 @@ from typing import Any
 
 from tankrig.extras import needing_extra
 from tankrig.scene.description import Camera, Medium, Projector, Scene
+from tankrig.scene.free_phase import Shaped
 from tankrig.scene.optics import SAID, Face
 from tankrig.scene.phase_functions import Mixture, Tabulated
 from tankrig.scene.phase_table import sines
@@ -64,14 +65,14 @@ def scene_text(scene: Scene, comments: Sequence[str] = (), image: str | None = N
 
 
 def medium_table(medium: Medium) -> dict[str, Any]:
-    """A liquid as files of scenes and rigs have it; a mixture becomes a table of its phase function.
+    """A liquid as files of scenes and rigs have it; phase functions that have no kind there become a table.
 
     Examples
     --------
     >>> medium_table(Medium(0.0, 0.01, 0.5))
     {'sigma_a': 0.0, 'sigma_s': 0.01, 'g': 0.5}
     """
-    if isinstance(medium.phase, Mixture):
+    if isinstance(medium.phase, Mixture | Shaped):
         cosine = 1.0 - 2.0 * sines()[::-8] ** 2  # from −1 to 1: steps are even in sin(θ/2), dense straight on
         table = Tabulated(tuple(cosine.tolist()), tuple(medium.phase.at(cosine).tolist()))
         medium = Medium(medium.sigma_a, medium.sigma_s, phase=table)

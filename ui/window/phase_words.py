@@ -14,6 +14,8 @@ FAMILIES = {
     "fournier-forand": "Fournier–Forand",
     "free": "free form",
     "mie": "Mie's spheres",
+    "spheres": "spheres of any size",
+    "shaped": "spheres, or nearly",
     "table": "tabulated",
     "mixture": "mixture",
     "any": "any phase function",
@@ -28,6 +30,11 @@ PARAMETERS = {
         "diameter_um": "diameter of the spheres (µm)", "particle_index": "index of the spheres",
         "water_index": "index of the water", "wavelength_nm": "wavelength in vacuum (nm)",
         "spread": "spread of the diameters", "band_nm": "band (nm)",
+    },
+    "spheres": {
+        "diameter_in_wavelengths": "diameter of the spheres (wavelengths in vacuum)",
+        "index_over_water": "index of the spheres over water's",
+        "spread": "spread of the diameters",
     },
 }  # fmt: skip
 """What a fit finds of a family, by kind and by its name there."""

@@ -117,7 +117,8 @@ def high_orders_prepared(
     Parameters
     ----------
     scene
-        With dark faces; its medium does not matter.
+        Any; its medium does not matter. What its faces send back, but for order 1 by way of clear ones, counts as
+        higher orders.
     box
         Media to answer for; g is the mean cosine.
     tolerance
