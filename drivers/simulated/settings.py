@@ -168,7 +168,8 @@ class Truth(BaseModel):
     inlet_mm, plume_mm
         (x, y) about which a plume lies, and its standard deviation.
     tolerance
-        Relative L2 of the Monte Carlo's own noise in an image.
+        Relative L2 of the Monte Carlo's own noise in an image, at most; pictures of thin ink, where more photons cost a
+        second or two, have .4 of it.
     coarsen
         Side, in pixels, of the blocks in which multiply scattered light is counted.
     diffuser
