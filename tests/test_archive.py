@@ -73,6 +73,9 @@ def test_the_table_has_a_row_for_each_fit_and_filters_leave_what_was_asked_for(
     assert len(asked("--verdict", "determined")) == 6
     assert main(["archive", str(archive), "--between", "colour", "0", "1"]) == 2
     assert "there is no column colour" in capsys.readouterr().err
+    assert main(["archive", str(archive), "--between", "g", "nan", "1"]) == 2
+    assert "the range nan … 1 of g has an end that is no number" in capsys.readouterr().err
+    assert asked("--between", "g", "-inf", "inf") == [one for one in rows if one["fit"]]
     for option, date in (
         ("--since", "yesterday"),
         ("--since", "2026-13-77"),

@@ -181,9 +181,11 @@ class Filter:
         for name, text in (("since", self.since), ("until", self.until)):
             if text and not _is_date(text):
                 raise StoreError(f"{name} = {text} is no date; give one such as 2026-03-01 or 2026-03-01T09:30, UTC")
-        for name, *_ in self.between:
+        for name, low, high in self.between:
             if name not in COLUMNS:
                 raise StoreError(f"there is no column {name}; there are {', '.join(COLUMNS)}")
+            if math.isnan(low) or math.isnan(high):  # infinity is an end that does not matter
+                raise StoreError(f"the range {low:g} … {high:g} of {name} has an end that is no number; give numbers")
 
     def __call__(self, record: Record) -> bool:
         """Whether a row is wanted."""

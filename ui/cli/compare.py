@@ -9,7 +9,7 @@ import click
 
 from tankrig.errors import ImageError
 from ui.cli.fit import LEVEL, FreeOrNumber
-from ui.cli.options import json_option
+from ui.cli.options import FINITE, json_option
 from ui.cli.stages import stages_shown
 from ui.cli.tables import tell_table
 
@@ -25,11 +25,11 @@ SHOWN = {"sigma_s": "σs, 1/m", "g": "g", "sigma_a": "σa, 1/m"}
 @click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE",
               help="Scene file (TOML) of what IMAGE shows; a run knows its own.")  # fmt: skip
 @click.option("--array", metavar="NAME", help='Which array of an .npz; default: the only image, or "total".')
-@click.option("--scale", type=float, default=1.0, show_default=True, help="Radiance per count, W/mm²/sr.")
+@click.option("--scale", type=FINITE, default=1.0, show_default=True, help="Radiance per count, W/mm²/sr.")
 @click.option("--gain", type=FreeOrNumber(), default="free", show_default=True, help="Image per radiance.")
 @click.option("--offset", type=FreeOrNumber(), default="free", show_default=True, help="Added to it.")
-@click.option("--noise", type=float, help="Standard deviation of a pixel; default: as seen.")
-@click.option("--dose-ml", type=float, help="Which dose of a run; default: the last.")
+@click.option("--noise", type=FINITE, help="Standard deviation of a pixel; default: as seen.")
+@click.option("--dose-ml", type=FINITE, help="Which dose of a run; default: the last.")
 @click.option("--pattern", metavar="NAME", help="Which pattern of a run; default: its first.")
 @click.option(
     "--phases", is_flag=True, help="Compare families of phase functions, all orders each, in place of models."

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tankrig.errors import StoreError
-from ui.cli.options import json_option, out_option, scene_option
+from ui.cli.options import FINITE, FiniteRange, json_option, out_option, scene_option
 from ui.cli.stages import stages_shown
 from ui.cli.tables import tell_table
 
@@ -86,11 +86,14 @@ class Nuisance(click.ParamType[Any]):
         """Text to (name, standard deviation)."""
         if isinstance(value, tuple):
             return value
-        name, _, number = value.partition("=")
+        name, _, text = value.partition("=")
         try:
-            return name, float(number)
+            number = float(text)
         except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
             self.fail(f"{value!r} is not NAME=SD, such as z_mm=0.5", param, ctx)
+        return name, number
 
 
 @click.command(
@@ -99,12 +102,12 @@ class Nuisance(click.ParamType[Any]):
 @click.argument("image_file", metavar="IMAGE", type=click.Path(path_type=Path))
 @scene_option
 @click.option("--array", metavar="NAME", help='Which array of an .npz; default: the only image, or "total".')
-@click.option("--scale", type=float, default=1.0, show_default=True, help="Radiance per count, W/mm²/sr.")
+@click.option("--scale", type=FINITE, default=1.0, show_default=True, help="Radiance per count, W/mm²/sr.")
 @click.option(
     "--gain", type=FreeOrNumber(), default="free", show_default=True, help="Image per radiance, after --scale."
 )
 @click.option("--offset", type=FreeOrNumber(), default="free", show_default=True, help="Added to it, after --scale.")
-@click.option("--noise", type=float, help="Standard deviation of a pixel, after --scale; default: seen in the image.")
+@click.option("--noise", type=FINITE, help="Standard deviation of a pixel, after --scale; default: seen in the image.")
 @click.option(
     "--model",
     default="tank",
@@ -132,11 +135,11 @@ class Nuisance(click.ParamType[Any]):
     help="Rig file of the bench: the radiometry in force makes radiance of raw frames.",
 )
 @click.option(
-    "--exposure-ms", type=click.FloatRange(min=0.0, min_open=True), help="IMAGE is a raw frame with this exposure."
+    "--exposure-ms", type=FiniteRange(min=0.0, min_open=True), help="IMAGE is a raw frame with this exposure."
 )
 @click.option(
     "--gain-setting",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     default=1.0,
     show_default=True,
     help="Gain that the camera was set to.",
