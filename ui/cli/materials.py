@@ -33,8 +33,10 @@ class LabelLine(click.ParamType[Any]):
             found = [float(one) for one in numbers]
         except ValueError:
             found = []
-        if len(found) not in (1, 2) or not all(math.isfinite(one) for one in found) or min(found) < 0.0:
+        if len(found) not in (1, 2) or not all(math.isfinite(one) for one in found):
             self.fail(f"{value!r} is not KEY=VALUE or KEY=VALUE±SD, such as diameter_um=0.994±0.010", param, ctx)
+        if min(found) < 0.0:
+            self.fail(f"{value!r} has a number below 0, which no label says; give {key} as it is printed", param, ctx)
         return key, (found[0], found[1] if len(found) == 2 else None)
 
 
