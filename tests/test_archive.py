@@ -111,6 +111,17 @@ def test_what_a_refit_finds_stands_beside_what_was_found_before(archive: Path, r
     assert {one["disagreement"] for one in rows if one is not far} == {0.0}
 
 
+def test_results_that_keep_a_dose_twice_count_its_last_fit(archive: Path, tmp_path: Path) -> None:
+    """As refits once kept them: without single scattering, and with it."""
+    out = Results(tmp_path / "results")
+    first = DoseFit(1.0, Medium(1e-4, 0.02, 0.6), SD, gain=2.0, frames=FRAMES)
+    fits = [to_fields(one) for one in (first, replace(first, dose_ml=2.0), replace(first, gain=3.0))]
+    with out.claimed("twin-00-000"):
+        out.put("twin-00-000", "key", {"format": 1, "run": "twin-00-000", "fits": fits, "made": made_now()})
+    rows = [one for one in table_of(archive, out.folder) if one["run"] == "twin-00-000"]
+    assert sorted((one["dose_ml"], one["gain"]) for one in rows) == [(1.0, 3.0), (2.0, 2.0)]
+
+
 def test_two_fits_are_as_far_apart_as_their_worst_coefficient() -> None:
     one = DoseFit(1.0, Medium(1e-4, 0.01, 0.7), (1e-6, 1e-5, 1e-3))
     other = DoseFit(1.0, Medium(1e-4, 0.01, 0.704), (1e-6, 1e-5, 2e-3))

@@ -18,7 +18,7 @@ from tankrig.errors import ImageError, StoreError, TankrigError
 from tankrig.estimation.coordinates import NAMES
 from tankrig.files import whole_file
 from tankrig.live.recorded import fits_that_hold
-from tankrig.live.results import DoseFit, Fit, SeriesFit, fits_in, from_fields
+from tankrig.live.results import DoseFit, Fit, SeriesFit, fits_in, from_fields, last_of_each
 from tankrig.run.reading import open_run
 
 COLUMNS = (
@@ -89,8 +89,8 @@ def _records(path: Path, name: str, refit: Record | None) -> Iterator[Record]:
     if "fits" not in refit:
         yield _record({**head, "made": "refit", "failed": refit.get("failed", "")}, None)
         return
-    new = [from_fields(fields) for fields in refit["fits"]]
-    for fit in new:
+    # Earlier refits kept a dose's fit without single scattering too.
+    for fit in last_of_each(from_fields(fields) for fields in refit["fits"]):
         before = next((one for one in old if _of(one) == _of(fit)), None)
         yield _record({**head, "made": "refit"}, fit, before)
 
