@@ -94,12 +94,39 @@ def test_what_was_not_determined_is_marked(archive: Path, tmp_path: Path, capsys
         writer.put("fit", **to_fields(fit))
     assert main(["archive", str(archive)]) == 0
     told = capsys.readouterr().out
-    assert "0.1000 ± 0.0010?" in told
+    assert "0.1000±0.0010?" in told
     assert told.count("?") == 2  # and what it means
     assert main(["archive", str(archive), "--by", "material"]) == 0
-    assert "0.1000 ± 0.0010?" in capsys.readouterr().out
+    assert "0.1000±0.0010?" in capsys.readouterr().out
     assert main(["archive", str(archive), "--out", str(tmp_path / "page.html")]) == 0
     assert "?</td>" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_a_run_of_whose_journal_nothing_is_left_is_a_row_that_says_so(
+    archive: Path, results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It stood in the table as a run that merely had no fit."""
+    with (archive / "twin-00-000" / "journal.jsonl").open("r+b") as journal:
+        journal.truncate(200)
+    (row,) = [one for one in table_of(archive) if one["failed"]]
+    assert row["run"] == "twin-00-000"
+    assert "twin-00-000: its journal has not one whole line" in row["failed"]
+    assert not any(one["failed"] for one in table_of(archive, results)), "what was found of it before still counts"
+    assert main(["archive", str(archive), "--failed"]) == 0
+    told = capsys.readouterr().out
+    assert "its journal has not one whole line" in told
+    assert told.splitlines()[-1] == "1 run, 0 fits, 1 failed"
+
+
+def test_a_column_that_says_nothing_takes_no_room(
+    archive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "96")
+    assert main(["archive", str(archive), "--rig", "*A"]) == 0
+    heading, *lines, count = capsys.readouterr().out.splitlines()
+    assert heading.split() == ["run", "day", "rig", "material", "ml", "σs,", "1/m", "g", "σa,", "1/m"]
+    assert all("ink 0" in line and "±" in line for line in lines)
+    assert count == f"{len(lines)} runs, {len(lines)} fits"
 
 
 def test_what_a_refit_finds_stands_beside_what_was_found_before(archive: Path, results: Path) -> None:

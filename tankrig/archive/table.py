@@ -82,7 +82,7 @@ def _records(path: Path, name: str, refit: Record | None) -> Iterator[Record]:
         yield _record({"run": name, "failed": str(error)}, None)
         return
     old: list[Fit] = [*doses, *([series] if series else [])]
-    head = {**said, "run": name, "made": "live" if old else ""}
+    head = {**said, "run": name, "made": "live" if old else "", "failed": "" if run.journal else _nothing_of(path)}
     if refit is None:
         yield from (_record(head, fit) for fit in old) if old else [_record(head, None)]
         return
@@ -92,7 +92,15 @@ def _records(path: Path, name: str, refit: Record | None) -> Iterator[Record]:
     # Earlier refits kept a dose's fit without single scattering too.
     for fit in last_of_each(from_fields(fields) for fields in refit["fits"]):
         before = next((one for one in old if _of(one) == _of(fit)), None)
-        yield _record({**head, "made": "refit"}, fit, before)
+        yield _record({**head, "made": "refit", "failed": ""}, fit, before)
+
+
+def _nothing_of(path: Path) -> str:
+    """Of a run whose settings can be read and whose journal holds no event, as where it is cut off in its first."""
+    return (
+        f"{path}: its journal has not one whole line: nothing was recorded, or its beginning is damaged; tankrig "
+        "recover tells what is there"
+    )
 
 
 def _of(fit: Fit) -> object:
