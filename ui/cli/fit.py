@@ -276,7 +276,7 @@ def fit(
             "scene": str(scene_file),
             **asked,
             **_numbers(fitted, rebuilt, single),
-            **_left_out(picture),
+            **_left_out(picture, fitted),
             "radiometry": None if measured is None else measured.radiometry_file,
             "notes": notes,
             "seconds": round(seconds, 2),
@@ -288,7 +288,7 @@ def fit(
         click.echo(json.dumps(numbers, ensure_ascii=False))
     else:
         _tell(fitted, rebuilt, single, seconds)
-        _tell_left_out(picture)
+        _tell_left_out(picture, fitted)
         if measured is not None:
             click.echo(f"by       {measured.radiometry_file}")
         click.echo(f"written  {stem}.png, .json, .npz")
@@ -395,22 +395,35 @@ def _picture(
     return picture_of(image, scene, hot, full, edges, mask)
 
 
-def _left_out(picture: "Picture") -> dict[str, Any]:
+def _left_out(picture: "Picture", fitted: "Estimate") -> dict[str, Any]:
     bins = picture.bins
+    share = _share_left_out(fitted)
     return {
         "bins": None if bins is None else [bins.by, bins.along],
-        "left_out": {"edges": picture.blurred, "saturated": picture.saturated, "all": float(picture.mask.mean())},
+        "left_out": {
+            "edges": picture.blurred,
+            "saturated": picture.saturated,
+            "by_fit": share - float(picture.mask.mean()),
+            "all": share,
+        },
     }
 
 
-def _tell_left_out(picture: "Picture") -> None:
+def _share_left_out(fitted: "Estimate") -> float:
+    """Of the image that was fitted: what was masked before, and what the fit itself found to be specks or saturated."""
+    import numpy as np
+
+    return float(np.isnan(fitted.residual).mean())
+
+
+def _tell_left_out(picture: "Picture", fitted: "Estimate") -> None:
     if picture.bins is not None:
         tall, wide = picture.scene.camera.sides_mm
         pixels = "pixel" if picture.bins.by * picture.bins.along == 1 else "pixels"
         click.echo(f"bins     {picture.bins.by} × {picture.bins.along} {pixels}, {tall:.3g} × {wide:.3g} mm")
-    if picture.mask.any():
+    if (share := _share_left_out(fitted)) > 0.0:
         edges = f", {_share(picture.blurred)} of the pixels for blur or beside the water" if picture.blurred else ""
-        click.echo(f"left out {_share(float(picture.mask.mean()))} of the image{edges}")
+        click.echo(f"left out {_share(share)} of the image{edges}")
     if picture.saturated > 0.0:
         click.echo(
             f"         {100.0 * picture.saturated:.2g} % of the pixels are saturated, and left out with what adjoins "
