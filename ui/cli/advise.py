@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from ui.cli.options import FINITE, FiniteRange, json_option, rig_option
 from ui.cli.tables import tell_table
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from tankrig.sequence.until import Until
 
 SHOWN = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
+OF_DESIGNS = ("wishes", "pictures", "heights_mm", "sheet_mm", "y_mm", "cells")
+"""Arguments that a ranking of usual pictures has no use for."""
 
 
 @click.command(epilog="Example: tankrig advise runs/2026-11-20T10-00-00 --for sigma_a")
@@ -90,6 +93,8 @@ def advise(
 
     if (run_folder is None) == (sequence_file is None):
         raise click.UsageError("give the folder of a run, or --sequence and --ink")
+    if design is None and (given := _given(*OF_DESIGNS)):
+        raise click.UsageError(f"{given[0]} is about pictures that are designed; give --design FILE too")
     if sequence_file is not None and ink is None:
         raise click.UsageError("--sequence needs --ink: a guess of the ink's σa, σs per mm and ml, and g")
     description = load_rig_file(rig) if rig else simulated_rig(Path("rig"))
@@ -121,6 +126,13 @@ def advise(
         click.echo(json.dumps({"now": before and before.relative_sd, "candidates": rows}, ensure_ascii=False))
     else:
         _tell(before, found[:limit])
+
+
+def _given(*names: str) -> list[str]:
+    """Those of the options, by the names of their arguments, that a person has given, as they are spelt."""
+    context = click.get_current_context()
+    options = {one.name: one.opts[0] for one in context.command.params}
+    return [options[name] for name in names if context.get_parameter_source(name) is ParameterSource.COMMANDLINE]
 
 
 @dataclass(frozen=True)

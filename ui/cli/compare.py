@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from tankrig.scene import Scene
 
 SHOWN = {"sigma_s": "σs, 1/m", "g": "g", "sigma_a": "σa, 1/m"}
+UNKNOWN = 10.0
+"""Times a coefficient that is not zero: beyond that it says nothing by how much it is unknown."""
 
 
 @click.command(epilog="Example: tankrig compare tank.npz --scene scene.toml")
@@ -139,7 +141,18 @@ def _cells(row: "Compared") -> list[str]:
     for name, (low, high) in row.estimate.interval(LEVEL).items():
         by = 1.0 if name == "g" else 1000.0
         value, half = by * getattr(row.estimate.medium, name), by * 0.5 * (high - low)
-        digits = min(6, max(0, 1 - math.floor(math.log10(half)))) if 0.0 < half < math.inf else 3
-        text = f"{value:.{digits}f}±{half:.{digits}f}"
+        text = _with_half(value, half)
         cells.append((name, text if row.estimate.identifiable[name] else f"({text})"))
     return [dict(cells)[name] for name in SHOWN]
+
+
+def _with_half(value: float, half: float) -> str:
+    """A coefficient with half of its interval, to two digits of that.
+
+    >>> _with_half(19.8001, 0.00213), _with_half(15.0, 87801213.0), _with_half(0.2, 3.0)
+    ('19.8001±0.0021', '15±> 999 %', '0.2±3.0')
+    """
+    if not half < UNKNOWN * max(abs(value), 1.0):
+        return f"{value:.3g}±> 999 %"
+    digits = min(6, max(0, 1 - math.floor(math.log10(half)))) if half > 0.0 else 3
+    return f"{value:.{digits}f}±{half:.{digits}f}"

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: tankrig predict scene.toml --tolerance 0.005 --out predicted")
 @click.argument("scene_file", metavar="SCENE", type=click.Path(path_type=Path))
-@click.option(
-    "--model", metavar="NAME", help="single, convolution, tank, diffuse or montecarlo; default: the cheapest."
-)
+@click.option("--model", metavar="NAME", help="tank, single, convolution, diffuse or montecarlo; default: tank.")
 @click.option(
     "--tolerance",
     type=FiniteRange(0.0, 1.0, min_open=True),
