@@ -125,7 +125,7 @@ def _tell(rows: "Sequence[Record]", by: str | None) -> None:
     styles = ["red" if row.get("failed") else None for row in rows[:SHOWN]]
     left = {headings[column] for column in range(len(heads) if by is None else 1)}
     # A column that says nothing of any run makes the others go on beneath each other on a narrow terminal.
-    told = [column for column in range(len(headings)) if not cells or any(row[column] for row in cells)]
+    told = [column for column in range(len(headings)) if not column or not cells or any(row[column] for row in cells)]
     tell_table(
         [headings[column] for column in told],
         [[row[column] for column in told] for row in cells],
