@@ -13,6 +13,8 @@ import stat
 import struct
 import tomllib
 import zipfile
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -29,7 +31,12 @@ MOST_ARRAY_BYTES = 2**31
 """Of all arrays of a file together, as they are in memory."""
 
 _MOST_HEADER_BYTES = 10_000
-_TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
+_TIFF_KIND, _TIFF_WIDTH, _TIFF_HEIGHT = 254, 256, 257
+_TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_REDUCED = 1
+"""Bit of a TIFF's field 254 (NewSubfileType) that says that a picture is a smaller copy of another."""
+_MOST_PAGES = 1000
+"""Counted of a TIFF, whose pages may follow each other in a circle."""
 _TIFF_NUMBERS = {1: "B", 3: "H", 4: "I", 16: "Q"}
 """Struct's letters of the field types that a width or a height may have (TIFF 6.0, and BigTIFF's 16)."""
 
@@ -237,7 +244,7 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
     if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
         columns, rows = struct.unpack_from(">II", data, 16)
         return rows, columns
-    if data[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+    if data[:4] in _TIFF_HEADS:
         try:
             return _tiff_size(io.BytesIO(data))
         except struct.error:  # cut off
@@ -245,8 +252,35 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
     return None
 
 
+def pages(path: Path) -> int:
+    """Pictures that a TIFF file holds, its previews not among them; 1 of any other file, and of a damaged one.
+
+    Raises
+    ------
+    OSError
+        When it cannot be read.
+    """
+    with path.open("rb") as file:
+        if file.read(4) not in _TIFF_HEADS:
+            return 1
+        try:
+            kinds = [page.get(_TIFF_KIND, 0) for page in islice(_tiff_pages(file), _MOST_PAGES)]
+        except struct.error:  # cut off
+            return 1
+    return max(1, sum(not kind & _REDUCED for kind in kinds))
+
+
 def _tiff_size(file: BinaryIO) -> tuple[int, int] | None:
     """Of the first picture of a TIFF or BigTIFF file."""
+    found = next(_tiff_pages(file), {})
+    if _TIFF_WIDTH not in found or _TIFF_HEIGHT not in found:
+        return None
+    return found[_TIFF_HEIGHT], found[_TIFF_WIDTH]
+
+
+def _tiff_pages(file: BinaryIO) -> Iterator[dict[int, int]]:
+    """Kind, width and height, by their tags, of each picture of a TIFF or BigTIFF file, however many."""
+    file.seek(0)
     head = file.read(4)
     order, big = "<" if head.startswith(b"II") else ">", b"+" in head
     # BigTIFF: 2 bytes size of an offset, 2 of zero; then offsets and counts have 8 bytes in place of 4 and 2.
@@ -258,13 +292,15 @@ def _tiff_size(file: BinaryIO) -> tuple[int, int] | None:
 
     if big:
         file.seek(8)
-    file.seek(min(unpacked(offset_code), 2**62))
-    found = {}
-    for _ in range(min(unpacked(count_code), 1000)):
-        entry = file.read(entry_size)
-        tag, kind = struct.unpack_from(f"{order}HH", entry)
-        if tag in (_TIFF_WIDTH, _TIFF_HEIGHT) and kind in _TIFF_NUMBERS:
-            (found[tag],) = struct.unpack_from(order + _TIFF_NUMBERS[kind], entry, value_at)
-    if _TIFF_WIDTH not in found or _TIFF_HEIGHT not in found:
-        return None
-    return found[_TIFF_HEIGHT], found[_TIFF_WIDTH]
+    while offset := unpacked(offset_code):
+        file.seek(min(offset, 2**62))
+        found = {}
+        count = unpacked(count_code)
+        for _ in range(min(count, 1000)):
+            entry = file.read(entry_size)
+            tag, kind = struct.unpack_from(f"{order}HH", entry)
+            if tag in (_TIFF_KIND, _TIFF_WIDTH, _TIFF_HEIGHT) and kind in _TIFF_NUMBERS:
+                (found[tag],) = struct.unpack_from(order + _TIFF_NUMBERS[kind], entry, value_at)
+        yield found
+        if count > 1000:
+            return

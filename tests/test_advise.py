@@ -131,6 +131,8 @@ def test_more_ink_ranks_by_what_it_tells_for_its_time_and_volume() -> None:
         ([], "give the folder of a run, or --sequence and --ink"),
         (["--sequence", "s.toml"], "--sequence needs --ink"),
         (["nowhere"], "does not exist"),
+        (["nowhere", "--until", "sigma_s", "1%"], "--until is about pictures that are designed; give --design FILE"),
+        (["nowhere", "--cells", "24"], "--cells is about pictures that are designed"),
         (["--sequence", "s.toml", "--ink", "0.001", "0.01", "0.7", "--dose-ul", "1e9"], "may hold"),
     ],
 )

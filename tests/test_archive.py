@@ -73,6 +73,9 @@ def test_the_table_has_a_row_for_each_fit_and_filters_leave_what_was_asked_for(
     assert len(asked("--verdict", "determined")) == 6
     assert main(["archive", str(archive), "--between", "colour", "0", "1"]) == 2
     assert "there is no column colour" in capsys.readouterr().err
+    assert main(["archive", str(archive), "--between", "g", "nan", "1"]) == 2
+    assert "the range nan … 1 of g has an end that is no number" in capsys.readouterr().err
+    assert asked("--between", "g", "-inf", "inf") == [one for one in rows if one["fit"]]
     for option, date in (
         ("--since", "yesterday"),
         ("--since", "2026-13-77"),
@@ -91,12 +94,39 @@ def test_what_was_not_determined_is_marked(archive: Path, tmp_path: Path, capsys
         writer.put("fit", **to_fields(fit))
     assert main(["archive", str(archive)]) == 0
     told = capsys.readouterr().out
-    assert "0.1000 ± 0.0010?" in told
+    assert "0.1000±0.0010?" in told
     assert told.count("?") == 2  # and what it means
     assert main(["archive", str(archive), "--by", "material"]) == 0
-    assert "0.1000 ± 0.0010?" in capsys.readouterr().out
+    assert "0.1000±0.0010?" in capsys.readouterr().out
     assert main(["archive", str(archive), "--out", str(tmp_path / "page.html")]) == 0
     assert "?</td>" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_a_run_of_whose_journal_nothing_is_left_is_a_row_that_says_so(
+    archive: Path, results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It stood in the table as a run that merely had no fit."""
+    with (archive / "twin-00-000" / "journal.jsonl").open("r+b") as journal:
+        journal.truncate(200)
+    (row,) = [one for one in table_of(archive) if one["failed"]]
+    assert row["run"] == "twin-00-000"
+    assert "twin-00-000: its journal has not one whole line" in row["failed"]
+    assert not any(one["failed"] for one in table_of(archive, results)), "what was found of it before still counts"
+    assert main(["archive", str(archive), "--failed"]) == 0
+    told = capsys.readouterr().out
+    assert "its journal has not one whole line" in told
+    assert told.splitlines()[-1] == "1 run, 0 fits, 1 failed"
+
+
+def test_a_column_that_says_nothing_takes_no_room(
+    archive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "96")
+    assert main(["archive", str(archive), "--rig", "*A"]) == 0
+    heading, *lines, count = capsys.readouterr().out.splitlines()
+    assert heading.split() == ["run", "day", "rig", "material", "ml", "σs,", "1/m", "g", "σa,", "1/m"]
+    assert all("ink 0" in line and "±" in line for line in lines)
+    assert count == f"{len(lines)} runs, {len(lines)} fits"
 
 
 def test_what_a_refit_finds_stands_beside_what_was_found_before(archive: Path, results: Path) -> None:
@@ -106,6 +136,17 @@ def test_what_a_refit_finds_stands_beside_what_was_found_before(archive: Path, r
     assert far["disagreement"] == pytest.approx(10.0)
     assert far["old_g"] - far["g"] == pytest.approx(0.01)
     assert {one["disagreement"] for one in rows if one is not far} == {0.0}
+
+
+def test_results_that_keep_a_dose_twice_count_its_last_fit(archive: Path, tmp_path: Path) -> None:
+    """As refits once kept them: without single scattering, and with it."""
+    out = Results(tmp_path / "results")
+    first = DoseFit(1.0, Medium(1e-4, 0.02, 0.6), SD, gain=2.0, frames=FRAMES)
+    fits = [to_fields(one) for one in (first, replace(first, dose_ml=2.0), replace(first, gain=3.0))]
+    with out.claimed("twin-00-000"):
+        out.put("twin-00-000", "key", {"format": 1, "run": "twin-00-000", "fits": fits, "made": made_now()})
+    rows = [one for one in table_of(archive, out.folder) if one["run"] == "twin-00-000"]
+    assert sorted((one["dose_ml"], one["gain"]) for one in rows) == [(1.0, 3.0), (2.0, 2.0)]
 
 
 def test_two_fits_are_as_far_apart_as_their_worst_coefficient() -> None:

@@ -3,7 +3,7 @@
 import errno
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import MappingProxyType
 
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import tankrig
+import ui.cli
 from tankrig.prediction import Skipped
 from ui.cli import COMMANDS, main
 
@@ -199,3 +200,35 @@ def test_an_image_without_light_says_so_and_why_it_is_not_known(
     assert "though the liquid is lit and scatters" in told
     assert "budget" not in told
     assert "tables" not in told  # by at most 0
+
+
+def floats_in(command: click.Command, words: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """Arguments that name each of a command's options of one float or several, and of its subcommands'."""
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            below = command.get_command(context, name)
+            assert below is not None
+            yield from floats_in(below, (*words, name))
+    for one in command.params:
+        kinds = one.type.types if isinstance(one.type, click.Tuple) else [one.type]
+        if isinstance(one, click.Option) and all(isinstance(kind, click.types.FloatParamType) for kind in kinds):
+            yield (*words, one.opts[0], *[str(len(kinds))])
+
+
+FLOATS = sorted(set(floats_in(ui.cli.tankrig, ())))
+
+
+def test_many_options_are_floats() -> None:
+    assert len(FLOATS) > 40
+    assert ("materials", "plan", "--tank-ml", "1") in FLOATS
+    assert ("prepare", "--sigma-t", "2") in FLOATS
+
+
+@pytest.mark.parametrize("given", ["nan", "inf", "-inf"])
+def test_no_option_takes_a_number_that_is_none(given: str, capsys: pytest.CaptureFixture[str]) -> None:
+    for *words, count in FLOATS:
+        assert main([*words, *[given] * int(count)]) == 2, words
+        said = one_sentence(capsys)
+        assert f"'{words[-1]}'" in said
+        assert f"{given!r} is not a finite number" in said

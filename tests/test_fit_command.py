@@ -106,6 +106,30 @@ def test_json_is_one_line_that_says_it_all(
     assert Path(numbers["picture"]).is_file()
 
 
+def test_what_is_left_out_counts_what_the_fit_leaves_out(
+    tmp_path: Path, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Specks were not among them, so that the share was 0 beside a verdict that spoke of three pixels."""
+    photograph = tank_photograph(load_scene(scene_file)).astype(float)
+    photograph[[3, 9, 15], [22, 8, 17]] += photograph.max()
+    mask = np.zeros(photograph.shape, np.uint8)
+    mask[:2] = 1
+    np.save(tmp_path / "tank.npy", photograph)
+    np.save(tmp_path / "mask.npy", mask)
+    command = ["fit", str(tmp_path / "tank.npy"), "--scene", str(scene_file), "--model", "single"]
+    assert main([*command, "--mask", str(tmp_path / "mask.npy"), "--json", "--out", str(tmp_path)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    with np.load(tmp_path / "tank-fit.npz") as arrays:
+        residual = arrays["residual"]
+    assert np.isnan(residual[[3, 9, 15], [22, 8, 17]]).all()
+    assert found["left_out"]["all"] == pytest.approx(np.isnan(residual).mean())
+    assert found["left_out"]["by_fit"] == pytest.approx(np.isnan(residual[2:]).sum() / residual.size)
+    assert found["rmse"] == pytest.approx(np.sqrt(np.nanmean(residual**2)))
+    assert found["rmse_by_order"]["all"] == pytest.approx(found["rmse"], rel=0.05)
+    assert main([*command, "--out", str(tmp_path)]) == 0
+    assert "left out 0.5 % of the image" in capsys.readouterr().out
+
+
 def test_what_may_be_off_is_fitted_and_told(
     tmp_path: Path, scene_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -130,6 +154,9 @@ GOOD = np.linspace(1.0, 2.0, 600).reshape(20, 30)
         (None, [], "No such file"),
         (GOOD[:, :20], [], "shape"),
         (GOOD * 0.0, [], "dark"),
+        (GOOD * 1e-300, [], "the image is dark: its brightest pixel is"),
+        (GOOD, ["--nuisance", "z_mm=nan"], "NAME=SD"),
+        (GOOD, ["--gain-setting", "nan"], "'nan' is not a finite number"),
         (np.where(GOOD > 1.9, np.nan, GOOD), [], "NaN"),
         ((GOOD * 100).astype(np.uint8), [], "8 bits"),
         (GOOD, ["--model", "magic"], "magic"),

@@ -1,11 +1,13 @@
 """Images from files: every kind that people have reads back exactly, everything else is refused in words."""
 
+import struct
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from tankrig.bounded_reading import pages
 from tankrig.errors import ImageError
 from tankrig.image.reading import read_image
 
@@ -31,6 +33,26 @@ def test_scale_turns_counts_into_radiance(tmp_path: Path) -> None:
     """With a known scale the gain is known, which is worth a factor of ten on σa."""
     np.save(tmp_path / "a.npy", COUNTS)
     assert np.allclose(read_image(tmp_path / "a.npy", scale=2e-8), COUNTS * 2e-8, rtol=1e-15)
+
+
+def test_a_preview_beside_a_picture_is_no_second_one(tmp_path: Path) -> None:
+    """Cameras' programs put a smaller copy into the file; its kind, field 254, says so."""
+    for file in (tmp_path / "two.tif", tmp_path / "preview.tif"):
+        cv2.imwritemulti(str(file), [COUNTS, COUNTS // 2])
+    data = bytearray((tmp_path / "preview.tif").read_bytes())
+    assert data[:2] == b"II"
+    (first,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, first)
+    (second,) = struct.unpack_from("<I", data, first + 2 + 12 * count)
+    (fields,) = struct.unpack_from("<H", data, second)
+    places = [second + 2 + 12 * number for number in range(fields)]
+    kind = next((place for place in places if struct.unpack_from("<H", data, place) == (254,)), places[0])
+    struct.pack_into("<HHII", data, kind, 254, 4, 1, 1)
+    (tmp_path / "preview.tif").write_bytes(data)
+    np.testing.assert_array_equal(read_image(tmp_path / "preview.tif"), COUNTS)
+    assert (pages(tmp_path / "two.tif"), pages(tmp_path / "preview.tif")) == (2, 1)
+    (tmp_path / "circle.tif").write_bytes(data[: first + 2 + 12 * count] + struct.pack("<I", first) + data[second:])
+    assert pages(tmp_path / "circle.tif") == 1000, "which are as many as are counted"
 
 
 def test_npz_gives_the_array_asked_for(tmp_path: Path) -> None:
@@ -72,6 +94,8 @@ def write(path: Path) -> None:
         np.save(path, np.ones((2, 3, 4)))
     elif path.stem == "folder":
         path.mkdir()
+    elif path.stem == "two":
+        cv2.imwritemulti(str(path), [COUNTS, COUNTS // 2])
 
 
 @pytest.mark.parametrize(
@@ -93,6 +117,7 @@ def write(path: Path) -> None:
         ("text.npz", "damaged"),
         ("objects.npy", "damaged"),
         ("complex.npy", "real numbers"),
+        ("two.tif", "holds 2 pictures, and nobody said which"),
     ],
 )
 def test_what_cannot_be_read_is_refused_in_one_sentence(tmp_path: Path, name: str, words: str) -> None:

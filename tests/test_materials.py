@@ -127,6 +127,8 @@ def test_planned_doses_keep_to_the_limits_and_reach_what_was_asked(
         (["show", LIPID, "--wavelength", "633", "--label", "solids=0.01"], "no label"),
         (["show", BEADS, "--wavelength", "633", "--label", "colour=3"], "diameter_um"),
         (["show", BEADS, "--wavelength", "633", "--label", "solids"], "KEY=VALUE"),
+        (["show", BEADS, "--wavelength", "633", "--label", "diameter_um=-1"], "'diameter_um=-1' has a number below 0"),
+        (["plan", LIPID, "--wavelength", "633", "--sigma-s", "0.02", "--tank-ml", "inf"], "not a finite number"),
     ],
 )
 def test_what_cannot_be_planned_is_refused_in_one_sentence(
@@ -152,7 +154,10 @@ def test_a_plan_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["materials", "plan", LIPID, "--wavelength", "633", "--sigma-s", "0.02", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["sigma_s"] == pytest.approx(0.02, rel=1e-4)
     assert main(["materials", "--json"]) == 0
-    assert {one["name"] for one in json.loads(capsys.readouterr().out)} >= {LIPID, BEADS, "water", "india-ink"}
+    listed = {one["name"]: one["range_nm"] for one in json.loads(capsys.readouterr().out)}
+    assert {LIPID, BEADS, "water", "india-ink"} <= listed.keys()
+    assert listed["milk-whole"] == listed["milk-regular"], "σs(1−g) alone is known there, and materials show tells it"
+    assert listed["india-ink"] is None
 
 
 def test_what_polarisation_does_is_miepythons_and_rayleighs() -> None:

@@ -83,6 +83,8 @@ def test_each_run_is_fitted_once_and_asking_again_does_what_is_missing(archive: 
     assert refitted(archive, out)["made"] == 6
     first = found(out)
     assert {row["fits"][0]["model"] for row in first.values()} == {"prepared"}
+    assert {len(row["fits"]) for row in first.values()} == {1}, "one dose, whose last fit counts"
+    assert all("single" in row["fits"][0] for row in first.values())
     shutil.rmtree(out / "runs" / "twin-00-001")
     again = refitted(archive, out, "--workers", "2")
     assert (again["made"], again["there"]) == (1, 5)

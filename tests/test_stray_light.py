@@ -569,6 +569,13 @@ def test_what_is_written_is_read_as_the_same_scene():
         ("black_level = 0.001", "black_level = -1.0", "projector.black_level = -1.0 is negative"),
         ('kind = "diffuse"', 'kind = "matt"', "tank.faces.floor.kind"),
         ("focus_mm = 100.0", "focus_mm = 500.0", "projector.wide_lens.focus_mm = 500 is behind the tank"),
+        (
+            "diameter_mm = 16.0",
+            "diameter_mm = 401.0",
+            "projector.wide_lens.diameter_mm = 401 is wider than the lens",
+        ),
+        ("sigma_mm = 25.0", "sigma_mm = 1e6", "camera.halo.sigma_mm = 1e+06 is above 2400 mm, far wider than the tank"),
+        ("sigma_mm = 20.0", "sigma_mm = 2401", "projector.halo.sigma_mm = 2401 is above 2400 mm, far wider than the"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(said, instead, named):

@@ -18,7 +18,7 @@ from tankrig.errors import ImageError, StoreError, TankrigError
 from tankrig.estimation.coordinates import NAMES
 from tankrig.files import whole_file
 from tankrig.live.recorded import fits_that_hold
-from tankrig.live.results import DoseFit, Fit, SeriesFit, fits_in, from_fields
+from tankrig.live.results import DoseFit, Fit, SeriesFit, fits_in, from_fields, last_of_each
 from tankrig.run.reading import open_run
 
 COLUMNS = (
@@ -82,17 +82,25 @@ def _records(path: Path, name: str, refit: Record | None) -> Iterator[Record]:
         yield _record({"run": name, "failed": str(error)}, None)
         return
     old: list[Fit] = [*doses, *([series] if series else [])]
-    head = {**said, "run": name, "made": "live" if old else ""}
+    head = {**said, "run": name, "made": "live" if old else "", "failed": "" if run.journal else _nothing_of(path)}
     if refit is None:
         yield from (_record(head, fit) for fit in old) if old else [_record(head, None)]
         return
     if "fits" not in refit:
         yield _record({**head, "made": "refit", "failed": refit.get("failed", "")}, None)
         return
-    new = [from_fields(fields) for fields in refit["fits"]]
-    for fit in new:
+    # Earlier refits kept a dose's fit without single scattering too.
+    for fit in last_of_each(from_fields(fields) for fields in refit["fits"]):
         before = next((one for one in old if _of(one) == _of(fit)), None)
-        yield _record({**head, "made": "refit"}, fit, before)
+        yield _record({**head, "made": "refit", "failed": ""}, fit, before)
+
+
+def _nothing_of(path: Path) -> str:
+    """Of a run whose settings can be read and whose journal holds no event, as where it is cut off in its first."""
+    return (
+        f"{path}: its journal has not one whole line: nothing was recorded, or its beginning is damaged; tankrig "
+        "recover tells what is there"
+    )
 
 
 def _of(fit: Fit) -> object:
@@ -181,9 +189,11 @@ class Filter:
         for name, text in (("since", self.since), ("until", self.until)):
             if text and not _is_date(text):
                 raise StoreError(f"{name} = {text} is no date; give one such as 2026-03-01 or 2026-03-01T09:30, UTC")
-        for name, *_ in self.between:
+        for name, low, high in self.between:
             if name not in COLUMNS:
                 raise StoreError(f"there is no column {name}; there are {', '.join(COLUMNS)}")
+            if math.isnan(low) or math.isnan(high):  # infinity is an end that does not matter
+                raise StoreError(f"the range {low:g} … {high:g} of {name} has an end that is no number; give numbers")
 
     def __call__(self, record: Record) -> bool:
         """Whether a row is wanted."""

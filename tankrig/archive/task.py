@@ -16,7 +16,7 @@ from tankrig.live.exposures import exposures_of
 from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import phases_prepared
 from tankrig.live.refit import fits_made
-from tankrig.live.results import DoseFit, FailedFit, Fit, to_fields
+from tankrig.live.results import DoseFit, FailedFit, Fit, last_of_each, to_fields
 from tankrig.live.worker import Fitter, fit_all_there_is
 from tankrig.run.journal_io import JOURNAL
 from tankrig.run.reading import Run, open_run
@@ -130,7 +130,7 @@ def fits_of_archived(run: Run, refitting: Refitting, progress: Callable[[str], N
         plan = PhotographPlan.of_run(run)
         fitter = Fitter((), ModelsOnDemand(progress, phases_prepared(plan) or "hg"), plan, progress)
         made = fit_all_there_is(fitter, lambda: (exposures, True), _nothing_to_wait_for)
-        fits = [fit for fit in made if not (isinstance(fit, DoseFit) and fit.passing)]
+        fits = last_of_each(fit for fit in made if not (isinstance(fit, DoseFit) and fit.passing))
     failed = [fit for fit in fits if isinstance(fit, FailedFit)]
     if len(failed) == len(fits):
         why = f": {failed[0].error}" if failed else ""

@@ -23,6 +23,9 @@ BRIGHT = 0.9
 """Share of the highest value from which on values are bright."""
 MOST_SATURATED = 0.5
 """Share of the image beyond which nothing can be made of it."""
+LEAST_BRIGHT = 1e-25
+"""Of the highest value: a noise of 10⁻⁵ of it, which is assumed at least, is then a number of those that have a meaning
+here, and squares of it are not lost."""
 PEAKED = 0.05
 """Share of its own brightness by which a pixel may stand out where the light has a crest."""
 MISFITS = 3.0
@@ -288,6 +291,11 @@ def _check_values(values: NDArray[np.float64], used: NDArray[np.bool_]) -> None:
     low, high = float(seen.min()), float(seen.max())
     if high <= 0.0:
         raise ImageError("the image is all dark (no value above 0); check the light, the exposure and the lens cap")
+    if high < LEAST_BRIGHT:
+        raise ImageError(
+            f"the image is dark: its brightest pixel is {high:.3g}, below {LEAST_BRIGHT:g}; check the light and the "
+            "exposure, or give it in another unit"
+        )
     if low == high:
         raise ImageError(f"every pixel of the image is {high:g}, which no scattering is; check the exposure")
     if float(np.median(seen)) < -0.05 * high or -low > high:

@@ -109,7 +109,12 @@ def _values(path: str | os.PathLike[str], array: str | None) -> NDArray[np.gener
     if array is not None and suffix != ".npz":
         raise ImageError(f'{file}: holds one image only, no array "{array}"; leave the array\'s name out')
     try:
-        return _read_numpy(file, array) if suffix in NUMPY_SUFFIXES else bounded_reading.picture(file)
+        if suffix in NUMPY_SUFFIXES:
+            return _read_numpy(file, array)
+        values = bounded_reading.picture(file)
+        if (count := bounded_reading.pages(file)) > 1:
+            raise ImageError(f"{file}: holds {count} pictures, and nobody said which; save one of them as a file")
+        return values
     except ImageError:
         raise
     except OSError as error:

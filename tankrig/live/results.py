@@ -1,6 +1,6 @@
 """What fits of a run find, typed, and as the `fit` lines of its journal: the only place where the two meet."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from dataclasses import fields as dataclass_fields
 from typing import Any
@@ -267,6 +267,27 @@ def _liquid(given: Mapping[str, Any], phase: Mapping[str, Any] | None) -> Medium
     if phase is None:
         return Medium(*(given[name] for name in NAMES))
     return Medium(given["sigma_a"], given["sigma_s"], phase=phase_from_fields(phase))
+
+
+def last_of_each(fits: Iterable[Fit]) -> list[Fit]:
+    """What counts of a run's fits: the last of each dose and the last of the series, in the order they were made.
+
+    A dose is fitted without single scattering first, and again with it. A failure stands for a dose, or for the
+    series, that has no fit.
+
+    Examples
+    --------
+    >>> last_of_each([FailedFit(0.1, "too dark"), FailedFit(0.4, "too dark"), FailedFit(0.1, "no light")])
+    [FailedFit(dose_ml=0.4, error='too dark', newest=None), FailedFit(dose_ml=0.1, error='no light', newest=None)]
+    """
+    last: dict[float | None, Fit] = {}
+    for fit in fits:
+        dose_ml = None if isinstance(fit, SeriesFit) else fit.dose_ml
+        before = last.get(dose_ml)
+        if before is None or isinstance(before, FailedFit) or not isinstance(fit, FailedFit):
+            last.pop(dose_ml, None)
+            last[dose_ml] = fit
+    return list(last.values())
 
 
 def fits_in(lines: Sequence[Mapping[str, Any]]) -> tuple[list[DoseFit], SeriesFit | None]:

@@ -81,10 +81,13 @@ class Material:
 
     @property
     def range_nm(self) -> tuple[float, float] | None:
-        """Wavelengths at which all that is needed to dose it is known; None where that is not."""
+        """Wavelengths at which all is known that is needed to dose it, or σs(1−g) where nobody says more; None: nothing
+        is known at any."""
         needed = (self.sigma_s, self.g) if self.beads is None else (self.beads.index, self.beads.water_index)
-        ranges = [one.range_nm for one in needed if one is not None and one.range_nm is not None]
         if self.beads is None and self.sigma_s is None:
+            needed = (self.reduced, None)
+        ranges = [one.range_nm for one in needed if one is not None and one.range_nm is not None]
+        if not ranges:
             return None
         return max(low for low, _ in ranges), min(high for _, high in ranges)
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from tankrig.scene.checks import CLOSED, require
 from tankrig.scene.footprint import typical_pixel_mm
-from tankrig.scene.optics import wider_than
+from tankrig.scene.optics import wider_than, widest_halo_mm
 from tankrig.scene.parts import Beam, Camera, Interval, Matrix, Medium, Projector, Tank, Vector
 
 if TYPE_CHECKING:
@@ -65,6 +65,15 @@ class Scene:
                 not wider_than(blur.widest_mm, widths),
                 f"{name}.blur of {blur.widest_mm:g} mm is wider than the beams, {max(widths, default=0.0):g} mm at "
                 "most; give its standard deviation in mm, or wide light as a halo",
+            )
+        widest_mm = widest_halo_mm(self.tank.size_mm)
+        for name, halo, instead in (
+            ("projector", light.halo, "projector.black_level"), ("camera", camera.halo, "camera.veil")
+        ):  # fmt: skip
+            require(
+                halo.share == 0.0 or halo.sigma_mm <= widest_mm,
+                f"{name}.halo.sigma_mm = {halo.sigma_mm:g} is above {widest_mm:g} mm, far wider than the tank; give "
+                f"its standard deviation in mm, or light that is even everywhere as {instead}",
             )
         require(
             light.wide_lens.focus_mm <= self.tank.size_mm[0],

@@ -14,6 +14,8 @@ from tankrig.scene.checks import CLOSED, in_ranges, require
 MOST_HALO = 0.2
 """Share of the light; a lens that loses more is broken, or the number is a percentage."""
 MOST_VEIL = 0.5
+WIDEST_HALO = 10.0
+"""Times the tank's longest side; wider light is even over all that is seen, and a sum over so far has no end."""
 
 BlurSigma = Annotated[
     float,
@@ -70,7 +72,7 @@ class Halo:
     share
         0 … 0.2 of the light.
     sigma_mm
-        Standard deviation.
+        Standard deviation; a scene has none of more than ten times the tank's longest side.
     """
 
     __pydantic_config__ = CLOSED
@@ -93,7 +95,8 @@ class WideLens:
     Parameters
     ----------
     diameter_mm
-        Of the disc, whose middle is the projector's `position_mm`; 0 is a pinhole.
+        Of the disc, whose middle is the projector's `position_mm`, no wider than it is far from the wall; 0 is a
+        pinhole.
     focus_mm
         The x at which pictures are sharp: 0 on the wall, more in the water.
     """
@@ -190,6 +193,15 @@ class Faces:
 
 
 ALL_BLACK = Faces()
+
+
+def widest_halo_mm(size_mm: tuple[float, float, float]) -> float:
+    """Standard deviation beyond which a halo in a tank of this size is none; what is set by default is one in any.
+
+    >>> widest_halo_mm((240.0, 160.0, 120.0)), widest_halo_mm((1.0, 1.0, 2.0))
+    (2400.0, 30.0)
+    """
+    return max(WIDEST_HALO * max(size_mm), Halo().sigma_mm)
 
 
 def wider_than(sigma_mm: float, widths_mm: list[float]) -> bool:

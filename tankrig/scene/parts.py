@@ -316,6 +316,11 @@ class Projector:
                 position[0] < 0.0,
                 f"position_mm = {list(position)} is not outside the wall x = 0; give x < 0",
             )
+            require(
+                self.wide_lens.diameter_mm <= -position[0],
+                f"wide_lens.diameter_mm = {self.wide_lens.diameter_mm:g} is wider than the lens is far from the wall "
+                f"x = 0, {-position[0]:g} mm, as no projector's is; give the lens's width in mm",
+            )
         in_ranges(self)
         if self.shading:
             object.__setattr__(self, "shading", numbers(self, "shading", TERMS))

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
-from ui.cli.options import json_option, rig_option
+from ui.cli.options import FINITE, FiniteRange, json_option, rig_option
 from ui.cli.tables import tell_table
 
 if TYPE_CHECKING:
@@ -20,17 +21,19 @@ if TYPE_CHECKING:
     from tankrig.sequence.until import Until
 
 SHOWN = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
+OF_DESIGNS = ("wishes", "pictures", "heights_mm", "sheet_mm", "y_mm", "cells")
+"""Arguments that a ranking of usual pictures has no use for."""
 
 
 @click.command(epilog="Example: tankrig advise runs/2026-11-20T10-00-00 --for sigma_a")
 @click.argument("run_folder", metavar="[RUN]", required=False, type=click.Path(path_type=Path))
 @click.option("--sequence", "sequence_file", type=click.Path(path_type=Path), metavar="FILE",
               help="Patterns to choose from, without a run: those of a sequence file; needs --ink.")  # fmt: skip
-@click.option("--ink", type=(float, float, float), metavar="σa σs g",
+@click.option("--ink", type=(FINITE, FINITE, FINITE), metavar="σa σs g",
               help="A guess of the ink, per mm and ml, without a run.")  # fmt: skip
-@click.option("--noise", type=click.FloatRange(0.0, 1.0, min_open=True), default=0.005, show_default=True,
+@click.option("--noise", type=FiniteRange(0.0, 1.0, min_open=True), default=0.005, show_default=True,
               help="Of a frame, as a share of its peak, without a run.")  # fmt: skip
-@click.option("--dose-ul", "doses_ul", type=click.FloatRange(min=0.0, min_open=True), multiple=True, metavar="UL",
+@click.option("--dose-ul", "doses_ul", type=FiniteRange(min=0.0, min_open=True), multiple=True, metavar="UL",
               help="Ink in the tank in all, to be compared; may be given several times.")  # fmt: skip
 @click.option("--frames", type=click.IntRange(min=1), default=4, show_default=True, help="That are averaged.")
 @click.option("--for", "wanted", type=click.Choice(["all", *SHOWN]), default="all", show_default=True,
@@ -41,11 +44,11 @@ SHOWN = {"sigma_s": "σs", "g": "g", "sigma_a": "σa"}
 @click.option("--design", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
               help="Design pictures for one dose, and write a sequence that shows them.")  # fmt: skip
 @click.option("--pictures", type=click.IntRange(1, 6), default=2, show_default=True, help="That are designed.")
-@click.option("--height-mm", "heights_mm", type=float, multiple=True, metavar="MM",
+@click.option("--height-mm", "heights_mm", type=FINITE, multiple=True, metavar="MM",
               help="Middle of a sheet of their cells; up to three. Default: half the tank's height.")  # fmt: skip
-@click.option("--sheet-mm", type=click.FloatRange(0.0, min_open=True), default=4.0, show_default=True,
+@click.option("--sheet-mm", type=FiniteRange(0.0, min_open=True), default=4.0, show_default=True,
               help="Thickness of their sheets.")  # fmt: skip
-@click.option("--y-mm", "y_mm", type=(float, float), metavar="LOW HIGH",
+@click.option("--y-mm", "y_mm", type=(FINITE, FINITE), metavar="LOW HIGH",
               help="Width of their sheets. Default: three quarters of the tank's.")  # fmt: skip
 @click.option("--cells", type=click.IntRange(2, 40), default=24, show_default=True, help="Of each sheet, along y.")
 @click.option("--until", "wishes", type=(click.Choice(list(SHOWN)), str), multiple=True, metavar="NAME SIZE",
@@ -90,6 +93,8 @@ def advise(
 
     if (run_folder is None) == (sequence_file is None):
         raise click.UsageError("give the folder of a run, or --sequence and --ink")
+    if design is None and (given := _given(*OF_DESIGNS)):
+        raise click.UsageError(f"{given[0]} is about pictures that are designed; give --design FILE too")
     if sequence_file is not None and ink is None:
         raise click.UsageError("--sequence needs --ink: a guess of the ink's σa, σs per mm and ml, and g")
     description = load_rig_file(rig) if rig else simulated_rig(Path("rig"))
@@ -121,6 +126,13 @@ def advise(
         click.echo(json.dumps({"now": before and before.relative_sd, "candidates": rows}, ensure_ascii=False))
     else:
         _tell(before, found[:limit])
+
+
+def _given(*names: str) -> list[str]:
+    """Those of the options, by the names of their arguments, that a person has given, as they are spelt."""
+    context = click.get_current_context()
+    options = {one.name: one.opts[0] for one in context.command.params}
+    return [options[name] for name in names if context.get_parameter_source(name) is ParameterSource.COMMANDLINE]
 
 
 @dataclass(frozen=True)

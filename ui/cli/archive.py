@@ -99,8 +99,10 @@ def archive(
         click.echo(f"written  {out}")
         return
     _tell(rows, by)
-    runs, without = len({one["run"] for one in records}), sum(bool(one["failed"]) for one in records)
-    click.echo(f"{runs} runs, {sum(bool(one['fit']) for one in records)} fits" + f", {without} failed" * bool(without))
+    runs, fits = len({one["run"] for one in records}), sum(bool(one["fit"]) for one in records)
+    without = sum(bool(one["failed"]) for one in records)
+    counted = f"{runs} run{'' if runs == 1 else 's'}, {fits} fit{'' if fits == 1 else 's'}"
+    click.echo(counted + f", {without} failed" * bool(without))
 
 
 def _tell(rows: "Sequence[Record]", by: str | None) -> None:
@@ -121,7 +123,15 @@ def _tell(rows: "Sequence[Record]", by: str | None) -> None:
         moved = () if by is not None else ("" if row["disagreement"] is None else f"{row['disagreement']:.1f}",)
         cells.append((*start, dose, *numbers, *moved))
     styles = ["red" if row.get("failed") else None for row in rows[:SHOWN]]
-    tell_table(headings, cells, left=range(len(heads) if by is None else 1), styles=styles)
+    left = {headings[column] for column in range(len(heads) if by is None else 1)}
+    # A column that says nothing of any run makes the others go on beneath each other on a narrow terminal.
+    told = [column for column in range(len(headings)) if not column or not cells or any(row[column] for row in cells)]
+    tell_table(
+        [headings[column] for column in told],
+        [[row[column] for column in told] for row in cells],
+        left=[number for number, column in enumerate(told) if headings[column] in left],
+        styles=styles,
+    )
     console = Console()
     if any(cell.endswith("?") for row_cells in cells for cell in row_cells[len(heads) :]):
         console.print("? not determined by the photographs", highlight=False)
@@ -140,7 +150,7 @@ def _cell(row: "Record", name: str) -> str:
     if value is None:
         return ""
     mark = "?" if row.get(f"determined_{name}") is False else ""
-    return (f"{by * value:.4g}" if not sd else with_error(by * value, by * sd)) + mark
+    return (f"{by * value:.4g}" if not sd else with_error(by * value, by * sd).replace(" ± ", "±")) + mark
 
 
 def _reading() -> Any:

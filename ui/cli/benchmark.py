@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ui.cli.options import json_option, out_option
+from ui.cli.options import FiniteRange, json_option, out_option
 
 if TYPE_CHECKING:
     from tankrig.benchmark.race import Cost, Race
@@ -40,7 +40,7 @@ DEFAULT_CASES = ("pub01", "pub02", "pub07", "pub09")
     "--repeat", type=click.IntRange(min=1), default=3, show_default=True, help="Processes to take a median of."
 )
 @click.option(
-    "--limit", type=click.FloatRange(min=1.0), default=120.0, show_default=True, help="Longest time of a trial, s."
+    "--limit", type=FiniteRange(min=1.0), default=120.0, show_default=True, help="Longest time of a trial, s."
 )
 @click.option("--prepared", is_flag=True, help="Prepared models too: minutes for each case that isn't in the cache.")
 @click.option("--quick", is_flag=True, help="One case, few models, no table of costs: less than a minute.")
@@ -56,7 +56,7 @@ DEFAULT_CASES = ("pub01", "pub02", "pub07", "pub09")
 @click.option(
     "--budget",
     "budget_s",
-    type=click.FloatRange(0.0, min_open=True),
+    type=FiniteRange(0.0, min_open=True),
     default=120.0,
     show_default=True,
     help="Seconds of each prediction of --wide.",

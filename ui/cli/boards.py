@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import click
 
 from tankrig.errors import DeviceError
+from ui.cli.options import FINITE
 from ui.guide import console, emit, guided, picture, somebody, watching
 
 if TYPE_CHECKING:
@@ -38,15 +39,23 @@ def board_options(command: Command) -> Command:
     """`--board`, `--square-mm`, … , which `board_of` makes a board of."""
     options = (
         click.option("--board", "squares", default="7x5", show_default=True, metavar="NxN", help="Columns and rows."),
-        click.option("--square-mm", default=20.0, show_default=True, help="Side of a square, measured on the print."),
         click.option(
-            "--square-sd-mm", default=0.0012, show_default=True, help="How well that is known: standard deviation."
+            "--square-mm", type=FINITE, default=20.0, show_default=True, help="Side of a square, measured on the print."
         ),
-        click.option("--marker-mm", default=15.0, show_default=True, help="Side of a marker."),
+        click.option(
+            "--square-sd-mm",
+            type=FINITE,
+            default=0.0012,
+            show_default=True,
+            help="How well that is known: standard deviation.",
+        ),
+        click.option("--marker-mm", type=FINITE, default=15.0, show_default=True, help="Side of a marker."),
         click.option("--dictionary", default="DICT_4X4_50", show_default=True, help="Of its markers (OpenCV's name)."),
-        click.option("--margin-mm", default=5.0, show_default=True, help="From the squares to the plate's edge."),
-        click.option("--thickness-mm", default=3.0, show_default=True, help="Of the plate."),
-        click.option("--exposure-ms", type=float, help="Of the pictures; default: what suits the board."),
+        click.option(
+            "--margin-mm", type=FINITE, default=5.0, show_default=True, help="From the squares to the plate's edge."
+        ),
+        click.option("--thickness-mm", type=FINITE, default=3.0, show_default=True, help="Of the plate."),
+        click.option("--exposure-ms", type=FINITE, help="Of the pictures; default: what suits the board."),
     )
     for option in reversed(options):
         command = option(command)

@@ -5,14 +5,14 @@ from pathlib import Path
 import click
 
 from ui.cli.calibrating import accept_option, described, keep, tell
-from ui.cli.options import bench_option, json_option
+from ui.cli.options import FINITE, bench_option, json_option
 from ui.guide import feedback
 
 
 @click.command(epilog="Example: tankrig calibrate latency --rig rig.toml")
 @bench_option
 @click.option("--flips", type=click.IntRange(20, 10_000), default=100, show_default=True, help="How many to watch.")
-@click.option("--exposure-ms", type=float, help="Of the frames; default: as long as leaves no pause between them.")
+@click.option("--exposure-ms", type=FINITE, help="Of the frames; default: as long as leaves no pause between them.")
 @accept_option
 @json_option
 def latency(rig: Path | None, flips: int, exposure_ms: float | None, accept: bool, as_json: bool) -> int:

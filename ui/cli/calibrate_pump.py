@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tankrig.errors import DeviceError
-from ui.cli.options import json_option, out_option, rig_option
+from ui.cli.options import FINITE, FiniteRange, json_option, out_option, rig_option
 from ui.guide import ask, confirm, emit, guided, number, somebody
 
 if TYPE_CHECKING:
@@ -35,14 +35,16 @@ _TUBE = "its tube hangs in a vessel on the balance, not in the tank"
 )
 @click.option("--volumes", metavar="µl,µl,…", help="What to dose; default: 10, 50 and 100 % of the largest dose.")
 @click.option("--repeats", type=click.IntRange(1, 100), default=10, show_default=True, help="Doses of each volume.")
-@click.option("--temperature", "temperature_c", default=20.0, show_default=True, help="Of the liquid, °C.")
+@click.option("--temperature", "temperature_c", type=FINITE, default=20.0, show_default=True, help="Of the liquid, °C.")
 @click.option(
-    "--density", "density_g_per_ml", type=float, help="Of the liquid, g/ml; default: water at that temperature."
+    "--density", "density_g_per_ml", type=FINITE, help="Of the liquid, g/ml; default: water at that temperature."
 )
-@click.option("--evaporation", "evaporation_mg", default=0.0, show_default=True, help="Lost from each dose, mg.")
+@click.option(
+    "--evaporation", "evaporation_mg", type=FINITE, default=0.0, show_default=True, help="Lost from each dose, mg."
+)
 @click.option(
     "--delivered-ul",
-    type=click.FloatRange(min=0.0),
+    type=FiniteRange(min=0.0),
     metavar="X",
     help="Ink that the tank holds in all, where only a person can say before the pump may move.",
 )

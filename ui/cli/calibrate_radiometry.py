@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ui.cli.calibrating import accept_option, asker, described, keep, tell
-from ui.cli.options import bench_option, json_option
+from ui.cli.options import FINITE, bench_option, json_option
 from ui.guide import feedback, guided
 
 if TYPE_CHECKING:
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 @click.command(epilog="Example: tankrig calibrate radiometry --rig rig.toml --gains 1,4")
 @bench_option
 @click.option("--gains", default="1", show_default=True, metavar="G,G,…", help="Gains that will be used.")
-@click.option("--shortest-ms", type=float, help="Shortest exposure of the sweep; default: 1/60 s.")
-@click.option("--longest-ms", type=float, help="Longest exposure of the sweep; default: 2 s.")
-@click.option("--period-ms", type=float, help="Refresh period of the projector; exposures are whole ones of it.")
+@click.option("--shortest-ms", type=FINITE, help="Shortest exposure of the sweep; default: 1/60 s.")
+@click.option("--longest-ms", type=FINITE, help="Longest exposure of the sweep; default: 2 s.")
+@click.option("--period-ms", type=FINITE, help="Refresh period of the projector; exposures are whole ones of it.")
 @accept_option
 @json_option
 def radiometry(rig: Path | None, gains: str, accept: bool, as_json: bool, **exposures: float | None) -> int:

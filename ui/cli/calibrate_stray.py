@@ -8,7 +8,7 @@ import click
 
 from ui.cli.boards import opened
 from ui.cli.calibrating import accept_option, described, keep, tell
-from ui.cli.options import bench_option, json_option
+from ui.cli.options import FINITE, bench_option, json_option
 from ui.guide import ask, picture, somebody
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _SECONDS_A_PICTURE = 15.0
 @bench_option
 @click.option("--cards", type=click.IntRange(3, 50), default=4, show_default=True, help="Places of the card.")
 @click.option("--frames", type=click.IntRange(1, 100), default=8, show_default=True, help="Frames of each picture.")
-@click.option("--exposure-ms", type=float, help="Of the frames; default: what suits the card.")
+@click.option("--exposure-ms", type=FINITE, help="Of the frames; default: what suits the card.")
 @accept_option
 @json_option
 def stray(rig: Path | None, cards: int, frames: int, exposure_ms: float | None, accept: bool, as_json: bool) -> int:

@@ -9,7 +9,7 @@ import click
 
 from tankrig.errors import ImageError
 from ui.cli.fit import LEVEL, FreeOrNumber
-from ui.cli.options import json_option
+from ui.cli.options import FINITE, json_option
 from ui.cli.stages import stages_shown
 from ui.cli.tables import tell_table
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from tankrig.scene import Scene
 
 SHOWN = {"sigma_s": "σs, 1/m", "g": "g", "sigma_a": "σa, 1/m"}
+UNKNOWN = 10.0
+"""Times a coefficient that is not zero: beyond that it says nothing by how much it is unknown."""
 
 
 @click.command(epilog="Example: tankrig compare tank.npz --scene scene.toml")
@@ -25,11 +27,11 @@ SHOWN = {"sigma_s": "σs, 1/m", "g": "g", "sigma_a": "σa, 1/m"}
 @click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE",
               help="Scene file (TOML) of what IMAGE shows; a run knows its own.")  # fmt: skip
 @click.option("--array", metavar="NAME", help='Which array of an .npz; default: the only image, or "total".')
-@click.option("--scale", type=float, default=1.0, show_default=True, help="Radiance per count, W/mm²/sr.")
+@click.option("--scale", type=FINITE, default=1.0, show_default=True, help="Radiance per count, W/mm²/sr.")
 @click.option("--gain", type=FreeOrNumber(), default="free", show_default=True, help="Image per radiance.")
 @click.option("--offset", type=FreeOrNumber(), default="free", show_default=True, help="Added to it.")
-@click.option("--noise", type=float, help="Standard deviation of a pixel; default: as seen.")
-@click.option("--dose-ml", type=float, help="Which dose of a run; default: the last.")
+@click.option("--noise", type=FINITE, help="Standard deviation of a pixel; default: as seen.")
+@click.option("--dose-ml", type=FINITE, help="Which dose of a run; default: the last.")
 @click.option("--pattern", metavar="NAME", help="Which pattern of a run; default: its first.")
 @click.option(
     "--phases", is_flag=True, help="Compare families of phase functions, all orders each, in place of models."
@@ -139,7 +141,18 @@ def _cells(row: "Compared") -> list[str]:
     for name, (low, high) in row.estimate.interval(LEVEL).items():
         by = 1.0 if name == "g" else 1000.0
         value, half = by * getattr(row.estimate.medium, name), by * 0.5 * (high - low)
-        digits = min(6, max(0, 1 - math.floor(math.log10(half)))) if 0.0 < half < math.inf else 3
-        text = f"{value:.{digits}f}±{half:.{digits}f}"
+        text = _with_half(value, half)
         cells.append((name, text if row.estimate.identifiable[name] else f"({text})"))
     return [dict(cells)[name] for name in SHOWN]
+
+
+def _with_half(value: float, half: float) -> str:
+    """A coefficient with half of its interval, to two digits of that.
+
+    >>> _with_half(19.8001, 0.00213), _with_half(15.0, 87801213.0), _with_half(0.2, 3.0)
+    ('19.8001±0.0021', '15±> 999 %', '0.2±3.0')
+    """
+    if not half < UNKNOWN * max(abs(value), 1.0):
+        return f"{value:.3g}±> 999 %"
+    digits = min(6, max(0, 1 - math.floor(math.log10(half)))) if half > 0.0 else 3
+    return f"{value:.{digits}f}±{half:.{digits}f}"

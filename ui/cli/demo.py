@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tankrig.errors import SceneError
-from ui.cli.options import json_option, out_option
+from ui.cli.options import FINITE, json_option, out_option
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -59,7 +59,7 @@ BENCH_DOSES = 3
 )
 @click.option("--by-hand", is_flag=True, help="Only make the bench's folder, and say what to type.")
 @click.option("--material", metavar="NAME", help="Pump a reference liquid (tankrig materials), and validate the run.")
-@click.option("--wavelength", "wavelength_nm", type=float, default=633.0, show_default=True, metavar="NM",
+@click.option("--wavelength", "wavelength_nm", type=FINITE, default=633.0, show_default=True, metavar="NM",
               help="Of the light, for the reference liquid.")  # fmt: skip
 @out_option(None, "Folder of the run, or of the bench; default: runs/ and the time.")
 @json_option

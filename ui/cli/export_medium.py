@@ -5,15 +5,15 @@ from pathlib import Path
 
 import click
 
-from ui.cli.options import json_option, out_option
+from ui.cli.options import FINITE, FiniteRange, json_option, out_option
 
 
 @click.command("export-medium", epilog="Example: tankrig export-medium tank-fit.json --to mitsuba --out milk.xml")
 @click.argument("given", metavar="FIT", type=click.Path(path_type=Path))
 @click.option("--to", required=True, type=click.Choice(["mitsuba", "pbrt", "mcx", "csv"]),
               help="Mitsuba 3, pbrt-v4, MCX, or a table of angles.")  # fmt: skip
-@click.option("--dose-ml", type=float, help="Which dose of a run; default: the last that is fitted.")
-@click.option("--unit-mm", type=click.FloatRange(min=0.0, min_open=True), default=1.0, show_default=True,
+@click.option("--dose-ml", type=FINITE, help="Which dose of a run; default: the last that is fitted.")
+@click.option("--unit-mm", type=FiniteRange(min=0.0, min_open=True), default=1.0, show_default=True,
               help="Length of one unit of the other scene, or of a voxel.")  # fmt: skip
 @out_option(None, "The file; default: the name of FIT with the other program's suffix, in this folder.")
 @json_option

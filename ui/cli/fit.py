@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tankrig.errors import StoreError
-from ui.cli.options import json_option, out_option, scene_option
+from ui.cli.options import FINITE, FiniteRange, json_option, out_option, scene_option
 from ui.cli.stages import stages_shown
 from ui.cli.tables import tell_table
 
@@ -86,11 +86,14 @@ class Nuisance(click.ParamType[Any]):
         """Text to (name, standard deviation)."""
         if isinstance(value, tuple):
             return value
-        name, _, number = value.partition("=")
+        name, _, text = value.partition("=")
         try:
-            return name, float(number)
+            number = float(text)
         except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
             self.fail(f"{value!r} is not NAME=SD, such as z_mm=0.5", param, ctx)
+        return name, number
 
 
 @click.command(
@@ -99,12 +102,12 @@ class Nuisance(click.ParamType[Any]):
 @click.argument("image_file", metavar="IMAGE", type=click.Path(path_type=Path))
 @scene_option
 @click.option("--array", metavar="NAME", help='Which array of an .npz; default: the only image, or "total".')
-@click.option("--scale", type=float, default=1.0, show_default=True, help="Radiance per count, W/mm²/sr.")
+@click.option("--scale", type=FINITE, default=1.0, show_default=True, help="Radiance per count, W/mm²/sr.")
 @click.option(
     "--gain", type=FreeOrNumber(), default="free", show_default=True, help="Image per radiance, after --scale."
 )
 @click.option("--offset", type=FreeOrNumber(), default="free", show_default=True, help="Added to it, after --scale.")
-@click.option("--noise", type=float, help="Standard deviation of a pixel, after --scale; default: seen in the image.")
+@click.option("--noise", type=FINITE, help="Standard deviation of a pixel, after --scale; default: seen in the image.")
 @click.option(
     "--model",
     default="tank",
@@ -132,11 +135,11 @@ class Nuisance(click.ParamType[Any]):
     help="Rig file of the bench: the radiometry in force makes radiance of raw frames.",
 )
 @click.option(
-    "--exposure-ms", type=click.FloatRange(min=0.0, min_open=True), help="IMAGE is a raw frame with this exposure."
+    "--exposure-ms", type=FiniteRange(min=0.0, min_open=True), help="IMAGE is a raw frame with this exposure."
 )
 @click.option(
     "--gain-setting",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     default=1.0,
     show_default=True,
     help="Gain that the camera was set to.",
@@ -273,7 +276,7 @@ def fit(
             "scene": str(scene_file),
             **asked,
             **_numbers(fitted, rebuilt, single),
-            **_left_out(picture),
+            **_left_out(picture, fitted),
             "radiometry": None if measured is None else measured.radiometry_file,
             "notes": notes,
             "seconds": round(seconds, 2),
@@ -285,7 +288,7 @@ def fit(
         click.echo(json.dumps(numbers, ensure_ascii=False))
     else:
         _tell(fitted, rebuilt, single, seconds)
-        _tell_left_out(picture)
+        _tell_left_out(picture, fitted)
         if measured is not None:
             click.echo(f"by       {measured.radiometry_file}")
         click.echo(f"written  {stem}.png, .json, .npz")
@@ -392,22 +395,35 @@ def _picture(
     return picture_of(image, scene, hot, full, edges, mask)
 
 
-def _left_out(picture: "Picture") -> dict[str, Any]:
+def _left_out(picture: "Picture", fitted: "Estimate") -> dict[str, Any]:
     bins = picture.bins
+    share = _share_left_out(fitted)
     return {
         "bins": None if bins is None else [bins.by, bins.along],
-        "left_out": {"edges": picture.blurred, "saturated": picture.saturated, "all": float(picture.mask.mean())},
+        "left_out": {
+            "edges": picture.blurred,
+            "saturated": picture.saturated,
+            "by_fit": share - float(picture.mask.mean()),
+            "all": share,
+        },
     }
 
 
-def _tell_left_out(picture: "Picture") -> None:
+def _share_left_out(fitted: "Estimate") -> float:
+    """Of the image that was fitted: what was masked before, and what the fit itself found to be specks or saturated."""
+    import numpy as np
+
+    return float(np.isnan(fitted.residual).mean())
+
+
+def _tell_left_out(picture: "Picture", fitted: "Estimate") -> None:
     if picture.bins is not None:
         tall, wide = picture.scene.camera.sides_mm
         pixels = "pixel" if picture.bins.by * picture.bins.along == 1 else "pixels"
         click.echo(f"bins     {picture.bins.by} × {picture.bins.along} {pixels}, {tall:.3g} × {wide:.3g} mm")
-    if picture.mask.any():
+    if (share := _share_left_out(fitted)) > 0.0:
         edges = f", {_share(picture.blurred)} of the pixels for blur or beside the water" if picture.blurred else ""
-        click.echo(f"left out {_share(float(picture.mask.mean()))} of the image{edges}")
+        click.echo(f"left out {_share(share)} of the image{edges}")
     if picture.saturated > 0.0:
         click.echo(
             f"         {100.0 * picture.saturated:.2g} % of the pixels are saturated, and left out with what adjoins "

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from ui.cli.options import json_option
+from ui.cli.options import FiniteRange, json_option
 
 
 class NamedScene(click.ParamType[Any]):
@@ -35,8 +35,8 @@ class NamedScene(click.ParamType[Any]):
 @click.option(
     "--table", type=click.Path(path_type=Path), metavar="FILE", help="Default: table.csv in FOLDER, if there."
 )
-@click.option("--dose-ml", type=click.FloatRange(min=0.0), help="Ink in the tank, where the table does not say.")
-@click.option("--exposure-ms", type=click.FloatRange(min=0.0, min_open=True), help="Where the table does not say.")
+@click.option("--dose-ml", type=FiniteRange(min=0.0), help="Ink in the tank, where the table does not say.")
+@click.option("--exposure-ms", type=FiniteRange(min=0.0, min_open=True), help="Where the table does not say.")
 @click.option("--name", help="Of the experiment, for people.")
 @click.option("--rig", default="", help="Where it was taken, for people.")
 @click.option("--material", default="", help="What the ink is, for people.")

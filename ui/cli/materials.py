@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tankrig.errors import SceneError
-from ui.cli.options import json_option, rig_option
+from ui.cli.options import FINITE, FiniteRange, json_option, rig_option
 
 if TYPE_CHECKING:
     from tankrig.materials.coefficients import Optics, Uncertain
@@ -33,8 +33,10 @@ class LabelLine(click.ParamType[Any]):
             found = [float(one) for one in numbers]
         except ValueError:
             found = []
-        if len(found) not in (1, 2) or not all(math.isfinite(one) for one in found) or min(found) < 0.0:
+        if len(found) not in (1, 2) or not all(math.isfinite(one) for one in found):
             self.fail(f"{value!r} is not KEY=VALUE or KEY=VALUE±SD, such as diameter_um=0.994±0.010", param, ctx)
+        if min(found) < 0.0:
+            self.fail(f"{value!r} has a number below 0, which no label says; give {key} as it is printed", param, ctx)
         return key, (found[0], found[1] if len(found) == 2 else None)
 
 
@@ -43,7 +45,7 @@ WITHOUT_WAVELENGTH = "{name}: its optics depend on the wavelength; give --wavele
 wavelength_option = click.option(
     "--wavelength",
     "wavelength_nm",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     metavar="NM",
     help="Of the projector's light, in vacuum.",
 )
@@ -55,7 +57,7 @@ label_option = click.option(
 )
 stock_option = click.option(
     "--stock",
-    type=click.FloatRange(min=1.0),
+    type=FiniteRange(min=1.0),
     metavar="PARTS",
     help="Parts that one part of the liquid was diluted to before it was put into the pump.",
 )
@@ -114,7 +116,7 @@ def _span(range_nm: tuple[float, float] | None) -> str:
 @click.argument("name")
 @wavelength_option
 @label_option
-@click.option("--band-nm", type=click.FloatRange(min=0.0, min_open=True), default=20.0, show_default=True,
+@click.option("--band-nm", type=FiniteRange(min=0.0, min_open=True), default=20.0, show_default=True,
               help="Full width of the projector's colour, for what a band would change.")  # fmt: skip
 @json_option
 def show(
@@ -212,11 +214,11 @@ def _tell_incomplete(found: "Material", wavelength_nm: float | None, as_json: bo
 @materials.command(epilog="Example: tankrig materials plan intralipid-20 --wavelength 633 --sigma-s 0.02")
 @click.argument("name")
 @wavelength_option
-@click.option("--sigma-s", type=float, required=True, metavar="PER_MM", help="Of the tank at the last dose.")
+@click.option("--sigma-s", type=FINITE, required=True, metavar="PER_MM", help="Of the tank at the last dose.")
 @label_option
 @rig_option
-@click.option("--tank-ml", type=click.FloatRange(min=0.0, min_open=True), help="Water in the tank; default: the rig's.")
-@click.option("--least-ul", type=click.FloatRange(min=0.0, min_open=True), default=20.0, show_default=True,
+@click.option("--tank-ml", type=FiniteRange(min=0.0, min_open=True), help="Water in the tank; default: the rig's.")
+@click.option("--least-ul", type=FiniteRange(min=0.0, min_open=True), default=20.0, show_default=True,
               help="Smallest dose that your pump measures well.")  # fmt: skip
 @json_option
 def plan(

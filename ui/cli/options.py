@@ -1,5 +1,6 @@
 """Options that several commands share, so that they are spelt and explained the same everywhere."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -7,6 +8,28 @@ from typing import Any, TypeVar
 import click
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class Finite(click.types.FloatParamType):
+    """A finite number: click's own floats are also nan and inf, which no quantity of a rig is."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Text to a finite float."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return number
+
+
+FINITE = Finite()
+
+
+class FiniteRange(click.FloatRange):
+    """A finite number in a range: nan is neither below nor above one, so click's own ranges let it in."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Text to a finite float in the range."""
+        return super().convert(FINITE.convert(value, param, ctx), param, ctx)
 
 
 def _rig_option(otherwise: str) -> Callable[[Command], Command]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ui.cli.options import json_option, out_option
+from ui.cli.options import FiniteRange, json_option, out_option
 
 if TYPE_CHECKING:
     from tankrig.prediction import Prediction
@@ -17,12 +17,10 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: tankrig predict scene.toml --tolerance 0.005 --out predicted")
 @click.argument("scene_file", metavar="SCENE", type=click.Path(path_type=Path))
-@click.option(
-    "--model", metavar="NAME", help="single, convolution, tank, diffuse or montecarlo; default: the cheapest."
-)
+@click.option("--model", metavar="NAME", help="tank, single, convolution, diffuse or montecarlo; default: tank.")
 @click.option(
     "--tolerance",
-    type=click.FloatRange(0.0, 1.0, min_open=True),
+    type=FiniteRange(0.0, 1.0, min_open=True),
     default=0.01,
     show_default=True,
     help="Relative L2 error to aim for.",
@@ -38,7 +36,7 @@ if TYPE_CHECKING:
 @click.option(
     "--budget",
     "budget_s",
-    type=click.FloatRange(0.0, min_open=True),
+    type=FiniteRange(0.0, min_open=True),
     default=120.0,
     show_default=True,
     help="Seconds that the tank's model may take to keep the tolerance.",

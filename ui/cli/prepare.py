@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ui.cli.options import json_option, rig_option
+from ui.cli.options import FINITE, FiniteRange, json_option, rig_option
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tankrig.scene import Scene
 
 Ends = tuple[float, float]
-RANGE = (float, float)
+RANGE = (FINITE, FINITE)
 BY_PATHS = "where light or sight slants, other phase functions than Henyey–Greenstein's are fitted by light paths"
 
 
@@ -37,7 +37,7 @@ BY_PATHS = "where light or sight slants, other phase functions than Henyey–Gre
 @rig_option
 @click.option(
     "--tolerance",
-    type=click.FloatRange(0.0, 1.0, min_open=True),
+    type=FiniteRange(0.0, 1.0, min_open=True),
     default=0.01,
     show_default=True,
     help="Relative L2 error to aim for; the time goes with its inverse square.",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ui.cli.fits import fits_of, tell_fits
-from ui.cli.options import json_option, phase_option, rig_option
+from ui.cli.options import FiniteRange, json_option, phase_option, rig_option
 from ui.cli.refit_archive import Share, Work, refit_archive
 from ui.cli.stages import stages_shown
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 @click.option("--slurm", metavar="OPTIONS", help='Of an archive: hand it to SLURM, such as "--time=2:00:00".')
 @click.option("--jobs", type=click.IntRange(1, 1000), default=4, show_default=True, help="Of SLURM, at a time.")
 @click.option("--share", type=Share(), help="Be the I-th, from 0, of N programs that share an archive and a RESULTS.")
-@click.option("--worker-minutes", type=click.FloatRange(0.5), help="After which a worker is replaced by a new one.")
+@click.option("--worker-minutes", type=FiniteRange(0.5), help="After which a worker is replaced by a new one.")
 @click.option("--worker-memory", metavar="SIZE", help='Beyond which a worker is replaced, such as "2GiB".')
 @rig_option
 @json_option

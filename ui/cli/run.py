@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ui.cli.fits import fits_of, tell_fits
-from ui.cli.options import json_option, out_option, phase_option, rig_option
+from ui.cli.options import FiniteRange, json_option, out_option, phase_option, rig_option
 from ui.cli.stages import AGAIN_S, stages_shown
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ _SHOWN = 1000
 @click.option("--resume", metavar="RUN", type=click.Path(path_type=Path), help="Go on with an interrupted run.")
 @click.option(
     "--delivered-ul",
-    type=click.FloatRange(min=0.0),
+    type=FiniteRange(min=0.0),
     metavar="X",
     help="Ink that the tank holds in all, where a dose was interrupted and only a person can say.",
 )
@@ -193,7 +193,7 @@ def open_runner(
             if not sys.stdin.isatty():
                 raise
             click.echo(str(question), err=True)
-            delivered_ul = click.prompt("ink in the tank in all, µl", type=click.FloatRange(min=0.0), err=True)
+            delivered_ul = click.prompt("ink in the tank in all, µl", type=FiniteRange(min=0.0), err=True)
 
 
 def carry_out(runner: "Runner", fit: bool) -> "Outcome":

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ui.cli.materials import label_option, optics_of, stock_option
-from ui.cli.options import json_option, out_option
+from ui.cli.options import FiniteRange, json_option, out_option
 from ui.cli.refit import progress_shown
 from ui.cli.tables import tell_table
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 @click.command(epilog="Example: tankrig validate runs/2026-11-20T10-00-00 --material polystyrene-1.0 --wavelength 633")
 @click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
 @click.option("--material", "name", required=True, metavar="NAME", help="What was dosed; tankrig materials lists them.")
-@click.option("--wavelength", "wavelength_nm", type=click.FloatRange(min=0.0, min_open=True), metavar="NM",
+@click.option("--wavelength", "wavelength_nm", type=FiniteRange(min=0.0, min_open=True), metavar="NM",
               help="Of the projector's light, in vacuum; default: what the run's sequence says.")  # fmt: skip
 @label_option
 @stock_option
-@click.option("--tank-ml", type=click.FloatRange(min=0.0, min_open=True), help="Water in the tank; default: the run's.")
-@click.option("--tank-sd", type=click.FloatRange(min=0.0), default=0.005, show_default=True,
+@click.option("--tank-ml", type=FiniteRange(min=0.0, min_open=True), help="Water in the tank; default: the run's.")
+@click.option("--tank-sd", type=FiniteRange(min=0.0), default=0.005, show_default=True,
               help="Standard deviation of that volume, as a share of it.")  # fmt: skip
-@click.option("--band-nm", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
+@click.option("--band-nm", type=FiniteRange(min=0.0), default=0.0, show_default=True,
               help="Full width at half maximum of the light's band.")  # fmt: skip
 @click.option(
     "--polarisation",
-    type=click.FloatRange(0.0, 1.0),
+    type=FiniteRange(0.0, 1.0),
     help="Largest degree of the light's linear polarisation, 0 for none; default: what the run's bench says, else all "
     "is possible.",
 )

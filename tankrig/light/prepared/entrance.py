@@ -275,7 +275,7 @@ def bands(scene: Scene) -> list[Interval]:
     if not found or len(found) > MOST_BANDS or max(high - low for low, high in found) > HIGHEST_BAND_MM:
         raise SceneError(
             f"light is learned that enters at one to {MOST_BANDS} heights, each within {HIGHEST_BAND_MM:g} mm; "
-            "declare the patterns' light_mm so"
+            "give the scene's beams, or the sequence's patterns, such z_mm"
         )
     return found
 
