@@ -224,7 +224,8 @@ def _family(score: Score, family: Family, near: Medium, start: Array, discrepanc
 
     def place(off: Array) -> Array:
         values = middle + scale * off
-        return np.concatenate([values[:2], [base], nearest(tuple(values[2:own])) + values[own:]])
+        coefficients = np.maximum(values[:2], 0.0)  # as rounding of widths that hardly end may not leave them
+        return np.concatenate([coefficients, [base], nearest(tuple(values[2:own])) + values[own:]])
 
     @lru_cache(maxsize=16)
     def nearest(coordinates: tuple[float, ...]) -> Array:

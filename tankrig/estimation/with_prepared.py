@@ -3,8 +3,9 @@
 Where light or sight slants, an image by 3·10⁵ light paths has 1 to 5 % of noise, and what is prepared about a medium in
 20 to 50 CPU s, and made right at it, has .2 to .3 %, for every medium nearby.
 
-Light of a halo and light that walls send back take three times as long as the rest together and change with the liquid
-nearly as it does: they are computed at one medium, as a factor of each pixel's other light (`Lift`).
+Light of a halo, light that walls send back and what a wide lens makes of edges take three to ten times as long as the
+rest together, and change with the liquid nearly as that does: they are computed at one medium, as a factor of each
+pixel's other light (`Lift`).
 """
 
 import math
@@ -25,11 +26,14 @@ from tankrig.light.prepared.phases.checked import CheckedOrders, checked_at
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium
+from tankrig.scene.optics import PINHOLE
 
 Image = NDArray[np.floating]
 
 TOLERANCE = 0.01
 """Relative L2 error of the image that is asked of what is prepared."""
+ALIKE_DENSITY = 0.4
+"""Logarithm of σt's change up to which what is beside is taken to be as bright beside the rest in a search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +53,9 @@ class Lift:
 
     @classmethod
     def of(cls, whole: Followed) -> "Lift":
-        """Of a scene; nothing is beside where it has dark walls and no halo."""
+        """Of a scene; nothing is beside where it has dark walls, no halo and no wide lens."""
         bare, _ = described_beside(whole.scene)
+        bare = replace(bare, projector=replace(bare.projector, wide_lens=PINHOLE))
         return cls(whole if bare == whole.scene else replace(whole, scene=bare), whole)
 
     @property
@@ -75,7 +80,9 @@ class Lift:
 
 @dataclass(frozen=True, eq=False)
 class Lifted:
-    """A cheap model of light paths, brightened as light beside does where it is first asked.
+    """A cheap model of light paths, brightened as light beside does at the first medium that is asked of its density.
+
+    Doses of a series share their scene's model.
 
     Parameters
     ----------
@@ -95,12 +102,15 @@ class Lifted:
         return np.asarray(self.lift.bare.slopes(medium) * self._factors(medium))
 
     def _factors(self, medium: Medium) -> Image:
-        if not self._told:
-            self._told.append(self.lift.of_all(medium))
-        return self._told[0]
+        density = math.log(medium.sigma_t)
+        near = [factors for known, factors in self._told if abs(known - density) < ALIKE_DENSITY]
+        if not near:
+            near = [self.lift.of_all(medium)]
+            self._told.append((density, near[0]))
+        return near[0]
 
     @cached_property
-    def _told(self) -> list[Image]:
+    def _told(self) -> list[tuple[float, Image]]:
         return []
 
 
