@@ -181,19 +181,20 @@ def test_in_a_tank_of_glass_what_walls_and_floor_send_back_is_among_it(folder: P
     assert found.image.sum() == pytest.approx(expected.image.sum(), rel=0.01)
 
 
-def test_what_a_search_looks_at_has_light_by_way_of_walls_too() -> None:
-    """Without it a search for a phase function in a tank of glass began a third too dark."""
+def test_what_a_search_looks_at_has_light_by_way_of_walls_at_every_dose() -> None:
+    """Without it a search for a phase function in a tank of glass began a third too dark; with one dose's share of it
+    at all others, which have the same model, it went astray."""
+    few = replace(GLASS, camera=replace(CAMERA, shape=(10, 15), pixel_mm=16.0, blur=Blur(0.0)))
     family = free()
-    liquid = Medium(0.0001, 0.0123, phase=family.phase(as_free(TwoTerm(0.85, -0.3, 0.96))))
-    looked_at = Lifted(Lift.of(Followed(GLASS, 2, 0, None, small=True, family=family, tables=0.02)))
-    expected = tank_image(replace(GLASS, medium=liquid), seed=5, batches=8).image
-    assert looked_at(liquid).image.sum() == pytest.approx(expected.sum(), rel=0.03)
-    slopes, at = looked_at.slopes(liquid), values_of(liquid, family)
-    more = Medium(liquid.sigma_a, 1.1 * liquid.sigma_s, phase=liquid.phase)
-    expected = tank_image(replace(GLASS, medium=more), seed=5, batches=8).image
-    assert looked_at(more).image.sum() == pytest.approx(expected.sum(), rel=0.04)
-    ahead = looked_at(Medium(liquid.sigma_a, 1.02 * liquid.sigma_s, phase=liquid.phase)).image
-    assert slopes[1].sum() == pytest.approx((ahead - looked_at(liquid).image).sum() / (0.02 * at[1]), rel=0.05)
+    phase = family.phase(as_free(TwoTerm(0.85, -0.3, 0.96)))
+    looked_at = Lifted(Lift.of(Followed(few, 2, 0, None, small=True, family=family, tables=0.05)))
+    for sigma_s in (0.003, 0.0123):
+        liquid = Medium(0.01 * sigma_s, sigma_s, phase=phase)
+        expected = tank_image(replace(few, medium=liquid), 0.05, seed=5, batches=4).image
+        assert np.linalg.norm(looked_at(liquid).image - expected) < 0.06 * np.linalg.norm(expected)
+    slopes = looked_at.slopes(liquid)
+    ahead = looked_at(Medium(liquid.sigma_a, 1.02 * sigma_s, phase=phase)).image
+    assert slopes[1].sum() == pytest.approx((ahead - looked_at(liquid).image).sum() / (0.02 * sigma_s), rel=0.05)
 
 
 def test_what_was_prepared_is_used_again_where_it_holds_the_liquid(
