@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.light.double.lit import COARSE_FROM, filled, lit_heights
-from tankrig.light.double.ray_and_sight import depth_below, depth_seen, share_within
+from tankrig.light.double.ray_and_sight import BEYOND, depth_below, depth_seen, meet_beyond, nearest_row, share_within
 from tankrig.light.double.table import FINE, STEEP_G, LitHeight, Stack, Table, curvature, lagrange, y_weights
 from tankrig.light.double.wall import Tabulated, served
 from tankrig.light.elementary import exponential
@@ -41,6 +41,8 @@ PIECES = 4
 together there, so that their product is averaged piece by piece. Beside steep light's edge a row was 10 % off."""
 HALVES = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
 """Of a piece, where Gauss' two nodes lie."""
+NARROW_MM = 0.005
+"""Half of how wide a beam counts as where it isn't seen itself, but what it scattered before it left the tank."""
 FAR = 3.0
 """A beam is far from a pixel at this many times the width of both."""
 
@@ -167,7 +169,8 @@ def add_beams(
     rule = gauss_legendre(4)
     reached = np.empty((table.x_mm.size, len(rows), PIECES, len(HALVES)))
     _fill_reached(reached, scene.camera.pixel_mm, lit.geometry, table.x_mm)
-    seen = Seen(scene.camera.pixel_mm, reached)
+    beyond = np.array([meet_beyond(lit.geometry, x, table.y0_mm, table.z0_mm) for x in table.x_mm])
+    seen = Seen(scene.camera.pixel_mm, reached, beyond)
     for beam in lit.beams:
         height = (
             _across(table, stack, beam.z_mm, lit.geometry.height)
@@ -259,6 +262,8 @@ class Seen(NamedTuple):
     pixel_mm: float
     reached_mm: Array
     """(nx, rows, pieces, 2) how deep lines of sight get, at `HALVES` of each row's pieces: no matter which beam."""
+    beyond: NDArray[np.bool_]
+    """(nx,) whether lines of sight through an x would meet some of the table's rays far beside the tank."""
 
 
 class Across(NamedTuple):
@@ -310,7 +315,7 @@ def average_rows(
         Gauss–Legendre.
     """
     x, fractions, margin, _, _, _, _, mirrored, _ = table
-    (values, decays), (pixel_mm, reached) = stack, seen
+    (values, decays), (pixel_mm, reached, beyond) = stack, seen
     low, high, strength, y0_weights, (z0, z0_weights, between) = strip
     nodes, weights = rule
     count = fractions.size
@@ -331,9 +336,12 @@ def average_rows(
                             if weight != 0.0:  # of a whole wall's nodes few count
                                 for n in range(liquids):
                                     profile[side, k, n] += weight * values[node, m, side, i, k, n]
-            crossing = sighting_row(geometry, x[i], middle, z0[j])
+            crossing = nearest_row(geometry, x[i], middle, z0[j], beyond[i])
             beam_low = sighting_row(geometry, x[i], low, z0[j])
             beam_high = sighting_row(geometry, x[i], high, z0[j])
+            farthest = BEYOND * geometry.half_width
+            if beyond[i] and (max(abs(beam_low), abs(beam_high)) > farthest or abs(crossing) == geometry.half_width):
+                beam_low, beam_high = crossing - NARROW_MM, crossing + NARROW_MM
             wide = beam_high - beam_low
             below = depth_below(geometry, x[i], middle, z0[j], mirrored)
             spans = (max(geometry.half_width + crossing, 1e-6), max(geometry.half_width - crossing, 1e-6))

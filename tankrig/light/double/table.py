@@ -2,7 +2,8 @@
 
 J depends on where the line of sight leaves the surface, x and y, and on the light ray, y₀ and z₀. It is singular like
 −ln|δ| where the line meets the ray, δ = y − y_c(x; y₀, z₀) its distance from there, and smooth in all else; so nodes
-are geometric in δ on both sides of the crossing, graded towards the walls in x, and few in y₀ and z₀.
+are geometric in δ on both sides of the crossing, graded towards the walls in x, and few in y₀ and z₀. Where the line
+would meet a ray far beside the tank, they are geometric about the wall through which the ray has left (`nearest_row`).
 """
 
 import math
@@ -16,14 +17,14 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.geometry.optics import crossing_offset
-from tankrig.light.double.ray_and_sight import Pair, add_pair, depth_below, share_seen
+from tankrig.light.double.ray_and_sight import Pair, add_pair, depth_below, meet_beyond, nearest_row, share_seen
 from tankrig.light.quadrature import Rule, gauss_legendre
 from tankrig.light.rays import (
     Geometry,
     light_ray,
     mirror_symmetric,
+    path_inside,
     shift_invariant,
-    sighting_row,
 )
 from tankrig.light.water import Water, water_of
 from tankrig.scene import Beam, Medium, Scene
@@ -40,6 +41,12 @@ WALL, STRAIGHT = 0.02, 1e6
 of the way there; where they don't, nodes are graded towards the crossing only."""
 CLOSE = 0.0125
 """Of nodes in y₀ where light leaves through the side walls: their distance over half the tank's width."""
+SEEN_APART, LEAVING, MOST_APART = 1.0, 12.0, 24
+"""Lengths that images are resolved to, by which the rows of one more ray are apart; how many more there are where rays
+of one beam leave through floor or surface all along the tank; and how many more at most. Two pinholes 25 and 40 mm from
+their faces, with 2 + 1 rays for beams of 10 and 25 mm, made order 2 .3 of itself off, with six more .05."""
+HEIGHTS, PLACES = 5, 12
+"""Of rays of a beam, and along the tank, at which that is looked at."""
 STEEPEST = 300.0
 """Largest exponent that is taken out of J before it is interpolated."""
 
@@ -180,7 +187,8 @@ def laid_out(
     straight = shift_invariant(scene)
     enough = fineness.curvature if straight else fineness.slanted_curvature
     bends = curvature(high - low, sigma_t, height) * (MIRRORED if mirrored else 1.0)
-    count = 1 if bends < enough else fineness.more_rays + rays
+    more = 0 if straight or between else _rays_apart(geometry, _lit(scene, geometry, z_mm), z_mm, finest_mm)
+    count = 1 if bends < enough and more == 0 else fineness.more_rays + rays + more
     nodes, weights = np.polynomial.legendre.leggauss(
         min(count + (_more_between(high - low, height) if between else 0), 40)
     )
@@ -205,6 +213,27 @@ def laid_out(
     decay = _decay(sigma_t, geometry)
     values = np.zeros((z0.size, y0.size, 2, x.size, fractions.size))
     return Table(x, fractions, margin, y0, z0, values, decay, mirrored, inner), 0.5 * (high - low) * weights
+
+
+def _rays_apart(geometry: Geometry, lit: list[Interval], z_mm: Interval, finest_mm: float) -> int:
+    """How many more rays stand for a height whose rays are seen far apart, or leave the tank at different places."""
+    ends = lit[0][0], max(high for _, high in lit)
+    heights = np.linspace(*z_mm, HEIGHTS)
+    apart, leaving = 0.0, 0.0
+    for y0 in ends:
+        last = [_left_at(geometry, y0, z0) for z0 in heights]
+        leaving = max(leaving, (max(last) - min(last)) / geometry.length)
+        for x in np.linspace(0.0, geometry.length, PLACES):
+            rows = [nearest_row(geometry, x, y0, z0, True) for z0, end in zip(heights, last, strict=True) if x <= end]
+            apart = max(apart, max(rows) - min(rows)) if rows else apart
+    return min(int(apart / (SEEN_APART * finest_mm)) + int(LEAVING * leaving), MOST_APART)
+
+
+def _left_at(geometry: Geometry, y0: float, z0: float) -> float:
+    """The x at which a ray leaves the tank, mm."""
+    ux, uy, uz = light_ray(geometry, y0, z0)
+    enter, leave = path_inside(geometry, 0.0, y0, z0, ux, uy, uz)
+    return float(max(leave, enter) * ux)
 
 
 def curvature(high_mm: float, sigma_t: float, height: float) -> float:
@@ -437,9 +466,10 @@ def _fill_slanted(
     sigma_t, _, phase = water
     inside = 0.999 * geometry.half_width  # at the wall itself both are 0
     for i in range(part, x.size, parts):
+        beyond = meet_beyond(geometry, x[i], y0, z0)
         for j in range(z0.size):
             for m in range(y0.size):
-                crossing = sighting_row(geometry, x[i], y0[m], z0[j])
+                crossing = nearest_row(geometry, x[i], y0[m], z0[j], beyond)
                 depth = depth_below(geometry, x[i], y0[m], z0[j], mirrored)
                 for side in range(2):
                     span = geometry.half_width - crossing if side == 1 else geometry.half_width + crossing

@@ -1,0 +1,67 @@
+"""Order 2 of near pinholes: tables of it beside the integral that they stand for, point by point."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tankrig.geometry.pose import Vector
+from tankrig.light.double import double_scattering
+from tankrig.light.double.ray_and_sight import Pair, pair_radiance
+from tankrig.light.quadrature import gauss_legendre
+from tankrig.light.rays import light_sources
+from tankrig.light.water import water_of
+from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
+
+Array = NDArray[np.float64]
+
+BEAMS = (Beam((-50.0, -45.0), (60.0, 85.0)), Beam((20.0, 30.0), (5.0, 15.0)))
+
+
+def near_bench(light: Vector, **tank: object) -> Scene:
+    """A projector beside the wall, and a camera low above the water."""
+    return Scene(
+        replace(Tank((120.0, 120.0, 90.0), "fresnel", 1.36), **tank),  # type: ignore[arg-type]
+        Medium(0.002, 0.008, 0.6),
+        Projector("pinhole", BEAMS, light),
+        Camera("pinhole", (15, 15), 8.0, (130.0, -70.0, 130.0)),
+    )
+
+
+def summed(scene: Scene, pixels: Array, points: int) -> Array:
+    """Order 2 of some (row, column) by so many pairs of a ray of light and a line of sight each."""
+    nodes, weights = gauss_legendre(6)
+    chance, water, side = np.random.default_rng(7), water_of(scene.medium), scene.camera.pixel_mm
+    found = np.zeros(len(pixels))
+    for k, (row, column) in enumerate(pixels):
+        for geometry, beams in light_sources(scene):
+            for beam in beams:
+                power = beam.irradiance * (beam.y_mm[1] - beam.y_mm[0]) * (beam.z_mm[1] - beam.z_mm[0])
+                for mirrored in (False, True):
+                    for i in range(points):
+                        x, z0 = (column + chance.random()) * side, np.interp((i + 0.5) / points, (0, 1), beam.z_mm)
+                        y = (row + chance.random()) * side - geometry.half_width
+                        pair = Pair(x, y, chance.uniform(*beam.y_mm), float(z0), mirrored)
+                        light = pair_radiance(geometry, water.sigma_t, water.phase, pair, nodes, weights)
+                        found[k] += power / points * light
+    return np.asarray(found * scene.medium.sigma_s**2)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        near_bench((-25.0, 30.0, 20.0), entry="glass", wall_mm=8.0, wall_index=1.5),
+        near_bench((-25.0, 30.0, 20.0)),
+        near_bench((-0.001, 0.0, 25.0)),
+        near_bench((-5.0, 3000.0, 25.0)),
+    ],
+)  # fmt: skip
+def test_order_2_of_near_pinholes_is_the_integral(scene: Scene) -> None:
+    """Tables had all nodes where lines of sight would have met rays, were those not gone: up to 10⁴¹ too bright."""
+    pixels = np.array([(1, 2), (3, 8), (8, 8), (12, 12), (9, 3)])
+    image = double_scattering(scene, 0.01)
+    assert np.isfinite(image).all()
+    truth = summed(scene, pixels, 400)
+    assert math.isclose(image[tuple(pixels.T)].sum(), truth.sum(), rel_tol=0.1)
