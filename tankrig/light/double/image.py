@@ -42,7 +42,7 @@ together there, so that their product is averaged piece by piece. Beside steep l
 HALVES = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
 """Of a piece, where Gauss' two nodes lie."""
 NARROW_MM = 0.005
-"""Half of how wide a beam counts as where it isn't seen itself, but what it scattered before it left the tank."""
+"""Half of how wide a beam counts as where it is seen edge on, or only what it scattered before it left the tank."""
 FAR = 3.0
 """A beam is far from a pixel at this many times the width of both."""
 
@@ -341,6 +341,10 @@ def average_rows(
             beam_high = sighting_row(geometry, x[i], high, z0[j])
             farthest = BEYOND * geometry.half_width
             if beyond[i] and (max(abs(beam_low), abs(beam_high)) > farthest or abs(crossing) == geometry.half_width):
+                beam_low, beam_high = crossing, crossing
+            if beam_high < beam_low:  # seen from beyond where the light's side faces meet
+                beam_low, beam_high = beam_high, beam_low
+            if beam_high - beam_low < 2.0 * NARROW_MM:
                 beam_low, beam_high = crossing - NARROW_MM, crossing + NARROW_MM
             wide = beam_high - beam_low
             below = depth_below(geometry, x[i], middle, z0[j], mirrored)
