@@ -1,4 +1,4 @@
-"""Order 2 of near pinholes: tables of it beside the integral that they stand for, point by point."""
+"""Near pinholes: order 1 beside cells of the light, order 2 beside the integral that its tables stand for."""
 
 from dataclasses import replace
 
@@ -11,7 +11,9 @@ from tankrig.light.double import double_scattering
 from tankrig.light.double.ray_and_sight import Pair, pair_radiance
 from tankrig.light.quadrature import gauss_legendre
 from tankrig.light.rays import light_sources
+from tankrig.light.single import single_scattering
 from tankrig.light.water import water_of
+from tankrig.montecarlo import first_order
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 
 Array = NDArray[np.float64]
@@ -46,6 +48,15 @@ def summed(scene: Scene, pixels: Array, points: int) -> Array:
                         light = pair_radiance(geometry, water.sigma_t, water.phase, pair, nodes, weights)
                         found[k] += power / points * light
     return np.asarray(found * scene.medium.sigma_s**2)
+
+
+@pytest.mark.parametrize("light", [(-25.0, 30.0, 20.0), (-5.0, 3000.0, 25.0)])
+def test_order_1_of_light_that_would_rise_past_the_camera(light: Vector) -> None:
+    """Its corners would be seen there on the other side, and rows were left dark: 13 and 8 % of the light."""
+    scene = near_bench(light)
+    image, cells = single_scattering(scene), first_order(scene)
+    assert np.linalg.norm(image - cells) < 0.06 * np.linalg.norm(cells)
+    assert np.isclose(image.sum(), cells.sum(), rtol=0.015)
 
 
 @pytest.mark.parametrize(

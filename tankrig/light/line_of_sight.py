@@ -36,6 +36,8 @@ CUT_SHARE, HALVINGS = 1e-6, 14
 """Of a span in which rows are searched for: how far beside its ends lines are looked at; and how often it is halved."""
 MOST_ROWS = 32
 """Of a span, that it is cut at."""
+FAR_AWAY = 4.0
+"""Of the tank's height or half of its width, beyond which light rays are not looked for any more."""
 STEEP = 0.3
 """Tangent, between the vertical and lines of sight in the water, from which on the far and the near wall cut light off
 at other rows on either side of a pixel."""
@@ -177,6 +179,21 @@ def _reaches_faces(geometry: Geometry, far: float, edges: Edges) -> bool:
         ux, uy, uz = light_ray(geometry, edges[k // 2], edges[2 + k % 2])
         y, z = edges[k // 2] + uy / ux * far, edges[2 + k % 2] + uz / ux * far
         if abs(y) > geometry.half_width + 1e-9 or z < -1e-9 or z > geometry.height + 1e-9:
+            return True
+    return False
+
+
+@kernel
+def strays(geometry: Geometry, edges: Edges) -> bool:
+    """Whether a beam's corners, extended beyond the tank, get so far that rows they are seen at do not bound its light.
+
+    Extended beyond the camera, for one, they are seen on the other side.
+    """
+    above = 0.5 * (geometry.camera_z - geometry.height) if geometry.camera_pinhole else FAR_AWAY * geometry.height
+    for k in range(4):
+        ux, uy, uz = light_ray(geometry, edges[k // 2], edges[2 + k % 2])
+        y, z = edges[k // 2] + uy / ux * geometry.length, edges[2 + k % 2] + uz / ux * geometry.length
+        if z > geometry.height + above or z < -FAR_AWAY * geometry.height or abs(y) > FAR_AWAY * geometry.half_width:
             return True
     return False
 

@@ -25,6 +25,7 @@ from tankrig.light.line_of_sight import (
     ever_cut_off,
     kinked,
     rows_cut_off,
+    strays,
 )
 from tankrig.light.liquids import Liquids, liquids_of
 from tankrig.light.quadrature import PixelRules, pixel_rules
@@ -73,16 +74,21 @@ def single_scattering_in_quadrangles(scene: Scene, media: Sequence[Medium]) -> A
 
 
 class _LitBeam(NamedTuple):
-    """A beam, the numbers of the scene for its source, where its light ends (`_ends_along`), if faces cut it off."""
+    """A beam, the numbers of the scene for its source, where its light ends (`_ends_along`), and how faces cut it off.
+
+    See `ever_cut_off` and `strays`.
+    """
 
     geometry: Geometry
     beam: SharpBeam
     along: Array
     cut_off: bool
+    anywhere: bool
 
 
 def _of_source(geometry: Geometry, beam: SharpBeam) -> _LitBeam:
-    return _LitBeam(geometry, beam, _ends_along(geometry, beam.edges), bool(ever_cut_off(geometry, beam.edges)))
+    cut = bool(ever_cut_off(geometry, beam.edges))
+    return _LitBeam(geometry, beam, _ends_along(geometry, beam.edges), cut, cut and bool(strays(geometry, beam.edges)))
 
 
 @lru_cache(maxsize=128)
@@ -130,7 +136,8 @@ def _add_beam(
             slices = np.sort(np.minimum(np.maximum(xs, 0.0), geometry.length))
             _ends_at(along, slices[0], geometry.length, ends[0])
             _ends_at(along, slices[3], geometry.length, ends[1])
-            if ys.max() < min(ends[0, 0], ends[1, 0]) - MARGIN_MM or ys.min() > ends[:, -1].max() + MARGIN_MM:
+            outside = ys.max() < min(ends[0, 0], ends[1, 0]) - MARGIN_MM or ys.min() > ends[:, -1].max() + MARGIN_MM
+            if outside and not lit.anywhere:
                 continue
             for k in range(3):
                 if slices[k + 1] > slices[k]:
@@ -151,7 +158,8 @@ def _add_slice(
     low_right, high_right = _span(geometry, xs, ys, right - 1e-9 * width)
     _ends_at(along, left, geometry.length, ends[0])
     _ends_at(along, right, geometry.length, ends[1])
-    if ends[:, -1].max() < min(low_left, low_right) or ends[:, 0].min() > max(high_left, high_right):
+    outside = ends[:, -1].max() < min(low_left, low_right) or ends[:, 0].min() > max(high_left, high_right)
+    if outside and not lit.anywhere:
         return
     parts = 1 + int(liquids.densest * width)
     whole = xs.max() - xs.min()  # a narrow slice needs fewer parts
@@ -176,7 +184,7 @@ def _add_slice(
             if high <= low:
                 continue
             _ends_at(along, x, geometry.length, cuts)
-            if cuts[-1] <= low or cuts[0] >= high:
+            if (cuts[-1] <= low or cuts[0] >= high) and not lit.anywhere:
                 continue
             share = strength * 0.5 * width / parts * (2.0 if sliver else weights[i])
             span, at = (x, low, high), cuts

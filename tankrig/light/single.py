@@ -22,6 +22,7 @@ from tankrig.light.line_of_sight import (
     ever_cut_off,
     kinked,
     rows_cut_off,
+    strays,
 )
 from tankrig.light.liquids import Liquids, liquids_of
 from tankrig.light.quadrangles import KINKED_PARTS, SLANTED_PARTS, single_scattering_in_quadrangles
@@ -94,6 +95,7 @@ def _add_beam(
     y_first = -geometry.half_width
     ends, rows_found = np.empty(CUTS), np.empty(MOST_ROWS)
     sometimes = ever_cut_off(geometry, edges)
+    anywhere = sometimes and strays(geometry, edges)
     for column in range(columns):
         x_left = column * pixel_mm
         if x_left >= geometry.length:
@@ -111,6 +113,8 @@ def _add_beam(
                 rows_of_ends(geometry, x, edges, ends)
                 top = min(max((ends[0] - y_first) / pixel_mm, 0.0), float(rows))
                 bottom = min(max((ends[-1] - y_first) / pixel_mm, -1.0), rows - 1.0)
+                if anywhere:
+                    top, bottom = 0.0, min(rows, math.ceil(2.0 * geometry.half_width / pixel_mm)) - 1.0
                 for row in range(math.floor(top), math.floor(bottom) + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
