@@ -1,7 +1,8 @@
 """Order 1 along one line of sight where the light is bent at the wall: the faces of a beam are then no planes.
 
 Heights at which the light came in grow along the line of sight, so the line is cut at the lower and upper edge of the
-beam by a search; its other two edges are straight enough over short stretches.
+beam by a search. Its other two edges are straight enough over short stretches, and where the projector is near they are
+searched for within them.
 """
 
 import numpy as np
@@ -10,12 +11,18 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel
 from tankrig.light.liquids import Liquids, add_scattered
 from tankrig.light.quadrature import Rule
-from tankrig.light.rays import Edges, Geometry, Ray, bent_light, light_kept, path_inside, sight_line
+from tankrig.light.rays import Edges, Geometry, Ray, bent, bent_light, light_kept, path_inside, sight_line
 
 Array = NDArray[np.float64]
 
-STRETCH_MM = 20.0
-"""Over which a beam's side faces count as planes; they bulge by less than 0.05 mm."""
+STRETCH_MM, STRETCH_SHARE, SHORTEST_MM = 20.0, 0.2, 1.0
+"""Longest stretch of a line of sight, the share of the projector's distance from the wall that it may be, and a length
+that it may always have: from 400 mm a beam's side faces bulge by less than 0.05 mm over 20, from 25 mm by so much that
+images were 2 % off."""
+FAR_MM = 300.0
+"""From the wall, from which on a search for a beam's side faces would change images by less than 2e-4."""
+CLOSE_MM = 0.02
+"""So near to a side face, the next step of a search is there to a thousandth of a mm."""
 
 
 @kernel
@@ -44,20 +51,25 @@ def add_along_sight_in_bent_light(
     if high <= low:
         return
     sight = Ray(x, y, geometry.height, vx, vy, vz)
-    top, bottom = _entry(geometry, sight, low)[1], _entry(geometry, sight, high)[1]
+    top, bottom = entry_seen(geometry, sight, low)[1], entry_seen(geometry, sight, high)[1]
     if top <= edges[2] or bottom >= edges[3]:
         return
     start = low if top <= edges[3] else _depth_of(geometry, sight, edges[3], low, high, top, bottom)
     end = high if bottom >= edges[2] else _depth_of(geometry, sight, edges[2], low, high, top, bottom)
     nodes, weights = rule
-    stretches = 1 + int((end - start) / STRETCH_MM)
+    stretches = 1 + int((end - start) / min(STRETCH_MM, max(STRETCH_SHARE * -geometry.light_x, SHORTEST_MM)))
     step = (end - start) / stretches
-    after = _entry(geometry, sight, start)[0]
+    after = entry_seen(geometry, sight, start)[0]
     for stretch in range(stretches):
-        before, after = after, _entry(geometry, sight, start + (stretch + 1) * step)[0]
+        before, after = after, entry_seen(geometry, sight, start + (stretch + 1) * step)[0]
         first, last = _lit_share(before, after, edges[0], edges[1])
         if last <= first:
             continue
+        rising, from_mm, near = after > before, start + stretch * step, -geometry.light_x < FAR_MM
+        if near and first > 0.0:
+            first = _share_at(geometry, sight, edges[0 if rising else 1], from_mm, step, before, after)
+        if near and last < 1.0:
+            last = _share_at(geometry, sight, edges[1 if rising else 0], from_mm, step, before, after)
         panels = 1 + int(liquids.densest * step * (last - first) / 2.0)
         half = 0.5 * step * (last - first) / panels
         for panel in range(panels):
@@ -70,10 +82,10 @@ def add_along_sight_in_bent_light(
 
 
 @kernel
-def _entry(geometry: Geometry, sight: Ray, depth: float) -> tuple[float, float]:
-    """The y and z at which the light at some depth of a line of sight came through x = 0."""
+def entry_seen(geometry: Geometry, sight: Ray, depth: float) -> tuple[float, float]:
+    """The y and z at which a pinhole's light at some depth of a line of sight came through x = 0."""
     px, py, pz = max(sight.x - sight.dx * depth, 0.0), sight.y - sight.dy * depth, sight.z - sight.dz * depth
-    share = bent_light(geometry, px, py, pz)[4]
+    share = bent_light(geometry, px, py, pz)[4] if bent(geometry) else geometry.light_x / (geometry.light_x - px)
     return geometry.light_y + share * (py - geometry.light_y), geometry.light_z + share * (pz - geometry.light_z)
 
 
@@ -89,7 +101,7 @@ def _depth_of(
     side, depth = 0, 0.5 * (low + high)
     for _ in range(30):
         depth = (low * below - high * above) / (below - above)
-        miss = _entry(geometry, sight, depth)[1] - level
+        miss = entry_seen(geometry, sight, depth)[1] - level
         if abs(miss) < 1e-6:
             break
         if miss > 0.0:
@@ -111,3 +123,24 @@ def _lit_share(before: float, after: float, low: float, high: float) -> tuple[fl
         return 0.0, 1.0 if low <= before <= high else 0.0
     one, other = (low - before) / change, (high - before) / change
     return max(min(one, other), 0.0), min(max(one, other), 1.0)
+
+
+@kernel
+def _share_at(
+    geometry: Geometry, sight: Ray, level: float, from_mm: float, step: float, before: float, after: float
+) -> float:
+    """The share of a stretch after which the light came in at a y that lies between those at its ends."""
+    low, high, below, above = 0.0, 1.0, before - level, after - level
+    share = below / (below - above)
+    for _ in range(30):
+        miss = entry_seen(geometry, sight, from_mm + share * step)[0] - level
+        if miss == 0.0:
+            break
+        if (miss > 0.0) == (above > 0.0):
+            high, above = share, miss
+        else:
+            low, below = share, miss
+        share = low + (high - low) * below / (below - above)
+        if abs(miss) < CLOSE_MM:
+            break
+    return share

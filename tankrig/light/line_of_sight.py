@@ -8,7 +8,8 @@ equation has no integral along the line of sight.
 
 The integrand is smooth between the lines where a line of sight crosses an edge of a beam, or meets a side wall there,
 so that it is cut along those lines and every piece is integrated by Gauss–Legendre: the error is that of smooth
-functions, whatever the edges.
+functions, whatever the edges. Where faces of the tank cut the light off, it is cut wherever a line of sight ends at
+another face, or begins or ends on another side of a beam's edge, than the next one does: such rows are searched for.
 """
 
 import math
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
-from tankrig.light.bent_light import add_along_sight_in_bent_light
+from tankrig.light.bent_light import add_along_sight_in_bent_light, entry_seen
 from tankrig.light.liquids import Liquids, add_scattered
 from tankrig.light.quadrature import Rule, SightRules
 from tankrig.light.rays import Edges, Geometry, Ray, bent, light_kept, light_ray, path_inside, sight_line
@@ -31,6 +32,15 @@ SHORT = 1 / 800
 """Of the tank's height: twice so far, between two cuts, light changes so evenly that two lines of sight do."""
 ROOT_THIRD = math.sqrt(1.0 / 3.0)
 """Where they lie, in halves of the width (Gauss)."""
+CUT_SHARE, HALVINGS = 1e-6, 14
+"""Of a span in which rows are searched for: how far beside its ends lines are looked at; and how often it is halved."""
+MOST_ROWS = 32
+"""Of a span, that it is cut at."""
+FAR_AWAY = 4.0
+"""Of the tank's height or half of its width, beyond which light rays are not looked for any more."""
+STEEP = 0.3
+"""Tangent, between the vertical and lines of sight in the water, from which on the far and the near wall cut light off
+at other rows on either side of a pixel."""
 
 
 class SharpBeam(NamedTuple):
@@ -65,6 +75,127 @@ def add_across_sights(
                 y = start + half * (1.0 + nodes[j])
                 _add_along_sight(found, factor * half * weights[j], geometry, x, y, liquids, edges, depth_rule)
         start = max(start, end)
+
+
+@kernel
+def rows_cut_off(geometry: Geometry, span: tuple[float, float, float], ends: Array, edges: Edges, rows: Array) -> int:
+    """Write to (`MOST_ROWS`,) those rows of a span where light ends and where faces cut it off, in order: how many.
+
+    Parameters
+    ----------
+    geometry
+        Numbers of the scene.
+    span
+        x, y low, y high.
+    ends
+        Rows where light ends, in order.
+    edges
+        Of the beam.
+    rows
+        Written to.
+    """
+    x, low, high = span
+    start, count = low, 0
+    for k in range(ends.size + 1):
+        end = min(max(ends[k], low), high) if k < ends.size else high
+        while start < end and count < MOST_ROWS:
+            start = _next_cut(geometry, (x, start, end), edges)
+            rows[count] = start
+            count += 1
+        start = max(start, end)
+    return count
+
+
+@kernel
+def _next_cut(geometry: Geometry, span: tuple[float, float, float], edges: Edges) -> float:
+    """The first y of a span, beyond its start, on whose two sides lines of sight run unlike; its end if there is none.
+
+    One that two such rows lie close behind each other in may be missed.
+    """
+    x, start, end = span
+    aside = CUT_SHARE * (end - start)
+    low, high = start + aside, end - aside
+    first = course(geometry, x, low, edges)
+    if course(geometry, x, high, edges) == first:
+        middle = 0.5 * (low + high)
+        if course(geometry, x, middle, edges) == first:
+            return end
+        high = middle
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if course(geometry, x, middle, edges) == first:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@kernel
+def course(geometry: Geometry, x: float, y: float, edges: Edges) -> int:
+    """Which face of the tank a line of sight ends at, and on which sides of a beam's edges it begins and ends.
+
+    What is seen along lines of one course changes smoothly with x and y, but for the beam's corners.
+    """
+    vx, vy, vz, _ = sight_line(geometry, x, y)
+    low, high = path_inside(geometry, x, y, geometry.height, -vx, -vy, -vz)
+    if high <= low:
+        return -1
+    sight = Ray(x, y, geometry.height, vx, vy, vz)
+    at_x, height = x - vx * high, geometry.height - vz * high
+    face = 0 if height < 1e-9 * geometry.height else 1 if at_x < 1e-9 or at_x > geometry.length - 1e-9 else 2
+    for depth in (low, high):
+        entry = entry_seen(geometry, sight, depth) if geometry.light_pinhole else (y - vy * depth, sight.z - vz * depth)
+        for k in range(2):
+            face = 3 * face + (0 if entry[k] < edges[2 * k] else 1 if entry[k] <= edges[2 * k + 1] else 2)
+    return face
+
+
+@kernel
+def ever_cut_off(geometry: Geometry, edges: Edges) -> bool:
+    """Whether `cut_off` may be true anywhere."""
+    if not (geometry.camera_pinhole or geometry.light_pinhole):
+        return False
+    for x in (0.0, geometry.length):
+        vx, _, vz, _ = sight_line(geometry, x, 0.0)
+        if abs(vx) > STEEP * vz:
+            return True
+    return _reaches_faces(geometry, geometry.length, edges)
+
+
+@kernel
+def cut_off(geometry: Geometry, x_left: float, width: float, edges: Edges) -> bool:
+    """Whether faces of the tank cut off what is lit on some lines of sight between two x of slanted light or sight."""
+    vx, _, vz, _ = sight_line(geometry, x_left + width, 0.0)
+    if abs(vx) > STEEP * vz and kinked(geometry, x_left, width, edges):
+        return True
+    far = x_left + width - min(vx, 0.0) / vz * geometry.height  # as far as lines of sight get
+    return _reaches_faces(geometry, min(far, geometry.length), edges)
+
+
+@kernel
+def _reaches_faces(geometry: Geometry, far: float, edges: Edges) -> bool:
+    """Whether light reaches floor, surface or a side wall before some x: it spreads, so that its corners do first."""
+    for k in range(4):
+        ux, uy, uz = light_ray(geometry, edges[k // 2], edges[2 + k % 2])
+        y, z = edges[k // 2] + uy / ux * far, edges[2 + k % 2] + uz / ux * far
+        if abs(y) > geometry.half_width + 1e-9 or z < -1e-9 or z > geometry.height + 1e-9:
+            return True
+    return False
+
+
+@kernel
+def strays(geometry: Geometry, edges: Edges) -> bool:
+    """Whether a beam's corners, extended beyond the tank, get so far that rows they are seen at do not bound its light.
+
+    Extended beyond the camera, for one, they are seen on the other side.
+    """
+    above = 0.5 * (geometry.camera_z - geometry.height) if geometry.camera_pinhole else FAR_AWAY * geometry.height
+    for k in range(4):
+        ux, uy, uz = light_ray(geometry, edges[k // 2], edges[2 + k % 2])
+        y, z = edges[k // 2] + uy / ux * geometry.length, edges[2 + k % 2] + uz / ux * geometry.length
+        if z > geometry.height + above or z < -FAR_AWAY * geometry.height or abs(y) > FAR_AWAY * geometry.half_width:
+            return True
+    return False
 
 
 @kernel

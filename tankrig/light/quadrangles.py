@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.cuts import CUTS, rows_of_ends
-from tankrig.light.line_of_sight import SharpBeam, add_across_sights, kinked
+from tankrig.light.line_of_sight import (
+    MOST_ROWS,
+    SharpBeam,
+    add_across_sights,
+    course,
+    cut_off,
+    ever_cut_off,
+    kinked,
+    rows_cut_off,
+    strays,
+)
 from tankrig.light.liquids import Liquids, liquids_of
 from tankrig.light.quadrature import PixelRules, pixel_rules
 from tankrig.light.rays import Edges, Geometry, light_sources
@@ -64,15 +74,21 @@ def single_scattering_in_quadrangles(scene: Scene, media: Sequence[Medium]) -> A
 
 
 class _LitBeam(NamedTuple):
-    """A beam, the numbers of the scene for its source, and where its light ends (`_ends_along`)."""
+    """A beam, the numbers of the scene for its source, where its light ends (`_ends_along`), and how faces cut it off.
+
+    See `ever_cut_off` and `strays`.
+    """
 
     geometry: Geometry
     beam: SharpBeam
     along: Array
+    cut_off: bool
+    anywhere: bool
 
 
 def _of_source(geometry: Geometry, beam: SharpBeam) -> _LitBeam:
-    return _LitBeam(geometry, beam, _ends_along(geometry, beam.edges))
+    cut = bool(ever_cut_off(geometry, beam.edges))
+    return _LitBeam(geometry, beam, _ends_along(geometry, beam.edges), cut, cut and bool(strays(geometry, beam.edges)))
 
 
 @lru_cache(maxsize=128)
@@ -120,7 +136,8 @@ def _add_beam(
             slices = np.sort(np.minimum(np.maximum(xs, 0.0), geometry.length))
             _ends_at(along, slices[0], geometry.length, ends[0])
             _ends_at(along, slices[3], geometry.length, ends[1])
-            if ys.max() < min(ends[0, 0], ends[1, 0]) - MARGIN_MM or ys.min() > ends[:, -1].max() + MARGIN_MM:
+            outside = ys.max() < min(ends[0, 0], ends[1, 0]) - MARGIN_MM or ys.min() > ends[:, -1].max() + MARGIN_MM
+            if outside and not lit.anywhere:
                 continue
             for k in range(3):
                 if slices[k + 1] > slices[k]:
@@ -141,19 +158,25 @@ def _add_slice(
     low_right, high_right = _span(geometry, xs, ys, right - 1e-9 * width)
     _ends_at(along, left, geometry.length, ends[0])
     _ends_at(along, right, geometry.length, ends[1])
-    if ends[:, -1].max() < min(low_left, low_right) or ends[:, 0].min() > max(high_left, high_right):
+    outside = ends[:, -1].max() < min(low_left, low_right) or ends[:, 0].min() > max(high_left, high_right)
+    if outside and not lit.anywhere:
         return
     parts = 1 + int(liquids.densest * width)
     whole = xs.max() - xs.min()  # a narrow slice needs fewer parts
     for k in range(CUTS):
         if (ends[0, k] < low_left) != (ends[1, k] < low_right) or (ends[0, k] < high_left) != (ends[1, k] < high_right):
             parts = max(parts, math.ceil(SLANTED_PARTS * width / whole))
+    beside_faces = lit.cut_off and cut_off(geometry, left, width, edges)
+    if beside_faces:
+        for y_left, y_right in ((low_left, low_right), (high_left, high_right)):
+            if course(geometry, left, y_left, edges) != course(geometry, right, y_right, edges):
+                parts = max(parts, math.ceil(SLANTED_PARTS * width / whole))
     if kinked(geometry, left, width, edges):
         enough = math.ceil(width / (KINKED_SHARE * geometry.height))
         parts = max(parts, min(math.ceil(KINKED_PARTS * width / whole), enough))
     nodes, weights = rules.x
     sliver = width < SLIVER * whole
-    cuts = ends[0]
+    cuts, rows_found = ends[0], np.empty(MOST_ROWS if beside_faces else 0)
     for part in range(parts):
         for i in range(1 if sliver else nodes.size):
             x = left + width * (part + 0.5 + (0.0 if sliver else 0.5 * nodes[i])) / parts
@@ -161,10 +184,13 @@ def _add_slice(
             if high <= low:
                 continue
             _ends_at(along, x, geometry.length, cuts)
-            if cuts[-1] <= low or cuts[0] >= high:
+            if (cuts[-1] <= low or cuts[0] >= high) and not lit.anywhere:
                 continue
             share = strength * 0.5 * width / parts * (2.0 if sliver else weights[i])
-            add_across_sights(found, share, geometry, (x, low, high), cuts, liquids, edges, sights)
+            span, at = (x, low, high), cuts
+            if beside_faces:
+                at = rows_found[: rows_cut_off(geometry, span, cuts, edges, rows_found)]
+            add_across_sights(found, share, geometry, span, at, liquids, edges, sights)
 
 
 @kernel

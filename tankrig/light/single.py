@@ -12,13 +12,26 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.cuts import CUTS, rows_of_ends
-from tankrig.light.line_of_sight import FAINT, SharpBeam, add_across_sights, kinked
+from tankrig.light.line_of_sight import (
+    FAINT,
+    MOST_ROWS,
+    SharpBeam,
+    add_across_sights,
+    course,
+    cut_off,
+    ever_cut_off,
+    kinked,
+    rows_cut_off,
+    strays,
+)
 from tankrig.light.liquids import Liquids, liquids_of
 from tankrig.light.quadrangles import KINKED_PARTS, SLANTED_PARTS, single_scattering_in_quadrangles
 from tankrig.light.quadrature import PixelRules, pixel_rules
 from tankrig.light.rays import Edges, Geometry, light_sources
 from tankrig.scene import Medium, Scene
 
+ASIDE = 1e-6
+"""Of a pixel, beside its edges, where lines of sight are looked at: beams like to end at edges, and tanks do."""
 MOST_PARTS = 64
 """Along x; in larger pixels, counted in free paths, order 1 is a guess."""
 
@@ -80,29 +93,36 @@ def _add_beam(
     (x_nodes, x_weights), sights = rules
     rows, columns, _ = images.shape
     y_first = -geometry.half_width
-    ends = np.empty(CUTS)
+    ends, rows_found = np.empty(CUTS), np.empty(MOST_ROWS)
+    sometimes = ever_cut_off(geometry, edges)
+    anywhere = sometimes and strays(geometry, edges)
     for column in range(columns):
         x_left = column * pixel_mm
         if x_left >= geometry.length:
             break
-        # Looking straight down, light fades with x as it does on its way.
-        reach = pixel_mm if geometry.camera_pinhole else min(pixel_mm, FAINT / liquids.thinnest)
+        # Of the pixel lies in the tank, and looking straight down, light fades with x as it does on its way.
+        reach = min(pixel_mm, geometry.length - x_left)
+        reach = reach if geometry.camera_pinhole else min(reach, FAINT / liquids.thinnest)
         parts = _parts_along_x(geometry, x_left, reach, edges, liquids.densest)
+        beside_faces = sometimes and cut_off(geometry, x_left, reach, edges)
+        if beside_faces and parts < SLANTED_PARTS and _unlike(geometry, x_left, reach, edges, (rows, pixel_mm)):
+            parts = SLANTED_PARTS
         for part in range(parts):
             for i in range(x_nodes.size):
                 x = x_left + reach * (part + 0.5 + 0.5 * x_nodes[i]) / parts
-                if x >= geometry.length:
-                    continue
                 rows_of_ends(geometry, x, edges, ends)
                 top = min(max((ends[0] - y_first) / pixel_mm, 0.0), float(rows))
                 bottom = min(max((ends[-1] - y_first) / pixel_mm, -1.0), rows - 1.0)
+                if anywhere:
+                    top, bottom = 0.0, min(rows, math.ceil(2.0 * geometry.half_width / pixel_mm)) - 1.0
                 for row in range(math.floor(top), math.floor(bottom) + 1):
                     low = y_first + row * pixel_mm
                     high = min(low + pixel_mm, geometry.half_width)
                     share = strength * 0.5 * x_weights[i] / parts * reach / (pixel_mm * pixel_mm)
-                    add_across_sights(
-                        images[row, column], share, geometry, (x, low, high), ends, liquids, edges, sights
-                    )
+                    at, span = ends, (x, low, high)
+                    if beside_faces:
+                        at = rows_found[: rows_cut_off(geometry, span, ends, edges, rows_found)]
+                    add_across_sights(images[row, column], share, geometry, span, at, liquids, edges, sights)
 
 
 @kernel
@@ -117,3 +137,16 @@ def _parts_along_x(geometry: Geometry, x_left: float, pixel_mm: float, edges: Ed
         if math.floor(left[k] / pixel_mm + shift) != math.floor(right[k] / pixel_mm + shift):
             parts = max(parts, SLANTED_PARTS)
     return max(parts, KINKED_PARTS) if kinked(geometry, x_left, pixel_mm, edges) else parts
+
+
+@kernel
+def _unlike(geometry: Geometry, x_left: float, width: float, edges: Edges, grid: tuple[int, float]) -> bool:
+    """Whether lines of sight between two rows of a grid (rows, pixel) run unlike at both sides of a column."""
+    rows, pixel_mm = grid
+    for row in range(rows + 1):
+        y = row * pixel_mm - geometry.half_width + ASIDE * pixel_mm
+        if y >= geometry.half_width:
+            break
+        if course(geometry, x_left + ASIDE * width, y, edges) != course(geometry, x_left + width, y, edges):
+            return True
+    return False

@@ -28,6 +28,7 @@ from tankrig.light.rays import (
     light_ray,
     path_inside,
     sight_line,
+    sighting_row,
 )
 from tankrig.scene.phase import phase_density
 from tankrig.scene.phase_table import PhaseRecord
@@ -47,6 +48,9 @@ MOST_CUTS = 24
 
 SPREAD = 0.05
 """Of the water's depth: so far apart line and ray are taken to be at least, where only the share of light counts."""
+
+BEYOND = 2.0
+"""Half widths of the tank: where lines of sight would meet a ray so far aside, a table's nodes are put in the tank."""
 
 LARGEST_EXPONENT = 700.0
 """That numbers hold."""
@@ -263,6 +267,32 @@ def depth_below(geometry: Geometry, x: float, y0: float, z0: float, mirrored: bo
     ux, _, uz = light_ray(geometry, y0, z0)
     depth = min(max(geometry.height - z0 - x * uz / ux, 0.0), geometry.height)
     return -depth if mirrored else depth
+
+
+@kernel
+def meet_beyond(geometry: Geometry, x: float, y0: Array, z0: Array) -> bool:
+    """Whether lines of sight through an x would meet one of the rays far beside the tank."""
+    farthest = BEYOND * geometry.half_width
+    for j in range(z0.size):
+        for m in range(y0.size):
+            if abs(sighting_row(geometry, x, y0[m], z0[j])) > farthest:
+                return True
+    return False
+
+
+@kernel
+def nearest_row(geometry: Geometry, x: float, y0: float, z0: float, beyond: bool) -> float:
+    """The row of `sighting_row`; or, where some are far `beyond` the tank and this is outside, of the ray's end in it.
+
+    Light that has left the tank scatters no more, and what it scattered changes along y as far as there is water. Where
+    slanted lines nearly run beside the ray, they would meet it kilometres away, with all nodes in between.
+    """
+    row = sighting_row(geometry, x, y0, z0)
+    if not beyond or abs(row) <= geometry.half_width:
+        return row
+    ux, uy, uz = light_ray(geometry, y0, z0)
+    _, end = path_inside(geometry, 0.0, y0, z0, ux, uy, uz)
+    return min(max(y0 + uy * end, -geometry.half_width), geometry.half_width)
 
 
 @kernel

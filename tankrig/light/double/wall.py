@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tankrig.light.double.lit import filled, fineness_of, finest_of, lit_heights
-from tankrig.light.double.table import LitHeight, Stack, Table, hardest, laid_out
+from tankrig.light.double.table import LitHeight, Stack, Table, hardest, laid_out, peaked
 from tankrig.light.rays import light_sources
 from tankrig.light.surface import on_surface
 from tankrig.scene import Beam, Medium, Scene
@@ -64,7 +64,8 @@ def numbers_of_wall(scene: Scene, z_mm: Interval, media: Sequence[Medium], toler
     given = [(one.geometry, one.z_mm, one.mirrored) for one in lit_heights(wall)]
     fineness = fineness_of(tolerance)
     lit = replace(wall, medium=hardest(media))
-    return len(media) * sum(laid_out(lit, *one, finest_of(wall), fineness, True)[0].values.size for one in given)
+    sharp = any(peaked(one) for one in media)
+    return len(media) * sum(laid_out(lit, *one, finest_of(wall), fineness, True, sharp)[0].values.size for one in given)
 
 
 def _wall_alone(scene: Scene, z_mm: Interval) -> Scene:
