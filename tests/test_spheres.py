@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from tankrig.estimation.phase_average import together
-from tankrig.estimation.phase_evidence import Score, weighed
+from tankrig.estimation.phase_evidence import Score, by_free, families
 from tankrig.estimation.phase_families import as_free, free
+from tankrig.estimation.phase_result import Scattering
 from tankrig.estimation.spheres import spheres
 from tankrig.scene import Medium
 from tankrig.scene.free_phase import Shaped
@@ -29,13 +30,20 @@ def seen(phase: PhaseFunction, seed: int) -> tuple[Score, NDArray[np.float64]]:
     return Score(at, np.zeros(truth.size), np.diag(1.0 / sd), np.zeros((truth.size, 1))), np.diag(sd**2)
 
 
+def answered(phase: PhaseFunction, seed: int) -> Scattering:
+    """What families make of that together."""
+    score, spread = seen(phase, seed)
+    freely = by_free(score, spread, free())
+    return together([freely, *families(score, freely)])
+
+
 @pytest.mark.parametrize(
     "bead",
     [Mie(0.35, 1.587, 1.3317, 633.0, 0.03), Mie(1.3, 1.46, 1.332, 532.0, 0.05), Mie(2.2, 1.49, 1.33, 650.0, 0.1)],
 )
 def test_beads_are_told_by_their_diameter_in_wavelengths(bead: Mie) -> None:
     """Whatever light they are seen by, and whatever they are made of; with the rings of their phase function."""
-    found = together(weighed(*seen(bead, 1), free()))
+    found = answered(bead, 1)
     assert found.families["spheres"] > 0.9
     diameter, sd = found.parameters["diameter_in_wavelengths"]
     expected = 1e3 * bead.diameter_um / bead.wavelength_nm
@@ -49,7 +57,7 @@ def test_beads_are_told_by_their_diameter_in_wavelengths(bead: Mie) -> None:
 
 @pytest.mark.parametrize("phase", [HenyeyGreenstein(0.7), TwoTerm(0.9, -0.4, 0.95)])
 def test_what_is_no_sphere_is_not_taken_for_one(phase: PhaseFunction) -> None:
-    found = together(weighed(*seen(phase, 2), free()))
+    found = answered(phase, 2)
     assert found.families.get("spheres", 0.0) < 0.5
     assert found.liquid.g == pytest.approx(phase.mean_cosine, abs=3.0 * math.sqrt(found.covariance[2, 2]))
 

@@ -26,7 +26,7 @@ Image = NDArray[np.float64]
 _IMAGES_KEPT = 16
 FINER, CHEAP = 0.4, 2_000_000
 """Share of the tolerance that pictures have which take no more photons for it: a second or two. No frame shows a
-picture's own noise, so a fit of a thin dose under one pattern came out four of its standard deviations off."""
+picture's own noise, so a fit of a thin dose under one pattern came out four of its standard deviations off, now two."""
 
 
 class Radiance(NamedTuple):

@@ -43,6 +43,7 @@ from tankrig.estimation.verdict import (
     what_may_be_another_phase,
     what_no_phase_describes,
     what_phase_is_shown,
+    what_spheres_do,
     what_was_left_out,
 )
 from tankrig.estimation.versions import Models
@@ -64,9 +65,8 @@ FAR_MORE, NEARLY_ALL = 0.5, 0.9
 """Share of what Henyey–Greenstein's leaves, squared, that a fit of other phase functions has to explain at least which
 was begun from anywhere, and more than any other cause does; and share that such a cause has to explain, or that is
 tried. An emulsion of σs .05 looked like uneven ink, which explained two thirds."""
-AS_SPHERES, ALIKE = "Spheres of one kind describe the image.", 1.002
-"""Said of them where they leave no more than that share of what a free phase function leaves, which follows noise with
-its seventeen numbers."""
+AS_WELL = 1.002
+"""Share of what a free phase function leaves that spheres may leave: it follows noise with its seventeen numbers."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 COMMON_FLOOR = 0.04
@@ -215,10 +215,10 @@ def fit_models(
         fit = with_astray(fit, [astray])
     fit = without_outliers(fit)
     progress("finding the errors")
-    found, phase, like = _built(fit, scene, models, asked)
-    for one in like:
-        other = _as_spheres(observation, scene, scaling, models, progress, misalignment, astray, one)
-        found = other if other.rmse < ALIKE * found.rmse else found
+    found, phase, beads = _built(fit, scene, models, asked)
+    if beads is not None:
+        other = _as_spheres(observation, scene, scaling, models, progress, misalignment, astray, beads)
+        found = other if other.rmse < AS_WELL * found.rmse else found
     if asked.further is None or not (phase.misled or phase.explained < NEARLY_ALL):
         return found
     if beside is not None:
@@ -251,7 +251,7 @@ def _as_spheres(
     progress("fitting spheres")
     own, asked = models.of(spheres()), Asked(spheres(), near=near)
     other = fit_models(observation, scene, scaling, own, progress, misalignment, asked, astray)
-    return replace(other, verdict=f"{AS_SPHERES} {other.verdict}")
+    return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
 
 
 def _in_place(other: Estimate, share: float) -> Estimate:
@@ -316,9 +316,9 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
     return replace(fit, optimum=best)
 
 
-def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, PhaseTold, list[Medium]]:
+def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, PhaseTold, Medium | None]:
     """The estimate at an optimum: its errors, what the residual says, and the verdict; what it tells of other phase
-    functions; and liquids of spheres that are likelier, where families are weighed and none describes the image."""
+    functions; and a liquid of spheres that is likelier, if there is one, where families are weighed."""
     best = fit.optimum
     gain, (offset,), (left,) = left_over(fit)
     found = findings_of(fit, left, scene, models, asked)
@@ -327,7 +327,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     answer = answer_of(best, spread, asked, left.beyond == 0.0, exact)
     undescribed, rough = _undescribed(best, left, asked)
     family = asked.family if asked.averaged and (undescribed or fit.moved is not None) else None
-    like = like_spheres(best, spread, family) if family else [answer.beads] if answer.beads else []
+    beads = like_spheres(best, spread, family) if family else answer.beads
     medium, spread = answer.liquid, phase.counted(answer.covariance)
     bent = phase.misled or phase.doubted or undescribed or fit.moved is not None
     known = {
@@ -352,7 +352,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         structure=structure_map(found.whitened, used),
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
-    return built, phase, like
+    return built, phase, beads
 
 
 def _undescribed(best: Evaluation, left: Left, asked: Asked) -> tuple[bool, bool]:

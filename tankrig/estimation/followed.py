@@ -42,8 +42,8 @@ FAINT, FAINT_LOW, FURTHEST = 1e-3, 1e-7, 1.0
 which have no noise; and how far the first may change."""
 ALIKE = 0.1, 0.7
 """Changes that count alike: of the logarithm of σt and σs, and of a coordinate that is expected to be 0 ± 1."""
-BY_FACES = 4
-"""Lattices of paths by way of faces."""
+LATTICES_BY_FACES = 4
+"""Of such paths, which are noisier than others, in a search's image."""
 SOLVED_BATCHES = 16
 """Lattices of paths for the orders that are left to them where the others are solved for."""
 
@@ -208,7 +208,7 @@ class Followed:
 
         def by_faces(medium: Medium) -> Image:
             scene = replace(self.scene, medium=in_water(medium, self.water_sigma_s))
-            return BehindLenses(scene).by_faces(self.seed, BY_FACES)
+            return BehindLenses(scene).by_faces(self.seed, LATTICES_BY_FACES)
 
         return remembered(by_faces)
 

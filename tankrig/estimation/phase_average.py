@@ -48,10 +48,7 @@ def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | Non
     exact
         Gives exact images where the fit is of one image; None where there are none to be had.
     """
-    count = 2 + len(family.names)
-    spread = spread[:count, :count]
-    score = Score.of(best, spread)
-    freely = by_free(score, spread, family)
+    score, freely = _by_free(best, spread, family)
     found = [freely, *families(score, freely)]
     for times in AGAIN:
         shares = _shares(found)[1:]
@@ -63,17 +60,24 @@ def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | Non
     return together(found)
 
 
-def like_spheres(best: Evaluation, spread: Array, family: Family) -> list[Medium]:
-    """Liquids of spheres that are likelier than any smooth phase function, best first; parameters as for `averaged`.
+def like_spheres(best: Evaluation, spread: Array, family: Family) -> Medium | None:
+    """The liquid of spheres that is likelier than any smooth phase function; None where there is none. Parameters are
+    as for `averaged`.
 
-    What an image leaves that no free phase function is fine enough for says nothing against them.
+    What an image leaves that no free phase function is fine enough for says nothing against spheres.
     """
+    score, freely = _by_free(best, spread, family)
+    found = of_spheres(score, freely, NOT_HOPELESS - 2.0 * freely.evidence)
+    likeliest = max([freely, *found], key=lambda one: one.evidence)
+    return _as_spheres(likeliest) if likeliest.finer else None
+
+
+def _by_free(best: Evaluation, spread: Array, family: Family) -> tuple[Score, Weighed]:
+    """What a fit of a free phase function knows, and its own answer."""
     count = 2 + len(family.names)
     spread = spread[:count, :count]
     score = Score.of(best, spread)
-    freely = by_free(score, spread, family)
-    found = sorted(of_spheres(score, freely, NOT_HOPELESS - 2.0 * freely.evidence), key=lambda one: -one.evidence)
-    return [_as_spheres(one) for one in found[:1] if one.evidence > freely.evidence]
+    return score, by_free(score, spread, family)
 
 
 def _place(found: Sequence[Weighed], shares: Array, family: Family) -> tuple[Array, Medium]:

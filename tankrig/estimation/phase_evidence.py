@@ -152,24 +152,8 @@ class Weighed:
     finer: bool = False
 
 
-def weighed(score: Score, spread: Array, family: Family) -> list[Weighed]:
-    """The free family's answer, and those of all stiff ones with each of the discrepancies.
-
-    Parameters
-    ----------
-    score
-        Of a fit of a free phase function.
-    spread
-        Covariance of its values.
-    family
-        The free one.
-    """
-    freely = by_free(score, spread, family)
-    return [freely, *families(score, freely)]
-
-
 def families(score: Score, freely: Weighed) -> list[Weighed]:
-    """What all stiff families say, beside the answer of the free one."""
+    """What all stiff families say with each of the discrepancies, and spheres, beside the free family's answer."""
     near, found, members = freely.liquid, [], []
     for family in (henyey_greenstein(), reynolds_mccormick(), two_term()):
         own = [_family(score, family, near, family.like(near.g), off) for off in DISCREPANCIES]
@@ -203,7 +187,17 @@ def _off(score: Score, amplitudes: Array) -> Array:
 
 
 def by_free(score: Score, spread: Array, family: Family) -> Weighed:
-    """The answer of the fit itself; parameters as for `weighed`."""
+    """The answer of the fit itself.
+
+    Parameters
+    ----------
+    score
+        Of a fit of a free phase function.
+    spread
+        Covariance of its values.
+    family
+        The free one.
+    """
     prior = np.where(family.expected, 1.0, 0.0)
     pulls = float(np.sum(score.at[2:][family.expected] ** 2))
     scale = np.concatenate([_widths(score), np.where(prior > 0.0, 1.0, family.usual)])

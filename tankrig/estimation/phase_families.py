@@ -210,21 +210,21 @@ def as_free(phase: PhaseFunction, base: float | None = None) -> Array:
 
 
 def amplitudes_of(density: Array, base: float) -> Array:
-    """Amplitudes of the free phase function that is most like a density, up to a factor, at `PLACES`.
+    """(…, shapes) amplitudes of the free phase functions that are most like densities, up to a factor, at `PLACES`.
 
     Parameters
     ----------
     density
-        (n,) p.
+        (…, n) p.
     base
         atanh of the asymmetry that it starts from.
     """
     log = np.log(np.maximum(density / phase_function(PLACES, math.tanh(base)), 1e-300))
-    return np.asarray(nearest_shapes() @ log)
+    return np.asarray(log @ _nearest_shapes().T)
 
 
 @lru_cache(maxsize=1)
-def nearest_shapes() -> Array:
+def _nearest_shapes() -> Array:
     """(shapes, n) times ln p over the base's at `PLACES`, the amplitudes that are nearest."""
     columns = np.vstack([shapes_at(PLACES), np.ones(PLACES.size)]).T
     return np.asarray(np.linalg.solve(columns.T @ columns + RIDGE * np.eye(columns.shape[1]), columns.T)[:-1])

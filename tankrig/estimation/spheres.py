@@ -12,9 +12,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.phase_families import PLACES, Family, nearest_shapes
+from tankrig.estimation.phase_families import PLACES, Family, amplitudes_of
 from tankrig.scene.mie import Mie, scattered_by
-from tankrig.scene.phase_functions import phase_function
 
 Array = NDArray[np.float64]
 
@@ -28,7 +27,7 @@ RATIOS = (1.03, 1.06, 1.1, 1.15, 1.19, 1.24)
 SPREADS = (0.02, 0.06, 0.15, 0.35)
 """Standard deviations of the diameters over their mean."""
 WORSE = 16.0
-"""By how much further off, squared, than the best a place of the look may be, which is as fine as `STEP`."""
+"""By how much further off than the best of a look, squared, others of it may be, for it goes in steps."""
 APART = 0.05
 """Logarithm of a diameter within which other places of the look are the same mode."""
 
@@ -77,8 +76,8 @@ def likely(misfit_of: Callable[[Array], Array], base: float, count: int, enough:
     enough
         How far off, squared, they may be.
     """
-    places, logs = _looked_at()
-    off = misfit_of(logs - _amplitudes_of_base(base))
+    places, densities = _looked_at()
+    off = misfit_of(amplitudes_of(densities, base))
     found: list[Array] = []
     best = float(off.min())
     for k in np.argsort(off):
@@ -93,7 +92,7 @@ def likely(misfit_of: Callable[[Array], Array], base: float, count: int, enough:
 
 @lru_cache(maxsize=1)
 def _looked_at() -> tuple[Array, Array]:
-    """(n, 3) coordinates of spheres, and (n, shapes) the shapes' amplitudes nearest to their ln p."""
+    """(n, 3) coordinates of spheres, and (n, places) p of these at `PLACES`, up to a factor."""
     diameters = np.exp(np.arange(math.log(SMALLEST_UM), math.log(LARGEST_UM), STEP))
     logarithms = np.log(diameters)
     places, densities = [], []
@@ -104,9 +103,4 @@ def _looked_at() -> tuple[Array, Array]:
             numbers = np.exp(-0.5 * ((logarithms[:, None] + 0.5 * width**2 - logarithms) / max(width, STEP)) ** 2)
             densities.append(numbers.T @ whole)
             places.append([[one, math.log(ratio - 1.0), math.log(spread)] for one in logarithms])
-    logs = np.log(np.concatenate(densities))
-    return np.concatenate(places), logs @ nearest_shapes().T
-
-
-def _amplitudes_of_base(base: float) -> Array:
-    return np.asarray(nearest_shapes() @ np.log(phase_function(PLACES, math.tanh(base))))
+    return np.concatenate(places), np.concatenate(densities)

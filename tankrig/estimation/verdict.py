@@ -258,6 +258,11 @@ def what_did_not_hold(explained: float) -> str:
     )
 
 
+def what_spheres_do() -> str:
+    """A sentence before the verdict of a fit of spheres that takes the place of a free phase function's."""
+    return "Spheres of one kind describe the image as well as any smooth phase function does, or better."
+
+
 def what_no_phase_describes(undescribed: bool, rough: bool) -> str:
     """A sentence for a fit of a free phase function that leaves structure, or is rougher than free ones are expected to
     be; empty for others."""

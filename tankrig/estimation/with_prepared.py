@@ -33,7 +33,7 @@ Image = NDArray[np.floating]
 TOLERANCE = 0.01
 """Relative L2 error of the image that is asked of what is prepared."""
 ALIKE_DENSITY = 0.4
-"""Logarithm of σt's change up to which what is beside is taken to be as bright beside the rest in a search."""
+"""Change of σt's logarithm up to which a search takes over one medium's factors of each pixel's light for another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Lift:
 
     @classmethod
     def of(cls, whole: Followed) -> "Lift":
-        """Of a scene; nothing is beside where it has dark walls, no halo and no wide lens."""
+        """A scene's model with and without; the same twice where walls are dark and there is no halo or wide lens."""
         bare, _ = described_beside(whole.scene)
         bare = replace(bare, projector=replace(bare.projector, wide_lens=PINHOLE))
         return cls(whole if bare == whole.scene else replace(whole, scene=bare), whole)

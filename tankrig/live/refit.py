@@ -96,7 +96,7 @@ def refit(
     """Fit what a run lacks, or everything anew, and record each fit in its journal as soon as it is made.
 
     Where the series' fit shows that the ink has another phase function than Henyey–Greenstein's, and nobody has said
-    which to search, the series is fitted with a free one too, by light paths.
+    which to search, the series is fitted with a free one too.
 
     What ends it, be it an error, Ctrl-C or what `progress` raises, loses no fit that was made: the next call goes on.
 
