@@ -7,12 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from tankrig.estimation.phase_average import together
-from tankrig.estimation.phase_evidence import Score, by_free, families
+from tankrig.estimation.phase_evidence import Score, about_spheres, by_free, families
 from tankrig.estimation.phase_families import as_free, free
 from tankrig.estimation.phase_result import Scattering
 from tankrig.estimation.spheres import spheres
 from tankrig.scene import Medium
-from tankrig.scene.free_phase import Shaped
+from tankrig.scene.free_phase import Shaped, shapes_at
 from tankrig.scene.mie import Mie
 from tankrig.scene.phase_fields import phase_fields, phase_from_fields
 from tankrig.scene.phase_functions import HenyeyGreenstein, TwoTerm
@@ -60,6 +60,30 @@ def test_what_is_no_sphere_is_not_taken_for_one(phase: PhaseFunction) -> None:
     found = answered(phase, 2)
     assert found.families.get("spheres", 0.0) < 0.5
     assert found.liquid.g == pytest.approx(phase.mean_cosine, abs=3.0 * math.sqrt(found.covariance[2, 2]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_emulsion_that_is_hardly_off_spheres_is_not_taken_for_them(seed: int) -> None:
+    """An image tells σs p at the angles that it sees well, and σs by itself hardly: so σs rests on p's shape, of which
+    spheres of one kind have no other. What droplets are off them by is counted."""
+    bead, (told_sd, by_itself_sd) = Mie(0.2, 1.465, 1.333, 532.0, 0.3), (0.005, 0.1)
+    emulsion = Shaped(bead, tuple(np.random.default_rng(seed).normal(0.0, 0.03, 16).tolist()))
+    angles = np.cos(np.radians(np.arange(50.0, 136.0, 5.0)))
+    own, sigma_s = spheres().coordinates(bead), 0.01
+    shapes, none = shapes_at(angles), np.zeros(angles.size)
+    response = np.vstack([
+        np.column_stack([none, none + 1.0 / sigma_s, none, shapes.T]) / told_sd,
+        np.array([0.0, 1.0 / sigma_s, *[0.0] * 17]) / by_itself_sd,
+        np.array([1.0 / 0.0001, *[0.0] * 18]),
+    ])  # fmt: skip
+    off = np.append(np.log(emulsion.at(angles) / bead.at(angles)) / told_sd, [0.0, 0.0])
+    at = np.array([0.0005, sigma_s, *as_free(bead)])
+    along, square = np.linalg.qr(response)
+    score = Score(at, along.T @ off, square, np.zeros((at.size, 1)))
+    liquid = Medium(0.0005, sigma_s, phase=spheres().phase(own))
+    found = together(about_spheres(score, liquid, own))
+    sd = math.sqrt(found.covariance[1, 1])
+    assert abs(found.liquid.sigma_s - sigma_s) < 3.0 * sd < 0.3 * sigma_s
 
 
 def test_members_say_what_images_can_tell() -> None:

@@ -21,7 +21,7 @@ from tankrig.estimation.misfit import moved_unseen
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
 from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, is_rough, liquid_blocks
-from tankrig.estimation.phase_average import like_spheres
+from tankrig.estimation.phase_average import LikelySpheres, like_spheres
 from tankrig.estimation.phase_doubt import PhaseTold, told_early
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import WHOLE, structure_map
@@ -215,9 +215,9 @@ def fit_models(
         fit = with_astray(fit, [astray])
     fit = without_outliers(fit)
     progress("finding the errors")
-    found, phase, beads = _built(fit, scene, models, asked)
-    if beads is not None:
-        other = _as_spheres(observation, scene, scaling, models, progress, misalignment, astray, beads)
+    found, phase, likely = _built(fit, scene, models, asked)
+    if likely is not None:
+        other = _as_spheres(observation, scene, scaling, models, progress, misalignment, astray, likely)
         found = other if other.rmse < AS_WELL * found.rmse else found
     if asked.further is None or not (phase.misled or phase.explained < NEARLY_ALL):
         return found
@@ -245,11 +245,11 @@ def _further(
 
 def _as_spheres(
     observation: Observation, scene: Scene, scaling: Scaling, models: Models, progress: Told,
-    misalignment: Misalignment | None, astray: Astray | None, near: Medium,
+    misalignment: Misalignment | None, astray: Astray | None, likely: LikelySpheres,
 ) -> Estimate:  # fmt: skip
-    """The estimate by spheres, begun near a liquid."""
+    """The estimate by spheres, begun near likely ones."""
     progress("fitting spheres")
-    own, asked = models.of(spheres()), Asked(spheres(), near=near)
+    own, asked = models.of(spheres()), Asked(spheres(), near=likely.liquid, likely=likely)
     other = fit_models(observation, scene, scaling, own, progress, misalignment, asked, astray)
     return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
 
@@ -316,9 +316,9 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
     return replace(fit, optimum=best)
 
 
-def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, PhaseTold, Medium | None]:
+def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, PhaseTold, LikelySpheres | None]:
     """The estimate at an optimum: its errors, what the residual says, and the verdict; what it tells of other phase
-    functions; and a liquid of spheres that is likelier, if there is one, where families are weighed."""
+    functions; and spheres that are likelier, if there are any, where families are weighed."""
     best = fit.optimum
     gain, (offset,), (left,) = left_over(fit)
     found = findings_of(fit, left, scene, models, asked)
@@ -328,6 +328,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     undescribed, rough = _undescribed(best, left, asked)
     family = asked.family if asked.averaged and (undescribed or fit.moved is not None) else None
     beads = like_spheres(best, spread, family) if family else answer.beads
+    likely = LikelySpheres(beads, best, spread, asked.family) if beads and asked.family else None
     medium, spread = answer.liquid, phase.counted(answer.covariance)
     bent = phase.misled or phase.doubted or undescribed or fit.moved is not None
     known = {
@@ -352,7 +353,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         structure=structure_map(found.whitened, used),
         stretch=_stretch(best, spread) if asked.family is None else {}, scattering=replace(answer, covariance=spread),
     )  # fmt: skip
-    return built, phase, beads
+    return built, phase, likely
 
 
 def _undescribed(best: Evaluation, left: Left, asked: Asked) -> tuple[bool, bool]:

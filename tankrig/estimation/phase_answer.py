@@ -11,7 +11,7 @@ from tankrig.estimation.coordinates import Range
 from tankrig.estimation.fitting import fitted, guessed, promising
 from tankrig.estimation.ink_blocks import Doses, DosesBlock, InkBlock
 from tankrig.estimation.parameters import Block, MediumBlock
-from tankrig.estimation.phase_average import averaged
+from tankrig.estimation.phase_average import LikelySpheres, averaged
 from tankrig.estimation.phase_block import CoefficientsBlock, InkCoefficientsBlock, PhaseBlock, WaterBlock
 from tankrig.estimation.phase_families import (
     FAMILIES,
@@ -54,6 +54,9 @@ class Asked:
         What is asked next where these leave what another phase function explains; None: nothing.
     near
         About what the liquid is, of a phase function of the family; None to look for it.
+    likely
+        The spheres that are fitted, as a free phase function's fit has them, by which they are weighed; None where no
+        spheres are.
     """
 
     family: Family | None = None
@@ -61,6 +64,7 @@ class Asked:
     begin: PhaseFunction | None = None
     further: "Asked | None" = None
     near: Medium | None = None
+    likely: LikelySpheres | None = None
 
     @property
     def is_free(self) -> bool:
@@ -190,6 +194,8 @@ def answer_of(
             np.array(medium.coefficients[:2]), coordinates, scale @ covariance @ scale, henyey_greenstein()
         )
         return replace(found, liquid=medium, covariance=covariance)
+    if asked.likely is not None:
+        return asked.likely.weighed(best)
     if asked.averaged and explained:
         return averaged(best, spread, asked.family, exact)
     count = 2 + len(asked.family.names)

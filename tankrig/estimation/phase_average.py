@@ -7,19 +7,27 @@ made where they are, about which the families are fitted again, and once more (`
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.nearby import Nearby
-from tankrig.estimation.phase_evidence import LITTLE, NOT_HOPELESS, Score, Weighed, by_free, families, of_spheres
-from tankrig.estimation.phase_families import Family
+from tankrig.estimation.phase_evidence import (
+    LITTLE,
+    NOT_HOPELESS,
+    Score,
+    Weighed,
+    about_spheres,
+    by_free,
+    families,
+    of_spheres,
+)
+from tankrig.estimation.phase_families import PLACES, Family, amplitudes_of
 from tankrig.estimation.phase_result import PhaseCurve, Scattering
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.spheres import spheres
 from tankrig.estimation.versions import Exact
-from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 from tankrig.scene.phase_functions import Mixture
 
@@ -32,6 +40,44 @@ AGAIN = (0.25, 1.0)
 """Light paths of these images, of those in the exact image at the optimum: the first moves families by several standard
 deviations, and the last has the noise that the covariance counts. Next to an optimum that has an exact image by all
 paths both are by the same share of them, see `Nearby`."""
+
+
+@dataclass(frozen=True, eq=False)
+class LikelySpheres:
+    """Spheres that are likelier than all else by what a fit of a free phase function knows.
+
+    Parameters
+    ----------
+    liquid
+        Of these.
+    freely
+        That fit's optimum.
+    spread
+        Covariance of its values.
+    family
+        The free one.
+    """
+
+    liquid: Medium
+    freely: Evaluation
+    spread: Array
+    family: Family
+
+    def weighed(self, best: Evaluation) -> Scattering:
+        """What follows from the optimum of a fit of spheres that began there.
+
+        Its exact image says how far spheres are off what was seen, finer structure than a free phase function's
+        included. How far a liquid's own p may be off theirs is no part of that fit, and is counted here: an emulsion's
+        σs was 1.2 ± .4 % off as that of spheres alone, and is .7 ± 1.1 %.
+        """
+        coefficients, own = best.values[best.problem.blocks[0].name], best.values["phase"]
+        score, _ = _by_free(self.freely, self.spread, self.family)
+        phase, base = spheres().phase(own), float(score.at[2])
+        place = np.concatenate([coefficients, [base], amplitudes_of(phase.density(PLACES), base)])
+        left = _left_by(best.images[0], self.freely)
+        liquid = Medium(float(coefficients[0]), float(coefficients[1]), phase=phase)
+        found = about_spheres(score.about(place, left, np.zeros((0, left.size))), liquid, own)
+        return replace(together(found), beads=None)
 
 
 def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | None = None) -> Scattering:
@@ -55,7 +101,7 @@ def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | Non
         if exact is None or shares.sum() < SOME:
             break
         place, liquid = _place(found[1:], shares / shares.sum(), family)
-        left, noise = _left_by(exact(liquid, times), best), _noise_of(exact, liquid, best)
+        left, noise = _left_by(exact(liquid, times).image, best), _noise_of(exact, liquid, best)
         found = [freely, *families(score.about(place, left, noise), freely)]
     return together(found)
 
@@ -90,9 +136,9 @@ def _place(found: Sequence[Weighed], shares: Array, family: Family) -> tuple[Arr
     return place, Medium(float(place[0]), float(place[1]), phase=family.phase(place[2:]))
 
 
-def _left_by(exact: Prediction, best: Evaluation) -> Array:
+def _left_by(image: NDArray[np.floating], best: Evaluation) -> Array:
     """(n,) what an image leaves, whitened."""
-    return best.problem.by([lambda _: exact.image]).at(best.coordinates).left
+    return best.problem.by([lambda _: image]).at(best.coordinates).left
 
 
 def _noise_of(exact: Exact, liquid: Medium, best: Evaluation) -> Array:

@@ -44,6 +44,9 @@ Array = NDArray[np.float64]
 DISCREPANCIES = LITTLE, MIDDLE, MUCH = (0.03, 0.1, 0.3)
 """Root mean squares of amplitudes by which liquids are off a family's nearest member, equally likely. Of Reynolds and
 McCormick's or two terms, beads of .2 µm and milk-like droplets are .03 off, an emulsion .15, beads of .5 µm .6."""
+HARDLY = (0.003, 0.01, 0.03)
+"""The same of spheres that are fitted by themselves, since they describe an image as well as any smooth phase function
+does: beads of one kind are hardly off them, an emulsion's droplets a little."""
 DIFFERENCE = 1e-3
 """Step of each number, in standard deviations of what is expected, by which places are differenced."""
 STEPS, FEW_STEPS, ENOUGH = 40, 16, 1e-5
@@ -174,6 +177,11 @@ def of_spheres(score: Score, freely: Weighed, enough: float) -> list[Weighed]:
     modes = [one for one in modes if one.evidence > max(other.evidence for other in modes) - NOT_HOPELESS]
     more = [_family(score, spheres(), freely.liquid, one.own, off) for one in modes for off in (LITTLE, MUCH)]
     return modes + more
+
+
+def about_spheres(score: Score, liquid: Medium, own: Array) -> list[Weighed]:
+    """What spheres say next to an exact image of them, at coordinates of their own, by each of `HARDLY`."""
+    return [_family(score, spheres(), liquid, own, off) for off in HARDLY]
 
 
 def _off(score: Score, amplitudes: Array) -> Array:
