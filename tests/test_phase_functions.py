@@ -15,7 +15,7 @@ from tankrig.light.lightfield.spectrum import spectrum
 from tankrig.montecarlo import simulate
 from tankrig.montecarlo.draws import phase_table
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
-from tankrig.scene.mie import Mie
+from tankrig.scene.mie import Mie, scattered_by
 from tankrig.scene.phase_functions import (
     FournierForand,
     HenyeyGreenstein,
@@ -98,6 +98,36 @@ def test_mie_is_miepythons_and_small_spheres_are_rayleighs() -> None:
     assert BEAD.cross_section_um2 == pytest.approx(area, rel=1e-9)
     small = Mie(0.005, 1.58, 1.33, 633.0)
     assert small.at(cosine) == pytest.approx(3.0 / (16.0 * math.pi) * (1.0 + cosine**2), rel=1e-3)
+
+
+@pytest.mark.parametrize(("diameter_um", "index"), [(0.003, 1.4), (0.06, 1.46), (0.7, 1.37), (2.6, 1.59), (31.0, 1.6)])
+def test_spheres_of_any_size_are_miepythons(diameter_um: float, index: float) -> None:
+    import miepython
+
+    bead = Mie(diameter_um, index, 1.33, 532.0)
+    ratio, size = index / 1.33, math.pi * diameter_um * 1.33 / 0.532
+    cosine = np.cos(np.radians(np.linspace(0.0, 180.0, 91)))
+    across, along = miepython.S1_S2(ratio, size, cosine, norm="wiscombe")
+    expected = np.abs(across) ** 2 + np.abs(along) ** 2
+    found = bead.density(cosine)
+    np.testing.assert_allclose(found / found[0], expected / expected[0], rtol=1e-6, atol=1e-9)
+    area = miepython.efficiencies_mx(ratio, size)[1] * math.pi * diameter_um**2 / 4.0
+    assert bead.cross_section_um2 == pytest.approx(area, rel=1e-6)
+
+
+@pytest.mark.parametrize(("diameter_um", "spread", "within"), [(0.17, 0.36, 1e-4), (0.4, 0.5, 1e-3), (3.0, 0.4, 0.02)])
+def test_a_mixture_of_sizes_is_a_log_normal_to_its_end(diameter_um: float, spread: float, within: float) -> None:
+    """Small spheres scatter as the sixth power of their diameter, so that few large ones count; of large ones
+    resonances are to be averaged over."""
+    mixture, width = Mie(diameter_um, 1.465, 1.333, 532.0, spread), math.sqrt(math.log1p(spread**2))
+    at = np.linspace(-5.0, 5.0 + 6.0 * width, 1200)
+    numbers = np.exp(-0.5 * at**2) / np.exp(-0.5 * at**2).sum()
+    cosine = np.cos(np.radians(np.linspace(0.0, 180.0, 46)))
+    own, whole, _ = scattered_by(
+        diameter_um * np.exp(width * at - 0.5 * width**2), 1.465 / 1.333, 2e3 * math.pi * 1.333 / 532.0, cosine
+    )
+    assert mixture.cross_section_um2 == pytest.approx(float(numbers @ own), rel=1e-4)
+    np.testing.assert_allclose(mixture.density(cosine), numbers @ whole / (numbers @ own), rtol=within)
 
 
 def test_what_mie_says_of_latex_where_the_camera_looks() -> None:

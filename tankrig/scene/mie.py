@@ -1,4 +1,8 @@
-"""Mie scattering by spheres in water, by `miepython`'s coefficients."""
+"""Mie scattering by spheres in water.
+
+The coefficients of Mie's series are those that `miepython` gives one by one, for all diameters at once: a mixture of
+sizes wants up to two hundred, and a search of spheres looks at thousands of mixtures.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -16,11 +20,16 @@ Array = NDArray[np.float64]
 
 FEW = 256
 """Cosines below which the series is summed at them, and no table is made."""
+REACH, STEPS, RESOLVED = 4.0, (0.05, 0.5), 0.3
+"""Standard deviations that a log-normal of diameters goes to; smallest and largest step there, in these; and the step
+of πd/λ that resolves resonances. Of spheres of 3 µm with a spread of .4, steps of .15 left p 5 % off."""
+BEYOND = 16.0, 6.0
+"""How many terms beyond those that count downward recurrences begin, and how many more per cube root of πd/λ."""
 
 
 @dataclass(frozen=True)
 class Mie(PhaseFunction):
-    """Spheres in water in unpolarised light, by `miepython`.
+    """Spheres in water in unpolarised light.
 
     Parameters
     ----------
@@ -63,7 +72,7 @@ class Mie(PhaseFunction):
     def density(self, cosine: Array) -> Array:
         """See `PhaseFunction.density`."""
         if np.size(cosine) < FEW:
-            return _summed(self, np.ravel(cosine))[1].reshape(np.shape(cosine))
+            return _at_few(self, np.ravel(cosine).tobytes()).reshape(np.shape(cosine))
         return np.asarray(np.interp(np.sqrt(0.5 - 0.5 * cosine), sines(), _spheres(self)[1]))
 
     def polarisation(self, cosine: Array) -> Array:
@@ -85,6 +94,12 @@ class Mie(PhaseFunction):
 def _spheres(mie: Mie) -> tuple[float, Array, Array]:
     """Mean scattering cross-section, µm², p at the nodes, and the part of it that is across the plane of scattering."""
     return _summed(mie, 1.0 - 2.0 * sines() ** 2)
+
+
+@lru_cache(maxsize=64)
+def _at_few(mie: Mie, cosines: bytes) -> Array:
+    """p at few cosines, of which the same are asked for again and again."""
+    return _summed(mie, np.frombuffer(cosines))[1]
 
 
 def _summed(mie: Mie, cosine: Array) -> tuple[float, Array, Array]:
@@ -123,21 +138,41 @@ def scattered_by(diameters_um: Array, ratio: float, per_um: float, cosine: Array
     across
         (n, m) the part of it across the plane of scattering.
     """
-    import miepython
+    both = _coefficients(ratio, 0.5 * per_um * np.asarray(diameters_um, float))
+    n = np.arange(1, both.shape[-1] + 1)
+    odd, even = _angular(n.size, cosine)
+    cross_section = 2.0 * math.pi / per_um**2 * np.sum((2.0 * n + 1.0) * both**2, axis=(0, 2, 3))
+    a, b = both * (2.0 * n + 1.0) / (n * (n + 1.0))
+    across, along = (np.sum((a @ one + b @ other) ** 2, axis=1) for one, other in ((odd, even), (even, odd)))
+    return cross_section, (across + along) / (2.0 * per_um**2), across / (2.0 * per_um**2)
 
-    series = [miepython.coefficients(ratio, 0.5 * float(one) * per_um) for one in diameters_um]
-    odd, even = _angular(max(len(a) for a, _ in series), cosine)
-    total, whole, across = np.zeros(len(series)), *np.zeros((2, len(series), cosine.size))
-    for k, (a, b) in enumerate(series):
-        n = np.arange(1, len(a) + 1)
-        by = (2.0 * n + 1.0) / (n * (n + 1.0))
-        # Real and imaginary parts as rows: times complex numbers, the tables of π and τ would be copied as such.
-        a_by, b_by = (np.stack([one.real, one.imag]) * by for one in (a, b))
-        squares = np.sum((a_by @ odd[: len(a)] + b_by @ even[: len(a)]) ** 2, axis=0)
-        along = np.sum((a_by @ even[: len(a)] + b_by @ odd[: len(a)]) ** 2, axis=0)
-        across[k], whole[k] = squares / (2.0 * per_um**2), (squares + along) / (2.0 * per_um**2)
-        total[k] = 2.0 * math.pi / per_um**2 * float((2.0 * n + 1.0) @ (np.abs(a) ** 2 + np.abs(b) ** 2))
-    return total, whole, across
+
+def _coefficients(ratio: float, sizes: Array) -> Array:
+    """(2, n, 2, terms) a and b of Mie's series for n spheres, their real and imaginary parts.
+
+    Bohren and Huffman 1983, Eq. 4.88, with as many terms as Wiscombe 1980 says; parts are apart, since times complex
+    numbers the tables of π and τ would be copied as such.
+    """
+    last = (sizes + 4.05 * np.cbrt(sizes) + 2.0).astype(int)
+    terms, inside = int(last.max()), ratio * sizes
+    largest = max(terms, float(inside.max()))
+    rows = math.ceil(largest + BEYOND[0] + BEYOND[1] * largest ** (1.0 / 3.0))
+    derivative, ratios = np.zeros((2, rows, sizes.size))  # of ψ inside by the logarithm, and of ψ by that before it
+    for n in range(rows - 1, 0, -1):
+        derivative[n - 1] = n / inside - 1.0 / (derivative[n] + n / inside)
+        ratios[n - 1] = 1.0 / ((2 * n - 1) / sizes - ratios[n])
+    found = np.zeros((2, sizes.size, 2, terms))
+    psi, psi_before, chi, chi_before = np.sin(sizes), np.cos(sizes), np.cos(sizes), -np.sin(sizes)
+    with np.errstate(over="ignore", invalid="ignore"):  # of small spheres beyond their last term
+        for n in range(1, terms + 1):
+            psi, psi_before = psi * ratios[n], psi
+            chi, chi_before = (2 * n - 1) / sizes * chi - chi_before, chi
+            for of, factor in zip(found, (1.0 / ratio, ratio), strict=True):
+                by = derivative[n] * factor + n / sizes
+                regular, singular = by * psi - psi_before, by * chi - chi_before
+                parts = np.stack([regular**2, regular * singular]) / (regular**2 + singular**2)
+                of[:, :, n - 1] = np.where(n <= last, parts, 0.0).T
+    return found
 
 
 def _angular(terms: int, cosine: Array) -> tuple[Array, Array]:
@@ -155,8 +190,12 @@ def _diameters(mie: Mie) -> list[tuple[float, float]]:
     if mie.spread == 0.0:
         return [(mie.diameter_um, 1.0)]
     width = math.sqrt(math.log1p(mie.spread**2))
-    count = 9 + 2 * math.ceil(60.0 * width)
-    at = np.linspace(-4.0, 4.0, count)
+    # Small spheres scatter as the sixth power of their diameter, large ones as the second: by light, a log-normal is
+    # moved up by so many times its variance.
+    last = REACH + 6.0 * width
+    size = math.pi * mie.water_index * mie.diameter_um / (1e-3 * mie.wavelength_nm) * math.exp(4.0 * width**2)
+    step = float(np.clip(RESOLVED / (width * size), *STEPS))
+    at = np.linspace(-REACH, last, 2 + int((last + REACH) / step))
     shares = np.exp(-0.5 * at**2)
     return list(zip(mie.diameter_um * np.exp(width * at - 0.5 * width**2), shares / shares.sum(), strict=True))
 
