@@ -7,9 +7,10 @@ straight way between two points inside stays inside). With a Fresnel surface the
 between its two scatterings: the same integral with the line of sight mirrored and R(ξ) as a factor.
 """
 
-from tankrig.light.double.image import double_scattering, double_scattering_of, table_error
+from tankrig.light.double.image import ROUGH_ERRORS, double_scattering, double_scattering_of, may_be_rough, table_error
 from tankrig.light.double.wall import Tabulated, numbers_of_wall, tables_of_wall
 
 __all__ = [
-    "Tabulated", "double_scattering", "double_scattering_of", "numbers_of_wall", "table_error", "tables_of_wall"
+    "ROUGH_ERRORS", "Tabulated", "double_scattering", "double_scattering_of", "may_be_rough", "numbers_of_wall",
+    "table_error", "tables_of_wall",
 ]  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
-from tankrig.light.double.lit import COARSE_FROM, filled, finest_of, lit_heights
+from tankrig.light.double.lit import COARSE_FROM, ROUGH_FROM, ROUGHEST_FROM, filled, finest_of, lit_heights
 from tankrig.light.double.ray_and_sight import BEYOND, depth_below, depth_seen, meet_beyond, nearest_row, share_within
 from tankrig.light.double.table import (
     FINE,
@@ -47,6 +47,8 @@ STEEP_WIDEST_MM = (1.25, 0.25)
 """The same of steep light, where tables are fine."""
 MIRRORED_WIDEST_MM, FINE_MIRRORED_WIDEST_MM = (10.0, 4.0), (5.0, 1.5)
 """The same of light by way of the surface, which comes from afar: where tables are coarse, and where they are fine."""
+ROUGH_WIDEST_MM, ROUGH_MIRRORED_WIDEST_MM = (8.0, 1.5), (20.0, 8.0)
+"""Both where tables are rough."""
 PIECES = 4
 """Of a row of pixels whose lines of sight a side wall cuts at different depths: J and the share of light seen change
 together there, so that their product is averaged piece by piece. Beside steep light's edge a row was 10 % off."""
@@ -58,6 +60,10 @@ GRAZING, GRAZING_ERROR = 0.05, 0.04
 """Sine of the angle between light and the wall below which tables are that wrong."""
 PEAKED_ERROR = 0.003
 """What they err by where lines slant and forward peaks are sharp."""
+ROUGH_ERRORS = {ROUGHEST_FROM: 0.014, ROUGH_FROM: 0.008}
+"""What rough tables err by, relative L2 of order 2, by their tolerance."""
+MUCH_PER_MM = 0.02
+"""σs from which there is so much of order 2 that rough tables don't do, and are not tried."""
 FAR = 3.0
 """A beam is far from a pixel at this many times the width of both."""
 
@@ -83,6 +89,16 @@ def table_error(scene: Scene, tolerance: float) -> float:
     if scene.medium.g >= STEEP_G:
         return 0.001 if fine else 0.0015
     return 0.0005 if fine else 0.001
+
+
+def may_be_rough(scene: Scene, tolerance: float) -> bool:
+    """Whether rough tables are worth a look: where lines slant, for a plain camera, and nothing wants finer ones."""
+    return (
+        tolerance >= COARSE_FROM
+        and scene.medium.sigma_s < MUCH_PER_MM
+        and scene.camera.kind != "calibrated"
+        and not (shift_invariant(scene) or _grazes(scene) or peaked(scene.medium) or _seen_apart(scene))
+    )
 
 
 def _seen_apart(scene: Scene) -> bool:
@@ -113,7 +129,7 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
     scene
         Any scene.
     tolerance
-        Error of the whole image that is asked for, of which this order takes a tenth.
+        Error of the whole image that is asked for, of which this order takes a tenth; or a key of `ROUGH_ERRORS`.
 
     Returns
     -------
@@ -187,6 +203,8 @@ def double_scattering_of(
 
 def _widest_mm(mirrored: bool, steepest: float, tolerance: float) -> Interval:
     """Widest parts of beams, inside and where light leaves, for liquids up to a g."""
+    if tolerance >= ROUGH_FROM:
+        return ROUGH_MIRRORED_WIDEST_MM if mirrored else ROUGH_WIDEST_MM
     fine = tolerance < COARSE_FROM
     if mirrored:
         return FINE_MIRRORED_WIDEST_MM if fine else MIRRORED_WIDEST_MM

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.double.table import COARSE, FINE, Fineness, LitHeight, Stack, Table, fill_stack
+from tankrig.light.double.table import COARSE, FINE, ROUGH, ROUGHEST, Fineness, LitHeight, Stack, Table, fill_stack
 from tankrig.light.rays import light_sources
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -15,8 +15,9 @@ Array = NDArray[np.float64]
 
 MOST_HEIGHTS = 4
 """Heights at most whose beams have a table each; more share one, as those of a projector's picture do."""
-COARSE_FROM = 0.005
-"""Tolerance from which coarse tables are enough."""
+COARSE_FROM, ROUGH_FROM, ROUGHEST_FROM = 0.005, 1.0, 2.0
+"""Tolerances from which tables are coarse, and rough, and as rough as can be: no image is asked for with the latter
+two, but order 2 where there is little of it."""
 
 
 def lit_heights(scene: Scene) -> Iterator[LitHeight]:
@@ -44,7 +45,10 @@ def filled(
 
 def fineness_of(tolerance: float) -> Fineness:
     """How close a table's nodes have to be."""
-    return COARSE if tolerance >= COARSE_FROM else FINE
+    for least, rough in ((ROUGHEST_FROM, ROUGHEST), (ROUGH_FROM, ROUGH), (COARSE_FROM, COARSE)):
+        if tolerance >= least:
+            return rough
+    return FINE
 
 
 def finest_of(scene: Scene) -> float:
