@@ -1,4 +1,4 @@
-"""Mie scattering by spheres in water, by `miepython`'s coefficients."""
+"""Mie scattering by spheres in water."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tankrig.ranges import Within
 from tankrig.scene.checks import CLOSED, in_ranges, require
+from tankrig.scene.mie_series import scattered_by
 from tankrig.scene.phase_table import PhaseFunction, sines
 
 Array = NDArray[np.float64]
@@ -20,7 +21,7 @@ FEW = 256
 
 @dataclass(frozen=True)
 class Mie(PhaseFunction):
-    """Spheres in water in unpolarised light, by `miepython`.
+    """Spheres in water in unpolarised light, by Mie's series.
 
     Parameters
     ----------
@@ -98,56 +99,6 @@ def _summed(mie: Mie, cosine: Array) -> tuple[float, Array, Array]:
         density, across = density + light * (numbers @ whole), across + light * (numbers @ part)
     require(bool(np.isfinite(density).all() and 0.0 < total < math.inf), f"Mie's series fails for {mie}")
     return total, density / total, across / total
-
-
-def scattered_by(diameters_um: Array, ratio: float, per_um: float, cosine: Array) -> tuple[Array, Array, Array]:
-    """How single spheres scatter unpolarised light.
-
-    Parameters
-    ----------
-    diameters_um
-        (n,) of the spheres.
-    ratio
-        Their refractive index over water's.
-    per_um
-        Wavenumber in water, 1/µm.
-    cosine
-        (m,) of scattering angles.
-
-    Returns
-    -------
-    cross_section
-        (n,) for scattering, µm².
-    whole
-        (n, m) σ p, µm²/sr.
-    across
-        (n, m) the part of it across the plane of scattering.
-    """
-    import miepython
-
-    series = [miepython.coefficients(ratio, 0.5 * float(one) * per_um) for one in diameters_um]
-    odd, even = _angular(max(len(a) for a, _ in series), cosine)
-    total, whole, across = np.zeros(len(series)), *np.zeros((2, len(series), cosine.size))
-    for k, (a, b) in enumerate(series):
-        n = np.arange(1, len(a) + 1)
-        by = (2.0 * n + 1.0) / (n * (n + 1.0))
-        # Real and imaginary parts as rows: times complex numbers, the tables of π and τ would be copied as such.
-        a_by, b_by = (np.stack([one.real, one.imag]) * by for one in (a, b))
-        squares = np.sum((a_by @ odd[: len(a)] + b_by @ even[: len(a)]) ** 2, axis=0)
-        along = np.sum((a_by @ even[: len(a)] + b_by @ odd[: len(a)]) ** 2, axis=0)
-        across[k], whole[k] = squares / (2.0 * per_um**2), (squares + along) / (2.0 * per_um**2)
-        total[k] = 2.0 * math.pi / per_um**2 * float((2.0 * n + 1.0) @ (np.abs(a) ** 2 + np.abs(b) ** 2))
-    return total, whole, across
-
-
-def _angular(terms: int, cosine: Array) -> tuple[Array, Array]:
-    """(terms, m) angular functions π_n and τ_n at cosines (Bohren and Huffman 1983, Eq. 4.47)."""
-    odd, even = np.zeros((terms + 1, cosine.size)), np.zeros((terms + 1, cosine.size))
-    odd[1], even[1] = 1.0, cosine
-    for n in range(2, terms + 1):
-        odd[n] = ((2 * n - 1) * cosine * odd[n - 1] - n * odd[n - 2]) / (n - 1)
-        even[n] = n * cosine * odd[n] - (n + 1) * odd[n - 1]
-    return odd[1:], even[1:]
 
 
 def _diameters(mie: Mie) -> list[tuple[float, float]]:
