@@ -5,6 +5,7 @@ All processes of a session use the same one, so that what one of them has prepar
 
 import gc
 import os
+import sys
 
 import pytest
 
@@ -13,9 +14,14 @@ def pytest_configure(config: pytest.Config) -> None:
     """Give each process one BLAS thread, where tests run in several; they inherit this, and NumPy reads it.
 
     Threads that wait for their turn at a processor spin meanwhile: 28 instead of 1.6 CPU s for one test.
+
+    Bytecode is kept whatever the environment says, beside the kernels that are kept anyway: tests start hundreds of
+    processes, and each would compile all sources anew.
     """
     if config.getoption("numprocesses", None):
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+        sys.dont_write_bytecode = False
 
 
 def pytest_collection_finish() -> None:

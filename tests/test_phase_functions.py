@@ -15,7 +15,8 @@ from tankrig.light.lightfield.spectrum import spectrum
 from tankrig.montecarlo import simulate
 from tankrig.montecarlo.draws import phase_table
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
-from tankrig.scene.mie import Mie, scattered_by
+from tankrig.scene.mie import Mie
+from tankrig.scene.mie_series import coefficients, scattered_by
 from tankrig.scene.phase_functions import (
     FournierForand,
     HenyeyGreenstein,
@@ -128,6 +129,22 @@ def test_a_mixture_of_sizes_is_a_log_normal_to_its_end(diameter_um: float, sprea
     )
     assert mixture.cross_section_um2 == pytest.approx(float(numbers @ own), rel=1e-4)
     np.testing.assert_allclose(mixture.density(cosine), numbers @ whole / (numbers @ own), rtol=within)
+
+
+@pytest.mark.parametrize("ratio", [0.8, 1.01, 1.19, 2.0])
+def test_many_spheres_have_the_coefficients_of_each(ratio: float) -> None:
+    """Small and large ones at once, and sizes at which sin x, where ψ begins, is next to 0."""
+    import miepython
+
+    sizes = np.concatenate([np.geomspace(0.01, 60.0, 30), math.pi * np.arange(1.0, 5.0)])
+    a, b, terms = coefficients(ratio, sizes)
+    for k, size in enumerate(sizes):
+        of_one = miepython.coefficients(ratio, float(size))
+        assert terms[k] == len(of_one[0])
+        largest = float(np.abs(of_one).max())
+        for found, expected in zip((a[k], b[k]), of_one, strict=True):
+            assert found[: terms[k]] == pytest.approx(expected, rel=0.0, abs=1e-9 * largest)
+            assert (found[terms[k] :] == 0.0).all()
 
 
 def test_what_mie_says_of_latex_where_the_camera_looks() -> None:

@@ -33,7 +33,7 @@ def a_dim_scene(shape=(27, 40)):
 def smooth_by_tables():
     """Order 2 of light without edges, by tables of coarse cells."""
     _, smooth = edged_and_smooth(CameraLens.of(a_dim_scene()).wide, fine=False)
-    return double_scattering_of(smooth, [MEDIUM], 0.01)[0]
+    return double_scattering_of(smooth, [MEDIUM], 0.01, little=True)[0]
 
 
 def test_smooth_light_is_looked_up_on_coarse_cells_and_shows_the_same():

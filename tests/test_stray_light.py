@@ -75,7 +75,10 @@ def pinhole(shape, moved_mm):
     return Camera("pinhole", shape, 8.0, (120.0, 30.0 + moved_mm, 500.0))
 
 
-@pytest.mark.parametrize("camera", [orthographic, pinhole])
+@pytest.mark.parametrize(
+    "camera",
+    [orthographic, pytest.param(pinhole, marks=pytest.mark.long)],  # pinholes of both kinds see such a wall below
+)
 @pytest.mark.parametrize("model", ["tank", "montecarlo"])
 def test_a_perfect_mirror_shows_the_other_half_of_a_tank(camera, model):
     """All that paths, mirrored beams and mirrored sight do must be right for this."""
@@ -261,7 +264,7 @@ def test_what_is_out_of_a_walls_reach_is_not_seen_mirrored_in_it(above_tank, ins
 
 def test_liquids_at_once_are_seen_by_way_of_walls_as_one_by_one():
     pane = Face("glass", thickness_mm=6.0)
-    camera = Camera("pinhole", (10, 15), 16.0, (120.0, 0.0, 620.0))
+    camera = Camera("pinhole", (5, 8), 32.0, (120.0, 0.0, 620.0))
     light = Projector("pinhole", (Beam((-70.0, -50.0), (40.0, 44.0)),), (-400.0, 0.0, 60.0), blur=Blur(1.0))
     scene = a_scene(camera, light, surface="fresnel", faces=Faces(pane, pane, pane, pane, Face("clear", 0.3)))
     media = [Medium(0.001, 0.01, 0.6), Medium(0.0, 0.02, 0.2), Medium(0.0, 0.0, 0.0)]

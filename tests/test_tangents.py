@@ -75,7 +75,7 @@ def test_derivatives_are_those_of_the_light(name: str) -> None:
     for slope, (coefficient, step) in zip(slopes, steps.items(), strict=True):
         at = getattr(medium, coefficient)
         above, below = (
-            tank_image(changed(scene, **{coefficient: at + sign * step}), tolerance=0.001, seed=5, batches=8).image
+            tank_image(changed(scene, **{coefficient: at + sign * step}), tolerance=0.005, seed=5, batches=8).image
             for sign in (1.0, -1.0)
         )
         difference = (above - below) / (2.0 * step)
@@ -96,7 +96,7 @@ def test_derivatives_towards_another_phase_function_are_those_of_the_light(name:
     found = tank_tangent(lit(1.0, phase), 8, seed=5, turning=turning)
     mixed = Mixture((phase, other), (0.5, 0.5))  # half of the way
     low, middle, high, more = (
-        tank_image(one, tolerance=0.001, seed=5, batches=8).image
+        tank_image(one, tolerance=0.005, seed=5, batches=8).image
         for one in (lit(1.0, phase), lit(1.0, mixed), lit(1.0, other), lit(1.01, phase))
     )
     assert np.linalg.norm(found.prediction.image - low) < 1e-3 * np.linalg.norm(low)

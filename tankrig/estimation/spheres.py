@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.phase_families import PLACES, Family, amplitudes_of
-from tankrig.scene.mie import Mie, scattered_by
+from tankrig.scene.mie import Mie
+from tankrig.scene.mie_series import scattered_by
 
 Array = NDArray[np.float64]
 

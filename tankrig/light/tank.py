@@ -137,7 +137,7 @@ def _twice_smooth_of(
 ) -> Array:
     """Order 2 of smooth light, which a calibrated camera looks up on coarse cells of the surface."""
     plain = on_surface(scene, scene.tank.size_mm[1] / SMOOTH_CELLS)
-    images = double_scattering_of(plain, media, tolerance, others=others)
+    images = double_scattering_of(plain, media, tolerance, others=others, little=True)
     if scene.camera.kind != "calibrated":
         return images
     return many_to_camera(scene, images, (plain.camera.pixel_mm, plain.camera.pixel_mm))

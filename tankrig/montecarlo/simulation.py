@@ -115,11 +115,19 @@ def simulate(
     >>> list(tally.orders), tally.noise < 0.05
     ([1, 2, 3, '4-20', '>20'], True)
     """
+    if min_order not in (1, 2):
+        raise ValueError(f"min_order = {min_order} is neither 1 nor 2; orders from 2 on are counted together")
+    first = first_order(scene) if min_order == 1 else None
+    return _simulated(scene, photons, seed, max_order, threads, coarsen, first)
+
+
+def _simulated(
+    scene: Scene, photons: int, seed: int, max_order: int | None, threads: int, coarsen: int, first: Image | None
+) -> Tally:
+    """The same with order 1 as it is given, which depends on no photon; None where it is left out."""
     highest = 2**62 if max_order is None else max_order
     if min(photons, highest, threads, coarsen) < 1:
         raise ValueError("photons, max_order, threads and coarsen are counts; give 1 or more of each")
-    if min_order not in (1, 2):
-        raise ValueError(f"min_order = {min_order} is neither 1 nor 2; orders from 2 on are counted together")
     per_batch = math.ceil(photons / BATCHES)
     coarse = _coarser(scene, coarsen)
     images = CLASSES if scene.tank.faces.dark else IMAGES
@@ -131,17 +139,17 @@ def simulate(
             for counts, fates in _in_order(pool, lambda batch: _batch(lit, per_batch, (seed, batch), highest), threads):
                 if symmetric:
                     counts = 0.5 * (counts + counts[:, ::-1])
-                if images == IMAGES and min_order == 2:
+                if images == IMAGES and first is None:
                     counts[0] = 0.0
                 sums += counts
                 squares += counts.sum(axis=0) ** 2
                 energy += fates
     means = sums / BATCHES
     variance = np.maximum(squares / BATCHES - means.sum(axis=0) ** 2, 0.0) / (BATCHES - 1)
-    orders: dict[int | str, Image] = {1: first_order(scene)} if min_order == 1 else {}
+    orders: dict[int | str, Image] = {} if first is None else {1: first}
     if images == IMAGES:  # the first two are counted with order 1
-        if min_order == 1:
-            orders[1] = orders[1] + _enlarged(means[0] + means[1], coarsen, scene)
+        if first is not None:
+            orders[1] = first + _enlarged(means[0] + means[1], coarsen, scene)
         else:
             means[2] += means[1]
         means = means[2:]
@@ -175,9 +183,9 @@ def simulate_to(
     """
     if not tolerance > 0.0:
         raise ValueError(f"tolerance = {tolerance} is not positive; noise never vanishes")
-    photons = PILOT_PHOTONS
+    photons, first = PILOT_PHOTONS, first_order(scene)
     while True:
-        tally = simulate(scene, min(photons, most_photons), seed, max_order, threads, coarsen)
+        tally = _simulated(scene, min(photons, most_photons), seed, max_order, threads, coarsen, first)
         if tally.noise <= tolerance or photons >= most_photons:
             return tally
         photons = math.ceil(photons * max(1.1 * (tally.noise / tolerance) ** 2, 1.5))

@@ -1,8 +1,4 @@
-"""Mie scattering by spheres in water.
-
-The coefficients of Mie's series are those that `miepython` gives one by one, for all diameters at once: a mixture of
-sizes wants up to two hundred, and a search of spheres looks at thousands of mixtures.
-"""
+"""Mie scattering by spheres in water."""
 
 import math
 from dataclasses import dataclass, field
@@ -14,6 +10,7 @@ from numpy.typing import NDArray
 
 from tankrig.ranges import Within
 from tankrig.scene.checks import CLOSED, in_ranges, require
+from tankrig.scene.mie_series import scattered_by
 from tankrig.scene.phase_table import PhaseFunction, sines
 
 Array = NDArray[np.float64]
@@ -23,13 +20,11 @@ FEW = 256
 REACH, STEPS, RESOLVED = 4.0, (0.05, 0.5), 0.3
 """Standard deviations that a log-normal of diameters goes to; smallest and largest step there, in these; and the step
 of πd/λ that resolves resonances. Of spheres of 3 µm with a spread of .4, steps of .15 left p 5 % off."""
-BEYOND = 16.0, 6.0
-"""How many terms beyond those that count downward recurrences begin, and how many more per cube root of πd/λ."""
 
 
 @dataclass(frozen=True)
 class Mie(PhaseFunction):
-    """Spheres in water in unpolarised light.
+    """Spheres in water in unpolarised light, by Mie's series.
 
     Parameters
     ----------
@@ -113,76 +108,6 @@ def _summed(mie: Mie, cosine: Array) -> tuple[float, Array, Array]:
         density, across = density + light * (numbers @ whole), across + light * (numbers @ part)
     require(bool(np.isfinite(density).all() and 0.0 < total < math.inf), f"Mie's series fails for {mie}")
     return total, density / total, across / total
-
-
-def scattered_by(diameters_um: Array, ratio: float, per_um: float, cosine: Array) -> tuple[Array, Array, Array]:
-    """How single spheres scatter unpolarised light.
-
-    Parameters
-    ----------
-    diameters_um
-        (n,) of the spheres.
-    ratio
-        Their refractive index over water's.
-    per_um
-        Wavenumber in water, 1/µm.
-    cosine
-        (m,) of scattering angles.
-
-    Returns
-    -------
-    cross_section
-        (n,) for scattering, µm².
-    whole
-        (n, m) σ p, µm²/sr.
-    across
-        (n, m) the part of it across the plane of scattering.
-    """
-    both = _coefficients(ratio, 0.5 * per_um * np.asarray(diameters_um, float))
-    n = np.arange(1, both.shape[-1] + 1)
-    odd, even = _angular(n.size, cosine)
-    cross_section = 2.0 * math.pi / per_um**2 * np.sum((2.0 * n + 1.0) * both**2, axis=(0, 2, 3))
-    a, b = both * (2.0 * n + 1.0) / (n * (n + 1.0))
-    across, along = (np.sum((a @ one + b @ other) ** 2, axis=1) for one, other in ((odd, even), (even, odd)))
-    return cross_section, (across + along) / (2.0 * per_um**2), across / (2.0 * per_um**2)
-
-
-def _coefficients(ratio: float, sizes: Array) -> Array:
-    """(2, n, 2, terms) a and b of Mie's series for n spheres, their real and imaginary parts.
-
-    Bohren and Huffman 1983, Eq. 4.88, with as many terms as Wiscombe 1980 says; parts are apart, since times complex
-    numbers the tables of π and τ would be copied as such.
-    """
-    last = (sizes + 4.05 * np.cbrt(sizes) + 2.0).astype(int)
-    terms, inside = int(last.max()), ratio * sizes
-    largest = max(terms, float(inside.max()))
-    rows = math.ceil(largest + BEYOND[0] + BEYOND[1] * largest ** (1.0 / 3.0))
-    derivative, ratios = np.zeros((2, rows, sizes.size))  # of ψ inside by the logarithm, and of ψ by that before it
-    for n in range(rows - 1, 0, -1):
-        derivative[n - 1] = n / inside - 1.0 / (derivative[n] + n / inside)
-        ratios[n - 1] = 1.0 / ((2 * n - 1) / sizes - ratios[n])
-    found = np.zeros((2, sizes.size, 2, terms))
-    psi, psi_before, chi, chi_before = np.sin(sizes), np.cos(sizes), np.cos(sizes), -np.sin(sizes)
-    with np.errstate(over="ignore", invalid="ignore"):  # of small spheres beyond their last term
-        for n in range(1, terms + 1):
-            psi, psi_before = psi * ratios[n], psi
-            chi, chi_before = (2 * n - 1) / sizes * chi - chi_before, chi
-            for of, factor in zip(found, (1.0 / ratio, ratio), strict=True):
-                by = derivative[n] * factor + n / sizes
-                regular, singular = by * psi - psi_before, by * chi - chi_before
-                parts = np.stack([regular**2, regular * singular]) / (regular**2 + singular**2)
-                of[:, :, n - 1] = np.where(n <= last, parts, 0.0).T
-    return found
-
-
-def _angular(terms: int, cosine: Array) -> tuple[Array, Array]:
-    """(terms, m) angular functions π_n and τ_n at cosines (Bohren and Huffman 1983, Eq. 4.47)."""
-    odd, even = np.zeros((terms + 1, cosine.size)), np.zeros((terms + 1, cosine.size))
-    odd[1], even[1] = 1.0, cosine
-    for n in range(2, terms + 1):
-        odd[n] = ((2 * n - 1) * cosine * odd[n - 1] - n * odd[n - 2]) / (n - 1)
-        even[n] = n * cosine * odd[n] - (n + 1) * odd[n - 1]
-    return odd[1:], even[1:]
 
 
 def _diameters(mie: Mie) -> list[tuple[float, float]]:

@@ -149,7 +149,7 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
 
 def double_scattering_of(
     scene: Scene, media: Sequence[Medium], tolerance: float = 0.001, known: Sequence[Tabulated] = (),
-    others: Sequence[PhaseFunction] = (),
+    others: Sequence[PhaseFunction] = (), little: bool = False,
 ) -> Array:  # fmt: skip
     """The same of several liquids, for little more than the tables of each.
 
@@ -170,6 +170,10 @@ def double_scattering_of(
         another scene, or too coarse for this one's pixels, nothing is taken from them.
     others
         Phase functions near that of the one liquid there is then.
+    little
+        Whether the light is a few hundredths of all that there is, so that errors of a hundredth of it do not matter:
+        heights whose rays are seen apart have few more. Smooth light of a bench, 3 % of its order 2, is .6 % of itself
+        off then, in a fifth of the time.
 
     Returns
     -------
@@ -179,7 +183,7 @@ def double_scattering_of(
     if scene.camera.kind == "calibrated":
         plain = on_surface(scene)
         cell_mm = plain.camera.pixel_mm, plain.camera.pixel_mm
-        images = double_scattering_of(plain, media, tolerance, known, others)
+        images = double_scattering_of(plain, media, tolerance, known, others, little)
         return many_to_camera(scene, images, cell_mm) if len(images) > 1 else to_camera(scene, images[0], cell_mm)[None]
     camera = scene.camera
     scattering = np.array([one.sigma_s for one in media]).repeat(1 + len(others))
@@ -194,7 +198,7 @@ def double_scattering_of(
     if rest is not None:
         for lit in lit_heights(rest):
             widest_mm = _widest_mm(lit.mirrored, steepest, tolerance)
-            _add_table(images, scene, lit, *filled(rest, media, lit, tolerance, others), widest_mm)
+            _add_table(images, scene, lit, *filled(rest, media, lit, tolerance, others, little), widest_mm)
     images *= scattering[:, None, None] ** 2
     light = images[:: 1 + len(others)]
     np.maximum(light, 0.0, out=light)  # where it is fainter than its own rounding, an interpolant may dip below

@@ -1,12 +1,24 @@
 """Parts of a scene's light that one table of order 2 serves each, and how it is filled for them."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.double.table import COARSE, FINE, ROUGH, ROUGHEST, Fineness, LitHeight, Stack, Table, fill_stack
+from tankrig.light.double.table import (
+    COARSE,
+    FEW_APART,
+    FINE,
+    ROUGH,
+    ROUGHEST,
+    Fineness,
+    LitHeight,
+    Stack,
+    Table,
+    fill_stack,
+)
 from tankrig.light.rays import light_sources
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -34,13 +46,17 @@ def lit_heights(scene: Scene) -> Iterator[LitHeight]:
 
 
 def filled(
-    scene: Scene, media: Sequence[Medium], lit: LitHeight, tolerance: float, others: Sequence[PhaseFunction] = ()
-) -> tuple[Table, Stack, Array]:
+    scene: Scene, media: Sequence[Medium], lit: LitHeight, tolerance: float, others: Sequence[PhaseFunction] = (),
+    little: bool = False,
+) -> tuple[Table, Stack, Array]:  # fmt: skip
     """The table of a part of the light in several liquids, J at its nodes, and weights of its rays over the height.
 
-    `others` as for `fill_stack`.
+    `others` as for `fill_stack`, `little` as for `double_scattering_of`.
     """
-    return fill_stack(scene, media, lit, finest_of(scene), fineness_of(tolerance), others)
+    fineness = fineness_of(tolerance)
+    if little:
+        fineness = replace(fineness, most_apart=FEW_APART)
+    return fill_stack(scene, media, lit, finest_of(scene), fineness, others)
 
 
 def fineness_of(tolerance: float) -> Fineness:

@@ -45,6 +45,8 @@ SEEN_APART, LEAVING, MOST_APART = 1.0, 12.0, 24
 """Lengths that images are resolved to, by which the rows of one more ray are apart; how many more there are where rays
 of one beam leave through floor or surface all along the tank; and how many more at most. Two pinholes 25 and 40 mm from
 their faces, with 2 + 1 rays for beams of 10 and 25 mm, made order 2 .3 of itself off, with six more .05."""
+FEW_APART = 4
+"""How many more at most where the light is little, see `double_scattering_of`."""
 HEIGHTS, PLACES = 5, 12
 """Of rays of a beam, and along the tank, at which that is looked at."""
 PEAKED, NEARER = 0.002, 0.1
@@ -77,6 +79,8 @@ class Fineness:
     apart
         Where lines slant and the light goes on less than steeply (g < `STEEP_G`): how many times farther apart nodes in
         y₀ are.
+    most_apart
+        How many more rays stand at most for a height whose rays are seen apart, see `SEEN_APART`.
     """
 
     nodes: int
@@ -88,6 +92,7 @@ class Fineness:
     slanted_near: float = 0.02
     mirrored: float = 1.0
     apart: float = 1.0
+    most_apart: int = MOST_APART
 
 
 FINE = Fineness(nodes=5, ratio=1.45, slanted_ratio=1.3, curvature=0.001, slanted_curvature=0.0003)
@@ -200,7 +205,7 @@ def laid_out(
     straight = shift_invariant(scene)
     enough = fineness.curvature if straight else fineness.slanted_curvature
     bends = curvature(high - low, sigma_t, height) * (MIRRORED if mirrored else 1.0)
-    more = 0 if straight or between else rays_apart(scene, geometry, z_mm, finest_mm)
+    more = 0 if straight or between else min(rays_apart(scene, geometry, z_mm, finest_mm), fineness.most_apart)
     count = 1 if bends < enough and more == 0 else fineness.more_rays + rays + more
     nodes, weights = np.polynomial.legendre.leggauss(
         min(count + (_more_between(high - low, height) if between else 0), 40)
