@@ -63,7 +63,8 @@ class Fineness:
     Parameters
     ----------
     nodes
-        Of the Gauss–Legendre rule in every panel.
+        Of the Gauss–Legendre rule in every panel; of other phase functions than Henyey–Greenstein's at least as many as
+        of fine tables, for rules of three pass by Mie's lobes: order 2 of beads of 2 µm was .9 % too faint.
     ratio, slanted_ratio
         Of successive nodes in δ; the latter where lines of sight or light rays slant, and leave the tank through its
         side walls.
@@ -321,7 +322,8 @@ def fill_stack(
     decays = np.array([_decay(one.sigma_t, geometry) for one in media]).repeat(1 + len(others))
     found = np.empty((*table.values.shape, decays.size))
     densities = np.ascontiguousarray(np.array([one.table for one in others]).T) if others else None
-    rule, each = gauss_legendre(fineness.nodes), 1 + len(others)
+    lobed = any(one.phase is not None for one in media)
+    rule, each = gauss_legendre(max(fineness.nodes, FINE.nodes) if lobed else fineness.nodes), 1 + len(others)
     with ThreadPoolExecutor(THREADS) as pool:
         for number, medium in enumerate(media):
             values = np.zeros((*table.values.shape, each))
