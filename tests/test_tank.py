@@ -10,6 +10,8 @@ import pytest
 import tankrig
 from tankrig.benchmark.wide import wide_scene
 from tankrig.light.double import double_scattering
+from tankrig.light.double.lit import fineness_of
+from tankrig.light.double.table import COARSE
 from tankrig.light.single import single_scattering
 from tankrig.light.tank import tank_image
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
@@ -285,3 +287,8 @@ def test_rough_tables_of_order_2_err_by_no_more_than_is_said(number: int) -> Non
         (said,) = (one.bound for one in found.skipped if one.what.startswith("tables"))
         off = float(np.linalg.norm(found.orders[2] - fine)) / size
         assert off <= 1.1 * said <= 1.1 * most
+
+
+def test_no_tolerance_of_an_image_means_rough_tables() -> None:
+    """Their error is stated only where their share of the image has been looked at."""
+    assert fineness_of(1.0) is COARSE

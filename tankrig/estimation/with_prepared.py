@@ -20,7 +20,7 @@ from tankrig.estimation.differences import turning_of
 from tankrig.estimation.followed import ALIKE, FAINT_LOW, Followed, Model, in_water, remembered
 from tankrig.estimation.light_beside import described_beside
 from tankrig.estimation.phase_families import Family
-from tankrig.light.double.image import table_error
+from tankrig.light.double import table_error
 from tankrig.light.prepared.about import box_for, holds
 from tankrig.light.prepared.phases.checked import CheckedOrders, checked_at
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared

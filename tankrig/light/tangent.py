@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from tankrig.light.behind_lenses import BehindLenses
-from tankrig.light.double.image import table_error
+from tankrig.light.double import table_error
 from tankrig.light.high_orders import FAINTEST, LOST_USUALLY, MOST_ORDERS
 from tankrig.light.paths.block import LARGE, SMALL, Lattice, PathLimits
 from tankrig.light.paths.cells import CellGrid

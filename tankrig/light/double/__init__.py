@@ -7,7 +7,8 @@ straight way between two points inside stays inside). With a Fresnel surface the
 between its two scatterings: the same integral with the line of sight mirrored and R(ξ) as a factor.
 """
 
-from tankrig.light.double.image import ROUGH_ERRORS, double_scattering, double_scattering_of, may_be_rough, table_error
+from tankrig.light.double.errors import ROUGH_ERRORS, may_be_rough, table_error
+from tankrig.light.double.image import double_scattering, double_scattering_of
 from tankrig.light.double.wall import Tabulated, numbers_of_wall, tables_of_wall
 
 __all__ = [

@@ -27,9 +27,9 @@ Array = NDArray[np.float64]
 
 MOST_HEIGHTS = 4
 """Heights at most whose beams have a table each; more share one, as those of a projector's picture do."""
-COARSE_FROM, ROUGH_FROM, ROUGHEST_FROM = 0.005, 1.0, 2.0
-"""Tolerances from which tables are coarse, and rough, and as rough as can be: no image is asked for with the latter
-two, but order 2 where there is little of it."""
+COARSE_FROM, ROUGH_FROM, ROUGHEST_FROM = 0.005, 2.0, 3.0
+"""Tolerances from which tables are coarse, and rough, and as rough as can be. Images are asked for with 1 at most; the
+latter two are for order 2 where there is little of it."""
 
 
 def lit_heights(scene: Scene) -> Iterator[LitHeight]:
