@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 import tankrig
 from tankrig.benchmark.wide import wide_scene
@@ -84,7 +85,7 @@ TANK = Scene(Tank(), Medium(0.0, 0.0, 0.0), Projector("collimated", THREE_BEAMS)
 
 
 def photographed(name: str) -> tuple[Array, Array]:
-    """An independent Monte Carlo's image with .3 % of noise, and the noise of both; σs is .010, see its README."""
+    """An independent Monte Carlo's image with .3 % of noise, and the noise of both, see its README."""
     with np.load(LIQUIDS / f"{name}.npz") as file:
         total, stderr = file["total"].astype(float), file["stderr"].astype(float)
     noise = 0.003 * float(total.max())
@@ -702,14 +703,46 @@ def test_an_emulsions_phase_function_is_a_result(asked: str | None) -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(3600)
-def test_beads_are_what_their_label_says_but_for_its_errors() -> None:
-    """The label is 5 % off in the diameter, of which p(90°) goes up and down by a factor."""
-    image, noise = photographed("bead-0.5um")
-    found = tankrig.estimate(image, TANK, noise=noise, phase=Mie(0.525, 1.5804, 1.3317, 633.0))
+@pytest.mark.parametrize(
+    ("name", "label", "truth_um", "sigma_s"),
+    [
+        ("bead-0.5um", Mie(0.525, 1.5804, 1.3317, 633.0), 0.5, 0.010),
+        ("bead-2um", Mie(2.0887, 1.58186, 1.3317, 633.0, spread=0.02), 2.0, 0.030),
+    ],
+)
+def test_beads_are_what_their_label_says_but_for_its_errors(
+    name: str, label: Mie, truth_um: float, sigma_s: float
+) -> None:
+    """The label is 4 to 5 % off in the diameter, of which p(90°) goes up and down by a factor.
+
+    Beads of 2 µm came out as 1.91 ± .03 of many sizes, σs 8 standard deviations off and called determined.
+    """
+    image, noise = photographed(name)
+    found = tankrig.estimate(image, TANK, noise=noise, phase=label)
     diameter, sd = found.scattering.parameters["diameter_um"]
-    assert abs(diameter - 0.5) < max(0.003 * 0.5, 2.5 * sd)
-    off = abs(found.medium.sigma_s - 0.010)
-    assert off < max(0.015 * 0.010, 2.5 * math.sqrt(found.covariance[1, 1]))
+    assert abs(diameter - truth_um) < max(0.003 * truth_um, 2.5 * sd)
+    assert sd < 0.01 * truth_um
+    off = abs(found.medium.sigma_s - sigma_s)
+    assert off < max(0.015 * sigma_s, 2.5 * math.sqrt(found.covariance[1, 1]))
+    assert found.identifiable["sigma_s"]
+
+
+def test_few_paths_tell_what_an_unlike_liquids_image_is() -> None:
+    """Another mode's image about an exact one is as right as many paths make it, where its derivatives are not."""
+    label = labelled(Mie(2.0, 1.58242, 1.3317, 633.0, spread=0.02))
+    places = np.array([[-0.4, 2.5, 0.9], [0.0, 0.0, 0.0]])
+    at, there = (Medium(0.0009, 0.03, phase=label.phase(place)) for place in places)
+    models = models_of(TANK, "tank", None, label)
+    few = Followed(TANK, 8, 1, None, family=label)
+    known = models.exact(at, 0.25)
+    told, truth = few.beside(at, known, there).image, models.exact(there, 0.25).image
+
+    def off(image: Array) -> float:
+        smooth = gaussian_filter(image - truth, 1.0)
+        return float(np.linalg.norm(smooth) / np.linalg.norm(truth))
+
+    assert off(told) < 0.003
+    assert off(few.about(at, known, few.shares(at))(there).image) > 2.0 * off(told)
 
 
 def test_the_command_tells_the_phase_function(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -82,9 +82,8 @@ def corrected_fit(
     sharper
         Whether images follow more paths where the model's error hides what the images show.
     """
-    followed = [model for model in models if isinstance(model, Followed)]
-    if any(shot.models.family for shot in shots) and len(followed) == len(models):
-        by_shares = _ByShares(best.problem, shots, followed, progress)
+    by_shares = ByShares.of(best.problem, shots, models, progress)
+    if by_shares is not None:
         centre, made = by_shares.by_few_paths(best)
         return by_shares.by_all_paths(centre, MOST_CORRECTIONS - made, sharper)
     return _corrected_by_models(best, shots, models, progress, sharper)
@@ -134,7 +133,7 @@ def _corrected_by_models(
 
 
 @dataclass(frozen=True)
-class _ByShares:
+class ByShares:
     """A fit about exact images, where a phase function's coordinates change what paths bring by shares of it.
 
     Orders 1 and 2 are computed as they are, see `Followed.about`. Derivatives along paths are dear, and told twice: by
@@ -158,6 +157,14 @@ class _ByShares:
     shots: Sequence[Shot]
     models: Sequence[Followed]
     progress: Told
+
+    @classmethod
+    def of(cls, problem: Problem, shots: Sequence[Shot], models: Sequence[Model], progress: Told) -> "ByShares | None":
+        """For models that are differentiated; None where no phase function's coordinates are fitted along paths."""
+        followed = [model for model in models if isinstance(model, Followed)]
+        if any(shot.models.family for shot in shots) and len(followed) == len(models):
+            return cls(problem, shots, followed, progress)
+        return None
 
     @property
     def near(self) -> Vector:
@@ -260,7 +267,7 @@ def _still_moved(
     if _settled(end, centre, near):
         return None
     there = end.problem.by([_always(one.image) for one in exact(end)]).at(end.coordinates)
-    return _values(end) - _values(centre) if there.cost - end.cost > MUCH else None
+    return end.row - centre.row if there.cost - end.cost > MUCH else None
 
 
 class _Shares(NamedTuple):
@@ -381,10 +388,6 @@ def _at_media(noise: Sequence[Slopes | None], media: Sequence[Medium]) -> list[S
     return [one and _always(one(medium)) for one, medium in zip(noise, media, strict=True)]
 
 
-def _values(at: Evaluation) -> Vector:
-    return np.concatenate([at.values[block.name] for block in at.problem.blocks])
-
-
 def _borne_out(
     fit: Fit, centre: Evaluation, exact: Callable[[Evaluation], list[Prediction]], halvings: int
 ) -> tuple[Evaluation, list[Prediction]]:
@@ -442,9 +445,7 @@ def _settled(best: Evaluation, centre: Evaluation, near: Vector) -> bool:
     close = (np.abs(best.coordinates - centre.coordinates) < near).all()
     if close and best.sensitivity.noise_share < NOISY:
         return True
-    views = best.problem.views
-    spread = best.sensitivity.covariance([view.observation.noise for view in views], [view.error for view in views])
-    return bool((np.abs(_values(best) - _values(centre)) < SETTLED_SHARE * np.sqrt(np.diag(spread))).all())
+    return bool((np.abs(best.row - centre.row) < SETTLED_SHARE * best.deviations).all())
 
 
 def _linear(image: Image, centre: Medium, slopes: Image, family: Family | None) -> Forward:

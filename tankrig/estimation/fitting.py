@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from tankrig.estimation.corrections import MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit, few_steps
 from tankrig.estimation.followed import Model
 from tankrig.estimation.light_beside import is_solved
+from tankrig.estimation.modes import in_likeliest_mode
 from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
 from tankrig.estimation.parameters import Block
 from tankrig.estimation.prior_weight import believing, weight_of_priors
@@ -104,7 +105,9 @@ def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: 
         progress("refining")
         best, versions = _nearer(problem, shots, found)
     if all(shot.models.exact for shot in shots):
-        return corrected_fit(best, shots, [slope for _, slope in versions], progress, sharper)
+        slopes = [slope for _, slope in versions]
+        fit = corrected_fit(best, shots, slopes, progress, sharper)
+        return in_likeliest_mode(fit, best.problem, shots, slopes, progress, sharper)
     noise = [shot.slopes_noise_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
     return Fit(best.problem.with_slopes_noise(noise).at(best.coordinates), tuple(fine for fine, _ in versions))
 

@@ -152,6 +152,22 @@ class Followed:
 
         return remembered(near)
 
+    def beside(self, centre: Medium, exact: Prediction, medium: Medium) -> Prediction:
+        """The image of a medium that may be unlike one where it is known: orders 1 and 2 as they are, and the others'
+        changed as these few paths change, averaged over `SLOPE_BLUR_MM`.
+
+        The same lattices have much of their noise in common. Shares hold no further than p is alike.
+        """
+        from scipy.ndimage import gaussian_filter
+
+        widths = [SLOPE_BLUR_MM / side for side in self.scene.camera.sides_mm]
+        here, there = (
+            gaussian_filter(np.maximum(self._direct(one).image - self._low(one), 0.0), widths, mode="nearest")
+            for one in (centre, medium)
+        )
+        others = np.maximum(exact.image - self._low(centre), 0.0)
+        return replace(exact, image=self._low(medium) + others * there / np.maximum(here, FAINT * here.max() + 1e-300))
+
     def taught(self, shares: Image, centre: Medium, exact: Prediction, ahead: Medium, shown: Prediction) -> Image:
         """`shares` at a medium where an exact image is known, so changed that they foretell another one ahead.
 

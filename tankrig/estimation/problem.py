@@ -218,6 +218,18 @@ class Evaluation:
         parts = zip(self.problem.blocks, self.problem.split(self.coordinates), strict=True)
         return {block.name: block.values(part) for block, part in parts}
 
+    @property
+    def row(self) -> Array:
+        """(m,) values of all blocks, one after the other."""
+        return np.concatenate([self.values[block.name] for block in self.problem.blocks])
+
+    @cached_property
+    def deviations(self) -> Array:
+        """(m,) standard deviations of `row`, by noise and by the models' own error."""
+        noise = [view.observation.noise for view in self.problem.views]
+        spread = self.sensitivity.covariance(noise, [view.error for view in self.problem.views])
+        return np.asarray(np.sqrt(np.diag(spread)))
+
     @cached_property
     def liquids(self) -> dict[int, Medium]:
         """Liquids of the views, by the number of their dose."""

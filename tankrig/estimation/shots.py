@@ -81,7 +81,8 @@ class Fit:
         What images of each view's model have that another's, which states less error, have not, W/mm²/sr: noise of
         paths for the most part. None where there is no such model.
     moved
-        (k,) by how much the first values were still corrected in the end, where the fit has not settled; else None.
+        (k,) by how much the first values were still corrected in the end, where the fit has not settled, or differ in
+        another mode that is as likely; else None.
     exact
         Gives exact images near the optimum for less than others; None where there are none.
     """

@@ -310,12 +310,14 @@ def _times(evidence: float) -> str:
 
 
 def what_has_not_settled(unsettled: bool) -> str:
-    """A sentence for a fit of a free phase function that its last exact image still moved; empty for others."""
+    """A sentence for a fit of a phase function that its last exact image still moved, or that explains the image no
+    better than another one of its family does elsewhere; empty for others."""
     if not unsettled:
         return ""
     return (
-        "The fit has not settled: its last exact image still moved it by more than chance, which the intervals count, "
-        "so neither σs nor g counts as determined. Fit with the particles' label or one family's phase function."
+        "The fit has not settled: its last exact image still moved it by more than chance, or another phase function "
+        "of the family explains the image as well, which the intervals count, so neither σs nor g counts as "
+        "determined. Fit with the particles' label or one family's phase function."
     )
 
 
