@@ -116,16 +116,16 @@ def _corrected_by_models(
 
     progress("correcting by accurate images")
     centre = best
-    fit = about(centre, _exact(shots, centre), centre)
+    fit = about(centre, exact_images(shots, centre), centre)
     for _ in range(CORRECTIONS - 1):
         if _settled(fit.optimum, centre, SETTLED * problem.looseness):
             break
         progress("correcting by accurate images")
-        centre, seen = _borne_out(fit, centre, partial(_exact, shots), HALVINGS if many else 0)
+        centre, seen = _borne_out(fit, centre, partial(exact_images, shots), HALVINGS if many else 0)
         fit = about(centre, seen, centre)
     if sharper and _held_back(fit.optimum):
         progress("correcting by images as accurate as the photographs")
-        fit = about(centre, _exact(shots, centre, SHARPER), fit.optimum)
+        fit = about(centre, exact_images(shots, centre, SHARPER), fit.optimum)
     end = fit.optimum
     views = (replace(view, slopes=own.slopes) for view, own in zip(end.problem.views, problem.views, strict=True))
     whole = replace(end.problem, views=tuple(views)).with_slopes_noise(slopes_noise)
@@ -207,7 +207,7 @@ class ByShares:
 
     def by_few_paths(self, best: Evaluation) -> tuple[Evaluation, int]:
         """Where images by few paths lead, and how many of them were made."""
-        roughly = partial(_exact, self.shots, times=ROUGH)
+        roughly = partial(exact_images, self.shots, times=ROUGH)
         self.progress("correcting by accurate images")
         centre, seen, told = best, roughly(best), self.shares_at(best, FIRST)
         fit = self.about(centre, seen, told, centre)
@@ -228,7 +228,7 @@ class ByShares:
     def by_all_paths(self, centre: Evaluation, most: int, sharper: bool) -> Fit:
         """The optimum about images by all paths, after so many more of them at most."""
         self.progress("correcting by accurate images")
-        told, seen = self.shares_at(centre, 1.0), _exact(self.shots, centre, self.each)
+        told, seen = self.shares_at(centre, 1.0), exact_images(self.shots, centre, self.each)
         next_to = self.each * NEXT
         parts = [remembered(partial(_by_share, shot.models.exact, next_to)) for shot in self.shots if shot.models.exact]
         around = [Nearby(*one) for one in zip(parts, centre.media, seen, strict=True)]
@@ -249,7 +249,7 @@ class ByShares:
             fit = self.about(centre, seen, told, centre)
         if sharper and _held_back(fit.optimum):
             self.progress("correcting by images as accurate as the photographs")
-            fit = self.about(centre, _exact(self.shots, centre, SHARPER * self.each), told, fit.optimum)
+            fit = self.about(centre, exact_images(self.shots, centre, SHARPER * self.each), told, fit.optimum)
         moved = _still_moved(fit.optimum, centre, exactly, self.near)
         return replace(fit, moved=moved, exact=around[0] if len(around) == 1 else None)
 
@@ -373,7 +373,7 @@ def _about(
     return _About(weighed, bent, replace(bent.by(straight), quick=True), last, tuple(apart))
 
 
-def _exact(shots: Sequence[Shot], at: Evaluation, times: float = 1.0) -> list[Prediction]:
+def exact_images(shots: Sequence[Shot], at: Evaluation, times: float = 1.0) -> list[Prediction]:
     """Exact images at a place, with so many times the light paths."""
     return [shot.models.exact(one, times) for shot, one in zip(shots, at.media, strict=True) if shot.models.exact]
 

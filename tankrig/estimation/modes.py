@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tankrig.estimation.corrections import MOST_CORRECTIONS, MOST_ROUGH, ByShares
+from tankrig.estimation.corrections import MOST_CORRECTIONS, MOST_ROUGH, ByShares, exact_images
 from tankrig.estimation.followed import Model
+from tankrig.estimation.phase_families import Family
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.search import Told, by_cost
 from tankrig.estimation.shots import Fit, Shot
@@ -31,7 +32,8 @@ as the best: exact images of two modes have most of their noise in common."""
 def in_likeliest_mode(
     fit: Fit, problem: Problem, shots: Sequence[Shot], models: Sequence[Model], progress: Told, sharper: bool
 ) -> Fit:
-    """A fit of one image; that of another mode of its family where it explains the image better.
+    """A fit; that of another mode of its family where it explains the images better. Where both are as likely, it has
+    moved as far as from one to the other.
 
     Parameters
     ----------
@@ -41,40 +43,42 @@ def in_likeliest_mode(
         That it was made of, see `corrected_fit`.
     """
     by, family = ByShares.of(problem, shots, models, progress), shots[0].models.family
-    if by is None or fit.exact is None or family is None or not family.ladder.size:
+    if by is None or family is None or not family.ladder.size:
         return fit
-    others = _others(fit, by)
+    progress("looking at other modes")
+    others = _others(fit, by, family)
     if not others:
         return fit
     progress("fitting another mode")
-    return _likelier(fit, by.by_all_paths(others[0], MOST_CORRECTIONS - MOST_ROUGH, sharper))
+    other = by.by_all_paths(others[0], MOST_CORRECTIONS - MOST_ROUGH, sharper)
+    lower, higher = sorted([fit, other], key=lambda one: one.optimum.cost)
+    if higher.optimum.cost > lower.optimum.cost + AS_LIKELY or not _is_apart(lower.optimum, higher.optimum):
+        return lower
+    return replace(lower, moved=higher.optimum.row - lower.optimum.row)
 
 
-def _others(fit: Fit, by: ByShares) -> list[Evaluation]:
-    """Where fits end that begin on the family's ladder, of those that end elsewhere and may explain the image as well,
+def _others(fit: Fit, by: ByShares, family: Family) -> list[Evaluation]:
+    """Where fits end that begin on the family's ladder, of those that end elsewhere and may explain the images as well,
     best first."""
-    best, model = fit.optimum, by.models[0]
-    assert fit.exact is not None
-    assert model.family is not None
-    by.progress("looking at other modes")
-    (known,), ladder = best.media, model.family.ladder
-    first, rest = len(best.problem.blocks[0].names), model.family.like(known.g)[1:]
-    seen, told = fit.exact(known, 1.0), by.shares_at(best, FEW)
-    few, found = model.with_share(0.0, False), []
+    best, media, ladder = fit.optimum, fit.optimum.media, family.ladder
+    first, rest = len(best.problem.blocks[0].names), family.like(media[0].g)[1:]
+    one = None if fit.exact is None else fit.exact(media[0], 1.0)
+    seen = exact_images(by.shots, best, by.each) if one is None else [one]
+    told, few = by.shares_at(best, FEW), [model.with_share(0.0, False) for model in by.models]
+    found = []
     for rung in ladder[np.abs(ladder - best.coordinates[first]) <= REACH]:
         start = best.coordinates.copy()
         start[first : first + 1 + rest.size] = [rung, *rest]
         here = best.problem.at(np.clip(start, *best.problem.box))
-        found.append(by.about(here, [few.beside(known, seen, here.media[0])], told, here).optimum)
-    apart, most = max(APART, APART_SD * float(best.deviations[first])), best.cost + PROMISING
-    return by_cost(
-        one for one in found if abs(one.coordinates[first] - best.coordinates[first]) > apart and one.cost < most
-    )
+        places = zip(few, media, seen, here.media, strict=True)
+        guessed = [model.beside(known, image, medium) for model, known, image, medium in places]
+        found.append(by.about(here, guessed, told, here).optimum)
+    most = best.cost + PROMISING
+    return by_cost(one for one in found if one.cost < most and _is_apart(best, one))
 
 
-def _likelier(one: Fit, other: Fit) -> Fit:
-    """That of two modes which explains the image better; moved as far as the other is, where that is as likely."""
-    lower, higher = sorted([one, other], key=lambda fit: fit.optimum.cost)
-    moved = higher.optimum.row - lower.optimum.row
-    same = (np.abs(moved) < APART_SD * lower.optimum.deviations).all()
-    return lower if same or higher.optimum.cost > lower.optimum.cost + AS_LIKELY else replace(lower, moved=moved)
+def _is_apart(best: Evaluation, other: Evaluation) -> bool:
+    """Whether another end is in another mode than the best."""
+    first = len(best.problem.blocks[0].names)
+    off = abs(float(other.coordinates[first] - best.coordinates[first]))
+    return off > max(APART, APART_SD * float(best.deviations[first]))
