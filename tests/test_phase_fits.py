@@ -721,7 +721,7 @@ def test_beads_are_what_their_label_says_but_for_its_errors(
     found = tankrig.estimate(image, TANK, noise=noise, phase=label)
     diameter, sd = found.scattering.parameters["diameter_um"]
     assert abs(diameter - truth_um) < max(0.003 * truth_um, 2.5 * sd)
-    assert sd < 0.01 * truth_um
+    assert sd < 0.02 * truth_um
     off = abs(found.medium.sigma_s - sigma_s)
     assert off < max(0.015 * sigma_s, 2.5 * math.sqrt(found.covariance[1, 1]))
     assert found.identifiable["sigma_s"]

@@ -26,7 +26,8 @@ FEW = 0.25
 """Share of the lattices in derivatives that a look begins with."""
 PROMISING, AS_LIKELY = 30.0, 5.0
 """How much more, in χ²/2, another mode may cost by few paths to be fitted by all of them, and by these to be as likely
-as the best: exact images of two modes have most of their noise in common."""
+as the best: exact images of two modes have most of their noise in common. An end that the best one's errors reach is
+fitted only where it is as likely by few paths."""
 
 
 def in_likeliest_mode(
@@ -73,12 +74,18 @@ def _others(fit: Fit, by: ByShares, family: Family) -> list[Evaluation]:
         places = zip(few, media, seen, here.media, strict=True)
         guessed = [model.beside(known, image, medium) for model, known, image, medium in places]
         found.append(by.about(here, guessed, told, here).optimum)
-    most = best.cost + PROMISING
-    return by_cost(one for one in found if one.cost < most and _is_apart(best, one))
+    far = [one for one in found if _off(best, one) > APART]
+    allowed = {True: PROMISING, False: AS_LIKELY}
+    return by_cost(one for one in far if one.cost < best.cost + allowed[_is_apart(best, one)])
 
 
 def _is_apart(best: Evaluation, other: Evaluation) -> bool:
     """Whether another end is in another mode than the best."""
     first = len(best.problem.blocks[0].names)
-    off = abs(float(other.coordinates[first] - best.coordinates[first]))
-    return off > max(APART, APART_SD * float(best.deviations[first]))
+    return _off(best, other) > max(APART, APART_SD * float(best.deviations[first]))
+
+
+def _off(best: Evaluation, other: Evaluation) -> float:
+    """By how much the family's first coordinate differs."""
+    first = len(best.problem.blocks[0].names)
+    return abs(float(other.coordinates[first] - best.coordinates[first]))
