@@ -238,7 +238,8 @@ class ByShares:
         told, seen = self.shares_at(centre, 1.0), exact_images(self.shots, centre, self.each)
         next_to = self.each * self.following
         parts = [remembered(partial(_by_share, shot.models.exact, next_to)) for shot in self.shots if shot.models.exact]
-        around = [Nearby(*one) for one in zip(parts, centre.media, seen, strict=True)]
+        by_all = self.following == 1.0
+        around = [Nearby(*one, by_all) for one in zip(parts, centre.media, seen, strict=True)]
 
         def exactly(at: Evaluation) -> list[Prediction]:
             return [one(medium) for one, medium in zip(around, at.media, strict=True)]

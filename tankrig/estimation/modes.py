@@ -62,7 +62,7 @@ def _others(fit: Fit, by: ByShares, family: Family) -> list[Evaluation]:
     """Where fits end that begin on the family's ladder, of those that end elsewhere and may explain the images as well,
     best first."""
     best, media, ladder = fit.optimum, fit.optimum.media, family.ladder
-    first, rest = len(best.problem.blocks[0].names), family.like(media[0].g)[1:]
+    first, rest = _first(best), family.like(media[0].g)[1:]
     one = None if fit.exact is None else fit.exact(media[0], 1.0)
     seen = exact_images(by.shots, best, by.each) if one is None else [one]
     told, few = by.shares_at(best, FEW), [model.with_share(0.0, False) for model in by.models]
@@ -74,18 +74,26 @@ def _others(fit: Fit, by: ByShares, family: Family) -> list[Evaluation]:
         places = zip(few, media, seen, here.media, strict=True)
         guessed = [model.beside(known, image, medium) for model, known, image, medium in places]
         found.append(by.about(here, guessed, told, here).optimum)
-    far = [one for one in found if _off(best, one) > APART]
-    allowed = {True: PROMISING, False: AS_LIKELY}
-    return by_cost(one for one in far if one.cost < best.cost + allowed[_is_apart(best, one)])
+    return by_cost(one for one in found if _is_promising(best, one))
+
+
+def _is_promising(best: Evaluation, other: Evaluation) -> bool:
+    """Whether another end by few paths is worth a fit by all of them."""
+    most = PROMISING if _is_apart(best, other) else AS_LIKELY
+    return _off(best, other) > APART and other.cost < best.cost + most
 
 
 def _is_apart(best: Evaluation, other: Evaluation) -> bool:
     """Whether another end is in another mode than the best."""
-    first = len(best.problem.blocks[0].names)
-    return _off(best, other) > max(APART, APART_SD * float(best.deviations[first]))
+    return _off(best, other) > max(APART, APART_SD * float(best.deviations[_first(best)]))
 
 
 def _off(best: Evaluation, other: Evaluation) -> float:
     """By how much the family's first coordinate differs."""
-    first = len(best.problem.blocks[0].names)
+    first = _first(best)
     return abs(float(other.coordinates[first] - best.coordinates[first]))
+
+
+def _first(at: Evaluation) -> int:
+    """The number of the family's first coordinate, which is its value too: behind those of σa and σs."""
+    return len(at.problem.blocks[0].names)

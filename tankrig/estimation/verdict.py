@@ -317,7 +317,7 @@ def what_has_not_settled(unsettled: bool) -> str:
     return (
         "The fit has not settled: its last exact image still moved it by more than chance, or another phase function "
         "of the family explains the image as well, which the intervals count, so neither σs nor g counts as "
-        "determined. Fit with the particles' label or one family's phase function."
+        "determined. Say more of the phase function: the particles' label, a smaller spread on it, or one family."
     )
 
 
