@@ -128,7 +128,7 @@ def test_a_series_that_shows_another_phase_function_is_gone_on_with(
     assert "own phase function is not fitted" in (run / "report.html").read_text(encoding="utf-8")
     capsys.readouterr()
     assert main(["refit", str(run)]) == 0
-    assert asked == [(replace(series, doubted=True), "free")]
+    assert asked == [(replace(series, doubted=True), "any")]
     assert not unfitted(open_run(run))
 
 

@@ -20,8 +20,16 @@ from tankrig.estimation.light_beside import BESIDE, BesideBlock
 from tankrig.estimation.misfit import moved_unseen
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
-from tankrig.estimation.phase_answer import Asked, answer_of, asked_for, fit_phase, is_rough, liquid_blocks
-from tankrig.estimation.phase_average import LikelySpheres, like_spheres
+from tankrig.estimation.phase_answer import (
+    Asked,
+    answer_of,
+    asked_for,
+    fit_phase,
+    is_rough,
+    likely_spheres,
+    liquid_blocks,
+)
+from tankrig.estimation.phase_average import LikelySpheres
 from tankrig.estimation.phase_doubt import PhaseTold, told_early
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import WHOLE, structure_map
@@ -239,7 +247,7 @@ def _further(
 ) -> Estimate:  # fmt: skip
     """The estimate by further phase functions, begun near a liquid, or from anywhere."""
     progress("weighing other phase functions")
-    other, asked = models.of(asked.family), replace(asked, near=near)
+    other, asked = models.of(asked.family), replace(asked, near=() if near is None else (near,))
     return fit_models(observation, scene, scaling, other, progress, misalignment, asked, astray)
 
 
@@ -249,7 +257,7 @@ def _as_spheres(
 ) -> Estimate:  # fmt: skip
     """The estimate by spheres, begun near likely ones."""
     progress("fitting spheres")
-    own, asked = models.of(spheres()), Asked(spheres(), near=likely.liquid, likely=likely)
+    own, asked = models.of(spheres()), Asked(spheres(), near=likely.liquids, likely=likely)
     other = fit_models(observation, scene, scaling, own, progress, misalignment, asked, astray)
     return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
 
@@ -326,9 +334,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     off, exact = nuisances_of(best, spread), fit.exact or models.exact
     answer = answer_of(best, spread, asked, left.beyond == 0.0, exact)
     undescribed, rough = _undescribed(best, left, asked)
-    family = asked.family if asked.averaged and (undescribed or fit.moved is not None) else None
-    beads = like_spheres(best, spread, family) if family else answer.beads
-    likely = LikelySpheres(beads, best, spread, asked.family) if beads and asked.family else None
+    likely = likely_spheres(best, spread, asked, answer, undescribed or fit.moved is not None)
     medium, spread = answer.liquid, phase.counted(answer.covariance)
     bent = phase.misled or phase.doubted or undescribed or fit.moved is not None
     known = {

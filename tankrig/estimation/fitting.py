@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tankrig.estimation.corrections import MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit, few_steps
 from tankrig.estimation.followed import Model
 from tankrig.estimation.light_beside import is_solved
-from tankrig.estimation.modes import in_likeliest_mode
+from tankrig.estimation.modes import by_ladder, in_likeliest_mode
 from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
 from tankrig.estimation.parameters import Block
 from tankrig.estimation.prior_weight import believing, weight_of_priors
@@ -90,13 +90,14 @@ Searched = tuple[Problem, list[Vector]]
 def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: bool = False) -> Fit:
     """The same from where a search has ended."""
     problem, found = looked
+    moved: Vector | None = None
     if not all(shot.models.refine for shot in shots):
         progress("fitting all images")
         versions = [(shot.models.coarse, shot.models.coarse) for shot in shots]
         best = by_cost(solve(problem, one, SEVERAL_ENOUGH) for one in found)[0]
     elif any(shot.models.prepares for shot in shots):
         progress("preparing models of what was found")
-        best, versions = _by_prepared(problem, shots, found)
+        best, versions, moved = _by_prepared(problem, shots, found)
     elif len(shots) > 1 and all(shot.models.family and shot.models.exact for shot in shots):
         # The first exact images lead on from there for less, for they need no paths at each step.
         best = by_cost(problem.at(one) for one in found)[0]
@@ -109,7 +110,8 @@ def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: 
         fit = corrected_fit(best, shots, slopes, progress, sharper)
         return in_likeliest_mode(fit, best.problem, shots, slopes, progress, sharper)
     noise = [shot.slopes_noise_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
-    return Fit(best.problem.with_slopes_noise(noise).at(best.coordinates), tuple(fine for fine, _ in versions))
+    settled = best.problem.with_slopes_noise(noise).at(best.coordinates)
+    return Fit(settled, tuple(fine for fine, _ in versions), moved=moved)
 
 
 def _nearer(
@@ -137,8 +139,9 @@ def _nearer(
 
 def _by_prepared(
     problem: Problem, shots: Sequence[Shot], found: Sequence[Vector]
-) -> tuple[Evaluation, list[tuple[Model, Model]]]:
-    """The same by models that are prepared about where a search has ended, and again where that leads out of them."""
+) -> tuple[Evaluation, list[tuple[Model, Model]], Vector | None]:
+    """The same by models that are prepared about where a search has ended, and again where that leads out of them; and
+    by how much another mode of the family that is as likely differs."""
     best = by_cost(problem.at(one) for one in found)[0]
     for _ in range(MOST_PREPARED):
         near, versions = _refined(problem, shots, best, rough=True)
@@ -151,8 +154,11 @@ def _by_prepared(
             if isinstance(fine, WithPrepared)
         ):
             break
+    family, moved = shots[0].models.family, None
+    if family is not None and family.ladder.size:
+        best, moved = by_ladder(best, family, weight * MANY_ENOUGH, PREPARED_STEPS)
     last, versions = _refined(best.problem, shots, best)
-    return solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0), versions
+    return solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0), versions, moved
 
 
 def _weight(shots: Sequence[Shot], best: Evaluation, versions: Sequence[tuple[Model, Model]]) -> float:

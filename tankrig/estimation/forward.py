@@ -306,8 +306,9 @@ def _look(scene: Scene, max_order: int | None) -> tuple[int, Followed]:
 
 
 def family_models(
-    scene: Scene, family: Family, max_order: int | None = None, water_sigma_s: float = 0.0, prepared: bool = False
-) -> Models:
+    scene: Scene, family: Family, max_order: int | None = None, water_sigma_s: float = 0.0, prepared: bool = False,
+    made: "list[HighAnswer] | None" = None,
+) -> Models:  # fmt: skip
     """Versions for media of a family of phase functions, whose derivatives come along the paths as well.
 
     Parameters
@@ -323,6 +324,8 @@ def family_models(
     prepared
         Whether accurate versions are prepared for the medium's neighbourhood, see `WithPrepared`, in place of following
         paths for each medium.
+    made
+        What was prepared so, for other families too; what is, is added.
     """
     from tankrig.light.rays import shift_invariant
 
@@ -337,11 +340,11 @@ def family_models(
 
     batches = _lattices(coarse, fewest)
 
-    made: list[HighAnswer] = []
+    known: list[HighAnswer] = [] if made is None else made
 
     def refine(medium: Medium) -> tuple[Model, Model]:
         if prepared:
-            near = WithPrepared.about(lift, medium, made)
+            near = WithPrepared.about(lift, medium, known)
             return near, replace(near, fine=True)
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
         return followed(fine, 1), followed(slope, 2, sharp=True, fine=True)
@@ -355,7 +358,8 @@ def family_models(
         Lifted(lift) if prepared and not lift.nothing else coarse, refine, exact=None if prepared else exact,
         family=family, look=_look(scene, max_order), prepares=prepared,
         different=partial(
-            family_models, scene, max_order=max_order, water_sigma_s=water_sigma_s, prepared=prepared
+            family_models, scene, max_order=max_order, water_sigma_s=water_sigma_s, prepared=prepared,
+            made=known,
         ),
     )  # fmt: skip
 

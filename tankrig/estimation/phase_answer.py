@@ -11,7 +11,7 @@ from tankrig.estimation.coordinates import Range
 from tankrig.estimation.fitting import fitted, guessed, promising
 from tankrig.estimation.ink_blocks import Doses, DosesBlock, InkBlock
 from tankrig.estimation.parameters import Block, MediumBlock
-from tankrig.estimation.phase_average import LikelySpheres, averaged
+from tankrig.estimation.phase_average import LikelySpheres, averaged, like_spheres
 from tankrig.estimation.phase_block import CoefficientsBlock, InkCoefficientsBlock, PhaseBlock, WaterBlock
 from tankrig.estimation.phase_families import (
     FAMILIES,
@@ -53,7 +53,7 @@ class Asked:
     further
         What is asked next where these leave what another phase function explains; None: nothing.
     near
-        About what the liquid is, of a phase function of the family; None to look for it.
+        About what the liquid is, of a phase function of the family; one of several; none to look for it.
     likely
         The spheres that are fitted, as a free phase function's fit has them, by which they are weighed; None where no
         spheres are.
@@ -63,7 +63,7 @@ class Asked:
     averaged: bool = False
     begin: PhaseFunction | None = None
     further: "Asked | None" = None
-    near: Medium | None = None
+    near: tuple[Medium, ...] = ()
     likely: LikelySpheres | None = None
 
     @property
@@ -146,9 +146,10 @@ def fit_phase(
     """
     family = asked.family or henyey_greenstein()
     blocks = blocks_of(family)
-    if asked.near is not None:
-        start = np.concatenate([one.start(asked.near) for one in blocks])
-        return fitted(shots, blocks, scaling, progress, start, few, sharper)
+    if asked.near:
+        places = [np.concatenate([one.start(near) for one in blocks]) for near in asked.near]
+        start, starts = (places[0], None) if len(places) == 1 else (None, places)
+        return fitted(shots, blocks, scaling, progress, start, few, sharper, starts)
     at = densest
     if at is None:
         only = None if asked.begin is None else fixed(asked.begin)
@@ -201,6 +202,28 @@ def answer_of(
     count = 2 + len(asked.family.names)
     coefficients = best.values[best.problem.blocks[0].name]
     return scattering_of(coefficients, best.values["phase"], spread[:count, :count], asked.family)
+
+
+def likely_spheres(
+    best: Evaluation, spread: Array, asked: Asked, answer: Scattering, unsure: bool
+) -> LikelySpheres | None:
+    """Spheres that are worth a fit of their own; None where families are not weighed, or none are.
+
+    Parameters
+    ----------
+    best, spread, asked
+        As for `answer_of`.
+    answer
+        What that gave.
+    unsure
+        Whether what the free phase function's fit knows is no measure of how far a liquid is off spheres: it does not
+        describe the images, say, or has not settled.
+    """
+    if not asked.averaged or asked.family is None:
+        return None
+    settled = () if answer.beads is None else (answer.beads,)
+    beads = like_spheres(best, spread, asked.family) if unsure else settled
+    return LikelySpheres(beads, best, spread, asked.family) if beads else None
 
 
 def is_rough(best: Evaluation, asked: Asked) -> bool:

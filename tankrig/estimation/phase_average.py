@@ -8,6 +8,7 @@ made where they are, about which the families are fitted again, and once more (`
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +27,13 @@ from tankrig.estimation.phase_evidence import (
 from tankrig.estimation.phase_families import PLACES, Family, amplitudes_of
 from tankrig.estimation.phase_result import PhaseCurve, Scattering
 from tankrig.estimation.problem import Evaluation
-from tankrig.estimation.spheres import spheres
+from tankrig.estimation.spheres import APART, spheres
 from tankrig.estimation.versions import Exact
 from tankrig.scene import Medium
 from tankrig.scene.phase_functions import Mixture
 
 Array = NDArray[np.float64]
+Image = NDArray[np.floating]
 
 NEGLIGIBLE, SOME = 1e-3, 0.05
 """Share of the answer below which a family is left out of it, and that all families must have together for exact images
@@ -48,8 +50,8 @@ class LikelySpheres:
 
     Parameters
     ----------
-    liquid
-        Of these.
+    liquids
+        Of these, of different diameters, likeliest first.
     freely
         That fit's optimum.
     spread
@@ -58,7 +60,7 @@ class LikelySpheres:
         The free one.
     """
 
-    liquid: Medium
+    liquids: tuple[Medium, ...]
     freely: Evaluation
     spread: Array
     family: Family
@@ -66,7 +68,7 @@ class LikelySpheres:
     def weighed(self, best: Evaluation) -> Scattering:
         """What follows from the optimum of a fit of spheres that began there.
 
-        Its exact image says how far spheres are off what was seen, finer structure than a free phase function's
+        Its exact images say how far spheres are off what was seen, finer structure than a free phase function's
         included. How far a liquid's own p may be off theirs is no part of that fit, and is counted here: an emulsion's
         σs was 1.2 ± .4 % off as that of spheres alone, and is .7 ± 1.1 %.
         """
@@ -74,7 +76,7 @@ class LikelySpheres:
         score, _ = _by_free(self.freely, self.spread, self.family)
         phase, base = spheres().phase(own), float(score.at[2])
         place = np.concatenate([coefficients, [base], amplitudes_of(phase.density(PLACES), base)])
-        left = _left_by(best.images[0], self.freely)
+        left = _left_by(best.images, self.freely)
         liquid = Medium(float(coefficients[0]), float(coefficients[1]), phase=phase)
         found = about_spheres(score.about(place, left, np.zeros((0, left.size))), liquid, own)
         return replace(together(found), beads=None)
@@ -101,21 +103,28 @@ def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | Non
         if exact is None or shares.sum() < SOME:
             break
         place, liquid = _place(found[1:], shares / shares.sum(), family)
-        left, noise = _left_by(exact(liquid, times).image, best), _noise_of(exact, liquid, best)
+        left, noise = _left_by([exact(liquid, times).image], best), _noise_of(exact, liquid, best)
         found = [freely, *families(score.about(place, left, noise), freely)]
     return together(found)
 
 
-def like_spheres(best: Evaluation, spread: Array, family: Family) -> Medium | None:
-    """The liquid of spheres that is likelier than any smooth phase function; None where there is none. Parameters are
-    as for `averaged`.
+def like_spheres(best: Evaluation, spread: Array, family: Family) -> tuple[Medium, ...]:
+    """Liquids of spheres, where one is likelier than any smooth phase function: it, and others that may be, of other
+    diameters. Parameters are as for `averaged`.
 
     What an image leaves that no free phase function is fine enough for says nothing against spheres.
     """
     score, freely = _by_free(best, spread, family)
     found = of_spheres(score, freely, NOT_HOPELESS - 2.0 * freely.evidence)
-    likeliest = max([freely, *found], key=lambda one: one.evidence)
-    return _as_spheres(likeliest) if likeliest.finer else None
+    first, *others = sorted([freely, *found], key=lambda one: -one.evidence)
+    if not first.finer:
+        return ()
+    modes = [first]
+    for one in others:
+        elsewhere = one.finer and all(abs(float(one.own[0] - other.own[0])) > APART for other in modes)
+        if elsewhere and one.evidence > first.evidence - NOT_HOPELESS:
+            modes.append(one)
+    return tuple(_as_spheres(one) for one in modes)
 
 
 def _by_free(best: Evaluation, spread: Array, family: Family) -> tuple[Score, Weighed]:
@@ -136,9 +145,13 @@ def _place(found: Sequence[Weighed], shares: Array, family: Family) -> tuple[Arr
     return place, Medium(float(place[0]), float(place[1]), phase=family.phase(place[2:]))
 
 
-def _left_by(image: NDArray[np.floating], best: Evaluation) -> Array:
-    """(n,) what an image leaves, whitened."""
-    return best.problem.by([lambda _: image]).at(best.coordinates).left
+def _left_by(images: Sequence[Image], best: Evaluation) -> Array:
+    """(n,) what an image of each view leaves, whitened."""
+    return best.problem.by([partial(_whatever, image) for image in images]).at(best.coordinates).left
+
+
+def _whatever(image: Image, _: Medium) -> Image:
+    return image
 
 
 def _noise_of(exact: Exact, liquid: Medium, best: Evaluation) -> Array:

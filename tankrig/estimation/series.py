@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.astray import ASTRAY, Astray
 from tankrig.estimation.coordinates import Range, to_coordinates
-from tankrig.estimation.estimate import Free, determined, nuisances_of, with_astray
+from tankrig.estimation.estimate import AS_WELL, Free, determined, nuisances_of, with_astray
 from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import family_models
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
@@ -28,8 +28,10 @@ from tankrig.estimation.phase_answer import (
     fit_phase,
     ink_blocks,
     is_rough,
+    likely_spheres,
     liquid_blocks,
 )
+from tankrig.estimation.phase_average import LikelySpheres
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import Scattering, coefficients_by
 from tankrig.estimation.problem import Evaluation
@@ -45,6 +47,7 @@ from tankrig.estimation.series_forward import (
     tank_model,
 )
 from tankrig.estimation.shots import Fit, Shot
+from tankrig.estimation.spheres import spheres
 from tankrig.estimation.uncertainty import PATTERN, ModelError
 from tankrig.estimation.verdict import (
     series_verdict,
@@ -53,6 +56,7 @@ from tankrig.estimation.verdict import (
     what_is_unseen,
     what_may_be_another_phase,
     what_no_phase_describes,
+    what_spheres_do,
 )
 from tankrig.estimation.versions import Models
 from tankrig.light.rays import shift_invariant
@@ -62,6 +66,9 @@ from tankrig.scene.phase_table import PhaseFunction
 DOUBTED = 0.02
 """Structure beyond what the models state, as a share of an image, from which on a Henyey–Greenstein fit determines
 neither σs nor g of ink: an emulsion leaves 6 %, beads 14 %, and σs is off by a third or more."""
+
+MOST = 0.5
+"""Share of the answer from which on spheres are fitted by themselves."""
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -213,21 +220,47 @@ def fit_liquid(
     else:
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, densest=known)
     fit = _with_nuisance(fit, scenes, nuisance)
-    best = fit.optimum
+    found, likely = _liquid_at(fit, shots, asked)
+    if found is None or likely is None:
+        return found
+    progress("fitting spheres")
+    models, asked = _of_spheres(scenes, models), Asked(spheres(), near=likely.liquids, likely=likely)
+    other = fit_liquid(observations, scenes, scaling, models, None, progress, asked, nuisance)
+    return other if other is not None and other.rmse < AS_WELL * found.rmse else found
+
+
+def _of_spheres(scenes: Sequence[Scene], models: Sequence[Models]) -> list[Models]:
+    """Each image's versions for media of spheres; images of one scene share theirs, as they did."""
+    by_scene = {scene: one.of(spheres()) for scene, one in dict(zip(scenes, models, strict=True)).items()}
+    return [by_scene[scene] for scene in scenes]
+
+
+def _liquid_at(
+    fit: Fit, shots: Sequence[Shot], asked: Asked
+) -> tuple[LiquidEstimate | None, LikelySpheres | None]:  # fmt: skip
+    """The estimate at an optimum, None beyond the models' range; and spheres that are worth a fit of their own."""
+    best, within = fit.optimum, shots[0].models.range
     gain, _, left = left_over(fit)
-    within = models[0].range
     if within is not None and {"sigma_s", "g"} & set(best.at_edge):
-        return None
+        return None, None
     whole = fit.unsettled(_spread(best, left, shots))
     answer = _answer(best, whole, asked, left)
     medium, spread = answer.liquid, answer.covariance[:3, :3]
     if within is not None and "g" in within.at_edge(medium):
-        return None
-    return LiquidEstimate(
+        return None, None
+    found = LiquidEstimate(
         medium, spread, gain, rms(np.array([one.rmse for one in left])), rms(np.array([one.counted for one in left])),
         _known(medium, spread, left, asked, fit), rms(np.array([one.beyond for one in left])), answer,
         nuisances_of(best, whole),
     )  # fmt: skip
+    return found, likely_spheres(best, whole, asked, answer, _unsure(fit, left, asked, answer))
+
+
+def _unsure(fit: Fit, left: Sequence[Left], asked: Asked, answer: Scattering) -> bool:
+    """Whether a free phase function does not describe all images, has not settled, or where several images tell so much
+    that a family next to its fit is not known to first order, spheres are most of the answer."""
+    mostly = answer.families.get(spheres().name, 0.0) > MOST
+    return mostly or fit.moved is not None or is_rough(fit.optimum, asked) or any(one.beyond > 0.0 for one in left)
 
 
 def _known(medium: Medium, spread: Array, left: Sequence[Left], asked: Asked, fit: Fit) -> dict[str, bool]:
@@ -277,7 +310,15 @@ def fit_series(
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, few, densest)
     fit = _with_nuisance(fit, scenes, nuisance)
     progress("finding the errors")
-    return _built(fit, doses, shots, asked)
+    found, likely = _built(fit, doses, shots, asked)
+    if likely is None:
+        return found
+    progress("fitting spheres")
+    near = tuple(in_tank(one, found.water.sigma_a, float(doses.ml[highest])) for one in likely.liquids)
+    models, asked = _of_spheres(scenes, models), Asked(spheres(), near=near, likely=likely)
+    other = fit_series(observations, scenes, doses, scaling, models, None, progress, asked, nuisance)
+    as_well = rms(other.rmse / found.rmse) < AS_WELL
+    return replace(other, verdict=f"{what_spheres_do()} {other.verdict}") if as_well else found
 
 
 def _with_nuisance(fit: Fit, scenes: Sequence[Scene], nuisance: Mapping[str, float] | None) -> Fit:
@@ -297,22 +338,23 @@ def _models(
 def _models_of_tank(scenes: Sequence[Scene], family: Family | None, water_sigma_s: float = 0.0) -> list[Models]:
     """The tank's of each image.
 
-    A phase function's coordinates, which change images nearly alike, want derivatives along paths, and exact images, as
-    walls that are dark allow, or prepared ones, where light or sight slants and paths are noisy; Henyey–Greenstein's
-    three numbers do with differences.
+    A phase function's coordinates, which change images nearly alike, want images without noise, as what is prepared for
+    each liquid has them; Henyey–Greenstein's three numbers do with differences of light paths.
     """
     if family is not None and all(one.tank.faces.dark or not shift_invariant(one) for one in scenes):
         by_scene = {
-            one: family_models(one, family, water_sigma_s=water_sigma_s, prepared=not shift_invariant(one))
-            for one in dict.fromkeys(scenes)
+            one: family_models(one, family, water_sigma_s=water_sigma_s, prepared=True) for one in dict.fromkeys(scenes)
         }
         return [by_scene[scene] for scene in scenes]
     model_of, low_of = (modelled_in_water(one, water_sigma_s) for one in (tank_model, low_orders_model))
     return _models(scenes, model_of, family, low_of)
 
 
-def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> SeriesEstimate:
-    """The estimate at an optimum: errors, linearity, residuals, verdict."""
+def _built(
+    fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked
+) -> tuple[SeriesEstimate, LikelySpheres | None]:  # fmt: skip
+    """The estimate at an optimum: errors, linearity, residuals, verdict; and spheres that are worth a fit of their
+    own."""
     best = fit.optimum
     gain, offsets, left = left_over(fit)
     blocks, whole = best.problem.blocks, fit.unsettled(_spread(best, left, shots))
@@ -335,7 +377,7 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
     off, rough = nuisances_of(best, whole), is_rough(best, asked)
     doubted = asked.family is None and _leaves_much(left, asked)
     unseen = np.zeros(3) if "halo" in off else moved_by_halos(best, left)
-    return SeriesEstimate(
+    built = SeriesEstimate(
         ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=known, gain=gain,
         offsets=tuple(offsets), doses_ml=doses.moved(best.values["doses"]), images=tuple(one.image for one in left),
         residuals=tuple(one.residual for one in left), rmse=np.array([one.rmse for one in left]), linearity=linearity,
@@ -351,6 +393,7 @@ def _built(fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked) -> Serie
         ),
         scattering=answer, nuisance=off, doubted=doubted,
     )  # fmt: skip
+    return built, likely_spheres(best, whole, asked, answer, _unsure(fit, left, asked, answer))
 
 
 def _with_water(best: Evaluation, spread: Array, family: Family, answer: Scattering) -> Array:

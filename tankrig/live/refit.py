@@ -37,7 +37,7 @@ class Unfitted:
         Whether it has two doses or more, and no fit of all of them together.
     phase
         Whether the series' fit shows that the ink has another phase function than Henyey–Greenstein's, nobody has said
-        which to fit, and a free one has not been fitted.
+        which to fit, and others have not been fitted.
     """
 
     doses_ml: tuple[float, ...] = ()
@@ -96,7 +96,7 @@ def refit(
     """Fit what a run lacks, or everything anew, and record each fit in its journal as soon as it is made.
 
     Where the series' fit shows that the ink has another phase function than Henyey–Greenstein's, and nobody has said
-    which to search, the series is fitted with a free one too.
+    which to search, the series is fitted with others too: a free one, families, and spheres of any size.
 
     What ends it, be it an error, Ctrl-C or what `progress` raises, loses no fit that was made: the next call goes on.
 
@@ -113,7 +113,7 @@ def refit(
     phase
         Which phase functions are searched, as in `tankrig.estimate`; None: those of the run's sequence.
     further
-        Whether a series that shows another phase function is fitted with a free one, which takes ten minutes and more.
+        Whether a series that shows another phase function is fitted with others, which takes ten minutes and more.
 
     Returns
     -------
@@ -171,8 +171,8 @@ def fits_made(
             series = fit if isinstance(fit, SeriesFit) else series
             yield fit
     if further and series is not None and series.doubted and plan.may_go_further:
-        told("fitting the series with a free phase function")
-        yield sheets.beside_series(fit_all(exposures.photographs(), series, progress=told, phase="free"))
+        told("fitting the series with other phase functions")
+        yield sheets.beside_series(fit_all(exposures.photographs(), series, progress=told, phase="any"))
 
 
 def _by_tank_model(
