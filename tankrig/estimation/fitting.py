@@ -37,6 +37,8 @@ MOST_PREPARED = 3
 STEPS_BEFORE_WEIGHT, PREPARED_STEPS, FINE_STEPS = 4, 20, 4
 """Steps by them at most: until it is told how firmly a phase function is expected to be smooth, then, and with fine
 derivatives."""
+LIGHTER = 0.5
+"""Share of how firmly that was expected, below which an end that says so has the fit go on."""
 CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
 
@@ -148,6 +150,10 @@ def _by_prepared(
         best = solve(near, best.coordinates, MANY_ENOUGH, STEPS_BEFORE_WEIGHT, damping=0.0)
         weight = _weight(shots, best, versions)
         best = solve(believing(near, weight), best.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
+        lighter = _weight(shots, best, versions)
+        if lighter < LIGHTER * weight:  # there was structure since these few steps had not led to the end
+            weight = lighter
+            best = solve(believing(near, weight), best.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
         if all(
             fine.holds(medium)
             for (fine, _), medium in zip(versions, best.media, strict=True)
