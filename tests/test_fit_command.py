@@ -10,6 +10,7 @@ import pytest
 
 import tankrig
 from tankrig.figures.tank_image import FALSE_COLOUR, brightness
+from tankrig.image.prediction_file import error_of_prediction
 from tankrig.scene import Medium, Scene, load_scene
 from ui.cli import main
 
@@ -203,3 +204,32 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_fit(
     command = ["fit", str(tmp_path / "tank.npy"), "--scene", str(scene_file), "--out", str(tmp_path / "file" / "out")]
     assert main(command) == 2
     assert "not a folder" in capsys.readouterr().err
+
+
+def test_a_predicted_images_own_error_is_no_sign_of_another_liquid(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the pages for newcomers do it: another phase function "explained 44 %" of that, with σa 3 standard deviations
+    off."""
+    scene = tmp_path / "scene.toml"
+    plain = SCENE.replace('kind = "pinhole"\nposition_mm = [-400.0, 0.0, 60.0]', 'kind = "collimated"')
+    plain = plain.replace('kind = "pinhole"\nposition_mm = [120.0, 0.0, 620.0]', 'kind = "orthographic"')
+    scene.write_text(
+        plain.replace("sigma_a = 0.01\nsigma_s = 0.01\ng = 0.0", "sigma_a = 0.0005\nsigma_s = 0.015\ng = 0.7")
+    )
+    assert main(["predict", str(scene), "--tolerance", "0.005", "--out", str(tmp_path)]) == 0
+    capsys.readouterr()
+    asked = ["fit", str(tmp_path / "scene.npz"), "--scene", str(scene), "--json", "--out", str(tmp_path / "fitted")]
+    assert main(asked) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert "phase function" not in found["verdict"]
+    for name, true in (("sigma_a", 0.0005), ("sigma_s", 0.015), ("g", 0.7)):
+        assert abs(found["medium"][name] - true) < 2.5 * found["standard_deviation"][name]
+
+
+def test_another_programs_noise_is_no_error_of_a_prediction(tmp_path: Path) -> None:
+    written = tmp_path / "reference.npz"
+    np.savez(written, total=np.ones((2, 3)), stderr=np.ones((2, 3)), metadata=np.array('{"photons": 1000}'))
+    assert error_of_prediction(written) is None
+    assert error_of_prediction(tmp_path / "tank.png") is None
+    assert error_of_prediction(tmp_path / "missing.npz") is None

@@ -93,6 +93,7 @@ def estimate(
     *,
     phase: "str | PhaseFunction | None" = None,
     nuisance: Mapping[str, float] | None = None,
+    image_error: ArrayLike | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Estimate:
     """Scattering coefficients of the liquid in an image.
@@ -136,6 +137,9 @@ def estimate(
         "pane" (what the entry pane's outer side sends back, as a share of what glass with air behind it does),
         "black_level" (irradiance of a dark picture, W/mm²), "projector_halo" (share of the light in the projector's, of
         the width that the scene says).
+    image_error
+        Standard error of an image that was computed, as `Prediction.stderr` is, scalar or per pixel: it is smooth, and
+        counted as the model's own is. None for a camera's.
     progress
         Told in a few words what is being done, now and then.
 
@@ -162,7 +166,7 @@ def estimate(
     lenses = {name: sd for name, sd in stray.items() if name not in beside}
     astray = Astray(scene, lenses) if lenses else None
     block = BesideBlock.of(scene, beside) if beside else None
-    observation = observe(image, scene.camera.shape, noise, mask)
+    observation = observe(image, scene.camera.shape, noise, mask, image_error)
     models = models_of(scene, model, max_order, asked.family, checked=True)
     return fit_models(observation, scene, scaling, models, progress or _silently, misalignment, asked, astray, block)
 

@@ -12,7 +12,7 @@ from tankrig.estimation.astray import SIGNS, causes
 from tankrig.estimation.found_optics import as_found
 from tankrig.estimation.light_beside import sizes_along
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
-from tankrig.estimation.observation import structure
+from tankrig.estimation.observation import Observation, structure
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import ALIKE, COUNTED
 from tankrig.estimation.shots import Fit
@@ -103,6 +103,7 @@ def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
         unexplained = structure(residual, used) / bright
         white = math.sqrt(max(rmse**2 - (unexplained * bright) ** 2, 0.0))
         noisier = white / noise if white > noise * (1.0 + 3.0 / math.sqrt(2.0 * used.sum())) else 1.0
+        prediction = _with_error_of(seen, prediction, gain)
         stated = stated_error(prediction)
         found.append(
             Left(
@@ -112,6 +113,14 @@ def left_over(fit: Fit) -> tuple[float, list[float], list[Left]]:
             )
         )  # fmt: skip
     return gain, offsets, found
+
+
+def _with_error_of(seen: Observation, prediction: Prediction, gain: float) -> Prediction:
+    """A model's image with the error that a computed image has itself: either may be what they differ by."""
+    if seen.error is None:
+        return prediction
+    known = 0.0 if prediction.stderr is None else np.asarray(prediction.stderr, float)
+    return replace(prediction, stderr=np.hypot(known, seen.error / gain))
 
 
 def _unbiased(patterns: Image | None, image: Image) -> Array:
@@ -207,6 +216,8 @@ def stated_errors(best: Evaluation, left: Sequence[Left]) -> list[ModelError]:
         if patterns is not None and isinstance(smooth, SmoothError):
             rest = replace(smooth, sd=gain * smooth_error_map(one.prediction))
             found.append(PatternedError(gain * patterns, rest))
+        elif view.observation.error is not None and isinstance(smooth, SmoothError):
+            found.append(replace(smooth, sd=np.hypot(smooth.sd, view.observation.error)))
         else:
             found.append(smooth)
     return found

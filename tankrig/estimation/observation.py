@@ -56,6 +56,9 @@ class Observation:
         Number of pixels left out because they are saturated.
     ceiling
         The value of saturated pixels; infinite where there are none.
+    error
+        Standard error of what is no camera's image but computed, (rows, columns), as smooth as a model's own; None of a
+        camera's.
     """
 
     image: NDArray[np.float64]
@@ -65,6 +68,7 @@ class Observation:
     specks: NDArray[np.bool_]
     saturated: int = 0
     ceiling: float = np.inf
+    error: NDArray[np.float64] | None = None
 
     def with_noise_of(self, residual: NDArray[np.float64], by_level: bool = False) -> "Observation":
         """The same, its noise estimated anew from a fit's residual; unchanged where the noise is known.
@@ -106,7 +110,8 @@ class Observation:
         image, variance = (blocks(np.where(self.used, one, 0.0)) for one in (self.image, self.noise**2))
         used = count >= 0.5 * by * by
         noise = np.where(used, np.sqrt(variance) / many, self.noise.max())
-        return replace(self, image=image / many, noise=noise, used=used, specks=np.zeros_like(used))
+        error = None if self.error is None else blocks(np.where(self.used, self.error, 0.0)) / many
+        return replace(self, image=image / many, noise=noise, used=used, specks=np.zeros_like(used), error=error)
 
     def _level(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Brightness without noise and bubbles: what was fitted, and what is left over there at large."""
@@ -135,8 +140,9 @@ class Observation:
 
 
 def observe(
-    image: ArrayLike, shape: tuple[int, int], noise: ArrayLike | None = None, mask: ArrayLike | None = None
-) -> Observation:
+    image: ArrayLike, shape: tuple[int, int], noise: ArrayLike | None = None, mask: ArrayLike | None = None,
+    error: ArrayLike | None = None,
+) -> Observation:  # fmt: skip
     """Check an image and say which of its pixels count.
 
     Parameters
@@ -149,6 +155,8 @@ def observe(
         Standard deviation, scalar or per pixel, in units of the image; None to estimate it.
     mask
         True where a pixel is to be left out.
+    error
+        Standard error of a computed image, scalar or per pixel, in units of the image; None of a camera's.
 
     Raises
     ------
@@ -176,7 +184,8 @@ def observe(
     ceiling = float(values[saturated].max()) if saturated.any() else np.inf
     used &= ~saturated
     finite, none = np.where(np.isfinite(values), values, 0.0), np.zeros_like(used)
-    observed = Observation(finite, sigma, used, known, none, int(saturated.sum()), ceiling)
+    own = None if error is None else _error(error, values.shape)
+    observed = Observation(finite, sigma, used, known, none, int(saturated.sum()), ceiling, own)
     observed = observed.with_noise_of(np.where(used, values, 0.0))
     return _without_specks(observed)
 
@@ -277,6 +286,17 @@ def _noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.float6
     if not ((sigma >= 1.0 / MOST) & (sigma <= MOST)).all():
         raise ImageError("the noise is not a positive finite standard deviation everywhere; give one that is")
     return np.broadcast_to(sigma, shape)
+
+
+def _error(error: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    values = _real("image_error", error)
+    if values.shape not in ((), shape):
+        raise ImageError(
+            f"image_error has shape {list(values.shape)}; give one number or one for each of {list(shape)}"
+        )
+    if not ((values >= 0.0) & (values <= MOST)).all():
+        raise ImageError("image_error is negative or not finite somewhere; give standard errors")
+    return np.broadcast_to(values, shape)
 
 
 def _check_values(values: NDArray[np.float64], used: NDArray[np.bool_]) -> None:

@@ -154,6 +154,11 @@ class Doubt:
             whole = self.left.prediction.model in WHOLE
             likely = cause_of(self.best, self.scene, misaligned) if whole else []
             return likely, PhaseTold(explained=self._explained_by(likely))
+        if self.left.unexplained <= BEYOND * self.left.stated:
+            # So little is the model's own error as likely as anything, and every smooth pattern would explain some.
+            free = self._by_derivatives()
+            if free.evidence < BEYOND_DOUBT:
+                return cause_of(self.best, self.scene, misaligned), PhaseTold(freed=free)
         likely, instead = self._asked_of_structure(misaligned)
         misled = _is_phase(likely)
         return likely, PhaseTold(instead, misled=misled, explained=1.0 if misled else self._explained_by(likely))

@@ -1,12 +1,14 @@
 """A prediction as a file: NumPy's .npz with the array names of the reference images."""
 
 import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tankrig.files import whole_file
 from tankrig.prediction import Prediction
@@ -55,6 +57,22 @@ def write_prediction(path: Path, prediction: Prediction, scene: Scene, about: Ma
         arrays["stderr"] = prediction.stderr
     with whole_file(path) as unfinished:
         np.savez_compressed(unfinished, allow_pickle=False, **arrays)
+
+
+def error_of_prediction(path: Path, scale: float = 1.0) -> NDArray[np.float64] | None:
+    """The standard error of a predicted image, (rows, columns), as `write_prediction` keeps it; None of other files.
+
+    Other programs' files may have an array of that name, which is noise that differs from pixel to pixel.
+    """
+    if path.suffix.lower() != ".npz":
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            if "stderr" not in arrays or "model" not in json.loads(str(arrays["metadata"])):
+                return None
+            return scale * np.asarray(arrays["stderr"], float)
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+        return None  # what is wrong with a file is told by who reads its image
 
 
 def _described(scene: Scene) -> dict[str, Any]:

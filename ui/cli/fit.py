@@ -206,6 +206,7 @@ def fit(
     from tankrig.estimation.result import by_order
     from tankrig.estimation.stated_errors import FINE
     from tankrig.files import require_writable, whole_file
+    from tankrig.image.prediction_file import error_of_prediction
     from tankrig.live.one_picture import brighter_far
 
     if dark is not None and dark_pattern is not None:
@@ -235,7 +236,10 @@ def fit(
         offset = 0.0
     scene, image, stem = picture.scene, picture.image, out / f"{image_file.stem}-fit"
     asked: dict[str, Any] = {"gain": gain, "offset": offset, "noise": noise, "nuisance": dict(nuisance)}
-    seen: dict[str, Any] = {**asked, "mask": picture.mask if picture.mask.any() else None}
+    own_error = error_of_prediction(image_file, scale) if raw is None and array is None else None
+    if own_error is not None and picture.bins is not None:
+        own_error = picture.bins.means(own_error)
+    seen: dict[str, Any] = {**asked, "mask": picture.mask if picture.mask.any() else None, "image_error": own_error}
     fitted = None
     with stages_shown() as tell:
         started = time.perf_counter()
