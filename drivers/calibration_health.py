@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.check import Check, failed
 from drivers.rig import RigFile, require_of_bench
-from tankrig.calibration.file import Calibration, all_in, passed_over, usable
+from tankrig.calibration.file import Calibration, all_in, left_aside, passed_over, usable
 from tankrig.calibration.geometry_in_force import DEVICES
 from tankrig.calibration.witness import bright_exposure_ms, mean_of
 from tankrig.devices import CameraDevice, Projector
@@ -55,11 +55,18 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
         what = f"newest calibration of the {over.kind} can be used"
         yield Check(what, False, f"runs are refused: {over.question}", over.remedy, over.kind)
     yield from _of_one_bench(rig, found)
+    aside = left_aside(folder, rig.calibration)
     for kind in KINDS:
         if kind in found:
             yield replace(_fits(found[kind], devices.get(DEVICES[kind]), found, folder), part=kind)
         elif needs_none(kind, rig):
             yield Check(f"{kind} is calibrated", None, f"not needed: {TELECENTRIC}", part=kind)
+        elif kind in aside:
+            yield Check(
+                f"{kind} is calibrated", None,
+                f"was measured {aside[kind].age_days:.0f} days ago and set aside; the rig file is believed",
+                f"look at what was set aside, {aside[kind].path}, or tankrig calibrate {kind} --rig FILE", kind,
+            )  # fmt: skip
         else:
             yield Check(
                 f"{kind} is calibrated", None, "has not been measured; the rig file is believed",

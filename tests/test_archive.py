@@ -123,7 +123,8 @@ def test_a_column_that_says_nothing_takes_no_room(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "96")
     assert main(["archive", str(archive), "--rig", "*A"]) == 0
-    heading, *lines, count = capsys.readouterr().out.splitlines()
+    heading, *lines, meaning, count = capsys.readouterr().out.splitlines()
+    assert "standard deviation" in meaning
     assert heading.split() == ["run", "day", "rig", "material", "ml", "σs,", "1/m", "g", "σa,", "1/m"]
     assert all("ink 0" in line and "±" in line for line in lines)
     assert count == f"{len(lines)} runs, {len(lines)} fits"

@@ -168,6 +168,8 @@ def prepared_answer(
             models[scene] = prepare(scene, TOLERANCE, share, box)
 
     def answer(scene: Scene, medium: Medium) -> tuple[Array, Array]:
-        return models[scene].predict(medium, derivatives=True)
+        # Ink that absorbs nothing is beyond every box, and as good as what is at its edge.
+        clear = medium.albedo > box.albedo[1]
+        return models[scene].predict(box.nearest(medium) if clear else medium, derivatives=True)
 
     return answer

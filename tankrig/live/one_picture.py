@@ -190,8 +190,12 @@ def picture_of(
     seen = Seen(~blurred, lit_pixels(scene))
     if seen.nothing_left:
         raise ImageError(
-            "blur matters to all of the light that is seen: its beams are narrower than it reaches; make them wider, "
-            "focus and calibrate anew, or give --edges in mm"
+            "blur matters to all of the light that is seen: its beams are narrower than it reaches; "
+            + (
+                "make them wider, focus and calibrate anew, or give --edges in mm"
+                if edges is None
+                else f"--edges {edges:g} mm leaves nothing; give less"
+            )
         )
     light = seen.sharp & seen.lit & counts
     if (full & light).sum() > MOST_SATURATED * light.sum():

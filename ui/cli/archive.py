@@ -133,6 +133,8 @@ def _tell(rows: "Sequence[Record]", by: str | None) -> None:
         styles=styles,
     )
     console = Console()
+    if any("±" in cell for row_cells in cells for cell in row_cells[len(heads) :]):
+        console.print("each ± is one standard deviation", highlight=False)
     if any(cell.endswith("?") for row_cells in cells for cell in row_cells[len(heads) :]):
         console.print("? not determined by the photographs", highlight=False)
     for row in rows[:SHOWN]:

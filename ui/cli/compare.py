@@ -57,6 +57,8 @@ def compare(
     mask: Any = None
     if given.is_dir():
         image, scene, sigma, offset, mask = _photograph(given, dose_ml, pattern, noise, offset)
+    elif not given.exists():
+        raise tankrig.ImageError(f"{given}: does not exist; give an image, or the folder of a run")
     elif scene_file is None:
         raise click.UsageError("an image needs --scene FILE")
     else:

@@ -3,6 +3,7 @@
 import json
 import math
 import time
+import warnings
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -231,6 +232,7 @@ def fit(
         )
     for note in notes:
         click.echo(f"note: {note}", err=True)
+    told = len(notes)
     require_writable(out)
     if raw is not None and subtracted is not None and offset == "free":
         offset = 0.0
@@ -243,10 +245,15 @@ def fit(
     fitted = None
     with stages_shown() as tell:
         started = time.perf_counter()
+        if model == "prepared":
+            tell("preparing a model of the scene, once")
         try:
-            fitted = tankrig.estimate(
-                image, scene, **seen, model=model, max_order=max_order, phase=phase, progress=tell
-            )
+            with warnings.catch_warnings(record=True) as warned:
+                warnings.simplefilter("always", UserWarning)
+                fitted = tankrig.estimate(
+                    image, scene, **seen, model=model, max_order=max_order, phase=phase, progress=tell
+                )
+            notes += [str(one.message) for one in warned]
             seconds = time.perf_counter() - started
             tell("rebuilding by order")
             whole = "tank" if model == "prepared" else model  # a prepared model doesn't tell orders apart
@@ -288,6 +295,8 @@ def fit(
             "arrays": f"{stem}.npz",
         }
         _write(stem, numbers, scene, fitted, rebuilt, single)
+    for note in notes[told:]:
+        click.echo(f"note: {note}", err=True)
     if as_json:
         click.echo(json.dumps(numbers, ensure_ascii=False))
     else:
@@ -540,13 +549,15 @@ def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Esti
         further += [("σs(1−g)", scattering.reduced), ("σs p(90°)", scattering.at_right_angle)]
         # A family may call a parameter of its own g, which is not the liquid's mean cosine.
         likeliest = max(scattering.families, key=lambda family: scattering.families[family], default="")
-        further += [(f"{name} of {likeliest}", one) for name, one in scattering.parameters.items()]
+        # What has no error was given, as a label's wavelength is, and is no result.
+        further += [(f"{name} of {likeliest}", one) for name, one in scattering.parameters.items() if one[1] > 0.0]
     rows += [(name, _rounded(value, sd), _rounded(sd, sd), "", "", "") for name, (value, sd) in further]
     tell_table(("", "fitted", "±", f"{LEVEL:.0%} interval", "", "determined"), rows, left=(0, 4, 5))
     console = Console()
     if scattering is not None and fitted.medium.phase is not None:
         shares = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in scattering.families.items())
-        console.print(f"\nphase function  {shares}; g is the mean cosine of what they make together", highlight=False)
+        of = "its mean cosine" if len(scattering.families) == 1 else "the mean cosine of what they make together"
+        console.print(f"\nphase function  {shares}; g is {of}", highlight=False)
     console.print(f"\n{fitted.verdict}\n", highlight=False, markup=False)
     by_order = ",  ".join(f"{one.orders}: {one.rmse:.3g}" for one in rebuilt)
     console.print(

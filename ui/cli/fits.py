@@ -72,6 +72,9 @@ def tell_fits(found: dict[str, Any]) -> None:
     styles = ["bold" if row and row[0] == "per ml" else None for row in rows]
     tell_table(("ink", *headings, "single\nscatt. σt"), rows, left=(), styles=styles)
     console = Console()
+    console.print(
+        "each ± is one standard deviation; an interval of 95 % is twice as wide to either side", highlight=False
+    )
     if any(row["single_sigma_t_ratio"] is not None for row in found["doses"]):
         console.print(
             "single scatt. σt: how far off σa + σs would be, had single scattering alone explained the photographs",

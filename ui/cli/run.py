@@ -261,14 +261,17 @@ def _draw(runner: "Runner", thread: threading.Thread, live: "LiveFit | None") ->
         while thread.is_alive():
             thread.join(_POLL_S)
             now = runner.progress()
-            left = f"{now.label}, {_duration(now.remaining_s)} left"
+            over = now.step >= now.steps
+            last = f"{now.label}, the last fits are made" if live is not None else now.label
+            left = last if over else f"{now.label}, {_duration(now.remaining_s)} left"
+            preparing = preparation_in_words(live.preparation) if live is not None else ""
             bar.update(task, completed=now.step, description=left)
             if told is not None:
-                told(f"step {now.step} of {now.steps}, {left}")
-            lines = [f"waiting for {now.waiting_for or 'the rig'}"]
+                told(f"step {now.step} of {now.steps}, {left}", preparing if over else "")
+            lines = [] if over else [f"waiting for {now.waiting_for or 'the rig'}"]
             if live is not None:
                 lines.append(fit_in_words(from_fields(runner.latest_fit) if runner.latest_fit else None))
-                lines.append(preparation_in_words(live.preparation))
+                lines.append(preparing)
             beneath.plain = "\n".join(lines)
             while not warnings.empty():
                 console.print(Text(warnings.get()), soft_wrap=True)
@@ -348,12 +351,10 @@ def _how_to_resume(path: Path) -> str:
 
 
 def _reported(path: Path) -> str:
-    from rich.console import Console
-
     from tankrig.report import write_report
 
-    with Console(stderr=True).status("writing the report") as status:
-        return str(write_report(path, None, status.update))
+    with stages_shown("writing the report") as tell:
+        return str(write_report(path, None, tell))
 
 
 def _duration(seconds: float) -> str:

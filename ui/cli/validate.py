@@ -104,4 +104,4 @@ def tell(found: "Validation") -> None:
         for row in found.rows
     ]
     tell_table(("", "run", "reference", "", ""), rows, left=range(5), sentences=True)
-    click.echo(f"\n{found.verdict}\n")
+    click.echo(f"each ± is one standard deviation\n\n{found.verdict}\n")

@@ -23,6 +23,8 @@ TIP = (
     "grey: the liquid by the fit of all doses; dashed where that does not determine the coefficient, between the edges "
     f"of its interval ({CONFIDENCE})"
 )
+LEAST_OF_G = 0.05
+"""Half of what the axis of g shows at least."""
 ROOM = 1.5
 """Times what is shown: an axis that is at most so long stays as it is."""
 AXIS_PX = 50
@@ -118,7 +120,9 @@ class FitCurves(QWidget):
         reach = np.minimum(errors, np.maximum(np.abs(values), 1e-12))
         low, high = float(np.min(values - reach)), float(np.max(values + reach))
         if name == "g":
-            low, high = max(-1.0, min(low, 0.0)), 1.0
+            # Over its whole range every error bar would be a line; over no more than they are, noise a catastrophe.
+            half = max(0.5 * (high - low), LEAST_OF_G)
+            low, high = (0.5 * (low + high) + by for by in (-half, half))
         margin = 0.1 * (high - low or 1.0)  # a point is as wide as a tenth of a low plot
         if name != "g":
             low = min(low, 0.0) - margin
@@ -159,10 +163,10 @@ def deviation(name: str, dose_ml: Any, series: SeriesFit) -> Any:
 
 
 def _step(length: float) -> float:
-    """Between the numbers of an axis, so that there are one to four of them however low the plot is.
+    """Between the numbers of an axis, so that there are two to five of them however low the plot is.
 
-    >>> _step(1.05), _step(0.0021), _step(9.9)
-    (0.5, 0.001, 5.0)
+    >>> _step(1.05), _step(0.0021), _step(9.9), _step(4.0)
+    (0.5, 0.001, 2.0, 2.0)
     """
     ten = 10.0 ** math.floor(math.log10(max(length, 1e-300)))
-    return next(part * ten for part in (5.0, 2.0, 1.0, 0.5) if length / (part * ten) >= 1.5)
+    return next(part * ten for part in (5.0, 2.0, 1.0, 0.5, 0.2) if length / (part * ten) >= 2.0)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
-from PySide6.QtCore import QPointF, Qt, Signal
+from PySide6.QtCore import QPointF, Qt, QTimer, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QPushButton, QSlider, QVBoxLayout, QWidget
 
 from tankrig.devices import CameraSettings
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 
 GAMMA_PERCENT = 20, 200
 PICTURE_PX = 150
+STANDING_S = 2.0
+"""After so long without a new picture its rate is told no more."""
+LEAST_OVER_PX = 150
 POINT = "point at the picture to read counts and radiance"
 NO_PICTURE = "the camera's picture will stand here"
 
@@ -61,7 +64,7 @@ class LiveView(QWidget):
         self._picture: Picture | None = None
         self._levels = (0.0, 65535.0)
         self._asked = CameraSettings(20.0)
-        self._rate_at = 0.0
+        self._rate_at = self._newest_at = 0.0
         self._outlined: NDArray[np.float64] | None = None
         self._cursor: QPointF | None = None
         self.displayed = 0
@@ -82,6 +85,9 @@ class LiveView(QWidget):
         self._lay_out()
         self._plot.plot.getViewBox().sigTransformChanged.connect(self._set_view)
         self._plot.widget.scene().sigMouseMoved.connect(self._mouse_moved)
+        self._standing = QTimer(self)
+        self._standing.timeout.connect(self._tell_standing)
+        self._standing.start(round(1000.0 * STANDING_S))
 
     # -- what is shown -------------------------------------------------------------------------------------------------
 
@@ -142,6 +148,7 @@ class LiveView(QWidget):
         self._over.setText(words if live else "")
         self._over.setVisible(bool(words) and live)
         if self._over.isVisible():
+            self._over.setFixedWidth(max(LEAST_OVER_PX, self._plot.widget.width() - 2 * self._over.x()))
             self._over.adjustSize()
 
     def _say(self) -> None:
@@ -173,11 +180,19 @@ class LiveView(QWidget):
         if before is None or before.frame.settings != picture.frame.settings:
             self._show_settings()
         self.displayed += 1
+        self._newest_at = time.monotonic()
         if self.displayed == 1:
             self.first_shown.emit()
         if picture.statistics is not None:
             self._tell(picture.statistics)
             self._histogram.show_counts(picture.statistics.often, picture.frame.saturation, picture.tone)
+
+    def _tell_standing(self) -> None:
+        """That no picture has come for some time: a rate of before would say that this one is of now."""
+        stands_s = time.monotonic() - self._newest_at
+        if self._picture is not None and stands_s > STANDING_S:
+            live = self._source.recorded is None
+            self._rate.setText(f"no new picture for {stands_s:.0f} s" if live else "")
 
     def _tell(self, statistics: FrameStatistics) -> None:
         """What follows at a slower pace."""
@@ -331,6 +346,7 @@ class LiveView(QWidget):
         third.addStretch(1)
         third.addWidget(self._rate)
         self._over = QLabel(self._plot.widget)
+        self._over.setWordWrap(True)
         self._over.setObjectName("over")
         self._over.move(60, 12)
         self._over.hide()
