@@ -380,7 +380,9 @@ class Runner:
                     f"and {mix.tolerance:.1%} is allowed; stir, or allow more or longer, then resume the run"
                 )
             if mixing.remaining < 1.0:
-                self._estimator.waiting_for = f"the ink to mix: up to {mixing.remaining:.1%} of the picture changes"
+                self._estimator.waiting_for = (
+                    f"the ink to mix: up to {mixing.remaining:.2%} of the picture changes, {mix.tolerance:.2%} may"
+                )
             self._states.sleep(mix.every_s)
 
     def _capture(self, capture: Capture, step: int) -> dict[str, Any]:
