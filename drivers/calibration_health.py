@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from drivers.check import Check, failed
-from drivers.rig import RigFile, require_of_bench
+from drivers.rig import RigFile, is_as_described, require_of_bench
 from tankrig.calibration.file import Calibration, all_in, left_aside, passed_over, usable
 from tankrig.calibration.geometry_in_force import DEVICES
 from tankrig.calibration.witness import bright_exposure_ms, mean_of
@@ -23,6 +23,7 @@ KINDS = ("camera", "projector", "tank", "radiometry", "stray", "latency")
 BY_BOARDS = ("camera", "projector", "tank", "stray")
 """What is found by a camera's perspective, so not by a telecentric lens."""
 TELECENTRIC = "the camera's lens is telecentric, which no board measures; the rig file is believed"
+AS_DESCRIBED = "the simulated rig is what its file says; to practise, calibrate the simulated bench"
 STALE_DAYS = 90.0
 _CLOSE = 2.0
 """mm, ms; by which measured and believed may differ, whatever the uncertainty."""
@@ -59,8 +60,8 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
     for kind in KINDS:
         if kind in found:
             yield replace(_fits(found[kind], devices.get(DEVICES[kind]), found, folder), part=kind)
-        elif needs_none(kind, rig):
-            yield Check(f"{kind} is calibrated", None, f"not needed: {TELECENTRIC}", part=kind)
+        elif why := why_none(kind, rig):
+            yield Check(f"{kind} is calibrated", None, f"not needed: {why}", part=kind)
         elif kind in aside:
             yield Check(
                 f"{kind} is calibrated", None,
@@ -76,9 +77,11 @@ def calibration_checks(rig: RigFile, devices: Mapping[str, Any]) -> Iterator[Che
     yield from _as_believed(rig, found)
 
 
-def needs_none(kind: str, rig: RigFile) -> bool:
-    """Whether nothing of this kind can be measured on the rig, so that nothing is missing."""
-    return kind in BY_BOARDS and rig.bench.camera.kind == "orthographic"
+def why_none(kind: str, rig: RigFile) -> str:
+    """Why nothing of this kind is to be measured on the rig, so that nothing is missing; empty where it is."""
+    if is_as_described(rig):
+        return AS_DESCRIBED
+    return TELECENTRIC if kind in BY_BOARDS and rig.bench.camera.kind == "orthographic" else ""
 
 
 def _blur_in_depth(found: Mapping[str, Calibration]) -> Iterator[Check]:

@@ -175,6 +175,12 @@ def true_bench(description: RigFile) -> "TrueBench | None":
     return random_bench(settings.boards.seed, settings.boards.camera_shape, settings.boards.projector_shape)
 
 
+def is_as_described(description: RigFile) -> bool:
+    """Whether a rig is a simulated one without boards, whose bench is as its file says: there is nothing to measure."""
+    settings = _simulated_camera(description)
+    return settings is not None and settings.boards is None and settings.truth.bench == description.bench
+
+
 def _simulated_camera(description: RigFile) -> "SimulatedCameraSettings | None":
     settings = dict(description.camera)
     if settings.pop("driver") != "simulated-camera":

@@ -8,6 +8,7 @@ import pytest
 
 from drivers.calibration_health import KINDS, calibration_checks
 from drivers.rig import load_rig_file
+from drivers.simulated import __file__ as simulated
 from tankrig.calibration.file import Calibration, save
 from tankrig.calibration.pump import calibrate_pump, load_pump_calibration, save_pump_calibration
 from tankrig.live.formatting import with_error
@@ -34,7 +35,7 @@ def test_a_weighed_pump_is_known_with_the_windows_confidence(tmp_path: Path) -> 
 def test_what_a_telecentric_lens_makes_needless_is_missing_nowhere(tmp_path: Path, camera: str) -> None:
     """ "Not yet" and "has not been measured" stood beside a tick for the same camera."""
     file = write_rig(tmp_path)
-    rig = load_rig_file(file)
+    rig = replace(load_rig_file(file), camera={"driver": "v4l2-camera"})
     if camera == "pinhole":
         seen = Camera("pinhole", (20, 30), 8.0, (120.0, 0.0, 600.0))
         rig = replace(rig, bench=replace(rig.bench, camera=seen))
@@ -47,6 +48,19 @@ def test_what_a_telecentric_lens_makes_needless_is_missing_nowhere(tmp_path: Pat
         assert (known[f"{kind}, measured"].value == "not needed") == needless
         assert found[kind].finding.startswith("not needed: ") == needless == (not found[kind].remedy)
         assert bool(steps[kind].done) == needless == ("needs no calibration" in steps[kind].what)
+
+
+def test_a_simulated_rig_that_hides_nothing_wants_no_calibration(tmp_path: Path) -> None:
+    """Its first step was to calibrate the radiometry, for ever: what the command measured was another bench."""
+    rig = load_rig_file(file := write_rig(tmp_path))
+    checks = list(calibration_checks(rig, {}))
+    steps, known = calibration_steps(rig, checks), {one.what: one for one in known_of(rig, file, tmp_path)}
+    assert all(step.done for step in steps.values())
+    assert all(not check.remedy for check in checks)
+    assert all(known[f"{kind}, measured"].value == "not needed" for kind in KINDS)
+    bench = load_rig_file(Path(simulated).with_name("bench.toml"), beside=tmp_path / "bench")
+    wanted = calibration_steps(bench, calibration_checks(bench, {}))
+    assert not any(wanted[kind].done for kind in KINDS)
 
 
 def test_commands_say_that_each_of_their_errors_is_a_standard_deviation(

@@ -68,11 +68,11 @@ def _calibration(kind: str, by_part: dict[str, list[Check]], description: "RigFi
     good = next((check for check in checks if check.passed), None)
     if good is not None:
         return Step(what, True, good.finding)
-    from drivers.calibration_health import TELECENTRIC, needs_none  # takes time to load
+    from drivers.calibration_health import why_none  # takes time to load
 
-    if needs_none(kind, description):
+    if why := why_none(kind, description):
         thing = "camera's stray light" if kind == "stray" else kind
-        return Step(f"the {thing} needs no calibration where the camera's lens is telecentric", True, TELECENTRIC)
+        return Step(f"the {thing} needs no calibration", True, why)
     finding = next((check.finding for check in checks), "was not looked at")
     return Step(what, None, finding, command)
 

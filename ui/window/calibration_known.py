@@ -81,7 +81,7 @@ def _in_use(rig: "RigFile") -> "dict[str, Calibration]":
 
 
 def _measured(rig: "RigFile") -> Iterator[Known]:
-    from drivers.calibration_health import KINDS, TELECENTRIC, needs_none
+    from drivers.calibration_health import KINDS, why_none
     from tankrig.calibration.file import all_in, passed_over, usable
 
     place = Path(rig.calibration_folder)
@@ -101,7 +101,8 @@ def _measured(rig: "RigFile") -> Iterator[Known]:
         yield Known(f"{kind}, set aside", _well(doubtful), note, doubtful.path)
     for kind in KINDS:
         if kind not in found:
-            missing = ("not needed", TELECENTRIC) if needs_none(kind, rig) else NOT_YET
+            why = why_none(kind, rig)
+            missing = ("not needed", why) if why else NOT_YET
             yield Known(f"{kind}, measured", *missing)
             continue
         one = found[kind]
