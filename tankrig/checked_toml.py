@@ -36,6 +36,10 @@ MOST_DEPTH = 32
 """Of tables and arrays within each other."""
 
 
+OF_FILES = {"a sequence file": "steps", "a scene file": "medium", "a rig file": "doser"}
+"""A key that each kind of file has, and no other."""
+
+
 def read_toml(path: Path, what: str, error: type[TankrigError]) -> dict[str, Any]:
     """Parse a TOML file.
 
@@ -49,13 +53,16 @@ def read_toml(path: Path, what: str, error: type[TankrigError]) -> dict[str, Any
         What to raise when it cannot be read or is not TOML.
     """
     try:
-        return bounded_reading.parsed_toml(bounded_reading.text(path))
+        table = bounded_reading.parsed_toml(bounded_reading.text(path))
     except OSError as cause:
         raise error(f"{path}: cannot be read ({cause.strerror or cause}); give the path of {what}") from cause
     except UnicodeDecodeError as cause:
         raise error(f"{path}: is not text, so not {what}; give a TOML file") from cause
     except ValueError as cause:
         raise error(f"{path}: is not TOML ({cause}); mend that line") from cause
+    if OF_FILES.get(what, "") not in table and (others := [one for one, key in OF_FILES.items() if key in table]):
+        raise error(f"{path}: is {others[0]}, where {what} is wanted; give that")
+    return table
 
 
 def checked(kind: type[T], table: dict[str, Any], name: str, error: type[TankrigError]) -> T:

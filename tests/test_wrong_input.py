@@ -183,3 +183,17 @@ def test_many_mutated_files_are_read_or_refused_in_a_sentence(
         failed = len(total["failed"])
         print(f"\n{name}: {total['refused']} refused, {total['accepted']} read, {total['used']} used, {failed} failed")
     assert not total["failed"]
+
+
+def test_a_file_of_another_kind_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a scene that was given as a sequence the first key was "unknown; remove it"."""
+    scene, sequence = tmp_path / "scene.toml", tmp_path / "first.toml"
+    scene.write_text("[tank]\n[medium]\nsigma_a = 0.0\nsigma_s = 0.01\ng = 0.0\n")
+    sequence.write_text('name = "a note"\n[[steps]]\ndo = "note"\ntext = "x"\n')
+    for command, said in (
+        (["run", str(scene)], "scene.toml: is a scene file, where a sequence file is wanted"),
+        (["run", str(sequence), "--rig", str(scene)], "scene.toml: is a scene file, where a rig file is wanted"),
+        (["predict", str(sequence)], "first.toml: is a sequence file, where a scene file is wanted"),
+    ):
+        assert main(command) == 2
+        assert said in capsys.readouterr().err

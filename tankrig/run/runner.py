@@ -395,7 +395,7 @@ class Runner:
                 return {"frames": number, "stopped": why}
             self._states.check()
             if number == taken:
-                self._estimator.waiting_for = self._rig.camera.name
+                self._estimator.waiting_for = "the camera"
                 self._display.show(pattern, self._plan.sequence.camera_settings(capture))
             frame, conditions = self._display.frame()
             if previous is not None and frame.sequence > previous + 1:
@@ -409,7 +409,7 @@ class Runner:
     def _burst(self, burst: Burst, step: int) -> dict[str, Any]:
         patterns = [self._plan.patterns[name] for name in burst.patterns]
         taken = self._plan.frames_taken if step == self._plan.first_step else 0
-        self._estimator.waiting_for = self._rig.camera.name
+        self._estimator.waiting_for = "the camera"
         settings = self._plan.sequence.camera_settings(burst)
         while taken < burst.frames:
             self._states.check()
