@@ -21,7 +21,8 @@ from tankrig.run.reading import Run, open_run
 from tankrig.scene import Medium, Scene
 from tankrig.separation import separations_of_run
 from tankrig.separation.waves import Changed
-from tests.test_live import Ready, plan, seen_at
+from tests.live_plan import plan, seen_at
+from tests.preparing_stand_ins import Ready
 from tests.window_rig import write_rig
 from ui.cli import main
 
