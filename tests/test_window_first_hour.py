@@ -470,14 +470,14 @@ def test_frames_and_figures_are_saved_as_they_are(window):
     save_figure(page, window.home / "fit.png")
     picture = cv2.imread(str(window.home / "fit.png"))
     assert picture.shape[:2] == (2 * page.height(), 2 * page.width())
-    window.copy_figure()
+    window.saving.copy_figure()
     assert QGuiApplication.clipboard().pixmap().width() == 2 * page.width()
 
 
 def test_what_is_on_screen_is_copied_as_python_that_works(window):
     """A figure that nobody can make again is an anecdote."""
     shown = opened(window, "a")
-    window.copy_as_python()
+    window.saving.copy_as_python()
     names: dict = {}
     exec(QGuiApplication.clipboard().text(), names)
     assert [fit["dose_ml"] for fit in names["fits"] if fit["fit"] == "dose"] == [fit.dose_ml for fit in shown.by_dose]

@@ -22,7 +22,6 @@ from PySide6.QtWidgets import QLabel, QMainWindow, QMessageBox, QToolBar, QVBoxL
 from tankrig.errors import TankrigError
 from tankrig.run.state import FinishReason
 from ui.window import theme
-from ui.window.as_python import as_python
 from ui.window.background import Background
 from ui.window.banner import Banner
 from ui.window.build_pages import pages
@@ -30,8 +29,7 @@ from ui.window.docks import Docks
 from ui.window.dropped import Dropped, kind_of
 from ui.window.elided import Elided
 from ui.window.event_loop_monitor import EventLoopMonitor
-from ui.window.figure import FIGURE_KINDS, FRAME_KINDS, pixmap_of, save_figure, write_counts
-from ui.window.files import ask_for_file, ask_where_to_save
+from ui.window.files import ask_for_file
 from ui.window.focus_ring import FocusRing
 from ui.window.fresh_water import WAY, asks_for_it
 from ui.window.gc_timer import GcTimer
@@ -43,6 +41,7 @@ from ui.window.palette import Action, Palette
 from ui.window.rig_file import RigSource
 from ui.window.rig_host import RigHost
 from ui.window.rig_parts import RunOrder, import_ahead
+from ui.window.saving import Saving
 from ui.window.source_frame import SourceFrame
 from ui.window.status import RigState, RigStatus
 from ui.window.stop_keys import StopKeys
@@ -187,6 +186,7 @@ class MainWindow(QMainWindow):
 
         self._reader = Reader()
         self.on_screen = OnScreen(self._reader, self.background)
+        self.saving = Saving(self, self.live, self.docks, self.on_screen, self._reader, self.tell)
         for made in pages(self.folder, self.on_screen, self.background, self.host.source, self.live):
             for name, title, page, frame in made:
                 setattr(self, name, page)
@@ -253,7 +253,7 @@ class MainWindow(QMainWindow):
             self.compare, self.regions, self.separation,
         )  # fmt: skip
         self.make_keys({
-            "palette": self.show_palette, "screenshot": self.save_screenshot,
+            "palette": self.show_palette, "screenshot": self.saving.save_screenshot,
             "layout-align": partial(self.docks.arrange, self.projector, 0.36),
             "layout-calibrate": partial(self.docks.arrange, self.calibration, 0.6),
             "layout-run": partial(self.docks.arrange, self.sequence, 0.5),
@@ -690,10 +690,10 @@ class MainWindow(QMainWindow):
         actions.append(Action("open a rig file", "", self.ask_for_rig))
         actions += [
             Action("open a scene and predict its picture", "", self.ask_for_scene),
-            Action("copy what is on screen as Python", "", self.copy_as_python),
-            Action("save this frame, its counts as they are", "", self.save_frame),
-            Action("save what the page in front shows as a figure", "", self.save_figure),
-            Action("copy what the page in front shows as a picture", "", self.copy_figure),
+            Action("copy what is on screen as Python", "", self.saving.copy_as_python),
+            Action("save this frame, its counts as they are", "", self.saving.save_frame),
+            Action("save what the page in front shows as a figure", "", self.saving.save_figure),
+            Action("copy what the page in front shows as a picture", "", self.saving.copy_figure),
         ]
         actions += actions_of("Camera", self.live, self.live.setFocus)
         for title, page in self.docks.pages():
@@ -702,61 +702,6 @@ class MainWindow(QMainWindow):
         self._palette = Palette(self, actions)
         self._palette.show()
         self._palette.field.setFocus()
-
-    def save_screenshot(self) -> None:
-        """Ask where to, and save what the window shows now."""
-        picture = self.grab()
-        name = f"tankrig-{datetime.now():%Y-%m-%dT%H-%M-%S}.png"
-
-        def save(path: Path) -> None:
-            if not picture.save(str(path)):
-                self.tell(f"{path}: cannot be written; choose another place")
-
-        ask_where_to_save(self, "Save a picture of the window", Path.cwd() / name, "Pictures (*.png)", save)
-
-    def save_frame(self) -> None:
-        """Ask where to, and save the counts of the frame on screen as they are: 16 or 8 bits, one channel."""
-        frame = self.live.frame
-        if frame is None or self._reader is None:
-            self.tell("there is no picture to save; wait for one, then save it")
-            return
-        reader, pixels = self._reader, frame.pixels
-        of = frame.run.name if frame.run is not None else f"camera-{datetime.now():%Y-%m-%dT%H-%M-%S}"
-        name = f"{of}-{frame.pattern.name if frame.pattern is not None else 'frame'}.tif".replace(" ", "-")
-
-        def save(path: Path) -> None:
-            told = f"the frame is saved as {path}"
-            reader.run(write_counts, path, pixels, then=lambda _: self.tell(told), failed=self.tell)
-
-        ask_where_to_save(self, "Save this frame", Path.cwd() / name, FRAME_KINDS, save)
-
-    def save_figure(self) -> None:
-        """Ask where to, and save what the page in front shows, as a picture or as a PDF that can be enlarged."""
-        title, page = self.docks.in_front()
-        source = "-".join(self.on_screen.source.title.replace(":", "").replace(",", "").split()[:4])
-        name = f"{title.lower()}-{source}.pdf"
-
-        def save(path: Path) -> None:
-            try:
-                save_figure(page, path)
-            except TankrigError as error:
-                self.tell(str(error))
-            else:
-                self.tell(f"the figure is saved as {path}")
-
-        ask_where_to_save(self, f"Save the {title} page as a figure", Path.cwd() / name, FIGURE_KINDS, save)
-
-    def copy_figure(self) -> None:
-        """What the page in front shows goes to the clipboard as a picture."""
-        QGuiApplication.clipboard().setPixmap(pixmap_of(self.docks.in_front()[1]))
-
-    def copy_as_python(self) -> None:
-        """Lines that get the numbers on screen go to the clipboard."""
-        text = as_python(self.on_screen.source)
-        if text:
-            QGuiApplication.clipboard().setText(text)
-        else:
-            self.tell("there is no run on screen; open one, then copy it as Python")
 
     def open_path(self, path: Path) -> None:
         """Open a run, a sequence or a rig file."""
