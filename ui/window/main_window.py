@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, QTimer
 from PySide6.QtGui import (
@@ -33,11 +33,13 @@ from ui.window.files import ask_for_file
 from ui.window.focus_ring import FocusRing
 from ui.window.fresh_water import WAY, asks_for_it
 from ui.window.gc_timer import GcTimer
+from ui.window.kept_draft import KeptDraft
 from ui.window.kept_log import KeptLog
 from ui.window.keys import BY_NAME, KEYS, KeyCard
 from ui.window.live_view import LiveView
 from ui.window.page_actions import actions_of
 from ui.window.palette import Action, Palette
+from ui.window.recent_files import RecentFiles
 from ui.window.rig_file import RigSource
 from ui.window.rig_host import RigHost
 from ui.window.rig_parts import RunOrder, import_ahead
@@ -80,11 +82,8 @@ PICTURE_MS = 3000
 """The pages are made once the first picture is on screen, or after this."""
 BREATH_MS = 15
 """Between two pages that are made: what was shown is painted, and keys are heard."""
-MOST_RECENT = 8
-DRAFT_MS = 700
 NOT_NOW = "not now"
 """What was refused because the rig was at work, or was not ready: no longer true once it is ready."""
-"""From the last letter typed to the draft on disk."""
 SEQUENCE = "sequence"
 """What is wrong with the sequence: no longer true once something else is, or nothing."""
 END_S = 60.0
@@ -132,7 +131,7 @@ class MainWindow(QMainWindow):
         self.setWindowTitle("tankrig")
         self.setAcceptDrops(True)
         self._settings, self.folder, self._first_sequence = settings, runs, sequence
-        self._kept_log = log or KeptLog(runs)
+        self._kept_log, self.recent = log or KeptLog(runs), RecentFiles(settings)
         self.status = RigStatus()
         self.event_loop, self.background, self.host = EventLoopMonitor(), Background(), host
         self._replay: Replay | None = None
@@ -142,7 +141,6 @@ class MainWindow(QMainWindow):
         self._ending: OwnedThread | None = None
         self._offered = self.built = False
         self._asked: str | None = None
-        self._draft_lost = False
         self._wrong: Problem | None = None
         self._actions: dict[str, Callable[[], object]] = {}
         self.top, self.banner, self.live = TopBar("rig", host.source.simulated), Banner(), LiveView(host.frames)
@@ -225,7 +223,7 @@ class MainWindow(QMainWindow):
         self.sequence.rig_asked.connect(self.ask_for_rig)
         self.sequence.opened.connect(self.remember)
         self.sequence.recent_asked.connect(self.open_path)
-        self.sequence.list_recent(self.recent())
+        self.sequence.list_recent(self.recent.still_there())
         self.sequence.runs_asked.connect(lambda: self.show_page(self.runs))
         self.sequence.dropped.connect(self.offer_text)
         self.sequence.wrong.connect(partial(self.tell, key=SEQUENCE))
@@ -267,40 +265,27 @@ class MainWindow(QMainWindow):
 
     def _begin_with_pages(self) -> None:
         """All pages are there: tell them what is known."""
+        self._draft = KeptDraft(self._settings, self.sequence.document, self.tell)
         self.built = True
         self._show_source(self.on_screen.shown)
-        last = self._first_sequence or self._settings.value("sequence")
-        if last and (self._first_sequence or Path(str(last)).is_file()):
-            self.sequence.load(Path(str(last)))
-        draft = self._settings.value("draft")
-        if draft and not self._first_sequence:  # what was typed and not saved when the window was closed
-            self.sequence.document.edit_text(str(draft))
-        elif draft:
-            self.offer_text(str(draft))
+        last, typed = self._first_sequence or self._draft.file, self._draft.text
+        if last is not None:
+            self.sequence.load(last)
+        if typed and not self._first_sequence:
+            self.sequence.document.edit_text(typed)
+        elif typed:
+            self.offer_text(typed)
         if self.sequence.beginning and self.focusWidget() in (None, self):
             self.sequence.first.buttons["Try it"].setFocus()  # who has no mouse begins with the space bar
         self._opened(self.rig, afresh=True)  # last, so that an offer to go on with a run stands before other notices
         self.follow(self.status)
         theme.paint_plots(self)
-        self._draft_timer = QTimer(self)
-        self._draft_timer.setSingleShot(True)
-        self._draft_timer.timeout.connect(self._keep_draft)
-        self.sequence.document.changed.connect(lambda: self._draft_timer.start(DRAFT_MS))
+        self._draft.follow()
         self._gc_timer = GcTimer(lambda: not self.status.running)
         assert self._reader is not None
         self._reader.run(import_ahead, then=lambda _: None)
 
     # -- the rig -------------------------------------------------------------------------------------------------------
-
-    def _keep_draft(self) -> None:
-        """What is typed survives whatever happens to the window."""
-        document = self.sequence.document
-        self._settings.setValue("sequence", str(document.path or ""))
-        self._settings.setValue("draft", document.text if document.unsaved else "")
-        self._settings.sync()
-        if self._settings.status() is not QSettings.Status.NoError and not self._draft_lost:
-            self._draft_lost = True
-            self.tell(f"{self._settings.fileName()}: cannot be written, so that what is typed is not kept; save it")
 
     def _opened(self, rig: "RigFile | None", afresh: bool = False) -> None:
         if rig is None:
@@ -623,7 +608,7 @@ class MainWindow(QMainWindow):
         if self._reader is not None:
             self._reader.close()
         if self.built:
-            self._keep_draft()
+            self._draft.keep()
             self.log.close_log()
             self._gc_timer.close()
         self._kept_log.close()
@@ -698,7 +683,7 @@ class MainWindow(QMainWindow):
         actions += actions_of("Camera", self.live, self.live.setFocus)
         for title, page in self.docks.pages():
             actions += actions_of(title, page, partial(self.show_page, page))
-        actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self.recent()]
+        actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self.recent.still_there()]
         self._palette = Palette(self, actions)
         self._palette.show()
         self._palette.field.setFocus()
@@ -739,15 +724,8 @@ class MainWindow(QMainWindow):
 
     def remember(self, path: Path) -> None:
         """List this among what was open lately, first."""
-        recent = [str(path.absolute()), *(str(one) for one in self.recent() if one != path.absolute())]
-        self._settings.setValue("recent", recent[:MOST_RECENT])
-        self.sequence.list_recent(self.recent())
-
-    def recent(self) -> list[Path]:
-        """Files and runs that were open lately and are still there, the last first."""
-        kept: Any = self._settings.value("recent") or []
-        paths = [Path(str(one)) for one in ([kept] if isinstance(kept, str) else kept)]
-        return [path for path in paths if path.exists()]
+        self.recent.remember(path)
+        self.sequence.list_recent(self.recent.still_there())
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:  # noqa: N802 - Qt's name
         """A file or folder may be dropped."""
