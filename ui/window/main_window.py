@@ -20,7 +20,6 @@ from PySide6.QtGui import (
 from PySide6.QtWidgets import QLabel, QMainWindow, QMessageBox, QToolBar, QVBoxLayout, QWidget
 
 from tankrig.errors import TankrigError
-from tankrig.run.state import FinishReason
 from ui.window import theme
 from ui.window.background import Background
 from ui.window.banner import Banner
@@ -37,6 +36,7 @@ from ui.window.kept_draft import KeptDraft
 from ui.window.kept_log import KeptLog
 from ui.window.keys import BY_NAME, KEYS, KeyCard
 from ui.window.live_view import LiveView
+from ui.window.notices import NOT_NOW, SEQUENCE, Notices
 from ui.window.page_actions import actions_of
 from ui.window.palette import Action, Palette
 from ui.window.recent_files import RecentFiles
@@ -49,7 +49,7 @@ from ui.window.status import RigState, RigStatus
 from ui.window.stop_keys import StopKeys
 from ui.window.threads import OwnedThread
 from ui.window.top_bar import TopBar
-from ui.window.words import capitalised, volume
+from ui.window.words import volume
 from ui.window.work_strip import WorkStrip
 
 if TYPE_CHECKING:
@@ -70,7 +70,6 @@ if TYPE_CHECKING:
     from ui.window.runs_page import RunsPage
     from ui.window.separation_page import SeparationPage
     from ui.window.sequence_page import SequencePage
-    from ui.window.sequence_text import Problem
     from ui.window.shown import Shown
     from ui.window.source import Source
 
@@ -82,10 +81,6 @@ PICTURE_MS = 3000
 """The pages are made once the first picture is on screen, or after this."""
 BREATH_MS = 15
 """Between two pages that are made: what was shown is painted, and keys are heard."""
-NOT_NOW = "not now"
-"""What was refused because the rig was at work, or was not ready: no longer true once it is ready."""
-SEQUENCE = "sequence"
-"""What is wrong with the sequence: no longer true once something else is, or nothing."""
 END_S = 60.0
 
 
@@ -141,9 +136,9 @@ class MainWindow(QMainWindow):
         self._ending: OwnedThread | None = None
         self._offered = self.built = False
         self._asked: str | None = None
-        self._wrong: Problem | None = None
         self._actions: dict[str, Callable[[], object]] = {}
         self.top, self.banner, self.live = TopBar("rig", host.source.simulated), Banner(), LiveView(host.frames)
+        self.notices = Notices(self.banner)
         self.live_frame = SourceFrame(self.live)
         self.docks = Docks(self)
         self._lay_out()
@@ -184,7 +179,7 @@ class MainWindow(QMainWindow):
 
         self._reader = Reader()
         self.on_screen = OnScreen(self._reader, self.background)
-        self.saving = Saving(self, self.live, self.docks, self.on_screen, self._reader, self.tell)
+        self.saving = Saving(self, self.live, self.docks, self.on_screen, self._reader, self.notices.tell)
         for made in pages(self.folder, self.on_screen, self.background, self.host.source, self.live):
             for name, title, page, frame in made:
                 setattr(self, name, page)
@@ -226,14 +221,14 @@ class MainWindow(QMainWindow):
         self.sequence.list_recent(self.recent.still_there())
         self.sequence.runs_asked.connect(lambda: self.show_page(self.runs))
         self.sequence.dropped.connect(self.offer_text)
-        self.sequence.wrong.connect(partial(self.tell, key=SEQUENCE))
+        self.sequence.wrong.connect(partial(self.notices.tell, key=SEQUENCE))
         self.sequence.water_asked.connect(self.show_fresh_water)
         for signal in (self.sequence.document.changed, self.sequence.document.checked):
-            signal.connect(self._forget_wrong)
+            signal.connect(self._follow_sequence)
         self.runs.resume_asked.connect(self.resume)
         self.runs.open_asked.connect(self.show_run)
-        self.runs.report_told.connect(self._tell_report)
-        self.runs.deleted.connect(lambda run: self.banner.withdraw(str(run)))
+        self.runs.report_told.connect(self.notices.say_of_report)
+        self.runs.deleted.connect(self.notices.forget_run)
         self.runs.bar.left.connect(self.on_screen.leave)
         for teller in (
             self.sequence.told,
@@ -243,7 +238,7 @@ class MainWindow(QMainWindow):
             self.compare.told,
             self.regions.told,
         ):
-            teller.connect(self.tell)
+            teller.connect(self.notices.tell)
         self.live.counted.connect(self.regions.take)
         self.live.regions_asked.connect(self.show_regions)
         undo, pages = self.sequence.document.undo, (
@@ -265,7 +260,7 @@ class MainWindow(QMainWindow):
 
     def _begin_with_pages(self) -> None:
         """All pages are there: tell them what is known."""
-        self._draft = KeptDraft(self._settings, self.sequence.document, self.tell)
+        self._draft = KeptDraft(self._settings, self.sequence.document, self.notices.tell)
         self.built = True
         self._show_source(self.on_screen.shown)
         last, typed = self._first_sequence or self._draft.file, self._draft.text
@@ -309,17 +304,9 @@ class MainWindow(QMainWindow):
                 editor.set_wall(rig.bench.wall)
         if not self._offered:
             self._offered = True
-            self._offer_resume(rig.name)
-
-    def _offer_resume(self, rig: str) -> None:
-        """After a crash, or an abort, say so where the person looks first."""
-        run = self.runs.latest_interrupted(rig)
-        if run is not None:
-            why = f" ({run.message})" if run.message else ""
-            words = f"The last run, {run.path.name}, was {run.ending}{why}. What it recorded is safe; it can go on."
-            self.banner.say(
-                words, action="Resume it", do=lambda: self.resume(run.path), key="interrupted", about=str(run.path)
-            )
+            run = self.runs.latest_interrupted(rig.name)
+            if run is not None:
+                self.notices.say_interrupted(run, partial(self.resume, run.path))
 
     def follow(self, status: RigStatus) -> None:
         """Show where the rig stands, on all pages."""
@@ -328,7 +315,11 @@ class MainWindow(QMainWindow):
         self._words.say(status.words)
         self._held.setText("" if status.tank is None else f"{volume(status.tank.volume_ul)} of ink in the tank")
         self.live.set_camera(self.host.camera_settings, status.state is RigState.IDLE)
-        self._tell_trouble(before, status)
+        self.notices.follow_rig(before, status, self.host.reopen, self.show_fresh_water if self.built else None)
+        failed = status.state is RigState.FAILED
+        self.live_frame.say_trouble("NO PICTURE: the rig cannot be used" if failed else "")
+        self.live.say_over(status.over_the_picture)
+        self.live.say_trouble("no picture: the rig cannot be used; the line above says why" if failed else "")
         if not self.built:
             if status.state in (RigState.FAILED, RigState.ASKING):  # no picture will come
                 self.build_pages()
@@ -341,24 +332,6 @@ class MainWindow(QMainWindow):
             self.show_page(self.doser)
         self._asked = status.undecided
 
-    def _tell_trouble(self, before: RigStatus, status: RigStatus) -> None:
-        """What is wrong, for as long as it is."""
-        failed, water = status.state is RigState.FAILED, self.built and asks_for_it(status.trouble)
-        if status.troubles != before.troubles and status.trouble:
-            self.banner.say(
-                status.trouble, "bad", "Open the rig again" if failed else WAY if water else "",
-                self.host.reopen if failed else self.show_fresh_water, key="trouble",
-            )  # fmt: skip
-        elif not status.trouble:
-            self.banner.withdraw("trouble")
-        if before.stopped and not status.stopped:
-            self.banner.withdraw("stop")
-        if status.state is RigState.IDLE and not status.busy and (before.busy or before.state is not RigState.IDLE):
-            self.banner.withdraw(NOT_NOW)
-        self.live_frame.say_trouble("NO PICTURE: the rig cannot be used" if failed else "")
-        self.live.say_over(status.over_the_picture)
-        self.live.say_trouble("no picture: the rig cannot be used; the line above says why" if failed else "")
-
     # -- runs ----------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
@@ -367,13 +340,13 @@ class MainWindow(QMainWindow):
         if sequence is None or self.sequence.document.plan is None:
             problem = self.sequence.document.problem
             if problem is None:
-                self.tell("the rig is not ready; wait until it is, then run", NOT_NOW)
+                self.notices.tell("the rig is not ready; wait until it is, then run", NOT_NOW)
             elif asks_for_it(problem.sentence):
-                self.tell(problem.sentence, SEQUENCE, WAY, self.show_fresh_water)
+                self.notices.tell(problem.sentence, SEQUENCE, WAY, self.show_fresh_water)
             else:
-                self.tell(problem.sentence, SEQUENCE)
+                self.notices.tell(problem.sentence, SEQUENCE)
         elif self.status.busy:
-            self.tell("a run or a dose goes on; wait for its end or stop it, then run", NOT_NOW)
+            self.notices.tell("a run or a dose goes on; wait for its end or stop it, then run", NOT_NOW)
         else:
             path = self.folder / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
             self.host.start_run(RunOrder(path, sequence))
@@ -382,7 +355,7 @@ class MainWindow(QMainWindow):
     def resume(self, path: Path) -> None:
         """Go on with an interrupted run."""
         if self.status.busy:
-            self.tell("a run or a dose goes on; wait for its end or stop it, then resume", NOT_NOW)
+            self.notices.tell("a run or a dose goes on; wait for its end or stop it, then resume", NOT_NOW)
         else:
             self.host.start_run(RunOrder(path))
             self.stop_keys.follow()
@@ -409,12 +382,11 @@ class MainWindow(QMainWindow):
     def stop(self) -> None:
         """Stop the doser at once."""
         self.host.stop()
-        words = "STOP: the doser is stopped; a run that went on is being aborted and can be resumed."
-        self.banner.say(words, "bad", key="stop")
+        self.notices.say_stopped()
 
     def began(self, path: Path, sequence: "Sequence", before: "tuple[Event, ...]") -> None:
         """A run has begun, or goes on with what its journal holds already."""
-        self.banner.withdraw("stop", "trouble", "interrupted", "ended", "unfitted", NOT_NOW)
+        self.notices.forget_last_run()
         self.compare.read_anew(path)
         self.on_screen.begin(path, [task.label for task in sequence.tasks], before, sequence.sheet_ends)
         self.sequence.show_run()
@@ -424,19 +396,11 @@ class MainWindow(QMainWindow):
     def ended(self, outcome: "Outcome") -> None:
         """A run is over."""
         path = outcome.path
-        completed = outcome.reason is FinishReason.COMPLETED
-        why = f": {outcome.error}" if outcome.error is not None else "."
-        words = f"The run {path.name} was {outcome.reason.value}{why}"
-        level = "bad" if outcome.error is not None else "good" if completed else ""
-        _log.info("%s", words)
         self.compare.read_anew(path)
         self.runs.refresh()
         if self.live.regions.drawn and self.on_screen.source.run == path:
             self.regions.count()
-        if completed:
-            self.banner.say(words, level, "Write its report", lambda: self.runs.report(path), "ended", str(path))
-        else:
-            self.banner.say(words, level, "Resume it", lambda: self.resume(path), "ended", str(path))
+        self.notices.say_ended(outcome, partial(self.runs.report, path), partial(self.resume, path))
 
     def offer_to_fit(self, path: Path, missing: str) -> None:
         """A run is over that was not fitted to its end."""
@@ -445,13 +409,12 @@ class MainWindow(QMainWindow):
             self.show_run(path)
             self.show_page(self.runs)
 
-        words = f"Not fitted yet of {path.name}: {missing}. Open the run and press Fit anew."
-        self.banner.say(words, "", "Open it", show, "unfitted", str(path))
+        self.notices.say_unfitted(path, missing, show)
 
     def show_run(self, path: Path) -> None:
         """Show a recorded run in the same views."""
         if self.status.busy:
-            self.tell("a run goes on in the live view; open another when it has ended", NOT_NOW)
+            self.notices.tell("a run goes on in the live view; open another when it has ended", NOT_NOW)
         else:
             self.on_screen.open(path)
             self.remember(path)
@@ -493,37 +456,19 @@ class MainWindow(QMainWindow):
 
     def _offer_refit(self, source: "Source") -> None:
         """A refit has come while something else was on screen."""
-        words = f"Finished: {source.title}."
-        self.banner.say(
-            words, "good", "Show it", lambda: self._show_refit(source), key=source.title, about=str(source.run)
-        )
+        self.notices.say_refitted(source, partial(self._show_refit, source))
 
     def _show_refit(self, source: "Source") -> None:
         if self.status.busy:
-            self.tell("a run goes on in the live view; look at a refit when it has ended", NOT_NOW)
+            self.notices.tell("a run goes on in the live view; look at a refit when it has ended", NOT_NOW)
         else:
             self.on_screen.show_refit(source)
             self.show_page(self.fit)
 
     # -- the window ----------------------------------------------------------------------------------------------------
 
-    def tell(
-        self, sentence: str, key: str = "", action: str = "", do: Callable[[], object] | None = None, level: str = ""
-    ) -> None:
-        """Say something that a person has to know; see `Notice`."""
-        _log.warning("%s", sentence)
-        self.banner.say(capitalised(sentence), level, action, do, key)
-
-    def _tell_report(self, run: Path, sentence: str, level: str) -> None:
-        """What becomes of the report of a run; each sentence takes the place of the one before."""
-        _log.info("%s", sentence)
-        self.banner.say(sentence, level, key=f"report of {run}", about=str(run))
-
-    def _forget_wrong(self) -> None:
-        """What was said of the sequence goes once something else is wrong with it, or nothing."""
-        before, self._wrong = self._wrong, self.sequence.document.problem
-        if self._wrong != before:
-            self.banner.withdraw(SEQUENCE)
+    def _follow_sequence(self) -> None:
+        self.notices.follow_sequence(self.sequence.document.problem)
 
     def show_fresh_water(self) -> None:
         """Bring the button for a tank that was filled anew to the front."""
@@ -532,8 +477,7 @@ class MainWindow(QMainWindow):
 
     def offer_text(self, text: str) -> None:
         """A sequence was opened over edits that no file has: offer them back."""
-        words = "The sequence that was being edited had not been saved."
-        self.banner.say(words, action="Edit it again", do=lambda: self.sequence.edit_unsaved(text), key="dropped")
+        self.notices.say_unsaved(partial(self.sequence.edit_unsaved, text))
 
     def show_page(self, page: QWidget) -> None:
         """Bring a page to the front."""
@@ -589,7 +533,7 @@ class MainWindow(QMainWindow):
         if self._ending is None:
             if self.status.running:
                 self.host.stop()
-                self.banner.say("The run is being ended; the window closes when all it recorded is safe.", "bad")
+                self.notices.say_window_closes()
             if self._replay is not None:
                 self._replay.close()
             self._ending = OwnedThread("end", lambda _: self.host.close(), END_S)
@@ -657,7 +601,7 @@ class MainWindow(QMainWindow):
     def use_rig(self, file: Path) -> None:
         """Work with another rig."""
         if self.host.in_motion:
-            self.tell("a run or a dose goes on; wait for its end or stop it, then open another rig", NOT_NOW)
+            self.notices.tell("a run or a dose goes on; wait for its end or stop it, then open another rig", NOT_NOW)
             return
         source = RigSource(file, self.folder / "simulated.rig")
         self.host.use(source)
@@ -701,7 +645,9 @@ class MainWindow(QMainWindow):
         elif kind is Dropped.SCENE:
             self.open_scene(path)
         else:
-            self.tell(f"{path}: is no run, no sequence, no rig file and no scene, so that there is nothing to open")
+            self.notices.tell(
+                f"{path}: is no run, no sequence, no rig file and no scene, so that there is nothing to open"
+            )
 
     def open_scene(self, path: Path) -> None:
         """Predict the picture of a scene, in a window of its own."""
@@ -711,7 +657,7 @@ class MainWindow(QMainWindow):
         try:
             scene = load_scene(path)
         except TankrigError as error:
-            self.tell(str(error))
+            self.notices.tell(str(error))
             return
         self.scene = SceneWindow(self, path, scene, self.background)
         self.scene.show()
@@ -743,7 +689,7 @@ class MainWindow(QMainWindow):
         try:
             self.host.source.choose_screen(identity)
         except TankrigError as error:
-            self.tell(str(error))
+            self.notices.tell(str(error))
         else:
             self.host.reopen()
 
