@@ -190,6 +190,16 @@ class MainWindow(QMainWindow):
         self._begin_with_pages()
 
     def _connect_pages(self) -> None:
+        self._connect_running()
+        self._connect_rig_pages()
+        self._connect_sequence()
+        self._connect_recorded_runs()
+        for teller in (self.sequence, self.runs, self.calibration, self.on_screen, self.compare, self.regions):
+            teller.told.connect(self.notices.tell)
+        self._make_keys_of_pages()
+
+    def _connect_running(self) -> None:
+        """What the rig's host says of a run that goes on."""
         host, queued = self.host, Qt.ConnectionType.QueuedConnection
         for signal, slot in (
             (host.run_began, self.began), (host.left_unfitted, self.offer_to_fit), (host.run_ended, self.ended),
@@ -197,9 +207,10 @@ class MainWindow(QMainWindow):
             (host.pattern_shown, self.projector.shown),
         ):  # fmt: skip
             signal.connect(slot, queued)
-        self.on_screen.changed.connect(self._show_source)
-        self.on_screen.retitled.connect(self._name_source)
-        self.on_screen.refitted.connect(self._offer_refit)
+
+    def _connect_rig_pages(self) -> None:
+        """Projector, doser, calibration and camera."""
+        host = self.host
         self.projector.show_asked.connect(host.show)
         self.projector.screen_asked.connect(self.use_screen)
         self.doser.dose_asked.connect(self.dose_to)
@@ -212,6 +223,11 @@ class MainWindow(QMainWindow):
         self.calibration.reopen_asked.connect(host.reopen)
         self.calibration.wrong_line.connect(partial(self.show_page, self.calibration))
         self.calibration.wizard.lend_asked.connect(host.lend)
+        self.live.counted.connect(self.regions.take)
+        self.live.regions_asked.connect(self.show_regions)
+
+    def _connect_sequence(self) -> None:
+        """The sequence, and pages that add steps to it."""
         self.sequence.run_asked.connect(self.run)
         self.compare.next.step_asked.connect(self.sequence.append)
         self.separation.step_asked.connect(self.separate)
@@ -225,22 +241,19 @@ class MainWindow(QMainWindow):
         self.sequence.water_asked.connect(self.show_fresh_water)
         for signal in (self.sequence.document.changed, self.sequence.document.checked):
             signal.connect(self._follow_sequence)
+
+    def _connect_recorded_runs(self) -> None:
+        """Runs that were recorded, and what of them is on screen."""
+        self.on_screen.changed.connect(self._show_source)
+        self.on_screen.retitled.connect(self._name_source)
+        self.on_screen.refitted.connect(self._offer_refit)
         self.runs.resume_asked.connect(self.resume)
         self.runs.open_asked.connect(self.show_run)
         self.runs.report_told.connect(self.notices.say_of_report)
         self.runs.deleted.connect(self.notices.forget_run)
         self.runs.bar.left.connect(self.on_screen.leave)
-        for teller in (
-            self.sequence.told,
-            self.runs.told,
-            self.calibration.told,
-            self.on_screen.told,
-            self.compare.told,
-            self.regions.told,
-        ):
-            teller.connect(self.notices.tell)
-        self.live.counted.connect(self.regions.take)
-        self.live.regions_asked.connect(self.show_regions)
+
+    def _make_keys_of_pages(self) -> None:
         undo, pages = self.sequence.document.undo, (
             self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log,
             self.compare, self.regions, self.separation,
