@@ -9,7 +9,7 @@ from tankrig.devices import CameraSettings, Delivered
 from tankrig.errors import ImageError
 from tankrig.light.prepared.about import box_for
 from tankrig.light.prepared.box import Box
-from tankrig.live import worker
+from tankrig.live import next_fit
 from tankrig.live.exposures import Exposures, Photograph
 from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import LOOK
@@ -35,9 +35,9 @@ def test_the_newest_dose_is_fitted_first_and_the_series_only_over_doses_that_are
         asked.append(("series", tuple(one.dose_ml for one in photographs)))
         return SeriesFit((), INK, INK)
 
-    monkeypatch.setattr(worker, "fit_dose", fit_dose)
-    monkeypatch.setattr(worker, "fit_all", fit_all)
-    exposures, fitter = Exposures(plan()), worker.Fitter()
+    monkeypatch.setattr(next_fit, "fit_dose", fit_dose)
+    monkeypatch.setattr(next_fit, "fit_all", fit_all)
+    exposures, fitter = Exposures(plan()), next_fit.Fitter()
     pixels = np.full((40, 60), 500, np.uint16)
     for volume_ul in (100.0, 200.0):
         exposures.take(dosed(volume_ul), None)
@@ -56,12 +56,12 @@ def test_a_fit_that_fails_says_which_frames_it_has_seen(monkeypatch: pytest.Monk
     def refused(*_: object) -> DoseFit:
         raise ImageError("too dark")
 
-    monkeypatch.setattr(worker, "fit_dose", refused)
+    monkeypatch.setattr(next_fit, "fit_dose", refused)
     exposures = Exposures(plan())
     exposures.take(dosed(100.0), None)
     seen = frame(PATTERNS["sheet"], 2)
     exposures.take(event("frame", **seen.fields, index=7), np.full((40, 60), 500, np.uint16))
-    fit = worker.Fitter().next(exposures, last=True)
+    fit = next_fit.Fitter().next(exposures, last=True)
     assert fit == FailedFit(0.1, "too dark", 7)
     assert to_fields(fit)["newest"] == 7
 
@@ -74,9 +74,9 @@ def test_a_run_that_goes_on_is_not_fitted_again_where_it_was_fitted(monkeypatch:
         starts.append((photographs[0].dose_ml, start))
         return DoseFit(photographs[0].dose_ml, INK)
 
-    monkeypatch.setattr(worker, "fit_dose", fit_dose)
+    monkeypatch.setattr(next_fit, "fit_dose", fit_dose)
     found = DoseFit(0.1, Medium(0.001, 0.02, 0.5), frames=1)
-    exposures, fitter = Exposures(plan()), worker.Fitter([found, FailedFit(0.1, "too dark")])
+    exposures, fitter = Exposures(plan()), next_fit.Fitter([found, FailedFit(0.1, "too dark")])
     for volume_ul in (100.0, 200.0):
         exposures.take(dosed(volume_ul), None)
         exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 500, np.uint16))
@@ -91,11 +91,11 @@ def test_a_dose_waits_for_its_models_then_each_frame_is_fitted_and_the_last_fit_
     """A window and the journal need single scattering too, which takes longer than a frame may."""
     liquid = Medium(0.0004, 0.008, 0.6)
     quick, single = DoseFit(0.1, liquid, model="prepared"), SingleScattering(0.008, 1.0)
-    monkeypatch.setattr(worker, "fit_dose_prepared", lambda *_: quick)
-    monkeypatch.setattr(worker, "with_single", lambda fit, _: replace(fit, single=single))
+    monkeypatch.setattr(next_fit, "fit_dose_prepared", lambda *_: quick)
+    monkeypatch.setattr(next_fit, "with_single", lambda fit, _: replace(fit, single=single))
     earlier = DoseFit(0.1, liquid, frames=1)
     ready = Ready()
-    fitter, exposures = worker.Fitter([earlier], ready, plan()), Exposures(plan())  # type: ignore[arg-type]
+    fitter, exposures = next_fit.Fitter([earlier], ready, plan()), Exposures(plan())  # type: ignore[arg-type]
     exposures.take(dosed(100.0), None)
     for index in (3, 4):
         seen = frame(PATTERNS["sheet"], 2)
@@ -123,9 +123,9 @@ def test_a_first_look_tells_which_models_the_first_dose_needs(monkeypatch: pytes
         asked.append(models[0])
         return DoseFit(photographs[0].dose_ml, looked if models[0] == LOOK else liquid, model="prepared")
 
-    monkeypatch.setattr(worker, "fit_dose_prepared", fit)
+    monkeypatch.setattr(next_fit, "fit_dose_prepared", fit)
     boxes, exposures = Boxes(), seen_at(100.0)
-    fitter = worker.Fitter((), boxes, plan())  # type: ignore[arg-type]
+    fitter = next_fit.Fitter((), boxes, plan())  # type: ignore[arg-type]
     assert boxes.wanted == [LOOK]  # before there is any frame
     assert fitter.next(exposures, last=False) is None
     assert fitter.waiting
@@ -154,10 +154,10 @@ def test_models_are_prepared_by_a_picture_of_ink_that_still_mixes(monkeypatch: p
         images.append(one.image)
         return DoseFit(one.dose_ml, looked, model="prepared")
 
-    monkeypatch.setattr(worker, "fit_dose_prepared", fit)
+    monkeypatch.setattr(next_fit, "fit_dose_prepared", fit)
     boxes, exposures = Boxes(), Exposures(plan())
     exposures.take(dosed(100.0), None)
-    fitter = worker.Fitter((), boxes, plan())  # type: ignore[arg-type]
+    fitter = next_fit.Fitter((), boxes, plan())  # type: ignore[arg-type]
     boxes.ready.add(LOOK)
     conditions = Conditions(Delivered(100.0, 99.0, 101.0), CameraSettings(10.0))
     assert not exposures.watch(PATTERNS["dark"], np.full((40, 60), 9, np.uint16), conditions)
@@ -183,7 +183,7 @@ def test_a_dose_is_fitted_by_the_patterns_whose_models_are_ready(monkeypatch: py
         fitted.append(tuple(one.pattern for one in photographs))
         return DoseFit(0.1, start, frames=sum(one.frames for one in photographs), patterns=fitted[-1], model="prepared")
 
-    monkeypatch.setattr(worker, "fit_dose_prepared", fit)
+    monkeypatch.setattr(next_fit, "fit_dose_prepared", fit)
     two = Pattern("bar", np.roll(PATTERNS["sheet"].pixels, 3, axis=1))
     planned = PhotographPlan.of(BENCH, SEQUENCE, [*PATTERNS.values(), two])
     exposures = Exposures(planned)
@@ -192,7 +192,7 @@ def test_a_dose_is_fitted_by_the_patterns_whose_models_are_ready(monkeypatch: py
         exposures.take(frame(pattern, 2), np.full((40, 60), 500, np.uint16))
     models = ByPattern()
     earlier = DoseFit(0.05, Medium(0.0002, 0.004, 0.6), frames=1)
-    fitter = worker.Fitter([earlier], models, planned)  # type: ignore[arg-type]
+    fitter = next_fit.Fitter([earlier], models, planned)  # type: ignore[arg-type]
     assert fitter.next(exposures, last=False) is None
     first, second = exposures.photographs(0)
     models.ready_scenes = [first.scene]
@@ -209,13 +209,13 @@ def test_a_dose_is_fitted_by_the_patterns_whose_models_are_ready(monkeypatch: py
 
 def test_a_series_waits_for_the_models_of_doses_that_were_fitted_before(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that went on did not ask for them, and fitted its series by light paths: 40 minutes on a bench of glass."""
-    monkeypatch.setattr(worker, "fit_all", lambda *_: SeriesFit((), INK, INK))
+    monkeypatch.setattr(next_fit, "fit_all", lambda *_: SeriesFit((), INK, INK))
     doses_ml, exposures, boxes = (0.1, 0.25), Exposures(plan()), Boxes()
     for dose_ml in doses_ml:
         exposures.take(dosed(1000.0 * dose_ml), None)
         exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 500, np.uint16))
     before = [DoseFit(dose_ml, diluted(INK, 1.0, dose_ml), frames=1) for dose_ml in doses_ml]
-    fitter = worker.Fitter(before, boxes, plan())  # type: ignore[arg-type]
+    fitter = next_fit.Fitter(before, boxes, plan())  # type: ignore[arg-type]
     wanted = [box_for(fit.medium) for fit in before]
     for ready in ([], wanted[:1]):
         boxes.ready = set(ready)
@@ -231,7 +231,7 @@ def test_all_doses_to_come_are_prepared_for_and_the_next_one_first() -> None:
     liquid = Medium(0.0004, 0.008, 0.6)
     three = replace(plan(), doses_ml=(0.1, 0.25, 1.0))
     boxes = Boxes()
-    worker.Fitter([DoseFit(0.1, liquid, frames=1)], boxes, three)  # type: ignore[arg-type]
+    next_fit.Fitter([DoseFit(0.1, liquid, frames=1)], boxes, three)  # type: ignore[arg-type]
     assert boxes.wanted == [box_for(diluted(liquid, 0.1, dose_ml)) for dose_ml in three.doses_ml]
 
 
@@ -244,11 +244,11 @@ def test_the_thinnest_dose_is_looked_at_first_where_nothing_is_known(monkeypatch
         seen.append(photographs[0].dose_ml)
         return DoseFit(photographs[0].dose_ml, looked, model="prepared")
 
-    monkeypatch.setattr(worker, "fit_dose_prepared", fit)
+    monkeypatch.setattr(next_fit, "fit_dose_prepared", fit)
     boxes, exposures = Boxes(), seen_at(100.0)
     exposures.take(dosed(200.0), None)
     exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 900, np.uint16))
-    fitter = worker.Fitter((), boxes, plan())  # type: ignore[arg-type]
+    fitter = next_fit.Fitter((), boxes, plan())  # type: ignore[arg-type]
     boxes.ready.add(LOOK)
     fitter.next(exposures, last=True)
     assert seen == [0.1]
@@ -267,10 +267,10 @@ def test_models_of_the_ink_expected_come_first_and_a_look_corrects_a_wrong_word(
         right = models[0].sigma_t[0] < true.sigma_t < models[0].sigma_t[1]
         return DoseFit(photographs[0].dose_ml, true, model="prepared") if right else None
 
-    monkeypatch.setattr(worker, "fit_dose_prepared", fit)
+    monkeypatch.setattr(next_fit, "fit_dose_prepared", fit)
     expected = replace(plan(), ink=stated)
     boxes, exposures = Boxes(), seen_at(100.0)
-    fitter = worker.Fitter((), boxes, expected)  # type: ignore[arg-type]
+    fitter = next_fit.Fitter((), boxes, expected)  # type: ignore[arg-type]
     first, second = (box_for(diluted(stated, 1.0, dose_ml)) for dose_ml in (0.1, 0.2))
     assert boxes.wanted == [first, second, LOOK]
     boxes.ready |= {first, LOOK, box_for(true)}
