@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import tankrig
+from tankrig.estimation.borne_out import SETTLED
 from tankrig.estimation.coordinates import Range
-from tankrig.estimation.corrections import SETTLED
 from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.estimate import fit_models
 from tankrig.estimation.followed import Followed
