@@ -10,7 +10,7 @@ import pytest
 
 from drivers.simulated.settings import PURE_WATER
 from tankrig.light.prepared.box import Box
-from tankrig.live import worker
+from tankrig.live import next_fit
 from tankrig.live.exposures import Exposures, replayed
 from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import LOOK, LOOK_START
@@ -21,7 +21,8 @@ from tankrig.run.reading import Run, open_run
 from tankrig.scene import Medium, Scene
 from tankrig.separation import separations_of_run
 from tankrig.separation.waves import Changed
-from tests.test_live import Ready, plan, seen_at
+from tests.live_plan import plan, seen_at
+from tests.preparing_stand_ins import Ready
 from tests.window_rig import write_rig
 from ui.cli import main
 
@@ -90,10 +91,10 @@ def fitted(
             starts.append(start)
         return DoseFit(photographs[0].dose_ml, medium, (1e-6, 1e-5, 1e-3), gain=1.0, frames=1)
 
-    patch.setattr(worker, "fit_dose_prepared", fit)
-    patch.setattr(worker, "with_single", lambda one, _: replace(one, single=SingleScattering(0.01, 1.0)))
+    patch.setattr(next_fit, "fit_dose_prepared", fit)
+    patch.setattr(next_fit, "with_single", lambda one, _: replace(one, single=SingleScattering(0.01, 1.0)))
     exposures = Exposures(PhotographPlan.of_run(run))
-    fitter = worker.Fitter((), AllReady(), exposures.plan, sheets=sheets)  # type: ignore[arg-type]
+    fitter = next_fit.Fitter((), AllReady(), exposures.plan, sheets=sheets)  # type: ignore[arg-type]
     for event, pixels in replayed(run):
         if exposures.take(event, pixels):
             while (found := fitter.next(exposures, last=False)) is not None:
@@ -144,7 +145,7 @@ def test_what_a_search_begins_from_is_found_before_there_is_a_photograph(
     sheets, frames, begun = SheetsSoFar(recorded.path), [], []
     monkeypatch.setattr(SheetsSoFar, "media", lambda _, dose_ml: begun.append((dose_ml, len(frames))) or ())
     exposures = Exposures(PhotographPlan.of_run(recorded))
-    fitter = worker.Fitter((), AllReady(), exposures.plan, sheets=sheets)  # type: ignore[arg-type]
+    fitter = next_fit.Fitter((), AllReady(), exposures.plan, sheets=sheets)  # type: ignore[arg-type]
     for event, pixels in replayed(recorded):
         if exposures.take(event, pixels):
             frames += exposures.photographs()
@@ -192,10 +193,10 @@ class Later(SheetsSoFar):
 
 def test_waves_that_come_after_the_photographs_are_heard_and_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last steps of a dose may be its waves: what they say must stand in the journal all the same."""
-    monkeypatch.setattr(worker, "fit_dose_prepared", lambda *_: DoseFit(0.1, INK, frames=1))
-    monkeypatch.setattr(worker, "with_single", lambda one, _: replace(one, single=SingleScattering(0.01, 1.0)))
+    monkeypatch.setattr(next_fit, "fit_dose_prepared", lambda *_: DoseFit(0.1, INK, frames=1))
+    monkeypatch.setattr(next_fit, "with_single", lambda one, _: replace(one, single=SingleScattering(0.01, 1.0)))
     later = Later()
-    fitter, exposures = worker.Fitter((), AllReady(), plan(), sheets=later), seen_at(100.0)  # type: ignore[arg-type]
+    fitter, exposures = next_fit.Fitter((), AllReady(), plan(), sheets=later), seen_at(100.0)  # type: ignore[arg-type]
     assert fitter.next(exposures, last=False) is not None
     whole = [fitter.finish(), fitter.finish()][-1]
     assert isinstance(whole, DoseFit)

@@ -16,6 +16,7 @@ from drivers.rig_doser.wire import Refusal
 from tankrig.errors import DeviceError, UndecidedError
 
 from .doser_bench import Bench
+from .virtual_time import World
 
 
 @pytest.fixture
@@ -231,3 +232,26 @@ def test_a_stale_reply_is_never_taken_for_the_right_one() -> None:
     line.close()
     os.close(master)
     os.close(slave)
+
+
+def test_a_person_settles_a_stall_of_either_version(tmp_path: Path) -> None:
+    for protocol in (1, 2):
+        (folder := tmp_path / str(protocol)).mkdir()
+        with Bench(folder, world=World(), protocol=protocol, rate=400.0) as bench:
+            doser = bench.open()
+            bench.faults(stall_after=100)
+            with pytest.raises(UndecidedError):
+                doser.dose_to(30.0)
+            bench.no_faults()
+            doser.resolve(bench.true_ul)
+            doser.clear_stop()
+            doser.dose_to(30.0)
+            assert bench.true_ul == pytest.approx(30.0)
+
+
+def test_a_version_that_nobody_knows_is_refused(tmp_path: Path) -> None:
+    with (
+        Bench(tmp_path, world=World(), protocol=3) as bench,
+        pytest.raises(DeviceError, match=r"speaks protocol 03, not 01 or 02; update its firmware or tankrig"),
+    ):
+        bench.open()

@@ -16,7 +16,7 @@ from tankrig.light.tank import twice, twice_of
 from tankrig.light.walls.once import by_walls_of
 from tankrig.scene import Medium
 from tankrig.scene.optics import NO_HALO, Face, Faces, Halo, WideLens
-from tests.test_stray_light import a_calibrated_scene, apart
+from tests.optics_scenes import a_calibrated_scene, apart
 
 GLASS = Face("glass")
 MEDIUM = Medium(0.0, 0.012, 0.6)

@@ -10,8 +10,8 @@ import pytest
 import tankrig
 from tankrig.benchmark.wide import wide_scene
 from tankrig.light.double import double_scattering
+from tankrig.light.double.fineness import COARSE
 from tankrig.light.double.lit import fineness_of
-from tankrig.light.double.table import COARSE
 from tankrig.light.single import single_scattering
 from tankrig.light.tank import tank_image
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank

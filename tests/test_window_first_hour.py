@@ -364,7 +364,7 @@ def test_what_is_dropped_is_opened_for_what_it_is(window):
     drop(window.home / "own.toml")
     drop(window.home / "nothing.xyz")
     assert "nothing to open" in window.banner.text
-    assert [path.name for path in window.recent()][:2] == ["own.toml", "run-b"]
+    assert [path.name for path in window.recent.still_there()][:2] == ["own.toml", "run-b"]
     menu = on_page.button(window.sequence, "Recent").menu()
     assert [one.text().split()[0] for one in menu.actions()][:2] == ["own.toml", "run-b"]
     menu.actions()[1].trigger()
@@ -470,14 +470,14 @@ def test_frames_and_figures_are_saved_as_they_are(window):
     save_figure(page, window.home / "fit.png")
     picture = cv2.imread(str(window.home / "fit.png"))
     assert picture.shape[:2] == (2 * page.height(), 2 * page.width())
-    window.copy_figure()
+    window.saving.copy_figure()
     assert QGuiApplication.clipboard().pixmap().width() == 2 * page.width()
 
 
 def test_what_is_on_screen_is_copied_as_python_that_works(window):
     """A figure that nobody can make again is an anecdote."""
     shown = opened(window, "a")
-    window.copy_as_python()
+    window.saving.copy_as_python()
     names: dict = {}
     exec(QGuiApplication.clipboard().text(), names)
     assert [fit["dose_ml"] for fit in names["fits"] if fit["fit"] == "dose"] == [fit.dose_ml for fit in shown.by_dose]

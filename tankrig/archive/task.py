@@ -13,11 +13,11 @@ from tankrig.archive.models import ModelsOnDemand
 from tankrig.archive.results import FORMAT, Results, Row, made_now
 from tankrig.errors import ImageError, StoreError, TankrigError
 from tankrig.live.exposures import exposures_of
+from tankrig.live.next_fit import Fitter, fit_all_there_is
 from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import phases_prepared
 from tankrig.live.refit import fits_made
 from tankrig.live.results import DoseFit, FailedFit, Fit, last_of_each, to_fields
-from tankrig.live.worker import Fitter, fit_all_there_is
 from tankrig.run.journal_io import JOURNAL
 from tankrig.run.reading import Run, open_run
 from tankrig.threads import one_blas_thread

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.corrections import MANY_ENOUGH, SOLVED_ENOUGH, corrected_fit, few_steps
+from tankrig.estimation.about_exact import MANY_ENOUGH, few_steps
+from tankrig.estimation.corrections import SOLVED_ENOUGH, corrected_fit
 from tankrig.estimation.followed import Model
 from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.modes import by_ladder, in_likeliest_mode

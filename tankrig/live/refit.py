@@ -9,12 +9,12 @@ from pathlib import Path
 
 from tankrig.live.exposures import Exposures, exposures_of
 from tankrig.live.fits import fit_all, fit_dose
+from tankrig.live.next_fit import Fitter, fit_all_there_is
 from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import Preparation, Preparing, phases_prepared
 from tankrig.live.recorded import fits_that_hold, wave_names
 from tankrig.live.results import DoseFit, Fit, SeriesFit, diluted, fits_in, to_fields
 from tankrig.live.sheets_so_far import SheetsSoFar
-from tankrig.live.worker import Fitter, fit_all_there_is
 from tankrig.run.reading import Run, open_run
 from tankrig.run.writer import RunWriter
 from tankrig.scene.phase_table import PhaseFunction

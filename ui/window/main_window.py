@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, QTimer
 from PySide6.QtGui import (
@@ -20,9 +20,7 @@ from PySide6.QtGui import (
 from PySide6.QtWidgets import QLabel, QMainWindow, QMessageBox, QToolBar, QVBoxLayout, QWidget
 
 from tankrig.errors import TankrigError
-from tankrig.run.state import FinishReason
 from ui.window import theme
-from ui.window.as_python import as_python
 from ui.window.background import Background
 from ui.window.banner import Banner
 from ui.window.build_pages import pages
@@ -30,25 +28,28 @@ from ui.window.docks import Docks
 from ui.window.dropped import Dropped, kind_of
 from ui.window.elided import Elided
 from ui.window.event_loop_monitor import EventLoopMonitor
-from ui.window.figure import FIGURE_KINDS, FRAME_KINDS, pixmap_of, save_figure, write_counts
-from ui.window.files import ask_for_file, ask_where_to_save
+from ui.window.files import ask_for_file
 from ui.window.focus_ring import FocusRing
 from ui.window.fresh_water import WAY, asks_for_it
 from ui.window.gc_timer import GcTimer
+from ui.window.kept_draft import KeptDraft
 from ui.window.kept_log import KeptLog
 from ui.window.keys import BY_NAME, KEYS, KeyCard
 from ui.window.live_view import LiveView
+from ui.window.notices import NOT_NOW, SEQUENCE, Notices
 from ui.window.page_actions import actions_of
 from ui.window.palette import Action, Palette
+from ui.window.recent_files import RecentFiles
 from ui.window.rig_file import RigSource
 from ui.window.rig_host import RigHost
 from ui.window.rig_parts import RunOrder, import_ahead
+from ui.window.saving import Saving
 from ui.window.source_frame import SourceFrame
 from ui.window.status import RigState, RigStatus
 from ui.window.stop_keys import StopKeys
 from ui.window.threads import OwnedThread
 from ui.window.top_bar import TopBar
-from ui.window.words import capitalised, volume
+from ui.window.words import volume
 from ui.window.work_strip import WorkStrip
 
 if TYPE_CHECKING:
@@ -69,7 +70,6 @@ if TYPE_CHECKING:
     from ui.window.runs_page import RunsPage
     from ui.window.separation_page import SeparationPage
     from ui.window.sequence_page import SequencePage
-    from ui.window.sequence_text import Problem
     from ui.window.shown import Shown
     from ui.window.source import Source
 
@@ -81,13 +81,6 @@ PICTURE_MS = 3000
 """The pages are made once the first picture is on screen, or after this."""
 BREATH_MS = 15
 """Between two pages that are made: what was shown is painted, and keys are heard."""
-MOST_RECENT = 8
-DRAFT_MS = 700
-NOT_NOW = "not now"
-"""What was refused because the rig was at work, or was not ready: no longer true once it is ready."""
-"""From the last letter typed to the draft on disk."""
-SEQUENCE = "sequence"
-"""What is wrong with the sequence: no longer true once something else is, or nothing."""
 END_S = 60.0
 
 
@@ -133,7 +126,7 @@ class MainWindow(QMainWindow):
         self.setWindowTitle("tankrig")
         self.setAcceptDrops(True)
         self._settings, self.folder, self._first_sequence = settings, runs, sequence
-        self._kept_log = log or KeptLog(runs)
+        self._kept_log, self.recent = log or KeptLog(runs), RecentFiles(settings)
         self.status = RigStatus()
         self.event_loop, self.background, self.host = EventLoopMonitor(), Background(), host
         self._replay: Replay | None = None
@@ -143,10 +136,9 @@ class MainWindow(QMainWindow):
         self._ending: OwnedThread | None = None
         self._offered = self.built = False
         self._asked: str | None = None
-        self._draft_lost = False
-        self._wrong: Problem | None = None
         self._actions: dict[str, Callable[[], object]] = {}
         self.top, self.banner, self.live = TopBar("rig", host.source.simulated), Banner(), LiveView(host.frames)
+        self.notices = Notices(self.banner)
         self.live_frame = SourceFrame(self.live)
         self.docks = Docks(self)
         self._lay_out()
@@ -187,6 +179,7 @@ class MainWindow(QMainWindow):
 
         self._reader = Reader()
         self.on_screen = OnScreen(self._reader, self.background)
+        self.saving = Saving(self, self.live, self.docks, self.on_screen, self._reader, self.notices.tell)
         for made in pages(self.folder, self.on_screen, self.background, self.host.source, self.live):
             for name, title, page, frame in made:
                 setattr(self, name, page)
@@ -197,6 +190,16 @@ class MainWindow(QMainWindow):
         self._begin_with_pages()
 
     def _connect_pages(self) -> None:
+        self._connect_running()
+        self._connect_rig_pages()
+        self._connect_sequence()
+        self._connect_recorded_runs()
+        for teller in (self.sequence, self.runs, self.calibration, self.on_screen, self.compare, self.regions):
+            teller.told.connect(self.notices.tell)
+        self._make_keys_of_pages()
+
+    def _connect_running(self) -> None:
+        """What the rig's host says of a run that goes on."""
         host, queued = self.host, Qt.ConnectionType.QueuedConnection
         for signal, slot in (
             (host.run_began, self.began), (host.left_unfitted, self.offer_to_fit), (host.run_ended, self.ended),
@@ -204,9 +207,10 @@ class MainWindow(QMainWindow):
             (host.pattern_shown, self.projector.shown),
         ):  # fmt: skip
             signal.connect(slot, queued)
-        self.on_screen.changed.connect(self._show_source)
-        self.on_screen.retitled.connect(self._name_source)
-        self.on_screen.refitted.connect(self._offer_refit)
+
+    def _connect_rig_pages(self) -> None:
+        """Projector, doser, calibration and camera."""
+        host = self.host
         self.projector.show_asked.connect(host.show)
         self.projector.screen_asked.connect(self.use_screen)
         self.doser.dose_asked.connect(self.dose_to)
@@ -219,41 +223,43 @@ class MainWindow(QMainWindow):
         self.calibration.reopen_asked.connect(host.reopen)
         self.calibration.wrong_line.connect(partial(self.show_page, self.calibration))
         self.calibration.wizard.lend_asked.connect(host.lend)
+        self.live.counted.connect(self.regions.take)
+        self.live.regions_asked.connect(self.show_regions)
+
+    def _connect_sequence(self) -> None:
+        """The sequence, and pages that add steps to it."""
         self.sequence.run_asked.connect(self.run)
         self.compare.next.step_asked.connect(self.sequence.append)
         self.separation.step_asked.connect(self.separate)
         self.sequence.rig_asked.connect(self.ask_for_rig)
         self.sequence.opened.connect(self.remember)
         self.sequence.recent_asked.connect(self.open_path)
-        self.sequence.list_recent(self.recent())
+        self.sequence.list_recent(self.recent.still_there())
         self.sequence.runs_asked.connect(lambda: self.show_page(self.runs))
         self.sequence.dropped.connect(self.offer_text)
-        self.sequence.wrong.connect(partial(self.tell, key=SEQUENCE))
+        self.sequence.wrong.connect(partial(self.notices.tell, key=SEQUENCE))
         self.sequence.water_asked.connect(self.show_fresh_water)
         for signal in (self.sequence.document.changed, self.sequence.document.checked):
-            signal.connect(self._forget_wrong)
+            signal.connect(self._follow_sequence)
+
+    def _connect_recorded_runs(self) -> None:
+        """Runs that were recorded, and what of them is on screen."""
+        self.on_screen.changed.connect(self._show_source)
+        self.on_screen.retitled.connect(self._name_source)
+        self.on_screen.refitted.connect(self._offer_refit)
         self.runs.resume_asked.connect(self.resume)
         self.runs.open_asked.connect(self.show_run)
-        self.runs.report_told.connect(self._tell_report)
-        self.runs.deleted.connect(lambda run: self.banner.withdraw(str(run)))
+        self.runs.report_told.connect(self.notices.say_of_report)
+        self.runs.deleted.connect(self.notices.forget_run)
         self.runs.bar.left.connect(self.on_screen.leave)
-        for teller in (
-            self.sequence.told,
-            self.runs.told,
-            self.calibration.told,
-            self.on_screen.told,
-            self.compare.told,
-            self.regions.told,
-        ):
-            teller.connect(self.tell)
-        self.live.counted.connect(self.regions.take)
-        self.live.regions_asked.connect(self.show_regions)
+
+    def _make_keys_of_pages(self) -> None:
         undo, pages = self.sequence.document.undo, (
             self.sequence, self.fit, self.doser, self.projector, self.runs, self.calibration, self.log,
             self.compare, self.regions, self.separation,
         )  # fmt: skip
         self.make_keys({
-            "palette": self.show_palette, "screenshot": self.save_screenshot,
+            "palette": self.show_palette, "screenshot": self.saving.save_screenshot,
             "layout-align": partial(self.docks.arrange, self.projector, 0.36),
             "layout-calibrate": partial(self.docks.arrange, self.calibration, 0.6),
             "layout-run": partial(self.docks.arrange, self.sequence, 0.5),
@@ -267,40 +273,27 @@ class MainWindow(QMainWindow):
 
     def _begin_with_pages(self) -> None:
         """All pages are there: tell them what is known."""
+        self._draft = KeptDraft(self._settings, self.sequence.document, self.notices.tell)
         self.built = True
         self._show_source(self.on_screen.shown)
-        last = self._first_sequence or self._settings.value("sequence")
-        if last and (self._first_sequence or Path(str(last)).is_file()):
-            self.sequence.load(Path(str(last)))
-        draft = self._settings.value("draft")
-        if draft and not self._first_sequence:  # what was typed and not saved when the window was closed
-            self.sequence.document.edit_text(str(draft))
-        elif draft:
-            self.offer_text(str(draft))
+        last, typed = self._first_sequence or self._draft.file, self._draft.text
+        if last is not None:
+            self.sequence.load(last)
+        if typed and not self._first_sequence:
+            self.sequence.document.edit_text(typed)
+        elif typed:
+            self.offer_text(typed)
         if self.sequence.beginning and self.focusWidget() in (None, self):
             self.sequence.first.buttons["Try it"].setFocus()  # who has no mouse begins with the space bar
         self._opened(self.rig, afresh=True)  # last, so that an offer to go on with a run stands before other notices
         self.follow(self.status)
         theme.paint_plots(self)
-        self._draft_timer = QTimer(self)
-        self._draft_timer.setSingleShot(True)
-        self._draft_timer.timeout.connect(self._keep_draft)
-        self.sequence.document.changed.connect(lambda: self._draft_timer.start(DRAFT_MS))
+        self._draft.follow()
         self._gc_timer = GcTimer(lambda: not self.status.running)
         assert self._reader is not None
         self._reader.run(import_ahead, then=lambda _: None)
 
     # -- the rig -------------------------------------------------------------------------------------------------------
-
-    def _keep_draft(self) -> None:
-        """What is typed survives whatever happens to the window."""
-        document = self.sequence.document
-        self._settings.setValue("sequence", str(document.path or ""))
-        self._settings.setValue("draft", document.text if document.unsaved else "")
-        self._settings.sync()
-        if self._settings.status() is not QSettings.Status.NoError and not self._draft_lost:
-            self._draft_lost = True
-            self.tell(f"{self._settings.fileName()}: cannot be written, so that what is typed is not kept; save it")
 
     def _opened(self, rig: "RigFile | None", afresh: bool = False) -> None:
         if rig is None:
@@ -324,17 +317,9 @@ class MainWindow(QMainWindow):
                 editor.set_wall(rig.bench.wall)
         if not self._offered:
             self._offered = True
-            self._offer_resume(rig.name)
-
-    def _offer_resume(self, rig: str) -> None:
-        """After a crash, or an abort, say so where the person looks first."""
-        run = self.runs.latest_interrupted(rig)
-        if run is not None:
-            why = f" ({run.message})" if run.message else ""
-            words = f"The last run, {run.path.name}, was {run.ending}{why}. What it recorded is safe; it can go on."
-            self.banner.say(
-                words, action="Resume it", do=lambda: self.resume(run.path), key="interrupted", about=str(run.path)
-            )
+            run = self.runs.latest_interrupted(rig.name)
+            if run is not None:
+                self.notices.say_interrupted(run, partial(self.resume, run.path))
 
     def follow(self, status: RigStatus) -> None:
         """Show where the rig stands, on all pages."""
@@ -343,7 +328,11 @@ class MainWindow(QMainWindow):
         self._words.say(status.words)
         self._held.setText("" if status.tank is None else f"{volume(status.tank.volume_ul)} of ink in the tank")
         self.live.set_camera(self.host.camera_settings, status.state is RigState.IDLE)
-        self._tell_trouble(before, status)
+        self.notices.follow_rig(before, status, self.host.reopen, self.show_fresh_water if self.built else None)
+        failed = status.state is RigState.FAILED
+        self.live_frame.say_trouble("NO PICTURE: the rig cannot be used" if failed else "")
+        self.live.say_over(status.over_the_picture)
+        self.live.say_trouble("no picture: the rig cannot be used; the line above says why" if failed else "")
         if not self.built:
             if status.state in (RigState.FAILED, RigState.ASKING):  # no picture will come
                 self.build_pages()
@@ -356,24 +345,6 @@ class MainWindow(QMainWindow):
             self.show_page(self.doser)
         self._asked = status.undecided
 
-    def _tell_trouble(self, before: RigStatus, status: RigStatus) -> None:
-        """What is wrong, for as long as it is."""
-        failed, water = status.state is RigState.FAILED, self.built and asks_for_it(status.trouble)
-        if status.troubles != before.troubles and status.trouble:
-            self.banner.say(
-                status.trouble, "bad", "Open the rig again" if failed else WAY if water else "",
-                self.host.reopen if failed else self.show_fresh_water, key="trouble",
-            )  # fmt: skip
-        elif not status.trouble:
-            self.banner.withdraw("trouble")
-        if before.stopped and not status.stopped:
-            self.banner.withdraw("stop")
-        if status.state is RigState.IDLE and not status.busy and (before.busy or before.state is not RigState.IDLE):
-            self.banner.withdraw(NOT_NOW)
-        self.live_frame.say_trouble("NO PICTURE: the rig cannot be used" if failed else "")
-        self.live.say_over(status.over_the_picture)
-        self.live.say_trouble("no picture: the rig cannot be used; the line above says why" if failed else "")
-
     # -- runs ----------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
@@ -382,13 +353,13 @@ class MainWindow(QMainWindow):
         if sequence is None or self.sequence.document.plan is None:
             problem = self.sequence.document.problem
             if problem is None:
-                self.tell("the rig is not ready; wait until it is, then run", NOT_NOW)
+                self.notices.tell("the rig is not ready; wait until it is, then run", NOT_NOW)
             elif asks_for_it(problem.sentence):
-                self.tell(problem.sentence, SEQUENCE, WAY, self.show_fresh_water)
+                self.notices.tell(problem.sentence, SEQUENCE, WAY, self.show_fresh_water)
             else:
-                self.tell(problem.sentence, SEQUENCE)
+                self.notices.tell(problem.sentence, SEQUENCE)
         elif self.status.busy:
-            self.tell("a run or a dose goes on; wait for its end or stop it, then run", NOT_NOW)
+            self.notices.tell("a run or a dose goes on; wait for its end or stop it, then run", NOT_NOW)
         else:
             path = self.folder / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
             self.host.start_run(RunOrder(path, sequence))
@@ -397,7 +368,7 @@ class MainWindow(QMainWindow):
     def resume(self, path: Path) -> None:
         """Go on with an interrupted run."""
         if self.status.busy:
-            self.tell("a run or a dose goes on; wait for its end or stop it, then resume", NOT_NOW)
+            self.notices.tell("a run or a dose goes on; wait for its end or stop it, then resume", NOT_NOW)
         else:
             self.host.start_run(RunOrder(path))
             self.stop_keys.follow()
@@ -424,12 +395,11 @@ class MainWindow(QMainWindow):
     def stop(self) -> None:
         """Stop the doser at once."""
         self.host.stop()
-        words = "STOP: the doser is stopped; a run that went on is being aborted and can be resumed."
-        self.banner.say(words, "bad", key="stop")
+        self.notices.say_stopped()
 
     def began(self, path: Path, sequence: "Sequence", before: "tuple[Event, ...]") -> None:
         """A run has begun, or goes on with what its journal holds already."""
-        self.banner.withdraw("stop", "trouble", "interrupted", "ended", "unfitted", NOT_NOW)
+        self.notices.forget_last_run()
         self.compare.read_anew(path)
         self.on_screen.begin(path, [task.label for task in sequence.tasks], before, sequence.sheet_ends)
         self.sequence.show_run()
@@ -439,19 +409,11 @@ class MainWindow(QMainWindow):
     def ended(self, outcome: "Outcome") -> None:
         """A run is over."""
         path = outcome.path
-        completed = outcome.reason is FinishReason.COMPLETED
-        why = f": {outcome.error}" if outcome.error is not None else "."
-        words = f"The run {path.name} was {outcome.reason.value}{why}"
-        level = "bad" if outcome.error is not None else "good" if completed else ""
-        _log.info("%s", words)
         self.compare.read_anew(path)
         self.runs.refresh()
         if self.live.regions.drawn and self.on_screen.source.run == path:
             self.regions.count()
-        if completed:
-            self.banner.say(words, level, "Write its report", lambda: self.runs.report(path), "ended", str(path))
-        else:
-            self.banner.say(words, level, "Resume it", lambda: self.resume(path), "ended", str(path))
+        self.notices.say_ended(outcome, partial(self.runs.report, path), partial(self.resume, path))
 
     def offer_to_fit(self, path: Path, missing: str) -> None:
         """A run is over that was not fitted to its end."""
@@ -460,13 +422,12 @@ class MainWindow(QMainWindow):
             self.show_run(path)
             self.show_page(self.runs)
 
-        words = f"Not fitted yet of {path.name}: {missing}. Open the run and press Fit anew."
-        self.banner.say(words, "", "Open it", show, "unfitted", str(path))
+        self.notices.say_unfitted(path, missing, show)
 
     def show_run(self, path: Path) -> None:
         """Show a recorded run in the same views."""
         if self.status.busy:
-            self.tell("a run goes on in the live view; open another when it has ended", NOT_NOW)
+            self.notices.tell("a run goes on in the live view; open another when it has ended", NOT_NOW)
         else:
             self.on_screen.open(path)
             self.remember(path)
@@ -508,37 +469,19 @@ class MainWindow(QMainWindow):
 
     def _offer_refit(self, source: "Source") -> None:
         """A refit has come while something else was on screen."""
-        words = f"Finished: {source.title}."
-        self.banner.say(
-            words, "good", "Show it", lambda: self._show_refit(source), key=source.title, about=str(source.run)
-        )
+        self.notices.say_refitted(source, partial(self._show_refit, source))
 
     def _show_refit(self, source: "Source") -> None:
         if self.status.busy:
-            self.tell("a run goes on in the live view; look at a refit when it has ended", NOT_NOW)
+            self.notices.tell("a run goes on in the live view; look at a refit when it has ended", NOT_NOW)
         else:
             self.on_screen.show_refit(source)
             self.show_page(self.fit)
 
     # -- the window ----------------------------------------------------------------------------------------------------
 
-    def tell(
-        self, sentence: str, key: str = "", action: str = "", do: Callable[[], object] | None = None, level: str = ""
-    ) -> None:
-        """Say something that a person has to know; see `Notice`."""
-        _log.warning("%s", sentence)
-        self.banner.say(capitalised(sentence), level, action, do, key)
-
-    def _tell_report(self, run: Path, sentence: str, level: str) -> None:
-        """What becomes of the report of a run; each sentence takes the place of the one before."""
-        _log.info("%s", sentence)
-        self.banner.say(sentence, level, key=f"report of {run}", about=str(run))
-
-    def _forget_wrong(self) -> None:
-        """What was said of the sequence goes once something else is wrong with it, or nothing."""
-        before, self._wrong = self._wrong, self.sequence.document.problem
-        if self._wrong != before:
-            self.banner.withdraw(SEQUENCE)
+    def _follow_sequence(self) -> None:
+        self.notices.follow_sequence(self.sequence.document.problem)
 
     def show_fresh_water(self) -> None:
         """Bring the button for a tank that was filled anew to the front."""
@@ -547,8 +490,7 @@ class MainWindow(QMainWindow):
 
     def offer_text(self, text: str) -> None:
         """A sequence was opened over edits that no file has: offer them back."""
-        words = "The sequence that was being edited had not been saved."
-        self.banner.say(words, action="Edit it again", do=lambda: self.sequence.edit_unsaved(text), key="dropped")
+        self.notices.say_unsaved(partial(self.sequence.edit_unsaved, text))
 
     def show_page(self, page: QWidget) -> None:
         """Bring a page to the front."""
@@ -604,7 +546,7 @@ class MainWindow(QMainWindow):
         if self._ending is None:
             if self.status.running:
                 self.host.stop()
-                self.banner.say("The run is being ended; the window closes when all it recorded is safe.", "bad")
+                self.notices.say_window_closes()
             if self._replay is not None:
                 self._replay.close()
             self._ending = OwnedThread("end", lambda _: self.host.close(), END_S)
@@ -623,7 +565,7 @@ class MainWindow(QMainWindow):
         if self._reader is not None:
             self._reader.close()
         if self.built:
-            self._keep_draft()
+            self._draft.keep()
             self.log.close_log()
             self._gc_timer.close()
         self._kept_log.close()
@@ -672,7 +614,7 @@ class MainWindow(QMainWindow):
     def use_rig(self, file: Path) -> None:
         """Work with another rig."""
         if self.host.in_motion:
-            self.tell("a run or a dose goes on; wait for its end or stop it, then open another rig", NOT_NOW)
+            self.notices.tell("a run or a dose goes on; wait for its end or stop it, then open another rig", NOT_NOW)
             return
         source = RigSource(file, self.folder / "simulated.rig")
         self.host.use(source)
@@ -690,73 +632,18 @@ class MainWindow(QMainWindow):
         actions.append(Action("open a rig file", "", self.ask_for_rig))
         actions += [
             Action("open a scene and predict its picture", "", self.ask_for_scene),
-            Action("copy what is on screen as Python", "", self.copy_as_python),
-            Action("save this frame, its counts as they are", "", self.save_frame),
-            Action("save what the page in front shows as a figure", "", self.save_figure),
-            Action("copy what the page in front shows as a picture", "", self.copy_figure),
+            Action("copy what is on screen as Python", "", self.saving.copy_as_python),
+            Action("save this frame, its counts as they are", "", self.saving.save_frame),
+            Action("save what the page in front shows as a figure", "", self.saving.save_figure),
+            Action("copy what the page in front shows as a picture", "", self.saving.copy_figure),
         ]
         actions += actions_of("Camera", self.live, self.live.setFocus)
         for title, page in self.docks.pages():
             actions += actions_of(title, page, partial(self.show_page, page))
-        actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self.recent()]
+        actions += [Action(f"open {path}", "", partial(self.open_path, path)) for path in self.recent.still_there()]
         self._palette = Palette(self, actions)
         self._palette.show()
         self._palette.field.setFocus()
-
-    def save_screenshot(self) -> None:
-        """Ask where to, and save what the window shows now."""
-        picture = self.grab()
-        name = f"tankrig-{datetime.now():%Y-%m-%dT%H-%M-%S}.png"
-
-        def save(path: Path) -> None:
-            if not picture.save(str(path)):
-                self.tell(f"{path}: cannot be written; choose another place")
-
-        ask_where_to_save(self, "Save a picture of the window", Path.cwd() / name, "Pictures (*.png)", save)
-
-    def save_frame(self) -> None:
-        """Ask where to, and save the counts of the frame on screen as they are: 16 or 8 bits, one channel."""
-        frame = self.live.frame
-        if frame is None or self._reader is None:
-            self.tell("there is no picture to save; wait for one, then save it")
-            return
-        reader, pixels = self._reader, frame.pixels
-        of = frame.run.name if frame.run is not None else f"camera-{datetime.now():%Y-%m-%dT%H-%M-%S}"
-        name = f"{of}-{frame.pattern.name if frame.pattern is not None else 'frame'}.tif".replace(" ", "-")
-
-        def save(path: Path) -> None:
-            told = f"the frame is saved as {path}"
-            reader.run(write_counts, path, pixels, then=lambda _: self.tell(told), failed=self.tell)
-
-        ask_where_to_save(self, "Save this frame", Path.cwd() / name, FRAME_KINDS, save)
-
-    def save_figure(self) -> None:
-        """Ask where to, and save what the page in front shows, as a picture or as a PDF that can be enlarged."""
-        title, page = self.docks.in_front()
-        source = "-".join(self.on_screen.source.title.replace(":", "").replace(",", "").split()[:4])
-        name = f"{title.lower()}-{source}.pdf"
-
-        def save(path: Path) -> None:
-            try:
-                save_figure(page, path)
-            except TankrigError as error:
-                self.tell(str(error))
-            else:
-                self.tell(f"the figure is saved as {path}")
-
-        ask_where_to_save(self, f"Save the {title} page as a figure", Path.cwd() / name, FIGURE_KINDS, save)
-
-    def copy_figure(self) -> None:
-        """What the page in front shows goes to the clipboard as a picture."""
-        QGuiApplication.clipboard().setPixmap(pixmap_of(self.docks.in_front()[1]))
-
-    def copy_as_python(self) -> None:
-        """Lines that get the numbers on screen go to the clipboard."""
-        text = as_python(self.on_screen.source)
-        if text:
-            QGuiApplication.clipboard().setText(text)
-        else:
-            self.tell("there is no run on screen; open one, then copy it as Python")
 
     def open_path(self, path: Path) -> None:
         """Open a run, a sequence or a rig file."""
@@ -771,7 +658,9 @@ class MainWindow(QMainWindow):
         elif kind is Dropped.SCENE:
             self.open_scene(path)
         else:
-            self.tell(f"{path}: is no run, no sequence, no rig file and no scene, so that there is nothing to open")
+            self.notices.tell(
+                f"{path}: is no run, no sequence, no rig file and no scene, so that there is nothing to open"
+            )
 
     def open_scene(self, path: Path) -> None:
         """Predict the picture of a scene, in a window of its own."""
@@ -781,7 +670,7 @@ class MainWindow(QMainWindow):
         try:
             scene = load_scene(path)
         except TankrigError as error:
-            self.tell(str(error))
+            self.notices.tell(str(error))
             return
         self.scene = SceneWindow(self, path, scene, self.background)
         self.scene.show()
@@ -794,15 +683,8 @@ class MainWindow(QMainWindow):
 
     def remember(self, path: Path) -> None:
         """List this among what was open lately, first."""
-        recent = [str(path.absolute()), *(str(one) for one in self.recent() if one != path.absolute())]
-        self._settings.setValue("recent", recent[:MOST_RECENT])
-        self.sequence.list_recent(self.recent())
-
-    def recent(self) -> list[Path]:
-        """Files and runs that were open lately and are still there, the last first."""
-        kept: Any = self._settings.value("recent") or []
-        paths = [Path(str(one)) for one in ([kept] if isinstance(kept, str) else kept)]
-        return [path for path in paths if path.exists()]
+        self.recent.remember(path)
+        self.sequence.list_recent(self.recent.still_there())
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:  # noqa: N802 - Qt's name
         """A file or folder may be dropped."""
@@ -820,7 +702,7 @@ class MainWindow(QMainWindow):
         try:
             self.host.source.choose_screen(identity)
         except TankrigError as error:
-            self.tell(str(error))
+            self.notices.tell(str(error))
         else:
             self.host.reopen()
 

@@ -1,7 +1,8 @@
 """What the tables of order 2 err by, and where rough ones may be looked at."""
 
+from tankrig.light.double.fineness import STEEP_G
 from tankrig.light.double.lit import COARSE_FROM, ROUGH_FROM, ROUGHEST_FROM, finest_of, lit_heights
-from tankrig.light.double.table import STEEP_G, peaked, rays_apart
+from tankrig.light.double.nodes import peaked, rays_apart
 from tankrig.light.rays import light_ray, light_sources, shift_invariant
 from tankrig.scene import Scene
 

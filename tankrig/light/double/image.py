@@ -14,18 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
+from tankrig.light.double.fineness import FINE, STEEP_G
 from tankrig.light.double.lit import COARSE_FROM, ROUGH_FROM, filled, lit_heights
+from tankrig.light.double.nodes import curvature
 from tankrig.light.double.ray_and_sight import BEYOND, depth_below, depth_seen, meet_beyond, nearest_row, share_within
-from tankrig.light.double.table import (
-    FINE,
-    STEEP_G,
-    LitHeight,
-    Stack,
-    Table,
-    curvature,
-    lagrange,
-    y_weights,
-)
+from tankrig.light.double.table import LitHeight, Stack, Table, lagrange, y_weights
 from tankrig.light.double.wall import Tabulated, served
 from tankrig.light.elementary import exponential
 from tankrig.light.quadrature import Rule, gauss_legendre

@@ -7,18 +7,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.light.double.table import (
-    COARSE,
-    FEW_APART,
-    FINE,
-    ROUGH,
-    ROUGHEST,
-    Fineness,
-    LitHeight,
-    Stack,
-    Table,
-    fill_stack,
-)
+from tankrig.light.double.filling import fill_stack
+from tankrig.light.double.fineness import COARSE, FEW_APART, FINE, ROUGH, ROUGHEST, Fineness
+from tankrig.light.double.table import LitHeight, Stack, Table
 from tankrig.light.rays import light_sources
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction

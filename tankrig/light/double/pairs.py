@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.geometry.optics import reflectance
+from tankrig.light.double.fineness import FINE
 from tankrig.light.double.image import add_beams, columns_of
 from tankrig.light.double.lit import lit_heights
+from tankrig.light.double.nodes import laid_out
 from tankrig.light.double.ray_and_sight import MOST_CUTS, PANEL, Pair, cut_at_critical_angle, half_circle, panel_cuts
-from tankrig.light.double.table import FINE, Stack, Table, laid_out
+from tankrig.light.double.table import Stack, Table
 from tankrig.light.elementary import exponential
 from tankrig.light.quadrature import Rule, gauss_legendre
 from tankrig.light.rays import Geometry, path_inside, sight_line

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tankrig.light.double.lit import filled, fineness_of, finest_of, lit_heights
-from tankrig.light.double.table import LitHeight, Stack, Table, hardest, laid_out, peaked
+from tankrig.light.double.nodes import hardest, laid_out, peaked
+from tankrig.light.double.table import LitHeight, Stack, Table
 from tankrig.light.rays import light_sources
 from tankrig.light.surface import on_surface
 from tankrig.scene import Beam, Medium, Scene

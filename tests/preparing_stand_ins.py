@@ -1,0 +1,51 @@
+"""In place of preparing: models that a test says are there, or not yet."""
+
+from tankrig.light.prepared.about import box_for
+from tankrig.light.prepared.box import Box
+from tankrig.scene.description import Medium, Scene
+
+
+class Ready:
+    """Stands in for preparing: models are there, or not yet."""
+
+    def __init__(self) -> None:
+        self.there = False
+        self.all_models: list[object] = []
+
+    def box(self, liquid: Medium) -> Box:
+        return box_for(liquid)
+
+    def want(self, *_: object) -> None: ...
+
+    def models(self, scenes: list[Scene], _box: Box) -> list[object] | None:
+        return [object()] * len(scenes) if self.there else None
+
+    def under_way(self, *_: object) -> bool:
+        return True
+
+
+class Boxes(Ready):
+    """Stands in for preparing: says what was wanted, first things first, and hands out models of chosen boxes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.wanted: list[Box] = []
+        self.ready: set[Box] = set()
+
+    def want(self, scenes: list[Scene], box: Box) -> None:
+        assert list(scenes)
+        self.wanted = [box, *(one for one in self.wanted if one != box)]
+
+    def models(self, scenes: list[Scene], box: Box) -> list[object] | None:
+        return [box] * len(scenes) if box in self.ready else None
+
+
+class ByPattern(Boxes):
+    """Models are ready by pattern."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ready_scenes: list[Scene] = []
+
+    def models(self, scenes: list[Scene], box: Box) -> list[object] | None:
+        return [box] * len(scenes) if box in self.ready or set(scenes) <= set(self.ready_scenes) else None
