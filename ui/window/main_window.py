@@ -339,7 +339,7 @@ class MainWindow(QMainWindow):
             return
         for page in (self.sequence, self.doser, self.projector, self.calibration):
             page.follow(status)
-        self.top.follow(status, self.sequence.document.plan is not None)
+        self.top.follow(status, self.sequence.hindrance)
         self.runs.set_busy(status.busy)
         if status.undecided is not None and self._asked != status.undecided:
             self.show_page(self.doser)

@@ -202,6 +202,14 @@ class SequencePage(QWidget):
         """Whether there is no sequence yet, and nobody has begun to build one."""
         return self.document.empty and not self._building
 
+    @property
+    def hindrance(self) -> str:
+        """What keeps the sequence from being run; empty where nothing does."""
+        if self.document.plan is not None:
+            return ""
+        problem = self.document.problem
+        return "nothing to carry out yet: write or open a sequence" if problem is None else problem.sentence
+
     def edit_unsaved(self, text: str) -> None:
         """Edit a text that no file has."""
         self.document.edit_unsaved(text)

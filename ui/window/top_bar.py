@@ -59,9 +59,10 @@ class TopBar(QWidget):
         """Of a real rig, once its file has been read."""
         self.badge.setText(name)
 
-    def follow(self, status: RigStatus, runnable: bool) -> None:
-        """Show what goes on, and which buttons make sense."""
-        self.run.setEnabled(runnable and not status.busy)
+    def follow(self, status: RigStatus, hindrance: str) -> None:
+        """Show what goes on, which buttons make sense, and what keeps a sequence from being run; empty for nothing."""
+        self.run.setEnabled(not hindrance and not status.busy)
+        self.run.setToolTip(hindrance or "carry out the sequence (F5)")
         halted = status.run_state in (RunState.PAUSED, RunState.PAUSING)
         self.pause.setEnabled(status.run_state in (RunState.RUNNING, RunState.PAUSED, RunState.PAUSING))
         self.pause.setText("Go on  F6" if halted else "Pause  F6")
