@@ -228,9 +228,12 @@ def fit_models(
     fit = without_outliers(fit)
     progress("finding the errors")
     found, phase, likely = _built(fit, scene, models, asked)
-    if likely is not None:
-        other = _as_spheres(observation, scene, scaling, models, progress, misalignment, astray, likely)
-        found = other if other.rmse < AS_WELL * found.rmse else found
+    for liquid in likely.liquids if likely is not None else ():
+        of_spheres = Asked(spheres(), near=liquid, likely=likely)
+        other = _as_spheres(observation, scene, scaling, models, progress, misalignment, of_spheres, astray)
+        if other.rmse < AS_WELL * found.rmse:
+            found = other
+            break
     if asked.further is None or not (phase.misled or phase.explained < NEARLY_ALL):
         return found
     if beside is not None:
@@ -251,18 +254,17 @@ def _further(
 ) -> Estimate:  # fmt: skip
     """The estimate by further phase functions, begun near a liquid, or from anywhere."""
     progress("weighing other phase functions")
-    other, asked = models.of(asked.family), replace(asked, near=() if near is None else (near,))
+    other, asked = models.of(asked.family), replace(asked, near=near)
     return fit_models(observation, scene, scaling, other, progress, misalignment, asked, astray)
 
 
 def _as_spheres(
     observation: Observation, scene: Scene, scaling: Scaling, models: Models, progress: Told,
-    misalignment: Misalignment | None, astray: Astray | None, likely: LikelySpheres,
+    misalignment: Misalignment | None, asked: Asked, astray: Astray | None,
 ) -> Estimate:  # fmt: skip
     """The estimate by spheres, begun near likely ones."""
     progress("fitting spheres")
-    own, asked = models.of(spheres()), Asked(spheres(), near=likely.liquids, likely=likely)
-    other = fit_models(observation, scene, scaling, own, progress, misalignment, asked, astray)
+    other = fit_models(observation, scene, scaling, models.of(spheres()), progress, misalignment, asked, astray)
     return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
 
 

@@ -53,7 +53,7 @@ class Asked:
     further
         What is asked next where these leave what another phase function explains; None: nothing.
     near
-        About what the liquid is, of a phase function of the family; one of several; none to look for it.
+        About what the liquid is, of a phase function of the family; None to look for it.
     likely
         The spheres that are fitted, as a free phase function's fit has them, by which they are weighed; None where no
         spheres are.
@@ -63,7 +63,7 @@ class Asked:
     averaged: bool = False
     begin: PhaseFunction | None = None
     further: "Asked | None" = None
-    near: tuple[Medium, ...] = ()
+    near: Medium | None = None
     likely: LikelySpheres | None = None
 
     @property
@@ -146,10 +146,9 @@ def fit_phase(
     """
     family = asked.family or henyey_greenstein()
     blocks = blocks_of(family)
-    if asked.near:
-        places = [np.concatenate([one.start(near) for one in blocks]) for near in asked.near]
-        start, starts = (places[0], None) if len(places) == 1 else (None, places)
-        return fitted(shots, blocks, scaling, progress, start, few, sharper, starts)
+    if asked.near is not None:
+        start = np.concatenate([one.start(asked.near) for one in blocks])
+        return fitted(shots, blocks, scaling, progress, start, few, sharper)
     at = densest
     if at is None:
         only = None if asked.begin is None else fixed(asked.begin)

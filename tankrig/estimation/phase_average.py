@@ -35,6 +35,8 @@ from tankrig.scene.phase_functions import Mixture
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 
+TRIED = 2
+"""Modes of spheres that are fitted by themselves at most, until one does as well as the free phase function."""
 NEGLIGIBLE, SOME = 1e-3, 0.05
 """Share of the answer below which a family is left out of it, and that all families must have together for exact images
 to be made where they say the liquid is."""
@@ -124,7 +126,7 @@ def like_spheres(best: Evaluation, spread: Array, family: Family) -> tuple[Mediu
         elsewhere = one.finer and all(abs(float(one.own[0] - other.own[0])) > APART for other in modes)
         if elsewhere and one.evidence > first.evidence - NOT_HOPELESS:
             modes.append(one)
-    return tuple(_as_spheres(one) for one in modes)
+    return tuple(_as_spheres(one) for one in modes[:TRIED])
 
 
 def _by_free(best: Evaluation, spread: Array, family: Family) -> tuple[Score, Weighed]:

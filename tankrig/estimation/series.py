@@ -223,10 +223,14 @@ def fit_liquid(
     found, likely = _liquid_at(fit, shots, asked)
     if found is None or likely is None:
         return found
-    progress("fitting spheres")
-    models, asked = _of_spheres(scenes, models), Asked(spheres(), near=likely.liquids, likely=likely)
-    other = fit_liquid(observations, scenes, scaling, models, None, progress, asked, nuisance)
-    return other if other is not None and other.rmse < AS_WELL * found.rmse else found
+    versions = _of_spheres(scenes, models)
+    for liquid in likely.liquids:
+        progress("fitting spheres")
+        asked = Asked(spheres(), near=liquid, likely=likely)
+        other = fit_liquid(observations, scenes, scaling, versions, None, progress, asked, nuisance)
+        if other is not None and other.rmse < AS_WELL * found.rmse:
+            return other
+    return found
 
 
 def _of_spheres(scenes: Sequence[Scene], models: Sequence[Models]) -> list[Models]:
@@ -313,12 +317,15 @@ def fit_series(
     found, likely = _built(fit, doses, shots, asked)
     if likely is None:
         return found
-    progress("fitting spheres")
-    near = tuple(in_tank(one, found.water.sigma_a, float(doses.ml[highest])) for one in likely.liquids)
-    models, asked = _of_spheres(scenes, models), Asked(spheres(), near=near, likely=likely)
-    other = fit_series(observations, scenes, doses, scaling, models, None, progress, asked, nuisance)
-    as_well = rms(other.rmse / found.rmse) < AS_WELL
-    return replace(other, verdict=f"{what_spheres_do()} {other.verdict}") if as_well else found
+    versions = _of_spheres(scenes, models)
+    for one in likely.liquids:
+        progress("fitting spheres")
+        near = in_tank(one, found.water.sigma_a, float(doses.ml[highest]))
+        asked = Asked(spheres(), near=near, likely=likely)
+        other = fit_series(observations, scenes, doses, scaling, versions, None, progress, asked, nuisance)
+        if rms(other.rmse / found.rmse) < AS_WELL:
+            return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
+    return found
 
 
 def _with_nuisance(fit: Fit, scenes: Sequence[Scene], nuisance: Mapping[str, float] | None) -> Fit:
